@@ -1,0 +1,45 @@
+# Two commands set everything up on a fresh machine: `make demo` and `make test`.
+PYTHON ?= python3
+VENV   ?= .venv
+BIN    := $(VENV)/bin
+
+.PHONY: demo test lint lock clean
+.DEFAULT_GOAL := help
+
+help:
+	@echo "make demo   install, then play the bundled motion on the bridge and record it (demo-out/)"
+	@echo "make test   install, then run the whole test suite"
+	@echo "make lint   ruff, mypy --strict, import contracts"
+	@echo "make lock   resolve constraints.txt anew"
+	@echo "make clean  remove the virtual environment and caches"
+
+# pip older than 24 can spin for minutes in its resolver, so it is upgraded first.
+$(VENV)/.run: pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade "pip>=24"
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e .
+	@touch $@
+
+$(VENV)/.dev: $(VENV)/.run
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e ".[dev,meshes]"
+	@touch $@
+
+demo: $(VENV)/.run
+	$(BIN)/g1stream demo --out demo-out --force
+
+test: $(VENV)/.dev
+	$(BIN)/python -m pytest
+
+lint: $(VENV)/.dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+lock:
+	$(PYTHON) -m pip install --quiet uv
+	$(PYTHON) -m uv pip compile --universal --all-extras --python-version 3.10 --upgrade \
+		--no-header --no-annotate --quiet pyproject.toml -o constraints.txt
+
+clean:
+	rm -rf $(VENV) .sdk-venv .pytest_cache .mypy_cache .ruff_cache .import_linter_cache

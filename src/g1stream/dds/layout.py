@@ -1,0 +1,199 @@
+"""From a type on the wire to the place of each of its fields in the bytes, derived once.
+
+Every type here has only fixed-size fields, so each field has one place in the CDR payload, and reading
+or writing a sample is a numpy view. The rules are those of XCDR1 (DDSI-RTPS 2.5, section 10, plain
+CDR): a primitive is aligned to its own size counted from the start of the payload, and a struct is
+not padded to its own size. The elements of an array of structs therefore need not all look the same:
+in LowCmd the first motor's `mode` sits closer to its `q` than those of the others.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, Any, Final, get_args, get_type_hints
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+__all__ = ["CDR_HEADER", "Field", "Layout", "Leaf", "leaves", "members"]
+
+#: Representation identifier of plain CDR, little endian, and no options: the first 4 bytes of a sample.
+CDR_HEADER: Final = b"\x00\x01\x00\x00"
+
+_DTYPES: Final[dict[str, str]] = {
+    "byte": "u1",
+    "uint8": "u1",
+    "int16": "<i2",
+    "int32": "<i4",
+    "uint32": "<u4",
+    "uint64": "<u8",
+    "float32": "<f4",
+    "float64": "<f8",
+}
+
+
+@dataclass(frozen=True)
+class Leaf:
+    """One primitive of a type: its path without indices, its indices, its dtype."""
+
+    path: str
+    index: tuple[int, ...]
+    dtype: np.dtype[Any]
+
+
+def members(idl_type: Any) -> dict[str, tuple[Any, int | None]]:
+    """The fields of a struct in wire order: name -> (element type, array length or None).
+
+    The element type is another struct class or the IDL name of a primitive, such as `float32`.
+    """
+    found: dict[str, tuple[Any, int | None]] = {}
+    for name, hint in get_type_hints(idl_type, include_extras=True).items():
+        mark = get_args(hint)[1] if get_args(hint) else hint
+        length = getattr(mark, "length", None)
+        element = mark if length is None else mark.subtype
+        found[name] = (get_args(element)[1] if get_args(element) else element, length)
+    return found
+
+
+def leaves(idl_type: Any) -> Iterator[Leaf]:
+    """Walk the primitives of a type in wire order."""
+    yield from _leaves(idl_type, "", ())
+
+
+def _leaves(idl_type: Any, prefix: str, index: tuple[int, ...]) -> Iterator[Leaf]:
+    for name, (element, length) in members(idl_type).items():
+        path = f"{prefix}.{name}" if prefix else name
+        places = [index] if length is None else [(*index, i) for i in range(length)]
+        for place in places:
+            if isinstance(element, str):
+                yield Leaf(path, place, np.dtype(_DTYPES[element]))
+            else:
+                yield from _leaves(element, path, place)
+
+
+@dataclass(frozen=True)
+class Field:
+    """The places of one field in a payload.
+
+    Attributes:
+        offsets: byte offsets within the payload, shaped like the field: () for a scalar, (35,) for
+            `motor_cmd.q`, (35, 2) for `motor_state.temperature`.
+        dtype: the little-endian primitive at each of them.
+    """
+
+    offsets: NDArray[np.intp]
+    dtype: np.dtype[Any]
+
+    def read(self, payloads: NDArray[np.uint8]) -> NDArray[Any]:
+        """Copy the field out of payloads (..., size) into an array (..., *offsets.shape)."""
+        places = self.offsets[..., np.newaxis] + np.arange(self.dtype.itemsize)
+        picked = np.ascontiguousarray(payloads[..., places])
+        return picked.view(self.dtype)[..., 0]
+
+    def view(self, payload: NDArray[np.uint8]) -> NDArray[Any]:
+        """A writable view of the field in one contiguous payload (size,).
+
+        Raises:
+            ValueError: the field's places are not evenly spaced, so that no view can show them.
+        """
+        shape = self.offsets.shape
+        strides = []
+        for axis, length in enumerate(shape):
+            steps = np.unique(np.diff(self.offsets, axis=axis)) if length > 1 else np.array([0])
+            if steps.size != 1:
+                raise ValueError("the field is not evenly spaced in the payload")
+            strides.append(int(steps[0]))
+        return np.ndarray(
+            shape,
+            self.dtype,
+            buffer=payload.data,
+            offset=int(self.offsets.flat[0]),
+            strides=tuple(strides),
+        )
+
+
+class Layout:
+    """Where each field of a fixed-size type sits in its CDR payload and in its C struct.
+
+    Attributes:
+        typename: the type's name on the wire, such as `unitree_hg.msg.dds_.LowCmd_`.
+        size: bytes of the payload, without the 4-byte header.
+        fields: dotted path without indices, such as `motor_cmd.q` -> Field.
+        struct_bytes: for each byte of the C struct (natural alignment), the payload byte that it
+            shows; `size` where it is padding.
+    """
+
+    def __init__(self, idl_type: Any) -> None:
+        self.typename: str = idl_type.__idl_typename__
+        offsets: dict[str, list[int]] = {}
+        dtypes: dict[str, np.dtype[Any]] = {}
+        shapes: dict[str, tuple[int, ...]] = {}
+        in_order: list[tuple[int, int]] = []
+        end = 0
+        for leaf in leaves(idl_type):
+            start = _align(end, leaf.dtype.itemsize)
+            end = start + leaf.dtype.itemsize
+            in_order.append((start, leaf.dtype.itemsize))
+            offsets.setdefault(leaf.path, []).append(start)
+            dtypes[leaf.path] = leaf.dtype
+            shapes[leaf.path] = tuple(i + 1 for i in leaf.index)
+        self.size = end
+        self.fields = {
+            path: Field(np.array(places, dtype=np.intp).reshape(shapes[path]), dtypes[path])
+            for path, places in offsets.items()
+        }
+        self.struct_bytes = self._struct_bytes(idl_type, in_order)
+
+    def __getitem__(self, path: str) -> Field:
+        return self.fields[path]
+
+    def _struct_bytes(self, idl_type: Any, in_order: list[tuple[int, int]]) -> NDArray[np.intp]:
+        struct_size, _ = _c_size(idl_type)
+        source = np.full(struct_size, self.size, dtype=np.intp)
+        places = _c_offsets(idl_type, 0)
+        for (start, itemsize), place in zip(in_order, places, strict=True):
+            source[place : place + itemsize] = np.arange(start, start + itemsize)
+        return source
+
+    @staticmethod
+    @cache
+    def of(idl_type: Any) -> Layout:
+        """The layout of a type, derived once for each process."""
+        return Layout(idl_type)
+
+
+def _align(offset: int, alignment: int) -> int:
+    return -(-offset // alignment) * alignment
+
+
+def _c_size(element: Any) -> tuple[int, int]:
+    """Size and alignment of an element as a C compiler lays it out."""
+    if isinstance(element, str):
+        size = np.dtype(_DTYPES[element]).itemsize
+        return size, size
+    end, widest = 0, 1
+    for member, length in members(element).values():
+        size, alignment = _c_size(member)
+        end = _align(end, alignment) + size * (1 if length is None else length)
+        widest = max(widest, alignment)
+    return _align(end, widest), widest
+
+
+def _c_offsets(element: Any, base: int) -> Iterator[int]:
+    """The offset of every primitive of a struct laid out by a C compiler, in wire order."""
+    end = base
+    for member, length in members(element).values():
+        size, alignment = _c_size(member)
+        start = _align(end, alignment)
+        count = 1 if length is None else length
+        for i in range(count):
+            if isinstance(member, str):
+                yield start + i * size
+            else:
+                yield from _c_offsets(member, start + i * size)
+        end = start + size * count

@@ -1,0 +1,167 @@
+"""The types on the wire, as cyclonedds classes; idl/ is their source, and a test keeps the two in step.
+
+They exist to give topics their names and type information, and to derive the fixed layouts from.
+No sample is ever built from them: see `g1stream.dds.raw`.
+"""
+
+from typing import Any, Final
+
+from cyclonedds.idl import annotations, make_idl_struct, types
+
+__all__ = [
+    "IMUState_",
+    "LowCmd_",
+    "LowState_",
+    "MotorCmd_",
+    "MotorState_",
+    "Reference_",
+    "SportModeState_",
+]
+
+# From cyclonedds 11 on, `types.uint8` is XTypes' UINT8, which 0.10.2 does not know: every process of
+# the SDK that shares the topic then dies of a segmentation fault. IDL's octet is `types.byte` there;
+# 0.10.2 has no such name and calls the very same thing `types.uint8`.
+octet: Final = types.byte if hasattr(types, "byte") else types.uint8
+
+int16, int32 = types.int16, types.int32
+uint32, uint64 = types.uint32, types.uint64
+float32, float64 = types.float32, types.float64
+array = types.array
+
+
+def _struct(typename: str, fields: dict[str, Any]) -> Any:
+    """A final, sequentially numbered IDL struct, as the SDK declares all of its own."""
+    cls = make_idl_struct(typename.rsplit(".", maxsplit=1)[-1], typename, fields)
+    return annotations.final(annotations.autoid("sequential")(cls))
+
+
+MotorCmd_ = _struct(
+    "unitree_hg.msg.dds_.MotorCmd_",
+    {
+        "mode": octet,
+        "q": float32,
+        "dq": float32,
+        "tau": float32,
+        "kp": float32,
+        "kd": float32,
+        "reserve": uint32,
+    },
+)
+
+LowCmd_ = _struct(
+    "unitree_hg.msg.dds_.LowCmd_",
+    {
+        "mode_pr": octet,
+        "mode_machine": octet,
+        "motor_cmd": array[MotorCmd_, 35],
+        "reserve": array[uint32, 4],
+        "crc": uint32,
+    },
+)
+
+IMUState_ = _struct(
+    "unitree_hg.msg.dds_.IMUState_",
+    {
+        "quaternion": array[float32, 4],
+        "gyroscope": array[float32, 3],
+        "accelerometer": array[float32, 3],
+        "rpy": array[float32, 3],
+        "temperature": int16,
+    },
+)
+
+MotorState_ = _struct(
+    "unitree_hg.msg.dds_.MotorState_",
+    {
+        "mode": octet,
+        "q": float32,
+        "dq": float32,
+        "ddq": float32,
+        "tau_est": float32,
+        "temperature": array[int16, 2],
+        "vol": float32,
+        "sensor": array[uint32, 2],
+        "motorstate": uint32,
+        "reserve": array[uint32, 4],
+    },
+)
+
+LowState_ = _struct(
+    "unitree_hg.msg.dds_.LowState_",
+    {
+        "version": array[uint32, 2],
+        "mode_pr": octet,
+        "mode_machine": octet,
+        "tick": uint32,
+        "imu_state": IMUState_,
+        "motor_state": array[MotorState_, 35],
+        "wireless_remote": array[octet, 40],
+        "reserve": array[uint32, 4],
+        "crc": uint32,
+    },
+)
+
+_TimeSpec = _struct("unitree_go.msg.dds_.TimeSpec_", {"sec": int32, "nanosec": uint32})
+
+_GoIMUState = _struct(
+    "unitree_go.msg.dds_.IMUState_",
+    {
+        "quaternion": array[float32, 4],
+        "gyroscope": array[float32, 3],
+        "accelerometer": array[float32, 3],
+        "rpy": array[float32, 3],
+        "temperature": octet,
+    },
+)
+
+_PathPoint = _struct(
+    "unitree_go.msg.dds_.PathPoint_",
+    {
+        "t_from_start": float32,
+        "x": float32,
+        "y": float32,
+        "yaw": float32,
+        "vx": float32,
+        "vy": float32,
+        "vyaw": float32,
+    },
+)
+
+SportModeState_ = _struct(
+    "unitree_go.msg.dds_.SportModeState_",
+    {
+        "stamp": _TimeSpec,
+        "error_code": uint32,
+        "imu_state": _GoIMUState,
+        "mode": octet,
+        "progress": float32,
+        "gait_type": octet,
+        "foot_raise_height": float32,
+        "position": array[float32, 3],
+        "body_height": float32,
+        "velocity": array[float32, 3],
+        "yaw_speed": float32,
+        "range_obstacle": array[float32, 4],
+        "foot_force": array[int16, 4],
+        "foot_position_body": array[float32, 12],
+        "foot_speed_body": array[float32, 12],
+        "path_point": array[_PathPoint, 10],
+    },
+)
+
+Reference_ = _struct(
+    "g1stream.msg.dds_.Reference_",
+    {
+        "tick": uint64,
+        "motion_time": float64,
+        "phase": octet,
+        "q": array[float64, 29],
+        "dq": array[float64, 29],
+        "ddq": array[float64, 29],
+        "tau": array[float64, 29],
+        "root_pos": array[float64, 3],
+        "root_quat_wxyz": array[float64, 4],
+        "root_lin_vel": array[float64, 3],
+        "root_ang_vel": array[float64, 3],
+    },
+)

@@ -1,0 +1,205 @@
+"""Joining a DDS domain on one network interface, and seeing who else is there.
+
+On loopback the released Cyclone versions disagree about multicast: 0.10.x, which the SDK and the robot
+run, turns it off there and 11.x does not, so that with a plain configuration the two never meet.
+Naming 127.0.0.1 as a peer makes them meet in either start order; a wired interface needs nothing.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from cyclonedds.builtin import (
+    BuiltinDataReader,
+    BuiltinTopicDcpsParticipant,
+    BuiltinTopicDcpsPublication,
+    BuiltinTopicDcpsSubscription,
+)
+from cyclonedds.core import DDSException, InstanceState
+from cyclonedds.domain import Domain, DomainParticipant
+
+from g1stream.errors import WireError
+
+if TYPE_CHECKING:
+    from types import TracebackType
+
+__all__ = ["Endpoint", "Participant", "interfaces"]
+
+#: Beyond this the ports that a domain id stands for leave the range of ports (RTPS 2.5, 9.6.2).
+MAX_DOMAIN: Final = 232
+
+_CONFIG: Final = (
+    '<CycloneDDS><Domain Id="any">'
+    '<General><Interfaces><NetworkInterface name="{interface}"/></Interfaces></General>'
+    "{discovery}</Domain></CycloneDDS>"
+)
+_LOOPBACK_DISCOVERY: Final = (
+    "<Discovery><ParticipantIndex>auto</ParticipantIndex>"
+    '<Peers><Peer Address="127.0.0.1"/></Peers></Discovery>'
+)
+
+
+def interfaces() -> list[str]:
+    """The names of this machine's network interfaces."""
+    return [name for _, name in socket.if_nameindex()]
+
+
+def is_loopback(interface: str) -> bool:
+    """Whether an interface is the loopback, by the kernel's own flag."""
+    flags = Path("/sys/class/net", interface, "flags")
+    if not flags.exists():
+        return interface == "lo"
+    return bool(int(flags.read_text(), 16) & 0x8)  # IFF_LOOPBACK, netdevice(7)
+
+
+@dataclass(frozen=True)
+class Endpoint:
+    """A writer or reader that somebody has on a topic.
+
+    Attributes:
+        topic, type_name: as announced on the wire.
+        participant: the GUID of the participant it belongs to.
+        host, pid, process: of that participant; empty where it does not tell.
+    """
+
+    topic: str
+    type_name: str
+    participant: str
+    host: str = ""
+    pid: str = ""
+    process: str = ""
+
+    def __str__(self) -> str:
+        if not self.pid:
+            return f"participant {self.participant}"
+        return f"{self.process or 'process'} (pid {self.pid} on {self.host or 'an unnamed host'})"
+
+
+class Participant:
+    """One participant in a DDS domain, and the entities made from it.
+
+    Args:
+        domain: the DDS domain id, 0 to 232. Simulators use 1, the robot uses 0.
+        interface: the network interface to be on, such as `lo` or `eth0`.
+
+    Attributes:
+        uses_environment: a CYCLONEDDS_URI was set, and was used instead of `interface`.
+
+    Raises:
+        WireError: no such interface, a domain id out of range, or Cyclone cannot start there.
+    """
+
+    # Cyclone wants one configuration for each domain id in a process, made before its participants.
+    _domains: dict[int, tuple[Domain, int]] = {}  # noqa: RUF012
+
+    def __init__(self, domain: int, interface: str) -> None:
+        if not 0 <= domain <= MAX_DOMAIN:
+            raise WireError(
+                f"DDS has no domain {domain}.", f"Choose a domain from 0 to {MAX_DOMAIN}."
+            )
+        if interface not in interfaces():
+            raise WireError(
+                f"This machine has no network interface {interface!r}.",
+                f"Choose one of {', '.join(interfaces())}.",
+            )
+        self.domain = domain
+        self.interface = interface
+        self.uses_environment = bool(os.environ.get("CYCLONEDDS_URI"))
+        self._kept: list[Any] = []
+        try:
+            if not self.uses_environment:
+                self._configure()
+            self.entity: Any = DomainParticipant(domain)
+        except DDSException as error:
+            self._release()
+            raise WireError(
+                f"Cyclone DDS cannot join domain {domain} on {interface}: {error.msg or error}.",
+                "Check CYCLONEDDS_URI if it is set, and that fewer than ten other programs share "
+                "the domain on this machine.",
+            ) from error
+        self._participants = BuiltinDataReader(self.entity, BuiltinTopicDcpsParticipant)
+        self._writers = BuiltinDataReader(self.entity, BuiltinTopicDcpsPublication)
+        self._readers = BuiltinDataReader(self.entity, BuiltinTopicDcpsSubscription)
+
+    def _configure(self) -> None:
+        entity, users = self._domains.get(self.domain, (None, 0))
+        if entity is None:
+            discovery = _LOOPBACK_DISCOVERY if is_loopback(self.interface) else ""
+            entity = Domain(
+                self.domain, _CONFIG.format(interface=self.interface, discovery=discovery)
+            )
+        self._domains[self.domain] = (entity, users + 1)
+
+    def _release(self) -> None:
+        entity, users = self._domains.get(self.domain, (None, 0))
+        if entity is None or self.uses_environment:
+            return
+        if users > 1:
+            self._domains[self.domain] = (entity, users - 1)
+        else:
+            del self._domains[self.domain]
+
+    def keep(self, entity: Any) -> None:
+        """Hold an entity made from this participant until it is closed."""
+        self._kept.append(entity)
+
+    def writers(self, topic: str) -> list[Endpoint]:
+        """Who writes a topic at this moment, as far as discovery has come; ours are left out."""
+        return self._endpoints(self._writers, topic)
+
+    def readers(self, topic: str) -> list[Endpoint]:
+        """Who reads a topic at this moment, as far as discovery has come; ours are left out."""
+        return self._endpoints(self._readers, topic)
+
+    def _endpoints(self, reader: Any, topic: str) -> list[Endpoint]:
+        properties = {
+            str(one.key): {p.key: p.value for p in one.qos if hasattr(p, "value")}
+            for one in _alive(self._participants)
+        }
+        found = []
+        for sample in _alive(reader):
+            if sample.topic_name != topic or sample.participant_key == self.entity.guid:
+                continue
+            about = properties.get(str(sample.participant_key), {})
+            found.append(
+                Endpoint(
+                    topic,
+                    sample.type_name,
+                    str(sample.participant_key),
+                    about.get("__Hostname", ""),
+                    about.get("__Pid", ""),
+                    about.get("__ProcessName", ""),
+                )
+            )
+        return found
+
+    def close(self) -> None:
+        """Leave the domain. Entities made from the participant are gone with it."""
+        if not hasattr(self, "entity"):
+            return
+        # Cyclone's Python entities end with their last reference: children first, the domain last.
+        self._kept.clear()
+        del self._participants, self._writers, self._readers
+        del self.entity
+        self._release()
+
+    def __enter__(self) -> Participant:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def _alive(reader: Any) -> list[Any]:
+    """What a built-in reader knows to be there now; reading leaves it for the next look."""
+    alive = InstanceState.Alive
+    return [s for s in reader.read(1024) if s.sample_info.instance_state & alive]

@@ -1,0 +1,210 @@
+"""Samples as the bytes they are on the wire, with numpy views where the code wants fields.
+
+A message object owns one buffer for its whole life: `load` copies received bytes into it, `tobytes`
+copies them out to be written, and the views between show the fields in place. Views of scalars have
+the shape () and are written with `message.tick[()] = 5`. Motors are in motor order; the wire's arrays
+of 35 are shown up to the 29th, which is the last that a G1 has.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from g1stream.dds import types
+from g1stream.dds.crc import Crc
+from g1stream.dds.layout import CDR_HEADER, Layout
+from g1stream.errors import WireError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["LowCmd", "LowState", "Message", "Reference", "SecondaryImu", "SportModeState"]
+
+_N_MOTORS = 29
+
+
+class Message:
+    """One sample of a fixed-size type.
+
+    Attributes:
+        idl_type: the cyclonedds class that names the type on the wire.
+        payload: (size,) uint8, the sample without its CDR header; every view points into it.
+    """
+
+    idl_type: ClassVar[Any]
+
+    def __init__(self) -> None:
+        self.layout = Layout.of(self.idl_type)
+        self._buffer = bytearray(CDR_HEADER + bytes(self.layout.size))
+        self.payload: NDArray[np.uint8] = np.frombuffer(self._buffer, np.uint8)[len(CDR_HEADER) :]
+
+    def view(self, path: str) -> NDArray[Any]:
+        """A writable view of a field, by its dotted path in the IDL."""
+        return self.layout[path].view(self.payload)
+
+    def load(self, data: bytes) -> None:
+        """Take over received bytes, CDR header included.
+
+        Raises:
+            WireError: the bytes are not one little-endian sample of this type.
+        """
+        if len(data) != len(self._buffer) or data[:2] != CDR_HEADER[:2]:
+            raise WireError(
+                f"A sample of {self.layout.typename} came with {len(data)} bytes and representation "
+                f"0x{data[:2].hex()} instead of {len(self._buffer)} and 0x{CDR_HEADER[:2].hex()}.",
+                "Make the publisher use plain little-endian CDR (XCDR1) and the type in idl/.",
+            )
+        self._buffer[:] = data
+
+    def tobytes(self) -> bytes:
+        """The sample as it goes onto the wire, CDR header included."""
+        return bytes(self._buffer)
+
+
+class _Checked(Message):
+    """A message that ends in Unitree's checksum."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._crc = Crc(self.layout)
+        self.crc = self.view("crc")
+
+    def seal(self) -> bytes:
+        """Fill in the checksum and return the sample as it goes onto the wire."""
+        self.crc[()] = self._crc.compute(self.payload)
+        return bytes(self._buffer)
+
+    def crc_matches(self) -> bool:
+        """Whether the sample carries its own checksum."""
+        return self._crc.matches(self.payload)
+
+
+class LowCmd(_Checked):
+    """The command to all motors, topic rt/lowcmd.
+
+    Attributes:
+        q, dq, tau, kp, kd: (29,) float32: rad, rad/s, Nm, Nm/rad, Nm s/rad.
+        mode_pr, mode_machine: () uint8.
+    """
+
+    idl_type = types.LowCmd_
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.mode_pr = self.view("mode_pr")
+        self.mode_machine = self.view("mode_machine")
+        self.q, self.dq, self.tau, self.kp, self.kd = (
+            self.view(f"motor_cmd.{name}")[:_N_MOTORS] for name in ("q", "dq", "tau", "kp", "kd")
+        )
+        # The first motor's mode is not in step with the others', so that no view can show them all.
+        self._modes = self.layout["motor_cmd.mode"].offsets[:_N_MOTORS]
+
+    @property
+    def motor_mode(self) -> NDArray[np.uint8]:
+        """(29,) uint8, 1 for a motor that is enabled; a copy."""
+        return self.payload[self._modes]
+
+    @motor_mode.setter
+    def motor_mode(self, mode: NDArray[np.uint8] | int) -> None:
+        self.payload[self._modes] = mode
+
+
+class LowState(_Checked):
+    """The measured state of the whole robot, topic rt/lowstate.
+
+    Attributes:
+        q, dq, ddq, tau_est: (29,) float32: rad, rad/s, rad/s^2, Nm.
+        quaternion: (4,) float32, wxyz, pelvis to world (yaw as the IMU counts it).
+        gyroscope, accelerometer: (3,) float32, pelvis frame, rad/s and m/s^2, gravity included.
+        rpy: (3,) float32, rad.
+        tick: () uint32, ms.
+        mode_pr, mode_machine: () uint8.
+    """
+
+    idl_type = types.LowState_
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.mode_pr = self.view("mode_pr")
+        self.mode_machine = self.view("mode_machine")
+        self.tick = self.view("tick")
+        self.quaternion, self.gyroscope, self.accelerometer, self.rpy = (
+            self.view(f"imu_state.{name}")
+            for name in ("quaternion", "gyroscope", "accelerometer", "rpy")
+        )
+        self.q, self.dq, self.ddq, self.tau_est = (
+            self.view(f"motor_state.{name}")[:_N_MOTORS] for name in ("q", "dq", "ddq", "tau_est")
+        )
+        self._modes = self.layout["motor_state.mode"].offsets[:_N_MOTORS]
+
+    @property
+    def motor_mode(self) -> NDArray[np.uint8]:
+        """(29,) uint8, 1 for a motor that is enabled; a copy."""
+        return self.payload[self._modes]
+
+    @motor_mode.setter
+    def motor_mode(self, mode: NDArray[np.uint8] | int) -> None:
+        self.payload[self._modes] = mode
+
+
+class SecondaryImu(Message):
+    """The torso's inertial unit, topic rt/secondary_imu; fields as in `LowState`."""
+
+    idl_type = types.IMUState_
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.quaternion, self.gyroscope, self.accelerometer, self.rpy = (
+            self.view(name) for name in ("quaternion", "gyroscope", "accelerometer", "rpy")
+        )
+
+
+class SportModeState(Message):
+    """The base as a simulator knows it, topic rt/sportmodestate.
+
+    Attributes:
+        position, velocity: (3,) float32, of the pelvis in the world, m and m/s.
+        sec, nanosec: () the simulator's own time.
+    """
+
+    idl_type = types.SportModeState_
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.position = self.view("position")
+        self.velocity = self.view("velocity")
+        self.quaternion = self.view("imu_state.quaternion")
+        self.sec = self.view("stamp.sec")
+        self.nanosec = self.view("stamp.nanosec")
+
+
+class Reference(Message):
+    """What the motion asks for at the stamp of the LowCmd beside it, topic rt/g1stream/reference.
+
+    Attributes:
+        tick: () uint64, counts the ticks of the loop since its first command.
+        motion_time: () float64, s since the motion's first frame.
+        phase: () uint8, a `g1stream.control.phases.Phase`.
+        q, dq, ddq, tau: (29,) float64: rad, rad/s, rad/s^2, Nm.
+        root_pos: (3,) float64, m, world.
+        root_quat_wxyz: (4,) float64, pelvis to world.
+        root_lin_vel: (3,) float64, m/s, world.
+        root_ang_vel: (3,) float64, rad/s, pelvis frame.
+    """
+
+    idl_type = types.Reference_
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.tick = self.view("tick")
+        self.motion_time = self.view("motion_time")
+        self.phase = self.view("phase")
+        self.q, self.dq, self.ddq, self.tau = (
+            self.view(name) for name in ("q", "dq", "ddq", "tau")
+        )
+        self.root_pos = self.view("root_pos")
+        self.root_quat_wxyz = self.view("root_quat_wxyz")
+        self.root_lin_vel = self.view("root_lin_vel")
+        self.root_ang_vel = self.view("root_ang_vel")

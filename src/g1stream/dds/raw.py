@@ -1,0 +1,142 @@
+"""Writers and readers that carry samples as bytes.
+
+cyclonedds-python serialises field by field, a few hundred microseconds for a LowState. Its writer asks
+the sample itself for its bytes, though, and its reader hands received bytes to the topic's class, so
+that a plain class with the generated type's identity and its own pair of methods carries bytes
+untouched in both directions.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+from cyclonedds.core import DDSException, Policy, Qos
+from cyclonedds.pub import DataWriter
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic as CycloneTopic
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from g1stream.dds.domain import Participant
+    from g1stream.dds.topics import Topic
+
+__all__ = ["RawReader", "RawSample", "RawWriter"]
+
+
+class RawSample:
+    """A sample as bytes.
+
+    Attributes:
+        data: the sample as it is on the wire, CDR header included.
+        sample_info: Cyclone's; `source_timestamp` is the writer's CLOCK_REALTIME in ns.
+    """
+
+    __slots__ = ("data", "sample_info")
+
+    def __init__(self, data: bytes) -> None:
+        self.data = data
+        self.sample_info: Any = None
+
+    @property
+    def publish_time(self) -> int:
+        """The writer's stamp, ns since the epoch."""
+        return int(self.sample_info.source_timestamp)
+
+    def serialize(self, use_version_2: bool | None = None) -> bytes:
+        """Called by cyclonedds' writer."""
+        return self.data
+
+    @classmethod
+    def deserialize(cls, data: bytes) -> RawSample:
+        """Called by cyclonedds' reader."""
+        return cls(data)
+
+    # A type without a key announces a writer's departure with a sample that holds nothing.
+    deserialize_key = deserialize
+
+
+@cache
+def _raw_type(idl_type: Any) -> type[RawSample]:
+    """A class of samples that Cyclone takes for the generated type.
+
+    Not a subclass of it: that would announce a base type on the wire, and peers would refuse it.
+    """
+    identity = {"__idl__": idl_type.__idl__, "__idl_typename__": idl_type.__idl_typename__}
+    return type(f"Raw{idl_type.__name__}", (RawSample,), {"__slots__": (), **identity})
+
+
+class RawWriter:
+    """Publishes samples of one topic as bytes.
+
+    Reliable and keep-last-1, as the simulators write, so that readers of either kind match. A slow
+    reliable reader never blocks it: what cannot be written at once is counted in `dropped`.
+    """
+
+    def __init__(self, participant: Participant, topic: Topic) -> None:
+        self.topic = topic
+        self.dropped = 0
+        self._type = _raw_type(topic.message.idl_type)
+        qos = Qos(Policy.Reliability.Reliable(0), Policy.History.KeepLast(1))
+        self._writer: Any = DataWriter(
+            participant.entity, CycloneTopic(participant.entity, topic.name, self._type), qos
+        )
+        participant.keep(self)
+
+    def write(self, data: bytes, timestamp: int | None = None) -> bool:
+        """Publish one sample.
+
+        Args:
+            data: the sample, CDR header included.
+            timestamp: the publish time, ns since the epoch; now when left out.
+
+        Returns:
+            Whether it went out at once.
+        """
+        try:
+            self._writer.write(self._type(data), timestamp)
+        except DDSException as error:
+            if error.code != DDSException.DDS_RETCODE_TIMEOUT:
+                raise
+            self.dropped += 1
+            return False
+        return True
+
+    @property
+    def matched(self) -> int:
+        """How many readers are matched."""
+        return int(self._writer.get_publication_matched_status().current_count)
+
+
+class RawReader:
+    """Receives samples of one topic as bytes.
+
+    Best effort, so that it can never block a writer, a robot's least of all.
+
+    Args:
+        depth: how many samples wait between two takes before the oldest is lost.
+    """
+
+    def __init__(self, participant: Participant, topic: Topic, depth: int = 1) -> None:
+        self.topic = topic
+        self._type = _raw_type(topic.message.idl_type)
+        qos = Qos(Policy.Reliability.BestEffort, Policy.History.KeepLast(depth))
+        self.entity: Any = DataReader(
+            participant.entity, CycloneTopic(participant.entity, topic.name, self._type), qos
+        )
+        participant.keep(self)
+
+    def take(self, most: int = 256) -> Sequence[RawSample]:
+        """The samples that came since the last take, oldest first; never waits."""
+        return [s for s in self.entity.take(most) if isinstance(s, RawSample)]
+
+    def take_latest(self) -> RawSample | None:
+        """The newest sample since the last take, or None; never waits."""
+        samples = self.take()
+        return samples[-1] if samples else None
+
+    @property
+    def matched(self) -> int:
+        """How many writers are matched."""
+        return int(self.entity.get_subscription_matched_status().current_count)

@@ -1,0 +1,30 @@
+"""The topics and what travels on them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from g1stream.dds.messages import LowCmd, LowState, Reference, SecondaryImu, SportModeState
+
+if TYPE_CHECKING:
+    from g1stream.dds.messages import Message
+
+__all__ = ["LOWCMD", "LOWSTATE", "REFERENCE", "SECONDARY_IMU", "SPORTMODESTATE", "TOPICS", "Topic"]
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A DDS topic: its name on the wire and the message it carries."""
+
+    name: str
+    message: type[Message]
+
+
+LOWCMD: Final = Topic("rt/lowcmd", LowCmd)
+LOWSTATE: Final = Topic("rt/lowstate", LowState)
+SPORTMODESTATE: Final = Topic("rt/sportmodestate", SportModeState)
+SECONDARY_IMU: Final = Topic("rt/secondary_imu", SecondaryImu)
+REFERENCE: Final = Topic("rt/g1stream/reference", Reference)
+
+TOPICS: Final = (LOWCMD, LOWSTATE, SPORTMODESTATE, SECONDARY_IMU, REFERENCE)

@@ -18,8 +18,9 @@ __all__ = ["Crc"]
 class Crc:
     """CRC-32/MPEG-2 (polynomial 0x04C11DB7, initial 0xFFFFFFFF) of a type's C struct.
 
-    The SDK feeds the struct's 32-bit words, all but the last (the checksum itself), most significant
-    bit first. In a little-endian struct that is the byte stream with each group of four reversed.
+    The SDK feeds the struct's 32-bit words, all but the last (the checksum itself), most
+    significant bit first. In a little-endian struct that is the byte stream with each group of four
+    reversed.
 
     Args:
         layout: of a type whose last field is `crc`.

@@ -1,8 +1,9 @@
 """Joining a DDS domain on one network interface, and seeing who else is there.
 
-On loopback the released Cyclone versions disagree about multicast: 0.10.x, which the SDK and the robot
-run, turns it off there and 11.x does not, so that with a plain configuration the two never meet.
-Naming 127.0.0.1 as a peer makes them meet in either start order; a wired interface needs nothing.
+On loopback the released Cyclone versions disagree about multicast: 0.10.x, which the SDK and the
+robot run, turns it off there and 11.x does not, so that with a plain configuration the two never
+meet. Naming 127.0.0.1 as a peer makes them meet in either start order; a wired interface needs
+nothing.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 """From a type on the wire to the place of each of its fields in the bytes, derived once.
 
-Every type here has only fixed-size fields, so each field has one place in the CDR payload, and reading
-or writing a sample is a numpy view. The rules are those of XCDR1 (DDSI-RTPS 2.5, section 10, plain
-CDR): a primitive is aligned to its own size counted from the start of the payload, and a struct is
-not padded to its own size. The elements of an array of structs therefore need not all look the same:
-in LowCmd the first motor's `mode` sits closer to its `q` than those of the others.
+Every type here has only fixed-size fields, so each field has one place in the CDR payload, and
+reading or writing a sample is a numpy view. The rules are those of XCDR1 (DDSI-RTPS 2.5, section
+10, plain CDR): a primitive is aligned to its own size counted from the start of the payload, and a
+struct is not padded to its own size. The elements of an array of structs therefore need not all
+look the same: in LowCmd the first motor's `mode` sits closer to its `q` than those of the others.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 
 __all__ = ["CDR_HEADER", "Field", "Layout", "Leaf", "leaves", "members"]
 
-#: Representation identifier of plain CDR, little endian, and no options: the first 4 bytes of a sample.
+#: Representation identifier of plain CDR, little endian, and no options: the first 4 bytes of a
+#: sample.
 CDR_HEADER: Final = b"\x00\x01\x00\x00"
 
 _DTYPES: Final[dict[str, str]] = {
@@ -93,7 +94,8 @@ class Field:
         """Copy the field out of payloads (..., size) into an array (..., *offsets.shape)."""
         places = self.offsets[..., np.newaxis] + np.arange(self.dtype.itemsize)
         picked = np.ascontiguousarray(payloads[..., places])
-        return picked.view(self.dtype)[..., 0]
+        values: NDArray[Any] = picked.view(self.dtype)[..., 0]
+        return values
 
     def view(self, payload: NDArray[np.uint8]) -> NDArray[Any]:
         """A writable view of the field in one contiguous payload (size,).

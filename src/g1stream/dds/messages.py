@@ -2,8 +2,8 @@
 
 A message object owns one buffer for its whole life: `load` copies received bytes into it, `tobytes`
 copies them out to be written, and the views between show the fields in place. Views of scalars have
-the shape () and are written with `message.tick[()] = 5`. Motors are in motor order; the wire's arrays
-of 35 are shown up to the 29th, which is the last that a G1 has.
+the shape () and are written with `message.tick[()] = 5`. Motors are in motor order; the wire's
+arrays of 35 are shown up to the 29th, which is the last that a G1 has.
 """
 
 from __future__ import annotations
@@ -52,8 +52,8 @@ class Message:
         """
         if len(data) != len(self._buffer) or data[:2] != CDR_HEADER[:2]:
             raise WireError(
-                f"A sample of {self.layout.typename} came with {len(data)} bytes and representation "
-                f"0x{data[:2].hex()} instead of {len(self._buffer)} and 0x{CDR_HEADER[:2].hex()}.",
+                f"A sample of {self.layout.typename} came with {len(data)} bytes and "
+                f"representation 0x{data[:2].hex()} instead of {len(self._buffer)} and 0x{CDR_HEADER[:2].hex()}.",
                 "Make the publisher use plain little-endian CDR (XCDR1) and the type in idl/.",
             )
         self._buffer[:] = data

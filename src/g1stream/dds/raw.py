@@ -1,9 +1,9 @@
 """Writers and readers that carry samples as bytes.
 
-cyclonedds-python serialises field by field, a few hundred microseconds for a LowState. Its writer asks
-the sample itself for its bytes, though, and its reader hands received bytes to the topic's class, so
-that a plain class with the generated type's identity and its own pair of methods carries bytes
-untouched in both directions.
+cyclonedds-python serialises field by field, a few hundred microseconds for a LowState. Its writer
+asks the sample itself for its bytes, though, and its reader hands received bytes to the topic's
+class, so that a plain class with the generated type's identity and its own pair of methods carries
+bytes untouched in both directions.
 """
 
 from __future__ import annotations

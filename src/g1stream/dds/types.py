@@ -1,4 +1,4 @@
-"""The types on the wire, as cyclonedds classes; idl/ is their source, and a test keeps the two in step.
+"""The types on the wire, as cyclonedds classes; idl/ is their source, kept in step by a test.
 
 They exist to give topics their names and type information, and to derive the fixed layouts from.
 No sample is ever built from them: see `g1stream.dds.raw`.
@@ -18,9 +18,9 @@ __all__ = [
     "SportModeState_",
 ]
 
-# From cyclonedds 11 on, `types.uint8` is XTypes' UINT8, which 0.10.2 does not know: every process of
-# the SDK that shares the topic then dies of a segmentation fault. IDL's octet is `types.byte` there;
-# 0.10.2 has no such name and calls the very same thing `types.uint8`.
+# From cyclonedds 11 on, `types.uint8` is XTypes' UINT8, which 0.10.2 does not know: every process
+# of the SDK that shares the topic then dies of a segmentation fault. IDL's octet is `types.byte`
+# there; 0.10.2 has no such name and calls the very same thing `types.uint8`.
 octet: Final = types.byte if hasattr(types, "byte") else types.uint8
 
 int16, int32 = types.int16, types.int32

@@ -110,13 +110,11 @@ class Field:
             if steps.size != 1:
                 raise ValueError("the field is not evenly spaced in the payload")
             strides.append(int(steps[0]))
-        return np.ndarray(
-            shape,
-            self.dtype,
-            buffer=payload.data,
-            offset=int(self.offsets.flat[0]),
-            strides=tuple(strides),
+        start = int(self.offsets.flat[0])
+        shown: NDArray[Any] = np.ndarray(
+            shape, self.dtype, buffer=payload.data, offset=start, strides=tuple(strides)
         )
+        return shown
 
 
 class Layout:

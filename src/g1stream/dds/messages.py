@@ -52,8 +52,8 @@ class Message:
         """
         if len(data) != len(self._buffer) or data[:2] != CDR_HEADER[:2]:
             raise WireError(
-                f"A sample of {self.layout.typename} came with {len(data)} bytes and "
-                f"representation 0x{data[:2].hex()} instead of {len(self._buffer)} and 0x{CDR_HEADER[:2].hex()}.",
+                f"A sample of {self.layout.typename} came with {len(data)} bytes, encoding "
+                f"0x{data[:2].hex()}; it has {len(self._buffer)}, encoding 0x0001.",
                 "Make the publisher use plain little-endian CDR (XCDR1) and the type in idl/.",
             )
         self._buffer[:] = data

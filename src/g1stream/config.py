@@ -1,0 +1,175 @@
+"""The settings of every program, their defaults and their checks.
+
+A TOML file has one table for each class below; what it leaves out keeps its default, and a flag on
+the command line goes over both.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from g1stream.errors import ConfigError
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+__all__ = [
+    "Config",
+    "DdsConfig",
+    "GainsConfig",
+    "RecordConfig",
+    "SafetyConfig",
+    "SimConfig",
+    "StreamConfig",
+    "Support",
+    "load_config",
+]
+
+Support = Literal["bolted", "hanging"]
+
+Seconds = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class DdsConfig(_Table):
+    """Where on DDS."""
+
+    domain: int = Field(1, ge=0, le=232, description="simulators use 1, the robot uses 0")
+    interface: str = Field("lo", min_length=1, description="network interface")
+
+
+class StreamConfig(_Table):
+    """How a motion is played."""
+
+    rate: float = Field(500.0, ge=10.0, le=2000.0, description="LowCmd per second, Hz")
+    wait: Seconds = Field(10.0, description="longest wait for a first LowState, s")
+    ramp: Positive = Field(3.0, description="from the measured pose to the first frame, s")
+    hold: Seconds = Field(1.0, description="stay at the last frame, s")
+    damp: float = Field(1.0, ge=0.5, le=10.0, description="damp before letting go, s")
+    start: Seconds = Field(0.0, description="where in the motion to start, s")
+    duration: Positive | None = Field(None, description="how much of it to play, s; all if unset")
+    loop: bool = Field(False, description="play again and again until stopped")
+
+
+class SafetyConfig(_Table):
+    """When to stop; each threshold is explained in docs/safety.md."""
+
+    position_margin: float = Field(0.0, ge=0.0, le=0.5, description="kept from joint limits, rad")
+    state_timeout: Positive = Field(0.1, description="LowState older than this stops, s")
+    max_tilt: float = Field(1.0, gt=0.0, le=3.2, description="pelvis tilt that stops, rad")
+    max_joint_speed: Positive = Field(35.0, description="measured joint speed that stops, rad/s")
+    allow_second_writer: bool = Field(False, description="play although somebody else commands")
+
+
+class GainsConfig(_Table):
+    """Servo gains by joint.
+
+    Each table maps a joint name, or a pattern such as `*_knee_joint`, to a gain; later entries go
+    over earlier ones, and joints that nothing names keep the default.
+    """
+
+    kp: dict[str, Annotated[float, Field(ge=0.0, le=500.0)]] = Field(default_factory=dict)
+    kd: dict[str, Annotated[float, Field(ge=0.0, le=50.0)]] = Field(default_factory=dict)
+
+
+class RecordConfig(_Table):
+    """What a session file holds."""
+
+    tf_rate: float = Field(100.0, gt=0.0, le=2000.0, description="link poses per second, Hz")
+    batch: float = Field(0.05, gt=0.0, le=0.5, description="samples are handled this often, s")
+
+
+class SimConfig(_Table):
+    """How the MuJoCo bridge holds and answers."""
+
+    support: Support = Field("bolted", description="what holds the pelvis")
+    rate: float = Field(500.0, ge=50.0, le=1000.0, description="LowState per second, Hz")
+    command_timeout: Seconds = Field(
+        0.5, description="without a command for so long the motors only damp, s; 0: never"
+    )
+    duration: Positive | None = Field(None, description="stop by itself after this, s")
+    viewer: bool = Field(False, description="open MuJoCo's viewer")
+
+
+class Config(_Table):
+    """All settings of a session."""
+
+    robot: Path | None = Field(None, description="URDF; the built-in G1 if unset")
+    dds: DdsConfig = DdsConfig()
+    stream: StreamConfig = StreamConfig()
+    safety: SafetyConfig = SafetyConfig()
+    gains: GainsConfig = GainsConfig()
+    record: RecordConfig = RecordConfig()
+    sim: SimConfig = SimConfig()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _robot_is_a_path(cls, values: Any) -> Any:
+        if isinstance(values, dict) and isinstance(values.get("robot"), dict):
+            raise ValueError("robot is a path to a URDF, not a table")  # noqa: TRY004
+        return values
+
+
+def load_config(path: Path | None = None, over: Mapping[str, Any] | None = None) -> Config:
+    """Read a TOML file and put other values over it.
+
+    Args:
+        path: the TOML file; defaults alone when None.
+        over: values that go over the file's, keyed like `stream.rate`; None values do not count.
+
+    Raises:
+        ConfigError: the file cannot be read, is not TOML, or a value does not fit; names it.
+    """
+    values = _read_toml(path) if path else {}
+    for key, value in (over or {}).items():
+        if value is None:
+            continue
+        table, _, name = key.rpartition(".")
+        (values.setdefault(table, {}) if table else values)[name] = value
+    try:
+        return Config.model_validate(values)
+    except ValidationError as error:
+        raise _explained(error, path) from error
+
+
+def _read_toml(path: Path) -> dict[str, Any]:
+    try:
+        with path.open("rb") as file:
+            return tomllib.load(file)
+    except OSError as error:
+        raise ConfigError(
+            f"The config {path} cannot be read: {error.strerror}.", "Check the path given."
+        ) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(
+            f"The config {path} is not TOML: {error}.", "Mend that line, or see configs/sim.toml."
+        ) from error
+
+
+def _explained(error: ValidationError, path: Path | None) -> ConfigError:
+    first = error.errors()[0]
+    key = ".".join(str(part) for part in first["loc"])
+    where = f" in {path}" if path else ""
+    if first["type"] == "extra_forbidden":
+        parent = Config.model_fields.get(key.split(".", maxsplit=1)[0])
+        table = parent.annotation if parent and "." in key else Config
+        known = ", ".join(getattr(table, "model_fields", {}))
+        return ConfigError(f"There is no setting {key}{where}.", f"Choose from {known}.")
+    message = str(first["msg"]).removeprefix("Value error, ")
+    return ConfigError(
+        f"The setting {key} = {first['input']!r}{where} does not fit: {message.lower()}.",
+        "Correct the value; configs/sim.toml lists every setting with its meaning.",
+    )

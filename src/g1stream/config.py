@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from g1stream.errors import ConfigError
 
@@ -62,6 +62,7 @@ class StreamConfig(_Table):
     start: Seconds = Field(0.0, description="where in the motion to start, s")
     duration: Positive | None = Field(None, description="how much of it to play, s; all if unset")
     loop: bool = Field(False, description="play again and again until stopped")
+    damp_kd: float = Field(3.0, ge=0.5, le=10.0, description="gain while damping, Nm s/rad")
 
 
 class SafetyConfig(_Table):
@@ -71,6 +72,9 @@ class SafetyConfig(_Table):
     state_timeout: Positive = Field(0.1, description="LowState older than this stops, s")
     max_tilt: float = Field(1.0, gt=0.0, le=3.2, description="pelvis tilt that stops, rad")
     max_joint_speed: Positive = Field(35.0, description="measured joint speed that stops, rad/s")
+    mode_machine: tuple[int, ...] = Field(
+        (0, 5), description="robots that may be commanded: 5 is the 29-joint G1, 0 a simulator"
+    )
     allow_second_writer: bool = Field(False, description="play although somebody else commands")
 
 
@@ -115,13 +119,6 @@ class Config(_Table):
     record: RecordConfig = RecordConfig()
     sim: SimConfig = SimConfig()
 
-    @model_validator(mode="before")
-    @classmethod
-    def _robot_is_a_path(cls, values: Any) -> Any:
-        if isinstance(values, dict) and isinstance(values.get("robot"), dict):
-            raise ValueError("robot is a path to a URDF, not a table")  # noqa: TRY004
-        return values
-
 
 def load_config(path: Path | None = None, over: Mapping[str, Any] | None = None) -> Config:
     """Read a TOML file and put other values over it.
@@ -148,7 +145,7 @@ def load_config(path: Path | None = None, over: Mapping[str, Any] | None = None)
 def _read_toml(path: Path) -> dict[str, Any]:
     try:
         with path.open("rb") as file:
-            return tomllib.load(file)
+            values: dict[str, Any] = tomllib.load(file)
     except OSError as error:
         raise ConfigError(
             f"The config {path} cannot be read: {error.strerror}.", "Check the path given."
@@ -157,6 +154,7 @@ def _read_toml(path: Path) -> dict[str, Any]:
         raise ConfigError(
             f"The config {path} is not TOML: {error}.", "Mend that line, or see configs/sim.toml."
         ) from error
+    return values
 
 
 def _explained(error: ValidationError, path: Path | None) -> ConfigError:

@@ -20,7 +20,7 @@ from g1stream.errors import WireError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["LowCmd", "LowState", "Message", "Reference", "SecondaryImu", "SportModeState"]
+__all__ = ["Log", "LowCmd", "LowState", "Message", "Reference", "SecondaryImu", "SportModeState"]
 
 _N_MOTORS = 29
 
@@ -208,3 +208,49 @@ class Reference(Message):
         self.root_quat_wxyz = self.view("root_quat_wxyz")
         self.root_lin_vel = self.view("root_lin_vel")
         self.root_ang_vel = self.view("root_ang_vel")
+
+
+class Log(Message):
+    """One event worth telling, topic rt/g1stream/log.
+
+    Attributes:
+        level: () uint8: 1 debug, 2 info, 3 warning, 4 error, 5 fatal.
+        name, text: str, cut to what the fixed fields hold.
+    """
+
+    idl_type = types.Log_
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.level = self.view("level")
+        self._name = self.view("name")
+        self._text = self.view("text")
+
+    @property
+    def name(self) -> str:
+        """The program that tells it."""
+        return _text_of(self._name)
+
+    @name.setter
+    def name(self, value: str) -> None:
+        _fill(self._name, value)
+
+    @property
+    def text(self) -> str:
+        """What happened."""
+        return _text_of(self._text)
+
+    @text.setter
+    def text(self, value: str) -> None:
+        _fill(self._text, value)
+
+
+def _text_of(field: NDArray[np.uint8]) -> str:
+    return field.tobytes().rstrip(b"\0").decode("utf-8", errors="replace")
+
+
+def _fill(field: NDArray[np.uint8], value: str) -> None:
+    # A character cut in two at the end is left out rather than sent broken.
+    cut = value.encode()[: field.size].decode("utf-8", errors="ignore").encode()
+    field[:] = 0
+    field[: len(cut)] = np.frombuffer(cut, np.uint8)

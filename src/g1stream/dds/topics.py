@@ -5,12 +5,21 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from g1stream.dds.messages import LowCmd, LowState, Reference, SecondaryImu, SportModeState
+from g1stream.dds.messages import Log, LowCmd, LowState, Reference, SecondaryImu, SportModeState
 
 if TYPE_CHECKING:
     from g1stream.dds.messages import Message
 
-__all__ = ["LOWCMD", "LOWSTATE", "REFERENCE", "SECONDARY_IMU", "SPORTMODESTATE", "TOPICS", "Topic"]
+__all__ = [
+    "LOG",
+    "LOWCMD",
+    "LOWSTATE",
+    "REFERENCE",
+    "SECONDARY_IMU",
+    "SPORTMODESTATE",
+    "TOPICS",
+    "Topic",
+]
 
 
 @dataclass(frozen=True)
@@ -26,5 +35,6 @@ LOWSTATE: Final = Topic("rt/lowstate", LowState)
 SPORTMODESTATE: Final = Topic("rt/sportmodestate", SportModeState)
 SECONDARY_IMU: Final = Topic("rt/secondary_imu", SecondaryImu)
 REFERENCE: Final = Topic("rt/g1stream/reference", Reference)
+LOG: Final = Topic("rt/g1stream/log", Log)
 
-TOPICS: Final = (LOWCMD, LOWSTATE, SPORTMODESTATE, SECONDARY_IMU, REFERENCE)
+TOPICS: Final = (LOWCMD, LOWSTATE, SPORTMODESTATE, SECONDARY_IMU, REFERENCE, LOG)

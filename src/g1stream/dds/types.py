@@ -10,6 +10,7 @@ from cyclonedds.idl import annotations, make_idl_struct, types
 
 __all__ = [
     "IMUState_",
+    "Log_",
     "LowCmd_",
     "LowState_",
     "MotorCmd_",
@@ -164,4 +165,9 @@ Reference_ = _struct(
         "root_lin_vel": array[float64, 3],
         "root_ang_vel": array[float64, 3],
     },
+)
+
+Log_ = _struct(
+    "g1stream.msg.dds_.Log_",
+    {"level": octet, "name": array[octet, 16], "text": array[octet, 240]},
 )

@@ -1,0 +1,123 @@
+"""The schemas of the channels, read by the decoders that other people's tools are made of."""
+
+import json
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from google.protobuf.descriptor_pool import DescriptorPool
+from mcap.records import Schema
+from mcap.well_known import MessageEncoding, SchemaEncoding
+from mcap_ros2.decoder import DecoderFactory
+
+from g1stream.dds.layout import leaves, members
+from g1stream.recording.channels import CHANNELS
+
+GOLDEN = json.loads((Path(__file__).parent.parent / "data" / "wire.json").read_text())
+WIRE = [channel for channel in CHANNELS.values() if channel.source is not None]
+DERIVED = [channel for channel in CHANNELS.values() if channel.source is None]
+
+
+def ros2_decoder(channel):
+    schema = Schema(
+        id=1,
+        name=channel.schema_name,
+        encoding=channel.schema_encoding,
+        data=channel.build_schema(),
+    )
+    return DecoderFactory().decoder_for(channel.message_encoding, schema)
+
+
+def as_golden(value):
+    """A decoded message in the form of wire.json: motors are lists in the order of their fields."""
+    if isinstance(value, SimpleNamespace):
+        return {name: as_golden(getattr(value, name)) for name in value.__slots__}
+    if isinstance(value, (list, tuple)) or hasattr(value, "typecode"):
+        items = [as_golden(item) for item in value]
+        return [list(i.values()) if isinstance(i, dict) else i for i in items]
+    return list(value) if isinstance(value, bytes) else value
+
+
+@pytest.mark.parametrize("kind", ["lowcmd", "lowstate"])
+def test_ros2_decoders_read_the_bytes_of_the_official_sdk(kind):
+    decode = ros2_decoder(CHANNELS[f"/{kind}"])
+    for golden in GOLDEN[kind]:
+        decoded = as_golden(decode(bytes.fromhex(golden["cdr"])))
+        assert decoded == {name: value for name, value in golden.items() if name != "cdr"}
+
+
+def sample(idl_type, rng):
+    """An instance of a cyclonedds class with every field set to something of its own."""
+    values = {}
+    for name, (element, length) in members(idl_type).items():
+        made = [primitive_or_struct(element, rng) for _ in range(length or 1)]
+        values[name] = made[0] if length is None else made
+    return idl_type(**values)
+
+
+def primitive_or_struct(element, rng):
+    if not isinstance(element, str):
+        return sample(element, rng)
+    if element.startswith("float"):
+        return float(np.float32(rng.normal()))
+    limits = np.iinfo("uint8" if element == "byte" else element)
+    return int(rng.integers(limits.min, limits.max, endpoint=True, dtype=limits.dtype))
+
+
+def flat(message):
+    """The figures of a cyclonedds sample or a decoded message, in the order of the fields."""
+    if isinstance(message, (int, float)):
+        return [message]
+    names = getattr(message, "__slots__", None) or getattr(message, "__dict__", None)
+    items = message if names is None else [getattr(message, name) for name in names]
+    return [figure for item in items for figure in flat(item)]
+
+
+@pytest.mark.parametrize("channel", WIRE, ids=lambda c: c.topic)
+def test_ros2_decoders_read_what_cyclonedds_serialises(channel):
+    idl_type = channel.source.message.idl_type
+    sent = sample(idl_type, np.random.default_rng(7))
+    decoded = ros2_decoder(channel)(sent.serialize())
+    assert flat(decoded) == flat(sent)
+    assert len(flat(decoded)) == sum(1 for _ in leaves(idl_type))
+
+
+@pytest.mark.parametrize("channel", CHANNELS.values(), ids=lambda c: c.topic)
+def test_encodings_are_mcaps_well_known_ones(channel):
+    pair = (channel.schema_encoding, channel.message_encoding)
+    if channel.source is None:
+        assert pair == (SchemaEncoding.Protobuf, MessageEncoding.Protobuf)
+    else:
+        assert pair == (SchemaEncoding.ROS2, MessageEncoding.CDR)
+    assert channel.description
+
+
+def test_wire_channels_are_named_as_ros_names_them():
+    assert {c.source.name: (c.topic, c.schema_name) for c in WIRE} == {
+        "rt/lowcmd": ("/lowcmd", "unitree_hg/msg/LowCmd"),
+        "rt/lowstate": ("/lowstate", "unitree_hg/msg/LowState"),
+        "rt/sportmodestate": ("/sportmodestate", "unitree_go/msg/SportModeState"),
+        "rt/secondary_imu": ("/secondary_imu", "unitree_hg/msg/IMUState"),
+        "rt/g1stream/reference": ("/reference", "g1stream/msg/Reference"),
+    }
+
+
+@pytest.mark.parametrize("channel", DERIVED, ids=lambda c: c.topic)
+def test_protobuf_schemas_stand_alone(channel):
+    pool = DescriptorPool()
+    for file in FileDescriptorSet.FromString(channel.build_schema()).file:
+        pool.Add(file)
+    assert pool.FindMessageTypeByName(channel.schema_name).fields
+
+
+def test_a_nested_type_is_defined_once_and_after_the_line_that_ends_the_text_before():
+    text = CHANNELS["/lowstate"].build_schema().decode()
+    assert text.split("=" * 80 + "\n")[1:] == [
+        "MSG: unitree_hg/IMUState\nfloat32[4] quaternion\nfloat32[3] gyroscope\n"
+        "float32[3] accelerometer\nfloat32[3] rpy\nint16 temperature\n",
+        "MSG: unitree_hg/MotorState\nuint8 mode\nfloat32 q\nfloat32 dq\nfloat32 ddq\n"
+        "float32 tau_est\nint16[2] temperature\nfloat32 vol\nuint32[2] sensor\n"
+        "uint32 motorstate\nuint32[4] reserve\n",
+    ]

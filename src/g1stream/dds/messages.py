@@ -184,7 +184,7 @@ class Reference(Message):
     """What the motion asks for at the stamp of the LowCmd beside it, topic rt/g1stream/reference.
 
     Attributes:
-        tick: () uint64, counts the ticks of the loop since its first command.
+        tick: () uint64, counts the references published.
         motion_time: () float64, s since the motion's first frame.
         phase: () uint8, a `g1stream.control.phases.Phase`.
         q, dq, ddq, tau: (29,) float64: rad, rad/s, rad/s^2, Nm.

@@ -70,15 +70,18 @@ def _raw_type(idl_type: Any) -> type[RawSample]:
 class RawWriter:
     """Publishes samples of one topic as bytes.
 
-    Reliable and keep-last-1, as the simulators write, so that readers of either kind match. A slow
+    Reliable and volatile, as the simulators write, so that readers of either kind match. A slow
     reliable reader never blocks it: what cannot be written at once is counted in `dropped`.
+
+    Args:
+        depth: how many samples are kept for reliable readers that have not confirmed them.
     """
 
-    def __init__(self, participant: Participant, topic: Topic) -> None:
+    def __init__(self, participant: Participant, topic: Topic, depth: int = 1) -> None:
         self.topic = topic
         self.dropped = 0
         self._type = _raw_type(topic.message.idl_type)
-        qos = Qos(Policy.Reliability.Reliable(0), Policy.History.KeepLast(1))
+        qos = Qos(Policy.Reliability.Reliable(0), Policy.History.KeepLast(depth))
         self._writer: Any = DataWriter(
             participant.entity, CycloneTopic(participant.entity, topic.name, self._type), qos
         )
@@ -116,12 +119,18 @@ class RawReader:
 
     Args:
         depth: how many samples wait between two takes before the oldest is lost.
+        ignore_own: do not match writers of the same participant.
     """
 
-    def __init__(self, participant: Participant, topic: Topic, depth: int = 1) -> None:
+    def __init__(
+        self, participant: Participant, topic: Topic, depth: int = 1, *, ignore_own: bool = False
+    ) -> None:
         self.topic = topic
         self._type = _raw_type(topic.message.idl_type)
-        qos = Qos(Policy.Reliability.BestEffort, Policy.History.KeepLast(depth))
+        policies = [Policy.Reliability.BestEffort, Policy.History.KeepLast(depth)]
+        if ignore_own:
+            policies.append(Policy.IgnoreLocal.Participant)
+        qos = Qos(*policies)
         self.entity: Any = DataReader(
             participant.entity, CycloneTopic(participant.entity, topic.name, self._type), qos
         )

@@ -1,0 +1,110 @@
+"""The limits a command stays within and the measurements that end a session; pure.
+
+docs/safety.md explains every threshold.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from g1stream.config import SafetyConfig
+    from g1stream.robot.model import G1
+
+__all__ = ["Envelope", "Measured", "tilt_of"]
+
+
+@dataclass
+class Measured:
+    """What the latest LowState says.
+
+    Attributes:
+        q, dq: (29,) rad, rad/s, motor order.
+        quat_wxyz: (4,) pelvis to world.
+        mode_machine: which robot it is.
+        received: when it came, ns of the loop's monotonic clock.
+    """
+
+    q: NDArray[np.float32]
+    dq: NDArray[np.float32]
+    quat_wxyz: NDArray[np.float32]
+    mode_machine: int
+    received: int
+
+
+def tilt_of(quat_wxyz: NDArray[np.floating]) -> float:
+    """The angle between the body's z axis and the world's, rad, of a unit quaternion (4,) wxyz.
+
+    The world's z component of the rotated z axis is 1 - 2 (x^2 + y^2).
+    """
+    x, y = float(quat_wxyz[1]), float(quat_wxyz[2])
+    return math.acos(min(1.0, max(-1.0, 1.0 - 2.0 * (x * x + y * y))))
+
+
+class Envelope:
+    """Keeps commands within the joint limits, and judges measurements.
+
+    Attributes:
+        clamped: (29,) int64, at how many ticks each joint's target was held at its limit.
+    """
+
+    def __init__(self, robot: G1, config: SafetyConfig) -> None:
+        self._config = config
+        self._lower = robot.lower + config.position_margin
+        self._upper = robot.upper - config.position_margin
+        self._names = robot.joint_names
+        self.clamped: NDArray[np.int64] = np.zeros(len(robot.joint_names), dtype=np.int64)
+
+    def limit(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Joint targets (29,) within the limits, rad."""
+        limited: NDArray[np.float64] = np.clip(q, self._lower, self._upper)
+        self.clamped += limited != q
+        return limited
+
+    def verdict(self, now: int, state: Measured) -> str:
+        """Why the session must end, or "" while all is well.
+
+        Args:
+            now: ns of the clock that `state.received` is of.
+            state: the latest measurement.
+        """
+        age = (now - state.received) / 1e9
+        if age > self._config.state_timeout:
+            return f"no LowState for {age:.3f} s (limit {self._config.state_timeout:g} s)"
+        if not (np.isfinite(state.q).all() and np.isfinite(state.dq).all()):
+            return "LowState holds a number that is not finite"
+        return self._wrong_robot(state) or self._tilted(state) or self._too_fast(state)
+
+    def _wrong_robot(self, state: Measured) -> str:
+        allowed = self._config.mode_machine
+        if state.mode_machine in allowed:
+            return ""
+        return (
+            f"the robot says mode_machine {state.mode_machine}, and only "
+            f"{', '.join(map(str, allowed))} may be commanded with 29 joints"
+        )
+
+    def _tilted(self, state: Measured) -> str:
+        norm = float(np.linalg.norm(state.quat_wxyz))
+        if not abs(norm - 1.0) < 0.05:
+            return f"the IMU's quaternion has the norm {norm:.3f}"
+        tilt = tilt_of(state.quat_wxyz)
+        if tilt <= self._config.max_tilt:
+            return ""
+        return f"the pelvis is tilted by {tilt:.2f} rad (limit {self._config.max_tilt:g} rad)"
+
+    def _too_fast(self, state: Measured) -> str:
+        fastest = int(np.argmax(np.abs(state.dq)))
+        speed = abs(float(state.dq[fastest]))
+        if speed <= self._config.max_joint_speed:
+            return ""
+        return (
+            f"{self._names[fastest]} moves at {speed:.1f} rad/s "
+            f"(limit {self._config.max_joint_speed:g} rad/s)"
+        )

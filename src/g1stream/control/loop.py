@@ -1,0 +1,280 @@
+"""The real-time loop: one thread, absolute deadlines, nothing that can block.
+
+At each deadline it writes what was prepared for it, then takes the newest LowState and prepares the
+next command, so that only a write lies between the deadline and the wire.
+"""
+
+from __future__ import annotations
+
+import gc
+from collections import deque
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from g1stream.control.envelope import Measured
+from g1stream.control.phases import Inputs, Phase, PhaseState, Timing, step
+from g1stream.control.ticker import Lateness, Ticker
+from g1stream.dds.messages import LowCmd, LowState, Reference
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from g1stream.control.envelope import Envelope
+    from g1stream.control.gains import Gains
+    from g1stream.control.link import Link
+    from g1stream.control.targets import Target, Targets
+    from g1stream.control.ticker import Clock
+
+__all__ = ["LoopReport", "StreamLoop"]
+
+INFO, WARNING, ERROR = 2, 3, 4
+
+#: How often the loop looks for a second writer of LowCmd, ns.
+_RIVAL_PERIOD = 100_000_000
+
+
+@dataclass
+class LoopReport:
+    """How a run went, whatever ended it.
+
+    Attributes:
+        reason: why it ended early; empty when the motion was played to its end.
+        period: ns between deadlines.
+        commands: LowCmds written.
+        states: LowStates received, of those that were the newest at a tick.
+        first_stamp, last_stamp: publish times of the first and last LowCmd, ns since the epoch.
+        skipped: ticks left out because they were a whole period late or more.
+        lateness: of each write against its deadline.
+        worst_work: longest time from a write to the end of the tick's computation, ns.
+        clamped: (29,) ticks at which each joint's target was held at its limit.
+    """
+
+    period: int
+    clamped: NDArray[np.int64]
+    reason: str = ""
+    commands: int = 0
+    states: int = 0
+    first_stamp: int = 0
+    last_stamp: int = 0
+    skipped: int = 0
+    worst_work: int = 0
+    lateness: Lateness = field(default_factory=Lateness)
+
+    @property
+    def rate(self) -> float:
+        """LowCmds per second between the first and the last, Hz; nan before the second."""
+        span = self.last_stamp - self.first_stamp
+        return (self.commands - 1) * 1e9 / span if span > 0 else float("nan")
+
+
+class StreamLoop:
+    """Plays targets over a link until the motion ends or something ends it.
+
+    Args:
+        link: the wire.
+        clock: now, stamp and sleep_until.
+        targets: what each phase asks for.
+        envelope: limits and verdicts.
+        timing: how long each phase lasts.
+        gains: kp and kd in every phase but DAMP.
+        period: ns between commands.
+        damp_kd: kd in DAMP, Nm s/rad.
+        settle: for how long others are looked for before the first command, ns.
+        allow_rivals: play although somebody else writes LowCmd.
+
+    Attributes:
+        state: the phase now.
+        motion_time: where in the motion the loop is, s.
+        events: (level, text) of what happened; others may pop from its left.
+        report: how it goes, and in the end how it went.
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        clock: Clock,
+        targets: Targets,
+        envelope: Envelope,
+        timing: Timing,
+        gains: Gains,
+        *,
+        period: int,
+        damp_kd: float,
+        settle: int = 300_000_000,
+        allow_rivals: bool = False,
+    ) -> None:
+        self._link = link
+        self._clock = clock
+        self._targets = targets
+        self._envelope = envelope
+        self._timing = timing
+        self._gains = gains
+        self._period = period
+        self._damp_kd = damp_kd
+        self._settle = settle
+        self._allow_rivals = allow_rivals
+        self._command, self._reference, self._low_state = LowCmd(), Reference(), LowState()
+        self._measured: Measured | None = None
+        self._prepared: tuple[bytes, bytes] | None = None
+        self._prepared_for = 0
+        self._stop_reason = ""
+        self._rivals_due = 0
+        self.state = PhaseState(Phase.WAIT, 0)
+        self.motion_time = 0.0
+        self.events: deque[tuple[int, str]] = deque(maxlen=1000)
+        self.report = LoopReport(period, envelope.clamped)
+
+    def request_stop(self, reason: str) -> None:
+        """End the run through DAMP; may be called from a signal handler or another thread."""
+        self._stop_reason = self._stop_reason or reason
+
+    def run(self) -> LoopReport:
+        """Play until DONE.
+
+        Whatever goes wrong in here after the first command, the robot is damped before it is
+        raised.
+        """
+        collecting = gc.isenabled()
+        gc.collect()
+        gc.freeze()
+        gc.disable()
+        try:
+            self._play()
+        except BaseException as error:
+            self._damp_after(error)
+            raise
+        finally:
+            self.report.reason = self.state.reason
+            if collecting:
+                gc.enable()
+            gc.unfreeze()
+        return self.report
+
+    def _play(self) -> None:
+        start = self._clock.now()
+        self.state = PhaseState(Phase.WAIT, start)
+        ticker = Ticker(self._clock, self._period, start)
+        skipped_waiting = 0
+        for _, deadline in ticker:
+            if self.state.phase is Phase.WAIT:
+                skipped_waiting = ticker.skipped
+            self._tick(deadline)
+            self.report.skipped = ticker.skipped - skipped_waiting
+            if self.state.phase is Phase.DONE:
+                break
+
+    def _tick(self, deadline: int) -> None:
+        if self._prepared is not None:
+            if self._prepared_for != deadline:  # ticks were skipped: the motion stays on time
+                self._prepare(deadline)
+            self._publish(deadline)
+        begun = self._clock.now()
+        self._receive(begun)
+        self._advance(begun, deadline + self._period)
+        if Phase.WAIT < self.state.phase < Phase.DONE:
+            self._prepare(deadline + self._period)
+        if self.report.commands:
+            self.report.worst_work = max(self.report.worst_work, self._clock.now() - begun)
+
+    def _publish(self, deadline: int) -> None:
+        if self._prepared is None:
+            return
+        command, reference = self._prepared
+        stamp = self._clock.stamp()
+        self._link.send(command, reference, stamp)
+        report = self.report
+        report.lateness.add(self._clock.now() - deadline)
+        report.commands += 1
+        report.first_stamp = report.first_stamp or stamp
+        report.last_stamp = stamp
+
+    def _receive(self, now: int) -> None:
+        state = self._low_state
+        if not self._link.receive(state):
+            return
+        self.report.states += 1
+        self._measured = Measured(state.q, state.dq, state.quaternion, int(state.mode_machine), now)
+
+    def _advance(self, now: int, deadline: int) -> None:
+        before = self.state
+        stop = self._stop_reason or self._verdict(now) or self._rival(now)
+        settled = now - before.since >= self._settle
+        ready = settled and self._measured is not None and self._link.listeners() > 0
+        self.state = step(deadline, before, Inputs(ready, stop), self._timing)
+        if self.state.phase is not before.phase:
+            self._entered(before.phase)
+
+    def _verdict(self, now: int) -> str:
+        if self._measured is None or self.state.phase >= Phase.DAMP:
+            return ""
+        return self._envelope.verdict(now, self._measured)
+
+    def _rival(self, now: int) -> str:
+        if self._allow_rivals or now < self._rivals_due or self.state.phase >= Phase.DAMP:
+            return ""
+        self._rivals_due = now + _RIVAL_PERIOD
+        rivals = self._link.rivals()
+        return f"somebody else writes rt/lowcmd: {', '.join(rivals)}" if rivals else ""
+
+    def _entered(self, before: Phase) -> None:
+        phase, measured = self.state.phase, self._measured
+        if phase is Phase.RAMP and measured is not None:
+            self._targets.begin(measured.q)
+            self._command.motor_mode = 1
+            self._command.mode_pr[()] = 0  # the other mode gives ankle and waist another meaning
+            self._command.mode_machine[()] = measured.mode_machine
+            self._command.kp[:], self._command.kd[:] = self._gains
+        elif phase is Phase.DAMP:
+            self._command.kp[:] = 0.0
+            self._command.kd[:] = self._damp_kd
+        went = f"{before.name} -> {phase.name}"
+        if self.state.reason:
+            self._tell(ERROR, f"{went}: {self.state.reason}")
+        else:
+            self._tell(INFO, went)
+
+    def _tell(self, level: int, text: str) -> None:
+        self.events.append((level, text))
+        self._link.tell(level, text)
+
+    def _prepare(self, deadline: int) -> None:
+        target = self._targets.at(self.state.phase, self.state.elapsed(deadline) / 1e9)
+        command, reference = self._command, self._reference
+        command.q[:] = self._envelope.limit(target.q)
+        command.dq[:] = target.dq
+        command.tau[:] = target.tau
+        reference.tick[()] = self.report.commands
+        reference.phase[()] = self.state.phase
+        _fill(reference, target)
+        self.motion_time = target.motion_time
+        self._prepared = command.seal(), reference.tobytes()
+        self._prepared_for = deadline
+
+    def _damp_after(self, error: BaseException) -> None:
+        """Damp without looking left or right: the loop itself has failed."""
+        if not self.report.commands or self.state.phase is Phase.DONE:
+            return
+        start = self._clock.now()
+        before = self.state.phase
+        reason = f"{type(error).__name__}: {error}"
+        self.state = PhaseState(Phase.DAMP, start, reason)
+        if before is not Phase.DAMP:
+            self._entered(before)
+        self._prepare(start)
+        for _, deadline in Ticker(self._clock, self._period, start):
+            self._publish(deadline)
+            if deadline - start >= self._timing.damp:
+                break
+
+
+def _fill(reference: Reference, target: Target) -> None:
+    reference.motion_time[()] = target.motion_time
+    reference.q[:] = target.q
+    reference.dq[:] = target.dq
+    reference.ddq[:] = target.ddq
+    reference.tau[:] = target.tau
+    reference.root_pos[:] = target.root_pos
+    reference.root_quat_wxyz[:] = target.root_quat_wxyz
+    reference.root_lin_vel[:] = target.root_lin_vel
+    reference.root_ang_vel[:] = target.root_ang_vel

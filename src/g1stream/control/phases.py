@@ -1,0 +1,102 @@
+"""The phases of a session, as a pure state machine.
+
+    WAIT ──> RAMP ──> PLAY ──> HOLD ──> DAMP ──> DONE
+      │        └────────┴────────┴───────^         ^
+      └────────────────────────────────────────────┘  (nothing was commanded yet)
+
+Whatever ends a session after its first command, an error, a signal or a watchdog, passes through
+DAMP. Time comes in as an argument, in integer nanoseconds of one monotonic clock.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import IntEnum
+
+__all__ = ["Inputs", "Phase", "PhaseState", "Timing", "step"]
+
+
+class Phase(IntEnum):
+    """Where a session is; the numbers are those on the wire (idl/g1stream/Reference_.idl)."""
+
+    WAIT = 0
+    """for a LowState, and for somebody who reads LowCmd"""
+    RAMP = 1
+    """from the measured pose to the motion's first frame"""
+    PLAY = 2
+    HOLD = 3
+    """at the motion's last frame"""
+    DAMP = 4
+    """no position servo, only damping"""
+    DONE = 5
+
+
+@dataclass(frozen=True)
+class Timing:
+    """How long each phase lasts, ns; `play` is None for a motion that loops."""
+
+    wait: int
+    ramp: int
+    play: int | None
+    hold: int
+    damp: int
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What the world says at a tick.
+
+    Attributes:
+        ready: a LowState has come and somebody reads LowCmd.
+        stop: why the session must end now; empty while it may go on.
+    """
+
+    ready: bool = False
+    stop: str = ""
+
+
+@dataclass(frozen=True)
+class PhaseState:
+    """The phase, the instant it began (ns), and why the session ends ("" while it goes well)."""
+
+    phase: Phase
+    since: int
+    reason: str = ""
+
+    def elapsed(self, now: int) -> int:
+        """Time since the phase began, ns."""
+        return now - self.since
+
+
+def step(now: int, state: PhaseState, inputs: Inputs, timing: Timing) -> PhaseState:
+    """The state at `now`.
+
+    A phase that ends by time ends at its exact instant and the next begins there, so that a tick
+    that comes late shifts nothing. Several short phases may pass in one step.
+    """
+    if inputs.stop and state.phase < Phase.DAMP:
+        after = Phase.DONE if state.phase is Phase.WAIT else Phase.DAMP
+        return PhaseState(after, now, inputs.stop)
+    if state.phase is Phase.WAIT:
+        return _leave_wait(now, state, inputs, timing)
+    while (end := _end_of(state, timing)) is not None and now >= end:
+        state = replace(state, phase=Phase(state.phase + 1), since=end)
+    return state
+
+
+def _leave_wait(now: int, state: PhaseState, inputs: Inputs, timing: Timing) -> PhaseState:
+    if inputs.ready:
+        return PhaseState(Phase.RAMP, now)
+    if state.elapsed(now) >= timing.wait:
+        return PhaseState(Phase.DONE, now, "nobody answered in time")
+    return state
+
+
+def _end_of(state: PhaseState, timing: Timing) -> int | None:
+    lasts = {
+        Phase.RAMP: timing.ramp,
+        Phase.PLAY: timing.play,
+        Phase.HOLD: timing.hold,
+        Phase.DAMP: timing.damp,
+    }.get(state.phase)
+    return None if lasts is None else state.since + lasts

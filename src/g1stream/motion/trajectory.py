@@ -1,0 +1,242 @@
+"""A motion as a smooth function of time.
+
+Joints and root position are natural cubic splines through the frames; the root's orientation is
+scipy's `RotationSpline`, whose rotation vector from each frame to the next is a cubic in time.
+Position, velocity and acceleration are continuous (C2).
+
+A natural spline, because of all curves through the frames it bends least, and it begins and ends
+without acceleration: its end velocities are those of the first and last frames themselves, with no
+extrapolated curvature (not-a-knot) and no detour to make them zero (clamped). A motion that starts
+at rest stays so, and one cut out of a movement starts with that movement's velocity.
+
+Everything is one array of cubic coefficients, so that a sample is one small matrix product.
+"""
+
+from __future__ import annotations
+
+from math import factorial
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+from g1stream.motion.seam import seam_frames
+from g1stream.robot.rotations import xyzw_from_wxyz
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    from g1stream.motion.motion import Motion
+
+__all__ = ["Trajectory", "TrajectoryPoint"]
+
+#: Frames of the neighbouring rounds that a looping spline is fitted through. The pull of a knot on
+#: a cubic spline fades by a factor of 3.7 a frame: after 32, nothing is left in float64.
+_WRAP: Final = 32
+
+# The exponential map of rotations and its derivatives need functions such as (1 - cos a) / a**2.
+# As power series in a**2 they have no special case at 0; the angle between two frames is at most
+# half a turn, or a little more within, for which 15 terms are exact in float64.
+_TERMS: Final = range(15)
+_VERSINE: Final = tuple((-1) ** k / factorial(2 * k + 2) for k in _TERMS)  # (1 - cos a) / a**2
+_SINE_GAP: Final = tuple((-1) ** k / factorial(2 * k + 3) for k in _TERMS)  # (a - sin a) / a**3
+_VERSINE_RATE: Final = tuple(k * c for k, c in enumerate(_VERSINE))[1:]  # its d / d(a**2)
+_SINE_GAP_RATE: Final = tuple(k * c for k, c in enumerate(_SINE_GAP))[1:]
+_HALF_COS: Final = tuple((-0.25) ** k / factorial(2 * k) for k in _TERMS)  # cos(a / 2)
+_HALF_SINC: Final = tuple((-0.25) ** k / factorial(2 * k + 1) / 2 for k in _TERMS)  # sin(a/2) / a
+
+
+class TrajectoryPoint(NamedTuple):
+    """The reference at one time, or at N times: then every array has N rows.
+
+    Attributes:
+        joint_pos: (J,) rad, in the order of the motion's joint names.
+        joint_vel: (J,) rad/s.
+        joint_acc: (J,) rad/s^2.
+        root_pos: (3,) pelvis in the world frame, m.
+        root_lin_vel: (3,) in the world frame, m/s.
+        root_lin_acc: (3,) in the world frame, m/s^2, without gravity.
+        root_quat_wxyz: (4,) pelvis in the world frame, unit.
+        root_ang_vel: (3,) in the pelvis frame (as a gyroscope measures it), rad/s.
+        root_ang_acc: (3,) time derivative of `root_ang_vel`, in the pelvis frame, rad/s^2.
+    """
+
+    joint_pos: NDArray[np.float64]
+    joint_vel: NDArray[np.float64]
+    joint_acc: NDArray[np.float64]
+    root_pos: NDArray[np.float64]
+    root_lin_vel: NDArray[np.float64]
+    root_lin_acc: NDArray[np.float64]
+    root_quat_wxyz: NDArray[np.float64]
+    root_ang_vel: NDArray[np.float64]
+    root_ang_acc: NDArray[np.float64]
+
+
+class Trajectory:
+    """A motion that can be sampled at any time, in seconds from frame 0.
+
+    Before the first frame and after the last it rests there: that frame's position, no velocity, no
+    acceleration. With `loop` it has no end: after the last frame comes a seam of its own making
+    (see `seam.py`) that leads back to frame 0, C2 too, and then the motion again.
+
+    Args:
+        motion: the frames to go through.
+        loop: whether to repeat it for ever.
+
+    Attributes:
+        motion: as given.
+        loop: as given.
+        duration: seconds from frame 0 to the last frame.
+        period: seconds from frame 0 to the next frame 0 when looping: `duration` and the seam;
+            otherwise the same as `duration`.
+    """
+
+    def __init__(self, motion: Motion, *, loop: bool = False) -> None:
+        self.motion = motion
+        self.loop = loop
+        self.duration = motion.duration
+        linear = np.hstack([motion.joint_pos, motion.root_pos])
+        quat = np.asarray(motion.root_quat_wxyz)
+        n_wrap = 0
+        if loop:
+            n_wrap = _WRAP
+            linear, quat = seam_frames(linear, quat, motion.fps)
+            around = np.arange(-n_wrap, len(linear) + n_wrap + 1) % len(linear)
+            linear, quat = linear[around], quat[around]
+        coefficients = _fit(linear, quat, motion.fps)
+        own = slice(n_wrap, len(coefficients) - n_wrap)
+        self._coefficients = np.ascontiguousarray(coefficients[own])
+        self._quats = np.ascontiguousarray(quat[:-1][own])
+        self._n_joints = motion.joint_pos.shape[1]
+        self._n_segments = len(self._coefficients)
+        self.period = self._n_segments / motion.fps
+
+    def sample(self, t: float) -> TrajectoryPoint:
+        """The reference at time `t`, s. Some 20 us: fit for a control loop."""
+        inside = t >= 0 if self.loop else 0 <= t <= self.period
+        t = t % self.period if self.loop and inside else min(max(t, 0.0), self.period)
+        k = min(int(t * self.motion.fps), self._n_segments - 1)
+        s = t - k / self.motion.fps
+        moving = 1.0 if inside else 0.0
+        basis = np.array(
+            (
+                (s * s * s, s * s, s, 1.0),
+                (3.0 * s * s * moving, 2.0 * s * moving, moving, 0.0),
+                (6.0 * s * moving, 2.0 * moving, 0.0, 0.0),
+            )
+        )
+        value = basis @ self._coefficients[k]
+        rotation = _rotation_state(self._quats[k].tolist(), *value[:, -3:].tolist())
+        return self._point(value, *map(np.array, rotation))
+
+    def sample_many(self, times: ArrayLike) -> TrajectoryPoint:
+        """The reference at many times (N,), s: each array of the result has a row for each."""
+        t = np.asarray(times, dtype=np.float64)
+        inside = t >= 0 if self.loop else (t >= 0) & (t <= self.period)
+        t = np.where(inside & self.loop, t % self.period, np.clip(t, 0.0, self.period))
+        k = np.minimum((t * self.motion.fps).astype(np.intp), self._n_segments - 1)
+        s = t - k / self.motion.fps
+        one, zero = np.ones_like(s), np.zeros_like(s)
+        basis = np.stack(
+            [
+                s * s * s,
+                s * s,
+                s,
+                one,
+                3.0 * s * s,
+                2.0 * s,
+                one,
+                zero,
+                6.0 * s,
+                2.0 * one,
+                zero,
+                zero,
+            ],
+            axis=-1,
+        ).reshape(-1, 3, 4)
+        basis[~inside, 1:] = 0.0
+        value = np.moveaxis(basis @ self._coefficients[k], 0, 1)
+        rotation = _rotation_state(self._quats[k].T, *np.moveaxis(value[..., -3:], -1, 1))
+        return self._point(value, *(np.stack(part, axis=-1) for part in rotation))
+
+    def _point(
+        self,
+        value: NDArray[np.float64],
+        quat: NDArray[np.float64],
+        ang_vel: NDArray[np.float64],
+        ang_acc: NDArray[np.float64],
+    ) -> TrajectoryPoint:
+        joints, root = value[..., : self._n_joints], value[..., self._n_joints : -3]
+        return TrajectoryPoint(
+            joints[0], joints[1], joints[2], root[0], root[1], root[2], quat, ang_vel, ang_acc
+        )
+
+
+def _fit(linear: NDArray[np.float64], quat: NDArray[np.float64], fps: float) -> NDArray[np.float64]:
+    """Cubics between frames: linear (T, D), quat wxyz (T, 4) -> coefficients (T - 1, 4, D + 3).
+
+    The highest power comes first. The last three columns are the rotation vector from the segment's
+    first frame, in that frame's axes.
+    """
+    from scipy.interpolate import CubicSpline
+    from scipy.spatial.transform import Rotation, RotationSpline
+
+    times = np.arange(len(linear)) / fps
+    splines = CubicSpline(times, linear, bc_type="natural").c
+    rotations = Rotation.from_quat(xyzw_from_wxyz(quat))
+    rotation_vectors = RotationSpline(times, rotations).interpolator.c
+    powers_first: NDArray[np.float64] = np.concatenate([splines, rotation_vectors], axis=-1)
+    return np.moveaxis(powers_first, 0, 1)
+
+
+def _rotation_state(base: Any, r: Any, rate: Any, accel: Any) -> tuple[Any, Any, Any]:
+    """Orientation base * exp(r), and its angular velocity and acceleration in its own axes.
+
+    Each argument is a sequence of components, floats or arrays (N,): base as a quaternion wxyz, the
+    rotation vector r and its first two time derivatives. With x for the cross product,
+    A = (1 - cos a) / a^2 and B = (a - sin a) / a^3 of a = |r|, the angular velocity is
+    r' - A r x r' + B r x (r x r') (the right Jacobian of SO(3), as in Sola et al., "A micro Lie
+    theory", eq. 143); the acceleration is its time derivative.
+    """
+    angle2 = _dot(r, r)
+    a, b = _series(_VERSINE, angle2), _series(_SINE_GAP, angle2)
+    growth = 2.0 * _dot(r, rate)
+    a_dot, b_dot = growth * _series(_VERSINE_RATE, angle2), growth * _series(_SINE_GAP_RATE, angle2)
+    c1 = _cross(r, rate)
+    c2 = _cross(r, c1)
+    d1 = _cross(r, accel)
+    d2 = _cross(r, d1)
+    e2 = _cross(rate, c1)
+    ang_vel = tuple(rate[i] - a * c1[i] + b * c2[i] for i in range(3))
+    ang_acc = tuple(
+        accel[i] - a * d1[i] + b * d2[i] - a_dot * c1[i] + b_dot * c2[i] + b * e2[i]
+        for i in range(3)
+    )
+    w, half = _series(_HALF_COS, angle2), _series(_HALF_SINC, angle2)
+    x, y, z = half * r[0], half * r[1], half * r[2]
+    bw, bx, by, bz = base
+    quat = (
+        bw * w - bx * x - by * y - bz * z,
+        bw * x + bx * w + by * z - bz * y,
+        bw * y - bx * z + by * w + bz * x,
+        bw * z + bx * y - by * x + bz * w,
+    )
+    return quat, ang_vel, ang_acc
+
+
+def _series(coefficients: tuple[float, ...], x: Any) -> Any:
+    total = coefficients[-1]
+    for coefficient in coefficients[-2::-1]:
+        total = total * x + coefficient
+    return total
+
+
+def _dot(u: Any, v: Any) -> Any:
+    return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
+
+
+def _cross(u: Any, v: Any) -> tuple[Any, Any, Any]:
+    return (
+        u[1] * v[2] - u[2] * v[1],
+        u[2] * v[0] - u[0] * v[2],
+        u[0] * v[1] - u[1] * v[0],
+    )

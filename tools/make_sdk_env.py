@@ -67,7 +67,7 @@ def is_made() -> bool:
 
 def build(interpreter: Path) -> None:
     """Make the environment from nothing, with g1stream itself in it."""
-    pip = [PYTHON, "-m", "pip", "--disable-pip-version-check"]
+    pip: list[str | Path] = [PYTHON, "-m", "pip", "--disable-pip-version-check"]
     install = [*pip, "install", "--quiet", "--no-deps"]
     steps: list[list[str | Path]] = [
         [interpreter, "-m", "venv", "--clear", ENVIRONMENT],

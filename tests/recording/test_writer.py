@@ -1,6 +1,5 @@
 """What the writer leaves on disk, read with the stock mcap reader and other people's decoders."""
 
-import json
 import signal
 import struct
 import subprocess
@@ -23,13 +22,13 @@ from g1stream.recording.metadata import metadata_from_strings
 from g1stream.recording.templates import JointStatesTemplate
 from g1stream.recording.writer import SessionWriter
 
-GOLDEN = json.loads((Path(__file__).parent.parent / "data" / "wire.json").read_text())
 T0 = 1_700_000_000_000_000_000
 MS = 1_000_000
 
 
-def lowstates():
-    return [bytes.fromhex(golden["cdr"]) for golden in GOLDEN["lowstate"]]
+@pytest.fixture
+def lowstates(golden):
+    return [bytes.fromhex(sample["cdr"]) for sample in golden["lowstate"]]
 
 
 def read_all(path):
@@ -38,11 +37,11 @@ def read_all(path):
         return list(make_reader(file).iter_messages(log_time_order=False))
 
 
-def test_stock_readers_decode_both_kinds_of_channel(tmp_path):
+def test_stock_readers_decode_both_kinds_of_channel(tmp_path, golden, lowstates):
     path = tmp_path / "session.mcap"
     rows = JointStatesTemplate(["a", "b"], ("position",)).encode([T0, T0 + 1], [[1, 2], [3, 4]])
     with SessionWriter(path) as writer:
-        writer.write("/lowstate", lowstates()[1], T0 + 5, T0)
+        writer.write("/lowstate", lowstates[1], T0 + 5, T0)
         writer.write_batch("/measured/joint_states", rows, [T0 + 5, T0 + 6], [T0, T0 + 1])
     with path.open("rb") as file:
         reader = make_reader(
@@ -52,14 +51,14 @@ def test_stock_readers_decode_both_kinds_of_channel(tmp_path):
         for _, channel, _, message in reader.iter_decoded_messages():
             assert channel.metadata["description"]
             decoded[channel.topic].append(message)
-    assert decoded["/lowstate"][0].tick == GOLDEN["lowstate"][1]["tick"]
+    assert decoded["/lowstate"][0].tick == golden["lowstate"][1]["tick"]
     positions = [[j.position for j in m.joints] for m in decoded["/measured/joint_states"]]
     assert positions == [[1, 2], [3, 4]]
 
 
-def test_bytes_and_both_times_come_back_as_they_went_in(tmp_path):
+def test_bytes_and_both_times_come_back_as_they_went_in(tmp_path, lowstates):
     path = tmp_path / "session.mcap"
-    sent = [(data, T0 + 70 * i * MS, T0 + 70 * i * MS - 1234) for i, data in enumerate(lowstates())]
+    sent = [(data, T0 + 70 * i * MS, T0 + 70 * i * MS - 1234) for i, data in enumerate(lowstates)]
     with SessionWriter(path) as writer:
         for data, log_time, publish_time in sent:
             writer.write("/lowstate", data, log_time, publish_time)

@@ -36,7 +36,7 @@ def as_golden(value):
     return list(value) if isinstance(value, bytes) else value
 
 
-@pytest.mark.parametrize("kind", ["lowcmd", "lowstate"])
+@pytest.mark.parametrize("kind", ["lowcmd", "lowstate", "sportmodestate", "secondary_imu"])
 def test_ros2_decoders_read_the_bytes_of_the_official_sdk(kind, golden):
     decode = ros2_decoder(CHANNELS[f"/{kind}"])
     for sample in golden[kind]:

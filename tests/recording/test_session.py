@@ -17,7 +17,8 @@ DELAY = 123_456
 
 @pytest.fixture
 def cdr(golden):
-    return {f"/{kind}": [bytes.fromhex(g["cdr"]) for g in golden[kind]] for kind in golden}
+    kinds = ("lowcmd", "lowstate")
+    return {f"/{kind}": [bytes.fromhex(g["cdr"]) for g in golden[kind]] for kind in kinds}
 
 
 def test_measured_is_what_the_official_sdk_serialised(golden, cdr, write_session):
@@ -140,8 +141,25 @@ def test_a_damaged_chunk_is_said_with_its_place(cdr, write_session):
     place = content.index(b"zstd") + 40
     content[place] ^= 0xFF
     path.write_bytes(content)
-    with pytest.raises(RecordingError, match=r"damaged: the chunk at byte \d+ does not unpack"):
+    with pytest.raises(RecordingError, match=r"damaged: what is at byte \d+ does not unpack"):
         _ = open_session(path).measured
+
+
+def test_whatever_byte_is_wrong_there_is_no_traceback(cdr, write_session, tmp_path):
+    content = write_session(*cdr.items()).read_bytes()
+    path = tmp_path / "flipped.mcap"
+    rng = np.random.default_rng(8)
+    failed = 0
+    for place in rng.choice(len(content), 300, replace=False):
+        flipped = bytearray(content)
+        flipped[place] ^= 1 << rng.integers(8)
+        path.write_bytes(flipped)
+        try:
+            session = open_session(path)
+            _ = session.attachments, session.log, session.measured, session.command
+        except RecordingError:
+            failed += 1
+    assert failed > 100
 
 
 def test_a_missing_topic_is_named_beside_those_there_are(cdr, write_session):

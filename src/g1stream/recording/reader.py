@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import struct
 from collections import Counter
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -55,35 +56,25 @@ class McapFile:
         metadata: its metadata records, oldest first.
 
     Raises:
-        RecordingError: there is no such file, or it is not an MCAP, or a chunk of it is damaged.
+        RecordingError: there is no such file, or it is not an MCAP, or it is damaged.
     """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self.complete = False
-        self.counts: dict[str, int] = {}
+        self.counts: Counter[str] = Counter()
         self.metadata: list[Metadata] = []
         self._topics: dict[int, str] = {}
         self._chunks: list[int] = []
         self._attachments: list[int] = []
-        statistics: Statistics | None = None
+        self._statistics: Statistics | None = None
         with self._open() as file:
             for opcode, place in _records(file):
-                stream = ReadDataStream(file)
-                if opcode == Opcode.CHUNK:
-                    self._chunks.append(place)
-                elif opcode == Opcode.ATTACHMENT:
-                    self._attachments.append(place)
-                elif opcode == Opcode.METADATA:
-                    self.metadata.append(Metadata.read(stream))
-                elif opcode == Opcode.CHANNEL:
-                    self._add_channel(stream)
-                elif opcode == Opcode.STATISTICS:
-                    statistics = Statistics.read(stream)
-                elif opcode == Opcode.FOOTER:
-                    self.complete = True
-        counts = statistics.channel_message_counts if statistics else self._count()
-        self.counts = {self._topics[channel]: count for channel, count in counts.items()}
+                with self._unpacking(place):
+                    self._take(opcode, place, ReadDataStream(file))
+        counts = self._statistics.channel_message_counts if self._statistics else self._count()
+        for channel, count in counts.items():
+            self.counts[self._topic(channel)] += count
 
     def batches(self, topics: set[str]) -> Iterator[tuple[str, Messages]]:
         """The messages of some topics, one batch per topic and chunk, in the order of the file.
@@ -96,7 +87,7 @@ class McapFile:
                 data = self._chunk(file, place)
                 found: dict[str, Messages] = {}
                 for channel, log_time, publish_time, start, end in self._messages(data):
-                    topic = self._topics[channel]
+                    topic = self._topic(channel)
                     if topic in topics:
                         batch = found.setdefault(topic, Messages())
                         batch.log_times.append(log_time)
@@ -109,7 +100,9 @@ class McapFile:
         with self._open() as file:
             for place in self._attachments:
                 file.seek(place)
-                yield Attachment.read(ReadDataStream(file))
+                with self._unpacking(place):
+                    attachment = Attachment.read(ReadDataStream(file))
+                yield attachment
 
     def _open(self) -> IO[bytes]:
         try:
@@ -134,18 +127,27 @@ class McapFile:
                 counts.update(m[0] for m in self._messages(self._chunk(file, place)))
         return counts
 
+    def _take(self, opcode: int, place: int, stream: ReadDataStream) -> None:
+        """Note what a record outside the chunks says."""
+        if opcode == Opcode.CHUNK:
+            self._chunks.append(place)
+        elif opcode == Opcode.ATTACHMENT:
+            self._attachments.append(place)
+        elif opcode == Opcode.METADATA:
+            self.metadata.append(Metadata.read(stream))
+        elif opcode == Opcode.CHANNEL:
+            self._add_channel(stream)
+        elif opcode == Opcode.STATISTICS:
+            self._statistics = Statistics.read(stream)
+        elif opcode == Opcode.FOOTER:
+            self.complete = True
+
     def _chunk(self, file: IO[bytes], place: int) -> bytes:
         file.seek(place)
-        try:
-            stream, size = get_chunk_data_stream(
-                Chunk.read(ReadDataStream(file)), validate_crc=True
-            )
-            return stream.read(size)
-        except Exception as error:  # each compression has an error of its own
-            raise RecordingError(
-                f"The recording {self.path} is damaged: the chunk at byte {place} does not unpack.",
-                "Save the rest of it with a tool such as `mcap recover`.",
-            ) from error
+        with self._unpacking(place):
+            chunk = Chunk.read(ReadDataStream(file))
+            stream, size = get_chunk_data_stream(chunk, validate_crc=True)
+        return stream.read(size)
 
     def _messages(self, data: bytes) -> Iterator[tuple[int, int, int, int, int]]:
         """Channel, log time, publish time, start and end of data of each message in a chunk."""
@@ -159,6 +161,19 @@ class McapFile:
             elif opcode == Opcode.CHANNEL:
                 self._add_channel(ReadDataStream(BytesIO(data[place : place + length])))
             place += length
+
+    @contextmanager
+    def _unpacking(self, place: int) -> Iterator[None]:
+        try:
+            yield
+        except Exception as error:  # every field and each compression has an error of its own
+            raise RecordingError(
+                f"The recording {self.path} is damaged: what is at byte {place} does not unpack.",
+                "Save the rest of it with a tool such as `mcap recover`.",
+            ) from error
+
+    def _topic(self, channel_id: int) -> str:
+        return self._topics.get(channel_id, f"channel {channel_id}")
 
     def _add_channel(self, stream: ReadDataStream) -> None:
         channel = Channel.read(stream)

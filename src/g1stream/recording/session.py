@@ -72,7 +72,7 @@ class Session:
         self._file = McapFile(path)
         self.path = self._file.path
         self.complete = self._file.complete
-        self.topics = self._file.counts
+        self.topics: dict[str, int] = dict(self._file.counts)
         self.metadata: dict[str, Any] = {}
         for record in self._file.metadata:
             if record.name == METADATA_NAME:
@@ -119,7 +119,7 @@ class Session:
     @cached_property
     def base(self) -> Base | None:
         """Where the pelvis was; None where nobody knew, as on a real robot."""
-        return self._stream(Base) if self.topics.get(Base.topic) else None
+        return self._stream(Base) if Base.topic in self._columns else None
 
     @cached_property
     def log(self) -> list[LogEvent]:
@@ -156,7 +156,7 @@ class Session:
         }
 
     def _stream(self, kind: type[StreamT]) -> StreamT:
-        if not self.topics.get(kind.topic):
+        if kind.topic not in self._columns:
             raise RecordingError(
                 f"{self.path} has no messages on {kind.topic}, {self._what_there_is()}.",
                 "Record while its producer runs.",

@@ -1,0 +1,77 @@
+"""Where every link is, for many frames at once."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from g1stream.robot.rotations import quat_from_axis_angle, quat_mul, quat_rotate
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from g1stream.robot.model import G1
+
+    Array = NDArray[np.float64]
+
+__all__ = ["LinkPoses", "forward_kinematics", "local_transforms"]
+
+
+class LinkPoses(NamedTuple):
+    """Poses of T frames by L links, in the order of `G1.link_names`.
+
+    Attributes:
+        pos: (T, L, 3) m, origin of the link's frame.
+        quat_wxyz: (T, L, 4) unit quaternions.
+    """
+
+    pos: Array
+    quat_wxyz: Array
+
+
+def local_transforms(
+    robot: G1, joint_pos: Array, root_pos: Array, root_quat_wxyz: Array
+) -> LinkPoses:
+    """Each link's pose relative to its parent link; the root's relative to the world.
+
+    Args:
+        robot: the robot.
+        joint_pos: (T, 29) rad, motor order.
+        root_pos: (T, 3) m, or (3,) for all frames.
+        root_quat_wxyz: (T, 4) unit quaternions, or (4,) for all frames.
+
+    Returns:
+        Poses of shape (T, L, ...); quaternion signs are continuous where the inputs are.
+
+    Raises:
+        ValueError: `joint_pos` is not (T, 29), or the root arrays do not fit its T.
+    """
+    n_joints = len(robot.joint_names)
+    if joint_pos.ndim != 2 or joint_pos.shape[1] != n_joints:
+        raise ValueError(f"joint_pos must have the shape (T, {n_joints}), not {joint_pos.shape}")
+    n_frames, n_links = len(joint_pos), len(robot.link_names)
+
+    angle = np.zeros((n_frames, n_links))
+    moving = robot.joint_of_link >= 0
+    angle[:, moving] = joint_pos[:, robot.joint_of_link[moving]]
+
+    quat = quat_mul(robot.origin_quat_wxyz, quat_from_axis_angle(robot.axis, angle))
+    pos = np.repeat(robot.origin_pos[None], n_frames, axis=0)
+    pos[:, 0], quat[:, 0] = root_pos, root_quat_wxyz
+    return LinkPoses(pos, quat)
+
+
+def forward_kinematics(
+    robot: G1, joint_pos: Array, root_pos: Array, root_quat_wxyz: Array
+) -> LinkPoses:
+    """Each link's pose in the world.
+
+    Takes what `local_transforms` takes, returns the same shapes and raises the same errors.
+    """
+    pos, quat = local_transforms(robot, joint_pos, root_pos, root_quat_wxyz)
+    for links in robot.levels:
+        up = robot.parent[links]
+        pos[:, links] = pos[:, up] + quat_rotate(quat[:, up], pos[:, links])
+        quat[:, links] = quat_mul(quat[:, up], quat[:, links])
+    return LinkPoses(pos, quat)

@@ -55,7 +55,8 @@ class TrajectoryPoint(NamedTuple):
         root_pos: (3,) pelvis in the world frame, m.
         root_lin_vel: (3,) in the world frame, m/s.
         root_lin_acc: (3,) in the world frame, m/s^2, without gravity.
-        root_quat_wxyz: (4,) pelvis in the world frame, unit.
+        root_quat_wxyz: (4,) pelvis in the world frame, unit; its sign is continuous, but for where
+            a loop that has turned the root once around begins again.
         root_ang_vel: (3,) in the pelvis frame (as a gyroscope measures it), rad/s.
         root_ang_acc: (3,) time derivative of `root_ang_vel`, in the pelvis frame, rad/s^2.
     """

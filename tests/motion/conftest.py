@@ -1,0 +1,64 @@
+"""Motions to test with, made by hand, and the one real clip of the team."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import pytest
+
+from g1stream.motion.motion import Motion
+from g1stream.robot.joints import JOINT_NAMES
+from g1stream.robot.model import G1
+
+SHARED_CLIP = Path(__file__).parents[3] / "shared" / "lafan1" / "joints_labeled.csv"
+
+
+class MakeMotion(Protocol):
+    def __call__(
+        self, joint_pos: Any, root_pos: Any = ..., quat: Any = ..., fps: float = ...
+    ) -> Motion: ...
+
+
+@pytest.fixture(scope="session")
+def robot() -> G1:
+    return G1.default()
+
+
+@pytest.fixture
+def make_motion() -> MakeMotion:
+    """A motion of which only some is given; joints not given are still, so is the root."""
+
+    def make(joint_pos: Any, root_pos: Any = None, quat: Any = None, fps: float = 30.0) -> Motion:
+        given = np.atleast_2d(np.asarray(joint_pos, dtype=float))
+        joints = np.zeros((len(given), len(JOINT_NAMES)))
+        joints[:, : given.shape[1]] = given
+        n_frames = len(joints)
+        return Motion(
+            name="made",
+            fps=fps,
+            joint_names=JOINT_NAMES,
+            joint_pos=joints,
+            root_pos=np.zeros((n_frames, 3)) if root_pos is None else root_pos,
+            root_quat_wxyz=np.tile([1.0, 0, 0, 0], (n_frames, 1)) if quat is None else quat,
+        )
+
+    return make
+
+
+@pytest.fixture
+def wild_motion(make_motion: MakeMotion) -> Motion:
+    """Forty frames in which everything turns and moves, ends included."""
+    rng = np.random.default_rng(7)
+    quat = np.array([1.0, 0.3, -0.2, 0.5]) + np.cumsum(rng.normal(size=(40, 4)) * 0.08, axis=0)
+    joints = np.cumsum(rng.normal(size=(40, len(JOINT_NAMES))) * 0.05, axis=0)
+    return make_motion(joints, np.cumsum(rng.normal(size=(40, 3)) * 0.02, axis=0), quat)
+
+
+@pytest.fixture(scope="session")
+def real_clip() -> Path:
+    """3,945 frames of a dance at 30 fps, retargeted to the G1; too big a file of others to ship."""
+    if not SHARED_CLIP.exists():
+        pytest.skip(f"the LAFAN1 clip is not at {SHARED_CLIP}")
+    return SHARED_CLIP

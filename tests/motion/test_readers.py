@@ -1,0 +1,258 @@
+from __future__ import annotations
+
+import hashlib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from g1stream.errors import MotionError
+from g1stream.motion.readers import load_motion
+from g1stream.robot.joints import JOINT_NAMES
+
+COLUMNS = ("Frame", "X", "Y", "Z", "QX", "QY", "QZ", "QW", *JOINT_NAMES)
+KNEE = COLUMNS.index("left_knee_joint")
+
+
+def rows_of(n_frames: int, seed: int = 0) -> list[list[float]]:
+    rng = np.random.default_rng(seed)
+    values = rng.normal(size=(n_frames, 36))
+    values[:, 3:7] = Rotation.random(n_frames, rng=rng).as_quat()
+    return [[frame, *row] for frame, row in enumerate(values.tolist())]
+
+
+def csv(rows, columns=COLUMNS, end="\n") -> str:
+    lines = [",".join(map(str, row)) for row in rows]
+    return end.join([",".join(columns), *lines, ""])
+
+
+@pytest.fixture
+def load(tmp_path):
+    """Load a motion from text or bytes."""
+
+    def load_content(content, robot=None, **options):
+        path = tmp_path / "clip.csv"
+        path.write_bytes(content.encode() if isinstance(content, str) else content)
+        return load_motion(path, robot, **options)
+
+    return load_content
+
+
+def changed(line: int, column: int, cell: str) -> str:
+    """Five good frames but for one cell; lines and columns counted from 1."""
+    lines = csv(rows_of(5)).split("\n")
+    cells = lines[line - 1].split(",")
+    cells[column - 1] = cell
+    lines[line - 1] = ",".join(cells)
+    return "\n".join(lines)
+
+
+def test_foxglove_layout(load, tmp_path):
+    rows = rows_of(4)
+    content = csv(rows)
+    motion = load(content)
+    values = np.array(rows)
+    assert motion.name == "clip"
+    assert motion.fps == 30.0
+    assert motion.joint_names == JOINT_NAMES
+    assert motion.source == tmp_path / "clip.csv"
+    assert motion.sha256 == hashlib.sha256(content.encode()).hexdigest()
+    assert motion.warnings == ()
+    np.testing.assert_array_equal(motion.root_pos, values[:, 1:4])
+    np.testing.assert_array_equal(motion.joint_pos, values[:, 8:])
+    w, x, y, z = motion.root_quat_wxyz[0]
+    np.testing.assert_allclose([x, y, z, w], values[0, 4:8], atol=1e-15)
+
+
+def test_orientation_is_the_one_in_the_file(load):
+    rows = rows_of(6)
+    motion = load(csv(rows))
+    given_rotations = Rotation.from_quat(np.array(rows)[:, 4:8])
+    read = Rotation.from_quat(motion.root_quat_wxyz, scalar_first=True)
+    assert (given_rotations.inv() * read).magnitude().max() < 1e-7
+
+
+def test_lafan1_layout_gives_the_same_motion(load):
+    rows = rows_of(5)
+    labelled = load(csv(rows))
+    bare = load("\n".join(",".join(map(str, row[1:])) for row in rows))
+    np.testing.assert_array_equal(bare.joint_pos, labelled.joint_pos)
+    np.testing.assert_array_equal(bare.root_pos, labelled.root_pos)
+    np.testing.assert_array_equal(bare.root_quat_wxyz, labelled.root_quat_wxyz)
+    assert bare.joint_names == JOINT_NAMES
+
+
+@given(order=st.permutations(COLUMNS), seed=st.integers(0, 100))
+@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_columns_may_stand_in_any_order(load, order, seed):
+    rows = rows_of(3, seed)
+    shuffled = [[row[COLUMNS.index(name)] for name in order] for row in rows]
+    expected, motion = load(csv(rows)), load(csv(shuffled, order))
+    np.testing.assert_array_equal(motion.joint_pos, expected.joint_pos)
+    np.testing.assert_array_equal(motion.root_pos, expected.root_pos)
+    np.testing.assert_array_equal(motion.root_quat_wxyz, expected.root_quat_wxyz)
+
+
+@given(
+    cells=st.lists(
+        st.floats(allow_nan=False, allow_infinity=False), min_size=29 * 2, max_size=29 * 2
+    )
+)
+@settings(max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_numbers_are_read_to_the_last_bit(load, cells):
+    rows = [[frame, 0.0, 0.0, 0.8, 0.0, 0.0, 0.0, 1.0, *cells[frame::2]] for frame in (0, 1)]
+    motion = load(csv(rows))
+    assert motion.joint_pos.tolist() == [cells[0::2], cells[1::2]]
+
+
+@pytest.mark.parametrize(
+    "spelling",
+    [
+        lambda text: text.replace("\n", "\r\n"),
+        lambda text: "\ufeff" + text,
+        lambda text: text.rstrip("\n"),
+        lambda text: text + "\n  \n\r\n",
+        lambda text: text.replace(",", " , "),
+        lambda text: text.replace(",", ",\t"),
+    ],
+    ids=["crlf", "bom", "no last newline", "blank last lines", "spaces", "tabs"],
+)
+def test_spellings_of_the_same_file(load, spelling):
+    content = csv(rows_of(4))
+    expected, motion = load(content), load(spelling(content))
+    np.testing.assert_array_equal(motion.joint_pos, expected.joint_pos)
+    np.testing.assert_array_equal(motion.root_quat_wxyz, expected.root_quat_wxyz)
+
+
+@pytest.mark.parametrize("cell", ["1e-3", "+1", "-.5", "1.", " 2 ", "1E2"])
+def test_ways_to_write_a_number(load, cell):
+    assert load(changed(3, KNEE + 1, cell)).joint_pos[1, 3] == float(cell)
+
+
+def test_frames_may_be_numbered_from_anywhere(load):
+    motion = load(csv([[row[0] + 120, *row[1:]] for row in rows_of(3)]))
+    assert motion.n_frames == 3
+
+
+def test_fps_is_what_one_says(load):
+    assert load(csv(rows_of(3)), fps=50).fps == 50.0
+
+
+def test_quaternion_slightly_off_is_made_unit_in_silence(load):
+    motion = load(
+        csv([[*row[:4], *(v * 1.0009 for v in row[4:8]), *row[8:]] for row in rows_of(3)])
+    )
+    assert motion.warnings == ()
+    np.testing.assert_allclose(np.linalg.norm(motion.root_quat_wxyz, axis=1), 1.0, atol=1e-15)
+
+
+def test_quaternion_far_off_is_made_unit_with_a_warning(load):
+    rows = rows_of(4)
+    rows[2][4:8] = [value * 1.25 for value in rows[2][4:8]]
+    motion = load(csv(rows))
+    (warning,) = motion.warnings
+    assert "1 of 4 quaternions" in warning
+    assert "line 4 was off by 0.25" in warning
+    np.testing.assert_allclose(np.linalg.norm(motion.root_quat_wxyz, axis=1), 1.0, atol=1e-15)
+
+
+def test_bundled_motion_by_name():
+    motion = load_motion("demo")
+    assert motion.name == "demo"
+    assert motion.source is not None
+    assert motion.source.name == "demo.csv"
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (changed(3, KNEE + 1, "abc"), r"line 3, column 12 \(left_knee_joint\): 'abc' is not"),
+        (changed(4, 2, "nan"), r"line 4, column 2 \(X\): 'nan' is not a finite number"),
+        (changed(6, 37, "-inf"), r"line 6, column 37 \(right_wrist_yaw_joint\): '-inf'"),
+        (changed(2, 4, "1e999"), r"line 2, column 4 \(Z\): '1e999'"),
+        (changed(2, 4, "1_000"), r"line 2, column 4 \(Z\): '1_000'"),
+        (changed(2, 4, "\uff11"), r"line 2, column 4 \(Z\): '\uff11'"),
+        (changed(2, 4, "0,1"), r"line 2: the row is too long, with 38 values for 37"),
+        (changed(2, 4, " "), r"line 2, column 4 \(Z\): there is no value"),
+        (changed(3, 1, "0"), r"line 3, column 1 \(Frame\): frame 0 is there twice"),
+        (changed(3, 1, "7"), r"line 3, column 1 \(Frame\): frames 1 to 6 are missing"),
+        (changed(3, 1, "2"), r"line 3, column 1 \(Frame\): frame 1 is missing"),
+        (changed(3, 1, "-4"), r"line 3, column 1 \(Frame\): frame -4 comes after frame 0"),
+        (changed(4, 1, "0"), r"line 4, column 1 \(Frame\): frame 0 is there twice"),
+        (changed(3, 1, "1.5"), r"line 3, column 1 \(Frame\): the frame number 1.5 is not whole"),
+        (changed(1, 12, "left_knee"), "lacks: left_knee and lacks .* has: left_knee_joint"),
+        (changed(1, 12, "tail_joint"), "lacks: tail_joint and lacks .* has: left_knee_joint"),
+        (changed(1, 12, ""), "line 1, column 12: the header has an empty name"),
+        (changed(1, 3, "X"), "line 1: columns 2 and 3 are both named X"),
+        (changed(1, 8, "W"), "line 1: the header has no column QW"),
+        (csv(rows_of(5)).replace(",", ";"), "line 1: there are no columns separated by commas"),
+        (csv(rows_of(1)), "has only one frame"),
+        (csv([]), "a header but no frames"),
+        ("", "is empty"),
+        (" \r\n\n", "is empty"),
+        ("1,2,3\n4,5,6\n", "line 1: 3 values, and no header"),
+        (csv(rows_of(5)).split("\n", 1)[1], "line 1: 37 values, and no header"),
+        (csv(rows_of(3)) + "\n" + csv(rows_of(3)), "line 5: the line is blank"),
+        (csv(rows_of(3)) + csv(rows_of(3)), r"line 5, column 1 \(Frame\): 'Frame' is not"),
+        (csv(rows_of(3))[:-20], "line 4: the row is too short, with 3[56] values for 37"),
+        (b"PK\x03\x04\x00\x00not text", "binary file: byte 4"),
+        (b"Frame,X\n1,\xff\xfe\n", "line 2: byte 10 is not UTF-8"),
+        (csv(rows_of(3)).encode("utf-16"), "line 1: byte 0 is not UTF-8"),
+    ],
+)
+def test_faults_are_named_with_their_place(load, content, message):
+    with pytest.raises(MotionError, match=message) as caught:
+        load(content)
+    assert "clip.csv" in caught.value.cause
+    assert caught.value.cause.endswith(".")
+    assert caught.value.remedy.endswith(".")
+
+
+def test_zero_quaternion(load):
+    rows = rows_of(4)
+    rows[2][4:8] = [0.0] * 4
+    with pytest.raises(MotionError, match=r"line 4, column 5 \(QX\): .* is zero"):
+        load(csv(rows))
+
+
+@pytest.mark.parametrize("fps", [0, -30, float("nan"), float("inf")])
+def test_frame_rate_that_is_none(load, fps):
+    with pytest.raises(MotionError, match="frames a second"):
+        load(csv(rows_of(3)), fps=fps)
+
+
+def test_joints_that_the_robot_lacks_and_that_the_file_lacks(load, robot):
+    names = ("tail_joint", *robot.joint_names[1:])
+    with pytest.raises(MotionError, match=r"lacks: left_hip_pitch_joint .* has: tail_joint"):
+        load(csv(rows_of(3)), replace(robot, joint_names=names))
+
+
+def test_no_such_file(tmp_path):
+    with pytest.raises(MotionError, match=r"no motion file .*walk.csv.*bundled motion: demo"):
+        load_motion(tmp_path / "walk.csv")
+
+
+def test_directory(tmp_path):
+    with pytest.raises(MotionError, match="is a directory"):
+        load_motion(tmp_path)
+
+
+def test_file_that_cannot_be_read(tmp_path):
+    loop = tmp_path / "loop.csv"
+    loop.symlink_to(loop)
+    with pytest.raises(MotionError, match="cannot be read: Too many levels"):
+        load_motion(loop)
+
+
+@given(line=st.integers(1, 6), column=st.integers(1, 37), cell=st.text(max_size=6))
+@settings(max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_whatever_stands_in_a_cell_it_is_read_or_refused(load, line, column, cell):
+    try:
+        motion = load(changed(line, column, cell).encode("utf-8", "surrogatepass"))
+    except MotionError:
+        return
+    for array in (motion.joint_pos, motion.root_pos, motion.root_quat_wxyz):
+        assert np.isfinite(array).all()

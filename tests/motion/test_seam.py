@@ -1,0 +1,98 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from g1stream.motion.trajectory import Trajectory
+
+
+@pytest.fixture
+def from_rest_to_rest(make_motion):
+    """Two joints, a metre forward and a quarter turn, still at both ends."""
+    x = np.concatenate([np.zeros(20), np.linspace(0, 1, 60), np.ones(20)])[:, None]
+    quat = Rotation.from_rotvec(x * [0.0, 0.0, np.pi / 2]).as_quat(scalar_first=True)
+    return make_motion(x * [1.2, -0.4], x * [1.0, 0.0, 0.0], quat)
+
+
+def test_repeats_for_ever(wild_motion):
+    trajectory = Trajectory(wild_motion, loop=True)
+    times = np.linspace(0.0, trajectory.period, 300, endpoint=False)
+    first, third = (
+        trajectory.sample_many(times),
+        trajectory.sample_many(times + 2 * trajectory.period),
+    )
+    for once, again in zip(first, third, strict=True):
+        np.testing.assert_allclose(once, again, rtol=1e-7, atol=1e-7)
+
+
+def test_keeps_the_frames_of_the_motion(wild_motion):
+    trajectory = Trajectory(wild_motion, loop=True)
+    assert trajectory.duration == wild_motion.duration
+    point = trajectory.sample_many(np.arange(wild_motion.n_frames) / wild_motion.fps)
+    np.testing.assert_allclose(point.joint_pos, wild_motion.joint_pos, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(point.root_pos, wild_motion.root_pos, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(point.root_quat_wxyz, wild_motion.root_quat_wxyz, atol=1e-12)
+
+
+def test_inside_the_motion_only_its_end_differs_from_the_motion_played_once(wild_motion):
+    middle = np.linspace(0.4, wild_motion.duration - 0.4, 100)
+    once, loop = (Trajectory(wild_motion, loop=loop).sample_many(middle) for loop in (False, True))
+    np.testing.assert_allclose(loop.joint_vel, once.joint_vel, rtol=0, atol=1e-5)
+
+
+def test_between_rests_the_seam_goes_straight_back(from_rest_to_rest):
+    trajectory = Trajectory(from_rest_to_rest, loop=True)
+    seam = np.linspace(trajectory.duration, trajectory.period, 400)
+    point = trajectory.sample_many(seam)
+    way = 1.2 - point.joint_pos[:, 0]
+    assert way[0] == pytest.approx(0.0, abs=1e-12)
+    assert way[-1] == pytest.approx(1.2, abs=1e-12)
+    assert (np.diff(way) > -1e-4).all()
+    np.testing.assert_allclose(point.joint_pos[:, 1] * -3, point.joint_pos[:, 0], atol=1e-12)
+    np.testing.assert_allclose(point.root_pos[:, 0] * 1.2, point.joint_pos[:, 0], atol=1e-12)
+    yaw = Rotation.from_quat(point.root_quat_wxyz, scalar_first=True).as_rotvec()[:, 2]
+    np.testing.assert_allclose(yaw / (np.pi / 2), point.root_pos[:, 0], atol=1e-4)
+
+
+def test_the_seam_is_as_slow_as_it_says(from_rest_to_rest):
+    trajectory = Trajectory(from_rest_to_rest, loop=True)
+    seam = np.linspace(trajectory.duration, trajectory.period, 1000)
+    point = trajectory.sample_many(seam)
+    fastest = np.abs(point.root_ang_vel).max()
+    assert 1.4 < fastest < 1.51
+    assert np.abs(point.joint_vel).max() < fastest
+    # The furthest to go is the quarter turn: 15/8 of it at 1.5 rad/s, rounded up to whole frames.
+    needed = np.pi / 2 * 15 / 8 / 1.5
+    assert needed <= trajectory.period - trajectory.duration < needed + 1 / 30
+
+
+def test_a_motion_that_ends_where_it_began_gets_the_shortest_seam(make_motion):
+    motion = make_motion(np.sin(np.linspace(0, 2 * np.pi, 61))[:, None])
+    trajectory = Trajectory(motion, loop=True)
+    assert trajectory.period - trajectory.duration == pytest.approx(0.5)
+
+
+def test_an_end_in_full_motion_overshoots_no_further_than_it_says(make_motion):
+    """2 rad/s at the end carry a joint on by a twenty-fifth of a second's way, and no more."""
+    ramp = np.concatenate([np.zeros(30), np.arange(1, 31) / 30 * 2.0])
+    motion = make_motion(ramp[:, None])
+    trajectory = Trajectory(motion, loop=True)
+    seam = np.linspace(trajectory.duration, trajectory.period, 500)
+    highest = trajectory.sample_many(seam).joint_pos[:, 0].max()
+    assert 0.05 < highest - ramp[-1] < 2.0 * 0.2 * 0.2
+
+
+@pytest.mark.parametrize(("n_frames", "fps"), [(2, 30.0), (3, 1.0), (5, 240.0)])
+def test_short_motions_loop_too(make_motion, n_frames, fps):
+    motion = make_motion(np.arange(n_frames)[:, None] * 0.1, fps=fps)
+    trajectory = Trajectory(motion, loop=True)
+    for k in range(n_frames):
+        t = k / fps + trajectory.period
+        assert trajectory.sample(t).joint_pos[0] == pytest.approx(0.1 * k, abs=1e-9)
+
+
+def test_before_it_starts_it_rests_at_frame_0(wild_motion):
+    point = Trajectory(wild_motion, loop=True).sample(-0.1)
+    np.testing.assert_allclose(point.joint_pos, wild_motion.joint_pos[0], atol=1e-12)
+    assert not point.joint_vel.any()

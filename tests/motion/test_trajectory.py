@@ -1,0 +1,197 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation, RotationSpline
+
+from g1stream.motion.readers import load_motion
+from g1stream.motion.trajectory import Trajectory
+
+
+def frame_times(motion):
+    return np.arange(motion.n_frames) / motion.fps
+
+
+def between(motion, n=997):
+    """Times that fall on no frame."""
+    return np.linspace(0.0, motion.duration, n)[1:-1]
+
+
+def rotation(quat_wxyz):
+    return Rotation.from_quat(quat_wxyz, scalar_first=True)
+
+
+def test_goes_through_every_frame(wild_motion):
+    trajectory = Trajectory(wild_motion)
+    for k, t in enumerate(frame_times(wild_motion)):
+        point = trajectory.sample(t)
+        np.testing.assert_allclose(point.joint_pos, wild_motion.joint_pos[k], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(point.root_pos, wild_motion.root_pos[k], rtol=0, atol=1e-12)
+        quat = wild_motion.root_quat_wxyz[k]
+        np.testing.assert_allclose(point.root_quat_wxyz, quat, rtol=0, atol=1e-12)
+
+
+def test_joints_and_root_position_are_scipys_natural_spline(wild_motion):
+    trajectory, times = Trajectory(wild_motion), between(wild_motion)
+    point = trajectory.sample_many(times)
+    for values, found in (
+        (wild_motion.joint_pos, (point.joint_pos, point.joint_vel, point.joint_acc)),
+        (wild_motion.root_pos, (point.root_pos, point.root_lin_vel, point.root_lin_acc)),
+    ):
+        spline = CubicSpline(frame_times(wild_motion), values, bc_type="natural")
+        for order in range(3):
+            expected = spline(times, order)
+            np.testing.assert_allclose(found[order], expected, rtol=1e-10, atol=1e-10)
+
+
+def test_orientation_is_scipys_rotation_spline(wild_motion):
+    trajectory, times = Trajectory(wild_motion), between(wild_motion)
+    spline = RotationSpline(frame_times(wild_motion), rotation(wild_motion.root_quat_wxyz))
+    point = trajectory.sample_many(times)
+    off = (spline(times).inv() * rotation(point.root_quat_wxyz)).magnitude()
+    assert off.max() < 1e-14
+    np.testing.assert_allclose(point.root_ang_vel, spline(times, 1), rtol=1e-9, atol=1e-9)
+    # scipy's formula for the acceleration cancels for small angles, so it knows fewer digits.
+    np.testing.assert_allclose(point.root_ang_acc, spline(times, 2), rtol=1e-4, atol=1e-4)
+
+
+def test_one_sample_is_the_same_as_many(wild_motion):
+    for loop in (False, True):
+        trajectory = Trajectory(wild_motion, loop=loop)
+        times = np.linspace(-0.5, 3.0, 211)
+        many = trajectory.sample_many(times)
+        for row, t in enumerate(times):
+            for one, batch in zip(trajectory.sample(t), many, strict=True):
+                np.testing.assert_allclose(one, batch[row], rtol=1e-12, atol=1e-12)
+
+
+def test_sine(make_motion):
+    """Whole periods of a sine end without curvature, as a natural spline does."""
+    rate, amplitude, fps = 2 * np.pi * 1.5, 0.8, 50.0
+    times = np.arange(101) / fps
+    motion = make_motion(
+        (amplitude * np.sin(rate * times))[:, None],
+        np.stack([0 * times, 0 * times, 0.7 + amplitude * np.sin(rate * times)], axis=1),
+        fps=fps,
+    )
+    t = between(motion)
+    point = Trajectory(motion).sample_many(t)
+    # Error bounds of cubic splines: Hall and Meyer, "Optimal error bounds for cubic spline
+    # interpolation", 1976.
+    fourth, h = amplitude * rate**4, 1 / fps
+    position, velocity, acceleration = (
+        amplitude * np.sin(rate * t),
+        amplitude * rate * np.cos(rate * t),
+        -amplitude * rate**2 * np.sin(rate * t),
+    )
+    for pos, vel, acc in (
+        (point.joint_pos[:, 0], point.joint_vel[:, 0], point.joint_acc[:, 0]),
+        (point.root_pos[:, 2] - 0.7, point.root_lin_vel[:, 2], point.root_lin_acc[:, 2]),
+    ):
+        assert np.abs(pos - position).max() < 5 / 384 * fourth * h**4
+        assert np.abs(vel - velocity).max() < 1 / 24 * fourth * h**3
+        assert np.abs(acc - acceleration).max() < 3 / 8 * fourth * h**2
+
+
+def test_turning_at_a_constant_rate_in_the_body_frame(make_motion):
+    rate = np.array([0.7, -1.1, 2.0])
+    start = Rotation.from_euler("xyz", [0.4, -0.9, 1.3])
+    times = np.arange(31) / 10.0
+    quat = (start * Rotation.from_rotvec(times[:, None] * rate)).as_quat(scalar_first=True)
+    motion = make_motion(np.zeros((31, 1)), quat=quat, fps=10.0)
+    t = between(motion)
+    point = Trajectory(motion).sample_many(t)
+    truth = start * Rotation.from_rotvec(t[:, None] * rate)
+    assert (truth.inv() * rotation(point.root_quat_wxyz)).magnitude().max() < 1e-13
+    np.testing.assert_allclose(point.root_ang_vel, np.tile(rate, (len(t), 1)), atol=1e-11)
+    np.testing.assert_allclose(point.root_ang_acc, 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("degrees", [1e-7, 0.01, 45.0, 120.0, 179.0])
+def test_two_frames_turn_evenly_however_far_apart(make_motion, degrees):
+    turn = Rotation.from_rotvec(np.radians(degrees) * np.array([0.6, 0.0, -0.8]))
+    quat = [[1.0, 0.0, 0.0, 0.0], turn.as_quat(scalar_first=True)]
+    trajectory = Trajectory(make_motion([[0.0], [1.0]], quat=quat, fps=1.0))
+    for t in (0.25, 0.5, 0.75):
+        point = trajectory.sample(t)
+        truth = Rotation.from_rotvec(t * turn.as_rotvec())
+        assert (truth.inv() * rotation(point.root_quat_wxyz)).magnitude() < 1e-14
+        np.testing.assert_allclose(point.root_ang_vel, turn.as_rotvec(), atol=1e-13)
+        np.testing.assert_allclose(point.joint_pos[0], t, atol=1e-15)
+        np.testing.assert_allclose(point.joint_vel[0], 1.0, atol=1e-15)
+
+
+@pytest.mark.parametrize("loop", [False, True])
+def test_velocities_are_the_derivatives_of_positions(wild_motion, loop):
+    trajectory, h = Trajectory(wild_motion, loop=loop), 1e-5
+    # Away from frames, where the third derivative jumps and a finite difference would see it.
+    times = (np.arange(trajectory.period * wild_motion.fps) + 0.4) / wild_motion.fps
+    before, now, after = (trajectory.sample_many(times + d) for d in (-h, 0.0, h))
+    for pos, vel in (
+        ("joint_pos", "joint_vel"),
+        ("joint_vel", "joint_acc"),
+        ("root_pos", "root_lin_vel"),
+        ("root_lin_vel", "root_lin_acc"),
+        ("root_ang_vel", "root_ang_acc"),
+    ):
+        slope = (getattr(after, pos) - getattr(before, pos)) / (2 * h)
+        np.testing.assert_allclose(slope, getattr(now, vel), rtol=1e-5, atol=1e-5)
+    turned = rotation(before.root_quat_wxyz).inv() * rotation(after.root_quat_wxyz)
+    np.testing.assert_allclose(turned.as_rotvec() / (2 * h), now.root_ang_vel, rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize("loop", [False, True])
+def test_position_velocity_and_acceleration_are_continuous(wild_motion, loop):
+    """Also at the seam of a loop, and where it begins again."""
+    trajectory, tiny = Trajectory(wild_motion, loop=loop), 1e-10
+    n_knots = round(trajectory.period * wild_motion.fps)
+    knots = np.arange(1, n_knots + loop) / wild_motion.fps
+    before, after = (trajectory.sample_many(knots + d) for d in (-tiny, tiny))
+    steepest = np.abs(np.diff(after.joint_acc, axis=0)).max() * wild_motion.fps
+    assert steepest < 1e5
+    if loop:
+        # Where it begins again the root may have made a whole turn, and q become -q.
+        sign = np.sign(before.root_quat_wxyz[-1] @ after.root_quat_wxyz[-1])
+        after.root_quat_wxyz[-1] *= sign
+    for name, left, right in zip(before._fields, before, after, strict=True):
+        # With that slope a continuous function changes by up to 2e-5 in 2e-10 s.
+        np.testing.assert_allclose(left, right, rtol=0, atol=2e-5, err_msg=name)
+
+
+def test_rests_outside(wild_motion):
+    trajectory = Trajectory(wild_motion)
+    for t, frame in ((-1.0, 0), (-1e-9, 0), (wild_motion.duration + 1e-9, -1), (1e9, -1)):
+        point = trajectory.sample(t)
+        np.testing.assert_allclose(point.joint_pos, wild_motion.joint_pos[frame], atol=1e-12)
+        np.testing.assert_allclose(point.root_pos, wild_motion.root_pos[frame], atol=1e-12)
+        quat = wild_motion.root_quat_wxyz[frame]
+        np.testing.assert_allclose(point.root_quat_wxyz, quat, atol=1e-12)
+        for rate in (point.joint_vel, point.joint_acc, point.root_lin_vel, point.root_lin_acc):
+            assert not rate.any()
+        assert not point.root_ang_vel.any()
+        assert not point.root_ang_acc.any()
+
+
+def test_begins_and_ends_without_acceleration_and_with_the_motions_own_velocity(wild_motion):
+    trajectory = Trajectory(wild_motion)
+    for t in (0.0, trajectory.duration):
+        assert np.abs(trajectory.sample(t).joint_acc).max() < 1e-10
+    secant = (wild_motion.joint_pos[1] - wild_motion.joint_pos[0]) * wild_motion.fps
+    bend = np.abs(trajectory.sample(1 / wild_motion.fps).joint_acc)
+    # A cubic whose curvature grows from 0 to `bend` in a frame leaves its secant by a sixth of it.
+    off = np.abs(trajectory.sample(0.0).joint_vel - secant)
+    np.testing.assert_allclose(off, bend / 6 / wild_motion.fps, atol=1e-12)
+
+
+def test_a_real_clip(real_clip):
+    motion = load_motion(real_clip)
+    trajectory = Trajectory(motion)
+    at_frames = trajectory.sample_many(frame_times(motion))
+    np.testing.assert_allclose(at_frames.joint_pos, motion.joint_pos, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(at_frames.root_quat_wxyz, motion.root_quat_wxyz, atol=1e-12)
+    times = np.random.default_rng(1).uniform(0.0, motion.duration, 500)
+    spline = RotationSpline(frame_times(motion), rotation(motion.root_quat_wxyz))
+    point = trajectory.sample_many(times)
+    assert (spline(times).inv() * rotation(point.root_quat_wxyz)).magnitude().max() < 1e-13
+    np.testing.assert_allclose(point.root_ang_vel, spline(times, 1), rtol=1e-8, atol=1e-8)

@@ -51,9 +51,10 @@ def test_position_limits_on_both_sides(still, robot):
     assert not report.within_limits
 
 
-def test_at_the_limit_is_within(still, robot):
-    values = np.full(31, round(float(robot.upper[KNEE]), 6))
-    assert check_motion(with_joint(still, KNEE, values), robot).within_limits
+@pytest.mark.parametrize(("beyond", "within"), [(0.0, True), (5e-7, True), (2e-6, False)])
+def test_at_the_limit_is_within_as_far_as_six_decimals_tell(still, robot, beyond, within):
+    values = np.full(31, robot.upper[KNEE] + beyond)
+    assert check_motion(with_joint(still, KNEE, values), robot).within_limits is within
 
 
 def test_a_ramp_has_its_own_speed_and_step(still, robot):

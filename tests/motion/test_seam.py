@@ -73,14 +73,20 @@ def test_a_motion_that_ends_where_it_began_gets_the_shortest_seam(make_motion):
     assert trajectory.period - trajectory.duration == pytest.approx(0.5)
 
 
-def test_an_end_in_full_motion_overshoots_no_further_than_it_says(make_motion):
-    """2 rad/s at the end carry a joint on by a twenty-fifth of a second's way, and no more."""
+@pytest.mark.parametrize("end", ["last", "first"])
+def test_an_end_in_full_motion_overshoots_no_further_than_it_says(make_motion, end):
+    """What moves at 2 rad/s coasts on by a fifth of 0.2 s of its way, and no more."""
     ramp = np.concatenate([np.zeros(30), np.arange(1, 31) / 30 * 2.0])
-    motion = make_motion(ramp[:, None])
-    trajectory = Trajectory(motion, loop=True)
+    if end == "first":
+        ramp = ramp[::-1]
+    quat = Rotation.from_rotvec(ramp[:, None] * [0.0, 0.0, 1.0]).as_quat(scalar_first=True)
+    trajectory = Trajectory(make_motion(ramp[:, None], quat=quat), loop=True)
     seam = np.linspace(trajectory.duration, trajectory.period, 500)
-    highest = trajectory.sample_many(seam).joint_pos[:, 0].max()
-    assert 0.05 < highest - ramp[-1] < 2.0 * 0.2 * 0.2
+    point = trajectory.sample_many(seam)
+    yaw = Rotation.from_quat(point.root_quat_wxyz, scalar_first=True).as_rotvec()[:, 2]
+    for angle in (point.joint_pos[:, 0], yaw):
+        assert 0.05 < angle.max() - 2.0 < 2.0 * 0.2 * 0.2
+        assert angle.min() > -1e-3
 
 
 @pytest.mark.parametrize(("n_frames", "fps"), [(2, 30.0), (3, 1.0), (5, 240.0)])

@@ -64,7 +64,8 @@ def quat_mul(a: Array, b: Array) -> Array:
 
 def quat_conj(quat: Array) -> Array:
     """Conjugate (..., 4), the inverse of a unit quaternion."""
-    return quat * np.array([1.0, -1.0, -1.0, -1.0])
+    conjugate: Array = quat * np.array([1.0, -1.0, -1.0, -1.0])
+    return conjugate
 
 
 def quat_normalize(quat: Array) -> Array:

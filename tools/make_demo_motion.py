@@ -91,11 +91,11 @@ def hops(side: str, height: float) -> Array:
 
 def pelvis() -> tuple[Array, Array]:
     """Position (T, 3) m and roll, pitch, yaw (T, 3) rad of the pelvis."""
-    forward = -0.09 * SQUAT - 0.06 * BOW
+    forward = -0.09 * SQUAT - 0.08 * BOW
     left = 0.03 * WAVE + 0.03 * LEAN_LEFT + 0.065 * SWAY_LEFT
     up = STANDING - 0.27 * SQUAT - 0.03 * SPREAD - 0.02 * MARCH - 0.015 * BOW
-    roll = -0.08 * LEAN_LEFT
-    pitch = 0.30 * SQUAT + 0.28 * BOW
+    roll = -0.14 * LEAN_LEFT
+    pitch = 0.36 * SQUAT + 0.42 * BOW
     yaw = -0.12 * WAVE
     return np.stack([forward, left, up], axis=1), np.stack([roll, pitch, yaw], axis=1)
 
@@ -133,17 +133,17 @@ def solve_leg(robot: G1, side: str, joint_pos: Array, root_pos: Array, root_quat
 
 def upper_body() -> dict[str, Array]:
     """Paths of waist and arms, by joint without `_joint`; what is not named stays at 0."""
-    both_pitch = 0.2 - 1.9 * SQUAT - 0.2 * SPREAD
-    both_elbow = 1.0 + 0.3 * SQUAT + 0.4 * SPREAD - 0.8 * MARCH
+    both_pitch = 0.2 - 1.2 * SQUAT - 0.2 * SPREAD
+    both_elbow = 1.0 - 0.9 * SQUAT + 0.4 * SPREAD - 0.8 * MARCH
     return {
         "waist_yaw": -0.25 * WAVE - 0.2 * SWAY_LEFT,
-        "waist_roll": 0.06 * WAVE - 0.32 * LEAN_LEFT,
-        "waist_pitch": 0.10 * SQUAT + 0.30 * BOW,
+        "waist_roll": 0.10 * BOW - 0.08 * WAVE - 0.06 * LEAN_LEFT,
+        "waist_pitch": -0.26 * SQUAT - 0.05 * MARCH,
         "left_shoulder_pitch": both_pitch + 0.3 * WAVE - 0.6 * SWAY_LEFT + 0.3 * BOW,
         "right_shoulder_pitch": both_pitch - 0.2 * WAVE + 0.6 * SWAY_LEFT - 0.9 * BOW,
-        "left_shoulder_roll": 0.2 + 0.35 * WAVE + 1.3 * SPREAD + 0.3 * BOW,
+        "left_shoulder_roll": 0.2 + 0.45 * WAVE + 1.3 * SPREAD + 0.1 * BOW,
         "right_shoulder_roll": -0.2 - 1.35 * WAVE - 1.3 * SPREAD,
-        "left_shoulder_yaw": -1.2 * WAVE,
+        "left_shoulder_yaw": -1.0 * WAVE,
         "right_shoulder_yaw": -1.4 * WAVE + 0.9 * BOW,
         "left_elbow": both_elbow - 0.6 * WAVE,
         "right_elbow": both_elbow - 0.9 * WAVE + 0.45 * HELLO - 0.8 * BOW,

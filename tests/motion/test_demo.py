@@ -3,6 +3,7 @@ from __future__ import annotations
 import importlib.util
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -52,7 +53,7 @@ def test_stays_well_within_the_robots_limits(demo, robot):
 
 def test_moves_every_limb(demo, robot):
     for group in check_motion(demo, robot).groups:
-        assert group.highest - group.lowest > 0.5, group.group
+        assert group.highest - group.lowest > 0.3, group.group
 
 
 def test_begins_and_ends_at_rest_in_one_pose(demo):
@@ -66,11 +67,23 @@ def test_begins_and_ends_at_rest_in_one_pose(demo):
     np.testing.assert_allclose(demo.root_pos[-1], demo.root_pos[0], atol=1e-5)
 
 
-def test_is_gentle(demo):
-    """No joint is thrown: 100 rad/s^2 turn a whole straight leg (3 kg m^2) with 300 Nm, a foot or a
-    hand with less than the motors have; a step lifts a shank, which weighs a tenth of a leg."""
-    times = np.linspace(0.0, demo.duration, 4000)
-    assert np.abs(Trajectory(demo).sample_many(times).joint_acc).max() < 100.0
+def test_asks_for_less_than_half_the_torque_there_is(demo, robot):
+    """With the pelvis held upright in the air, as the bridge holds it unless told otherwise."""
+    model = mujoco.MjModel.from_xml_string(robot.urdf)
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    data = mujoco.MjData(model)
+    joints = [model.joint(name) for name in robot.joint_names]
+    place = [joint.qposadr[0] for joint in joints]
+    speed = [joint.dofadr[0] for joint in joints]
+    trajectory, torques = Trajectory(demo), []
+    for t in np.arange(0.0, demo.duration, 0.02):
+        point = trajectory.sample(t)
+        data.qpos[place], data.qvel[speed] = point.joint_pos, point.joint_vel
+        data.qacc[speed] = point.joint_acc
+        mujoco.mj_inverse(model, data)
+        torques.append(data.qfrc_inverse[speed])
+    share = np.abs(torques).max(axis=0) / robot.effort
+    assert 0.05 < share.max() < 0.5, robot.joint_names[int(share.argmax())]
 
 
 def test_the_lower_foot_is_on_the_ground(feet):

@@ -32,6 +32,7 @@ __all__ = [
     "StreamConfig",
     "Support",
     "load_config",
+    "read_toml",
 ]
 
 Support = Literal["bolted", "hanging"]
@@ -130,7 +131,7 @@ def load_config(path: Path | None = None, over: Mapping[str, Any] | None = None)
     Raises:
         ConfigError: the file cannot be read, is not TOML, or a value does not fit; names it.
     """
-    values = _read_toml(path) if path else {}
+    values = read_toml(path) if path else {}
     for key, value in (over or {}).items():
         if value is None:
             continue
@@ -142,7 +143,12 @@ def load_config(path: Path | None = None, over: Mapping[str, Any] | None = None)
         raise _explained(error, path) from error
 
 
-def _read_toml(path: Path) -> dict[str, Any]:
+def read_toml(path: Path) -> dict[str, Any]:
+    """The tables of a TOML file.
+
+    Raises:
+        ConfigError: it cannot be read, or is not TOML.
+    """
     try:
         with path.open("rb") as file:
             values: dict[str, Any] = tomllib.load(file)

@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from g1stream.clock import Clock
     from g1stream.control.envelope import Envelope
     from g1stream.control.gains import Gains
     from g1stream.control.link import Link
     from g1stream.control.targets import Target, Targets
-    from g1stream.control.ticker import Clock
 
 __all__ = ["LoopReport", "StreamLoop"]
 

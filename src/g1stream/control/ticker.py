@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import ctypes
-import time
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,48 +12,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["Clock", "Lateness", "SystemClock", "Ticker"]
+    from g1stream.clock import Clock
 
-
-class Clock(Protocol):
-    """The clocks a loop needs, so that a test can bring its own."""
-
-    def now(self) -> int:
-        """CLOCK_MONOTONIC, ns; paces the loop."""
-
-    def stamp(self) -> int:
-        """CLOCK_REALTIME, ns since the epoch; stamps what goes out."""
-
-    def sleep_until(self, deadline: int) -> None:
-        """Sleep until `now()` has reached `deadline`."""
-
-
-class SystemClock:
-    """The clocks of this machine."""
-
-    def __init__(self) -> None:
-        _tighten_timer_slack()
-
-    def now(self) -> int:
-        """CLOCK_MONOTONIC, ns."""
-        return time.monotonic_ns()
-
-    def stamp(self) -> int:
-        """CLOCK_REALTIME, ns since the epoch."""
-        return time.time_ns()
-
-    def sleep_until(self, deadline: int) -> None:
-        """Sleep until `now()` has reached `deadline`; signals are handled on the way."""
-        while (left := deadline - time.monotonic_ns()) > 0:
-            time.sleep(left / 1e9)
-
-
-def _tighten_timer_slack() -> None:
-    """Ask the kernel to wake this thread 1 ns late at the most instead of 50 us (prctl(2))."""
-    set_timerslack = 29
-    prctl = getattr(ctypes.CDLL(None), "prctl", None)
-    if prctl is not None:
-        prctl(set_timerslack, ctypes.c_ulong(1))
+__all__ = ["Lateness", "Ticker"]
 
 
 class Lateness:
@@ -85,6 +44,10 @@ class Lateness:
         rank = max(1, int(np.ceil(self.n * percent / 100.0)))
         bin_end = float(np.searchsorted(np.cumsum(self.counts), rank) + 1)
         return min(bin_end, self.maximum_ns / 1000.0)
+
+    def sparse(self) -> dict[str, int]:
+        """The bins that are not empty: lower edge in us -> count."""
+        return {str(i): int(self.counts[i]) for i in np.flatnonzero(self.counts)}
 
 
 @dataclass

@@ -28,7 +28,7 @@ from g1stream.errors import WireError
 if TYPE_CHECKING:
     from types import TracebackType
 
-__all__ = ["Endpoint", "Participant", "interfaces"]
+__all__ = ["Endpoint", "Participant", "interfaces", "is_loopback"]
 
 #: Beyond this the ports that a domain id stands for leave the range of ports (RTPS 2.5, 9.6.2).
 MAX_DOMAIN: Final = 232

@@ -123,6 +123,9 @@ class Layout:
     Attributes:
         typename: the type's name on the wire, such as `unitree_hg.msg.dds_.LowCmd_`.
         size: bytes of the payload, without the 4-byte header.
+        sample_size: bytes of a sample as Cyclone hands it over: the header and the payload, filled
+        up
+            to a multiple of 4.
         fields: dotted path without indices, such as `motor_cmd.q` -> Field.
         struct_bytes: for each byte of the C struct (natural alignment), the payload byte that it
             shows; `size` where it is padding.
@@ -143,6 +146,7 @@ class Layout:
             dtypes[leaf.path] = leaf.dtype
             shapes[leaf.path] = tuple(i + 1 for i in leaf.index)
         self.size = end
+        self.sample_size = len(CDR_HEADER) + _align(end, 4)
         self.fields = {
             path: Field(np.array(places, dtype=np.intp).reshape(shapes[path]), dtypes[path])
             for path, places in offsets.items()

@@ -37,8 +37,10 @@ class Message:
 
     def __init__(self) -> None:
         self.layout = Layout.of(self.idl_type)
-        self._buffer = bytearray(CDR_HEADER + bytes(self.layout.size))
-        self.payload: NDArray[np.uint8] = np.frombuffer(self._buffer, np.uint8)[len(CDR_HEADER) :]
+        self._buffer = bytearray(CDR_HEADER.ljust(self.layout.sample_size, b"\0"))
+        self.payload: NDArray[np.uint8] = np.frombuffer(
+            self._buffer, np.uint8, self.layout.size, len(CDR_HEADER)
+        )
 
     def view(self, path: str) -> NDArray[Any]:
         """A writable view of a field, by its dotted path in the IDL."""

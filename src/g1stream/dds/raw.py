@@ -12,9 +12,10 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from cyclonedds.core import DDSException, Policy, Qos
-from cyclonedds.pub import DataWriter
-from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic as CycloneTopic
+
+from g1stream.dds.entities import CountingReader, CountingWriter
+from g1stream.dds.layout import CDR_HEADER, Layout
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -82,7 +83,7 @@ class RawWriter:
         self.dropped = 0
         self._type = _raw_type(topic.message.idl_type)
         qos = Qos(Policy.Reliability.Reliable(0), Policy.History.KeepLast(depth))
-        self._writer: Any = DataWriter(
+        self._writer: Any = CountingWriter(
             participant.entity, CycloneTopic(participant.entity, topic.name, self._type), qos
         )
         participant.keep(self)
@@ -109,7 +110,7 @@ class RawWriter:
     @property
     def matched(self) -> int:
         """How many readers are matched."""
-        return int(self._writer.get_publication_matched_status().current_count)
+        return int(self._writer.matched())
 
 
 class RawReader:
@@ -120,6 +121,9 @@ class RawReader:
     Args:
         depth: how many samples wait between two takes before the oldest is lost.
         ignore_own: do not match writers of the same participant.
+
+    Attributes:
+        malformed: samples that came and were not of the topic's type.
     """
 
     def __init__(
@@ -131,14 +135,28 @@ class RawReader:
         if ignore_own:
             policies.append(Policy.IgnoreLocal.Participant)
         qos = Qos(*policies)
-        self.entity: Any = DataReader(
+        self._size = Layout.of(topic.message.idl_type).sample_size
+        self.malformed = 0
+        self.entity: Any = CountingReader(
             participant.entity, CycloneTopic(participant.entity, topic.name, self._type), qos
         )
         participant.keep(self)
 
     def take(self, most: int = 256) -> Sequence[RawSample]:
-        """The samples that came since the last take, oldest first; never waits."""
-        return [s for s in self.entity.take(most) if isinstance(s, RawSample)]
+        """The samples that came since the last take, oldest first; never waits.
+
+        What is not one sample of the topic's type in plain little-endian CDR is left out, and
+        counted in `malformed`: a writer that sends no type information is matched whatever it
+        writes.
+        """
+        whole = []
+        for sample in self.entity.take(most):
+            if isinstance(sample, RawSample):
+                if len(sample.data) == self._size and sample.data[:2] == CDR_HEADER[:2]:
+                    whole.append(sample)
+                else:
+                    self.malformed += 1
+        return whole
 
     def take_latest(self) -> RawSample | None:
         """The newest sample since the last take, or None; never waits."""
@@ -148,4 +166,9 @@ class RawReader:
     @property
     def matched(self) -> int:
         """How many writers are matched."""
-        return int(self.entity.get_subscription_matched_status().current_count)
+        return int(self.entity.matched())
+
+    @property
+    def lost(self) -> int:
+        """How many samples the reader knows that it missed."""
+        return int(self.entity.lost())

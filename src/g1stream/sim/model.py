@@ -61,7 +61,7 @@ def build_model(robot: G1, *, floating: bool, timestep: float, gravity: float) -
     Raises:
         SimError: MuJoCo does not accept the URDF.
     """
-    import mujoco  # noqa: PLC0415
+    import mujoco
 
     try:
         spec = mujoco.MjSpec.from_string(_simplified(robot))
@@ -129,7 +129,7 @@ def _set_contacts(spec: Any) -> None:
 
 def _add_scene(spec: Any) -> None:
     """A floor and a light."""
-    import mujoco  # noqa: PLC0415
+    import mujoco
 
     spec.add_texture(
         name="floor",
@@ -155,7 +155,7 @@ def _add_scene(spec: Any) -> None:
 
 
 def _add_motors(spec: Any) -> None:
-    import mujoco  # noqa: PLC0415
+    import mujoco
 
     for name, limit in zip(JOINT_NAMES, TORQUE_LIMIT, strict=True):
         spec.add_actuator(
@@ -169,7 +169,7 @@ def _add_motors(spec: Any) -> None:
 
 
 def _add_sensors(spec: Any) -> None:
-    import mujoco  # noqa: PLC0415
+    import mujoco
 
     base, torso = spec.worldbody.first_body(), spec.joint("waist_pitch_joint").parent
     _add_imu(spec, "imu", spec.body("imu_in_pelvis") or base)
@@ -182,7 +182,7 @@ def _add_sensors(spec: Any) -> None:
 
 
 def _add_imu(spec: Any, name: str, body: Any) -> None:
-    import mujoco  # noqa: PLC0415
+    import mujoco
 
     body.add_site(name=name)
     for part, kind in (

@@ -27,7 +27,7 @@ def open_viewer(world: World) -> Any:
         SimError: there is no display, or no OpenGL on it.
     """
     _check_display()
-    from mujoco import viewer  # noqa: PLC0415
+    from mujoco import viewer
 
     try:
         return viewer.launch_passive(
@@ -41,7 +41,7 @@ def _check_display() -> None:
     """Try a hidden window first: where none can be made, MuJoCo's viewer waits for it for ever."""
     if sys.platform == "darwin":
         return
-    import glfw  # noqa: PLC0415
+    import glfw
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", glfw.GLFWError)

@@ -129,7 +129,7 @@ class World:
         timestep: float = 1e-3,
         gravity: float = 9.81,
     ) -> None:
-        import mujoco  # noqa: PLC0415
+        import mujoco
 
         kind = find_support(support)
         self.timestep = _checked("timestep", timestep)

@@ -1,0 +1,8 @@
+"""`python -m g1stream` is `g1stream`."""
+
+import sys
+
+from g1stream.cli.main import main
+
+if __name__ == "__main__":
+    sys.exit(main())

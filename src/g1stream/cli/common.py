@@ -1,0 +1,134 @@
+"""What the subcommands share: flags, how they become a config, signals, and how errors are told."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeAlias
+
+import tyro
+
+from g1stream.config import Config, load_config
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from g1stream.errors import G1StreamError
+
+__all__ = [
+    "EXIT_BAD_INPUT",
+    "EXIT_OK",
+    "EXIT_STOPPED",
+    "Command",
+    "Flag",
+    "WireCommand",
+    "announce_wire",
+    "exit_code_of_signal",
+    "on_signals",
+    "print_error",
+    "print_json",
+    "value",
+]
+
+EXIT_OK, EXIT_STOPPED, EXIT_BAD_INPUT = 0, 1, 2
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGTSTP)
+
+
+def value(metavar: str, default: str = "") -> Any:
+    """How a flag with a value shows in the help: what to write, and what holds without it."""
+    hint = f"(default: {default})" if default else ""
+    return tyro.conf.arg(metavar=metavar, help_behavior_hint=hint)
+
+
+Flag: TypeAlias = Annotated[
+    bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")
+]
+"""A switch, off unless given."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Command:
+    """Flags of every subcommand that has settings."""
+
+    #: Flag -> the setting it goes over.
+    settings: ClassVar[dict[str, str]] = {"robot": "robot"}
+
+    config: Annotated[Path | None, value("TOML")] = None
+    """File with settings; configs/sim.toml lists them all. Flags go over it."""
+    robot: Annotated[Path | None, value("URDF", "the built-in 29-joint G1")] = None
+    """Description of the robot."""
+
+    def resolve(self) -> Config:
+        """The config file, if any, with the flags over it.
+
+        Raises:
+            ConfigError: the file or a value does not fit.
+        """
+        return load_config(self.config, self.overrides())
+
+    def overrides(self) -> dict[str, Any]:
+        """The flags that were given, keyed like `stream.rate`."""
+        given = {key: getattr(self, flag) for flag, key in self.settings.items()}
+        return {key: value for key, value in given.items() if value not in (None, False)}
+
+    def run(self) -> int:
+        """Do it, and return the exit code."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, kw_only=True)
+class WireCommand(Command):
+    """Flags of every subcommand that goes on DDS."""
+
+    settings: ClassVar[dict[str, str]] = {
+        **Command.settings,
+        "domain": "dds.domain",
+        "interface": "dds.interface",
+    }
+
+    domain: Annotated[int | None, value("N", "1, the simulators'; the robot's is 0")] = None
+    """DDS domain."""
+    interface: Annotated[str | None, value("NAME", "lo, which stays on this machine")] = None
+    """Network interface."""
+
+
+def announce_wire(config: Config) -> None:
+    """Say on standard error where on DDS this goes; loudly, where a robot may be."""
+    from g1stream.dds.domain import is_loopback
+
+    where = f"DDS domain {config.dds.domain} on {config.dds.interface}"
+    if os.environ.get("CYCLONEDDS_URI"):
+        where = f"DDS domain {config.dds.domain}; CYCLONEDDS_URI is set and picks the interface"
+    elif not is_loopback(config.dds.interface):
+        where = (
+            f"WARNING: {where}: whatever listens there will move, a real robot too. "
+            "Keep its remote at hand"
+        )
+    print(f"{where}.", file=sys.stderr)
+
+
+def on_signals(stop: Callable[[str], None]) -> None:
+    """Call `stop` with the signal's name on Ctrl-C, Ctrl-Z, termination and a closed terminal."""
+    for number in _SIGNALS:
+        signal.signal(number, lambda received, _: stop(signal.Signals(received).name))
+
+
+def exit_code_of_signal(reason: str) -> int | None:
+    """128 + n where the reason is the name of signal n, as shells have it."""
+    names = {number.name: 128 + number for number in _SIGNALS}
+    return names.get(reason)
+
+
+def print_error(error: G1StreamError) -> None:
+    """Print the cause and the remedy, a line each, on standard error."""
+    print(f"error: {error.cause}\n       {error.remedy}", file=sys.stderr)
+
+
+def print_json(values: Any) -> None:
+    """Print values as one JSON document on standard output."""
+    print(json.dumps(values, indent=2))

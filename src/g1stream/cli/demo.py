@@ -1,0 +1,80 @@
+"""`g1stream demo`."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+
+from g1stream.cli.common import (
+    Flag,
+    WireCommand,
+    announce_wire,
+    on_signals,
+    print_json,
+    value,
+)
+from g1stream.cli.stream import exit_code
+from g1stream.cli.watch import watch
+
+if TYPE_CHECKING:
+    from g1stream.control.loop import StreamLoop
+
+__all__ = ["Demo"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Demo(WireCommand):
+    """The whole job on this machine: simulate a G1, play a motion on it, record it, compare.
+
+    Ends with session.mcap, tracking.png and a summary of how well the motion was followed.
+    """
+
+    settings: ClassVar[dict[str, str]] = {
+        **WireCommand.settings,
+        "support": "sim.support",
+        "duration": "stream.duration",
+        "viewer": "sim.viewer",
+    }
+
+    motion: Annotated[str, value("MOTION", "demo, a bundled motion")] = "demo"
+    """Motion file (CSV), or the name of a bundled motion."""
+    out: Annotated[Path, value("DIR", "demo-out")] = Path("demo-out")
+    """Where session.mcap and tracking.png go."""
+    force: Flag = False
+    """Replace files that are there already."""
+    support: Annotated[Literal["bolted", "hanging"] | None, value("{bolted,hanging}", "bolted")] = (
+        None
+    )
+    """What holds the simulated pelvis: the world, or an elastic band at the torso."""
+    duration: Annotated[float | None, value("S", "to its end")] = None
+    """How much of the motion to play."""
+    viewer: Flag = False
+    """Watch the robot in MuJoCo's viewer."""
+    json: Flag = False
+    """Print the summary as JSON on standard output."""
+
+    def run(self) -> int:
+        """Do it, and return the exit code."""
+        from g1stream.motion.readers import load_motion
+        from g1stream.programs.demo import demo
+        from g1stream.report.summary import render
+        from g1stream.robot.model import G1
+
+        config = self.resolve()
+        motion = load_motion(self.motion, G1.load(config.robot))
+        announce_wire(config)
+
+        def prepare(loop: StreamLoop) -> None:
+            on_signals(loop.request_stop)
+            watch(loop, motion)
+
+        done = demo(motion, self.out, config, force=self.force, on_loop=prepare)
+        if self.json:
+            print_json({**done.played.as_dict(), "summary": done.summary.as_dict()})
+        else:
+            print(render(done.summary))
+            print(f"\nsession  {done.session}\npicture  {done.picture}")
+            print("Open the session in Foxglove, PlotJuggler or Rerun.", file=sys.stderr)
+        return exit_code(done.played)

@@ -1,0 +1,98 @@
+"""`g1stream sim`."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+
+from g1stream.cli.common import (
+    EXIT_OK,
+    Flag,
+    WireCommand,
+    announce_wire,
+    on_signals,
+    print_json,
+    value,
+)
+
+if TYPE_CHECKING:
+    from g1stream.sim.bridge import BridgeReport
+
+__all__ = ["Sim"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sim(WireCommand):
+    """Be a simulated G1 on DDS: a MuJoCo bridge on the topics of the robot.
+
+    Publishes rt/lowstate, rt/sportmodestate and rt/secondary_imu; obeys rt/lowcmd. Ctrl-C ends it.
+    """
+
+    settings: ClassVar[dict[str, str]] = {
+        **WireCommand.settings,
+        "support": "sim.support",
+        "rate": "sim.rate",
+        "duration": "sim.duration",
+        "viewer": "sim.viewer",
+    }
+
+    support: Annotated[Literal["bolted", "hanging"] | None, value("{bolted,hanging}", "bolted")] = (
+        None
+    )
+    """What holds the pelvis: the world, or an elastic band at the torso."""
+    rate: Annotated[float | None, value("HZ", "500")] = None
+    """LowState per second."""
+    duration: Annotated[float | None, value("S", "until stopped")] = None
+    """End by itself after so long."""
+    viewer: Flag = False
+    """Open MuJoCo's viewer."""
+    json: Flag = False
+    """Print the summary as JSON on standard output."""
+    attached: Flag = False
+    """For programs: speak JSON lines, and end when standard input does."""
+
+    def run(self) -> int:
+        """Simulate, and return the exit code."""
+        from g1stream.programs.children import ParentLine
+        from g1stream.programs.sim import simulate
+
+        config = self.resolve()
+        stopped: list[str] = []
+        on_signals(stopped.append)
+        if self.attached:
+            parent = ParentLine()
+            report = simulate(
+                config,
+                should_stop=lambda: bool(stopped) or parent.gone.is_set(),
+                on_event=_print_event,
+                on_ready=lambda: parent.say("ready"),
+            )
+            parent.say("done", **report.as_dict())
+            return EXIT_OK
+        announce_wire(config)
+        print(f"Simulating a G1, {config.sim.support}. Ctrl-C ends it.", file=sys.stderr)
+        report = simulate(config, should_stop=lambda: bool(stopped), on_event=_print_event)
+        if self.json:
+            print_json(report.as_dict())
+        else:
+            print(_summary(report))
+        return EXIT_OK
+
+
+def _print_event(level: int, text: str) -> None:
+    print(f"sim: {text}", file=sys.stderr)
+
+
+def _summary(report: BridgeReport) -> str:
+    lines = [
+        f"simulated {report.simulated:.1f} s in {report.elapsed:.1f} s",
+        f"  states    {report.states} published",
+        f"  commands  {report.commands} obeyed, {sum(report.refused.values())} refused",
+    ]
+    lines += [f"            {count} x {why}" for why, count in report.refused.most_common()]
+    if report.timeouts:
+        lines.append(f"  timeouts  {report.timeouts}")
+    if report.behind:
+        lines.append(f"  behind    {report.behind:.2f} s given up: this machine is too slow")
+    return "\n".join(lines)

@@ -1,0 +1,134 @@
+"""`g1stream stream`."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+
+import tyro
+
+from g1stream.cli.common import (
+    EXIT_OK,
+    EXIT_STOPPED,
+    Flag,
+    WireCommand,
+    announce_wire,
+    exit_code_of_signal,
+    on_signals,
+    print_json,
+    value,
+)
+from g1stream.cli.watch import watch
+
+if TYPE_CHECKING:
+    from g1stream.control.loop import StreamLoop
+    from g1stream.programs.stream import StreamOutcome
+
+__all__ = ["Stream", "exit_code"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stream(WireCommand):
+    """Play a motion on whatever robot listens: publish it as LowCmd, watch LowState.
+
+    Waits for a LowState, moves to the first frame, plays, holds, damps. Ctrl-C damps and ends.
+    """
+
+    settings: ClassVar[dict[str, str]] = {
+        **WireCommand.settings,
+        "rate": "stream.rate",
+        "start": "stream.start",
+        "duration": "stream.duration",
+        "loop": "stream.loop",
+        "ramp": "stream.ramp",
+        "allow_second_writer": "safety.allow_second_writer",
+    }
+
+    motion: Annotated[str, tyro.conf.Positional, value("MOTION")]
+    """Motion file (CSV), or the name of a bundled motion: demo."""
+    record: Annotated[Path | None, value("MCAP")] = None
+    """Record the session into this file."""
+    force: Flag = False
+    """Replace a recording that is there already."""
+    rate: Annotated[float | None, value("HZ", "500")] = None
+    """LowCmd per second."""
+    start: Annotated[float | None, value("S", "0")] = None
+    """Where in the motion to start."""
+    duration: Annotated[float | None, value("S", "to its end")] = None
+    """How much of the motion to play."""
+    loop: Flag = False
+    """Play again and again until stopped."""
+    ramp: Annotated[float | None, value("S", "3")] = None
+    """Time from the measured pose to the first frame."""
+    gains: Annotated[Path | None, value("TOML", "those of Unitree's example")] = None
+    """File with tables [kp] and [kd]: joint name or pattern = gain. Goes over the config's."""
+    fps: Annotated[float | None, value("N", "30")] = None
+    """Frames per second of the motion file."""
+    allow_second_writer: Flag = False
+    """Play although somebody else commands the robot. Dangerous."""
+    json: Flag = False
+    """Print the summary as JSON on standard output."""
+
+    def overrides(self) -> dict[str, Any]:
+        """The flags that were given, and the gains file's tables."""
+        from g1stream.config import read_toml
+
+        over = super().overrides()
+        if self.gains:
+            over["gains"] = read_toml(self.gains)
+        return over
+
+    def run(self) -> int:
+        """Play, and return the exit code."""
+        from g1stream.motion.readers import load_motion
+        from g1stream.programs.stream import stream
+        from g1stream.robot.model import G1
+
+        config = self.resolve()
+        motion = load_motion(self.motion, G1.load(config.robot), fps=self.fps)
+        for warning in motion.warnings:
+            print(f"warning: {warning}", file=sys.stderr)
+        announce_wire(config)
+
+        def prepare(loop: StreamLoop) -> None:
+            on_signals(loop.request_stop)
+            watch(loop, motion)
+
+        outcome = stream(motion, config, record=self.record, force=self.force, on_loop=prepare)
+        if self.json:
+            print_json(outcome.as_dict())
+        else:
+            print(_summary(outcome))
+        return exit_code(outcome)
+
+
+def exit_code(outcome: StreamOutcome) -> int:
+    """0 for a motion played to its end, 128 + n for signal n, 1 for what else stopped it."""
+    reason = outcome.report.reason
+    if not reason:
+        return EXIT_OK
+    return exit_code_of_signal(reason) or EXIT_STOPPED
+
+
+def _summary(outcome: StreamOutcome) -> str:
+    report = outcome.report
+    lateness = report.lateness
+    ended = f"stopped: {report.reason}" if report.reason else "played to its end"
+    if not report.commands:
+        return f"{outcome.motion}: no command was sent; {report.reason}."
+    lines = [
+        f"{outcome.motion}: {ended}",
+        f"  commands   {report.commands} at {report.rate:.2f} Hz "
+        f"({1e9 / report.period:g} asked for), {report.skipped} ticks skipped",
+        "  lateness   "
+        + ", ".join(f"p{p:g} {lateness.percentile_us(p):.0f} us" for p in (50, 99, 99.9))
+        + f", max {lateness.maximum_ns / 1000:.0f} us",
+        f"  states     {report.states} received",
+    ]
+    if clamped := int(report.clamped.sum()):
+        lines.append(f"  limits     {clamped} joint targets were held at their limit")
+    if outcome.recording:
+        lines.append(f"  recording  {outcome.recording['path']}")
+    return "\n".join(lines)

@@ -1,0 +1,1 @@
+"""The programs: each wires the rooms together into something that runs."""

@@ -1,0 +1,168 @@
+"""A program of ours run as a child of another, and how the two speak.
+
+The child prints one JSON object a line on its standard output; the parent writes such lines to the
+child's standard input. When that input ends, the parent is done or gone, and the child finishes: so
+no child outlives its parent, however the parent ended.
+"""
+
+from __future__ import annotations
+
+import json
+import queue
+import subprocess
+import sys
+import threading
+import time
+from typing import IO, TYPE_CHECKING, Any
+
+from g1stream.errors import G1StreamError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+__all__ = ["Child", "ChildError", "ParentLine"]
+
+
+class ChildError(G1StreamError):
+    """A program started as a child did not do its part."""
+
+
+class Child:
+    """A g1stream command running as a child process.
+
+    Args:
+        command: the arguments after `g1stream`.
+
+    Attributes:
+        name: the subcommand.
+    """
+
+    def __init__(self, command: Sequence[str]) -> None:
+        self.name = command[0]
+        # A session of its own: Ctrl-C in the terminal is for the parent, who ends the child.
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "g1stream", *command, "--attached"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+        self._lines: queue.Queue[dict[str, Any] | None] = queue.Queue()
+        threading.Thread(target=self._read, daemon=True).start()
+
+    def _read(self) -> None:
+        for line in _pipe(self._process.stdout):
+            self._lines.put(json.loads(line))
+        self._lines.put(None)
+
+    @property
+    def alive(self) -> bool:
+        """Whether the process still runs."""
+        return self._process.poll() is None
+
+    def send(self, message: dict[str, Any]) -> None:
+        """Write one line to the child; a child that is gone hears nothing."""
+        pipe = _pipe(self._process.stdin)
+        try:
+            pipe.write(json.dumps(message) + "\n")
+            pipe.flush()
+        except (BrokenPipeError, ValueError):
+            return
+
+    def wait_for(self, event: str, timeout: float) -> dict[str, Any]:
+        """The child's line whose `event` is this one; lines before it are passed over.
+
+        Raises:
+            ChildError: the child ended or said an error first, or the time ran out.
+        """
+        end = time.monotonic() + timeout
+        while True:
+            try:
+                message = self._lines.get(timeout=max(0.0, end - time.monotonic()))
+            except queue.Empty:
+                raise ChildError(
+                    f"g1stream {self.name} did not come to {event!r} within {timeout:g} s.",
+                    f"Run g1stream {self.name} by itself to see what holds it up.",
+                ) from None
+            if message is None:
+                raise ChildError(
+                    f"g1stream {self.name} ended with exit code {self._process.wait()}.",
+                    f"Run g1stream {self.name} by itself to see why.",
+                )
+            if message.get("event") == "error":
+                raise ChildError(message["cause"], message["remedy"])
+            if message.get("event") == event:
+                return message
+
+    def finish(self, timeout: float = 30.0) -> dict[str, Any]:
+        """Tell the child to end, and return its last word (`event` "done").
+
+        Raises:
+            ChildError: it did not end well or in time; it is gone all the same.
+        """
+        try:
+            _pipe(self._process.stdin).close()
+            done = self.wait_for("done", timeout)
+            self._process.wait(timeout)
+        except (BrokenPipeError, subprocess.TimeoutExpired) as error:
+            raise ChildError(
+                f"g1stream {self.name} did not end in order: {error}.", "Look at what it printed."
+            ) from error
+        finally:
+            self.kill()
+        return done
+
+    def kill(self) -> None:
+        """End the process if it still runs: it is asked first, and then made to."""
+        if not self.alive:
+            return
+        self._process.terminate()
+        try:
+            self._process.wait(5.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+
+class ParentLine:
+    """The child's side: what the parent says, and whether it is still there.
+
+    Attributes:
+        gone: set when the parent is done or gone.
+    """
+
+    def __init__(self) -> None:
+        self.gone = threading.Event()
+        self._lines: queue.Queue[dict[str, Any]] = queue.Queue()
+        threading.Thread(target=self._read, daemon=True).start()
+
+    def _read(self) -> None:
+        for line in sys.stdin:
+            self._lines.put(json.loads(line))
+        self.gone.set()
+
+    def received(self) -> list[dict[str, Any]]:
+        """The lines that came since the last call."""
+        lines = []
+        while not self._lines.empty():
+            lines.append(self._lines.get())
+        return lines
+
+    def next(self, timeout: float) -> dict[str, Any] | None:
+        """The next line, or None when none comes in time."""
+        try:
+            return self._lines.get(timeout=timeout)
+        except queue.Empty:
+            return None
+
+    @staticmethod
+    def say(event: str, **values: Any) -> None:
+        """Print one line for the parent."""
+        sys.stdout.write(json.dumps({"event": event, **values}) + "\n")
+        sys.stdout.flush()
+
+
+def _pipe(pipe: IO[str] | None) -> IO[str]:
+    if pipe is None:
+        raise RuntimeError("a child is always started with pipes")
+    return pipe

@@ -1,0 +1,112 @@
+"""The whole job on one machine: our bridge, a motion on it, a recording, and how well it went."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from g1stream.config import Config
+from g1stream.dds.domain import Participant
+from g1stream.dds.topics import LOWSTATE
+from g1stream.errors import RecordingError, WireError
+from g1stream.programs.children import Child
+from g1stream.programs.stream import stream
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from g1stream.control.loop import StreamLoop
+    from g1stream.motion.motion import Motion
+    from g1stream.programs.stream import StreamOutcome
+    from g1stream.report.summary import Summary
+
+__all__ = ["DemoOutcome", "demo"]
+
+#: How long to look for somebody who simulates on the same domain already, s.
+_LOOK_AROUND = 0.5
+
+
+@dataclass(frozen=True)
+class DemoOutcome:
+    """What a demo made: the files, how the motion was played and how well it was followed."""
+
+    session: Path
+    picture: Path
+    played: StreamOutcome
+    summary: Summary
+
+
+def demo(
+    motion: Motion | str | Path,
+    out: Path,
+    config: Config | None = None,
+    *,
+    force: bool = False,
+    on_loop: Callable[[StreamLoop], None] | None = None,
+) -> DemoOutcome:
+    """Play a motion on our own bridge and record it, all on this machine.
+
+    Args:
+        motion: a motion, a motion file, or the name of a bundled motion.
+        out: directory for session.mcap and tracking.png; made where it is missing.
+        config: all settings; the defaults if left out.
+        force: replace files that are there already.
+        on_loop: is given the loop before it runs.
+
+    Raises:
+        G1StreamError: a file, a setting or the wire does not allow it.
+    """
+    from g1stream.recording.session import open_session
+    from g1stream.report.picture import draw
+    from g1stream.report.summary import summarise
+
+    config = config or Config()
+    _make_directory(out)
+    session_path, picture_path = out / "session.mcap", out / "tracking.png"
+    _check_nobody_simulates(config)
+    sim = Child(_sim_command(config))
+    try:
+        sim.wait_for("ready", timeout=20.0)
+        played = stream(motion, config, record=session_path, force=force, on_loop=on_loop)
+        sim.finish()
+    finally:
+        sim.kill()
+    session = open_session(session_path)
+    draw(session, picture_path)
+    return DemoOutcome(session_path, picture_path, played, summarise(session))
+
+
+def _sim_command(config: Config) -> list[str]:
+    command = [
+        "sim",
+        f"--domain={config.dds.domain}",
+        f"--interface={config.dds.interface}",
+        f"--support={config.sim.support}",
+        f"--rate={config.sim.rate}",
+    ]
+    if config.robot:
+        command.append(f"--robot={config.robot}")
+    return command + (["--viewer"] if config.sim.viewer else [])
+
+
+def _make_directory(out: Path) -> None:
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RecordingError(
+            f"The directory {out} cannot be made: {error.strerror}.", "Choose another --out."
+        ) from error
+
+
+def _check_nobody_simulates(config: Config) -> None:
+    with Participant(config.dds.domain, config.dds.interface) as participant:
+        time.sleep(_LOOK_AROUND)
+        others = participant.writers(LOWSTATE.name)
+    if others:
+        raise WireError(
+            f"Somebody publishes {LOWSTATE.name} on domain {config.dds.domain} already: "
+            f"{', '.join(map(str, others))}.",
+            f"End it, or choose a free domain, such as --domain {config.dds.domain + 1}.",
+        )

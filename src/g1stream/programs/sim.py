@@ -1,0 +1,62 @@
+"""Run the MuJoCo bridge."""
+
+from __future__ import annotations
+
+import time
+from contextlib import ExitStack
+from typing import TYPE_CHECKING
+
+from g1stream.clock import SystemClock
+from g1stream.config import Config
+from g1stream.dds.domain import Participant
+from g1stream.robot.model import G1
+from g1stream.sim.bridge import Bridge
+from g1stream.sim.world import World
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from g1stream.sim.bridge import BridgeReport
+
+__all__ = ["simulate"]
+
+
+def simulate(
+    config: Config | None = None,
+    *,
+    should_stop: Callable[[], bool] = lambda: False,
+    on_event: Callable[[int, str], None] = lambda level, text: None,
+    on_ready: Callable[[], None] = lambda: None,
+) -> BridgeReport:
+    """Be a simulated G1 on DDS until told to stop or for `config.sim.duration`.
+
+    Args:
+        config: all settings; the defaults if left out.
+        should_stop: asked at every LowState.
+        on_event: is told what is worth telling, (level, text).
+        on_ready: called when the robot is about to be there.
+
+    Raises:
+        G1StreamError: a setting or the wire does not allow it.
+    """
+    config = config or Config()
+    world = World(G1.load(config.robot), config.sim.support)
+    with ExitStack() as stack:
+        participant = stack.enter_context(Participant(config.dds.domain, config.dds.interface))
+        view = _viewer(world, stack) if config.sim.viewer else None
+        bridge = Bridge(participant, world, config.sim, SystemClock(), on_event=on_event, view=view)
+        on_ready()
+        end = None if config.sim.duration is None else time.monotonic() + config.sim.duration
+        return bridge.run(lambda: should_stop() or (end is not None and time.monotonic() >= end))
+
+
+def _viewer(world: World, stack: ExitStack) -> Callable[[], bool]:
+    from g1stream.sim.viewer import open_viewer
+
+    window = stack.enter_context(open_viewer(world))
+
+    def view() -> bool:
+        window.sync()
+        return bool(window.is_running())
+
+    return view

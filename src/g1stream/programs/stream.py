@@ -1,0 +1,195 @@
+"""Play a motion: the loop on the wire, with a recorder beside it if asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from g1stream.clock import SystemClock
+from g1stream.config import Config
+from g1stream.control.envelope import Envelope
+from g1stream.control.gains import Gains, resolve_gains
+from g1stream.control.link import DdsLink
+from g1stream.control.loop import StreamLoop
+from g1stream.control.phases import Timing
+from g1stream.control.targets import Targets
+from g1stream.dds.domain import Participant
+from g1stream.errors import ConfigError
+from g1stream.motion.motion import Motion
+from g1stream.motion.readers import load_motion
+from g1stream.motion.trajectory import Trajectory
+from g1stream.programs.children import Child
+from g1stream.robot.model import G1
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from g1stream.clock import Clock
+    from g1stream.control.loop import LoopReport
+
+__all__ = ["StreamOutcome", "stream"]
+
+_PERCENTILES = (50.0, 99.0, 99.9)
+
+
+@dataclass(frozen=True)
+class StreamOutcome:
+    """How a motion was played.
+
+    Attributes:
+        motion: its name.
+        report: what the loop counted.
+        recording: the recorder's own summary; None where nothing was recorded.
+    """
+
+    motion: str
+    report: LoopReport
+    recording: dict[str, Any] | None
+
+    def as_dict(self) -> dict[str, Any]:
+        """The outcome as JSON values."""
+        return {
+            "motion": self.motion,
+            "loop": loop_summary(self.report),
+            "recording": self.recording,
+        }
+
+
+def stream(
+    motion: Motion | str | Path,
+    config: Config | None = None,
+    *,
+    record: Path | None = None,
+    force: bool = False,
+    on_loop: Callable[[StreamLoop], None] | None = None,
+) -> StreamOutcome:
+    """Play a motion on whatever robot listens, and return how it went.
+
+    The robot is damped before this returns or raises, however it ends.
+
+    Args:
+        motion: a motion, a motion file, or the name of a bundled motion.
+        config: all settings; the defaults if left out: domain 1 on loopback.
+        record: also record the session into this file.
+        force: replace a recording that is there already.
+        on_loop: is given the loop before it runs, to watch it or to ask it to stop.
+
+    Raises:
+        G1StreamError: a file, a setting or the wire does not allow it.
+    """
+    config = config or Config()
+    robot = G1.load(config.robot)
+    if not isinstance(motion, Motion):
+        motion = load_motion(motion, robot)
+    start, play = _interval(motion, config)
+    trajectory = Trajectory(motion, loop=config.stream.loop)
+    gains = resolve_gains(config.gains)
+    with Participant(config.dds.domain, config.dds.interface) as participant:
+        link = DdsLink(participant)
+        targets = Targets(trajectory, start=start, play=play, ramp=config.stream.ramp)
+        loop = make_loop(config, robot, link, targets, play, gains, SystemClock())
+        if on_loop:
+            on_loop(loop)
+        recorder = _start_recorder(record, force, config, motion, gains) if record else None
+        recording = None
+        try:
+            report = loop.run()
+        finally:
+            if recorder:
+                recorder.send({"stream": loop_summary(loop.report)})
+                recording = recorder.finish()
+    return StreamOutcome(motion.name, report, recording)
+
+
+def make_loop(
+    config: Config,
+    robot: G1,
+    link: Any,
+    targets: Targets,
+    play: float | None,
+    gains: Gains,
+    clock: Clock,
+) -> StreamLoop:
+    """The loop of a config, not yet running; `play` is how much of the motion is played, s."""
+    settings, safety = config.stream, config.safety
+    timing = Timing(
+        wait=_ns(settings.wait),
+        ramp=_ns(settings.ramp),
+        play=None if play is None else _ns(play),
+        hold=_ns(settings.hold),
+        damp=_ns(settings.damp),
+    )
+    return StreamLoop(
+        link,
+        clock,
+        targets,
+        Envelope(robot, safety),
+        timing,
+        gains,
+        period=round(1e9 / settings.rate),
+        damp_kd=settings.damp_kd,
+        allow_rivals=safety.allow_second_writer,
+    )
+
+
+def loop_summary(report: LoopReport) -> dict[str, Any]:
+    """What the loop counted, as JSON values."""
+    lateness = report.lateness
+    return {
+        "reason": report.reason,
+        "commands": report.commands,
+        "rate_hz": report.rate if report.commands > 1 else None,
+        "nominal_rate_hz": 1e9 / report.period,
+        "lateness_us": {
+            **{f"p{p:g}": lateness.percentile_us(p) for p in _PERCENTILES if lateness.n},
+            "max": lateness.maximum_ns / 1000.0,
+        },
+        "lateness_histogram_us": lateness.sparse(),
+        "skipped_ticks": report.skipped,
+        "worst_work_us": report.worst_work / 1000.0,
+        "states": report.states,
+        "clamped_ticks": report.clamped.tolist(),
+    }
+
+
+def _interval(motion: Motion, config: Config) -> tuple[float, float | None]:
+    """Where to start and how much to play, s; None: without end."""
+    start, duration = config.stream.start, config.stream.duration
+    if start >= motion.duration:
+        raise ConfigError(
+            f"The start, {start:g} s, is not within {motion.name}, which lasts "
+            f"{motion.duration:.2f} s.",
+            "Choose an earlier --start.",
+        )
+    if config.stream.loop:
+        return start, duration
+    rest = motion.duration - start
+    return start, rest if duration is None else min(duration, rest)
+
+
+def _start_recorder(path: Path, force: bool, config: Config, motion: Motion, gains: Gains) -> Child:
+    recorder = Child(["record", str(path), *(["--force"] if force else [])])
+    try:
+        recorder.send(
+            {
+                "config": config.model_dump(mode="json"),
+                "gains": {name: values.tolist() for name, values in gains._asdict().items()},
+                "motion": {
+                    "name": motion.name,
+                    "fps": motion.fps,
+                    "frames": motion.n_frames,
+                    "sha256": motion.sha256,
+                    "source": str(motion.source) if motion.source else None,
+                },
+            }
+        )
+        recorder.wait_for("ready", timeout=20.0)
+    except BaseException:
+        recorder.kill()
+        raise
+    return recorder
+
+
+def _ns(seconds: float) -> int:
+    return round(seconds * 1e9)

@@ -183,7 +183,10 @@ def test_bundled_motion_by_name():
         (changed(3, 1, "-4"), r"line 3, column 1 \(Frame\): frame -4 comes after frame 0"),
         (changed(4, 1, "0"), r"line 4, column 1 \(Frame\): frame 0 is there twice"),
         (changed(3, 1, "1.5"), r"line 3, column 1 \(Frame\): the frame number 1.5 is not whole"),
-        (changed(1, 12, "left_knee"), "lacks: left_knee and lacks .* has: left_knee_joint"),
+        (
+            changed(1, 12, "left_knee"),
+            "line 1: the header .* lacks: left_knee and lacks .* has: left_knee_joint",
+        ),
         (changed(1, 12, "tail_joint"), "lacks: tail_joint and lacks .* has: left_knee_joint"),
         (changed(1, 12, ""), "line 1, column 12: the header has an empty name"),
         (changed(1, 3, "X"), "line 1: columns 2 and 3 are both named X"),

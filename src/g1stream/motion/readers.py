@@ -129,8 +129,9 @@ def _check_columns(table: Table, joint_names: tuple[str, ...]) -> None:
             faults.append(f"has joints that the robot lacks: {_listed(unknown)}")
         if missing:
             faults.append(f"lacks joints that the robot has: {_listed(missing)}")
+        where = table.name if header is None else f"{table.name}, line {header}: the header"
         raise MotionError(
-            f"{table.name} {' and '.join(faults)}.",
+            f"{where} {' and '.join(faults)}.",
             "Name the columns as the robot's URDF names its joints, one for each of "
             f"its {len(joint_names)} motors.",
         )

@@ -229,7 +229,7 @@ class StreamLoop:
             self._command.kp[:] = 0.0
             self._command.kd[:] = self._damp_kd
         went = f"{before.name} -> {phase.name}"
-        if self.state.reason:
+        if self.state.reason and before < Phase.DAMP:
             self._tell(ERROR, f"{went}: {self.state.reason}")
         else:
             self._tell(INFO, went)

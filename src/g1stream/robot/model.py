@@ -18,7 +18,7 @@ DEFAULT_URDF = resources.files(__package__) / "g1_29dof.urdf"
 DEFAULT_TABLE = resources.files(__package__) / "g1_29dof.json"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class G1(KinematicTree):
     """A 29-joint G1: its links and joints as arrays, and the URDF they were read from.
 
@@ -29,6 +29,9 @@ class G1(KinematicTree):
 
     source: str
     urdf: str
+
+    def __repr__(self) -> str:
+        return f"G1(name={self.name!r}, source={self.source!r}, links={len(self.link_names)})"
 
     @classmethod
     @cache

@@ -115,12 +115,16 @@ def quat_from_rpy(rpy: Array) -> Array:
 def quat_to_rpy(quat: Array) -> Array:
     """Roll, pitch, yaw (..., 3) rad of unit quaternions (..., 4), as `quat_from_rpy` takes them.
 
-    Pitch lies in [-pi/2, pi/2]; at its ends only the sum or difference of roll and yaw is defined.
+    Pitch lies in [-pi/2, pi/2]. At its ends only the sum or the difference of roll and yaw is
+    defined; the result is then one of the triples that give this rotation. By half the sum and half
+    the difference of roll and yaw (E. Bernardes and S. Viollet, 2022), which is exact there too.
     """
     w, x, y, z = np.moveaxis(quat, -1, 0)
-    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
-    pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0))
-    return np.stack([roll, pitch, yaw_of(quat)], axis=-1)
+    half_sum, half_difference = np.arctan2(x + z, w - y), np.arctan2(x - z, w + y)
+    pitch = 2 * np.arctan2(np.hypot(x - z, w + y), np.hypot(x + z, w - y)) - np.pi / 2
+    rpy = np.stack([half_sum + half_difference, pitch, half_sum - half_difference], axis=-1)
+    wrapped: Array = rpy - 2 * np.pi * np.round(rpy / (2 * np.pi))
+    return wrapped
 
 
 def yaw_of(quat: Array) -> Array:

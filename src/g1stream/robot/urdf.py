@@ -23,6 +23,8 @@ __all__ = ["parse_urdf"]
 
 _USE_29_JOINTS = "Use the URDF of a G1 with 29 joints, such as g1_29dof_rev_1_0.urdf."
 _MAKE_ONE_TREE = "Connect all links to one root link, each by one joint to its parent."
+_PARTS = {"link": (), "joint": ("origin", "parent", "child", "axis", "limit")}
+_NUMBERS = {"xyz": 3, "rpy": 3, "lower": 1, "upper": 1, "velocity": 1, "effort": 1}
 _AXIS_TOLERANCE = 1e-3  # more than rounding to four digits does
 
 
@@ -44,12 +46,12 @@ def parse_urdf(text: str, source: str) -> KinematicTree:
 
     n_links = len(link_names)
     parent, joint_of_link = np.full(n_links, -1), np.full(n_links, -1)
-    origin, axis = np.zeros((n_links, 4, 4)), np.zeros((n_links, 3))
-    origin[0] = np.eye(4)
+    origin, axis = np.tile(np.eye(4), (n_links, 1, 1)), np.zeros((n_links, 3))
     for link, name in enumerate(link_names[1:], start=1):
         joint = joint_above[name]
         parent[link] = link_names.index(joint.parent)
-        origin[link] = _origin(joint, source)
+        if joint.origin is not None:
+            origin[link] = joint.origin
         if joint.name in JOINT_NAMES:
             joint_of_link[link] = JOINT_NAMES.index(joint.name)
             axis[link] = _unit_axis(joint, source)
@@ -79,20 +81,14 @@ def parse_urdf(text: str, source: str) -> KinematicTree:
 
 def _parse(text: str, source: str) -> Any:
     """The robot, its links and joints as yourdfpy's dataclasses."""
-    from yourdfpy import URDF  # noqa: PLC0415  (takes a second, and the default robot needs none)
+    from yourdfpy import URDF
 
-    root = _kinematic_part(text, source)
-    try:
-        return URDF.load(BytesIO(ET.tostring(root)), build_scene_graph=False).robot
-    except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
-        raise RobotError(
-            f"{source} is not a valid URDF: {type(error).__name__}, {error}.",
-            "Correct the file; check_urdf says where it is wrong.",
-        ) from error
+    xml = ET.tostring(_kinematic_part(text, source))
+    return URDF.load(BytesIO(xml), build_scene_graph=False).robot
 
 
 def _kinematic_part(text: str, source: str) -> ET.Element:
-    """The XML without shapes and masses, which may be of any kind and are no concern here."""
+    """The XML with links and joints only, without shapes, masses and whatever else may be there."""
     try:
         root = ET.fromstring(text)
     except ET.ParseError as error:
@@ -106,15 +102,41 @@ def _kinematic_part(text: str, source: str) -> ET.Element:
             f"{source} is not a URDF: its root element is <{root.tag}>, not <robot>.",
             "Give a URDF file; MJCF, SDF and USD files are not read.",
         )
-    for link in root.findall("link"):
-        link[:] = []
-    for joint in root.findall("joint"):
-        if lacking := {"parent", "child"} - {part.tag for part in joint}:
+    part = ET.Element("robot", name=root.get("name", ""))
+    for element in root:
+        if element.tag in _PARTS:
+            part.append(_stripped(element, source))
+    return part
+
+
+def _stripped(element: ET.Element, source: str) -> ET.Element:
+    """A link or joint with the parts that are read, after a look whether it has those it needs."""
+    kept = ET.Element(element.tag, element.attrib)
+    kept.extend(child for child in element if child.tag in _PARTS[element.tag])
+    if "name" not in kept.attrib:
+        raise RobotError(f"{source} has a {kept.tag} without a name.", "Name it.")
+    for needed in ("parent", "child") if kept.tag == "joint" else ():
+        if kept.find(needed) is None:
             raise RobotError(
-                f"{source}: the joint {joint.get('name')!r} has no <{min(lacking)}>.",
-                _MAKE_ONE_TREE,
+                f"{source}: the joint {kept.get('name')!r} has no <{needed}>.", _MAKE_ONE_TREE
             )
-    return root
+    for part in kept:
+        for key, value in part.items():
+            if key in _NUMBERS and not _are_numbers(value, _NUMBERS[key]):
+                raise RobotError(
+                    f"{source}: the joint {kept.get('name')!r} has {key}={value!r} "
+                    f"in its <{part.tag}>.",
+                    "Give three finite numbers as xyz and rpy, and one as each limit.",
+                )
+    return kept
+
+
+def _are_numbers(text: str, count: int) -> bool:
+    try:
+        numbers = [float(word) for word in text.split()]
+    except ValueError:
+        return False
+    return len(numbers) == count and bool(np.isfinite(numbers).all())
 
 
 def _check_names(robot: Any, source: str) -> None:
@@ -147,7 +169,8 @@ def _check_joints(joints: Mapping[str, Any], source: str) -> None:
     for name, joint in joints.items():
         if name in JOINT_NAMES and joint.type != "revolute":
             raise RobotError(
-                f"{source}: the joint {name!r} is {joint.type}, not revolute.", _USE_29_JOINTS
+                f"{source}: the joint {name!r} is {joint.type or 'of no type'}, not revolute.",
+                _USE_29_JOINTS,
             )
         if joint.type in ("floating", "planar"):
             raise RobotError(
@@ -188,20 +211,9 @@ def _sort_links(robot: Any, source: str) -> tuple[tuple[str, ...], dict[str, Any
     return tuple(ordered), joint_above
 
 
-def _origin(joint: Any, source: str) -> NDArray[np.float64]:
-    """The joint's frame in the parent link's, (4, 4)."""
-    origin = np.eye(4) if joint.origin is None else joint.origin
-    if not np.isfinite(origin).all():
-        raise RobotError(
-            f"{source}: the origin of the joint {joint.name!r} is not finite.",
-            "Give its xyz and rpy as ordinary numbers.",
-        )
-    return origin
-
-
 def _unit_axis(joint: Any, source: str) -> NDArray[np.float64]:
     length = float(np.linalg.norm(joint.axis))
-    if joint.axis.shape != (3,) or not abs(length - 1) <= _AXIS_TOLERANCE:
+    if abs(length - 1) > _AXIS_TOLERANCE:
         raise RobotError(
             f"{source}: the axis of the joint {joint.name!r} is {joint.axis.tolist()}, "
             "not a unit vector.",
@@ -215,10 +227,10 @@ def _limits(joint: Any, source: str) -> tuple[float, float, float, float]:
     """Lower, upper, velocity and effort of a joint of the G1."""
     limit = joint.limit
     values = limit and (limit.lower, limit.upper, limit.velocity, limit.effort)
-    if not values or None in values or not np.isfinite(values).all():
+    if not values or None in values:
         raise RobotError(
             f"{source}: the joint {joint.name!r} lacks a limit.",
-            'Give it <limit lower="" upper="" velocity="" effort=""/>, all finite.',
+            "Give it a <limit> with lower, upper, velocity and effort.",
         )
     if limit.lower >= limit.upper or limit.velocity <= 0 or limit.effort <= 0:
         raise RobotError(

@@ -1,0 +1,111 @@
+"""Our URDF: Unitree's figures, our shapes, feet on the ground."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import mujoco
+import numpy as np
+import pytest
+
+TOOL = Path(__file__).parents[2] / "tools/make_robot_urdf.py"
+FEET = ("left_ankle_roll_link", "right_ankle_roll_link")
+
+
+def figures(element):
+    """An element's name, attributes and parts without shapes, numbers as numbers."""
+
+    def value(text):
+        try:
+            return [float(word) for word in text.split()]
+        except ValueError:
+            return text
+
+    attributes = {key: value(text) for key, text in element.items()}
+    parts = [part for part in element if part.tag not in ("visual", "collision")]
+    return {**attributes, **{part.tag: figures(part) for part in parts}}
+
+
+@pytest.mark.parametrize(("tag", "count"), [("link", 39), ("joint", 38)])
+def test_figures_are_unitrees(robot, reference_urdf, tag, count):
+    """Names, types, frames, axes, limits, masses and inertias; in the same order."""
+    ours = [figures(item) for item in ET.fromstring(robot.urdf).iter(tag)]
+    reference = ET.parse(reference_urdf("g1_29dof_rev_1_0.urdf"))
+    theirs = [figures(item) for item in reference.iter(tag)]
+    assert len(ours) == count
+    assert ours == theirs
+
+
+def test_shapes_are_primitives(robot):
+    kinds = {shape.tag for g in ET.fromstring(robot.urdf).iter("geometry") for shape in g}
+    assert kinds == {"box", "cylinder", "sphere"}
+
+
+def test_the_tool_makes_what_is_committed(reference_urdf, robot, tmp_path):
+    reference = reference_urdf("g1_29dof_rev_1_0.urdf")
+    command = [sys.executable, str(TOOL), "--reference", str(reference), "--out", str(tmp_path)]
+    subprocess.run(command, check=True)
+    assert (tmp_path / "g1_29dof.urdf").read_text(encoding="utf-8") == robot.urdf
+
+
+def sole_geoms(model):
+    return np.flatnonzero(np.isin(model.geom_bodyid, [model.body(name).id for name in FEET]))
+
+
+def touching(model, data):
+    """Pairs of bodies in contact."""
+    return {
+        tuple(model.body(model.geom_bodyid[g]).name for g in pair) for pair in data.contact.geom
+    }
+
+
+@pytest.fixture
+def standing(robot, compile_mujoco):
+    """MuJoCo's model and data: the zero pose, its lowest point 0.1 mm in the ground."""
+    model = compile_mujoco(robot.urdf, ground=True)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    soles = sole_geoms(model)
+    data.qpos[2] -= (data.geom_xpos[soles, 2] - model.geom_size[soles, 0]).min() + 1e-4
+    mujoco.mj_forward(model, data)
+    return model, data
+
+
+def test_the_soles_touch_the_ground_together_and_nothing_else_does(standing):
+    model, data = standing
+    assert data.ncon == len(sole_geoms(model)) == 8
+    assert touching(model, data) == {("world", foot) for foot in FEET}
+
+
+def test_what_is_seen_stands_on_the_ground_too(robot, standing):
+    """No shape digs into the ground, and the lowest one is on it."""
+    sole_height = -standing[1].qpos[2] - 1e-4
+    spec = mujoco.MjSpec.from_string(robot.urdf)
+    spec.compiler.fusestatic = spec.compiler.discardvisual = False
+    seen = spec.compile()
+    data = mujoco.MjData(seen)
+    mujoco.mj_kinematics(seen, data)
+    half = np.einsum("gij,gj->gi", np.abs(data.geom_xmat.reshape(-1, 3, 3)), seen.geom_aabb[:, 3:])
+    assert (data.geom_xpos - half)[:, 2].min() == pytest.approx(sole_height, abs=1e-6)
+
+
+def test_the_centre_of_mass_is_above_the_support(standing):
+    model, data = standing
+    soles = data.geom_xpos[sole_geoms(model), :2]
+    margin = 0.02
+    assert (soles.min(axis=0) + margin < data.subtree_com[0, :2]).all()
+    assert (data.subtree_com[0, :2] < soles.max(axis=0) - margin).all()
+
+
+def test_a_stiff_robot_stays_on_its_feet(standing):
+    model, data = standing
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    model.jnt_stiffness[1:], model.dof_damping[6:], model.dof_armature[6:] = 1000, 20, 0.01
+    height = data.qpos[2]
+    mujoco.mj_step(model, data, nstep=500)
+    assert data.qpos[2] == pytest.approx(height, abs=0.005)
+    assert abs(data.qpos[3]) > np.cos(0.02 / 2)
+    assert touching(model, data) == {("world", foot) for foot in FEET}

@@ -1,0 +1,61 @@
+"""Motor order, groups and gains against the compiled model and Unitree's figures."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP, JOINT_GROUPS, JOINT_NAMES, N_JOINTS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from g1stream.robot.model import G1
+
+
+def test_motor_order_is_the_order_of_joints_in_the_compiled_model(
+    robot: G1, compile_mujoco: Callable[..., Any]
+) -> None:
+    model = compile_mujoco(robot.urdf)
+    names = [model.joint(i).name for i in range(1, model.njnt)]  # 0 is the free root
+    assert tuple(names) == JOINT_NAMES
+    assert len(JOINT_NAMES) == N_JOINTS == 29
+
+
+def test_groups_hold_each_joint_once_in_motor_order() -> None:
+    assert [i for group in JOINT_GROUPS.values() for i in group] == list(range(N_JOINTS))
+    assert {name: len(group) for name, group in JOINT_GROUPS.items()} == {
+        "left_leg": 6,
+        "right_leg": 6,
+        "waist": 3,
+        "left_arm": 7,
+        "right_arm": 7,
+    }
+    for name, group in JOINT_GROUPS.items():
+        side = name.split("_")[0]
+        assert all(JOINT_NAMES[i].startswith(side) for i in group)
+
+
+def test_example_gains_per_joint() -> None:
+    stiffness = dict(zip(JOINT_NAMES, EXAMPLE_KP.tolist(), strict=True))
+    assert stiffness["right_hip_yaw_joint"] == 60
+    assert stiffness["left_knee_joint"] == 100
+    assert stiffness["left_ankle_roll_joint"] == 40
+    assert (stiffness["waist_yaw_joint"], stiffness["waist_pitch_joint"]) == (60, 40)
+    assert stiffness["right_wrist_yaw_joint"] == 40
+    assert EXAMPLE_KP.sum() == 2 * (3 * 60 + 100 + 2 * 40) + 140 + 14 * 40
+    assert [n for n, kd in zip(JOINT_NAMES, EXAMPLE_KD, strict=True) if kd != 1] == [
+        "left_knee_joint",
+        "right_knee_joint",
+    ]
+
+
+def test_constants_cannot_be_changed() -> None:
+    for gains in (EXAMPLE_KP, EXAMPLE_KD):
+        assert gains.dtype == np.float64
+        with pytest.raises(ValueError, match="read-only"):
+            gains[0] = 1.0
+    with pytest.raises(TypeError):
+        JOINT_GROUPS["tail"] = ()  # type: ignore[index]

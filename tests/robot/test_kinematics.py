@@ -1,0 +1,109 @@
+"""Forward kinematics against yourdfpy and MuJoCo on the same URDF."""
+
+from __future__ import annotations
+
+from io import StringIO
+
+import numpy as np
+import pytest
+
+from g1stream.robot.kinematics import forward_kinematics, local_transforms
+from g1stream.robot.model import G1
+from g1stream.robot.rotations import quat_angle, quat_from_matrix, quat_mul, quat_rotate
+
+METRES = RADIANS = 1e-9
+
+
+@pytest.fixture(params=["default", "tilted axes", "with hands"])
+def any_robot(request, robot, reference_urdf, tmp_path):
+    if request.param == "default":
+        return robot
+    if request.param == "with hands":
+        return G1.load(reference_urdf("g1_29dof_with_hand_rev_1_0.urdf"))
+    path = tmp_path / "tilted.urdf"
+    path.write_text(robot.urdf.replace('<axis xyz="0 1 0"', '<axis xyz="0.48 -0.6 0.64"'))
+    return G1.load(path)
+
+
+def test_every_link_is_where_yourdfpy_puts_it(any_robot, random_frames):
+    import yourdfpy
+
+    peer = yourdfpy.URDF.load(StringIO(any_robot.urdf), load_meshes=False)
+    poses = forward_kinematics(any_robot, *random_frames)
+    for frame, (joint_pos, root_pos, root_quat) in enumerate(zip(*random_frames, strict=True)):
+        peer.update_cfg(dict(zip(any_robot.joint_names, joint_pos, strict=True)))
+        in_root = np.array([peer.get_transform(link) for link in any_robot.link_names])
+        pos = root_pos + quat_rotate(root_quat, in_root[:, :3, 3])
+        quat = quat_mul(root_quat, quat_from_matrix(in_root[:, :3, :3]))
+        np.testing.assert_allclose(poses.pos[frame], pos, rtol=0, atol=METRES)
+        np.testing.assert_array_less(quat_angle(poses.quat_wxyz[frame], quat), RADIANS)
+
+
+def test_every_link_is_where_mujoco_puts_it(any_robot, random_frames, compile_mujoco):
+    import mujoco
+
+    model = compile_mujoco(any_robot.urdf)
+    data = mujoco.MjData(model)
+    joints = [model.joint(name).qposadr[0] for name in any_robot.joint_names]
+    bodies = [model.body(name).id for name in any_robot.link_names]
+    poses = forward_kinematics(any_robot, *random_frames)
+    for frame, (joint_pos, root_pos, root_quat) in enumerate(zip(*random_frames, strict=True)):
+        data.qpos[:3], data.qpos[3:7], data.qpos[joints] = root_pos, root_quat, joint_pos
+        mujoco.mj_kinematics(model, data)
+        np.testing.assert_allclose(poses.pos[frame], data.xpos[bodies], rtol=0, atol=METRES)
+        turn = quat_angle(poses.quat_wxyz[frame], data.xquat[bodies])
+        np.testing.assert_array_less(turn, RADIANS)
+
+
+def test_local_transforms_compose_to_the_world(robot, random_frames):
+    local = local_transforms(robot, *random_frames)
+    world = forward_kinematics(robot, *random_frames)
+    np.testing.assert_array_equal(local.pos[:, 0], random_frames.root_pos)
+    np.testing.assert_array_equal(local.quat_wxyz[:, 0], random_frames.root_quat_wxyz)
+    for link, up in list(enumerate(robot.parent))[1:]:
+        pos = world.pos[:, up] + quat_rotate(world.quat_wxyz[:, up], local.pos[:, link])
+        quat = quat_mul(world.quat_wxyz[:, up], local.quat_wxyz[:, link])
+        np.testing.assert_allclose(world.pos[:, link], pos, atol=1e-12)
+        np.testing.assert_array_less(quat_angle(world.quat_wxyz[:, link], quat), 1e-12)
+
+
+def test_a_frame_does_not_depend_on_its_batch(robot, random_frames):
+    batch = forward_kinematics(robot, *random_frames)
+    for frame in (0, 7):
+        alone = forward_kinematics(robot, *(values[frame : frame + 1] for values in random_frames))
+        np.testing.assert_allclose(alone.pos[0], batch.pos[frame], atol=1e-14)
+        np.testing.assert_allclose(alone.quat_wxyz[0], batch.quat_wxyz[frame], atol=1e-14)
+
+
+def test_one_root_pose_serves_all_frames(robot, random_frames):
+    root_pos, root_quat = random_frames.root_pos[3], random_frames.root_quat_wxyz[3]
+    poses = forward_kinematics(robot, random_frames.joint_pos, root_pos, root_quat)
+    one_by_one = forward_kinematics(
+        robot, random_frames.joint_pos, np.tile(root_pos, (12, 1)), np.tile(root_quat, (12, 1))
+    )
+    np.testing.assert_array_equal(poses.pos, one_by_one.pos)
+
+
+def test_results_are_the_callers_own(robot, random_frames):
+    poses = local_transforms(robot, *random_frames)
+    poses.pos[:] = poses.quat_wxyz[:] = 0
+    assert robot.origin_pos.any()
+    assert random_frames.root_pos.any()
+
+
+def test_no_frames_give_no_poses(robot):
+    poses = forward_kinematics(robot, np.empty((0, 29)), np.empty((0, 3)), np.empty((0, 4)))
+    assert poses.pos.shape == (0, 39, 3)
+    assert poses.quat_wxyz.shape == (0, 39, 4)
+
+
+@pytest.mark.parametrize("shape", [(29,), (12, 28), (12, 35)])
+def test_joint_positions_of_another_shape_are_refused(robot, random_frames, shape):
+    with pytest.raises(ValueError, match="29"):
+        forward_kinematics(robot, np.zeros(shape), *random_frames[1:])
+
+
+def test_root_poses_of_another_length_are_refused(robot, random_frames):
+    with pytest.raises(ValueError, match="shape"):
+        forward_kinematics(robot, random_frames.joint_pos, random_frames.root_pos[:5],
+                           random_frames.root_quat_wxyz)  # fmt: skip

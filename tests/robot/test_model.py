@@ -1,0 +1,137 @@
+"""The default robot, its compiled table, and robots of users' URDFs that can be used."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import fields
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+
+from g1stream.errors import RobotError
+from g1stream.robot.joints import JOINT_NAMES
+from g1stream.robot.model import DEFAULT_TABLE, DEFAULT_URDF, G1
+from g1stream.robot.table import read_table, write_table
+from g1stream.robot.tree import KinematicTree
+from g1stream.robot.urdf import parse_urdf
+
+
+def assert_equal_trees(a: KinematicTree, b: KinematicTree) -> None:
+    for field in fields(KinematicTree):
+        ours, theirs = getattr(a, field.name), getattr(b, field.name)
+        if isinstance(ours, np.ndarray):
+            assert ours.dtype == theirs.dtype, field.name
+            np.testing.assert_array_equal(ours, theirs, err_msg=field.name)
+        else:
+            assert ours == theirs, field.name
+
+
+def test_the_compiled_table_is_what_the_parser_reads():
+    urdf = DEFAULT_URDF.read_text(encoding="utf-8")
+    table = DEFAULT_TABLE.read_text(encoding="utf-8")
+    compiled, parsed = read_table(table, urdf), parse_urdf(urdf, "default")
+    assert compiled is not None
+    assert_equal_trees(compiled, parsed)
+    assert write_table(parsed, urdf) == table
+
+
+def test_a_table_of_another_urdf_is_not_used(robot):
+    table = write_table(robot, robot.urdf)
+    assert read_table(table, robot.urdf) is not None
+    assert read_table(table, robot.urdf + " ") is None
+
+
+def test_default_is_one_object_and_what_load_gives_without_a_path(robot):
+    assert G1.default() is robot
+    assert G1.load() is robot
+    assert G1.load(None) is robot
+    assert robot.source == "default"
+    assert robot.urdf == DEFAULT_URDF.read_text(encoding="utf-8")
+
+
+def test_the_default_robot_needs_no_heavy_import():
+    code = (
+        "import sys; from g1stream.robot.model import G1; from g1stream.robot import kinematics;"
+        "G1.default(); print(sorted(set(sys.modules) & "
+        "{'yourdfpy', 'trimesh', 'scipy', 'mujoco', 'lxml', 'matplotlib'}))"
+    )
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert out.stdout.strip() == "[]"
+
+
+def test_loading_the_default_by_path_gives_the_same_tree(robot, tmp_path):
+    path = tmp_path / "copy.urdf"
+    path.write_text(robot.urdf, encoding="utf-8")
+    for spelling in (path, str(path)):
+        loaded = G1.load(spelling)
+        assert loaded.source == str(path)
+        assert_equal_trees(loaded, robot)
+
+
+def test_links_come_parents_first(robot):
+    assert robot.link_names[0] == "pelvis"
+    assert robot.parent[0] == -1
+    assert all(up < link for link, up in enumerate(robot.parent))
+    assert sorted(np.concatenate([[0], *robot.levels])) == list(range(len(robot.link_names)))
+
+
+def test_each_joint_moves_one_link(robot):
+    assert robot.joint_names == JOINT_NAMES
+    moving = robot.joint_of_link >= 0
+    assert sorted(robot.joint_of_link[moving]) == list(range(29))
+    np.testing.assert_array_equal(np.linalg.norm(robot.axis, axis=1), moving)
+    knee = robot.link_index("left_knee_link")
+    assert robot.joint_names[robot.joint_of_link[knee]] == "left_knee_joint"
+
+
+def test_arrays_are_read_only(robot):
+    arrays = [v for v in vars(robot).values() if isinstance(v, np.ndarray)]
+    assert len(arrays) == 9
+    assert not any(array.flags.writeable for array in arrays)
+
+
+def test_an_unknown_link_is_named_with_the_known_ones(robot):
+    assert robot.link_names[robot.link_index("torso_link")] == "torso_link"
+    with pytest.raises(RobotError, match=r"'tail'.*torso_link"):
+        robot.link_index("tail")
+
+
+def test_a_robot_prints_in_one_line(robot):
+    assert repr(robot) == "G1(name='g1_29dof', source='default', links=39)"
+
+
+def test_fingers_are_held_at_zero_and_named(reference_urdf):
+    with_hands = G1.load(reference_urdf("g1_29dof_with_hand_rev_1_0.urdf"))
+    assert with_hands.joint_names == JOINT_NAMES
+    assert len(with_hands.ignored_joints) == 14
+    assert all("_hand_" in name for name in with_hands.ignored_joints)
+    thumb = with_hands.link_index("left_hand_thumb_1_link")
+    assert with_hands.joint_of_link[thumb] == -1
+
+
+def test_unitrees_own_urdf_is_the_default_robot(robot, reference_urdf):
+    """Meshes it names are not there under these paths, and need not be."""
+    theirs = G1.load(reference_urdf("g1_29dof_rev_1_0.urdf"))
+    assert theirs.name == "g1_29dof_rev_1_0"
+    for field in fields(KinematicTree):
+        if field.name != "name":
+            np.testing.assert_array_equal(getattr(theirs, field.name), getattr(robot, field.name))
+
+
+def test_order_of_elements_does_not_matter(robot, tmp_path):
+    """Joints before links, children before parents: the tree is the same up to the order."""
+    root = ET.fromstring(robot.urdf)
+    root[:] = reversed(root)
+    path = Path(tmp_path, "reversed.urdf")
+    path.write_text(ET.tostring(root, encoding="unicode"))
+    turned = G1.load(path)
+    assert set(turned.link_names) == set(robot.link_names)
+    np.testing.assert_array_equal(turned.upper, robot.upper)
+    for name in robot.link_names[1:]:
+        ours, theirs = robot.link_index(name), turned.link_index(name)
+        assert turned.parent[theirs] < theirs
+        np.testing.assert_array_equal(turned.origin_pos[theirs], robot.origin_pos[ours])
+        assert robot.link_names[robot.parent[ours]] == turned.link_names[turned.parent[theirs]]

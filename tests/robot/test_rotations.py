@@ -1,0 +1,181 @@
+"""The wxyz algebra against scipy's rotations."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from scipy.spatial.transform import Rotation
+
+from g1stream.robot import rotations
+from g1stream.robot.rotations import (
+    quat_angle,
+    quat_conj,
+    quat_from_axis_angle,
+    quat_from_matrix,
+    quat_from_rpy,
+    quat_mul,
+    quat_normalize,
+    quat_rotate,
+    quat_rotate_inverse,
+    quat_to_matrix,
+    quat_to_rpy,
+    wxyz_from_xyzw,
+    xyzw_from_wxyz,
+    yaw_of,
+)
+
+RNG = np.random.default_rng(4)
+SHAPE = (6, 5)
+N = 30
+
+
+def scipy_rotation(quat_wxyz):
+    return Rotation.from_quat(quat_wxyz.reshape(-1, 4)[:, [1, 2, 3, 0]])
+
+
+def assert_same_rotation(quat_wxyz, rotation):
+    turn = scipy_rotation(quat_wxyz) * rotation.inv()
+    np.testing.assert_allclose(turn.magnitude(), 0, atol=1e-14)
+
+
+@pytest.fixture
+def quats():
+    return Rotation.random(N, rng=RNG).as_quat()[:, [3, 0, 1, 2]].reshape(*SHAPE, 4)
+
+
+@pytest.fixture
+def others():
+    return Rotation.random(N, rng=RNG).as_quat()[:, [3, 0, 1, 2]].reshape(*SHAPE, 4)
+
+
+@pytest.fixture
+def vectors():
+    return RNG.normal(size=(*SHAPE, 3))
+
+
+def test_product_is_the_composition(quats, others):
+    product = quat_mul(quats, others)
+    assert product.shape == quats.shape
+    assert_same_rotation(product, scipy_rotation(quats) * scipy_rotation(others))
+
+
+def test_product_of_the_basis_is_hamiltons():
+    one, i, j, k = np.eye(4)
+    np.testing.assert_array_equal(quat_mul(i, j), k)
+    np.testing.assert_array_equal(quat_mul(j, k), i)
+    np.testing.assert_array_equal(quat_mul(k, i), j)
+    np.testing.assert_array_equal(quat_mul(j, i), -k)
+    np.testing.assert_array_equal(quat_mul(i, i), -one)
+    np.testing.assert_array_equal(quat_mul(one, k), k)
+
+
+def test_conjugate_undoes(quats):
+    identity = quat_mul(quats, quat_conj(quats))
+    np.testing.assert_allclose(identity, np.broadcast_to([1, 0, 0, 0], identity.shape), atol=1e-15)
+
+
+def test_normalize_keeps_the_direction(quats):
+    np.testing.assert_allclose(quat_normalize(-7.5 * quats), -quats, atol=1e-15)
+
+
+def test_rotate_and_back(quats, vectors):
+    turned = quat_rotate(quats, vectors)
+    expected = scipy_rotation(quats).apply(vectors.reshape(-1, 3)).reshape(vectors.shape)
+    np.testing.assert_allclose(turned, expected, atol=1e-14)
+    np.testing.assert_allclose(quat_rotate_inverse(quats, turned), vectors, atol=1e-14)
+
+
+def test_leading_axes_broadcast(quats, vectors):
+    one = quats[0, 0]
+    np.testing.assert_allclose(quat_mul(quats, one)[2, 3], quat_mul(quats[2, 3], one), atol=1e-15)
+    np.testing.assert_allclose(
+        quat_rotate(one, vectors)[2, 3], quat_rotate(one, vectors[2, 3]), atol=1e-15
+    )
+    axis = np.array([0.0, 0.6, 0.8])
+    assert quat_from_axis_angle(axis, np.zeros((3, 2))).shape == (3, 2, 4)
+    assert quat_from_axis_angle(np.eye(3), np.array(0.3)).shape == (3, 4)
+
+
+def test_axis_angle():
+    axis = RNG.normal(size=(N, 3))
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    angle = RNG.uniform(-6, 6, N)
+    assert_same_rotation(
+        quat_from_axis_angle(axis, angle), Rotation.from_rotvec(axis * angle[:, None])
+    )
+
+
+def test_rpy_both_ways():
+    rpy = RNG.uniform([-np.pi, -np.pi / 2, -np.pi], [np.pi, np.pi / 2, np.pi], (N, 3))
+    quat = quat_from_rpy(rpy)
+    assert_same_rotation(quat, Rotation.from_euler("xyz", rpy))
+    np.testing.assert_allclose(quat_to_rpy(quat), rpy, atol=1e-12)
+    np.testing.assert_allclose(yaw_of(quat), rpy[:, 2], atol=1e-12)
+
+
+@pytest.mark.parametrize("pitch", [np.pi / 2, -np.pi / 2])
+def test_rpy_at_the_poles_is_the_same_rotation(pitch):
+    quat = quat_from_rpy(np.array([0.4, pitch, -1.1]))
+    rpy = quat_to_rpy(quat)
+    assert rpy[1] == pytest.approx(pitch, abs=1e-14)
+    np.testing.assert_allclose(quat_angle(quat, quat_from_rpy(rpy)), 0, atol=1e-14)
+
+
+@given(arrays(np.float64, 3, elements=st.floats(-4, 4)))
+def test_rpy_of_any_rotation_gives_it_back(angles):
+    quat = quat_from_rpy(angles)
+    rpy = quat_to_rpy(quat)
+    assert (np.abs(rpy) <= [np.pi, np.pi / 2 + 1e-15, np.pi]).all()
+    np.testing.assert_allclose(quat_angle(quat, quat_from_rpy(rpy)), 0, atol=1e-14)
+    of_the_negative = quat_from_rpy(quat_to_rpy(-quat))
+    np.testing.assert_allclose(quat_angle(quat, of_the_negative), 0, atol=1e-14)
+
+
+def test_matrix_both_ways(quats):
+    matrix = quat_to_matrix(quats)
+    expected = scipy_rotation(quats).as_matrix().reshape(*SHAPE, 3, 3)
+    np.testing.assert_allclose(matrix, expected, atol=1e-14)
+    assert_same_rotation(quat_from_matrix(matrix), scipy_rotation(quats))
+
+
+@given(arrays(np.float64, 4, elements=st.floats(-1, 1)).filter(lambda q: np.linalg.norm(q) > 0.1))
+def test_from_matrix_is_well_conditioned_everywhere(components):
+    """Near half turns too, where the trace alone loses all digits; and w is never negative."""
+    quat = quat_normalize(components)
+    back = quat_from_matrix(quat_to_matrix(quat))
+    assert back[0] >= 0
+    np.testing.assert_allclose(quat_angle(quat, back), 0, atol=1e-14)
+
+
+@pytest.mark.parametrize("half_turn", np.diag([1.0, 1.0, 1.0, 1.0])[1:])
+def test_from_matrix_of_half_turns(half_turn):
+    np.testing.assert_array_equal(quat_from_matrix(quat_to_matrix(half_turn)), half_turn)
+
+
+def test_angle_between(quats, others):
+    expected = (scipy_rotation(quats).inv() * scipy_rotation(others)).magnitude()
+    np.testing.assert_allclose(quat_angle(quats, others).reshape(-1), expected, atol=1e-14)
+    np.testing.assert_allclose(quat_angle(quats, -quats), 0, atol=1e-15)
+
+
+@pytest.mark.parametrize("angle", [1e-12, 1e-6, 1.0, np.pi])
+def test_small_angles_keep_their_digits(angle):
+    turn = quat_from_axis_angle(np.array([0.0, 0.6, 0.8]), np.array(angle))
+    assert quat_angle(np.array([1.0, 0, 0, 0]), turn) == pytest.approx(angle, rel=1e-12)
+
+
+def test_orders_are_each_others_inverse():
+    np.testing.assert_array_equal(wxyz_from_xyzw(np.array([[1, 2, 3, 4.0]])), [[4, 1, 2, 3]])
+    np.testing.assert_array_equal(xyzw_from_wxyz(np.array([[4, 1, 2, 3.0]])), [[1, 2, 3, 4]])
+
+
+def test_all_names_are_public():
+    functions = {
+        name
+        for name, value in vars(rotations).items()
+        if callable(value) and getattr(value, "__module__", "") == rotations.__name__
+    }
+    assert {name for name in functions if not name.startswith("_")} == set(rotations.__all__)

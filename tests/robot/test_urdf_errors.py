@@ -1,0 +1,143 @@
+"""What is wrong with a URDF is said in one sentence, and what to do in another."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from g1stream.errors import RobotError
+from g1stream.robot.model import G1
+
+KNEE = 'name="left_knee_joint" type="revolute"'
+KNEE_PARENT = '<parent link="left_hip_yaw_link" />\n    <child link="left_knee_link" />'
+KNEE_LIMIT = '<limit lower="-0.087267" upper="2.8798" effort="139" velocity="20" />'
+ANKLE = 'xyz="0 -0.000094445 -0.30001"'
+FIXED_LOGO = 'name="logo_joint" type="fixed"'
+END = "</robot>"
+
+# what is wrong: (old text, new text, the cause that must be named, the remedy)
+EDITS = {
+    "an end that is missing": (END, "", "not XML: line ", "URDF"),
+    "another format": ("robot", "mujoco", "its root element is <mujoco>", "MJCF"),
+    "text in a number": (ANKLE, 'xyz="0 0 low"', "'left_ankle_pitch_joint' has xyz='0 0 low' in",
+                         "three"),
+    "two numbers for three": (ANKLE, 'xyz="0 0"', "has xyz='0 0' in its <origin>", "three"),
+    "a number that is none": (ANKLE, 'xyz="nan 0 0"', "xyz='nan 0 0'", "three"),
+    "four angles": ('rpy="0 0.1749 0"', 'rpy="0 1 0 0"', "has rpy='0 1 0 0'", "three"),
+    "a link without a name": ('<link name="head_link">', "<link>", "a link without a name", ""),
+    "a joint without a parent": ('<parent link="left_hip_yaw_link" />', "",
+                                 "'left_knee_joint' has no <parent>", "one root"),
+    "a parent without a link": (KNEE_PARENT, KNEE_PARENT.replace("parent link", "parent lin"),
+                                "names a link None", "add the link"),
+    "an unknown link": (KNEE_PARENT, KNEE_PARENT.replace("left_hip_yaw_link", "thigh"),
+                        "'left_knee_joint' names a link 'thigh'", "add the link"),
+    "a link twice": (END, '<link name="head_link"/></robot>', "2 links named 'head_link'", ""),
+    "a joint twice": ("logo_joint", "head_joint", "2 joints named 'head_joint'", ""),
+    "two roots": (END, '<link name="crate"/></robot>', "2 root links: pelvis, crate", "one root"),
+    "no root": (END, '<joint name="j" type="fixed"><parent link="head_link"/>'
+                '<child link="pelvis"/></joint></robot>', "0 root links", "one root"),
+    "two parents": (END, '<joint name="j" type="fixed"><parent link="pelvis"/>'
+                    '<child link="head_link"/></joint></robot>',
+                    "'head_link' has two parents, through the joints 'head_joint' and 'j'", ""),
+    "a ring beside the tree": (
+        END, '<link name="a"/><link name="b"/>'
+        '<joint name="j" type="fixed"><parent link="a"/><child link="b"/></joint>'
+        '<joint name="k" type="fixed"><parent link="b"/><child link="a"/></joint></robot>',
+        "no way leads from the root to the links a, b", "one root"),
+    "joints that are not there": ('name="waist_roll_joint"', 'name="waist_lean_joint"',
+                                  "lacks 1 of the G1's 29 moving joints: waist_roll_joint",
+                                  "29 joints"),
+    "a joint that is fixed": (KNEE, KNEE.replace("revolute", "fixed"), "left_knee_joint", "29"),
+    "a joint that slides": (KNEE, KNEE.replace("revolute", "prismatic"),
+                            "'left_knee_joint' is prismatic, not revolute", "29 joints"),
+    "a joint of no known type": (KNEE, KNEE.replace("revolute", "hinge"), "is hinge", "29"),
+    "a joint without a type": (KNEE, KNEE.replace(' type="revolute"', ""), "is of no type", "29"),
+    "a floating base": (FIXED_LOGO, FIXED_LOGO.replace("fixed", "floating"), "is floating",
+                        "moves freely"),
+    "a zero axis": ('<axis xyz="1 0 0"', '<axis xyz="0 0 0"', "[0.0, 0.0, 0.0]", "length 1"),
+    "a long axis": ('<axis xyz="1 0 0"', '<axis xyz="1 1 0"', "[1.0, 1.0, 0.0]", "length 1"),
+    "a short axis": ('<axis xyz="1 0 0"', '<axis xyz="1"', "xyz='1' in its <axis>", "three"),
+    "an axis that is no number": ('<axis xyz="1 0 0"', '<axis xyz="nan 0 0"',
+                                  "xyz='nan 0 0' in its <axis>", "three"),
+    "no limit": (KNEE_LIMIT, "", "'left_knee_joint' lacks a limit", "a <limit>"),
+    "half a limit": (KNEE_LIMIT, '<limit lower="-0.08" upper="2.8" effort="139"/>', "lacks", ""),
+    "an endless limit": (KNEE_LIMIT, KNEE_LIMIT.replace("2.8798", "inf"), "upper='inf'", "one as"),
+    "limits the wrong way round": (KNEE_LIMIT, KNEE_LIMIT.replace("-0.087267", "3"),
+                                   "cannot move: lower 3.0, upper 2.8798", "lower less than upper"),
+    "a motor without torque": (KNEE_LIMIT, KNEE_LIMIT.replace("139", "0"), "effort 0.0", "posi"),
+}  # fmt: skip
+
+
+@pytest.fixture
+def load(tmp_path):
+    def load_text(text: str) -> G1:
+        path = tmp_path / "some.urdf"
+        path.write_text(text, encoding="utf-8")
+        return G1.load(path)
+
+    return load_text
+
+
+@pytest.mark.parametrize(("old", "new", "cause", "remedy"), EDITS.values(), ids=EDITS)
+def test_one_defect_one_error(robot, load, old, new, cause, remedy):
+    assert old in robot.urdf
+    with pytest.raises(RobotError) as caught:
+        load(robot.urdf.replace(old, new))
+    assert cause in caught.value.cause
+    assert "some.urdf" in caught.value.cause
+    assert remedy in caught.value.remedy
+    for sentence in (caught.value.cause, caught.value.remedy):
+        assert "\n" not in sentence
+        assert re.search(r"\w.*\.$", sentence)
+
+
+def test_all_missing_joints_of_a_23_joint_robot_are_named(robot, load):
+    urdf = robot.urdf
+    missing = ["waist_roll_joint", "waist_pitch_joint"]
+    missing += [f"{s}_wrist_{a}_joint" for s in ("left", "right") for a in ("pitch", "yaw")]
+    for name in missing:
+        urdf = urdf.replace(f'name="{name}" type="revolute"', f'name="{name}" type="fixed"')
+    with pytest.raises(RobotError, match="lacks 6 of the G1's 29") as caught:
+        load(urdf)
+    assert all(name in caught.value.cause for name in missing)
+
+
+def test_axes_rounded_to_four_digits_are_unit(robot, load):
+    rounded = load(robot.urdf.replace('<axis xyz="0 1 0"', '<axis xyz="0.5774 0.5773 0.5774"'))
+    knee = rounded.link_index("left_knee_link")
+    assert (rounded.axis[knee] ** 2).sum() == pytest.approx(1, abs=1e-15)
+
+
+def test_other_elements_are_not_looked_at(robot, load):
+    odd = robot.urdf.replace('<sphere radius="0.005" />', '<capsule radius="x" />')
+    odd = odd.replace("</robot>", "<gazebo><plugin/></gazebo><link_group/></robot>")
+    odd = odd.replace(KNEE_LIMIT, KNEE_LIMIT + "<mimic/><safety_controller/>")
+    assert load(odd).link_names == robot.link_names
+
+
+def test_broken_xml_is_placed(load):
+    with pytest.raises(RobotError, match=r"some.urdf is not XML: line 2, column 9\."):
+        load('<robot name="g1">\n  <link < name="pelvis"/>\n</robot>')
+
+
+def test_a_file_that_is_not_there(tmp_path):
+    with pytest.raises(RobotError, match=r"nowhere.urdf cannot be read: No such file"):
+        G1.load(tmp_path / "nowhere.urdf")
+
+
+def test_a_directory(tmp_path):
+    with pytest.raises(RobotError, match="Is a directory"):
+        G1.load(tmp_path)
+
+
+def test_a_binary_file(tmp_path):
+    path = tmp_path / "robot.usd"
+    path.write_bytes(b"PXR-USDC\x00\xff\xfe")
+    with pytest.raises(RobotError, match="byte 9 is not UTF-8"):
+        G1.load(path)
+
+
+def test_an_empty_file(load):
+    with pytest.raises(RobotError, match="not XML: line 1, column 1"):
+        load("")

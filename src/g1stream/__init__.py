@@ -1,5 +1,69 @@
-"""Play a reference motion on a Unitree G1 over DDS, and know exactly how well it went."""
+"""Play a reference motion on a Unitree G1 over DDS, and know exactly how well it went.
+
+    import g1stream
+
+    motion = g1stream.load_motion("dance.csv")
+    outcome = g1stream.stream(motion, record="session.mcap")
+    session = g1stream.open_session("session.mcap")
+    error = session.reference.q  # and session.measured.q, numpy arrays with both clocks beside them
+
+What the names stand for is loaded when it is first used, so that importing costs nothing.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 from g1stream._version import __version__
 
-__all__ = ["__version__"]
+if TYPE_CHECKING:
+    from g1stream.config import Config, load_config
+    from g1stream.errors import G1StreamError
+    from g1stream.motion.motion import Motion
+    from g1stream.motion.readers import load_motion
+    from g1stream.motion.trajectory import Trajectory
+    from g1stream.programs.record import record
+    from g1stream.programs.sim import simulate
+    from g1stream.programs.stream import stream
+    from g1stream.recording.session import Session, open_session
+    from g1stream.robot.model import G1
+
+__all__ = [
+    "G1",
+    "Config",
+    "G1StreamError",
+    "Motion",
+    "Session",
+    "Trajectory",
+    "__version__",
+    "load_config",
+    "load_motion",
+    "open_session",
+    "record",
+    "simulate",
+    "stream",
+]
+
+_HOME = {
+    "Config": "config",
+    "G1": "robot.model",
+    "G1StreamError": "errors",
+    "Motion": "motion.motion",
+    "Session": "recording.session",
+    "Trajectory": "motion.trajectory",
+    "load_config": "config",
+    "load_motion": "motion.readers",
+    "open_session": "recording.session",
+    "record": "programs.record",
+    "simulate": "programs.sim",
+    "stream": "programs.stream",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'g1stream' has no attribute {name!r}")
+    return getattr(import_module(f"g1stream.{_HOME[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -28,7 +28,7 @@ _LARGE = 16 * 2**20
 
 
 def record(
-    path: Path,
+    path: str | Path,
     config: Config | None = None,
     *,
     force: bool = False,

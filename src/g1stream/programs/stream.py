@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from g1stream.clock import SystemClock
@@ -23,7 +24,6 @@ from g1stream.robot.model import G1
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
     from g1stream.clock import Clock
     from g1stream.control.loop import LoopReport
@@ -60,7 +60,7 @@ def stream(
     motion: Motion | str | Path,
     config: Config | None = None,
     *,
-    record: Path | None = None,
+    record: str | Path | None = None,
     force: bool = False,
     on_loop: Callable[[StreamLoop], None] | None = None,
 ) -> StreamOutcome:
@@ -91,7 +91,7 @@ def stream(
         loop = make_loop(config, robot, link, targets, play, gains, SystemClock())
         if on_loop:
             on_loop(loop)
-        recorder = _start_recorder(record, force, config, motion, gains) if record else None
+        recorder = _start_recorder(Path(record), force, config, motion, gains) if record else None
         recording = None
         try:
             report = loop.run()

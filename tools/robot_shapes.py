@@ -32,8 +32,8 @@ class Shape:
         return replace(self, center=(x, -y, z), rpy=(-roll, pitch, -yaw))
 
 
-def box(size: Vector, center: Vector, color: str, pitch: float = 0.0) -> list[Shape]:
-    return [Shape("box", {"size": size}, center, (0.0, pitch, 0.0), color)]
+def box(size: Vector, center: Vector, color: str, roll: float = 0.0) -> list[Shape]:
+    return [Shape("box", {"size": size}, center, (roll, 0.0, 0.0), color)]
 
 
 def ball(center: Vector, radius: float, color: str = "", collides: bool = False) -> list[Shape]:
@@ -75,8 +75,8 @@ _TRUNK = {
         *rod((0, 0, -0.04), (0, 0, 0.002), 0.047, "dark"),
     ],
     "pelvis_contour_link": [
-        *box((0.114, 0.132, 0.062), (0.001, 0, -0.06), "light"),
-        *rod((-0.054, 0, -0.108), (0.058, 0, -0.108), 0.044, "light"),
+        *box((0.114, 0.13, 0.058), (0.001, 0, -0.058), "light"),
+        *box((0.112, 0.091, 0.091), (0.001, 0, -0.087), "light", roll=0.7854),
     ],
     "waist_yaw_link": [*rod((0, 0, 0.002), (0, 0, 0.03), 0.042, "light")],
     "waist_roll_link": [*rod((-0.017, 0, 0), (0.017, 0, 0), 0.012, "light")],

@@ -1,1 +1,1 @@
-"""The robot."""
+"""What a G1 is: its joints, limits, links, and where these are. Knows no clock and no DDS."""

@@ -81,7 +81,7 @@ def parse_urdf(text: str, source: str) -> KinematicTree:
 
 def _parse(text: str, source: str) -> Any:
     """The robot, its links and joints as yourdfpy's dataclasses."""
-    from yourdfpy import URDF
+    from yourdfpy import URDF  # takes a second to import, and the default robot does without
 
     xml = ET.tostring(_kinematic_part(text, source))
     return URDF.load(BytesIO(xml), build_scene_graph=False).robot

@@ -12,11 +12,10 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeAlias
 
 import tyro
 
-from g1stream.config import Config, load_config
-
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from g1stream.config import Config
     from g1stream.errors import G1StreamError
 
 __all__ = [
@@ -69,6 +68,8 @@ class Command:
         Raises:
             ConfigError: the file or a value does not fit.
         """
+        from g1stream.config import load_config  # pydantic costs more than --help may take
+
         return load_config(self.config, self.overrides())
 
     def overrides(self) -> dict[str, Any]:

@@ -20,7 +20,6 @@ from g1stream.cli.common import (
     print_json,
     value,
 )
-from g1stream.config import Config
 from g1stream.errors import ConfigError, G1StreamError
 
 if TYPE_CHECKING:
@@ -64,6 +63,7 @@ class Record(WireCommand):
         return EXIT_OK if report.counts else EXIT_STOPPED
 
     def _run_attached(self, stopped: list[str]) -> int:
+        from g1stream.config import Config
         from g1stream.programs.children import ParentLine
         from g1stream.programs.record import record
 

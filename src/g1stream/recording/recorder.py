@@ -28,6 +28,10 @@ __all__ = ["Recorder", "RecorderReport"]
 
 _WARNING = 3
 
+#: A number that leaps further was not lost on the way: its publisher was started anew, or there are
+#: two of them.
+_JUMP = 10_000
+
 _CHANNEL_OF = {c.source.name: c.topic for c in CHANNELS.values() if c.source is not None}
 
 
@@ -55,7 +59,8 @@ class _Counter:
             self.step = int(np.median(forward)) if forward.size else 0
         if not self.step:
             return 0
-        found = int(np.maximum(steps // self.step - 1, 0).sum())
+        missed = steps // self.step - 1
+        found = int(missed[(missed > 0) & (missed < _JUMP)].sum())
         self.missing += found
         return found
 
@@ -137,8 +142,9 @@ class Recorder:
 
     def tell(self, level: int, text: str) -> None:
         """Add an event of the recorder's own to /log."""
-        now = time.time_ns()
-        self._writer.write("/log", encode_log(now, level, "record", text), now, now)
+        happened = time.time_ns()
+        line = encode_log(happened, level, "record", text)
+        self._writer.write("/log", line, time.time_ns(), happened)
 
     def _write_batches(self) -> None:
         batches = self._receiver.drain()

@@ -1,0 +1,84 @@
+"""Commands, poses and masses for the tests of this room."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+
+from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP, N_JOINTS
+from g1stream.robot.model import G1
+from g1stream.sim.world import MotorCommand
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from g1stream.sim.world import World
+
+
+class Mass(NamedTuple):
+    link: str
+    mass: float
+    centre: NDArray[np.float64]
+
+
+@pytest.fixture(scope="session")
+def robot() -> G1:
+    return G1.default()
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(7)
+
+
+@pytest.fixture
+def inner_pose(robot: G1, rng: np.random.Generator) -> NDArray[np.float64]:
+    """A pose well inside every joint's limits."""
+    middle, span = (robot.lower + robot.upper) / 2, robot.upper - robot.lower
+    return middle + span * rng.uniform(-0.3, 0.3, N_JOINTS)
+
+
+@pytest.fixture(scope="session")
+def masses(robot: G1) -> list[Mass]:
+    """Each link's mass and its centre in the link's own frame, read from the URDF."""
+    found = []
+    for link in ET.fromstring(robot.urdf).iter("link"):
+        mass, origin = link.find("inertial/mass"), link.find("inertial/origin")
+        if mass is not None and origin is not None:
+            centre = np.array([float(part) for part in origin.attrib["xyz"].split()])
+            found.append(Mass(link.attrib["name"], float(mass.attrib["value"]), centre))
+    return found
+
+
+@pytest.fixture(scope="session")
+def servo() -> Callable[..., MotorCommand]:
+    """Makes a command, Unitree's gains and zero targets unless given."""
+
+    def make(
+        q: ArrayLike = 0.0,
+        dq: ArrayLike = 0.0,
+        tau: ArrayLike = 0.0,
+        kp: ArrayLike = EXAMPLE_KP,
+        kd: ArrayLike = EXAMPLE_KD,
+        enabled: ArrayLike = True,
+    ) -> MotorCommand:
+        numbers = (np.broadcast_to(value, N_JOINTS).astype(float) for value in (q, dq, tau, kp, kd))
+        return MotorCommand(np.broadcast_to(enabled, N_JOINTS), *numbers)
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def run() -> Callable[[World, MotorCommand, float], None]:
+    """Advances a world by seconds of its time under one command."""
+
+    def advance(world: World, command: MotorCommand, seconds: float) -> None:
+        for _ in range(round(seconds / world.timestep)):
+            world.step(command)
+
+    return advance

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import fcntl
+import itertools
 import json
 import os
+import socket
 import tempfile
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,24 +31,53 @@ def _claim(domain_id: int, wait: bool) -> Iterator[None]:
         yield
 
 
-_next_domain = os.getpid()
+def _is_silent(domain_id: int) -> bool:
+    """Whether no program of any kind has the ports of a domain (RTPS 2.5, 9.6.2)."""
+    multicast = 7400 + 250 * domain_id
+    for port in (multicast, multicast + 10):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind(("", port))
+            except OSError:
+                return False
+    return True
+
+
+_turns = itertools.count(os.getpid())
+
+
+def _claim_any(stack: ExitStack) -> int:
+    """Claim a domain that nobody on this machine is on, until the stack is closed."""
+    for turn in itertools.islice(_turns, len(DOMAINS)):
+        candidate = DOMAINS[turn % len(DOMAINS)]
+        try:
+            stack.enter_context(_claim(candidate, wait=False))
+        except BlockingIOError:
+            continue
+        if _is_silent(candidate):
+            return candidate
+    pytest.fail("every DDS domain for tests is in use on this machine")
+
+
+@contextmanager
+def _domain() -> Iterator[int]:
+    with ExitStack() as stack:
+        stack.enter_context(pytest.MonkeyPatch.context()).delenv("CYCLONEDDS_URI", raising=False)
+        yield _claim_any(stack)
 
 
 @pytest.fixture
-def domain_id(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
-    """A DDS domain that no other test is on; on `lo`, whatever CYCLONEDDS_URI says."""
-    global _next_domain  # noqa: PLW0603
-    monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
-    for _ in DOMAINS:
-        _next_domain += 1
-        candidate = DOMAINS[_next_domain % len(DOMAINS)]
-        try:
-            with _claim(candidate, wait=False):
-                yield candidate
-                return
-        except BlockingIOError:
-            continue
-    pytest.fail("every DDS domain for tests is in use on this machine")
+def domain_id() -> Iterator[int]:
+    """A DDS domain for this test alone, on `lo` whatever CYCLONEDDS_URI says."""
+    with _domain() as claimed:
+        yield claimed
+
+
+@pytest.fixture(scope="module")
+def module_domain_id() -> Iterator[int]:
+    """Like `domain_id`, for what a module's tests share."""
+    with _domain() as claimed:
+        yield claimed
 
 
 @pytest.fixture
@@ -59,10 +90,13 @@ def domain_zero(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
 
 @pytest.fixture(scope="session")
 def golden() -> dict[str, list[dict[str, Any]]]:
-    """Samples of `lowcmd` and `lowstate` with every field, their CRC and their CDR bytes in hex.
+    """Samples of each of Unitree's topics, every field set, and their CDR bytes in hex as `cdr`.
 
-    Made by Unitree's Python SDK on cyclonedds 0.10.2. Motors are lists in the IDL's field order.
+    Made by Unitree's Python SDK on cyclonedds 0.10.2, CRC included where the type has one. Structs
+    in arrays, such as motors, are lists in the IDL's field order.
     """
-    path = Path(__file__).parent / "data" / "wire.json"
-    samples: dict[str, list[dict[str, Any]]] = json.loads(path.read_text())
+    data = Path(__file__).parent / "data"
+    samples: dict[str, list[dict[str, Any]]] = {}
+    for name in ("wire.json", "sdk_samples.json"):
+        samples |= json.loads((data / name).read_text())
     return samples

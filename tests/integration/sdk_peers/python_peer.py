@@ -1,18 +1,20 @@
 """A process of Unitree's Python SDK (unitree-sdk2 on cyclonedds 0.10.2), run in .sdk-venv.
 
-    python_peer.py type-information
-    python_peer.py lowcmd-reader|lowstate-reader --domain N
-    python_peer.py lowcmd-writer|lowstate-writer --domain N
+    python_peer.py types            how the SDK announces its types
+    python_peer.py samples          a few samples with every field set, and their bytes
+    python_peer.py TOPIC-reader --domain N
+    python_peer.py TOPIC-writer --domain N
 
 A reader reports every sample that differs from the one before, with all of its fields. A writer
 writes the sample it was last told, all fields but the checksum, which is the SDK's own. Samples are
-objects with the field names of the IDL; motors are lists in its field order.
+objects with the field names of the IDL; structs in arrays, such as motors, are lists in its order.
 """
 
 import argparse
 import dataclasses
 import importlib.util
 import platform
+import random
 import sys
 import types
 from unittest import mock
@@ -41,6 +43,8 @@ from unitree_sdk2py.core.channel import (  # noqa: E402
     ChannelSubscriber,
 )
 from unitree_sdk2py.idl.default import (  # noqa: E402
+    unitree_go_msg_dds__SportModeState_,
+    unitree_hg_msg_dds__IMUState_,
     unitree_hg_msg_dds__LowCmd_,
     unitree_hg_msg_dds__LowState_,
 )
@@ -48,9 +52,12 @@ from unitree_sdk2py.idl.unitree_go.msg.dds_ import SportModeState_  # noqa: E402
 from unitree_sdk2py.idl.unitree_hg.msg.dds_ import IMUState_, LowCmd_, LowState_  # noqa: E402
 from unitree_sdk2py.utils.crc import CRC  # noqa: E402
 
+# The type on each topic, and what makes the SDK's empty sample of it.
 TOPICS = {
-    "lowcmd": ("rt/lowcmd", LowCmd_, unitree_hg_msg_dds__LowCmd_),
-    "lowstate": ("rt/lowstate", LowState_, unitree_hg_msg_dds__LowState_),
+    "lowcmd": (LowCmd_, unitree_hg_msg_dds__LowCmd_),
+    "lowstate": (LowState_, unitree_hg_msg_dds__LowState_),
+    "secondary_imu": (IMUState_, unitree_hg_msg_dds__IMUState_),
+    "sportmodestate": (SportModeState_, unitree_go_msg_dds__SportModeState_),
 }
 
 
@@ -63,10 +70,10 @@ def sdk_crc():
         return CRC()
 
 
-def type_information():
-    """XTypes' TypeInformation and TypeMapping of each type, as announced in discovery, in hex."""
+def announced_types():
+    """XTypes' TypeInformation and TypeMapping of each type, as they travel in discovery, in hex."""
     found = {}
-    for sdk_type in (LowCmd_, LowState_, IMUState_, SportModeState_):
+    for sdk_type, _ in TOPICS.values():
         idl = sdk_type.__idl__
         idl.populate()
         idl.fill_type_data()
@@ -75,6 +82,42 @@ def type_information():
             for part in (idl.get_type_info(), idl.get_type_mapping())
         ]
     return found
+
+
+def invent(sample, rng):
+    """Set every field at random: integers to fit an octet, floats that float32 holds exactly."""
+    for field in dataclasses.fields(sample):
+        current = getattr(sample, field.name)
+        is_list, is_real = isinstance(current, list), "float" in str(field.type)
+        if dataclasses.is_dataclass(current):
+            invent(current, rng)
+        elif is_list and dataclasses.is_dataclass(current[0]):
+            for element in current:
+                invent(element, rng)
+        else:
+            drawn = [
+                rng.randrange(-2000, 2000) / 64 if is_real else rng.randrange(1, 256)
+                for _ in (current if is_list else [current])
+            ]
+            setattr(sample, field.name, drawn if is_list else drawn[0])
+
+
+def invented_samples():
+    """Two samples of each topic without a checksum: their fields, and their bytes in hex.
+
+    Those are the bytes on the wire: Cyclone DDS fills the last word of what the SDK serialises.
+    """
+    rng = random.Random(29)
+    samples = {}
+    for topic in ("secondary_imu", "sportmodestate"):
+        samples[topic] = []
+        for _ in range(2):
+            sample = TOPICS[topic][1]()
+            invent(sample, rng)
+            data = sample.serialize()
+            data += bytes(-len(data) % 4)
+            samples[topic].append({**shown(sample), "cdr": data.hex()})
+    return samples
 
 
 def fill(target, values):
@@ -106,52 +149,54 @@ def shown(sample):
 
 def read(report, topic):
     """Report each new sample until the test is done."""
-    name, sdk_type, _ = TOPICS[topic]
     crc = sdk_crc()
     last = None
 
     def handle(sample):
         nonlocal last
-        if sample != last:
-            last = sample
-            report("sample", fields=shown(sample), crc_ok=crc.Crc(sample) == sample.crc)
+        if sample == last:
+            return
+        last = sample
+        checked = {"crc_ok": crc.Crc(sample) == sample.crc} if hasattr(sample, "crc") else {}
+        report("sample", fields=shown(sample), **checked)
 
-    subscriber = ChannelSubscriber(name, sdk_type)
+    subscriber = ChannelSubscriber(f"rt/{topic}", TOPICS[topic][0])
     subscriber.Init(handle, 10)
     report("ready")
     hold(instructions(), 0.1, lambda _: None)
+    subscriber.Close()
 
 
 def write(report, topic):
     """Write the sample last told, again and again, until the test is done."""
-    name, sdk_type, default = TOPICS[topic]
+    sdk_type, empty = TOPICS[topic]
     crc = sdk_crc()
-    publisher = ChannelPublisher(name, sdk_type)
+    publisher = ChannelPublisher(f"rt/{topic}", sdk_type)
     publisher.Init()
 
     def publish(values):
         if values is None:
             return
-        sample = default()
+        sample = empty()
         fill(sample, values)
-        sample.crc = crc.Crc(sample)
+        if hasattr(sample, "crc"):
+            sample.crc = crc.Crc(sample)
         publisher.Write(sample)
 
     report("ready")
     hold(instructions(), 0.01, publish)
+    publisher.Close()
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument(
-        "mode",
-        choices=["type-information"] + [f"{t}-{r}" for t in TOPICS for r in ("reader", "writer")],
-    )
+    roles = [f"{topic}-{role}" for topic in TOPICS for role in ("reader", "writer")]
+    parser.add_argument("mode", choices=["types", "samples", *roles])
     parser.add_argument("--domain", type=int)
     args = parser.parse_args()
     report = open_reports()
-    if args.mode == "type-information":
-        report("type-information", types=type_information())
+    if args.mode in ("types", "samples"):
+        report(args.mode, data=announced_types() if args.mode == "types" else invented_samples())
         hold(instructions(), 0.1, lambda _: None)
         return
     ChannelFactoryInitialize(args.domain, "lo")

@@ -1,0 +1,244 @@
+"""The programs as a user runs them: real processes, real DDS on loopback, real MuJoCo."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from g1stream.control.phases import Phase
+from g1stream.dds.messages import LowCmd
+from g1stream.recording.session import open_session
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+RAMP = 0.5
+PLAY = 2.0
+PLAYING = "RAMP -> PLAY"
+
+
+def command(*arguments: object) -> list[str]:
+    return [sys.executable, "-m", "g1stream", *map(str, arguments)]
+
+
+@contextmanager
+def running(*arguments: object) -> Iterator[subprocess.Popen[str]]:
+    process = subprocess.Popen(
+        command(*arguments), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+@contextmanager
+def simulator(domain_id: int, *more: object) -> Iterator[subprocess.Popen[str]]:
+    with running("sim", "--domain", domain_id, *more) as process:
+        yield process
+
+
+PATIENT = Path(__file__).parents[1] / "data" / "patient.toml"
+"""Settings for a machine on which the simulator may be kept waiting by other work."""
+
+
+def stream_arguments(domain_id: int, *more: object) -> list[object]:
+    short = ["--ramp", RAMP, "--start", 2.0, "--config", PATIENT]
+    return ["stream", "demo", "--domain", domain_id, *short, *more]
+
+
+def run(arguments: list[object], timeout: float = 60.0) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        command(*arguments), capture_output=True, text=True, timeout=timeout, check=False
+    )
+
+
+def wait_for(process: subprocess.Popen[str], text: str) -> None:
+    """Until the process says `text` on standard error; its own time limits end it otherwise."""
+    assert process.stderr is not None
+    for line in process.stderr:
+        if text in line:
+            return
+    pytest.fail(f"the process ended without saying {text!r}")
+
+
+def times(path: Path) -> dict[str, np.ndarray[Any, Any]]:
+    """(N, 2) log and publish times by topic, read with the stock reader."""
+    found: dict[str, list[tuple[int, int]]] = {}
+    with path.open("rb") as file:
+        for _, channel, message in make_reader(file).iter_messages():
+            found.setdefault(channel.topic, []).append((message.log_time, message.publish_time))
+    return {topic: np.array(pairs) for topic, pairs in found.items()}
+
+
+@pytest.fixture(scope="module")
+def played(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, dict[str, Any]]]:
+    """A session of two seconds of the bundled motion on our bridge, and what stream printed."""
+    domain_id = 103  # the fixture that hands out domains lives for one test only
+    path = tmp_path_factory.mktemp("played") / "session.mcap"
+    with simulator(domain_id):
+        done = run(
+            stream_arguments(domain_id, "--duration", PLAY, "--record", path, "--json"),
+        )
+    assert done.returncode == 0, done.stderr
+    yield path, json.loads(done.stdout)
+
+
+def test_a_motion_is_played_and_recorded(played):
+    path, summary = played
+    assert summary["loop"]["reason"] == ""
+    recorded = times(path)
+    for topic in ("/tf", "/measured/tf", "/lowstate", "/sportmodestate", "/log"):
+        assert len(recorded[topic]) > 0, topic
+    assert len(recorded["/lowcmd"]) == summary["loop"]["commands"]
+    assert summary["recording"]["missing"]["/reference"] == 0
+
+
+def test_every_message_was_published_before_it_was_received(played):
+    for topic, pairs in times(played[0]).items():
+        assert (pairs[:, 1] < pairs[:, 0]).all(), topic
+
+
+def test_reference_and_command_pair_up_by_publish_time(played):
+    recorded = times(played[0])
+    assert np.array_equal(recorded["/lowcmd"][:, 1], recorded["/reference"][:, 1])
+
+
+def test_the_robot_follows_in_every_phase(played):
+    session = open_session(played[0])
+    phases = session.reference.phase
+    assert list(dict.fromkeys(phases.tolist())) == [
+        Phase.RAMP,
+        Phase.PLAY,
+        Phase.HOLD,
+        Phase.DAMP,
+    ]
+    play = phases == Phase.PLAY
+    # The motion is sampled at the deadlines: two ticks are a period, or several, apart.
+    steps = np.diff(session.reference.motion_time[play]) * 500
+    assert np.allclose(steps, np.round(steps), atol=1e-6)
+    at = np.searchsorted(session.measured.publish_time, session.reference.publish_time[play])
+    error = (
+        session.measured.q[np.minimum(at, len(session.measured.q) - 1)]
+        - (session.reference.q[play])
+    )
+    moved = np.ptp(session.reference.q[play], axis=0)
+    rmse = np.sqrt((error**2).mean())
+    assert moved.max() > 0.3
+    assert rmse < 0.15
+
+
+def test_damping_ends_every_session(played):
+    path, _ = played
+    last = LowCmd()
+    with path.open("rb") as file:
+        for _, _, message in make_reader(file).iter_messages(topics=["/lowcmd"]):
+            last.load(message.data)
+    assert last.crc_matches()
+    assert not last.kp.any()
+    assert not last.tau.any()
+    assert (last.kd > 0).all()
+
+
+def test_the_file_carries_what_a_session_needs(played):
+    session = open_session(played[0])
+    assert {"robot.urdf", "config.json", "demo.csv"} <= set(session.attachments)
+    metadata = session.metadata
+    assert metadata["motion"]["fps"] == 30
+    assert len(metadata["gains"]["kp"]) == 29
+    assert metadata["stream"]["lateness_us"]["max"] > 0
+    assert metadata["recorder"]["missing"]["/reference"] == 0
+
+
+def test_a_simulator_that_dies_leads_to_damping(domain_id, tmp_path):
+    path = tmp_path / "killed.mcap"
+    with (
+        simulator(domain_id) as sim,
+        running(*stream_arguments(domain_id, "--record", path)) as stream,
+    ):
+        wait_for(stream, PLAYING)
+        sim.kill()
+        _, told = stream.communicate(timeout=20)
+    assert stream.returncode == 1
+    assert "DAMP: no LowState for" in told
+    phases = open_session(path).reference.phase.tolist()
+    assert phases.count(Phase.DAMP) > 100
+    assert open_session(path).complete
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGTSTP])
+def test_signals_lead_to_damping(domain_id, tmp_path, number):
+    path = tmp_path / "signal.mcap"
+    with (
+        simulator(domain_id),
+        running(*stream_arguments(domain_id, "--record", path)) as stream,
+    ):
+        wait_for(stream, PLAYING)
+        stream.send_signal(number)
+        stream.communicate(timeout=20)
+    assert stream.returncode == 128 + number
+    session = open_session(path)
+    assert session.complete
+    assert session.reference.phase[-1] == Phase.DAMP
+    damped = session.reference.publish_time[session.reference.phase == Phase.DAMP]
+    assert damped[-1] - damped[0] > 0.9e9
+
+
+def test_a_recorder_ends_with_its_streamer(domain_id, tmp_path):
+    path = tmp_path / "orphan.mcap"
+    with (
+        simulator(domain_id),
+        running(*stream_arguments(domain_id, "--record", path)) as stream,
+    ):
+        wait_for(stream, PLAYING)
+        stream.kill()
+        end = time.monotonic() + 20
+        while not open_session(path).complete and time.monotonic() < end:
+            time.sleep(0.2)
+    assert open_session(path).complete
+
+
+def test_a_second_writer_is_refused_by_name(domain_id, tmp_path):
+    with (
+        simulator(domain_id),
+        running(*stream_arguments(domain_id, "--loop", "--record", tmp_path / "a.mcap")) as first,
+    ):
+        wait_for(first, PLAYING)
+        second = run(stream_arguments(domain_id))
+        assert second.returncode == 1
+        assert str(first.pid) in second.stdout + second.stderr
+        assert "0 " not in second.stdout.splitlines()[0]
+
+
+def test_nobody_there_ends_without_a_command(domain_id, tmp_path):
+    config = tmp_path / "short.toml"
+    config.write_text("[stream]\nwait = 1.0\n")
+    done = run(["stream", "demo", "--domain", domain_id, "--config", config])
+    assert done.returncode == 1
+    assert "no command was sent" in done.stdout
+
+
+def test_a_demo_makes_session_picture_and_summary(domain_id, tmp_path):
+    done = run(
+        ["demo", "--config", PATIENT, "--domain", domain_id, "--out", tmp_path / "d"]
+        + ["--duration", 2],
+    )
+    assert done.returncode == 0, done.stderr
+    assert open_session(tmp_path / "d/session.mcap").complete
+    assert (tmp_path / "d/tracking.png").read_bytes()[:4] == b"\x89PNG"
+    assert "RMSE" in done.stdout
+    again = run(["demo", "--domain", domain_id, "--out", tmp_path / "d"])
+    assert again.returncode == 2
+    assert "exists already" in again.stderr

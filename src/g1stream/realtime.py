@@ -1,0 +1,195 @@
+"""What the system grants a thread that must be on time.
+
+Everything works without any of it, only less punctually. What needs a right is asked for, and what
+was granted, or how to be granted it, is told.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import os
+import sys
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+__all__ = ["DEFAULT_PRIORITY", "Grant", "on_time", "stand_back", "told"]
+
+#: In the middle of 1 to 99: above programs, below the kernel's own threads that serve interrupts.
+DEFAULT_PRIORITY: Final = 50
+
+_PR_SET_TIMERSLACK, _PR_GET_TIMERSLACK = 29, 30  # <linux/prctl.h>
+_MCL_CURRENT, _MCL_ONFAULT = 1, 4  # <sys/mman.h>
+_BACKGROUND_NICE = 5
+
+
+@dataclass(frozen=True)
+class Grant:
+    """The answer to one thing asked of the system.
+
+    Attributes:
+        what: its name.
+        granted: whether it holds now.
+        detail: what holds now, or why it does not.
+        cost: what being without it costs.
+        remedy: how to be granted it, on one line; empty where nothing is missing.
+    """
+
+    what: str
+    granted: bool
+    detail: str
+    cost: str = ""
+    remedy: str = ""
+
+
+@contextmanager
+def on_time(priority: int = DEFAULT_PRIORITY, cpu: int | None = None) -> Iterator[list[Grant]]:
+    """Make the calling thread as punctual as the system allows, for the length of a `with`.
+
+    Asks for SCHED_FIFO, pages that stay in memory, timers without slack, an isolated CPU where
+    there is one; and keeps Python's garbage collector away. Threads and processes that are started
+    inside do not inherit the priority.
+
+    Args:
+        priority: of SCHED_FIFO, 1 to 99; 0 leaves the thread an ordinary one.
+        cpu: the only CPU to run on; by default an isolated one, or any.
+
+    Yields:
+        What was granted and what was not.
+    """
+    collecting = gc.isenabled()
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    try:
+        with _linux_thread(priority, cpu) as grants:
+            yield [*grants, Grant("garbage collector", granted=True, detail="frozen")]
+    finally:
+        if collecting:
+            gc.enable()
+        gc.unfreeze()
+
+
+@contextmanager
+def _linux_thread(priority: int, cpu: int | None) -> Iterator[list[Grant]]:
+    if sys.platform != "linux":
+        yield [Grant("SCHED_FIFO", granted=False, detail="is asked for on Linux alone")]
+        return
+    affinity, slack = os.sched_getaffinity(0), _timer_slack()
+    policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
+    try:
+        yield [
+            _ask_for_fifo(priority),
+            _ask_for_memory(),
+            _ask_for_exact_timers(),
+            _ask_for_cpu(cpu),
+        ]
+    finally:
+        # The flag is harmless here, and taking it back needs a right that the user may not have.
+        os.sched_setscheduler(0, policy | os.SCHED_RESET_ON_FORK, parameters)
+        os.sched_setaffinity(0, affinity)
+        _libc().prctl(_PR_SET_TIMERSLACK, ctypes.c_ulong(slack))
+        _libc().munlockall()
+
+
+def stand_back() -> None:
+    """Let the calling process give way to those that must be on time."""
+    os.nice(_BACKGROUND_NICE)
+
+
+def told(grants: list[Grant]) -> str:
+    """One line about what was granted."""
+    return ", ".join(f"{g.what} {g.detail if g.granted else 'not granted'}" for g in grants)
+
+
+def _ask_for_fifo(priority: int) -> Grant:
+    what = "SCHED_FIFO"
+    if not priority:
+        return Grant(what, granted=False, detail="not asked for: the priority is set to 0")
+    try:
+        # Without the flag, threads and processes started from here would be real-time ones too.
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
+    except PermissionError:
+        return Grant(
+            what,
+            granted=False,
+            detail=f"the user may not have priority {priority} (RLIMIT_RTPRIO, CAP_SYS_NICE)",
+            cost="whatever else runs on this machine can delay a command by milliseconds",
+            remedy=f"Put the line '{_user()} - rtprio {priority}' into "
+            "/etc/security/limits.d/g1stream.conf and log in again.",
+        )
+    return Grant(what, granted=True, detail=f"priority {priority}")
+
+
+def _ask_for_memory() -> Grant:
+    what = "memory"
+    # Only what is in memory now: with a limit on locked memory, locking the future too would turn
+    # a later allocation into an error.
+    if _libc().mlockall(_MCL_CURRENT | _MCL_ONFAULT):
+        return Grant(
+            what,
+            granted=False,
+            detail="the user may not lock so much of it (RLIMIT_MEMLOCK, CAP_IPC_LOCK)",
+            cost="when memory runs short, a command can wait for the disk",
+            remedy=f"Put the line '{_user()} - memlock unlimited' into "
+            "/etc/security/limits.d/g1stream.conf and log in again.",
+        )
+    return Grant(what, granted=True, detail="locked")
+
+
+def _ask_for_exact_timers() -> Grant:
+    _libc().prctl(_PR_SET_TIMERSLACK, ctypes.c_ulong(1))
+    slack = _timer_slack()  # 0 for a thread of SCHED_FIFO
+    return Grant("timer slack", granted=slack <= 1, detail=f"{slack} ns")
+
+
+def _ask_for_cpu(cpu: int | None) -> Grant:
+    what = "affinity"
+    wanted = {cpu} if cpu is not None else _isolated_cpus()
+    try:
+        if wanted:
+            os.sched_setaffinity(0, wanted)
+    except OSError:
+        return Grant(
+            what,
+            granted=False,
+            detail=f"CPU {_listed(wanted)} cannot be used by this process",
+            remedy=f"Choose one of CPUs {_listed(os.sched_getaffinity(0))}.",
+        )
+    return Grant(what, granted=True, detail=f"CPU {_listed(os.sched_getaffinity(0))}")
+
+
+def _isolated_cpus() -> set[int]:
+    """CPUs that the kernel was started to keep free of other work (isolcpus)."""
+    try:
+        listed = Path("/sys/devices/system/cpu/isolated").read_text().strip()
+    except OSError:
+        return set()
+    found: set[int] = set()
+    for part in filter(None, listed.split(",")):
+        first, _, last = part.partition("-")
+        found.update(range(int(first), int(last or first) + 1))
+    return found
+
+
+def _timer_slack() -> int:
+    return int(_libc().prctl(_PR_GET_TIMERSLACK))
+
+
+def _libc() -> ctypes.CDLL:
+    return ctypes.CDLL(None, use_errno=True)
+
+
+def _listed(cpus: set[int]) -> str:
+    return ", ".join(map(str, sorted(cpus)))
+
+
+def _user() -> str:
+    import getpass
+
+    return getpass.getuser()

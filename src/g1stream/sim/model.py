@@ -3,38 +3,19 @@
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
-from xml.etree import ElementTree as ET
-
-import numpy as np
 
 from g1stream.errors import SimError
 from g1stream.robot.joints import JOINT_NAMES
+from g1stream.robot.motors import DAMPING, TORQUE_LIMIT
+from g1stream.robot.mujoco_spec import mujoco_spec
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from g1stream.robot.model import G1
 
-__all__ = ["BASE_BODY", "TORQUE_LIMIT", "build_model"]
+__all__ = ["BASE_BODY", "build_model"]
 
 BASE_BODY: Final = 1
 """The body of the URDF's root link: the world is body 0, and the root comes next."""
-
-_LEG_TORQUE: Final = (88, 88, 88, 139, 50, 50)
-_WAIST_TORQUE: Final = (88, 50, 50)
-_ARM_TORQUE: Final = (25, 25, 25, 25, 25, 5, 5)
-
-TORQUE_LIMIT: Final[NDArray[np.float64]] = np.array(
-    [*_LEG_TORQUE, *_LEG_TORQUE, *_WAIST_TORQUE, *_ARM_TORQUE, *_ARM_TORQUE], dtype=np.float64
-)
-"""Greatest torque (29,) of each motor either way, N·m; unitree_mujoco's, not the URDF's."""
-TORQUE_LIMIT.setflags(write=False)
-
-# Rotor inertia (kg·m²), viscous (N·m·s/rad) and dry friction (N·m) of a joint, unitree_mujoco's.
-_ARMATURE: Final = 0.01
-_DAMPING: Final = 0.05
-_FRICTION: Final = 0.2
-_WRIST_FRICTION: Final = 0.1  # pitch and yaw, which have the small motors
 
 _FLOOR: Final = 1  # the floor's contact bit; a shape meets the floor where it has it too
 _HIDDEN: Final = 3  # the first group of shapes that MuJoCo's viewer does not show unless asked
@@ -44,10 +25,10 @@ def build_model(robot: G1, *, floating: bool, timestep: float, gravity: float) -
     """Compile a `mujoco.MjModel` of the robot above a floor at height 0.
 
     Motors are servos in motor order: with control c and `actuator_biasprm` (0, -kp, -kd) a motor's
-    force is c - kp q - kd dq, clipped at `TORQUE_LIMIT`. Sensors bear unitree_mujoco's names:
-    `imu_quat`, `imu_gyro`, `imu_acc` at the URDF's `imu_in_pelvis`, the same with `secondary_` in
-    front at its `imu_in_torso` (at the base and the torso where it has no such frames), `frame_pos`
-    and `frame_vel` of the base.
+    force is c - kp q - kd dq, clipped at `g1stream.robot.motors.TORQUE_LIMIT`. Sensors bear
+    unitree_mujoco's names: `imu_quat`, `imu_gyro`, `imu_acc` at the URDF's `imu_in_pelvis`, the
+    same with `secondary_` in front at its `imu_in_torso` (at the base and the torso where it has no
+    such frames), `frame_pos` and `frame_vel` of the base.
 
     Meshes are left out, and so are the joints of fingers, which stay at zero. The robot's shapes
     meet the floor but not each other: a motion retargeted from a human brushes its own body.
@@ -64,14 +45,11 @@ def build_model(robot: G1, *, floating: bool, timestep: float, gravity: float) -
     import mujoco
 
     try:
-        spec = mujoco.MjSpec.from_string(_simplified(robot))
+        spec = mujoco_spec(robot, floating=floating, shapes=True)
         spec.option.timestep = timestep
         spec.option.gravity = [0.0, 0.0, -gravity]
         # Damping, the servos' included, is taken implicitly: any kd is stable at any timestep.
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-        if floating:
-            spec.worldbody.first_body().add_freejoint()
-        _set_joints(spec)
         _set_contacts(spec)
         _add_scene(spec)
         _add_motors(spec)
@@ -82,40 +60,8 @@ def build_model(robot: G1, *, floating: bool, timestep: float, gravity: float) -
             f"MuJoCo does not accept the URDF {robot.source}: {' '.join(str(error).split())}.",
             "Correct the URDF; every moving link needs a mass and an inertia.",
         ) from error
-    # The spec takes a number in MuJoCo 3 and a polynomial in 4; the model has an array in both.
-    model.dof_damping[[model.joint(name).dofadr[0] for name in JOINT_NAMES]] = _DAMPING
+    model.dof_damping[[model.joint(name).dofadr[0] for name in JOINT_NAMES]] = DAMPING
     return model
-
-
-def _simplified(robot: G1) -> str:
-    """The URDF without meshes and finger joints, each shape with a name of its own.
-
-    MuJoCo is asked to keep shapes that only look, and every link as a body of its own.
-    """
-    root = ET.fromstring(robot.urdf)
-    for settings in root.findall("mujoco"):
-        root.remove(settings)
-    settings = ET.SubElement(root, "mujoco")
-    ET.SubElement(settings, "compiler", discardvisual="false", fusestatic="false")
-    for link in root.iter("link"):
-        shapes = [*link.iterfind("visual"), *link.iterfind("collision")]
-        for number, shape in enumerate(shapes):
-            if shape.find("geometry/mesh") is not None:
-                link.remove(shape)
-            shape.set("name", f"{link.get('name')}_{number}")
-    for joint in root.iter("joint"):
-        if joint.get("name") in robot.ignored_joints:
-            joint.set("type", "fixed")
-    return ET.tostring(root, encoding="unicode")
-
-
-def _set_joints(spec: Any) -> None:
-    for name in JOINT_NAMES:
-        joint = spec.joint(name)
-        joint.armature = _ARMATURE
-        wrist = name.endswith(("wrist_pitch_joint", "wrist_yaw_joint"))
-        joint.frictionloss = _WRIST_FRICTION if wrist else _FRICTION
-        joint.actfrclimited = False  # the URDF's effort; the motors have limits of their own
 
 
 def _set_contacts(spec: Any) -> None:

@@ -1,0 +1,62 @@
+"""The robot as MuJoCo takes it: one description for the simulator and for the inverse dynamics."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree as ET
+
+from g1stream.robot.joints import JOINT_NAMES
+from g1stream.robot.motors import ARMATURE, FRICTION
+
+if TYPE_CHECKING:
+    from g1stream.robot.model import G1
+
+__all__ = ["mujoco_spec"]
+
+
+def mujoco_spec(robot: G1, *, floating: bool, shapes: bool) -> Any:
+    """A `mujoco.MjSpec` of the robot's URDF, its joints with the motors' inertia and dry friction.
+
+    Every link is a body of its own, of the link's name, and the base is the world's first body.
+    Meshes are left out, and so are the joints of fingers, which stay at zero.
+
+    The motors' viscous damping is for the caller to set in the compiled model's `dof_damping`: a
+    spec takes a number in MuJoCo 3 and a polynomial in 4, the model an array in both.
+
+    Args:
+        robot: whose URDF to take.
+        floating: give the base a free joint, rather than make it part of the world.
+        shapes: keep the primitive shapes, each with a name of its own.
+
+    Raises:
+        ValueError: MuJoCo does not accept the URDF.
+    """
+    import mujoco
+
+    spec = mujoco.MjSpec.from_string(_simplified(robot, shapes))
+    if floating:
+        spec.worldbody.first_body().add_freejoint()
+    for name, armature, friction in zip(JOINT_NAMES, ARMATURE, FRICTION, strict=True):
+        joint = spec.joint(name)
+        joint.armature = armature
+        joint.frictionloss = friction
+        joint.actfrclimited = False  # the URDF's effort; the motors have limits of their own
+    return spec
+
+
+def _simplified(robot: G1, shapes: bool) -> str:
+    """The URDF without meshes, finger joints and, unless wanted, shapes."""
+    root = ET.fromstring(robot.urdf)
+    for settings in root.findall("mujoco"):
+        root.remove(settings)
+    settings = ET.SubElement(root, "mujoco")
+    ET.SubElement(settings, "compiler", discardvisual="false", fusestatic="false")
+    for link in root.iter("link"):
+        for number, shape in enumerate([*link.iterfind("visual"), *link.iterfind("collision")]):
+            if not shapes or shape.find("geometry/mesh") is not None:
+                link.remove(shape)
+            shape.set("name", f"{link.get('name')}_{number}")
+    for joint in root.iter("joint"):
+        if joint.get("name") in robot.ignored_joints:
+            joint.set("type", "fixed")
+    return ET.tostring(root, encoding="unicode")

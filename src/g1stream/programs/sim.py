@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
@@ -40,7 +41,7 @@ def simulate(
         G1StreamError: a setting or the wire does not allow it.
     """
     config = config or Config()
-    world = World(G1.load(config.robot), config.sim.support)
+    world = World(G1.load(config.robot), config.sim.support, timestep=_timestep(config.sim.rate))
     with ExitStack() as stack:
         participant = stack.enter_context(Participant(config.dds.domain, config.dds.interface))
         view = _viewer(world, stack) if config.sim.viewer else None
@@ -48,6 +49,11 @@ def simulate(
         on_ready()
         end = None if config.sim.duration is None else time.monotonic() + config.sim.duration
         return bridge.run(lambda: should_stop() or (end is not None and time.monotonic() >= end))
+
+
+def _timestep(rate: float) -> float:
+    """The largest physics step of a millisecond or less that divides the period of LowState."""
+    return 1.0 / (rate * math.ceil(1000.0 / rate))
 
 
 def _viewer(world: World, stack: ExitStack) -> Callable[[], bool]:

@@ -12,7 +12,7 @@ import os
 import socket
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from cyclonedds.builtin import (
     BuiltinDataReader,
@@ -80,6 +80,13 @@ class Endpoint:
         return f"{self.process or 'process'} (pid {self.pid} on {self.host or 'an unnamed host'})"
 
 
+class Closable(Protocol):
+    """What a participant closes."""
+
+    def close(self) -> None:
+        """Leave the wire."""
+
+
 class Participant:
     """One participant in a DDS domain, and the entities made from it.
 
@@ -91,11 +98,12 @@ class Participant:
         uses_environment: a CYCLONEDDS_URI was set, and was used instead of `interface`.
 
     Raises:
-        WireError: no such interface, a domain id out of range, or Cyclone cannot start there.
+        WireError: no such interface, a domain id out of range, this process is in the domain on
+            another interface, or Cyclone cannot start there.
     """
 
     # Cyclone wants one configuration for each domain id in a process, made before its participants.
-    _domains: dict[int, tuple[Domain, int]] = {}  # noqa: RUF012
+    _domains: dict[int, tuple[Domain, str, int]] = {}  # noqa: RUF012
 
     def __init__(self, domain: int, interface: str) -> None:
         if not 0 <= domain <= MAX_DOMAIN:
@@ -110,7 +118,7 @@ class Participant:
         self.domain = domain
         self.interface = interface
         self.uses_environment = bool(os.environ.get("CYCLONEDDS_URI"))
-        self._kept: list[Any] = []
+        self._kept: list[Closable] = []
         try:
             if not self.uses_environment:
                 self._configure()
@@ -127,25 +135,31 @@ class Participant:
         self._readers = BuiltinDataReader(self.entity, BuiltinTopicDcpsSubscription)
 
     def _configure(self) -> None:
-        entity, users = self._domains.get(self.domain, (None, 0))
+        entity, interface, users = self._domains.get(self.domain, (None, self.interface, 0))
+        if interface != self.interface:
+            raise WireError(
+                f"This process is in domain {self.domain} on {interface} already, and cannot be "
+                f"there on {self.interface} too.",
+                "Use one interface for a domain, or another domain.",
+            )
         if entity is None:
             discovery = _LOOPBACK_DISCOVERY if is_loopback(self.interface) else ""
             entity = Domain(
                 self.domain, _CONFIG.format(interface=self.interface, discovery=discovery)
             )
-        self._domains[self.domain] = (entity, users + 1)
+        self._domains[self.domain] = (entity, interface, users + 1)
 
     def _release(self) -> None:
-        entity, users = self._domains.get(self.domain, (None, 0))
+        entity, interface, users = self._domains.get(self.domain, (None, "", 0))
         if entity is None or self.uses_environment:
             return
         if users > 1:
-            self._domains[self.domain] = (entity, users - 1)
+            self._domains[self.domain] = (entity, interface, users - 1)
         else:
             del self._domains[self.domain]
 
-    def keep(self, entity: Any) -> None:
-        """Hold an entity made from this participant until it is closed."""
+    def keep(self, entity: Closable) -> None:
+        """Close an entity made from this participant with it, whoever still refers to it."""
         self._kept.append(entity)
 
     def writers(self, topic: str) -> list[Endpoint]:
@@ -183,6 +197,8 @@ class Participant:
         if not hasattr(self, "entity"):
             return
         # Cyclone's Python entities end with their last reference: children first, the domain last.
+        for entity in self._kept:
+            entity.close()
         self._kept.clear()
         del self._participants, self._writers, self._readers
         del self.entity

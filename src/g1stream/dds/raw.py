@@ -88,6 +88,10 @@ class RawWriter:
         )
         participant.keep(self)
 
+    def close(self) -> None:
+        """Leave the topic, at once for every peer; its participant does this when it closes."""
+        self._writer = None
+
     def write(self, data: bytes, timestamp: int | None = None) -> bool:
         """Publish one sample.
 
@@ -141,6 +145,10 @@ class RawReader:
             participant.entity, CycloneTopic(participant.entity, topic.name, self._type), qos
         )
         participant.keep(self)
+
+    def close(self) -> None:
+        """Leave the topic; its participant does this when it closes."""
+        self.entity = None
 
     def take(self, most: int = 256) -> Sequence[RawSample]:
         """The samples that came since the last take, oldest first; never waits.

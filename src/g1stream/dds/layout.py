@@ -123,8 +123,7 @@ class Layout:
     Attributes:
         typename: the type's name on the wire, such as `unitree_hg.msg.dds_.LowCmd_`.
         size: bytes of the payload, without the 4-byte header.
-        sample_size: bytes of a sample as Cyclone hands it over: the header and the payload, filled
-        up
+        sample_size: bytes of a sample as Cyclone hands it over: the header and the payload, padded
             to a multiple of 4.
         fields: dotted path without indices, such as `motor_cmd.q` -> Field.
         struct_bytes: for each byte of the C struct (natural alignment), the payload byte that it

@@ -252,7 +252,9 @@ def _text_of(field: NDArray[np.uint8]) -> str:
 
 
 def _fill(field: NDArray[np.uint8], value: str) -> None:
-    # A character cut in two at the end is left out rather than sent broken.
-    cut = value.encode()[: field.size].decode("utf-8", errors="ignore").encode()
+    # A character cut in two at the end is left out rather than sent broken; what has no UTF-8, such
+    # as the bytes of a file's name that were none, becomes a question mark.
+    encoded = value.encode(errors="replace")[: field.size]
+    cut = encoded.decode("utf-8", errors="ignore").encode()
     field[:] = 0
     field[: len(cut)] = np.frombuffer(cut, np.uint8)

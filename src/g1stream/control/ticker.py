@@ -20,8 +20,8 @@ __all__ = ["Lateness", "Ticker"]
 class Lateness:
     """A histogram of lateness in microseconds, of a size that does not grow with the run.
 
-    Bins are 1 us wide up to 20 ms; what is later than that shares the last one. The maximum is
-    exact.
+    Bins are 1 us wide up to 20 ms; what is later than that shares the last one, of which only the
+    maximum is known. The maximum is exact.
     """
 
     _BINS = 20_001
@@ -42,8 +42,9 @@ class Lateness:
         if not self.n:
             return float("nan")
         rank = max(1, int(np.ceil(self.n * percent / 100.0)))
-        bin_end = float(np.searchsorted(np.cumsum(self.counts), rank) + 1)
-        return min(bin_end, self.maximum_ns / 1000.0)
+        bin_index = int(np.searchsorted(np.cumsum(self.counts), rank))
+        maximum = self.maximum_ns / 1000.0
+        return maximum if bin_index == self._BINS - 1 else min(bin_index + 1.0, maximum)
 
     def sparse(self) -> dict[str, int]:
         """The bins that are not empty: lower edge in us -> count."""
@@ -54,8 +55,9 @@ class Lateness:
 class Ticker:
     """Yields the ticks of a loop, each at its absolute deadline.
 
-    A tick that would come a whole period late or more is skipped, not made up for: the next one is
-    the newest whose deadline has passed, so that an overrun never ends in a burst.
+    A tick that would come a whole period late or more is skipped, not made up for: the newest whose
+    deadline has passed comes in its place, so that neither work nor a sleep that took too long ends
+    in a burst.
 
     Attributes:
         clock: now and sleep_until.
@@ -73,11 +75,8 @@ class Ticker:
         """Yield (k, deadline) for ever; the caller breaks."""
         k = 0
         while True:
+            self.clock.sleep_until(self.start + k * self.period)
             due = (self.clock.now() - self.start) // self.period
-            if due > k:
-                self.skipped += due - k
-                k = due
-            deadline = self.start + k * self.period
-            self.clock.sleep_until(deadline)
-            yield k, deadline
-            k += 1
+            self.skipped += due - k
+            yield due, self.start + due * self.period
+            k = due + 1

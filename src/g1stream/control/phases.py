@@ -72,7 +72,8 @@ def step(now: int, state: PhaseState, inputs: Inputs, timing: Timing) -> PhaseSt
     """The state at `now`.
 
     A phase that ends by time ends at its exact instant and the next begins there, so that a tick
-    that comes late shifts nothing. Several short phases may pass in one step.
+    that comes late shifts nothing. Several short phases may pass in one step, but DAMP begins at
+    `now`: it lasts its whole time however late the tick that begins it.
     """
     if inputs.stop and state.phase < Phase.DAMP:
         after = Phase.DONE if state.phase is Phase.WAIT else Phase.DAMP
@@ -80,7 +81,8 @@ def step(now: int, state: PhaseState, inputs: Inputs, timing: Timing) -> PhaseSt
     if state.phase is Phase.WAIT:
         return _leave_wait(now, state, inputs, timing)
     while (end := _end_of(state, timing)) is not None and now >= end:
-        state = replace(state, phase=Phase(state.phase + 1), since=end)
+        following = Phase(state.phase + 1)
+        state = replace(state, phase=following, since=now if following is Phase.DAMP else end)
     return state
 
 

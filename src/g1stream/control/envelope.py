@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from g1stream.errors import ConfigError, SafetyError
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -52,6 +54,9 @@ class Envelope:
 
     Attributes:
         clamped: (29,) int64, at how many ticks each joint's target was held at its limit.
+
+    Raises:
+        ConfigError: the margin leaves nothing of a joint's range.
     """
 
     def __init__(self, robot: G1, config: SafetyConfig) -> None:
@@ -59,6 +64,14 @@ class Envelope:
         self._lower = robot.lower + config.position_margin
         self._upper = robot.upper - config.position_margin
         self._names = robot.joint_names
+        narrowest = int(np.argmin(robot.upper - robot.lower))
+        if self._lower[narrowest] > self._upper[narrowest]:
+            raise ConfigError(
+                f"The setting safety.position_margin = {config.position_margin:g} leaves nothing "
+                f"of the range of {self._names[narrowest]}, {robot.lower[narrowest]:g} to "
+                f"{robot.upper[narrowest]:g} rad.",
+                "Choose less than half of that range.",
+            )
         self.clamped: NDArray[np.int64] = np.zeros(len(robot.joint_names), dtype=np.int64)
 
     def limit(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -66,6 +79,29 @@ class Envelope:
         limited: NDArray[np.float64] = np.clip(q, self._lower, self._upper)
         self.clamped += limited != q
         return limited
+
+    def require_finite(self, **targets: NDArray[np.floating]) -> None:
+        """Refuse targets (29,) that hold a number that is not finite.
+
+        Raises:
+            SafetyError: names the first joint of which one does.
+        """
+        for what, values in targets.items():
+            # NaN and infinity survive a sum, which takes a fraction of the time of a test of each.
+            if not math.isfinite(values.sum()):
+                joint = int(np.argmin(np.isfinite(values)))
+                raise SafetyError(
+                    f"The motion asks for {what} = {values[joint]} of {self._names[joint]}.",
+                    "Command finite numbers only; `g1stream motion` shows what a motion asks for.",
+                )
+
+    def stalled(self, gap: int) -> str:
+        """Why the session must end after `gap` ns in which the loop stood still, or ""."""
+        if gap / 1e9 <= self._config.state_timeout:
+            return ""
+        return (
+            f"the loop stood still for {gap / 1e9:.3f} s (limit {self._config.state_timeout:g} s)"
+        )
 
     def verdict(self, now: int, state: Measured) -> str:
         """Why the session must end, or "" while all is well.

@@ -39,7 +39,7 @@ def resolve_gains(config: GainsConfig) -> Gains:
 def _resolved(
     which: str, default: NDArray[np.float64], table: Mapping[str, float]
 ) -> NDArray[np.float64]:
-    gains = default.copy()
+    gains: NDArray[np.float64] = default.copy()
     for pattern, value in table.items():
         fits = [i for i, name in enumerate(JOINT_NAMES) if fnmatchcase(name, pattern)]
         if not fits:

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import gc
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
+from itertools import islice
 from typing import TYPE_CHECKING
 
 from g1stream.control.envelope import Measured
 from g1stream.control.phases import Inputs, Phase, PhaseState, Timing, step
+from g1stream.control.targets import Target
 from g1stream.control.ticker import Lateness, Ticker
 from g1stream.dds.messages import LowCmd, LowState, Reference
 
@@ -24,7 +26,7 @@ if TYPE_CHECKING:
     from g1stream.control.envelope import Envelope
     from g1stream.control.gains import Gains
     from g1stream.control.link import Link
-    from g1stream.control.targets import Target, Targets
+    from g1stream.control.targets import Targets
 
 __all__ = ["LoopReport", "StreamLoop"]
 
@@ -32,6 +34,9 @@ INFO, WARNING, ERROR = 2, 3, 4
 
 #: How often the loop looks for a second writer of LowCmd, ns.
 _RIVAL_PERIOD = 100_000_000
+
+#: What a target says, a Reference says under the same names.
+_NAMES = tuple(one.name for one in fields(Target))
 
 
 @dataclass
@@ -116,6 +121,7 @@ class StreamLoop:
         self._allow_rivals = allow_rivals
         self._command, self._reference, self._low_state = LowCmd(), Reference(), LowState()
         self._measured: Measured | None = None
+        self._target: Target | None = None
         self._prepared: tuple[bytes, bytes] | None = None
         self._prepared_for = 0
         self._stop_reason = ""
@@ -142,7 +148,7 @@ class StreamLoop:
         try:
             self._play()
         except BaseException as error:
-            self._damp_after(error)
+            self._abort(error)
             raise
         finally:
             self.report.reason = self.state.reason
@@ -166,8 +172,8 @@ class StreamLoop:
 
     def _tick(self, deadline: int) -> None:
         if self._prepared is not None:
-            if self._prepared_for != deadline:  # ticks were skipped: the motion stays on time
-                self._prepare(deadline)
+            if self._prepared_for != deadline:
+                self._catch_up(deadline)
             self._publish(deadline)
         begun = self._clock.now()
         self._receive(begun)
@@ -176,6 +182,17 @@ class StreamLoop:
             self._prepare(deadline + self._period)
         if self.report.commands:
             self.report.worst_work = max(self.report.worst_work, self._clock.now() - begun)
+
+    def _catch_up(self, deadline: int) -> None:
+        """Ticks were skipped: the motion stays on time, unless it would leap."""
+        gap = deadline - self._prepared_for
+        if self.state.phase is Phase.DAMP:
+            # Damping lasts as long as it is commanded, not as long as the clock runs.
+            self.state = replace(self.state, since=self.state.since + gap)
+        else:
+            self.request_stop(self._envelope.stalled(gap))
+            self._advance(self._clock.now(), deadline)
+        self._prepare(deadline)
 
     def _publish(self, deadline: int) -> None:
         if self._prepared is None:
@@ -199,11 +216,14 @@ class StreamLoop:
     def _advance(self, now: int, deadline: int) -> None:
         before = self.state
         stop = self._stop_reason or self._verdict(now) or self._rival(now)
-        settled = now - before.since >= self._settle
-        ready = settled and self._measured is not None and self._link.listeners() > 0
+        ready = before.phase is Phase.WAIT and self._ready(now)
         self.state = step(deadline, before, Inputs(ready, stop), self._timing)
         if self.state.phase is not before.phase:
             self._entered(before.phase)
+
+    def _ready(self, now: int) -> bool:
+        settled = now - self.state.since >= self._settle
+        return settled and self._measured is not None and self._link.listeners() > 0
 
     def _verdict(self, now: int) -> str:
         if self._measured is None or self.state.phase >= Phase.DAMP:
@@ -239,42 +259,41 @@ class StreamLoop:
         self._link.tell(level, text)
 
     def _prepare(self, deadline: int) -> None:
-        target = self._targets.at(self.state.phase, self.state.elapsed(deadline) / 1e9)
+        elapsed = self.state.elapsed(deadline) / 1e9
+        self._compose(self._targets.at(self.state.phase, elapsed), deadline)
+
+    def _compose(self, target: Target, deadline: int) -> None:
         command, reference = self._command, self._reference
         command.q[:] = self._envelope.limit(target.q)
         command.dq[:] = target.dq
         command.tau[:] = target.tau
+        self._envelope.require_finite(q=command.q, dq=command.dq, tau=command.tau)
         reference.tick[()] = self.report.commands
         reference.phase[()] = self.state.phase
-        _fill(reference, target)
+        for name in _NAMES:
+            getattr(reference, name)[...] = getattr(target, name)
         self.motion_time = target.motion_time
         self._prepared = command.seal(), reference.tobytes()
         self._prepared_for = deadline
+        self._target = target
 
-    def _damp_after(self, error: BaseException) -> None:
+    def _abort(self, error: BaseException) -> None:
         """Damp without looking left or right: the loop itself has failed."""
-        if not self.report.commands or self.state.phase is Phase.DONE:
-            return
-        start = self._clock.now()
-        before = self.state.phase
+        before, start = self.state.phase, self._clock.now()
+        # Whatever failed, this target was whole; before there was one, nothing was commanded.
+        whole = self._target if before < Phase.DONE else None
         reason = f"{type(error).__name__}: {error}"
-        self.state = PhaseState(Phase.DAMP, start, reason)
-        if before is not Phase.DAMP:
-            self._entered(before)
-        self._prepare(start)
-        for _, deadline in Ticker(self._clock, self._period, start):
+        self.state = PhaseState(Phase.DAMP if whole else Phase.DONE, start, reason)
+        try:
+            if before < Phase.DAMP:
+                self._entered(before)
+        finally:
+            if whole:
+                self._damp(whole.at_rest(), start)
+            self.state = replace(self.state, phase=Phase.DONE)
+
+    def _damp(self, target: Target, start: int) -> None:
+        n_ticks = -(-self._timing.damp // self._period)
+        for _, deadline in islice(Ticker(self._clock, self._period, start), n_ticks):
+            self._compose(target, deadline)
             self._publish(deadline)
-            if deadline - start >= self._timing.damp:
-                break
-
-
-def _fill(reference: Reference, target: Target) -> None:
-    reference.motion_time[()] = target.motion_time
-    reference.q[:] = target.q
-    reference.dq[:] = target.dq
-    reference.ddq[:] = target.ddq
-    reference.tau[:] = target.tau
-    reference.root_pos[:] = target.root_pos
-    reference.root_quat_wxyz[:] = target.root_quat_wxyz
-    reference.root_lin_vel[:] = target.root_lin_vel
-    reference.root_ang_vel[:] = target.root_ang_vel

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -39,6 +39,13 @@ class Target:
     root_quat_wxyz: NDArray[np.float64]
     root_lin_vel: NDArray[np.float64]
     root_ang_vel: NDArray[np.float64]
+
+    def at_rest(self) -> Target:
+        """The same pose, with no velocity, acceleration or torque."""
+        still, nowhere = np.zeros_like(self.q), np.zeros(3)
+        return replace(
+            self, dq=still, ddq=still, tau=still, root_lin_vel=nowhere, root_ang_vel=nowhere
+        )
 
 
 def minimum_jerk(s: float) -> tuple[float, float, float]:
@@ -92,7 +99,7 @@ class Targets:
         elif phase is Phase.HOLD:
             self._last = self._at_rest(self._start + (self._play or 0.0))
         else:
-            self._last = self._stopped(self._last)
+            self._last = self._last.at_rest()
         return self._last
 
     def _playing(self, elapsed: float) -> Target:
@@ -101,7 +108,7 @@ class Targets:
         return _moving(time, self._trajectory.sample(time))
 
     def _at_rest(self, time: float) -> Target:
-        return self._stopped(_moving(time, self._trajectory.sample(time)))
+        return _moving(time, self._trajectory.sample(time)).at_rest()
 
     def _ramping(self, elapsed: float) -> Target:
         goal = self._at_rest(self._start)
@@ -109,31 +116,11 @@ class Targets:
             raise RuntimeError("the ramp has no pose to start from: call begin() first")
         progress, rate, acceleration = minimum_jerk(elapsed / self._ramp)
         way = goal.q - self._from
-        return Target(
-            goal.motion_time,
-            self._from + progress * way,
-            rate / self._ramp * way,
-            acceleration / self._ramp**2 * way,
-            goal.tau,
-            goal.root_pos,
-            goal.root_quat_wxyz,
-            goal.root_lin_vel,
-            goal.root_ang_vel,
-        )
-
-    @staticmethod
-    def _stopped(target: Target) -> Target:
-        still, nowhere = np.zeros_like(target.q), np.zeros(3)
-        return Target(
-            target.motion_time,
-            target.q,
-            still,
-            still,
-            still,
-            target.root_pos,
-            target.root_quat_wxyz,
-            nowhere,
-            nowhere,
+        return replace(
+            goal,
+            q=self._from + progress * way,
+            dq=rate / self._ramp * way,
+            ddq=acceleration / self._ramp**2 * way,
         )
 
 

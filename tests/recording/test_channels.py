@@ -13,7 +13,7 @@ from g1stream.dds.layout import leaves
 from g1stream.recording.channels import CHANNELS
 
 WIRE = [channel for channel in CHANNELS.values() if channel.source is not None]
-DERIVED = [channel for channel in CHANNELS.values() if channel.source is None]
+PROTOBUF = [c for c in CHANNELS.values() if c.schema_encoding == SchemaEncoding.Protobuf]
 
 
 def ros2_decoder(channel):
@@ -64,7 +64,7 @@ def test_ros2_decoders_read_what_cyclonedds_serialises(channel, make_sample):
 @pytest.mark.parametrize("channel", CHANNELS.values(), ids=lambda c: c.topic)
 def test_encodings_are_mcaps_well_known_ones(channel):
     pair = (channel.schema_encoding, channel.message_encoding)
-    if channel.source is None:
+    if channel.schema_name.startswith("foxglove."):
         assert pair == (SchemaEncoding.Protobuf, MessageEncoding.Protobuf)
     else:
         assert pair == (SchemaEncoding.ROS2, MessageEncoding.CDR)
@@ -81,7 +81,7 @@ def test_wire_channels_are_named_as_ros_names_them():
     }
 
 
-@pytest.mark.parametrize("channel", DERIVED, ids=lambda c: c.topic)
+@pytest.mark.parametrize("channel", PROTOBUF, ids=lambda c: c.topic)
 def test_protobuf_schemas_stand_alone(channel):
     pool = DescriptorPool()
     for file in FileDescriptorSet.FromString(channel.build_schema()).file:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from g1stream.robot.rotations import quat_from_axis_angle, quat_mul, quat_rotate
+from g1stream.robot.rotations import quat_mul, quat_rotate
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -50,13 +50,16 @@ def local_transforms(
     n_joints = len(robot.joint_names)
     if joint_pos.ndim != 2 or joint_pos.shape[1] != n_joints:
         raise ValueError(f"joint_pos must have the shape (T, {n_joints}), not {joint_pos.shape}")
-    n_frames, n_links = len(joint_pos), len(robot.link_names)
+    n_frames = len(joint_pos)
 
-    angle = np.zeros((n_frames, n_links))
+    # With q the origin's quaternion and a the joint's axis, a turn by an angle t makes it
+    # cos(t/2) q + sin(t/2) q (0, a): two constants a link, where a product would cost each frame.
     moving = robot.joint_of_link >= 0
-    angle[:, moving] = joint_pos[:, robot.joint_of_link[moving]]
-
-    quat = quat_mul(robot.origin_quat_wxyz, quat_from_axis_angle(robot.axis, angle))
+    half = joint_pos[:, robot.joint_of_link[moving], None] / 2
+    origin, axis = robot.origin_quat_wxyz[moving], robot.axis[moving]
+    turned = quat_mul(origin, np.concatenate([np.zeros((len(axis), 1)), axis], axis=1))
+    quat = np.repeat(robot.origin_quat_wxyz[None], n_frames, axis=0)
+    quat[:, moving] = np.cos(half) * origin + np.sin(half) * turned
     pos = np.repeat(robot.origin_pos[None], n_frames, axis=0)
     pos[:, 0], quat[:, 0] = root_pos, root_quat_wxyz
     return LinkPoses(pos, quat)

@@ -8,6 +8,7 @@ import json
 import os
 import socket
 import tempfile
+import time
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,11 +16,14 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
 # Above 101 a domain's ports reach the range that Linux hands out to anybody, and 0 and 1 are where
 # robots and simulators are.
 DOMAINS = range(10, 101)
+
+#: Longer than anything takes on a busy machine, shorter than pytest's own limit, s.
+PATIENCE = 30.0
 
 
 @contextmanager
@@ -86,6 +90,19 @@ def domain_zero(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
     with _claim(0, wait=True):
         yield 0
+
+
+@pytest.fixture
+def until() -> Callable[[Callable[[], Any], str], None]:
+    """Wait for something that another process or thread brings about."""
+
+    def wait(condition: Callable[[], Any], what: str) -> None:
+        deadline = time.monotonic() + PATIENCE
+        while not condition():
+            assert time.monotonic() < deadline, f"waited in vain for {what}"
+            time.sleep(0.005)
+
+    return wait
 
 
 @pytest.fixture(scope="session")

@@ -9,7 +9,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -134,16 +133,3 @@ def start_peer(sdk_python: Path, tmp_path: Path) -> Iterator[Callable[..., Peer]
     finally:
         for peer in peers:
             peer.clean_up()
-
-
-@pytest.fixture
-def until() -> Callable[[Callable[[], Any], str], None]:
-    """Wait for something that another process brings about."""
-
-    def wait(condition: Callable[[], Any], what: str) -> None:
-        deadline = time.monotonic() + PATIENCE
-        while not condition():
-            assert time.monotonic() < deadline, f"waited in vain for {what}"
-            time.sleep(0.005)
-
-    return wait

@@ -1,0 +1,126 @@
+"""What a user can get wrong ends with a cause, a remedy and exit code 2, never with a traceback."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+DEMO = Path(__file__).parents[2] / "src" / "g1stream" / "motion" / "demo.csv"
+
+
+def run(*arguments: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "g1stream", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+
+
+def changed(tmp_path: Path, old: str, new: str) -> Path:
+    path = tmp_path / "changed.csv"
+    text = DEMO.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    return path
+
+
+def toml(tmp_path: Path, text: str) -> Path:
+    path = tmp_path / "config.toml"
+    path.write_text(text)
+    return path
+
+
+CASES = {
+    "no such motion": (lambda tmp: ["motion", tmp / "nowhere.csv"], "nowhere.csv"),
+    "a directory": (lambda tmp: ["motion", tmp], "directory"),
+    "a joint nobody knows": (
+        lambda tmp: ["motion", changed(tmp, "left_knee_joint", "left_kneee_joint")],
+        "left_kneee_joint",
+    ),
+    "text for a number": (lambda tmp: ["motion", changed(tmp, "\n1,", "\n1,oops")], "line 3"),
+    "a repeated frame": (lambda tmp: ["motion", changed(tmp, "\n2,", "\n1,")], "line 4"),
+    "no frame rate": (lambda tmp: ["motion", "demo", "--fps", 0], "0"),
+    "no such URDF": (lambda tmp: ["motion", "demo", "--robot", tmp / "no.urdf"], "no.urdf"),
+    "not a URDF": (lambda tmp: ["motion", "demo", "--robot", DEMO], "demo.csv"),
+    "no such interface": (
+        lambda tmp: ["stream", "demo", "--interface", "nowhere0"],
+        "no network interface 'nowhere0'",
+    ),
+    "a domain out of range": (lambda tmp: ["stream", "demo", "--domain", 500], "domain"),
+    "a rate out of range": (lambda tmp: ["stream", "demo", "--rate", 1e6], "stream.rate"),
+    "a start beyond the end": (lambda tmp: ["stream", "demo", "--start", 99], "99"),
+    "a start that is not a number": (lambda tmp: ["stream", "demo", "--start", "soon"], "soon"),
+    "no such flag": (lambda tmp: ["stream", "demo", "--speed", 2], "--speed"),
+    "no such config": (lambda tmp: ["stream", "demo", "--config", tmp / "no.toml"], "no.toml"),
+    "not TOML": (lambda tmp: ["sim", "--config", toml(tmp, "[dds")], "not TOML"),
+    "no such setting": (
+        lambda tmp: ["sim", "--config", toml(tmp, "[sim]\nspeed = 2")],
+        "sim.speed",
+    ),
+    "a setting of the wrong type": (
+        lambda tmp: ["sim", "--config", toml(tmp, "[sim]\nrate = 'fast'")],
+        "sim.rate",
+    ),
+    "gains for no joint": (
+        lambda tmp: ["stream", "demo", "--gains", toml(tmp, "[kp]\n'*_tail' = 3")],
+        "*_tail",
+    ),
+    "no such support": (lambda tmp: ["sim", "--support", "balloon"], "balloon"),
+    "a recording in no directory": (
+        lambda tmp: ["record", tmp / "no" / "session.mcap"],
+        "does not exist",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_bad_input_is_explained(tmp_path, case):
+    arguments, named = CASES[case]
+    done = run(*arguments(tmp_path))
+    assert done.returncode == 2, done.stderr
+    assert named in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not done.stdout
+
+
+def test_a_recording_that_exists_is_kept(tmp_path):
+    path = tmp_path / "session.mcap"
+    path.write_bytes(b"precious")
+    done = run("record", path)
+    assert done.returncode == 2
+    assert "--force" in done.stderr
+    assert path.read_bytes() == b"precious"
+
+
+def test_a_recorder_that_cannot_start_keeps_the_stream_from_starting(tmp_path, domain_id):
+    path = tmp_path / "session.mcap"
+    path.write_bytes(b"precious")
+    done = run("stream", "demo", "--domain", domain_id, "--record", path)
+    assert done.returncode == 2
+    assert "exists already" in done.stderr
+    assert path.read_bytes() == b"precious"
+
+
+@pytest.mark.parametrize("command", ["", "demo", "stream", "sim", "record", "motion"])
+def test_help_is_there_for_every_subcommand(command):
+    done = run(*command.split(), "--help")
+    assert done.returncode == 0
+    assert "--help" in done.stdout
+
+
+def test_help_needs_no_heavy_imports():
+    heavy = ("mujoco", "scipy", "cyclonedds", "yourdfpy", "matplotlib", "mcap")
+    code = (
+        "import sys, contextlib, io\n"
+        "from g1stream.cli.main import main\n"
+        "with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):\n"
+        "    main(['--help'])\n"
+        f"print([name for name in {heavy} if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

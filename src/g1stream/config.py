@@ -26,6 +26,7 @@ __all__ = [
     "Config",
     "DdsConfig",
     "GainsConfig",
+    "RealtimeConfig",
     "RecordConfig",
     "SafetyConfig",
     "SimConfig",
@@ -64,6 +65,15 @@ class StreamConfig(_Table):
     duration: Positive | None = Field(None, description="how much of it to play, s; all if unset")
     loop: bool = Field(False, description="play again and again until stopped")
     damp_kd: float = Field(3.0, ge=0.5, le=10.0, description="gain while damping, Nm s/rad")
+
+
+class RealtimeConfig(_Table):
+    """How punctual the loop asks to be; what the system does not grant is gone without."""
+
+    priority: int = Field(50, ge=0, le=99, description="of SCHED_FIFO; 0: an ordinary process")
+    cpu: int | None = Field(
+        None, ge=0, description="the only CPU of the loop; an isolated one, or any, if unset"
+    )
 
 
 class SafetyConfig(_Table):
@@ -115,6 +125,7 @@ class Config(_Table):
     robot: Path | None = Field(None, description="URDF; the built-in G1 if unset")
     dds: DdsConfig = DdsConfig()
     stream: StreamConfig = StreamConfig()
+    realtime: RealtimeConfig = RealtimeConfig()
     safety: SafetyConfig = SafetyConfig()
     gains: GainsConfig = GainsConfig()
     record: RecordConfig = RecordConfig()

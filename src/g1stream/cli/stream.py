@@ -21,6 +21,7 @@ from g1stream.cli.common import (
     value,
 )
 from g1stream.cli.watch import watch
+from g1stream.realtime import told
 
 if TYPE_CHECKING:
     from g1stream.control.loop import StreamLoop
@@ -125,10 +126,19 @@ def _summary(outcome: StreamOutcome) -> str:
         "  lateness   "
         + ", ".join(f"p{p:g} {lateness.percentile_us(p):.0f} us" for p in (50, 99, 99.9))
         + f", max {lateness.maximum_ns / 1000:.0f} us",
-        f"  states     {report.states} received",
+        f"  states     {_states(outcome.wire)}",
+        f"  real time  {told(outcome.granted)}",
     ]
     if clamped := int(report.clamped.sum()):
         lines.append(f"  limits     {clamped} joint targets were held at their limit")
     if outcome.recording:
         lines.append(f"  recording  {outcome.recording['path']}")
     return "\n".join(lines)
+
+
+def _states(wire: dict[str, int | None]) -> str:
+    missed = wire["states_missed"]
+    lost = (
+        "how many were lost is unknown: they carry no tick" if missed is None else f"{missed} lost"
+    )
+    return f"{wire['states_received']} received, {lost}"

@@ -6,22 +6,19 @@ next command, so that only a write lies between the deadline and the wire.
 
 from __future__ import annotations
 
-import gc
 from collections import deque
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import fields, replace
 from itertools import islice
 from typing import TYPE_CHECKING
 
 from g1stream.control.envelope import Measured
 from g1stream.control.phases import Inputs, Phase, PhaseState, Timing, step
+from g1stream.control.report import LoopReport
 from g1stream.control.targets import Target
-from g1stream.control.ticker import Lateness, Ticker
+from g1stream.control.ticker import Ticker
 from g1stream.dds.messages import LowCmd, LowState, Reference
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from g1stream.clock import Clock
     from g1stream.control.envelope import Envelope
     from g1stream.control.gains import Gains
@@ -35,42 +32,11 @@ INFO, WARNING, ERROR = 2, 3, 4
 #: How often the loop looks for a second writer of LowCmd, ns.
 _RIVAL_PERIOD = 100_000_000
 
+#: How often it tells of skipped ticks, ns.
+_OVERRUN_PERIOD = 1_000_000_000
+
 #: What a target says, a Reference says under the same names.
 _NAMES = tuple(one.name for one in fields(Target))
-
-
-@dataclass
-class LoopReport:
-    """How a run went, whatever ended it.
-
-    Attributes:
-        reason: why it ended early; empty when the motion was played to its end.
-        period: ns between deadlines.
-        commands: LowCmds written.
-        states: LowStates received, of those that were the newest at a tick.
-        first_stamp, last_stamp: publish times of the first and last LowCmd, ns since the epoch.
-        skipped: ticks left out because they were a whole period late or more.
-        lateness: of each write against its deadline.
-        worst_work: longest time from a write to the end of the tick's computation, ns.
-        clamped: (29,) ticks at which each joint's target was held at its limit.
-    """
-
-    period: int
-    clamped: NDArray[np.int64]
-    reason: str = ""
-    commands: int = 0
-    states: int = 0
-    first_stamp: int = 0
-    last_stamp: int = 0
-    skipped: int = 0
-    worst_work: int = 0
-    lateness: Lateness = field(default_factory=Lateness)
-
-    @property
-    def rate(self) -> float:
-        """LowCmds per second between the first and the last, Hz; nan before the second."""
-        span = self.last_stamp - self.first_stamp
-        return (self.commands - 1) * 1e9 / span if span > 0 else float("nan")
 
 
 class StreamLoop:
@@ -126,6 +92,7 @@ class StreamLoop:
         self._prepared_for = 0
         self._stop_reason = ""
         self._rivals_due = 0
+        self._overruns_told = self._overruns_due = 0
         self.state = PhaseState(Phase.WAIT, 0)
         self.motion_time = 0.0
         self.events: deque[tuple[int, str]] = deque(maxlen=1000)
@@ -141,10 +108,6 @@ class StreamLoop:
         Whatever goes wrong in here after the first command, the robot is damped before it is
         raised.
         """
-        collecting = gc.isenabled()
-        gc.collect()
-        gc.freeze()
-        gc.disable()
         try:
             self._play()
         except BaseException as error:
@@ -152,9 +115,6 @@ class StreamLoop:
             raise
         finally:
             self.report.reason = self.state.reason
-            if collecting:
-                gc.enable()
-            gc.unfreeze()
         return self.report
 
     def _play(self) -> None:
@@ -165,8 +125,9 @@ class StreamLoop:
         for _, deadline in ticker:
             if self.state.phase is Phase.WAIT:
                 skipped_waiting = ticker.skipped
-            self._tick(deadline)
             self.report.skipped = ticker.skipped - skipped_waiting
+            self._tick(deadline)
+            self._tell_overruns(deadline)
             if self.state.phase is Phase.DONE:
                 break
 
@@ -182,6 +143,15 @@ class StreamLoop:
             self._prepare(deadline + self._period)
         if self.report.commands:
             self.report.worst_work = max(self.report.worst_work, self._clock.now() - begun)
+
+    def _tell_overruns(self, deadline: int) -> None:
+        """Tell of skipped ticks at once, and then at most once a second."""
+        news = self.report.skipped - self._overruns_told
+        if not news or (deadline < self._overruns_due and self.state.phase is not Phase.DONE):
+            return
+        self._overruns_told = self.report.skipped
+        self._overruns_due = deadline + _OVERRUN_PERIOD
+        self._tell(WARNING, f"overrun: ticks skipped: {news}, {self.report.skipped} so far")
 
     def _catch_up(self, deadline: int) -> None:
         """Ticks were skipped: the motion stays on time, unless it would leap."""
@@ -233,7 +203,8 @@ class StreamLoop:
     def _rival(self, now: int) -> str:
         if self._allow_rivals or now < self._rivals_due or self.state.phase >= Phase.DAMP:
             return ""
-        self._rivals_due = now + _RIVAL_PERIOD
+        if self.state.phase is not Phase.WAIT:  # while waiting nothing is hurried
+            self._rivals_due = now + _RIVAL_PERIOD
         rivals = self._link.rivals()
         return f"somebody else writes rt/lowcmd: {', '.join(rivals)}" if rivals else ""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +11,7 @@ from g1stream.config import Config
 from g1stream.control.envelope import Envelope
 from g1stream.control.gains import Gains, resolve_gains
 from g1stream.control.link import DdsLink
-from g1stream.control.loop import StreamLoop
+from g1stream.control.loop import INFO, StreamLoop
 from g1stream.control.phases import Timing
 from g1stream.control.targets import Targets
 from g1stream.dds.domain import Participant
@@ -20,6 +20,7 @@ from g1stream.motion.motion import Motion
 from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.programs.children import Child
+from g1stream.realtime import on_time, told
 from g1stream.robot.model import G1
 
 if TYPE_CHECKING:
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
     from g1stream.clock import Clock
     from g1stream.control.loop import LoopReport
+    from g1stream.realtime import Grant
 
 __all__ = ["StreamOutcome", "stream"]
 
@@ -41,11 +43,15 @@ class StreamOutcome:
         motion: its name.
         report: what the loop counted.
         recording: the recorder's own summary; None where nothing was recorded.
+        wire: what was lost on the wire and what was not.
+        granted: what the system granted to be on time.
     """
 
     motion: str
     report: LoopReport
     recording: dict[str, Any] | None
+    wire: dict[str, int | None]
+    granted: list[Grant]
 
     def as_dict(self) -> dict[str, Any]:
         """The outcome as JSON values."""
@@ -53,6 +59,8 @@ class StreamOutcome:
             "motion": self.motion,
             "loop": loop_summary(self.report),
             "recording": self.recording,
+            "wire": self.wire,
+            "realtime": [asdict(grant) for grant in self.granted],
         }
 
 
@@ -83,23 +91,36 @@ def stream(
     if not isinstance(motion, Motion):
         motion = load_motion(motion, robot)
     start, play = _interval(motion, config)
-    trajectory = Trajectory(motion, loop=config.stream.loop)
     gains = resolve_gains(config.gains)
     with Participant(config.dds.domain, config.dds.interface) as participant:
         link = DdsLink(participant)
+        # Only now, because it takes as long as others need to be discovered.
+        trajectory = Trajectory(motion, loop=config.stream.loop)
         targets = Targets(trajectory, start=start, play=play, ramp=config.stream.ramp)
         loop = make_loop(config, robot, link, targets, play, gains, SystemClock())
         if on_loop:
             on_loop(loop)
         recorder = _start_recorder(Path(record), force, config, motion, gains) if record else None
         recording = None
+        granted: list[Grant] = []
         try:
-            report = loop.run()
+            with on_time(config.realtime.priority, config.realtime.cpu) as granted:
+                link.tell(INFO, told(granted))
+                report = loop.run()
         finally:
+            wire = link.counts()
             if recorder:
-                recorder.send({"stream": loop_summary(loop.report)})
+                recorder.send(
+                    {
+                        "stream": {
+                            **loop_summary(loop.report),
+                            "wire": wire,
+                            "realtime": [asdict(grant) for grant in granted],
+                        }
+                    }
+                )
                 recording = recorder.finish()
-    return StreamOutcome(motion.name, report, recording)
+    return StreamOutcome(motion.name, report, recording, wire, granted)
 
 
 def make_loop(

@@ -84,9 +84,11 @@ def times(path: Path) -> dict[str, np.ndarray[Any, Any]]:
 
 
 @pytest.fixture(scope="module")
-def played(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, dict[str, Any]]]:
+def played(
+    tmp_path_factory: pytest.TempPathFactory, module_domain_id: int
+) -> Iterator[tuple[Path, dict[str, Any]]]:
     """A session of two seconds of the bundled motion on our bridge, and what stream printed."""
-    domain_id = 103  # the fixture that hands out domains lives for one test only
+    domain_id = module_domain_id
     path = tmp_path_factory.mktemp("played") / "session.mcap"
     with simulator(domain_id):
         done = run(

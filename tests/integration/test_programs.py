@@ -86,7 +86,7 @@ def times(path: Path) -> dict[str, np.ndarray[Any, Any]]:
 @pytest.fixture(scope="module")
 def played(
     tmp_path_factory: pytest.TempPathFactory, module_domain_id: int
-) -> Iterator[tuple[Path, dict[str, Any]]]:
+) -> tuple[Path, dict[str, Any]]:
     """A session of two seconds of the bundled motion on our bridge, and what stream printed."""
     domain_id = module_domain_id
     path = tmp_path_factory.mktemp("played") / "session.mcap"
@@ -95,7 +95,7 @@ def played(
             stream_arguments(domain_id, "--duration", PLAY, "--record", path, "--json"),
         )
     assert done.returncode == 0, done.stderr
-    yield path, json.loads(done.stdout)
+    return path, json.loads(done.stdout)
 
 
 def test_a_motion_is_played_and_recorded(played):
@@ -233,14 +233,12 @@ def test_nobody_there_ends_without_a_command(domain_id, tmp_path):
 
 
 def test_a_demo_makes_session_picture_and_summary(domain_id, tmp_path):
-    done = run(
-        ["demo", "--config", PATIENT, "--domain", domain_id, "--out", tmp_path / "d"]
-        + ["--duration", 2],
-    )
+    where = ["--domain", domain_id, "--out", tmp_path / "d"]
+    done = run(["demo", "--config", PATIENT, "--duration", 2, *where])
     assert done.returncode == 0, done.stderr
     assert open_session(tmp_path / "d/session.mcap").complete
     assert (tmp_path / "d/tracking.png").read_bytes()[:4] == b"\x89PNG"
     assert "RMSE" in done.stdout
-    again = run(["demo", "--domain", domain_id, "--out", tmp_path / "d"])
+    again = run(["demo", *where])
     assert again.returncode == 2
     assert "exists already" in again.stderr

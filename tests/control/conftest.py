@@ -1,0 +1,248 @@
+"""A clock and a wire that do nothing by themselves, and a short motion to play over them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from g1stream.config import SafetyConfig
+from g1stream.control.envelope import Envelope
+from g1stream.control.gains import Gains
+from g1stream.control.loop import StreamLoop
+from g1stream.control.phases import Phase, Timing
+from g1stream.control.targets import Targets
+from g1stream.dds.messages import LowCmd, LowState, Reference
+from g1stream.motion.motion import Motion
+from g1stream.motion.trajectory import Trajectory
+from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
+from g1stream.robot.model import G1
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+MS = 1_000_000
+
+
+class FakeClock:
+    """Time passes by sleeping and by `work`, and by nothing else.
+
+    Attributes:
+        time: ns.
+        deadlines: what was slept for, in order; a deadline that had passed counts too.
+        oversleeps: by how much the sleep until a deadline takes too long, ns.
+    """
+
+    def __init__(self) -> None:
+        self.time = 5_000_000_000
+        self.deadlines: list[int] = []
+        self.oversleeps: dict[int, int] = {}
+
+    def now(self) -> int:
+        return self.time
+
+    def stamp(self) -> int:
+        return 1_700_000_000_000_000_000 + self.time
+
+    def sleep_until(self, deadline: int) -> None:
+        self.deadlines.append(deadline)
+        if deadline > self.time:
+            self.time = deadline + self.oversleeps.get(deadline, 0)
+
+    def work(self, duration: int) -> None:
+        """Let time pass, ns."""
+        self.time += duration
+
+
+class Sent(NamedTuple):
+    """What a link was given at once, and when, ns."""
+
+    time: int
+    stamp: int
+    command: LowCmd
+    reference: Reference
+
+
+class FakeLink:
+    """The loop's end of a wire and, in its other methods and attributes, the robot at its far end.
+
+    Attributes:
+        sent: what the loop has sent.
+        told: (level, text) of the events.
+        robot: what LowState says; it is repeated at every look unless `silent`.
+        silent: nothing but `publish_state` brings a LowState.
+        on_send: is called after each send, with the number of those before.
+    """
+
+    #: Commands of DAMP in the `timing` below.
+    _DAMP = 250
+
+    def __init__(self, clock: FakeClock) -> None:
+        self.sent: list[Sent] = []
+        self.told: list[tuple[int, str]] = []
+        self.robot = LowState()
+        self.robot.quaternion[:] = (1.0, 0.0, 0.0, 0.0)
+        self.robot.mode_machine[()] = 5
+        self.silent = False
+        self.on_send: Callable[[int], None] = lambda _: None
+        self._clock = clock
+        self._pending: bytes | None = None
+        self._n_listeners = 0
+        self._rivals: list[str] = []
+
+    def listeners(self) -> int:
+        return self._n_listeners
+
+    def rivals(self) -> list[str]:
+        return list(self._rivals)
+
+    def receive(self, state: LowState) -> bool:
+        data = self._pending if self.silent else self.robot.tobytes()
+        self._pending = None
+        if data is None:
+            return False
+        state.load(data)
+        return True
+
+    def send(self, command: bytes, reference: bytes, stamp: int) -> None:
+        sent = Sent(self._clock.now(), stamp, LowCmd(), Reference())
+        sent.command.load(command)
+        sent.reference.load(reference)
+        self.sent.append(sent)
+        self.on_send(len(self.sent) - 1)
+
+    def tell(self, level: int, text: str) -> None:
+        self.told.append((level, text))
+
+    def publish_state(self, data: bytes) -> None:
+        self._pending = data
+
+    def at_send(self, n: int, act: Callable[[], Any]) -> None:
+        """Act when the n-th command has been sent, counted from 0."""
+        self.on_send = lambda i: act() if i == n else None
+
+    def phases(self) -> dict[str, int]:
+        """How many commands each phase got, in order of time."""
+        return dict(Counter(Phase(int(sent.reference.phase)).name for sent in self.sent))
+
+    def in_phase(self, phase: Phase) -> list[Sent]:
+        return [sent for sent in self.sent if int(sent.reference.phase) == phase]
+
+    def assert_damped(self) -> None:
+        """The session ended in its whole share of commands that only damp, and all are sound."""
+        last, *damping = self.sent[-self._DAMP - 1 :]
+        assert damping == self.in_phase(Phase.DAMP)
+        for sent in damping:
+            assert not sent.command.kp.any()
+            assert not sent.command.tau.any()
+            assert not sent.command.dq.any()
+            assert sent.command.kd.tolist() == [3.0] * 29
+            assert sent.command.q.tolist() == damping[0].command.q.tolist()
+        # The pose due when damping began, a tick after the last; nothing moves faster than 1 rad/s.
+        assert damping[0].command.q == pytest.approx(last.command.q, abs=0.002)
+        assert damping[-1].time - damping[0].time >= 498 * MS
+        self.assert_sound()
+
+    def assert_sound(self) -> None:
+        """Every command is what it must be, whatever happens."""
+        for i, sent in enumerate(self.sent):
+            assert sent.command.crc_matches()
+            assert sent.command.motor_mode.tolist() == [1] * 29
+            assert int(sent.command.mode_pr) == 0
+            assert int(sent.command.mode_machine) == 5
+            assert int(sent.reference.tick) == i
+            for values in (sent.command.q, sent.command.dq, sent.command.tau):
+                assert np.isfinite(values).all()
+
+    @contextmanager
+    def listening(self) -> Iterator[None]:
+        """Somebody reads LowCmd meanwhile."""
+        self._n_listeners += 1
+        yield
+        self._n_listeners -= 1
+
+    @contextmanager
+    def rivalled(self) -> Iterator[str]:
+        """Somebody else writes LowCmd meanwhile; gives what must be in its name."""
+        self._rivals.append("policy (pid 4242 on elsewhere)")
+        yield "4242"
+        self._rivals.pop()
+
+
+@pytest.fixture
+def clock() -> FakeClock:
+    return FakeClock()
+
+
+@pytest.fixture
+def link(clock: FakeClock) -> Iterator[FakeLink]:
+    """A wire with a robot on it that listens."""
+    link = FakeLink(clock)
+    with link.listening():
+        yield link
+
+
+@pytest.fixture
+def bare_link(clock: FakeClock) -> FakeLink:
+    """A wire that nobody listens on, and that brings nothing by itself."""
+    link = FakeLink(clock)
+    link.silent = True
+    return link
+
+
+@pytest.fixture(scope="session")
+def motion() -> Motion:
+    """Half a second at 50 fps in which every joint and the root move, the ends included."""
+    time = np.arange(26)[:, np.newaxis] / 50
+    phase = np.linspace(0.1, 1.5, N_JOINTS)
+    heading = 0.5 * time
+    return Motion(
+        name="made",
+        fps=50.0,
+        joint_names=JOINT_NAMES,
+        joint_pos=0.1 * np.sin(4.0 * time + phase),
+        root_pos=np.hstack([0.3 * time, 0.1 * time**2, 0.8 + 0.0 * time]),
+        root_quat_wxyz=np.hstack(
+            [np.cos(heading / 2), 0.0 * time, 0.0 * time, np.sin(heading / 2)]
+        ),
+    )
+
+
+@pytest.fixture(scope="session")
+def trajectory(motion: Motion) -> Trajectory:
+    return Trajectory(motion)
+
+
+@pytest.fixture(scope="session")
+def robot() -> G1:
+    return G1.default()
+
+
+@pytest.fixture
+def timing() -> Timing:
+    return Timing(wait=1000 * MS, ramp=100 * MS, play=500 * MS, hold=20 * MS, damp=500 * MS)
+
+
+@pytest.fixture
+def make_loop(
+    clock: FakeClock, link: FakeLink, trajectory: Trajectory, robot: G1, timing: Timing
+) -> Callable[..., StreamLoop]:
+    """A loop at 500 Hz over the fake wire; anything may be given in place of what it would have."""
+
+    def make(safety: SafetyConfig | None = None, **other: Any) -> StreamLoop:
+        parts: dict[str, Any] = {
+            "link": link,
+            "clock": clock,
+            "targets": Targets(trajectory, start=0.0, play=0.5, ramp=0.1),
+            "envelope": Envelope(robot, safety or SafetyConfig()),
+            "timing": timing,
+            "gains": Gains(np.arange(29) + 40.0, np.arange(29) / 10.0 + 1.0),
+            "period": 2 * MS,
+            "damp_kd": 3.0,
+        }
+        return StreamLoop(**(parts | other))
+
+    return make

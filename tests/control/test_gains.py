@@ -1,0 +1,53 @@
+"""Gains: patterns over the gains of Unitree's example."""
+
+import numpy as np
+import pytest
+
+from g1stream.config import GainsConfig
+from g1stream.control.gains import resolve_gains
+from g1stream.errors import ConfigError
+from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP, JOINT_NAMES
+
+
+def test_defaults_are_the_example():
+    gains = resolve_gains(GainsConfig())
+    assert gains.kp.tolist() == EXAMPLE_KP.tolist()
+    assert gains.kd.tolist() == EXAMPLE_KD.tolist()
+
+
+def test_a_name_sets_one_joint():
+    gains = resolve_gains(GainsConfig(kp={"left_knee_joint": 150.0}))
+    knee = JOINT_NAMES.index("left_knee_joint")
+    assert gains.kp[knee] == 150.0
+    assert np.delete(gains.kp, knee).tolist() == np.delete(EXAMPLE_KP, knee).tolist()
+    assert gains.kd.tolist() == EXAMPLE_KD.tolist()
+
+
+def test_a_pattern_sets_all_that_fit():
+    gains = resolve_gains(GainsConfig(kd={"*_knee_joint": 4.0, "waist_*": 2.5}))
+    for i, name in enumerate(JOINT_NAMES):
+        expected = {"knee": 4.0, "waist": 2.5}
+        wanted = [value for part, value in expected.items() if part in name]
+        assert gains.kd[i] == (wanted[0] if wanted else EXAMPLE_KD[i])
+
+
+def test_later_patterns_go_over_earlier_ones():
+    gains = resolve_gains(GainsConfig(kp={"*": 10.0, "left_*": 20.0, "left_elbow_joint": 30.0}))
+    for i, name in enumerate(JOINT_NAMES):
+        side = 20.0 if name.startswith("left_") else 10.0
+        assert gains.kp[i] == (30.0 if name == "left_elbow_joint" else side)
+
+
+def test_the_defaults_stay_as_they_are():
+    resolve_gains(GainsConfig(kp={"*": 1.0})).kd[:] = 0.0
+    assert resolve_gains(GainsConfig()).kd.tolist() == EXAMPLE_KD.tolist()
+
+
+@pytest.mark.parametrize("table", ["kp", "kd"])
+@pytest.mark.parametrize("pattern", ["knee", "Left_Knee_Joint", "left_knee_joint ", "*_toe_joint"])
+def test_a_pattern_that_fits_nothing_is_named(table, pattern):
+    with pytest.raises(ConfigError) as caught:
+        resolve_gains(GainsConfig(**{table: {pattern: 1.0}}))
+    assert repr(pattern) in caught.value.cause
+    assert table in caught.value.cause
+    assert "left_knee_joint" in caught.value.remedy

@@ -1,0 +1,168 @@
+"""One contract for every link: the test's own, in this process, and DDS on the loopback."""
+
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+from g1stream.control.link import DdsLink
+from g1stream.dds.domain import Participant
+from g1stream.dds.messages import Log, LowCmd, LowState, Reference
+from g1stream.dds.raw import RawReader, RawWriter
+from g1stream.dds.topics import LOG, LOWCMD, LOWSTATE, REFERENCE
+
+STAMP = 1_700_000_000_123_456_789
+
+
+class FakeEnds:
+    """Both ends of the link that the tests of the loop use."""
+
+    def __init__(self, link):
+        self.link = link
+        self.listening = link.listening
+        self.rivalled = link.rivalled
+        self.publish_state = link.publish_state
+
+    def commands(self):
+        return [(sent.command.tobytes(), sent.stamp) for sent in self.link.sent]
+
+    def references(self):
+        return [(sent.reference.tobytes(), sent.stamp) for sent in self.link.sent]
+
+    def events(self):
+        return [(level, "stream", text) for level, text in self.link.told]
+
+
+class DdsEnds:
+    """A DdsLink, and a robot at the far end in a participant of its own."""
+
+    def __init__(self, ours, theirs):
+        self._theirs = theirs
+        self.link = DdsLink(ours)
+        self._states = RawWriter(theirs, LOWSTATE)
+        self._readers = {t.name: RawReader(theirs, t, depth=10) for t in (REFERENCE, LOG)}
+        self._arrived = {name: [] for name in (LOWCMD.name, *self._readers)}
+
+    @contextmanager
+    def listening(self):
+        reader = RawReader(self._theirs, LOWCMD, depth=10)
+        self._readers[LOWCMD.name] = reader
+        yield
+        self._taken(LOWCMD)
+        del self._readers[LOWCMD.name]
+        reader.close()
+
+    @contextmanager
+    def rivalled(self):
+        writer = RawWriter(self._theirs, LOWCMD)
+        yield "pid"
+        writer.close()
+
+    def publish_state(self, data):
+        self._states.write(data)
+
+    def _taken(self, topic):
+        if topic.name in self._readers:
+            self._arrived[topic.name] += self._readers[topic.name].take()
+        return self._arrived[topic.name]
+
+    def commands(self):
+        return [(sample.data, sample.publish_time) for sample in self._taken(LOWCMD)]
+
+    def references(self):
+        return [(sample.data, sample.publish_time) for sample in self._taken(REFERENCE)]
+
+    def events(self):
+        log, found = Log(), []
+        for sample in self._taken(LOG):
+            log.load(sample.data)
+            found.append((int(log.level), log.name, log.text))
+        return found
+
+
+@pytest.fixture(params=["fake", "dds"])
+def ends(request):
+    """A link and its far end, where nobody listens yet and no state comes."""
+    if request.param == "fake":
+        yield FakeEnds(request.getfixturevalue("bare_link"))
+        return
+    domain_id = request.getfixturevalue("domain_id")
+    with Participant(domain_id, "lo") as ours, Participant(domain_id, "lo") as theirs:
+        yield DdsEnds(ours, theirs)
+
+
+def state_of(tick):
+    state = LowState()
+    state.tick[()] = tick
+    state.q[:] = np.arange(29) / 10
+    return state.seal()
+
+
+def test_an_empty_wire(ends):
+    state = LowState()
+    assert ends.link.listeners() == 0
+    assert ends.link.rivals() == []
+    assert not ends.link.receive(state)
+    assert state.tobytes() == LowState().tobytes()
+
+
+def test_listeners_come_and_go(ends, until):
+    with ends.listening():
+        until(lambda: ends.link.listeners() == 1, "a listener")
+    until(lambda: ends.link.listeners() == 0, "its departure")
+
+
+def test_the_newest_state_is_received_once(ends, until):
+    state = LowState()
+    ends.publish_state(state_of(1))
+    until(lambda: ends.link.receive(state), "a LowState")
+    assert state.tobytes() == state_of(1)
+    for tick in (2, 3, 4):
+        ends.publish_state(state_of(tick))
+    until(lambda: ends.link.receive(state) and int(state.tick) == 4, "the newest LowState")
+    assert not ends.link.receive(state)
+    assert state.tobytes() == state_of(4)
+
+
+def test_command_and_reference_arrive_whole_with_one_stamp(ends, until):
+    command, reference = LowCmd(), Reference()
+    with ends.listening():
+        until(lambda: ends.link.listeners() == 1, "a listener")
+        sent = []
+        for i in range(3):
+            command.q[:] = i / 7
+            reference.q[:] = i / 7
+            sent.append((command.seal(), reference.tobytes(), STAMP + i))
+            ends.link.send(*sent[-1])
+        until(lambda: len(ends.commands()) == 3, "three commands")
+        until(lambda: len(ends.references()) == 3, "three references")
+        assert ends.commands() == [(command, stamp) for command, _, stamp in sent]
+        assert ends.references() == [(reference, stamp) for _, reference, stamp in sent]
+
+
+def test_sending_into_the_void_is_no_error(ends):
+    ends.link.send(LowCmd().seal(), Reference().tobytes(), STAMP)
+
+
+def test_events_arrive_in_order(ends, until):
+    told = [(2, "WAIT -> RAMP"), (4, "naïve → the pelvis is tilted"), (3, "x" * 240)]
+    for level, text in told:
+        ends.link.tell(level, text)
+    until(lambda: len(ends.events()) == 3, "three events")
+    assert ends.events() == [(level, "stream", text) for level, text in told]
+
+
+def test_a_rival_is_named_while_it_is_there(ends, until):
+    with ends.rivalled() as name:
+        until(ends.link.rivals, "the rival")
+        (rival,) = ends.link.rivals()
+        assert name in rival
+    until(lambda: not ends.link.rivals(), "its departure")
+
+
+def test_our_own_commands_are_no_rival(ends, until):
+    with ends.listening():
+        until(lambda: ends.link.listeners() == 1, "a listener")
+        ends.link.send(LowCmd().seal(), Reference().tobytes(), STAMP)
+        until(ends.commands, "the command")
+        assert ends.link.rivals() == []

@@ -1,0 +1,230 @@
+"""The loop from WAIT to DONE on a clock and a wire of the test's own: every command, to the ns."""
+
+import gc
+import sys
+from contextlib import nullcontext
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from g1stream.config import SafetyConfig
+from g1stream.control.loop import LoopReport
+from g1stream.control.phases import Phase
+from g1stream.control.targets import Targets
+from g1stream.motion.trajectory import Trajectory
+
+MS = 1_000_000
+PERIOD = 2 * MS
+SETTLE = 300 * MS
+RAMP, PLAY, HOLD, DAMP = 50, 250, 10, 250  # commands that the phases of `timing` last
+
+
+def test_a_whole_session(make_loop, link, clock):
+    start = clock.now()
+    loop = make_loop()
+    report = loop.run()
+    assert link.phases() == {"RAMP": RAMP, "PLAY": PLAY, "HOLD": HOLD, "DAMP": DAMP}
+    first = start + SETTLE + PERIOD
+    assert [sent.time for sent in link.sent] == [first + i * PERIOD for i in range(len(link.sent))]
+    assert [sent.stamp - sent.time for sent in link.sent] == [clock.stamp() - clock.time] * 560
+    link.assert_damped()
+    went = ["WAIT -> RAMP", "RAMP -> PLAY", "PLAY -> HOLD", "HOLD -> DAMP", "DAMP -> DONE"]
+    assert link.told == [(2, text) for text in went]
+    assert list(loop.events) == link.told
+    assert loop.state.phase is Phase.DONE
+    assert report is loop.report
+    assert report.reason == ""
+    assert report.commands == 560
+    assert report.states == 151 + 560  # one a tick, those of WAIT included
+    assert report.skipped == 0
+    assert report.rate == 500.0
+    assert (report.first_stamp, report.last_stamp) == (link.sent[0].stamp, link.sent[-1].stamp)
+    assert (report.lateness.n, report.lateness.maximum_ns) == (560, 0)
+
+
+def test_play_is_sampled_exactly_at_its_deadlines(make_loop, link, trajectory):
+    make_loop().run()
+    played = link.in_phase(Phase.PLAY)
+    for i, sent in enumerate(played):
+        point = trajectory.sample(i * PERIOD / 1e9)
+        assert float(sent.reference.motion_time) == i * PERIOD / 1e9
+        assert sent.reference.q.tolist() == point.joint_pos.tolist()
+        assert sent.reference.dq.tolist() == point.joint_vel.tolist()
+        assert sent.reference.ddq.tolist() == point.joint_acc.tolist()
+        assert sent.reference.root_pos.tolist() == point.root_pos.tolist()
+        assert sent.reference.root_quat_wxyz.tolist() == point.root_quat_wxyz.tolist()
+        assert sent.reference.root_lin_vel.tolist() == point.root_lin_vel.tolist()
+        assert sent.reference.root_ang_vel.tolist() == point.root_ang_vel.tolist()
+        assert sent.command.q.tolist() == point.joint_pos.astype(np.float32).tolist()
+        assert sent.command.dq.tolist() == point.joint_vel.astype(np.float32).tolist()
+        assert not sent.command.tau.any()
+
+
+def test_ramp_begins_at_the_measured_pose_and_no_command_leaps(make_loop, link):
+    link.robot.q[:] = np.linspace(-0.05, 0.4, 29)
+    make_loop().run()
+    assert link.sent[0].command.q.tolist() == link.robot.q.tolist()
+    assert not link.sent[0].command.dq.any()
+    q = np.array([sent.command.q for sent in link.sent])
+    # 0.45 rad in 0.1 s of minimum jerk peaks at 1.875 * 0.45 / 0.1 = 8.4 rad/s.
+    assert np.abs(np.diff(q, axis=0)).max() < 8.5 * PERIOD / 1e9
+
+
+def test_gains_hold_until_damping(make_loop, link):
+    make_loop().run()
+    for sent in link.sent[:-DAMP]:
+        assert sent.command.kp.tolist() == (np.arange(29) + 40.0).tolist()
+        assert sent.command.kd.tolist() == np.float32(np.arange(29) / 10.0 + 1.0).tolist()
+
+
+def test_command_echoes_the_robots_machine(make_loop, link):
+    link.robot.mode_machine[()] = 0
+    make_loop().run()
+    assert {int(sent.command.mode_machine) for sent in link.sent} == {0}
+
+
+def test_targets_are_held_at_the_limits_and_counted(make_loop, link, robot):
+    narrow = SafetyConfig(position_margin=0.25)
+    report = make_loop(narrow).run()
+    lower, upper = (np.float32(v) for v in (robot.lower + 0.25, robot.upper - 0.25))
+    beyond = np.zeros(29, dtype=int)
+    for sent in link.sent:
+        assert (sent.command.q >= lower).all()
+        assert (sent.command.q <= upper).all()
+        beyond += (sent.reference.q < robot.lower + 0.25) | (sent.reference.q > robot.upper - 0.25)
+    assert beyond.any()
+    assert report.clamped.tolist() == beyond.tolist()
+
+
+def test_a_looping_motion_plays_until_stopped(make_loop, link, motion, timing):
+    looping = Trajectory(motion, loop=True)
+    targets = Targets(looping, start=0.0, play=None, ramp=0.1)
+    loop = make_loop(targets=targets, timing=replace(timing, play=None))
+    link.at_send(1000, lambda: loop.request_stop("enough"))
+    loop.run()
+    assert link.phases() == {"RAMP": RAMP, "PLAY": 1001 - RAMP, "DAMP": DAMP}
+    assert float(link.sent[1000].reference.motion_time) == 950 * PERIOD / 1e9
+    link.assert_damped()
+
+
+def test_lateness_is_from_the_deadline_to_the_write(make_loop, link, clock):
+    link.on_send = lambda _: clock.work(150_000)
+    report = make_loop().run()
+    assert report.lateness.sparse() == {"150": 560}
+    assert report.lateness.maximum_ns == 150_000
+    assert report.skipped == 0
+
+
+def test_work_is_from_the_write_to_the_end_of_the_tick(make_loop, link, clock, trajectory):
+    class Laborious(Targets):
+        def at(self, phase, elapsed):
+            clock.work(300_000)
+            return super().at(phase, elapsed)
+
+    link.on_send = lambda _: clock.work(100_000)
+    targets = Laborious(trajectory, start=0.0, play=0.5, ramp=0.1)
+    assert make_loop(targets=targets).run().worst_work == 300_000
+
+
+def test_oversleeping_delays_one_command_only(make_loop, link, clock):
+    late = clock.now() + SETTLE + PERIOD + 100 * PERIOD
+    clock.oversleeps[late] = PERIOD - 1
+    report = make_loop().run()
+    assert [sent.time for sent in link.sent[99:102]] == [
+        late - PERIOD,
+        late + PERIOD - 1,
+        late + PERIOD,
+    ]
+    assert float(link.sent[100].reference.motion_time) == 50 * PERIOD / 1e9
+    assert report.commands == 560
+    assert report.lateness.maximum_ns == PERIOD - 1
+    assert report.skipped == 0
+
+
+@pytest.mark.parametrize("at", [80, 299])
+def test_a_short_stall_skips_ticks_and_the_motion_stays_on_time(make_loop, link, clock, at):
+    """Also where the stall reaches into the next phase."""
+    late = clock.now() + SETTLE + PERIOD + at * PERIOD
+    clock.oversleeps[late] = 5 * PERIOD + 7
+    report = make_loop().run()
+    assert report.skipped == 5
+    assert report.commands == 555
+    assert report.reason == ""
+    sent = link.sent[at]
+    assert sent.time == late + 5 * PERIOD + 7
+    assert float(sent.reference.motion_time) == min(at + 5 - RAMP, PLAY) * PERIOD / 1e9
+    assert int(sent.reference.phase) == (Phase.PLAY if at < 290 else Phase.HOLD)
+    assert link.sent[at + 1].time == late + 6 * PERIOD
+    link.assert_damped()
+
+
+def test_a_stall_in_the_ramp_shifts_nothing(make_loop, link, clock, trajectory):
+    late = clock.now() + SETTLE + PERIOD + (RAMP - 2) * PERIOD
+    clock.oversleeps[late] = 5 * PERIOD
+    make_loop().run()
+    sent = link.sent[RAMP - 2]
+    assert int(sent.reference.phase) == Phase.PLAY
+    assert sent.reference.q.tolist() == trajectory.sample(3 * PERIOD / 1e9).joint_pos.tolist()
+
+
+def test_a_long_stall_damps_instead_of_leaping(make_loop, link, clock):
+    clock.oversleeps[clock.now() + SETTLE + PERIOD + 80 * PERIOD] = 100 * MS + PERIOD
+    report = make_loop().run()
+    assert report.reason == "the loop stood still for 0.102 s (limit 0.1 s)"
+    assert link.phases() == {"RAMP": RAMP, "PLAY": 30, "DAMP": DAMP}
+    link.assert_damped()
+
+
+@pytest.mark.parametrize("phase_end", ["last command", "first of DAMP", "within DAMP"])
+def test_damping_is_commanded_in_full_whatever_stalls(make_loop, link, clock, phase_end):
+    ahead = {"last command": -1, "first of DAMP": 0, "within DAMP": 100}[phase_end]
+    n = RAMP + PLAY + HOLD + ahead
+    clock.oversleeps[clock.now() + SETTLE + PERIOD + n * PERIOD] = 60_000 * MS
+    make_loop().run()
+    link.assert_damped()
+
+
+def test_waiting_is_not_counted_as_skipping(make_loop, clock):
+    clock.oversleeps[clock.now() + 10 * PERIOD] = 20 * PERIOD
+    assert make_loop().run().skipped == 0
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_the_collector_is_left_as_it_was(make_loop, link, fails):
+    if fails:
+        link.at_send(100, lambda: 1 / 0)
+    assert gc.isenabled()
+    with pytest.raises(ZeroDivisionError) if fails else nullcontext():
+        make_loop().run()
+    assert gc.isenabled()
+    assert gc.get_freeze_count() == 0
+
+
+def test_memory_does_not_grow_with_the_motion(make_loop, link, clock, motion, timing, monkeypatch):
+    looping = Targets(Trajectory(motion, loop=True), start=0.0, play=None, ramp=0.1)
+    loop = make_loop(targets=looping, timing=replace(timing, play=None))
+    blocks = []
+
+    def send(command, reference, stamp):
+        if loop.report.commands in (1000, 3000):
+            blocks.append(sys.getallocatedblocks())
+        if loop.report.commands == 3000:
+            loop.request_stop("enough")
+
+    monkeypatch.setattr(link, "send", send)
+    monkeypatch.setattr(type(clock), "sleep_until", sleep_without_a_record)
+    loop.run()
+    assert len(blocks) == 2
+    assert blocks[1] - blocks[0] < 100  # 2,000 ticks; with no collector to help
+
+
+def sleep_without_a_record(clock, deadline):
+    clock.time = max(clock.time, deadline)
+
+
+def test_a_report_of_fewer_than_two_commands_has_no_rate():
+    report = LoopReport(PERIOD, np.zeros(29, dtype=np.int64))
+    assert np.isnan(report.rate)
+    report.commands, report.first_stamp, report.last_stamp = 1, 5, 5
+    assert np.isnan(report.rate)

@@ -1,0 +1,247 @@
+"""Every way out of the loop: what stops it, what breaks it, and that the robot is damped."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from g1stream.control.phases import Phase
+from g1stream.control.targets import Targets
+from g1stream.errors import SafetyError
+
+MS = 1_000_000
+PERIOD = 2 * MS
+RAMP, PLAY, HOLD, DAMP = 50, 250, 10, 250  # commands that the phases of `timing` last
+
+
+@pytest.mark.parametrize("n", [0, 30, RAMP, 200, RAMP + PLAY + 3])
+def test_a_stop_damps_from_the_next_command_on(make_loop, link, n):
+    loop = make_loop()
+    link.at_send(n, lambda: loop.request_stop("SIGINT"))
+    report = loop.run()
+    assert report.commands == n + 1 + DAMP
+    assert report.reason == "SIGINT"
+    link.assert_damped()
+    assert (4, f"{Phase(int(link.sent[n].reference.phase)).name} -> DAMP: SIGINT") in link.told
+
+
+def test_the_first_reason_counts_and_damping_cannot_be_cut_short(make_loop, link):
+    loop = make_loop()
+    link.on_send = lambda i: loop.request_stop(f"stop {i}") if i >= 100 else None
+    assert loop.run().reason == "stop 100"
+    link.assert_damped()
+
+
+def test_a_stop_before_the_first_command_sends_nothing(make_loop, link):
+    loop = make_loop()
+    loop.request_stop("SIGTERM")
+    assert loop.run().reason == "SIGTERM"
+    assert link.sent == []
+    assert link.told == [(4, "WAIT -> DONE: SIGTERM")]
+    assert np.isnan(loop.report.rate)
+
+
+def test_silence_of_the_robot_damps_when_the_state_is_stale(make_loop, link):
+    link.at_send(99, lambda: setattr(link, "silent", True))
+    report = make_loop().run()
+    assert report.reason == "no LowState for 0.102 s (limit 0.1 s)"
+    # The last state came with the command before; the first tick beyond 0.1 s prepares the next.
+    damped = link.in_phase(Phase.DAMP)[0]
+    assert damped.time - link.sent[98].time == 102 * MS + PERIOD
+    link.assert_damped()
+
+
+@pytest.mark.parametrize(
+    ("field", "place", "value", "reason"),
+    [
+        ("quaternion", slice(None), (0.8, 0.6, 0, 0), "tilted by 1.29 rad"),
+        ("quaternion", slice(None), 0, "norm 0.000"),
+        ("dq", 3, 41.0, "left_knee_joint moves at 41.0 rad/s"),
+        ("q", 3, np.nan, "not finite"),
+        ("dq", 3, np.inf, "not finite"),
+        ("mode_machine", (), 4, "mode_machine 4"),
+    ],
+)
+def test_a_bad_measurement_stops(make_loop, link, field, place, value, reason):
+    def spoil():
+        getattr(link.robot, field)[place] = value
+
+    link.at_send(120, spoil)
+    report = make_loop().run()
+    assert reason in report.reason
+    assert report.commands == 121 + DAMP
+    link.assert_damped()
+
+
+@pytest.mark.parametrize("machine", [4, 6, 9])
+def test_a_wrong_robot_gets_no_command(make_loop, link, machine):
+    link.robot.mode_machine[()] = machine
+    report = make_loop().run()
+    assert f"mode_machine {machine}" in report.reason
+    assert link.sent == []
+
+
+def test_a_fallen_robot_gets_no_command(make_loop, link):
+    link.robot.quaternion[:] = (0.7, 0.0, 0.714, 0.0)
+    assert "tilted" in make_loop().run().reason
+    assert link.sent == []
+
+
+def test_a_rival_is_refused_before_the_first_command(make_loop, link):
+    with link.rivalled() as name:
+        report = make_loop().run()
+    assert report.reason.startswith("somebody else writes rt/lowcmd")
+    assert name in report.reason
+    assert link.sent == []
+
+
+def test_a_rival_that_comes_late_stops_within_a_tenth_of_a_second(make_loop, link):
+    rival = link.rivalled()
+    link.at_send(120, rival.__enter__)
+    report = make_loop().run()
+    assert report.reason.startswith("somebody else writes rt/lowcmd")
+    assert 1 <= report.commands - DAMP - 120 <= 51
+    link.assert_damped()
+
+
+def test_a_rival_may_be_allowed(make_loop, link):
+    with link.rivalled():
+        report = make_loop(allow_rivals=True).run()
+    assert (report.commands, report.reason) == (560, "")
+
+
+def test_nobody_listens(make_loop, bare_link, clock):
+    bare_link.silent = False
+    start = clock.now()
+    report = make_loop(link=bare_link).run()
+    assert report.reason
+    assert bare_link.sent == []
+    assert clock.now() - start == 1000 * MS - PERIOD
+
+
+def test_no_state_comes(make_loop, link, clock):
+    link.silent = True
+    start = clock.now()
+    report = make_loop().run()
+    assert report.reason
+    assert report.states == 0
+    assert link.sent == []
+    assert clock.now() - start == 1000 * MS - PERIOD
+
+
+def test_the_first_command_waits_for_a_listener(make_loop, link, clock, monkeypatch):
+    comes = clock.now() + 400 * MS
+    monkeypatch.setattr(link, "listeners", lambda: int(clock.now() >= comes))
+    make_loop().run()
+    assert link.sent[0].time == comes + PERIOD
+
+
+class BrokenError(Exception):
+    """What the tests break the loop with."""
+
+
+class Failing(Targets):
+    """Cannot tell any target any more from 0.1 s into PLAY on."""
+
+    failed = False
+
+    def at(self, phase, elapsed):
+        self.failed = self.failed or (phase is Phase.PLAY and elapsed >= 0.1)
+        if self.failed:
+            raise BrokenError("no target")
+        return super().at(phase, elapsed)
+
+
+class Nonsense(Targets):
+    """Tells something from 0.1 s into PLAY on that must not be sent."""
+
+    nonsense = None
+
+    def at(self, phase, elapsed):
+        target = super().at(phase, elapsed)
+        if phase is Phase.PLAY and elapsed >= 0.1:
+            self._last = target = replace(target, **self.nonsense)
+        return target
+
+
+def test_an_error_in_the_targets_damps_and_is_raised_again(make_loop, link, trajectory):
+    loop = make_loop(targets=Failing(trajectory, start=0.0, play=0.5, ramp=0.1))
+    with pytest.raises(BrokenError, match="no target"):
+        loop.run()
+    assert link.phases() == {"RAMP": RAMP, "PLAY": 50, "DAMP": DAMP}
+    link.assert_damped()
+    assert loop.state.phase is Phase.DONE
+    assert loop.report.reason == "BrokenError: no target"
+    assert link.told[-1] == (4, "PLAY -> DAMP: BrokenError: no target")
+
+
+@pytest.mark.parametrize(
+    ("nonsense", "error"),
+    [
+        ({"q": np.full(29, np.nan)}, SafetyError),
+        ({"dq": np.full(29, np.inf)}, SafetyError),
+        ({"tau": np.full(29, np.nan)}, SafetyError),
+        ({"q": np.zeros(28)}, ValueError),
+        ({"root_pos": np.zeros(2)}, ValueError),
+    ],
+)
+def test_nonsense_is_never_sent(make_loop, link, trajectory, nonsense, error):
+    targets = Nonsense(trajectory, start=0.0, play=0.5, ramp=0.1)
+    targets.nonsense = nonsense
+    with pytest.raises(error):
+        make_loop(targets=targets).run()
+    assert link.phases() == {"RAMP": RAMP, "PLAY": 50, "DAMP": DAMP}
+    link.assert_damped()
+
+
+@pytest.mark.parametrize("error", [BrokenError, KeyboardInterrupt, SystemExit, MemoryError])
+@pytest.mark.parametrize("n", [0, 120])
+def test_an_error_of_the_wire_damps_and_is_raised_again(make_loop, link, error, n):
+    def fail():
+        raise error("no wire")
+
+    link.at_send(n, fail)
+    loop = make_loop()
+    with pytest.raises(error, match="no wire"):
+        loop.run()
+    assert len(link.sent) == n + 1 + DAMP
+    for sent in link.sent[-DAMP:]:
+        assert int(sent.reference.phase) == Phase.DAMP
+        assert not sent.command.kp.any()
+        assert sent.command.crc_matches()
+
+
+@pytest.mark.parametrize("transition", ["RAMP -> PLAY", "PLAY -> HOLD", "HOLD -> DAMP"])
+def test_an_error_in_telling_does_not_keep_from_damping(make_loop, link, transition, monkeypatch):
+    def tell(level, text):
+        if text.startswith(transition) or "DAMP" in text:
+            raise BrokenError(text)
+
+    monkeypatch.setattr(link, "tell", tell)
+    with pytest.raises(BrokenError):
+        make_loop().run()
+    link.assert_damped()
+
+
+def test_an_error_in_damping_damps_again(make_loop, link):
+    def fail():
+        raise BrokenError("once")
+
+    link.at_send(RAMP + PLAY + HOLD + 100, fail)
+    with pytest.raises(BrokenError, match="once"):
+        make_loop().run()
+    assert link.phases()["DAMP"] == 101 + DAMP
+    assert link.told[-1] == (2, "HOLD -> DAMP")
+
+
+def test_an_error_before_the_first_command_sends_nothing(make_loop, link, monkeypatch):
+    def listeners():
+        raise BrokenError("no wire")
+
+    monkeypatch.setattr(link, "listeners", listeners)
+    loop = make_loop()
+    with pytest.raises(BrokenError):
+        loop.run()
+    assert link.sent == []
+    assert loop.state.phase is Phase.DONE
+    assert link.told == [(4, "WAIT -> DONE: BrokenError: no wire")]

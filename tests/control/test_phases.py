@@ -1,0 +1,133 @@
+"""The state machine on exact nanoseconds."""
+
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from g1stream.control.phases import Inputs, Phase, PhaseState, Timing, step
+
+WAIT, RAMP, PLAY, HOLD, DAMP, DONE = Phase
+TIMING = Timing(wait=1000, ramp=300, play=5000, hold=200, damp=500)
+START = 7_000_000_123
+READY, STOP = Inputs(ready=True), Inputs(stop="enough")
+
+
+def test_waits_for_somebody():
+    state = PhaseState(WAIT, START)
+    assert step(START + 999, state, Inputs(), TIMING) == state
+    assert step(START + 999, state, READY, TIMING) == PhaseState(RAMP, START + 999)
+
+
+def test_gives_up_waiting_at_the_exact_instant():
+    state = PhaseState(WAIT, START)
+    given_up = step(START + 1000, state, Inputs(), TIMING)
+    assert (given_up.phase, given_up.since) == (DONE, START + 1000)
+    assert given_up.reason
+    assert step(START + 1000, state, READY, TIMING).phase is RAMP
+
+
+@pytest.mark.parametrize(
+    ("phase", "lasts", "following"), [(RAMP, 300, PLAY), (PLAY, 5000, HOLD), (HOLD, 200, DAMP)]
+)
+def test_a_phase_ends_at_its_exact_instant(phase, lasts, following):
+    state = PhaseState(phase, START)
+    assert step(START + lasts - 1, state, Inputs(), TIMING) == state
+    assert step(START + lasts, state, Inputs(), TIMING) == PhaseState(following, START + lasts)
+
+
+@pytest.mark.parametrize(("phase", "lasts", "following"), [(RAMP, 300, PLAY), (PLAY, 5000, HOLD)])
+def test_a_late_tick_shifts_nothing(phase, lasts, following):
+    late = step(START + lasts + 17, PhaseState(phase, START), Inputs(), TIMING)
+    assert late == PhaseState(following, START + lasts)
+    assert late.elapsed(START + lasts + 17) == 17
+
+
+def test_several_phases_pass_in_one_step():
+    state = step(START + 300 + 5000 + 50, PhaseState(RAMP, START), Inputs(), TIMING)
+    assert state == PhaseState(HOLD, START + 300 + 5000)
+    no_hold = replace(TIMING, hold=0)
+    state = step(START + 300 + 5000, PhaseState(RAMP, START), Inputs(), no_hold)
+    assert state == PhaseState(DAMP, START + 300 + 5000)
+
+
+def test_damping_lasts_its_whole_time_however_late_it_begins():
+    now = START + 1_000_000
+    state = step(now, PhaseState(RAMP, START), Inputs(), TIMING)
+    assert state == PhaseState(DAMP, now)
+    assert step(now + 499, state, Inputs(), TIMING) == state
+    assert step(now + 500, state, Inputs(), TIMING) == PhaseState(DONE, now + 500)
+
+
+def test_a_motion_that_loops_plays_until_stopped():
+    loops = replace(TIMING, play=None)
+    state = PhaseState(PLAY, START)
+    assert step(START + 10**18, state, Inputs(), loops) == state
+    assert step(START + 10**18, state, STOP, loops) == PhaseState(DAMP, START + 10**18, "enough")
+
+
+@pytest.mark.parametrize("phase", [RAMP, PLAY, HOLD])
+def test_a_stop_leads_to_damping(phase):
+    assert step(START + 9, PhaseState(phase, START), STOP, TIMING) == PhaseState(
+        DAMP, START + 9, "enough"
+    )
+
+
+def test_a_stop_goes_before_the_end_of_a_phase():
+    assert step(START + 300, PhaseState(RAMP, START), STOP, TIMING).phase is DAMP
+
+
+def test_a_stop_before_the_first_command_needs_no_damping():
+    for inputs in (STOP, replace(STOP, ready=True)):
+        state = step(START + 9, PhaseState(WAIT, START), inputs, TIMING)
+        assert state == PhaseState(DONE, START + 9, "enough")
+
+
+def test_damping_cannot_be_cut_short_and_keeps_its_reason():
+    state = PhaseState(DAMP, START, "tilted")
+    assert step(START + 499, state, STOP, TIMING) == state
+    assert step(START + 500, state, STOP, TIMING) == PhaseState(DONE, START + 500, "tilted")
+
+
+def test_nothing_follows_the_end():
+    done = PhaseState(DONE, START, "enough")
+    for inputs in (Inputs(), READY, STOP):
+        assert step(START + 10**12, done, inputs, TIMING) == done
+
+
+durations = st.integers(0, 10_000)
+timings = st.builds(
+    Timing,
+    wait=durations,
+    ramp=durations,
+    play=st.none() | durations,
+    hold=durations,
+    damp=st.integers(1, 10_000),
+)
+ticks = st.lists(
+    st.tuples(
+        st.integers(1, 20_000),
+        st.builds(Inputs, ready=st.booleans(), stop=st.sampled_from(["", "", "", "enough"])),
+    ),
+    max_size=40,
+)
+
+
+@given(timings, ticks)
+def test_whatever_happens_damping_comes_between_a_command_and_the_end(timing, ticks):
+    """Phases never go back, and DAMP is seen at a tick of its own for its whole time."""
+    now, state, seen = START, PhaseState(WAIT, START), []
+    for wait, inputs in ticks:
+        now += wait
+        before, state = state, step(now, state, inputs, timing)
+        assert state.phase >= before.phase
+        assert before.since <= state.since <= now
+        seen.append((state.phase, now))
+    commanded = any(RAMP <= phase <= HOLD for phase, _ in seen)
+    damped = [at for phase, at in seen if phase is DAMP]
+    ended = [at for phase, at in seen if phase is DONE]
+    if commanded and ended:
+        assert damped
+        assert ended[0] - damped[0] >= timing.damp
+    assert commanded or not damped

@@ -1,0 +1,152 @@
+"""What each phase asks for, against finite differences and the trajectory itself."""
+
+import numpy as np
+import pytest
+
+from g1stream.control.phases import Phase
+from g1stream.control.targets import Targets, minimum_jerk
+from g1stream.motion.trajectory import Trajectory
+
+STEP = 1e-5
+
+
+@pytest.fixture
+def targets(trajectory):
+    targets = Targets(trajectory, start=0.1, play=0.3, ramp=2.0)
+    targets.begin(np.linspace(-0.4, 0.4, 29))
+    return targets
+
+
+def is_at_rest(target):
+    moving = (target.dq, target.ddq, target.tau, target.root_lin_vel, target.root_ang_vel)
+    return not any(part.any() for part in moving)
+
+
+def same_pose(one, other):
+    return (
+        one.q.tolist() == other.q.tolist()
+        and one.root_pos.tolist() == other.root_pos.tolist()
+        and one.root_quat_wxyz.tolist() == other.root_quat_wxyz.tolist()
+    )
+
+
+def test_minimum_jerk_starts_and_ends_at_rest():
+    assert minimum_jerk(0.0) == (0.0, 0.0, 0.0)
+    assert minimum_jerk(1.0) == (1.0, 0.0, 0.0)
+    assert minimum_jerk(-0.5) == minimum_jerk(0.0)
+    assert minimum_jerk(1.5) == minimum_jerk(1.0)
+    assert minimum_jerk(0.5) == (0.5, 1.875, 0.0)
+
+
+@pytest.mark.parametrize("s", np.linspace(0.01, 0.99, 15))
+def test_minimum_jerk_derivatives_are_finite_differences(s):
+    before, here, after = (np.array(minimum_jerk(s + d)) for d in (-STEP, 0.0, STEP))
+    difference = (after - before) / (2 * STEP)
+    assert here[1] == pytest.approx(difference[0], abs=1e-8)
+    assert here[2] == pytest.approx(difference[1], abs=1e-7)
+
+
+def test_minimum_jerk_goes_one_way_only():
+    progress = [minimum_jerk(s)[0] for s in np.linspace(0.0, 1.0, 101)]
+    assert np.all(np.diff(progress) > 0)
+
+
+def test_ramp_leads_from_the_measured_pose_to_the_first_frame(targets, trajectory):
+    first = targets.at(Phase.RAMP, 0.0)
+    assert first.q.tolist() == np.linspace(-0.4, 0.4, 29).tolist()
+    assert is_at_rest(first)
+    last = targets.at(Phase.RAMP, 2.0)
+    assert last.q == pytest.approx(trajectory.sample(0.1).joint_pos, abs=1e-15)
+    assert is_at_rest(last)
+    assert same_pose(targets.at(Phase.RAMP, 2.5), last)
+
+
+def test_ramp_velocity_and_acceleration_are_finite_differences(targets):
+    for elapsed in (0.2, 0.9, 1.7):
+        before, here, after = (targets.at(Phase.RAMP, elapsed + d) for d in (-STEP, 0.0, STEP))
+        assert here.dq == pytest.approx((after.q - before.q) / (2 * STEP), abs=1e-8)
+        assert here.ddq == pytest.approx((after.dq - before.dq) / (2 * STEP), abs=1e-8)
+        assert not here.tau.any()
+        assert not here.root_lin_vel.any()
+        assert not here.root_ang_vel.any()
+
+
+def test_ramp_shows_the_root_and_the_time_of_the_first_frame(targets, trajectory):
+    target = targets.at(Phase.RAMP, 0.7)
+    point = trajectory.sample(0.1)
+    assert target.motion_time == 0.1
+    assert target.root_pos.tolist() == point.root_pos.tolist()
+    assert target.root_quat_wxyz.tolist() == point.root_quat_wxyz.tolist()
+
+
+def test_ramp_does_not_follow_the_array_it_began_from(targets):
+    pose = np.zeros(29, dtype=np.float32)
+    targets.begin(pose)
+    pose[:] = 9.0
+    assert not targets.at(Phase.RAMP, 0.0).q.any()
+
+
+def test_ramp_without_a_beginning_is_a_mistake_of_ours(trajectory):
+    targets = Targets(trajectory, start=0.0, play=0.3, ramp=2.0)
+    with pytest.raises(RuntimeError, match="begin"):
+        targets.at(Phase.RAMP, 0.0)
+
+
+@pytest.mark.parametrize("elapsed", [0.0, 0.002, 0.1234567, 0.3])
+def test_play_is_the_trajectory(targets, trajectory, elapsed):
+    target, point = targets.at(Phase.PLAY, elapsed), trajectory.sample(0.1 + elapsed)
+    assert target.motion_time == 0.1 + elapsed
+    assert target.q.tolist() == point.joint_pos.tolist()
+    assert target.dq.tolist() == point.joint_vel.tolist()
+    assert target.ddq.tolist() == point.joint_acc.tolist()
+    assert not target.tau.any()
+    assert target.root_pos.tolist() == point.root_pos.tolist()
+    assert target.root_quat_wxyz.tolist() == point.root_quat_wxyz.tolist()
+    assert target.root_lin_vel.tolist() == point.root_lin_vel.tolist()
+    assert target.root_ang_vel.tolist() == point.root_ang_vel.tolist()
+
+
+def test_poses_are_continuous_from_ramp_to_play_to_hold(targets):
+    ramped, begun = targets.at(Phase.RAMP, 2.0), targets.at(Phase.PLAY, 0.0)
+    assert begun.q == pytest.approx(ramped.q, abs=1e-15)
+    ended, held = targets.at(Phase.PLAY, 0.3), targets.at(Phase.HOLD, 0.0)
+    assert same_pose(held, ended)
+
+
+def test_play_does_not_go_on_behind_its_end(targets, trajectory):
+    late = targets.at(Phase.PLAY, 0.35)
+    assert late.q.tolist() == trajectory.sample(0.1 + 0.3).joint_pos.tolist()
+
+
+def test_hold_rests_at_the_end(targets, trajectory):
+    for elapsed in (0.0, 0.5, 100.0):
+        target = targets.at(Phase.HOLD, elapsed)
+        assert target.motion_time == 0.1 + 0.3
+        assert target.q.tolist() == trajectory.sample(0.1 + 0.3).joint_pos.tolist()
+        assert is_at_rest(target)
+
+
+@pytest.mark.parametrize("before", [Phase.RAMP, Phase.PLAY, Phase.HOLD])
+def test_damp_keeps_the_last_pose_at_rest(targets, before):
+    last = targets.at(before, 0.15)
+    for elapsed in (0.0, 1.0):
+        target = targets.at(Phase.DAMP, elapsed)
+        assert same_pose(target, last)
+        assert target.motion_time == last.motion_time
+        assert is_at_rest(target)
+
+
+def test_a_looping_motion_goes_on(motion):
+    looping = Trajectory(motion, loop=True)
+    targets = Targets(looping, start=0.1, play=None, ramp=2.0)
+    rounds = 7 * looping.period
+    assert targets.at(Phase.PLAY, rounds).motion_time == 0.1 + rounds
+    assert targets.at(Phase.PLAY, rounds).q == pytest.approx(looping.sample(0.1).joint_pos)
+
+
+def test_rest_changes_the_motion_and_not_the_pose(targets):
+    target = targets.at(Phase.PLAY, 0.15)
+    rest = target.at_rest()
+    assert same_pose(rest, target)
+    assert is_at_rest(rest)
+    assert not is_at_rest(target)

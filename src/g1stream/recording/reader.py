@@ -1,49 +1,41 @@
 """Reads MCAP files, whole ones and ones whose writer was killed.
 
-The stock readers want either an index or a message object per message. This one needs neither: it
-hops from record to record to find the chunks, stops at the first that is not whole, and takes the
-messages of a chunk out of its bytes.
+The stock readers want either the index at the end of the file or a message object per message. This
+one needs neither: it hops from record to record to find the chunks, stops at the first that is not
+whole, and unpacks only the chunks in which a wanted topic has messages.
 """
 
 from __future__ import annotations
 
-import struct
 from collections import Counter
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Final
+from typing import IO, TYPE_CHECKING
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Metadata, Statistics
-from mcap.stream_reader import get_chunk_data_stream
+from mcap.records import Attachment, Channel, Metadata, Statistics
 from mcap.writer import MCAP0_MAGIC
 
 from g1stream.errors import RecordingError
+from g1stream.recording.ahead import ahead
+from g1stream.recording.records import (
+    ChunkPlace,
+    Messages,
+    message_places,
+    messages_at,
+    records,
+    records_in,
+    unpack,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
-__all__ = ["McapFile", "Messages"]
+    from g1stream.recording.records import Record
 
-_RECORD: Final = struct.Struct("<BQ")
-_MESSAGE: Final = struct.Struct("<HIQQ")
-
-
-@dataclass
-class Messages:
-    """Messages of one topic, in the order of the file.
-
-    Attributes:
-        log_times, publish_times: of each message, ns since the epoch.
-        data: of each message.
-    """
-
-    log_times: list[int] = field(default_factory=list)
-    publish_times: list[int] = field(default_factory=list)
-    data: list[bytes] = field(default_factory=list)
+__all__ = ["McapFile"]
 
 
 class McapFile:
@@ -65,42 +57,41 @@ class McapFile:
         self.counts: Counter[str] = Counter()
         self.metadata: list[Metadata] = []
         self._topics: dict[int, str] = {}
-        self._chunks: list[int] = []
-        self._attachments: list[int] = []
+        self._chunks: list[ChunkPlace] = []
+        self._attachments: list[Record] = []
         self._statistics: Statistics | None = None
         with self._open() as file:
-            for opcode, place in _records(file):
-                with self._unpacking(place):
-                    self._take(opcode, place, ReadDataStream(file))
-        counts = self._statistics.channel_message_counts if self._statistics else self._count()
-        for channel, count in counts.items():
-            self.counts[self._topic(channel)] += count
+            last = None
+            for last in records(file):
+                with self._unpacking(last):
+                    self._take(file, last)
+            # Of the last chunk of a file cut short, a part of the index may be missing.
+            if last and last.opcode in {Opcode.CHUNK, Opcode.MESSAGE_INDEX}:
+                self._chunks[-1].index.clear()
+            for channel, count in self._count(file).items():
+                self.counts[self._topic(channel)] += count
 
     def batches(self, topics: set[str]) -> Iterator[tuple[str, Messages]]:
-        """The messages of some topics, one batch per topic and chunk, in the order of the file.
+        """The messages of some topics, one batch per channel and chunk, in the order of the file.
 
         Raises:
             RecordingError: a chunk is damaged.
         """
+        channels = {channel for channel, topic in self._topics.items() if topic in topics}
+        chunks = [c for c in self._chunks if not c.index or not channels.isdisjoint(c.index)]
         with self._open() as file:
-            for place in self._chunks:
-                data = self._chunk(file, place)
-                found: dict[str, Messages] = {}
-                for channel, log_time, publish_time, start, end in self._messages(data):
-                    topic = self._topic(channel)
-                    if topic in topics:
-                        batch = found.setdefault(topic, Messages())
-                        batch.log_times.append(log_time)
-                        batch.publish_times.append(publish_time)
-                        batch.data.append(data[start:end])
-                yield from found.items()
+            for chunk, data in zip(chunks, self._unpacked(file, chunks), strict=True):
+                with self._unpacking(chunk.record):
+                    found = _messages(file, chunk, data, channels)
+                for channel, messages in found.items():
+                    yield self._topic(channel), messages
 
     def attachments(self) -> Iterator[Attachment]:
         """The attached files, oldest first."""
         with self._open() as file:
-            for place in self._attachments:
-                file.seek(place)
-                with self._unpacking(place):
+            for record in self._attachments:
+                file.seek(record.place)
+                with self._unpacking(record):
                     attachment = Attachment.read(ReadDataStream(file))
                 yield attachment
 
@@ -119,56 +110,74 @@ class McapFile:
             raise RecordingError(f"{self.path} {what}.", "Give a file that g1stream recorded.")
         return file
 
-    def _count(self) -> Counter[int]:
-        """Messages of each channel, counted one by one: a file cut short has no statistics."""
-        counts: Counter[int] = Counter()
-        with self._open() as file:
-            for place in self._chunks:
-                counts.update(m[0] for m in self._messages(self._chunk(file, place)))
-        return counts
-
-    def _take(self, opcode: int, place: int, stream: ReadDataStream) -> None:
+    def _take(self, file: IO[bytes], record: Record) -> None:
         """Note what a record outside the chunks says."""
-        if opcode == Opcode.CHUNK:
-            self._chunks.append(place)
-        elif opcode == Opcode.ATTACHMENT:
-            self._attachments.append(place)
-        elif opcode == Opcode.METADATA:
-            self.metadata.append(Metadata.read(stream))
-        elif opcode == Opcode.CHANNEL:
-            self._add_channel(stream)
-        elif opcode == Opcode.STATISTICS:
-            self._statistics = Statistics.read(stream)
-        elif opcode == Opcode.FOOTER:
+        if record.opcode == Opcode.CHUNK:
+            self._chunks.append(ChunkPlace(record))
+        elif record.opcode == Opcode.MESSAGE_INDEX:
+            self._chunks[-1].add_index(file, record)
+        elif record.opcode == Opcode.ATTACHMENT:
+            self._attachments.append(record)
+        elif record.opcode == Opcode.METADATA:
+            self.metadata.append(Metadata.read(ReadDataStream(file)))
+        elif record.opcode == Opcode.CHANNEL:
+            self._add_channel(ReadDataStream(file))
+        elif record.opcode == Opcode.STATISTICS:
+            self._statistics = Statistics.read(ReadDataStream(file))
+        elif record.opcode == Opcode.FOOTER:
             self.complete = True
 
-    def _chunk(self, file: IO[bytes], place: int) -> bytes:
-        file.seek(place)
-        with self._unpacking(place):
-            chunk = Chunk.read(ReadDataStream(file))
-            stream, size = get_chunk_data_stream(chunk, validate_crc=True)
-        return stream.read(size)
+    def _count(self, file: IO[bytes]) -> Counter[int]:
+        """Messages of each channel; a file cut short is asked chunk by chunk."""
+        if self._statistics:
+            return Counter(self._statistics.channel_message_counts)
+        counts: Counter[int] = Counter()
+        for number, chunk in enumerate(self._chunks):
+            found = {channel: n for channel, (_, n) in chunk.index.items()}
+            found = found or self._walk(file, chunk)
+            counts.update(found)
+            for channel in found.keys() - self._topics.keys():
+                self._look_for_name(file, channel, number)
+        return counts
 
-    def _messages(self, data: bytes) -> Iterator[tuple[int, int, int, int, int]]:
-        """Channel, log time, publish time, start and end of data of each message in a chunk."""
-        place = 0
-        while place < len(data):
-            opcode, length = _RECORD.unpack_from(data, place)
-            place += _RECORD.size
-            if opcode == Opcode.MESSAGE:
-                channel, _, log_time, publish_time = _MESSAGE.unpack_from(data, place)
-                yield channel, log_time, publish_time, place + _MESSAGE.size, place + length
-            elif opcode == Opcode.CHANNEL:
-                self._add_channel(ReadDataStream(BytesIO(data[place : place + length])))
-            place += length
+    def _look_for_name(self, file: IO[bytes], channel: int, number: int) -> None:
+        """Read what a channel is called.
+
+        That is written where its first message was to come: in the chunk of that number, or in one
+        before that was closed because of it.
+        """
+        for chunk in reversed(self._chunks[: number + 1]):
+            self._walk(file, chunk)
+            if channel in self._topics:
+                return
+        self._topics[channel] = f"channel {channel}"
+
+    def _walk(self, file: IO[bytes], chunk: ChunkPlace) -> dict[int, int]:
+        """Note the channels that a chunk describes, and count its messages by channel."""
+        (data,) = self._unpacked(file, [chunk])
+        with self._unpacking(chunk.record):
+            for opcode, place, length in records_in(data):
+                if opcode == Opcode.CHANNEL:
+                    self._add_channel(ReadDataStream(BytesIO(data[place : place + length])))
+            return {channel: len(places) for channel, places in message_places(data).items()}
+
+    def _unpacked(self, file: IO[bytes], chunks: Iterable[ChunkPlace]) -> Iterator[bytes]:
+        """The records of each chunk, unpacked a few chunks ahead."""
+
+        def unpacked(packed: tuple[Record, bytes]) -> bytes:
+            with self._unpacking(packed[0]):
+                return unpack(packed[1])
+
+        return ahead(unpacked, ((c.record, _content(file, c.record)) for c in chunks))
 
     @contextmanager
-    def _unpacking(self, place: int) -> Iterator[None]:
+    def _unpacking(self, record: Record) -> Iterator[None]:
         try:
             yield
         except Exception as error:  # every field and each compression has an error of its own
             raise RecordingError(
-                f"The recording {self.path} is damaged: what is at byte {place} does not unpack.",
+                f"The recording {self.path} is damaged: what is at byte {record.place} does not "
+                "unpack.",
                 "Save the rest of it with a tool such as `mcap recover`.",
             ) from error
 
@@ -180,17 +189,17 @@ class McapFile:
         self._topics[channel.id] = channel.topic
 
 
-def _records(file: IO[bytes]) -> Iterator[tuple[int, int]]:
-    """Opcode and place of the content of each whole record, with the file at that place."""
-    size = file.seek(0, 2)
-    place = len(MCAP0_MAGIC)
-    while place + _RECORD.size <= size:
-        file.seek(place)
-        opcode, length = _RECORD.unpack(file.read(_RECORD.size))
-        place += _RECORD.size
-        if place + length > size:
-            return
-        yield opcode, place
-        if opcode == Opcode.FOOTER:
-            return
-        place += length
+def _content(file: IO[bytes], record: Record) -> bytes:
+    file.seek(record.place)
+    return file.read(record.length)
+
+
+def _messages(
+    file: IO[bytes], chunk: ChunkPlace, data: bytes, channels: set[int]
+) -> dict[int, Messages]:
+    """By channel, the messages of an unpacked chunk."""
+    if chunk.index:
+        places = {c: chunk.places(file, c) for c in sorted(channels & chunk.index.keys())}
+    else:
+        places = {c: found for c, found in message_places(data).items() if c in channels}
+    return {channel: messages_at(data, where, channel) for channel, where in places.items()}

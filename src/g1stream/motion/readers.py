@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -27,7 +27,14 @@ if TYPE_CHECKING:
 
     from g1stream.robot.model import G1
 
-__all__ = ["BUNDLED_MOTIONS", "DEFAULT_FPS", "load_motion"]
+__all__ = [
+    "BUNDLED_MOTIONS",
+    "DEFAULT_FPS",
+    "ROOT_COLUMNS",
+    "MotionFile",
+    "load_motion",
+    "read_file",
+]
 
 #: Motions of our own making that come with the package, by the name `load_motion` knows them by.
 BUNDLED_MOTIONS: Final = ("demo",)
@@ -37,8 +44,45 @@ DEFAULT_FPS: Final = 30.0
 _FRAME: Final = "Frame"
 _POSITION: Final = ("X", "Y", "Z")
 _QUAT_XYZW: Final = ("QX", "QY", "QZ", "QW")
+#: All columns but the joints'.
+ROOT_COLUMNS: Final = (_FRAME, *_POSITION, *_QUAT_XYZW)
 _HEADERLESS: Final = (*_POSITION, *_QUAT_XYZW, *JOINT_NAMES)
 _NORM_TOLERANCE: Final = 1e-3
+
+
+class MotionFile(NamedTuple):
+    """A motion file as it is, before anything is asked of it but to be a table of numbers.
+
+    Attributes:
+        path: where it is.
+        sha256: of its bytes, in hex.
+        table: its columns; a file without a header has LAFAN1's.
+    """
+
+    path: Path
+    sha256: str
+    table: Table
+
+    @property
+    def quat_xyzw(self) -> NDArray[np.float64]:
+        """Orientation of the root (T, 4), as it stands in the file.
+
+        Raises:
+            KeyError: a column is not there.
+        """
+        return self.table[_QUAT_XYZW]
+
+
+def read_file(path_or_name: str | os.PathLike[str]) -> MotionFile:
+    """Read the table in a motion file, or in a bundled motion by its bare name.
+
+    Raises:
+        MotionError: there is no such file, or it is not a table of numbers; says where.
+    """
+    path = _find(path_or_name)
+    content = _read(path)
+    table = read_table(path.name, content, _HEADERLESS)
+    return MotionFile(path, hashlib.sha256(content).hexdigest(), table)
 
 
 def load_motion(
@@ -60,11 +104,10 @@ def load_motion(
         MotionError: there is no such file, or it is not one of these formats, or something in it
             cannot be right; says where (file, line, column).
     """
-    path = _find(path_or_name)
     rate = DEFAULT_FPS if fps is None else fps
-    check_fps(rate, path.stem)
-    content = _read(path)
-    table = read_table(path.name, content, _HEADERLESS)
+    check_fps(rate, _find(path_or_name).stem)
+    file = read_file(path_or_name)
+    table = file.table
     joint_names = JOINT_NAMES if robot is None else robot.joint_names
     _check_columns(table, joint_names)
     if _FRAME in table.columns:
@@ -74,17 +117,16 @@ def load_motion(
             f"{table.name} has only one frame.",
             "Give it two frames or more: with one there is nothing to move between.",
         )
-    quat_xyzw = table[_QUAT_XYZW]
     return Motion(
-        name=path.stem,
+        name=file.path.stem,
         fps=rate,
         joint_names=joint_names,
         joint_pos=table[joint_names],
         root_pos=table[_POSITION],
-        root_quat_wxyz=wxyz_from_xyzw(quat_xyzw),
-        source=path,
-        sha256=hashlib.sha256(content).hexdigest(),
-        warnings=_check_norms(table, quat_xyzw),
+        root_quat_wxyz=wxyz_from_xyzw(file.quat_xyzw),
+        source=file.path,
+        sha256=file.sha256,
+        warnings=_check_norms(table, file.quat_xyzw),
     )
 
 
@@ -113,7 +155,7 @@ def _read(path: Path) -> bytes:
 def _check_columns(table: Table, joint_names: tuple[str, ...]) -> None:
     """Every column is known and there is one for each thing needed."""
     header = table.header_line
-    wanted = (_FRAME, *_POSITION, *_QUAT_XYZW)
+    wanted = ROOT_COLUMNS
     lacks = [name for name in wanted if name not in table.columns]
     if header is not None and lacks:
         raise MotionError(

@@ -1,12 +1,15 @@
 """A CSV of numbers -> named columns, with an error that points at the very cell.
 
-Cells are read with `float`, one pass over the file; what `float` refuses is an error and what it
-takes beyond plain decimal numbers (underscores, digits of other scripts, nan, inf) is refused here.
+Numpy reads the cells, quickly and in little memory, but says little about what it refuses. A file
+that it does not take as a whole is read anew cell by cell, with `float`: what `float` refuses is an
+error, and so is what it takes beyond plain decimal numbers (underscores, digits of other scripts,
+nan, inf).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from io import BytesIO
 from typing import TYPE_CHECKING, NoReturn
 
 import numpy as np
@@ -66,17 +69,41 @@ def read_table(name: str, content: bytes, headerless: tuple[str, ...]) -> Table:
     Raises:
         MotionError: the content is no such table; says where (line, column).
     """
-    lines = _lines(name, content)
-    cells = [cell.strip() for cell in lines[0].split(",")]
+    cells = [cell.strip() for cell in _first_line(name, content).split(",")]
     if any(_is_number(cell) for cell in cells):
         _check_headerless(name, cells, headerless)
         header_line, columns = None, headerless
     else:
         header_line, columns = 1, tuple(cells)
         _check_header(name, columns)
-        if len(lines) == 1:
-            raise MotionError(f"{name} has a header but no frames.", "Give it a line a frame.")
-    return Table(name, columns, header_line, _values(name, lines, columns, header_line or 0))
+    n_header_lines = header_line or 0
+    values = _read_quickly(content, len(columns), n_header_lines)
+    if values is None:
+        values = _read_closely(name, _lines(name, content), columns, n_header_lines)
+    return Table(name, columns, header_line, values)
+
+
+def _first_line(name: str, content: bytes) -> str:
+    if content.isascii() and b"\0" not in content and content.strip():
+        return BytesIO(content).readline().decode()
+    return _lines(name, content)[0]
+
+
+def _read_quickly(
+    content: bytes, n_columns: int, n_header_lines: int
+) -> NDArray[np.float64] | None:
+    """The values, or None where there is anything in the file to look at more closely."""
+    n_rows = content.rstrip().count(b"\n") + 1 - n_header_lines
+    if not n_rows or not content.isascii():
+        return None
+    try:
+        values = np.loadtxt(
+            BytesIO(content), delimiter=",", comments=None, skiprows=n_header_lines, ndmin=2
+        )
+    except ValueError:
+        return None
+    whole = values.shape == (n_rows, n_columns) and bool(np.isfinite(values).all())
+    return values if whole else None
 
 
 def _lines(name: str, content: bytes) -> list[str]:
@@ -127,9 +154,11 @@ def _check_header(name: str, columns: tuple[str, ...]) -> None:
             )
 
 
-def _values(
+def _read_closely(
     name: str, lines: list[str], columns: tuple[str, ...], n_header_lines: int
 ) -> NDArray[np.float64]:
+    if len(lines) == n_header_lines:
+        raise MotionError(f"{name} has a header but no frames.", "Give it a line a frame.")
     rows: list[list[float]] = []
     for number, line in enumerate(lines[n_header_lines:], start=n_header_lines + 1):
         cells = line.split(",")

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Final, cast
 
 from foxglove_schemas_protobuf.Log_pb2 import Log
 
+from g1stream.errors import ConfigError
 from g1stream.recording.templates import FrameTransformsTemplate, JointStatesTemplate
-from g1stream.robot.kinematics import local_transforms
+from g1stream.robot.kinematics import forward_kinematics, local_transforms
 
 if TYPE_CHECKING:
     import numpy as np
@@ -15,26 +16,40 @@ if TYPE_CHECKING:
 
     from g1stream.robot.model import G1
 
-__all__ = ["MEASURED_PREFIX", "JointStatesEncoder", "TfEncoder", "encode_log"]
+__all__ = ["MEASURED_PREFIX", "WORLD_FRAME", "JointStatesEncoder", "TfEncoder", "encode_log"]
 
-_WORLD_FRAME: Final = "world"
+WORLD_FRAME: Final = "world"
+"""The frame that the root link is posed in, unless told otherwise."""
 
 MEASURED_PREFIX: Final = "measured/"
 """Sets the measured robot's frames apart from the reference's; the world they share."""
 
 
 class TfEncoder:
-    """Encodes poses of a robot as foxglove.FrameTransforms, from `world` down the tree of links.
+    """Encodes poses of a robot as foxglove.FrameTransforms, from the world down the tree of links.
 
     Args:
         robot: whose links.
         prefix: put before every link's name to make its frame's.
+        world: name of the world's frame, which no link may have.
+        flat: put every link straight under the world instead of under its parent.
+
+    Raises:
+        ConfigError: a link's frame has the name of the world's.
     """
 
-    def __init__(self, robot: G1, prefix: str = "") -> None:
+    def __init__(
+        self, robot: G1, prefix: str = "", *, world: str = WORLD_FRAME, flat: bool = False
+    ) -> None:
         frames = [f"{prefix}{name}" for name in robot.link_names]
-        parents = [_WORLD_FRAME if parent < 0 else frames[parent] for parent in robot.parent]
+        if world in frames:
+            raise ConfigError(
+                f"The world's frame cannot be called {world!r}: a link of {robot.source} is.",
+                "Call the world otherwise (such as map), or the link.",
+            )
+        parents = [world if flat or parent < 0 else frames[parent] for parent in robot.parent]
         self._robot = robot
+        self._poses = forward_kinematics if flat else local_transforms
         self._template = FrameTransformsTemplate(parents, frames)
 
     def encode(
@@ -58,7 +73,7 @@ class TfEncoder:
         Raises:
             ValueError: the shapes do not fit each other, or a stamp is negative.
         """
-        poses = local_transforms(self._robot, joint_pos, root_pos, root_quat_wxyz)
+        poses = self._poses(self._robot, joint_pos, root_pos, root_quat_wxyz)
         return self._template.encode(stamps_ns, poses.pos, poses.quat_wxyz)
 
 

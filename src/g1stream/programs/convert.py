@@ -1,0 +1,273 @@
+"""Convert a motion file into a session file, without a robot, a simulator or DDS."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from g1stream._version import __version__
+from g1stream.errors import ConfigError, MotionError, RecordingError
+from g1stream.motion.readers import load_motion
+from g1stream.recording.derived_channels import DERIVED_CHANNELS
+from g1stream.recording.encode import WORLD_FRAME
+from g1stream.recording.offline import OfflineWriter
+from g1stream.recording.poses import PoseEncoder, Poses
+from g1stream.recording.scene import encode_robot_description, encode_scene
+from g1stream.recording.stamps import frame_stamps
+from g1stream.robot.model import G1
+from g1stream.robot.visuals import missing_meshes
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from g1stream.motion.motion import Motion
+    from g1stream.recording.chunks import Compression
+
+__all__ = ["Conversion", "ConvertReport", "convert"]
+
+#: Times in one chunk: with some 6 kB each, small enough for the processor's cache, which makes
+#: everything that is done to a chunk several times faster, and large enough to compress.
+_CHUNK: Final = 128
+_LARGE: Final = 16 * 2**20
+_TF, _JOINTS, _SCENE, _DESCRIPTION = (
+    "/tf",
+    "/reference/joint_states",
+    "/scene",
+    "/robot_description",
+)
+_CHANNELS: Final = {channel.topic: channel for channel in DERIVED_CHANNELS}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Conversion:
+    """How a motion becomes a session file.
+
+    Attributes:
+        base_time_ns: time of frame 0, ns since the epoch.
+        frames: first frame and the one behind the last; None is the motion's own begin or end.
+        resample: times a second at which the spline through the frames is sampled, Hz; the frames
+            themselves if None.
+        floating_root: False pins the root link to the world's origin.
+        root_link: the link whose pose the motion says; the URDF's root link if None.
+        world_frame: name of the world's frame.
+        flat: put every link straight under the world instead of under its parent.
+        topic: of the transforms.
+        compression: of the file's chunks.
+        force: replace a file that is there already.
+    """
+
+    base_time_ns: int = 0
+    frames: tuple[int | None, int | None] = (None, None)
+    resample: float | None = None
+    floating_root: bool = True
+    root_link: str | None = None
+    world_frame: str = WORLD_FRAME
+    flat: bool = False
+    topic: str = _TF
+    compression: Compression = "zstd"
+    force: bool = False
+
+
+@dataclass(frozen=True)
+class ConvertReport:
+    """What a conversion wrote.
+
+    Attributes:
+        path: the file.
+        size: its bytes.
+        motion: name of the motion.
+        rate: poses a second.
+        start_ns, end_ns: first and last time, ns since the epoch.
+        counts: messages by topic.
+        warnings: what was put right or left out, a sentence each.
+    """
+
+    path: Path
+    size: int
+    motion: str
+    rate: float
+    start_ns: int
+    end_ns: int
+    counts: dict[str, int] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """The report as JSON values."""
+        return {
+            **vars(self),
+            "path": str(self.path),
+            "duration_s": (self.end_ns - self.start_ns) / 1e9,
+            "warnings": list(self.warnings),
+        }
+
+
+def convert(
+    motion: Motion | str | Path,
+    out: str | Path,
+    options: Conversion | None = None,
+    *,
+    robot: G1 | None = None,
+    fps: float | None = None,
+    on_progress: Callable[[float], None] = lambda _: None,
+) -> ConvertReport:
+    """Write a session file of a motion: transforms, joint states, the robot's looks and its URDF.
+
+    Log and publish time of every message are the base time + frame / fps, to the nearest
+    nanosecond. A failure leaves no file behind.
+
+    Args:
+        motion: a motion, a motion file, or the name of a bundled motion.
+        out: the session file.
+        options: how; see `Conversion`.
+        robot: whose joints the motion has; the 29-dof G1 if None.
+        fps: frames a second of the motion file; what the motion says if None.
+        on_progress: is told how much is done, 0 to 1.
+
+    Raises:
+        G1StreamError: the motion, the robot, an option or the file does not allow it.
+    """
+    options = options or Conversion()
+    robot = robot or G1.default()
+    motion = _load(motion, robot, fps)
+    start, stop = _frame_range(motion, options.frames)
+    first, last = frame_stamps(options.base_time_ns, (start, stop - 1), motion.fps).tolist()
+    encoder = PoseEncoder(
+        robot,
+        link=options.root_link,
+        floating=options.floating_root,
+        rates=options.resample is not None,
+        world=options.world_frame,
+        flat=options.flat,
+    )
+    _check_not_a_source(Path(out), motion, robot)
+    with OfflineWriter(out, force=options.force, compression=options.compression) as writer:
+        _write_preface(writer, motion, robot, options, first)
+        for poses in _poses(motion, options, start, stop):
+            for part in poses.cut(_CHUNK):
+                messages = {
+                    options.topic: encoder.transforms(part),
+                    _JOINTS: encoder.joint_states(part),
+                }
+                writer.write(messages, part.stamps_ns)
+                on_progress((int(part.stamps_ns[-1]) - first) / max(1, last - first))
+    return ConvertReport(
+        path=writer.path,
+        size=writer.path.stat().st_size,
+        motion=motion.name,
+        rate=options.resample or motion.fps,
+        start_ns=first,
+        end_ns=last,
+        counts=writer.counts,
+        warnings=(*motion.warnings, *_mesh_warnings(robot)),
+    )
+
+
+def _load(motion: Motion | str | Path, robot: G1, fps: float | None) -> Motion:
+    if isinstance(motion, str | Path):
+        return load_motion(motion, robot, fps=fps)
+    if motion.joint_names != robot.joint_names:
+        raise MotionError(
+            f"The joints of the motion {motion.name} are not those of the robot {robot.name}.",
+            "Load the motion for this robot: load_motion(path, robot).",
+        )
+    return motion if fps is None else replace(motion, fps=fps)
+
+
+def _frame_range(motion: Motion, frames: tuple[int | None, int | None]) -> tuple[int, int]:
+    start = 0 if frames[0] is None else frames[0]
+    stop = motion.n_frames if frames[1] is None else frames[1]
+    if not 0 <= start < stop <= motion.n_frames:
+        raise MotionError(
+            f"Frames {start}:{stop} are not a part of {motion.name}, which has {motion.n_frames}.",
+            f"Give a first frame from 0 on and a later one up to {motion.n_frames}, such as "
+            f"0:{motion.n_frames}; the last is not taken.",
+        )
+    return start, stop
+
+
+def _check_not_a_source(out: Path, motion: Motion, robot: G1) -> None:
+    for source in (motion.source, Path(robot.source)):
+        if source and source.exists() and out.exists() and out.samefile(source):
+            raise RecordingError(
+                f"{out} is what is converted.", "Name another file to write, such as motion.mcap."
+            )
+
+
+def _poses(motion: Motion, options: Conversion, start: int, stop: int) -> Iterator[Poses]:
+    """The poses to write, in order: a motion's frames, or samples of the spline through them."""
+    base, rate = options.base_time_ns, options.resample
+    if rate is None:
+        frames = slice(start, stop)
+        yield Poses(
+            frame_stamps(base, range(start, stop), motion.fps),
+            motion.joint_pos[frames],
+            motion.root_pos[frames],
+            motion.root_quat_wxyz[frames],
+        )
+        return
+    from g1stream.motion.resample import resample  # brings scipy
+
+    for numbers, p in resample(motion, rate, start, stop):
+        stamps = frame_stamps(base, numbers, rate)
+        rates = (p.joint_vel, p.joint_acc)
+        yield Poses(stamps, p.joint_pos, p.root_pos, p.root_quat_wxyz, rates)
+
+
+def _write_preface(
+    writer: OfflineWriter, motion: Motion, robot: G1, options: Conversion, first: int
+) -> None:
+    """Write what is there once: channels, metadata, attachments, the robot's looks and URDF."""
+    writer.add_channel(replace(_CHANNELS[_TF], topic=_free_topic(options.topic)))
+    for topic in (_JOINTS, _SCENE, _DESCRIPTION):
+        writer.add_channel(_CHANNELS[topic])
+    writer.add_metadata(_metadata(motion, robot, options))
+    writer.attach("robot.urdf", "application/xml", robot.urdf.encode(), first)
+    if motion.source and motion.source.stat().st_size <= _LARGE:
+        writer.attach(motion.source.name, "text/csv", motion.source.read_bytes(), first)
+    once = {
+        _SCENE: encode_scene(first, robot, {"": 1.0}),
+        _DESCRIPTION: encode_robot_description(robot),
+    }
+    rows = {topic: np.frombuffer(data, np.uint8)[np.newaxis] for topic, data in once.items()}
+    writer.write(rows, np.array([first]))
+
+
+def _free_topic(topic: str) -> str:
+    if not topic or topic in (_JOINTS, _SCENE, _DESCRIPTION):
+        raise ConfigError(
+            f"The transforms cannot go on the topic {topic!r}: "
+            f"{'it has no name' if not topic else 'something else is there'}.",
+            f"Choose another, such as {_TF}.",
+        )
+    return topic
+
+
+def _metadata(motion: Motion, robot: G1, options: Conversion) -> dict[str, Any]:
+    """What was converted and how; the same for the same input, wherever and whenever."""
+    how = {k: v for k, v in vars(options).items() if k not in ("force", "compression")}
+    return {
+        "g1stream": __version__,
+        "made_by": "g1stream convert",
+        "motion": {
+            "name": motion.name,
+            "fps": motion.fps,
+            "frames": motion.n_frames,
+            "file": motion.source.name if motion.source else None,
+            "sha256": motion.sha256,
+        },
+        "robot": robot.name,
+        "conversion": how,
+    }
+
+
+def _mesh_warnings(robot: G1) -> tuple[str, ...]:
+    missing = missing_meshes(robot)
+    if not missing:
+        return ()
+    return (
+        f"{robot.source}: {len(missing)} meshes are not where the URDF says, such as {missing[0]}; "
+        "the scene names them, and a viewer has to find them.",
+    )

@@ -1,0 +1,184 @@
+"""Writes a session file of messages that are known beforehand.
+
+The file grows under another name and takes its own when it is whole.
+"""
+
+from __future__ import annotations
+
+import os
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mcap.records import Channel, Schema
+
+from g1stream._version import __version__
+from g1stream.errors import RecordingError
+from g1stream.recording.chunks import ChunkedFile, Messages
+from g1stream.recording.metadata import METADATA_NAME, metadata_to_strings
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+    from types import TracebackType
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from g1stream.recording import derived_channels
+    from g1stream.recording.chunks import Compression
+
+__all__ = ["OfflineWriter"]
+
+
+class OfflineWriter:
+    """A session file being made; a context manager.
+
+    Leaving the context finishes the file and gives it its name; leaving it on an exception, Ctrl-C
+    included, removes what there is.
+
+    Args:
+        path: where to; its directory must exist.
+        force: replace a file that is there already.
+        compression: of the chunks.
+
+    Attributes:
+        path: where to.
+        counts: messages written so far, by topic.
+
+    Raises:
+        RecordingError: there is a file already, or none can be made there.
+    """
+
+    def __init__(
+        self, path: str | Path, *, force: bool = False, compression: Compression = "zstd"
+    ) -> None:
+        self.path = Path(path)
+        self.counts: dict[str, int] = {}
+        self._force = force
+        self._channels: dict[str, Channel] = {}
+        self._schemas: dict[str, Schema] = {}
+        self._new: list[Schema | Channel] = []
+        _check_free(self.path, force)
+        self._part = self.path.with_name(f".{self.path.name}.{os.getpid()}.part")
+        with self._os_errors():
+            self._stream = self._part.open("wb")
+            self._file = ChunkedFile(self._stream, f"g1stream {__version__}", compression)
+
+    def __enter__(self) -> OfflineWriter:
+        return self
+
+    def __exit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        try:
+            with self._os_errors():
+                if exc_type is None:
+                    self._finish()
+                self._stream.close()
+        finally:
+            self._part.unlink(missing_ok=True)
+
+    def add_channel(self, channel: derived_channels.Channel) -> None:
+        """Add a channel; its first chunk announces it."""
+        name = channel.schema_name
+        if name not in self._schemas:
+            self._schemas[name] = Schema(
+                id=len(self._schemas) + 1,
+                name=name,
+                encoding=channel.schema_encoding,
+                data=channel.build_schema(),
+            )
+            self._new.append(self._schemas[name])
+        self._channels[channel.topic] = Channel(
+            id=len(self._channels) + 1,
+            topic=channel.topic,
+            message_encoding=channel.message_encoding,
+            metadata={"description": channel.description},
+            schema_id=self._schemas[name].id,
+        )
+        self._new.append(self._channels[channel.topic])
+        self.counts[channel.topic] = 0
+
+    def write(
+        self, messages: Mapping[str, NDArray[np.uint8]], stamps_ns: NDArray[np.int64]
+    ) -> None:
+        """Add a chunk: at each time a message of every topic named; they count from 1.
+
+        Args:
+            messages: by topic, (T, size) with a message in each row; T > 0.
+            stamps_ns: (T,) both log and publish time, ns since the epoch, rising.
+
+        Raises:
+            RecordingError: the file cannot be written any more.
+        """
+        rows = [
+            Messages(self._channels[topic].id, data, self.counts[topic] + 1)
+            for topic, data in messages.items()
+        ]
+        with self._os_errors():
+            self._file.write_chunk(self._new, rows, stamps_ns)
+        self._new = []
+        for topic in messages:
+            self.counts[topic] += len(stamps_ns)
+
+    def attach(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
+        """Add a file, such as the URDF.
+
+        Args:
+            name: what to call it.
+            media_type: such as `text/csv`.
+            data: its content.
+            time_ns: when it was there, ns since the epoch.
+
+        Raises:
+            RecordingError: the file cannot be written any more.
+        """
+        with self._os_errors():
+            self._file.attach(name, media_type, data, time_ns)
+
+    def add_metadata(self, values: Mapping[str, Any]) -> None:
+        """Add to the session's metadata anything that JSON can say.
+
+        Raises:
+            RecordingError: the file cannot be written any more.
+            TypeError: a value is something else.
+        """
+        with self._os_errors():
+            self._file.add_metadata(METADATA_NAME, metadata_to_strings(values))
+
+    def _finish(self) -> None:
+        counts = {channel.id: self.counts[topic] for topic, channel in self._channels.items()}
+        self._file.finish([*self._schemas.values()], [*self._channels.values()], counts)
+        self._stream.close()
+        _check_free(self.path, self._force)
+        self._part.replace(self.path.resolve())
+
+    @contextmanager
+    def _os_errors(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise RecordingError(
+                f"The file {self.path} cannot be written: {error.strerror}.",
+                "Make room, or choose another place for it.",
+            ) from error
+
+
+def _check_free(path: Path, force: bool) -> None:
+    """Raise RecordingError unless a file may be put there."""
+    if path.is_dir():
+        raise RecordingError(f"{path} is a directory.", "Name a file in it, such as motion.mcap.")
+    if not path.parent.is_dir():
+        raise RecordingError(
+            f"The directory {path.parent} does not exist.", f"Make it: mkdir -p {path.parent}"
+        )
+    if path.exists() and not path.is_file():
+        raise RecordingError(f"{path} is not a file.", "Name a file, such as motion.mcap.")
+    if path.exists() and not force:
+        raise RecordingError(
+            f"The file {path} exists already.",
+            "Choose another name, or give --force to replace it.",
+        )

@@ -35,13 +35,12 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["ChunkedFile", "Compression", "Messages"]
+__all__ = ["MESSAGE_HEAD", "ChunkedFile", "Compression", "Messages"]
 
 Compression = Literal["zstd", "lz4", "none"]
 
 _MAGIC: Final = b"\x89MCAP0\r\n"
-#: A message record without its data: 22 bytes of fields behind opcode and length.
-_HEAD: Final = np.dtype(
+MESSAGE_HEAD: Final = np.dtype(
     [
         ("opcode", "u1"),
         ("length", "<u8"),
@@ -51,6 +50,7 @@ _HEAD: Final = np.dtype(
         ("publish_time", "<u8"),
     ]
 )
+"""A message record without its data: 22 bytes of fields behind opcode and length."""
 _RECORD_PREFIX: Final = 9
 #: CRC-32 as zlib has it, an order of magnitude faster.
 _crc32: Final = fastcrc.crc32.iso_hdlc
@@ -104,14 +104,28 @@ class ChunkedFile:
         """
         before = _serialised(preface)
         rows, places = _interleaved(messages, stamps_ns)
-        data = before + rows.tobytes()
+        starts = len(before) + rows.shape[1] * np.arange(len(rows))
+        index = {channel: (stamps_ns, starts + place) for channel, place in places.items()}
+        self.add_chunk(before + rows.tobytes(), index)
+
+    def add_chunk(
+        self, data: bytes, places: Mapping[int, tuple[NDArray[np.int64], NDArray[np.int64]]]
+    ) -> None:
+        """Add a chunk of records.
+
+        Args:
+            data: the records as they are uncompressed.
+            places: by channel, of its T > 0 messages in the chunk: (T,) log times, ns since the
+                epoch, and (T,) where their records begin in `data`.
+        """
+        times = [log_times for log_times, _ in places.values()]
         index = ChunkIndex(
             chunk_length=0,
             chunk_start_offset=self._stream.tell(),
             compression=self._compression,
             compressed_size=0,
-            message_start_time=int(stamps_ns[0]),
-            message_end_time=int(stamps_ns[-1]),
+            message_start_time=min(int(t.min()) for t in times),
+            message_end_time=max(int(t.max()) for t in times),
             message_index_length=0,
             message_index_offsets={},
             uncompressed_size=len(data),
@@ -128,11 +142,10 @@ class ChunkedFile:
                 uncompressed_size=len(data),
             )
         )
-        for channel, place in places.items():
+        for channel, (log_times, offsets) in places.items():
             index.message_index_offsets[channel] = self._stream.tell()
-            offsets = len(before) + place + rows.shape[1] * np.arange(len(rows))
             index.message_index_length += self._stream.write(
-                _message_index(channel, stamps_ns, offsets)
+                _message_index(channel, log_times, offsets)
             )
         self._chunks.append(index)
 
@@ -214,19 +227,19 @@ def _interleaved(
 ) -> tuple[NDArray[np.uint8], dict[int, int]]:
     """Message records (T, width), and where in a row each channel's record begins."""
     n_times = len(stamps_ns)
-    width = sum(_HEAD.itemsize + data.shape[1] for _, data, _ in messages)
+    width = sum(MESSAGE_HEAD.itemsize + data.shape[1] for _, data, _ in messages)
     rows = np.empty((n_times, width), dtype=np.uint8)
     places: dict[int, int] = {}
     place = 0
     for channel, data, sequence in messages:
-        head = np.empty(n_times, _HEAD)
+        head = np.empty(n_times, MESSAGE_HEAD)
         head["opcode"] = Opcode.MESSAGE
-        head["length"] = _HEAD.itemsize - _RECORD_PREFIX + data.shape[1]
+        head["length"] = MESSAGE_HEAD.itemsize - _RECORD_PREFIX + data.shape[1]
         head["channel"] = channel
         head["sequence"] = sequence + np.arange(n_times)
         head["log_time"] = head["publish_time"] = stamps_ns
         places[channel] = place
-        body, end = place + _HEAD.itemsize, place + _HEAD.itemsize + data.shape[1]
+        body, end = place + MESSAGE_HEAD.itemsize, place + MESSAGE_HEAD.itemsize + data.shape[1]
         rows[:, place:body] = head.view(np.uint8).reshape(n_times, -1)
         rows[:, body:end] = data
         place = end

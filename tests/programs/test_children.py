@@ -1,0 +1,93 @@
+"""Programs run as children: they speak, they fail with a reason, and none outlives its parent."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+
+from g1stream.programs.children import Child, ChildError
+
+
+def sim(domain_id: int) -> Child:
+    return Child(["sim", f"--domain={domain_id}"])
+
+
+def test_a_child_says_when_it_is_ready_and_what_it_did(domain_id):
+    child = sim(domain_id)
+    child.wait_for("ready", timeout=20)
+    done = child.finish()
+    assert done["states"] >= 0
+    assert not child.alive
+
+
+def test_a_child_that_cannot_start_says_why(tmp_path):
+    path = tmp_path / "there.mcap"
+    path.write_bytes(b"precious")
+    child = Child(["record", str(path)])
+    child.send({"config": {}})
+    with pytest.raises(ChildError, match="exists already"):
+        child.wait_for("ready", timeout=20)
+    child.kill()
+
+
+def test_a_child_that_ends_early_is_noticed(capfd):
+    child = Child(["sim", "--interface=nowhere0"])
+    with pytest.raises(ChildError, match="exit code 2"):
+        child.wait_for("ready", timeout=20)
+    assert "nowhere0" in capfd.readouterr().err
+
+
+def test_a_child_that_is_silent_is_not_waited_for_for_ever(domain_id):
+    child = sim(domain_id)
+    child.wait_for("ready", timeout=20)
+    with pytest.raises(ChildError, match="did not come to 'lunch'"):
+        child.wait_for("lunch", timeout=0.2)
+    child.kill()
+    assert not child.alive
+
+
+def test_speaking_to_a_child_that_is_gone_does_no_harm(domain_id):
+    child = sim(domain_id)
+    child.kill()
+    child.send({"anybody": "there"})
+
+
+def test_a_child_ends_when_its_parent_is_killed(domain_id):
+    code = f"""
+        import time
+        from g1stream.programs.children import Child
+        child = Child(["sim", "--domain={domain_id}"])
+        child.wait_for("ready", timeout=20)
+        print(child._process.pid, flush=True)
+        time.sleep(60)
+    """
+    parent = subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(code)], stdout=subprocess.PIPE, text=True
+    )
+    assert parent.stdout is not None
+    pid = int(parent.stdout.readline())
+    parent.send_signal(signal.SIGKILL)
+    parent.communicate()
+    assert_ends(pid)
+
+
+def assert_ends(pid: int, seconds: float = 15.0) -> None:
+    """The process of another parent ends; a zombie has ended."""
+    import time
+
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        try:
+            os.kill(pid, 0)
+            if Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] == "Z":
+                return
+        except (ProcessLookupError, FileNotFoundError):
+            return
+        time.sleep(0.05)
+    pytest.fail(f"process {pid} still runs")

@@ -1,9 +1,10 @@
-"""A session file as numpy arrays."""
+"""A session file, or the parts of one, as numpy arrays."""
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
 import numpy as np
@@ -13,16 +14,53 @@ from g1stream.errors import RecordingError
 from g1stream.recording.metadata import METADATA_NAME, metadata_from_strings
 from g1stream.recording.reader import McapFile
 from g1stream.recording.samples import Samples
-from g1stream.recording.streams import Base, Command, Measured, Reference, Stream
+from g1stream.recording.streams import Base, Command, Measured, Reference, Stream, TorsoImu
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    from collections.abc import Callable, Iterator
 
+    import pandas
     from numpy.typing import NDArray
 
-    from g1stream.recording.reader import Messages
+    from g1stream.motion.motion import Motion
+    from g1stream.recording.records import Messages
 
-__all__ = ["Base", "Command", "LogEvent", "Measured", "Reference", "Session", "open_session"]
+__all__ = [
+    "STREAMS",
+    "Base",
+    "Command",
+    "LogEvent",
+    "Measured",
+    "Message",
+    "Reference",
+    "Session",
+    "Stream",
+    "TorsoImu",
+    "open_session",
+]
+
+STREAMS: Final[dict[str, type[Stream]]] = {
+    kind.topic: kind for kind in (Reference, Command, Measured, Base, TorsoImu)
+}
+"""By topic, the samples of the wire that can be had as arrays."""
+
+_ESSENTIAL: Final = (Reference.topic, Command.topic, Measured.topic)
+
+StreamT = TypeVar("StreamT", bound=Stream)
+
+
+class Message(NamedTuple):
+    """One message as it is in the file.
+
+    Attributes:
+        log_time: when the recorder received it, ns since the epoch.
+        publish_time: when its producer published it, ns since the epoch.
+        data: its bytes; of a topic of the wire exactly those that were on it, CDR header included.
+    """
+
+    log_time: int
+    publish_time: int
+    data: bytes
 
 
 class LogEvent(NamedTuple):
@@ -41,14 +79,6 @@ class LogEvent(NamedTuple):
     text: str
 
 
-_STREAMS: Final[dict[str, type[Stream]]] = {
-    kind.topic: kind for kind in (Reference, Command, Measured, Base)
-}
-_ESSENTIAL: Final = (Reference.topic, Command.topic, Measured.topic)
-
-StreamT = TypeVar("StreamT", bound=Stream)
-
-
 def open_session(path: str | Path) -> Session:
     """Open a session file, also one whose recorder was killed.
 
@@ -59,7 +89,7 @@ def open_session(path: str | Path) -> Session:
 
 
 class Session:
-    """A session file. Arrays are read at first use, all in one pass.
+    """A session file. The samples of a topic are read when they are first asked for, and kept.
 
     Attributes:
         path: of the file.
@@ -69,12 +99,13 @@ class Session:
     """
 
     def __init__(self, path: str | Path) -> None:
-        self._file = McapFile(path)
-        self.path = self._file.path
-        self.complete = self._file.complete
-        self.topics: dict[str, int] = dict(self._file.counts)
+        self.path = Path(path)
+        self._parts = [McapFile(path)]
+        self.complete = all(part.complete for part in self._parts)
+        self.topics: dict[str, int] = dict(sum((part.counts for part in self._parts), Counter()))
         self.metadata: dict[str, Any] = {}
-        for record in self._file.metadata:
+        self._streams: dict[type[Stream], Any] = {}
+        for record in (record for part in self._parts for record in part.metadata):
             if record.name == METADATA_NAME:
                 self.metadata |= metadata_from_strings(record.metadata)
         if not any(self.topics.get(topic) for topic in _ESSENTIAL):
@@ -87,81 +118,160 @@ class Session:
     @cached_property
     def attachments(self) -> dict[str, bytes]:
         """The attached files by name."""
-        return {attachment.name: attachment.data for attachment in self._file.attachments()}
+        return {file.name: file.data for part in self._parts for file in part.attachments()}
 
-    @cached_property
+    @property
     def reference(self) -> Reference:
         """What the motion asked for.
 
         Raises:
             RecordingError: nobody published it in this session, or the file is damaged.
         """
-        return self._stream(Reference)
+        return self.stream(Reference)
 
-    @cached_property
+    @property
     def command(self) -> Command:
         """What the motors were told.
 
         Raises:
             RecordingError: nobody commanded in this session, or the file is damaged.
         """
-        return self._stream(Command)
+        return self.stream(Command)
 
-    @cached_property
+    @property
     def measured(self) -> Measured:
         """What the robot reported.
 
         Raises:
             RecordingError: no robot was there in this session, or the file is damaged.
         """
-        return self._stream(Measured)
+        return self.stream(Measured)
 
-    @cached_property
+    @property
     def base(self) -> Base | None:
         """Where the pelvis was; None where nobody knew, as on a real robot."""
-        return self._stream(Base) if Base.topic in self._columns else None
+        return self.stream(Base) if self.topics.get(Base.topic) else None
+
+    @property
+    def torso_imu(self) -> TorsoImu | None:
+        """What the IMU in the torso reported; None where nobody published it."""
+        return self.stream(TorsoImu) if self.topics.get(TorsoImu.topic) else None
 
     @cached_property
     def log(self) -> list[LogEvent]:
         """The events of the session, in the order of the file."""
-        return [
-            _log_event(data) for _, batch in self._file.batches({"/log"}) for data in batch.data
-        ]
+        return [_log_event(data) for batch in self._batches("/log") for data in batch.data]
 
-    @cached_property
-    def _columns(self) -> dict[str, dict[str, NDArray[Any]]]:
-        """By topic and attribute, the samples of the wire as arrays; read in one pass."""
-        parts: dict[str, dict[str, list[NDArray[Any]]]] = defaultdict(lambda: defaultdict(list))
-        for topic, batch in self._file.batches(set(_STREAMS)):
-            for attribute, values in self._decode(topic, batch).items():
-                parts[topic][attribute].append(values)
-        return {
-            topic: {attribute: _joined(values) for attribute, values in columns.items()}
-            for topic, columns in parts.items()
-        }
+    def times(self, topic: str) -> Stream:
+        """Only the times of the messages of any topic.
 
-    def _decode(self, topic: str, batch: Messages) -> dict[str, NDArray[Any]]:
-        kind = _STREAMS[topic]
-        try:
-            samples = Samples(kind.source, batch.data)
-        except ValueError as error:
+        Raises:
+            RecordingError: the topic is not in this session, or the file is damaged.
+        """
+        return Stream(**self._columns(topic, lambda _: {}))
+
+    def messages(self, topic: str) -> Iterator[Message]:
+        """The messages of any topic, one after the other, in the order of the file.
+
+        Raises:
+            RecordingError: the topic is not in this session, or the file is damaged.
+        """
+        self._require(topic)
+        for batch in self._batches(topic):
+            times = batch.log_times.tolist(), batch.publish_times.tolist()
+            yield from map(Message, *times, batch.data)
+
+    def replay_bytes(self, topic: str = Command.topic) -> Iterator[bytes]:
+        """The samples of a topic of the wire, bit for bit as they were on it, in their order.
+
+        Raises:
+            RecordingError: the topic is not in this session, or the file is damaged.
+        """
+        return (message.data for message in self.messages(topic))
+
+    def motion(self, fps: float | None = None) -> Motion:
+        """The motion that was played, as the reference has it.
+
+        Args:
+            fps: frames a second; the rate of the reference if None.
+
+        Raises:
+            RecordingError: no motion was played in this session, or the file is damaged.
+            MotionError: `fps` is not a frame rate, or leaves less than two frames.
+        """
+        from g1stream.recording.played import played_motion
+
+        return played_motion(self.reference, self.path, fps)
+
+    def to_pandas(self, topic: str) -> pandas.DataFrame:
+        """The samples of a topic as a table; see `g1stream.recording.export.to_pandas`."""
+        from g1stream.recording.export import to_pandas
+
+        return to_pandas(self, topic)
+
+    def to_parquet(self, directory: str | Path) -> list[Path]:
+        """Every topic as a Parquet file; see `g1stream.recording.export.to_parquet`."""
+        from g1stream.recording.export import to_parquet
+
+        return to_parquet(self, Path(directory))
+
+    def stream(self, kind: type[StreamT]) -> StreamT:
+        """The samples of a topic of the wire as arrays; kept once they are read.
+
+        Args:
+            kind: one of `STREAMS`.
+
+        Raises:
+            RecordingError: the topic is not in this session, or the file is damaged.
+        """
+        if kind not in self._streams:
+            self._streams[kind] = self._read(kind)
+        stream: StreamT = self._streams[kind]
+        return stream
+
+    def _read(self, kind: type[StreamT]) -> StreamT:
+        def decode(messages: Messages) -> dict[str, NDArray[Any]]:
+            try:
+                samples = Samples(kind.source, messages.data)
+            except ValueError as error:
+                raise RecordingError(
+                    f"{self.path} does not fit this version of g1stream: on {kind.topic} {error}.",
+                    "Read it with the version that recorded it.",
+                ) from error
+            return {attribute: samples[path] for attribute, path in kind.wire_fields().items()}
+
+        return kind(**self._columns(kind.topic, decode))
+
+    def _columns(
+        self, topic: str, decode: Callable[[Messages], dict[str, NDArray[Any]]]
+    ) -> dict[str, NDArray[Any]]:
+        """By attribute, what all messages of a topic have; read in one pass."""
+        self._require(topic)
+        parts: dict[str, list[NDArray[Any]]] = {}
+        for messages in self._batches(topic):
+            times = {"log_time": messages.log_times, "publish_time": messages.publish_times}
+            for attribute, values in (times | decode(messages)).items():
+                parts.setdefault(attribute, []).append(values)
+        found = sum(map(len, parts.get("log_time", ())))
+        if found != self.topics[topic]:
             raise RecordingError(
-                f"{self.path} does not fit this version of g1stream: on {topic} {error}.",
-                "Read it with the version that recorded it.",
-            ) from error
-        return {
-            "log_time": np.array(batch.log_times, dtype=np.int64),
-            "publish_time": np.array(batch.publish_times, dtype=np.int64),
-            **{attribute: samples[path] for attribute, path in kind.wire_fields().items()},
-        }
+                f"{self.path} is damaged: of {self.topics[topic]} messages on {topic} it has "
+                f"{found}.",
+                "Save the rest of it with a tool such as `mcap recover`.",
+            )
+        return {attribute: _joined(parts.pop(attribute)) for attribute in list(parts)}
 
-    def _stream(self, kind: type[StreamT]) -> StreamT:
-        if kind.topic not in self._columns:
+    def _batches(self, topic: str) -> Iterator[Messages]:
+        for part in self._parts:
+            for _, messages in part.batches({topic}):
+                yield messages
+
+    def _require(self, topic: str) -> None:
+        if not self.topics.get(topic):
             raise RecordingError(
-                f"{self.path} has no messages on {kind.topic}, {self._what_there_is()}.",
+                f"{self.path} has no messages on {topic}, {self._what_there_is()}.",
                 "Record while its producer runs.",
             )
-        return kind(**self._columns[kind.topic])
 
     def _what_there_is(self) -> str:
         if not self.topics:
@@ -170,9 +280,7 @@ class Session:
 
 
 def _joined(parts: list[NDArray[Any]]) -> NDArray[Any]:
-    values = np.concatenate(parts)
-    if values.dtype.kind == "f":
-        values = values.astype(np.float64, copy=False)
+    values = np.concatenate(parts, dtype=np.float64 if parts[0].dtype.kind == "f" else None)
     values.setflags(write=False)
     return values
 

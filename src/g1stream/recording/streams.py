@@ -17,15 +17,16 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
     Ints = NDArray[np.int64]
 
-__all__ = ["Base", "Command", "Measured", "Reference", "Stream"]
+__all__ = ["Base", "Command", "Measured", "Reference", "Stream", "TorsoImu"]
 
 
 @dataclass(frozen=True, eq=False)
 class Stream:
     """N samples of one topic, oldest first; all arrays are read-only.
 
-    Subclasses say where their samples come from: the `topic` in the file, the `source` on the wire,
-    and in `paths` the field of an attribute that has another name there.
+    By itself it is only the times of the messages of some topic. Subclasses say where their samples
+    come from: the `topic` in the file, the `source` on the wire, and in `paths` the field of an
+    attribute that has another name there.
 
     Attributes:
         log_time: (N,) int64, when the recorder received each, ns since the epoch.
@@ -151,3 +152,22 @@ class Base(Stream):
 
     position: Floats
     velocity: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class TorsoImu(Stream):
+    """What the inertial unit in the torso reported.
+
+    Attributes:
+        imu_quat_wxyz: (N, 4) torso to world, with the yaw as the IMU counts it.
+        gyroscope: (N, 3) rad/s, torso frame.
+        accelerometer: (N, 3) m/s^2, torso frame, gravity included.
+    """
+
+    topic = "/secondary_imu"
+    source = topics.SECONDARY_IMU
+    paths: ClassVar = {"imu_quat_wxyz": "quaternion"}
+
+    imu_quat_wxyz: Floats
+    gyroscope: Floats
+    accelerometer: Floats

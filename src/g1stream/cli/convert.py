@@ -1,0 +1,230 @@
+"""`g1stream convert`."""
+
+from __future__ import annotations
+
+import re
+import signal
+import sys
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal, NoReturn
+
+import tyro
+
+from g1stream.cli.common import (
+    EXIT_OK,
+    EXIT_STOPPED,
+    Flag,
+    exit_code_of_signal,
+    print_json,
+    value,
+)
+from g1stream.errors import ConfigError
+
+if TYPE_CHECKING:
+    from g1stream.motion.file_check import FileReport
+    from g1stream.programs.convert import ConvertReport
+    from g1stream.robot.model import G1
+
+__all__ = ["Convert"]
+
+_BAR = 30
+
+
+class _StoppedError(BaseException):
+    """A signal came; its name is the argument."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Convert:
+    """Convert a motion file into an MCAP that plays in Foxglove, Rerun and Lichtblick.
+
+    Needs no robot, no simulator and no DDS. Log and publish time of every message are the base time
+    + frame / fps, to the nearest nanosecond. A failure leaves no file behind.
+    """
+
+    motion: Annotated[str, tyro.conf.Positional, value("MOTION")]
+    """Motion file (CSV), or the name of a bundled motion: demo."""
+    out: Annotated[Path | None, tyro.conf.Positional, value("MCAP")] = None
+    """The file to write; not needed with --check."""
+    check: Flag = False
+    """Only look at the motion file and tell what is in it; exit code 1 where something is wrong."""
+    fps: Annotated[float | None, value("N", "30")] = None
+    """Frames per second of the motion file, which cannot say it. A wrong one plays too fast or too
+    slowly: half of it, half as fast."""
+    base_time: Annotated[str, value("TIME", "0")] = "0"
+    """Time of frame 0: nanoseconds since 1970, or ISO 8601 with a zone (2026-03-01T12:00:00Z). With
+    the default, a player's clock shows the motion's own time, and the same input always gives the
+    same bytes."""
+    frames: Annotated[str, value("A:B", "all")] = ":"
+    """Only frames A up to, but without, B; either may be left out. Each keeps its time."""
+    resample: Annotated[float | None, value("HZ", "the frames as they are")] = None
+    """Sample the spline through the frames at this rate; joint states then have velocities and
+    accelerations too."""
+    no_floating_root: Flag = False
+    """Pin the root link at the world's origin."""
+    root_link: Annotated[str | None, value("LINK", "the URDF's root")] = None
+    """The link whose pose the motion file says."""
+    world_frame: Annotated[str, value("NAME", "world")] = "world"
+    """Name of the world's frame."""
+    flat: Flag = False
+    """Put every link straight under the world instead of under its parent."""
+    urdf: Annotated[Path | None, value("URDF", "the built-in 29-joint G1")] = None
+    """Description of the robot."""
+    topic: Annotated[str, value("TOPIC", "/tf")] = "/tf"
+    """Topic of the transforms."""
+    compression: Annotated[Literal["zstd", "lz4", "none"], value("KIND", "zstd")] = "zstd"
+    """Compression of the file: zstd, lz4 or none."""
+    force: Flag = False
+    """Replace a file that is there already."""
+    json: Flag = False
+    """Print the summary as JSON on standard output."""
+
+    def run(self) -> int:
+        """Convert or check, and return the exit code."""
+        from g1stream.robot.model import G1
+
+        robot = G1.load(self.urdf)
+        if self.check:
+            return self._check(robot)
+        if self.out is None:
+            raise ConfigError(
+                "There is no file to write to.",
+                "Name it after the motion, such as motion.mcap, or give --check to only look.",
+            )
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            signal.signal(number, _stop)
+        try:
+            report = self._convert(robot, self.out)
+        except _StoppedError as stopped:
+            print(f"\nStopped by {stopped}; nothing was written.", file=sys.stderr)
+            return exit_code_of_signal(str(stopped)) or EXIT_STOPPED
+        for warning in report.warnings:
+            print(f"warning: {warning}", file=sys.stderr)
+        if self.json:
+            print_json(report.as_dict())
+        elif sys.stdout.isatty():
+            print(_summary(report))
+        return EXIT_OK
+
+    def _convert(self, robot: G1, out: Path) -> ConvertReport:
+        from g1stream.programs.convert import Conversion, convert
+        from g1stream.recording.stamps import parse_time
+
+        options = Conversion(
+            base_time_ns=parse_time(self.base_time),
+            frames=_frames(self.frames),
+            resample=self.resample,
+            floating_root=not self.no_floating_root,
+            root_link=self.root_link,
+            world_frame=self.world_frame,
+            flat=self.flat,
+            topic=self.topic,
+            compression=self.compression,
+            force=self.force,
+        )
+        bar = _Bar()
+        try:
+            return convert(
+                self.motion, out, options, robot=robot, fps=self.fps, on_progress=bar.show
+            )
+        finally:
+            bar.clear()
+
+    def _check(self, robot: G1) -> int:
+        from g1stream.motion.file_check import check_file
+
+        report = check_file(self.motion, robot, fps=self.fps)
+        if self.json:
+            print_json({**asdict(report), "path": str(report.path), "all_well": report.all_well})
+        else:
+            print(_findings(report))
+        return EXIT_OK if report.all_well else EXIT_STOPPED
+
+
+class _Bar:
+    """A progress bar on standard error, if that is a terminal."""
+
+    def __init__(self) -> None:
+        self._shown = sys.stderr.isatty()
+        self._percent = -1
+
+    def show(self, share: float) -> None:
+        """Show how much is done, 0 to 1."""
+        percent = int(100 * share)
+        if self._shown and percent != self._percent:
+            self._percent = percent
+            filled = "#" * round(share * _BAR)
+            sys.stderr.write(f"\r[{filled:.<{_BAR}}] {percent:3d} %")
+            sys.stderr.flush()
+
+    def clear(self) -> None:
+        """Take the bar away."""
+        if self._shown:
+            sys.stderr.write("\r\x1b[K")
+            sys.stderr.flush()
+
+
+def _stop(number: int, _: object) -> NoReturn:
+    raise _StoppedError(signal.Signals(number).name)
+
+
+def _frames(text: str) -> tuple[int | None, int | None]:
+    match = re.fullmatch(r"([0-9]*):([0-9]*)", text)
+    if not match:
+        raise ConfigError(
+            f"{text!r} is not a range of frames.", "Give A:B, such as 100:200, 100: or :200."
+        )
+    first, behind = (int(number) if number else None for number in match.groups())
+    return first, behind
+
+
+def _summary(report: ConvertReport) -> str:
+    width = max(map(len, report.counts))
+    lines = [
+        f"{report.path}: {(report.end_ns - report.start_ns) / 1e9:.2f} s at {report.rate:g} Hz, "
+        f"{report.size / 1e6:.1f} MB",
+        *(f"  {topic:<{width}}  {n:>8}" for topic, n in report.counts.items()),
+    ]
+    return "\n".join(lines)
+
+
+def _findings(report: FileReport) -> str:
+    header = "named by a header" if report.has_header else "no header, taken as LAFAN1's"
+    lines = [
+        f"{report.path}",
+        f"  file            {report.n_rows} rows, {report.n_columns} columns, {header}",
+        f"  mapped columns  {len(report.mapped)}",
+    ]
+    shown = (*report.mapped[:5], None, *report.mapped[-5:])
+    if len(report.mapped) <= 10:
+        shown = report.mapped
+    lines += ["      ..." if m is None else f"    {m.column:3d} {m.joint}" for m in shown]
+    lines += [f"  not in the URDF {name}" for name in report.not_in_robot]
+    lines += [f"  not in the file {name}" for name in report.not_in_file]
+    if report.quat_norms:
+        low, high = report.quat_norms
+        lines.append(f"  quaternion norm {low:.6f} to {high:.6f}")
+    if report.motion:
+        motion = report.motion
+        step = motion.largest_step
+        lines += [
+            f"  duration        {motion.duration:.3f} s: {motion.n_frames} frames at "
+            f"{motion.fps:g} fps",
+            f"  largest step    {step.joint}: {step.value:.3f} rad from frame {step.frame} to "
+            f"{step.frame + 1}",
+        ]
+        lines += [
+            f"  beyond limit    {v.joint}: {v.value:.3f} rad at frame {v.frame}, limit "
+            f"{v.limit:.3f} ({v.n_frames} frames)"
+            for v in motion.limit_violations
+        ]
+        lines += [
+            f"  too fast        {v.joint}: {v.value:.1f} rad/s at {v.time:.2f} s, limit {v.limit:g}"
+            for v in motion.too_fast
+        ]
+        lines += [f"  warning         {warning}" for warning in motion.warnings]
+    if report.fault:
+        lines.append(f"  fault           {report.fault}")
+    lines.append("  all well" if report.all_well else "  something is wrong")
+    return "\n".join(lines)

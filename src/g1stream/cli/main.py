@@ -33,6 +33,7 @@ _COMMANDS = {
     "record": ("record", "Record"),
     "convert": ("convert", "Convert"),
     "motion": ("motion", "Inspect"),
+    "doctor": ("doctor", "Doctor"),
 }
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import os
 import socket
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
@@ -65,6 +65,8 @@ class Endpoint:
         topic, type_name: as announced on the wire.
         participant: the GUID of the participant it belongs to.
         host, pid, process: of that participant; empty where it does not tell.
+        qos: Cyclone's Qos, as announced.
+        type_id: XTypes' identifier of the announced type; None where it announces none.
     """
 
     topic: str
@@ -73,6 +75,8 @@ class Endpoint:
     host: str = ""
     pid: str = ""
     process: str = ""
+    qos: Any = field(default=None, compare=False, repr=False)
+    type_id: Any = field(default=None, compare=False, repr=False)
 
     def __str__(self) -> str:
         if not self.pid:
@@ -162,32 +166,36 @@ class Participant:
         """Close an entity made from this participant with it, whoever still refers to it."""
         self._kept.append(entity)
 
-    def writers(self, topic: str) -> list[Endpoint]:
-        """Who writes a topic at this moment, as far as discovery has come; ours are left out."""
+    def writers(self, topic: str | None = None) -> list[Endpoint]:
+        """Who writes a topic, or any, as far as discovery has come; ours are left out."""
         return self._endpoints(self._writers, topic)
 
-    def readers(self, topic: str) -> list[Endpoint]:
-        """Who reads a topic at this moment, as far as discovery has come; ours are left out."""
+    def readers(self, topic: str | None = None) -> list[Endpoint]:
+        """Who reads a topic, or any, as far as discovery has come; ours are left out."""
         return self._endpoints(self._readers, topic)
 
-    def _endpoints(self, reader: Any, topic: str) -> list[Endpoint]:
+    def _endpoints(self, reader: Any, topic: str | None) -> list[Endpoint]:
         properties = {
             str(one.key): {p.key: p.value for p in one.qos if hasattr(p, "value")}
             for one in _alive(self._participants)
         }
         found = []
         for sample in _alive(reader):
-            if sample.topic_name != topic or sample.participant_key == self.entity.guid:
+            if topic not in (None, sample.topic_name):
+                continue
+            if sample.participant_key == self.entity.guid:
                 continue
             about = properties.get(str(sample.participant_key), {})
             found.append(
                 Endpoint(
-                    topic,
+                    sample.topic_name,
                     sample.type_name,
                     str(sample.participant_key),
                     about.get("__Hostname", ""),
                     about.get("__Pid", ""),
                     about.get("__ProcessName", ""),
+                    sample.qos,
+                    sample.type_id,
                 )
             )
         return found

@@ -1,0 +1,1 @@
+"""What is wrong with the wire or this machine: facts are gathered first, then judged purely."""

@@ -1,0 +1,33 @@
+"""What the doctor says."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+__all__ = ["Finding", "Level"]
+
+
+class Level(IntEnum):
+    """How bad a finding is; the worst one is the exit code."""
+
+    OK = 0
+    WARNING = 1
+    PROBLEM = 2
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was looked at.
+
+    Attributes:
+        level: how bad it is.
+        about: what was looked at, in a word or two.
+        cause: what was found.
+        remedy: what to do about it; empty where all is well.
+    """
+
+    level: Level
+    about: str
+    cause: str
+    remedy: str = ""

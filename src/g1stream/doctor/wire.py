@@ -1,0 +1,137 @@
+"""Facts about a DDS domain. Only ever listens: a writer of LowCmd would stop whoever plays."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from statistics import median
+from typing import TYPE_CHECKING, Any
+
+from cyclonedds.core import Policy
+
+from g1stream.dds.domain import MAX_DOMAIN, Participant
+from g1stream.dds.messages import LowState
+from g1stream.dds.raw import RawReader
+from g1stream.dds.ticks import TickGaps
+from g1stream.dds.topics import LOWSTATE, TOPICS
+from g1stream.doctor.facts import Peer, Qos, StateFacts, WireFacts
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from g1stream.dds.domain import Endpoint
+    from g1stream.doctor.facts import Interface
+
+__all__ = ["look_at_wire", "qos_facts"]
+
+_POLL_S = 0.01
+#: How long discovery may take with somebody whose announcements come every few seconds, s.
+_LOOK_ELSEWHERE_S = 0.6
+_DURABILITIES = (
+    Policy.Durability.Volatile,
+    Policy.Durability.TransientLocal,
+    Policy.Durability.Transient,
+    Policy.Durability.Persistent,
+)
+
+
+def look_at_wire(
+    domain: int, interface: str, interfaces: Iterable[Interface], seconds: float
+) -> WireFacts:
+    """Listen in a domain, and where nobody publishes LowState, in others nearby.
+
+    Raises:
+        WireError: the domain cannot be joined on the interface.
+    """
+    with Participant(domain, interface) as participant:
+        reader = RawReader(participant, LOWSTATE, depth=4096)
+        state = _listen(reader, seconds)
+        facts = WireFacts(
+            writers=tuple(map(_peer, participant.writers())),
+            readers=tuple(map(_peer, participant.readers())),
+            state=state,
+            states_matched=reader.matched,
+        )
+    if any(writer.topic == LOWSTATE.name for writer in facts.writers):
+        return facts
+    # With a CYCLONEDDS_URI the interface is not for us to choose.
+    others = [] if participant.uses_environment else interfaces
+    return replace(facts, elsewhere=tuple(_elsewhere(domain, interface, others)))
+
+
+def _listen(reader: RawReader, seconds: float) -> StateFacts:
+    message, gaps = LowState(), TickGaps()
+    ages: list[float] = []
+    right = zero = 0
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        time.sleep(_POLL_S)
+        for sample in reader.take():
+            message.load(sample.data)
+            ages.append((time.time_ns() - sample.publish_time) / 1e6)
+            gaps.add(int(message.tick))
+            right += message.crc_matches()
+            zero += int(message.crc) == 0
+    return StateFacts(
+        seconds=seconds,
+        received=gaps.received,
+        malformed=reader.malformed,
+        ages_ms=(median(ages), max(ages)) if ages else (0.0, 0.0),
+        tick_step=gaps.step,
+        missed=gaps.missed,
+        crc_right=right,
+        crc_zero=zero,
+        mode_machine=int(message.mode_machine),
+        has_rpy=bool(message.rpy.any()),
+        has_motor_modes=bool(message.motor_mode.any()),
+    )
+
+
+def _elsewhere(
+    domain: int, interface: str, interfaces: Iterable[Interface]
+) -> Iterable[tuple[int, str, str]]:
+    """Where else somebody publishes LowState: domains nearby, then other interfaces."""
+    nearby = sorted({0, 1, domain - 1, domain + 1} - {domain, -1, MAX_DOMAIN + 1})
+    usable = [i.name for i in interfaces if i.up and i.address and i.name != interface]
+    for place in [(other, interface) for other in nearby] + [(domain, name) for name in usable]:
+        with Participant(*place) as participant:
+            time.sleep(_LOOK_ELSEWHERE_S)
+            yield from ((*place, str(writer)) for writer in participant.writers(LOWSTATE.name))
+
+
+def _peer(endpoint: Endpoint) -> Peer:
+    return Peer(
+        topic=endpoint.topic,
+        type_name=endpoint.type_name,
+        same_type=_same_type(endpoint),
+        qos=qos_facts(endpoint.qos),
+        who=str(endpoint),
+        participant=endpoint.participant,
+    )
+
+
+def _same_type(endpoint: Endpoint) -> bool | None:
+    ours = {topic.name: topic.message.idl_type for topic in TOPICS}.get(endpoint.topic)
+    if ours is None or endpoint.type_id is None:
+        return None
+    ours.__idl__.populate()
+    return bool(endpoint.type_id == ours.__idl__.get_type_id())
+
+
+def qos_facts(qos: Any) -> Qos:
+    """The policies that matter of a Cyclone `Qos`; what it does not name has DDS's default."""
+    values = vars(Qos()).copy()
+    for policy in qos or ():
+        if isinstance(policy, Policy.Reliability.Reliable):
+            values["reliable"] = True
+        elif isinstance(policy, Policy.Deadline):
+            values["deadline"] = policy.deadline
+        elif isinstance(policy, Policy.Partition):
+            values["partitions"] = tuple(policy.partitions)
+        elif isinstance(policy, Policy.DataRepresentation):
+            values["xcdr1"] = policy.use_cdrv0_representation
+        elif policy == Policy.Ownership.Exclusive:
+            values["exclusive"] = True
+        elif policy in _DURABILITIES:
+            values["durability"] = _DURABILITIES.index(policy)
+    return Qos(**values)

@@ -15,6 +15,7 @@ from g1stream.cli.common import (
     EXIT_OK,
     EXIT_STOPPED,
     Flag,
+    Maybe,
     exit_code_of_signal,
     print_json,
     value,
@@ -45,11 +46,11 @@ class Convert:
 
     motion: Annotated[str, tyro.conf.Positional, value("MOTION")]
     """Motion file (CSV), or the name of a bundled motion: demo."""
-    out: Annotated[Path | None, tyro.conf.Positional, value("MCAP")] = None
+    out: Annotated[Maybe[Path], tyro.conf.Positional, value("MCAP")] = None
     """The file to write; not needed with --check."""
     check: Flag = False
     """Only look at the motion file and tell what is in it; exit code 1 where something is wrong."""
-    fps: Annotated[float | None, value("N", "30")] = None
+    fps: Annotated[Maybe[float], value("N", "30")] = None
     """Frames per second of the motion file, which cannot say it. A wrong one plays too fast or too
     slowly: half of it, half as fast."""
     base_time: Annotated[str, value("TIME", "0")] = "0"
@@ -58,18 +59,18 @@ class Convert:
     same bytes."""
     frames: Annotated[str, value("A:B", "all")] = ":"
     """Only frames A up to, but without, B; either may be left out. Each keeps its time."""
-    resample: Annotated[float | None, value("HZ", "the frames as they are")] = None
+    resample: Annotated[Maybe[float], value("HZ", "the frames as they are")] = None
     """Sample the spline through the frames at this rate; joint states then have velocities and
     accelerations too."""
     no_floating_root: Flag = False
     """Pin the root link at the world's origin."""
-    root_link: Annotated[str | None, value("LINK", "the URDF's root")] = None
+    root_link: Annotated[Maybe[str], value("LINK", "the URDF's root")] = None
     """The link whose pose the motion file says."""
     world_frame: Annotated[str, value("NAME", "world")] = "world"
     """Name of the world's frame."""
     flat: Flag = False
     """Put every link straight under the world instead of under its parent."""
-    urdf: Annotated[Path | None, value("URDF", "the built-in 29-joint G1")] = None
+    urdf: Annotated[Maybe[Path], value("URDF", "the built-in 29-joint G1")] = None
     """Description of the robot."""
     topic: Annotated[str, value("TOPIC", "/tf")] = "/tf"
     """Topic of the transforms."""

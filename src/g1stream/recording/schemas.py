@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from mcap_protobuf.schema import build_file_descriptor_set
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
 from g1stream.dds.layout import members
 
@@ -17,8 +17,13 @@ _SEPARATOR: Final = "=" * 80
 
 
 def protobuf_schema(message_class: type[Message]) -> bytes:
-    """A serialised FileDescriptorSet of a message and all that it imports."""
-    schema: bytes = build_file_descriptor_set(message_class).SerializeToString()
+    """A serialised FileDescriptorSet of a message and all that it imports, the imported first."""
+    files: dict[str, Any] = {}
+    _collect(message_class.DESCRIPTOR.file, files)
+    collected = FileDescriptorSet()
+    for file in files.values():
+        file.CopyToProto(collected.file.add())
+    schema: bytes = collected.SerializeToString()
     return schema
 
 
@@ -38,6 +43,13 @@ def ros2msg(idl_type: Any) -> str:
         for struct in _nested(idl_type)
     )
     return _definition(idl_type) + "".join(nested)
+
+
+def _collect(file: Any, found: dict[str, Any]) -> None:
+    if file.name not in found:
+        for imported in file.dependencies:
+            _collect(imported, found)
+        found[file.name] = file
 
 
 def _definition(idl_type: Any) -> str:

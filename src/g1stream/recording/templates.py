@@ -11,7 +11,6 @@ Five bytes hold 35 bits: all the seconds that 63 bits of nanoseconds can express
 
 from __future__ import annotations
 
-import re
 import struct
 from typing import TYPE_CHECKING, Any, Final
 
@@ -186,7 +185,11 @@ def _double_mark(index: int) -> float:
 
 def _find(data: bytes, mark: bytes, count: int) -> NDArray[np.intp]:
     """The offsets of a mark; there are `count`, or the mark is not one."""
-    offsets = [match.start() for match in re.finditer(re.escape(mark), data)]
+    offsets = []
+    place = data.find(mark)
+    while place >= 0:
+        offsets.append(place)
+        place = data.find(mark, place + len(mark))
     if len(offsets) != count:
         raise ValueError(f"{len(offsets)} of {count} marks found in the serialised message")
     return np.array(offsets, dtype=np.intp)

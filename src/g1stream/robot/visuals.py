@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 from urllib.parse import unquote, urlparse
@@ -59,10 +60,17 @@ def read_visuals(robot: G1) -> tuple[Visual, ...]:
     """
     root = ET.fromstring(robot.urdf)
     materials = {m.get("name", ""): m for m in root.findall("material")}
-    return tuple(
-        _visual(link.get("name", ""), element, materials, robot.source)
+    shapes = [
+        (link.get("name", ""), element)
         for link in root.findall("link")
         for element in link.findall("visual")
+    ]
+    # All rotations at once: one by one they would take longer than everything else here.
+    turns = [_origin(link, element, "rpy", robot.source) for link, element in shapes]
+    quats = quat_from_rpy(np.array(turns).reshape(-1, 3)).tolist()
+    return tuple(
+        _visual(link, element, materials, tuple(quat), robot.source)
+        for (link, element), quat in zip(shapes, quats, strict=True)
     )
 
 
@@ -91,20 +99,26 @@ def missing_meshes(robot: G1) -> tuple[str, ...]:
     return tuple(name for name in names if find_mesh(robot, name) is None)
 
 
-def _visual(
-    link: str, element: ET.Element, materials: dict[str, ET.Element], source: str
-) -> Visual:
+def _origin(link: str, element: ET.Element, key: str, source: str) -> Vector3:
+    """What a shape's <origin> says: its `xyz` in m or its `rpy` in rad, zero where it is silent."""
     origin = element.find("origin")
-    attributes = {} if origin is None else origin.attrib
-    where = f"{source}: a shape of the link {link!r}"
-    x, y, z = _numbers(attributes.get("xyz", "0 0 0"), 3, where)
-    quat = quat_from_rpy(np.array(_numbers(attributes.get("rpy", "0 0 0"), 3, where)))
-    qw, qx, qy, qz = quat.tolist()
+    text = "0 0 0" if origin is None else origin.get(key, "0 0 0")
+    x, y, z = _numbers(text, 3, _where(link, source))
+    return x, y, z
+
+
+def _visual(
+    link: str, element: ET.Element, materials: dict[str, ET.Element], quat: Vector4, source: str
+) -> Visual:
+    where = _where(link, source)
+    pos = _origin(link, element, "xyz", source)
     kind, size, mesh = _geometry(element.find("geometry/*"), where)
     colour = _colour(element.find("material"), materials, where)
-    return Visual(
-        link, kind, (x, y, z), (qw, qx, qy, qz), size, colour or _GREY, colour is not None, mesh
-    )
+    return Visual(link, kind, pos, quat, size, colour or _GREY, colour is not None, mesh)
+
+
+def _where(link: str, source: str) -> str:
+    return f"{source}: a shape of the link {link!r}"
 
 
 def _geometry(shape: ET.Element | None, where: str) -> tuple[Kind, Vector3, str]:
@@ -150,7 +164,7 @@ def _numbers(text: str, count: int, where: str) -> list[float]:
         numbers = [float(word) for word in text.split()]
     except ValueError:
         numbers = []
-    if len(numbers) != count or not np.isfinite(numbers).all():
+    if len(numbers) != count or not all(map(isfinite, numbers)):
         raise RobotError(
             f"{where} has {text.strip()!r} where {count} finite numbers belong.",
             "Correct it in the URDF.",

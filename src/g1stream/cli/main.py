@@ -32,6 +32,7 @@ _COMMANDS = {
     "sim": ("sim", "Sim"),
     "record": ("record", "Record"),
     "convert": ("convert", "Convert"),
+    "info": ("info", "Info"),
     "motion": ("motion", "Inspect"),
     "doctor": ("doctor", "Doctor"),
 }

@@ -17,7 +17,7 @@ from g1stream.recording.samples import Samples
 from g1stream.recording.streams import Base, Command, Measured, Reference, Stream, TorsoImu
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Mapping
 
     import pandas
     from numpy.typing import NDArray
@@ -93,6 +93,7 @@ class Session:
 
     Attributes:
         path: of the file.
+        paths: of all its parts, oldest first.
         complete: whether it was closed properly; otherwise it ends with its last whole chunk.
         topics: number of messages by topic.
         metadata: what the recorder noted about the session.
@@ -101,6 +102,7 @@ class Session:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self._parts = [McapFile(path)]
+        self.paths = [part.path for part in self._parts]
         self.complete = all(part.complete for part in self._parts)
         self.topics: dict[str, int] = dict(sum((part.counts for part in self._parts), Counter()))
         self.metadata: dict[str, Any] = {}
@@ -160,15 +162,17 @@ class Session:
     @cached_property
     def log(self) -> list[LogEvent]:
         """The events of the session, in the order of the file."""
-        return [_log_event(data) for batch in self._batches("/log") for data in batch.data]
+        return [_log_event(data) for _, batch in self._batches({"/log"}) for data in batch.data]
 
-    def times(self, topic: str) -> Stream:
-        """Only the times of the messages of any topic.
+    @cached_property
+    def times(self) -> dict[str, Stream]:
+        """By topic, only the times of its messages; of all topics, so it takes a while to read.
 
         Raises:
-            RecordingError: the topic is not in this session, or the file is damaged.
+            RecordingError: the file is damaged.
         """
-        return Stream(**self._columns(topic, lambda _: {}))
+        columns = self._columns({topic: lambda _: {} for topic, n in self.topics.items() if n})
+        return {topic: Stream(**columns[topic]) for topic in sorted(columns)}
 
     def messages(self, topic: str) -> Iterator[Message]:
         """The messages of any topic, one after the other, in the order of the file.
@@ -177,7 +181,7 @@ class Session:
             RecordingError: the topic is not in this session, or the file is damaged.
         """
         self._require(topic)
-        for batch in self._batches(topic):
+        for _, batch in self._batches({topic}):
             times = batch.log_times.tolist(), batch.publish_times.tolist()
             yield from map(Message, *times, batch.data)
 
@@ -240,31 +244,34 @@ class Session:
                 ) from error
             return {attribute: samples[path] for attribute, path in kind.wire_fields().items()}
 
-        return kind(**self._columns(kind.topic, decode))
+        self._require(kind.topic)
+        return kind(**self._columns({kind.topic: decode})[kind.topic])
 
     def _columns(
-        self, topic: str, decode: Callable[[Messages], dict[str, NDArray[Any]]]
-    ) -> dict[str, NDArray[Any]]:
-        """By attribute, what all messages of a topic have; read in one pass."""
-        self._require(topic)
-        parts: dict[str, list[NDArray[Any]]] = {}
-        for messages in self._batches(topic):
+        self, decoders: Mapping[str, Callable[[Messages], dict[str, NDArray[Any]]]]
+    ) -> dict[str, dict[str, NDArray[Any]]]:
+        """By topic and attribute, what all messages of some topics have; read in one pass."""
+        parts: dict[str, dict[str, list[NDArray[Any]]]] = {topic: {} for topic in decoders}
+        for topic, messages in self._batches(set(decoders)):
             times = {"log_time": messages.log_times, "publish_time": messages.publish_times}
-            for attribute, values in (times | decode(messages)).items():
-                parts.setdefault(attribute, []).append(values)
-        found = sum(map(len, parts.get("log_time", ())))
-        if found != self.topics[topic]:
-            raise RecordingError(
-                f"{self.path} is damaged: of {self.topics[topic]} messages on {topic} it has "
-                f"{found}.",
-                "Save the rest of it with a tool such as `mcap recover`.",
-            )
-        return {attribute: _joined(parts.pop(attribute)) for attribute in list(parts)}
+            for attribute, values in (times | decoders[topic](messages)).items():
+                parts[topic].setdefault(attribute, []).append(values)
+        for topic, columns in parts.items():
+            found = sum(map(len, columns.get("log_time", ())))
+            if found != self.topics[topic]:
+                raise RecordingError(
+                    f"{self.path} is damaged: of {self.topics[topic]} messages on {topic} it has "
+                    f"{found}.",
+                    "Save the rest of it with a tool such as `mcap recover`.",
+                )
+        return {
+            topic: {attribute: _joined(columns.pop(attribute)) for attribute in list(columns)}
+            for topic, columns in parts.items()
+        }
 
-    def _batches(self, topic: str) -> Iterator[Messages]:
+    def _batches(self, topics: set[str]) -> Iterator[tuple[str, Messages]]:
         for part in self._parts:
-            for _, messages in part.batches({topic}):
-                yield messages
+            yield from part.batches(topics)
 
     def _require(self, topic: str) -> None:
         if not self.topics.get(topic):

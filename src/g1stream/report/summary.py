@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from g1stream.recording.streams import Base, Command, Measured, Reference
+from g1stream.recording.channels import CHANNELS
+from g1stream.recording.streams import Measured, Reference
 from g1stream.report.messages import MessageStats, Percentiles, message_stats
 from g1stream.report.metrics import Tracking, by_group, compare, pooled, track
 from g1stream.report.text import render
@@ -15,10 +16,9 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from g1stream.recording.session import Session
-    from g1stream.recording.streams import Stream
     from g1stream.report.metrics import Comparison
 
-__all__ = ["LoopFigures", "Summary", "render", "summarise"]
+__all__ = ["LoopFigures", "Summary", "loop_figures", "render", "summarise"]
 
 
 @dataclass(frozen=True)
@@ -105,10 +105,10 @@ def summarise(session: Session) -> Summary:
     Raises:
         RecordingError: the file is damaged.
     """
-    streams = _streams(session)
-    stats = {topic: message_stats(stream) for topic, stream in streams.items()}
+    counts = {topic: n for topic, n in sorted(session.topics.items()) if n}
+    stats = {t: message_stats(session.times(t)) for t in counts if _is_of_the_wire(t)}
     compared = None
-    if Reference.topic in streams and Measured.topic in streams:
+    if Reference.topic in counts and Measured.topic in counts:
         compared = compare(session.reference, session.measured)
     states = len(compared.time) if compared else 0
     metadata = session.metadata
@@ -118,30 +118,22 @@ def summarise(session: Session) -> Summary:
         states=states,
         duration=compared.duration if compared else 0.0,
         tracking=track(compared) if compared and states else None,
-        loop=_loop(metadata["stream"]) if metadata.get("stream") else None,
-        counts=dict(sorted(session.topics.items())),
+        loop=loop_figures(metadata["stream"]) if metadata.get("stream") else None,
+        counts=counts,
         missing=(metadata.get("recorder") or {}).get("missing"),
         streams=stats,
         notes=_notes(session, compared, stats),
     )
 
 
-def _streams(session: Session) -> dict[str, Stream]:
-    """The streams that a session has, by topic."""
-    streams: dict[str, Stream] = {}
-    if session.topics.get(Reference.topic):
-        streams[Reference.topic] = session.reference
-    if session.topics.get(Command.topic):
-        streams[Command.topic] = session.command
-    if session.topics.get(Measured.topic):
-        streams[Measured.topic] = session.measured
-    if session.base:
-        streams[Base.topic] = session.base
-    return streams
+def _is_of_the_wire(topic: str) -> bool:
+    """Whether a topic has samples as they were on the wire; other messages follow from those."""
+    channel = CHANNELS.get(topic)
+    return channel is not None and channel.source is not None
 
 
-def _loop(told: Mapping[str, Any]) -> LoopFigures:
-    """From the metadata that the streamer leaves."""
+def loop_figures(told: Mapping[str, Any]) -> LoopFigures:
+    """What the streamer counted, from the metadata that it leaves."""
     lateness, clamped = told.get("lateness_us") or {}, told.get("clamped_ticks")
     keys = ("p50", "p99", "p99.9", "max")
     return LoopFigures(
@@ -172,12 +164,12 @@ def _notes(
         notes.append(
             f"States left out, because they fell into holes of the reference: {compared.left_out}."
         )
-    notes += [
-        f"The clock that stamps {topic} is {-figures.clock_offset:+.3f} s off the recorder's; to "
-        "compare, it is set right to within the latency."
-        for topic, figures in stats.items()
-        if figures.clock_offset
-    ]
+    off = [f"{t} by {-s.clock_offset:+.3f} s" for t, s in stats.items() if s.clock_offset]
+    if off:
+        notes.append(
+            f"Stamps are off the recorder's clock: {', '.join(off)}. To compare, they are set "
+            "right to within the latency."
+        )
     return notes
 
 

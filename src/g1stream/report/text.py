@@ -12,13 +12,13 @@ from g1stream.report.metrics import by_group, pooled
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from collections.abc import Collection, Mapping, Sequence
 
     from g1stream.report.messages import MessageStats, Percentiles
     from g1stream.report.metrics import Tracking
     from g1stream.report.summary import LoopFigures, Summary
 
-__all__ = ["WIDTH", "render"]
+__all__ = ["WIDTH", "line", "loop_lines", "message_table", "render", "table"]
 
 WIDTH: Final = 100
 """No line is longer, as long as names of files and topics are not."""
@@ -32,20 +32,20 @@ def render(summary: Summary) -> str:
     compared = f"{summary.states} states with the reference, over {summary.duration:.2f} s"
     paragraphs = [
         [
-            _line("session", summary.session),
-            _line("motion", summary.motion or _UNKNOWN),
-            _line("ended", _ending(summary.loop)),
-            _line("compared", compared),
+            line("session", summary.session),
+            line("motion", summary.motion or _UNKNOWN),
+            line("ended", _ending(summary.loop)),
+            line("compared", compared),
         ],
         _tracking_table(summary.tracking) if summary.tracking else [],
-        [*_tracking_lines(summary.tracking), *_loop_lines(summary.loop)],
-        _message_table(summary),
+        [*_tracking_lines(summary.tracking), *loop_lines(summary.loop)],
+        message_table(summary.counts, summary.streams),
         [
-            _line("missing", _missing(summary)),
-            _line("gaps", f"publish intervals of more than {GAP:g} medians; longest: of them all"),
-            _line("latency", "from the publisher's stamp to the recorder's reception"),
+            line("missing", _missing(summary)),
+            line("gaps", f"publish intervals of more than {GAP:g} medians; longest: of them all"),
+            line("latency", "from the publisher's stamp to the recorder's reception"),
         ],
-        [_line("note", note) for note in summary.notes],
+        [line("note", note) for note in summary.notes],
     ]
     return "\n\n".join("\n".join(lines) for lines in paragraphs if lines)
 
@@ -73,18 +73,18 @@ def _tracking_table(tracking: Tracking) -> list[str]:
                 f"{tracking.max_abs_at[worst]:.2f}",
             )
         )
-    return _table(rows, left=(0, 3))
+    return table(rows, left=(0, 3))
 
 
 def _tracking_lines(tracking: Tracking | None) -> list[str]:
     if tracking is None:
-        return [_line("tracking", _UNKNOWN)]
+        return [line("tracking", _UNKNOWN)]
     if tracking.delay is None:
-        return [_line("delay", "not determined: too little moves, or no delay explains the error")]
+        return [line("delay", "not determined: too little moves, or no delay explains the error")]
     seconds, rmse, std = tracking.delay
     where = "behind" if seconds >= 0 else "ahead of"
     return [
-        _line(
+        line(
             "delay",
             f"the robot is {abs(seconds) * 1e3:.1f} ms {where} the reference; without that, RMSE "
             f"{pooled(rmse):.4f} rad; without each joint's mean error as well, {pooled(std):.4f}",
@@ -92,31 +92,33 @@ def _tracking_lines(tracking: Tracking | None) -> list[str]:
     ]
 
 
-def _loop_lines(loop: LoopFigures | None) -> list[str]:
+def loop_lines(loop: LoopFigures | None) -> list[str]:
+    """How the streamer kept its deadlines."""
     if loop is None:
-        return [_line(name, _UNKNOWN) for name in ("commands", "lateness")]
+        return [line(name, _UNKNOWN) for name in ("commands", "lateness")]
     lines = [
-        _line(
+        line(
             "commands",
             f"{_figure(loop.commands)} at {_figure(loop.rate, '.2f')} Hz "
             f"({_figure(loop.nominal_rate, 'g')} asked for), "
             f"{_figure(loop.skipped)} ticks skipped",
         ),
-        _line("lateness", _percentiles(loop.lateness)),
+        line("lateness", _percentiles(loop.lateness)),
     ]
     if loop.clamped:
         held = ", ".join(f"{joint} {ticks}" for joint, ticks in loop.clamped.items())
-        lines.append(_line("limits", f"ticks at which a target was held at its limit: {held}"))
+        lines.append(line("limits", f"ticks at which a target was held at its limit: {held}"))
     return lines
 
 
-def _message_table(summary: Summary) -> list[str]:
+def message_table(counts: Mapping[str, int], streams: Mapping[str, MessageStats]) -> list[str]:
+    """How the messages of each topic came, as far as that is known."""
     latency = ["latency p50 us", "p99 us", "p99.9 us", "max us"]
     rows = [["topic", "count", "Hz", "gaps", "longest ms", *latency]]
-    for topic, count in summary.counts.items():
-        stats = summary.streams.get(topic)
+    for topic, count in counts.items():
+        stats = streams.get(topic)
         rows.append([topic, str(count), *(_came(stats) if stats else [""] * 7)])
-    return _table(rows, left=(0,))
+    return table(rows, left=(0,))
 
 
 def _came(stats: MessageStats) -> list[str]:
@@ -147,7 +149,7 @@ def _figure(value: float | None, spec: str = "") -> str:
     return "?" if value is None else format(value, spec)
 
 
-def _line(name: str, text: str) -> str:
+def line(name: str, text: str) -> str:
     """`name  text`, the text wrapped beside itself."""
     return textwrap.fill(
         text,
@@ -159,7 +161,7 @@ def _line(name: str, text: str) -> str:
     )
 
 
-def _table(rows: Sequence[Sequence[str]], left: Collection[int]) -> list[str]:
+def table(rows: Sequence[Sequence[str]], left: Collection[int]) -> list[str]:
     """Rows in columns two spaces apart, set right except for those named; headings ruled off."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = [

@@ -102,22 +102,27 @@ class ChunkedFile:
             messages: of each channel, T > 0 messages.
             stamps_ns: (T,) both log and publish time, ns since the epoch, rising.
         """
-        before = _serialised(preface)
         rows, places = _interleaved(messages, stamps_ns)
-        starts = len(before) + rows.shape[1] * np.arange(len(rows))
+        starts = rows.shape[1] * np.arange(len(rows))
         index = {channel: (stamps_ns, starts + place) for channel, place in places.items()}
-        self.add_chunk(before + rows.tobytes(), index)
+        self.add_chunk(preface, rows.tobytes(), index)
 
     def add_chunk(
-        self, data: bytes, places: Mapping[int, tuple[NDArray[np.int64], NDArray[np.int64]]]
+        self,
+        preface: Sequence[McapRecord],
+        records: bytes,
+        places: Mapping[int, tuple[NDArray[np.int64], NDArray[np.int64]]],
     ) -> None:
-        """Add a chunk of records.
+        """Add a chunk of ready message records.
 
         Args:
-            data: the records as they are uncompressed.
-            places: by channel, of its T > 0 messages in the chunk: (T,) log times, ns since the
-                epoch, and (T,) where their records begin in `data`.
+            preface: the schemas and channels that are new in this chunk.
+            records: the messages.
+            places: by channel, of its T > 0 messages: (T,) log times, ns since the epoch, and (T,)
+                where their records begin in `records`.
         """
+        before = _serialised(preface)
+        data = before + records
         times = [log_times for log_times, _ in places.values()]
         index = ChunkIndex(
             chunk_length=0,
@@ -145,7 +150,7 @@ class ChunkedFile:
         for channel, (log_times, offsets) in places.items():
             index.message_index_offsets[channel] = self._stream.tell()
             index.message_index_length += self._stream.write(
-                _message_index(channel, log_times, offsets)
+                _message_index(channel, log_times, len(before) + offsets)
             )
         self._chunks.append(index)
 

@@ -1,0 +1,187 @@
+"""Joining a domain, seeing who is there, and leaving nothing behind."""
+
+import gc
+import os
+import sys
+from pathlib import Path
+
+import pytest
+from cyclonedds.core import Entity
+
+from g1stream.dds.domain import Endpoint, Participant, interfaces, is_loopback
+from g1stream.dds.messages import LowCmd
+from g1stream.dds.raw import RawReader, RawWriter
+from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE, TOPICS
+from g1stream.errors import WireError
+
+LOWCMD_TYPE = "unitree_hg::msg::dds_::LowCmd_"
+
+
+def test_interfaces_are_the_kernels():
+    assert sorted(interfaces()) == sorted(p.name for p in Path("/sys/class/net").iterdir())
+    assert [name for name in interfaces() if is_loopback(name)] == ["lo"]
+
+
+@pytest.mark.parametrize("domain", [-1, 233, 1000])
+def test_a_domain_out_of_range_is_refused(domain):
+    with pytest.raises(WireError, match=f"no domain {domain}") as caught:
+        Participant(domain, "lo")
+    assert "0 to 232" in caught.value.remedy
+
+
+@pytest.mark.parametrize("interface", ["eth7", "", "lo "])
+def test_an_unknown_interface_is_named_with_the_known_ones(domain_id, interface):
+    with pytest.raises(WireError) as caught:
+        Participant(domain_id, interface)
+    assert repr(interface) in caught.value.cause
+    assert "lo" in caught.value.remedy
+
+
+def test_a_process_is_on_one_interface_of_a_domain(domain_id, monkeypatch):
+    monkeypatch.setattr("g1stream.dds.domain.interfaces", lambda: ["lo", "eth7"])
+    with Participant(domain_id, "lo"):
+        with pytest.raises(WireError, match=f"domain {domain_id} on lo already"):
+            Participant(domain_id, "eth7")
+        with Participant(domain_id, "lo"):
+            pass
+    assert domain_id not in Participant._domains
+
+
+def test_an_interface_that_cyclone_cannot_use_is_an_error(domain_id, monkeypatch):
+    monkeypatch.setattr("g1stream.dds.domain.interfaces", lambda: ["lo", "eth7"])
+    with pytest.raises(WireError, match=f"cannot join domain {domain_id} on eth7"):
+        Participant(domain_id, "eth7")
+    with Participant(domain_id, "lo"), Participant(domain_id, "lo"):
+        pass
+
+
+def test_the_users_own_configuration_is_respected(domain_id, monkeypatch, tmp_path, peer_on, until):
+    trace = tmp_path / "cyclone.log"
+    monkeypatch.setenv(
+        "CYCLONEDDS_URI",
+        '<CycloneDDS><Domain Id="any"><General><Interfaces><NetworkInterface name="lo"/>'
+        f"</Interfaces></General><Tracing><Category>config</Category><OutputFile>{trace}"
+        "</OutputFile></Tracing><Discovery><ParticipantIndex>auto</ParticipantIndex>"
+        '<Peers><Peer Address="127.0.0.1"/></Peers></Discovery></Domain></CycloneDDS>',
+    )
+    with Participant(domain_id, "lo") as participant:
+        assert participant.uses_environment
+        assert domain_id not in Participant._domains
+        assert "127.0.0.1" in trace.read_text()
+    monkeypatch.delenv("CYCLONEDDS_URI")
+    with Participant(domain_id, "lo") as participant:
+        assert not participant.uses_environment
+
+
+def test_a_broken_configuration_of_the_user_is_an_error(domain_id, monkeypatch):
+    monkeypatch.setenv("CYCLONEDDS_URI", "<CycloneDDS><Domain><Nonsense/></Domain></CycloneDDS>")
+    with pytest.raises(WireError) as caught:
+        Participant(domain_id, "lo")
+    assert f"domain {domain_id}" in caught.value.cause
+    assert "CYCLONEDDS_URI" in caught.value.remedy
+
+
+def possessions():
+    """What a process holds that a participant might leave behind."""
+    gc.collect()  # cyclonedds' built-in readers and their conditions refer to each other
+    return (
+        len(list(Path("/proc/self/fd").iterdir())),
+        len(list(Path("/proc/self/task").iterdir())),
+        len(Entity._entities),
+        len(Participant._domains),
+    )
+
+
+def test_closing_leaves_nothing_behind(domain_id):
+    before = possessions()
+    for _ in range(30):
+        with Participant(domain_id, "lo") as participant:
+            for topic in TOPICS:
+                RawWriter(participant, topic)
+                RawReader(participant, topic)
+    assert possessions() == before
+
+
+def test_closing_closes_what_somebody_still_holds(domain_id, until):
+    before = possessions()
+    with Participant(domain_id, "lo") as observer:
+        reader, writer = RawReader(observer, LOWCMD), RawWriter(observer, LOWCMD)
+        with Participant(domain_id, "lo") as participant:
+            held = [RawWriter(participant, LOWCMD), RawReader(participant, LOWCMD)]
+            until(lambda: reader.matched == writer.matched == 2, "two matches each")
+        until(lambda: reader.matched == writer.matched == 1, "their departure")
+        assert len(observer.writers(LOWCMD.name)) == 0
+    assert len(held) == 2
+    assert possessions() == before
+
+
+def test_closing_what_is_closed_is_no_error(domain_id):
+    with Participant(domain_id, "lo") as participant:
+        writer, reader = RawWriter(participant, LOWCMD), RawReader(participant, LOWCMD)
+        for entity in (writer, reader, writer, reader):
+            entity.close()
+        participant.close()
+    participant.close()
+
+
+def test_an_error_inside_leaves_the_domain_too(domain_id):
+    before = possessions()
+
+    def fail():
+        with Participant(domain_id, "lo") as participant:
+            RawWriter(participant, LOWCMD)
+            raise KeyError(domain_id)
+
+    with pytest.raises(KeyError) as caught:
+        fail()
+    assert possessions() == before
+    assert caught.traceback  # it still holds the participant
+
+
+def test_two_participants_share_a_domain_and_the_last_one_ends_it(domain_id):
+    first, second = Participant(domain_id, "lo"), Participant(domain_id, "lo")
+    writer, reader = RawWriter(second, LOWCMD), RawReader(second, LOWCMD)
+    first.close()
+    assert domain_id in Participant._domains
+    assert writer.write(LowCmd().tobytes())
+    assert reader.take_latest() is not None
+    second.close()
+    assert domain_id not in Participant._domains
+
+
+def test_another_process_is_listed_with_its_id(domain_id, peer_on, until):
+    with Participant(domain_id, "lo") as participant:
+        assert participant.writers(LOWCMD.name) == participant.readers(LOWCMD.name) == []
+        with peer_on(domain_id) as peer:
+            until(lambda: participant.writers(LOWCMD.name), "its writer in discovery")
+            until(lambda: participant.readers(LOWCMD.name), "its reader in discovery")
+            (writer,) = participant.writers(LOWCMD.name)
+            (reader,) = participant.readers(LOWCMD.name)
+            for endpoint in (writer, reader):
+                assert (endpoint.topic, endpoint.type_name) == (LOWCMD.name, LOWCMD_TYPE)
+                assert endpoint.pid == str(peer.pid)
+                assert endpoint.process in sys.executable
+                assert f"pid {peer.pid} on {endpoint.host}" in str(endpoint)
+            assert writer.participant == reader.participant
+            until(lambda: participant.writers(REFERENCE.name), "its writer of references")
+            assert participant.readers(LOWSTATE.name) == []
+        until(lambda: not participant.writers(LOWCMD.name), "its departure")
+        assert participant.readers(LOWCMD.name) == []
+
+
+def test_own_endpoints_are_left_out(domain_id, until):
+    with Participant(domain_id, "lo") as one, Participant(domain_id, "lo") as other:
+        RawWriter(one, LOWCMD)
+        RawReader(one, LOWSTATE)
+        until(lambda: other.writers(LOWCMD.name), "the writer in discovery")
+        until(lambda: other.readers(LOWSTATE.name), "the reader in discovery")
+        assert one.writers(LOWCMD.name) == one.readers(LOWSTATE.name) == []
+        assert [e.pid for e in other.writers(LOWCMD.name)] == [str(os.getpid())]
+
+
+def test_an_endpoint_is_named_as_well_as_can_be():
+    known = Endpoint("rt/lowcmd", LOWCMD_TYPE, "guid", "g1", "4242", "policy")
+    assert str(known) == "policy (pid 4242 on g1)"
+    assert str(Endpoint("rt/lowcmd", LOWCMD_TYPE, "guid")) == "participant guid"
+    nameless = Endpoint("rt/lowcmd", LOWCMD_TYPE, "guid", pid="7")
+    assert str(nameless) == "process (pid 7 on an unnamed host)"

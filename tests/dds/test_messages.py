@@ -1,0 +1,210 @@
+"""Samples as bytes and as fields."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from g1stream.dds.layout import CDR_HEADER, Layout
+from g1stream.dds.messages import Log, LowCmd, LowState, Message, SecondaryImu
+from g1stream.dds.topics import TOPICS
+from g1stream.errors import WireError
+
+MESSAGES = [topic.message for topic in TOPICS]
+each_message = pytest.mark.parametrize("cls", MESSAGES, ids=lambda c: c.__name__)
+with_motors = pytest.mark.parametrize(
+    ("cls", "array", "fields"),
+    [
+        (LowCmd, "motor_cmd", ("q", "dq", "tau", "kp", "kd")),
+        (LowState, "motor_state", ("q", "dq", "ddq", "tau_est")),
+    ],
+)
+
+
+@pytest.fixture
+def random_sample(random_payload):
+    """The bytes of a random sample, as Cyclone hands it over."""
+
+    def make(cls, seed=1):
+        whole = CDR_HEADER + random_payload(cls.idl_type, seed).tobytes()
+        return whole.ljust(Layout.of(cls.idl_type).sample_size, b"\0")
+
+    return make
+
+
+@each_message
+def test_bytes_go_in_and_out_unaltered(cls, random_sample):
+    message = cls()
+    for seed in (1, 2):
+        message.load(random_sample(cls, seed))
+        assert message.tobytes() == random_sample(cls, seed)
+
+
+@each_message
+def test_a_new_message_is_zero(cls):
+    data = cls().tobytes()
+    assert data[:4] == CDR_HEADER
+    assert not any(data[4:])
+
+
+@each_message
+def test_every_attribute_shows_the_field_of_its_name(cls, random_sample):
+    """Attributes are views, named like the fields of the type or of a struct in it."""
+    message = cls()
+    message.load(random_sample(cls))
+    shown = {k: v for k, v in vars(message).items() if isinstance(v, np.ndarray)}
+    shown = {k: v for k, v in shown.items() if k not in ("payload", "_modes")}
+    assert shown
+    for name, view in shown.items():
+        (path,) = (p for p in message.layout.fields if p.split(".")[-1] == name.lstrip("_"))
+        whole = message.layout[path].read(message.payload)
+        assert view.tobytes() == whole[tuple(slice(n) for n in view.shape)].tobytes(), name
+        view[...] = 7
+        part = message.layout[path].read(message.payload)[tuple(slice(n) for n in view.shape)]
+        assert (part == 7).all()
+
+
+@with_motors
+def test_motors_are_the_first_29(cls, array, fields):
+    message = cls()
+    for name in fields:
+        getattr(message, name)[:] = np.arange(1, 30)
+    message.motor_mode = np.arange(1, 30)
+    for name in (*fields, "mode"):
+        values = message.layout[f"{array}.{name}"].read(message.payload)
+        assert values.tolist() == [*range(1, 30), 0, 0, 0, 0, 0, 0]
+    assert message.motor_mode.tolist() == list(range(1, 30))
+
+
+@with_motors
+def test_one_mode_for_all_motors(cls, array, fields):
+    message = cls()
+    message.motor_mode = 1
+    modes = message.layout[f"{array}.mode"].read(message.payload)
+    assert modes.tolist() == [1] * 29 + [0] * 6
+
+
+@each_message
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda data: b"",
+        lambda data: data[:3],
+        lambda data: data[:-1],
+        lambda data: data + b"\0",
+        lambda data: b"\x00\x00" + data[2:],  # big endian
+        lambda data: b"\x00\x07" + data[2:],  # XCDR2
+    ],
+    ids=["empty", "header cut", "cut", "too long", "big endian", "XCDR2"],
+)
+def test_what_is_no_sample_is_refused_and_changes_nothing(cls, spoil, random_sample):
+    message = cls()
+    message.load(random_sample(cls))
+    with pytest.raises(WireError) as caught:
+        message.load(spoil(random_sample(cls, 2)))
+    assert cls.idl_type.__idl_typename__ in caught.value.cause
+    assert "XCDR1" in caught.value.remedy
+    assert message.tobytes() == random_sample(cls)
+
+
+def test_options_in_the_header_are_taken_over(random_sample):
+    """Some writers tell there how many bytes they padded with."""
+    data = random_sample(SecondaryImu)
+    data = data[:3] + b"\x02" + data[4:]
+    imu = SecondaryImu()
+    imu.load(data)
+    assert imu.tobytes() == data
+
+
+def test_bytes_taken_are_a_copy():
+    command = LowCmd()
+    command.q[:] = 1.0
+    before = command.tobytes()
+    command.q[:] = 2.0
+    assert before != command.tobytes()
+
+
+@pytest.mark.parametrize("cls", [LowCmd, LowState])
+def test_a_sealed_message_matches_until_it_changes(cls):
+    message = cls()
+    message.q[:] = np.linspace(-1, 1, 29)
+    assert not message.crc_matches()
+    data = message.seal()
+    assert message.crc_matches()
+    message.q[7] += 1e-3
+    assert not message.crc_matches()
+    message.load(data)
+    assert message.crc_matches()
+    assert message.seal() == data
+
+
+def test_messages_do_not_share_a_buffer():
+    one, other = LowCmd(), LowCmd()
+    one.q[:] = 1.0
+    assert not other.q.any()
+
+
+def test_a_field_can_be_viewed_by_its_path():
+    state = LowState()
+    state.view("motor_state.temperature")[4] = (40, 60)
+    assert state.layout["motor_state.temperature"].read(state.payload)[4].tolist() == [40, 60]
+
+
+def test_a_message_is_a_type_and_no_more():
+    assert all(issubclass(cls, Message) for cls in MESSAGES)
+    assert len({cls.idl_type.__idl_typename__ for cls in MESSAGES}) == len(MESSAGES)
+
+
+# Texts
+
+
+def test_log_texts_go_round():
+    log = Log()
+    log.name, log.text = "stream", "PLAY -> DAMP: der Rumpf kippt, 1.2 rad, 傾き"
+    again = Log()
+    again.load(log.tobytes())
+    assert (again.name, again.text) == (log.name, log.text)
+    assert again.text.endswith("傾き")
+
+
+def test_a_shorter_text_leaves_nothing_of_a_longer_one():
+    log = Log()
+    log.text = "x" * 240
+    log.text = "short"
+    assert log.text == "short"
+    assert b"x" not in log.tobytes()
+
+
+@pytest.mark.parametrize("character", ["é", "傾", "🤖"])
+def test_a_character_cut_in_two_is_left_out(character):
+    size = len(character.encode())
+    for kept in range(size):
+        log = Log()
+        log.text = "x" * (240 - kept) + character + "more"
+        assert log.text == "x" * (240 - kept)
+        log.name = "x" * (16 - kept) + character
+        assert log.name == "x" * (16 - kept)
+    log.text = "x" * (240 - size) + character + "more"
+    assert log.text == "x" * (240 - size) + character
+
+
+@given(st.text(max_size=300))
+def test_what_is_kept_of_a_text_is_its_beginning(text):
+    log = Log()
+    log.text = text
+    readable = text.encode(errors="replace").decode()
+    assert readable.rstrip("\0").startswith(log.text)
+    if len(readable.encode()) <= 240:
+        assert log.text == readable.rstrip("\0")
+
+
+def test_a_text_that_has_no_utf8_is_told_all_the_same():
+    log = Log()
+    log.text = b"motion-\xff.csv".decode(errors="surrogateescape")
+    assert log.text == "motion-?.csv"
+
+
+def test_received_bytes_that_are_no_text_do_no_harm():
+    log = Log()
+    log.view("text")[:4] = (0x61, 0xFF, 0xFE, 0x62)
+    assert log.text == "a��b"

@@ -1,0 +1,42 @@
+"""Counting what did not come, from ticks made by hand."""
+
+import pytest
+
+from g1stream.dds.ticks import TickGaps
+
+
+def counted(ticks):
+    gaps = TickGaps()
+    for tick in ticks:
+        gaps.add(tick)
+    return gaps
+
+
+@pytest.mark.parametrize(
+    ("ticks", "missed"),
+    [
+        ([0, 2, 4, 6, 8], 0),
+        ([0, 2, 4, 10, 12], 2),
+        ([0, 6, 8, 10, 20], 2 + 4),
+        ([7, 8, 9, 20], 10),
+        ([2**32 - 4, 2**32 - 2, 0, 2, 6], 1),
+        ([0, 2, 4, 4, 6], 0),
+        ([0, 2, 5, 7, 9], 0),
+    ],
+    ids=["whole", "gap", "gaps at both ends", "by one", "wraps", "repeated", "jitter of rounding"],
+)
+def test_missed(ticks, missed):
+    gaps = counted(ticks)
+    assert gaps.missed == missed
+    assert gaps.received == len(ticks)
+
+
+@pytest.mark.parametrize("ticks", [[], [5], [0, 0, 0, 0]])
+def test_unknown_where_nothing_counts(ticks):
+    assert counted(ticks).missed is None
+    assert counted(ticks).step is None
+
+
+def test_a_restart_is_no_gap():
+    gaps = counted([1000, 1002, 1004, 0, 2, 4])
+    assert (gaps.missed, gaps.restarts, gaps.step) == (0, 1, 2)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 from g1stream.doctor.facts import Qos
 from g1stream.doctor.finding import Finding, Level
 from g1stream.doctor.host_findings import examine_host, examine_interface
-from g1stream.doctor.peers import LOWCMD, LOWSTATE, mismatch, recognise
+from g1stream.doctor.peers import LOWCMD, LOWSTATE, SPORTMODESTATE, mismatch, recognise
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -29,6 +29,7 @@ def examine(facts: Facts) -> list[Finding]:
         *found,
         *_presence(facts, facts.wire),
         *_states(facts, facts.wire),
+        *_base(facts.wire),
         *_commands(facts.wire),
     ]
 
@@ -95,7 +96,7 @@ def _states(facts: Facts, wire: WireFacts) -> Iterator[Finding]:
         yield Finding(
             Level.PROBLEM,
             about,
-            f"a publisher of {LOWSTATE} is matched, but silent for {state.seconds:g} s"
+            f"a publisher of {LOWSTATE} is matched, but silent for {state.seconds:.1f} s"
             + (f"; {state.malformed} samples were no LowState" if state.malformed else ""),
             "See whether it hangs or is paused, or whether a firewall stops its packets.",
         )
@@ -121,7 +122,7 @@ def _contents(facts: Facts, state: StateFacts) -> Iterator[Finding]:
         yield Finding(
             Level.WARNING,
             "tick",
-            f"{state.missed} LowStates did not arrive in {state.seconds:g} s",
+            f"{state.missed} LowStates did not arrive in {state.seconds:.1f} s",
             "See to the load of both machines, the network, and the receive buffers.",
         )
     else:
@@ -149,19 +150,28 @@ def _contents(facts: Facts, state: StateFacts) -> Iterator[Finding]:
         )
 
 
+def _base(wire: WireFacts) -> Iterator[Finding]:
+    writers = [peer for peer in wire.writers if peer.topic == SPORTMODESTATE]
+    yield from _misfits(writers, "SportModeState")
+    if writers:
+        yield Finding(Level.OK, "base", f"{SPORTMODESTATE} from {_names(writers)}")
+    else:
+        yield Finding(Level.OK, "base", "position and velocity not provided")
+
+
 def _commands(wire: WireFacts) -> Iterator[Finding]:
     readers = [peer for peer in wire.readers if peer.topic == LOWCMD]
     writers = [peer for peer in wire.writers if peer.topic == LOWCMD]
     misfits = [_misfit(peer, mismatch(_OUR_WRITER, peer.qos), "LowCmd") for peer in readers]
     yield from filter(None, misfits)
-    if not readers:
+    if not readers and any(peer.topic == LOWSTATE for peer in wire.writers):
         yield Finding(
             Level.PROBLEM,
             "LowCmd",
             f"nobody reads {LOWCMD}: commands would move nothing",
             "Start a bridge (g1stream sim), or connect and switch on the robot.",
         )
-    elif not any(misfits):
+    elif readers and not any(misfits):
         yield Finding(Level.OK, "LowCmd", f"read by {_names(readers)}")
     if writers:
         yield Finding(

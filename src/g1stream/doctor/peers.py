@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     from g1stream.doctor.facts import Qos, StateFacts, WireFacts
 
-__all__ = ["LOWCMD", "LOWSTATE", "mismatch", "recognise"]
+__all__ = ["LOWCMD", "LOWSTATE", "SPORTMODESTATE", "mismatch", "recognise"]
 
 LOWCMD: Final = "rt/lowcmd"
 LOWSTATE: Final = "rt/lowstate"
+SPORTMODESTATE: Final = "rt/sportmodestate"
 
-_SPORT = "rt/sportmodestate"
 _OUR_LOG = "rt/g1stream/log"
 _ROBOT_ONLY = {"rt/arm_sdk", "rt/lf/lowstate", "rt/odommodestate"}
 _DURABILITIES = ("volatile", "transient local", "transient", "persistent")
@@ -51,7 +51,7 @@ def recognise(wire: WireFacts) -> str:
 
 
 def _simulator(state: StateFacts, topics: set[str]) -> str:
-    if state.received and _SPORT in topics:
+    if state.received and SPORTMODESTATE in topics:
         if state.tick_step is None and state.crc_zero == state.received and not state.has_rpy:
             return "unitree_mujoco's Python simulator (it has no tick, checksum or rpy)"
         if not state.has_motor_modes:

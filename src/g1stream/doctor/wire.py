@@ -17,14 +17,14 @@ from g1stream.dds.topics import LOWSTATE, TOPICS
 from g1stream.doctor.facts import Peer, Qos, StateFacts, WireFacts
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
 
     from g1stream.dds.domain import Endpoint
     from g1stream.doctor.facts import Interface
 
 __all__ = ["look_at_wire", "qos_facts"]
 
-_POLL_S = 0.01
+_POLL_S = 0.001
 #: How long discovery may take with somebody whose announcements come every few seconds, s.
 _LOOK_ELSEWHERE_S = 0.6
 _DURABILITIES = (
@@ -47,8 +47,8 @@ def look_at_wire(
         reader = RawReader(participant, LOWSTATE, depth=4096)
         state = _listen(reader, seconds)
         facts = WireFacts(
-            writers=tuple(map(_peer, participant.writers())),
-            readers=tuple(map(_peer, participant.readers())),
+            writers=tuple(_peers(participant.writers())),
+            readers=tuple(_peers(participant.readers())),
             state=state,
             states_matched=reader.matched,
         )
@@ -63,8 +63,8 @@ def _listen(reader: RawReader, seconds: float) -> StateFacts:
     message, gaps = LowState(), TickGaps()
     ages: list[float] = []
     right = zero = 0
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
+    start = time.monotonic()
+    while time.monotonic() < start + seconds:
         time.sleep(_POLL_S)
         for sample in reader.take():
             message.load(sample.data)
@@ -73,7 +73,7 @@ def _listen(reader: RawReader, seconds: float) -> StateFacts:
             right += message.crc_matches()
             zero += int(message.crc) == 0
     return StateFacts(
-        seconds=seconds,
+        seconds=time.monotonic() - start,
         received=gaps.received,
         malformed=reader.malformed,
         ages_ms=(median(ages), max(ages)) if ages else (0.0, 0.0),
@@ -99,15 +99,18 @@ def _elsewhere(
             yield from ((*place, str(writer)) for writer in participant.writers(LOWSTATE.name))
 
 
-def _peer(endpoint: Endpoint) -> Peer:
-    return Peer(
-        topic=endpoint.topic,
-        type_name=endpoint.type_name,
-        same_type=_same_type(endpoint),
-        qos=qos_facts(endpoint.qos),
-        who=str(endpoint),
-        participant=endpoint.participant,
-    )
+def _peers(endpoints: Iterable[Endpoint]) -> Iterator[Peer]:
+    """Those of a robot's topics; discovery has topics of its own."""
+    for endpoint in endpoints:
+        if endpoint.topic.startswith("rt/"):
+            yield Peer(
+                topic=endpoint.topic,
+                type_name=endpoint.type_name,
+                same_type=_same_type(endpoint),
+                qos=qos_facts(endpoint.qos),
+                who=str(endpoint),
+                participant=endpoint.participant,
+            )
 
 
 def _same_type(endpoint: Endpoint) -> bool | None:

@@ -1,0 +1,59 @@
+"""A machine on which all is well, and our bridge on the wire."""
+
+from dataclasses import replace
+
+import pytest
+
+from g1stream.doctor.facts import Facts, HostFacts, Interface, Peer, Qos, StateFacts, WireFacts
+from g1stream.realtime import Grant
+
+BRIDGE = {"who": "python (pid 7 on here)", "participant": "bridge"}
+
+
+@pytest.fixture
+def healthy() -> Facts:
+    host = HostFacts(
+        interfaces=(
+            Interface("lo", loopback=True, multicast=False),
+            Interface("eth0", address="192.168.123.5"),
+        ),
+        uri="",
+        cyclonedds="11.0.1",
+        rmem_max=4 << 20,
+        clock_source="tsc",
+        grants=(Grant("SCHED_FIFO", granted=True, detail="priority 50"),),
+    )
+    state = StateFacts(
+        seconds=1.0,
+        received=500,
+        ages_ms=(0.1, 0.4),
+        tick_step=2,
+        missed=0,
+        crc_right=500,
+        mode_machine=5,
+        has_rpy=True,
+    )
+    writer = Qos(reliable=True)
+    wire = WireFacts(
+        writers=(
+            Peer("rt/lowstate", "LowState_", qos=writer, **BRIDGE),
+            Peer("rt/sportmodestate", "SportModeState_", qos=writer, **BRIDGE),
+        ),
+        readers=(Peer("rt/lowcmd", "LowCmd_", **BRIDGE),),
+        state=state,
+        states_matched=1,
+    )
+    return Facts(1, "lo", (0, 5), host, wire)
+
+
+@pytest.fixture
+def changed(healthy):
+    """The healthy facts, but for some of the host's, the wire's or the LowStates'."""
+
+    def change(host=None, wire=None, state=None, **other):
+        new_host = replace(healthy.host, **(host or {}))
+        new_state = replace(healthy.wire.state, **(state or {}))
+        new_wire = replace(healthy.wire, state=new_state, **(wire or {}))
+        return replace(healthy, **({"host": new_host, "wire": new_wire} | other))
+
+    return change

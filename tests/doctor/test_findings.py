@@ -1,0 +1,147 @@
+"""Each thing that can be wrong leads to a finding that names it, and nothing else does."""
+
+from dataclasses import replace
+
+import pytest
+
+from g1stream.doctor.facts import Interface, Peer, Qos
+from g1stream.doctor.finding import Level
+from g1stream.doctor.findings import examine
+from g1stream.doctor.peers import mismatch, recognise
+from g1stream.realtime import Grant
+
+STATE = Peer("rt/lowstate", "LowState_", who="python (pid 7 on here)", participant="bridge")
+SPORT = Peer("rt/sportmodestate", "SportModeState_", participant="bridge")
+REFUSED = Grant("SCHED_FIFO", granted=False, detail="no right", cost="delays", remedy="limits.conf")
+
+# What is changed, the level it leads to, and what must be said.
+CASES = {
+    "no such interface": ({"interface": "wlan9"}, Level.PROBLEM, "wlan9"),
+    "interface down": (
+        {"host": {"interfaces": (Interface("lo", up=False),)}},
+        Level.PROBLEM,
+        "lo is down",
+    ),
+    "no address": (
+        {"host": {"interfaces": (Interface("lo", address=""),)}},
+        Level.PROBLEM,
+        "no IPv4 address",
+    ),
+    "no multicast": (
+        {"host": {"interfaces": (Interface("lo", multicast=False),)}},
+        Level.PROBLEM,
+        "no multicast",
+    ),
+    "uri": ({"host": {"uri": "file://mine.xml"}}, Level.WARNING, "file://mine.xml"),
+    "old cyclone": ({"host": {"cyclonedds": "0.9.1"}}, Level.WARNING, "0.9.1"),
+    "small buffers": ({"host": {"rmem_max": 212_992}}, Level.WARNING, "208 KiB"),
+    "slow clock": ({"host": {"clock_source": "hpet"}}, Level.WARNING, "hpet"),
+    "not real time": ({"host": {"grants": (REFUSED,)}}, Level.WARNING, "without it, delays"),
+    "wrong domain": (
+        {"wire": {"writers": (), "elsewhere": ((0, "lo", "sim"),)}},
+        Level.PROBLEM,
+        "in domain 0 on lo does sim",
+    ),
+    "wrong interface": (
+        {"wire": {"writers": (), "elsewhere": ((1, "eth0", "sim"),)}},
+        Level.PROBLEM,
+        "in domain 1 on eth0 does sim",
+    ),
+    "other type": (
+        {"wire": {"writers": (Peer("rt/lowstate", "Other_", same_type=False),)}},
+        Level.PROBLEM,
+        "a type of another structure, Other_",
+    ),
+    "other qos": (
+        {"wire": {"writers": (Peer("rt/lowstate", "LowState_", qos=Qos(exclusive=True)),)}},
+        Level.PROBLEM,
+        "ownership",
+    ),
+    "unmatched": ({"wire": {"states_matched": 0}}, Level.PROBLEM, "does not match"),
+    "silent": ({"state": {"received": 0}}, Level.PROBLEM, "silent"),
+    "clocks differ": ({"state": {"ages_ms": (-5e3, -4e3)}}, Level.WARNING, "clock"),
+    "lost": ({"state": {"missed": 3}}, Level.WARNING, "3 LowStates did not arrive"),
+    "wrong checksum": ({"state": {"crc_right": 490}}, Level.PROBLEM, "10 of 500"),
+    "other robot": ({"state": {"mode_machine": 4}}, Level.PROBLEM, "4: not a robot"),
+    "nobody listens": ({"wire": {"readers": ()}}, Level.PROBLEM, "nobody reads rt/lowcmd"),
+    "demanding listener": (
+        {"wire": {"readers": (Peer("rt/lowcmd", "LowCmd_", qos=Qos(durability=1)),)}},
+        Level.PROBLEM,
+        "transient local",
+    ),
+    "second writer": (
+        {"wire": {"writers": (STATE, SPORT, Peer("rt/lowcmd", "LowCmd_", who="policy (pid 9)"))}},
+        Level.WARNING,
+        "policy (pid 9)",
+    ),
+}
+
+
+def worst(findings):
+    return max(finding.level for finding in findings)
+
+
+def test_all_well(healthy):
+    assert worst(examine(healthy)) is Level.OK
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_what_is_wrong_is_said(name, changed):
+    change, level, text = CASES[name]
+    findings = examine(changed(**change))
+    (said,) = [one for one in findings if text in one.cause and one.level]
+    assert said.level is level is worst(findings)
+    assert said.remedy
+
+
+def test_a_domain_that_cannot_be_joined(healthy):
+    (problem,) = [
+        one
+        for one in examine(replace(healthy, wire=None, cannot_join="Ten others are there."))
+        if one.level
+    ]
+    assert problem.cause == "Ten others are there."
+
+
+def test_nobody_there_is_not_another_domain(changed):
+    (problem,) = [
+        one
+        for one in examine(changed(wire={"writers": (), "readers": (), "states_matched": 0}))
+        if one.level
+    ]
+    assert "nobody publishes rt/lowstate in domain 1 on lo" in problem.cause
+    assert "g1stream sim" in problem.remedy
+
+
+@pytest.mark.parametrize(
+    ("offered", "requested", "why"),
+    [
+        (Qos(reliable=True), Qos(), ""),
+        (Qos(durability=1), Qos(), ""),
+        (Qos(deadline=10), Qos(), ""),
+        (Qos(partitions=("a", "b")), Qos(partitions=("b",)), ""),
+        (Qos(), Qos(reliable=True), "reliable"),
+        (Qos(), Qos(durability=1), "durability"),
+        (Qos(), Qos(deadline=2_000_000), "every 2 ms"),
+        (Qos(), Qos(exclusive=True), "ownership"),
+        (Qos(partitions=("a",)), Qos(), "partition a"),
+        (Qos(xcdr1=False), Qos(), "XCDR2"),
+    ],
+)
+def test_mismatch(offered, requested, why):
+    assert (why in mismatch(offered, requested)) if why else not mismatch(offered, requested)
+
+
+def test_bridges_are_told_apart(changed):
+    silent = {"tick_step": None, "crc_zero": 500, "has_rpy": False}
+    named = {
+        "own bridge": changed(
+            wire={"writers": (STATE, Peer("rt/g1stream/log", "", participant="bridge"))}
+        ),
+        "robot": changed(wire={"writers": (STATE, SPORT, Peer("rt/lf/lowstate", ""))}),
+        "Python simulator": changed(state=silent),
+        "C++ simulator": changed(),
+        "unknown": changed(state={"has_motor_modes": True}),
+    }
+    for name, facts in named.items():
+        assert name in recognise(facts.wire)

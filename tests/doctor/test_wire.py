@@ -1,0 +1,114 @@
+"""The facts of a real domain with somebody of a known kind in it."""
+
+import threading
+import time
+
+import pytest
+from cyclonedds.core import Policy
+from cyclonedds.core import Qos as CycloneQos
+from cyclonedds.idl import make_idl_struct
+from cyclonedds.idl.types import uint32
+from cyclonedds.pub import DataWriter
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
+
+from g1stream.dds import types
+from g1stream.dds.domain import Participant
+from g1stream.dds.messages import LowState
+from g1stream.dds.raw import RawReader, RawWriter
+from g1stream.dds.topics import LOWCMD, LOWSTATE
+from g1stream.doctor.facts import Interface, Qos
+from g1stream.doctor.wire import look_at_wire, qos_facts
+
+LO = Interface("lo", loopback=True)
+
+
+def test_nobody(domain_id):
+    facts = look_at_wire(domain_id, "lo", [LO], 0.2)
+    assert not facts.writers
+    assert not facts.state.received
+    assert domain_id not in {domain for domain, _, _ in facts.elsewhere}
+
+
+def test_silent_publisher(domain_id):
+    with Participant(domain_id, "lo") as peer:
+        RawWriter(peer, LOWSTATE)
+        RawReader(peer, LOWCMD)
+        facts = look_at_wire(domain_id, "lo", [LO], 0.5)
+    assert facts.states_matched == 1
+    assert facts.state.received == 0
+    (writer,) = facts.writers
+    assert writer.same_type
+    assert writer.qos == Qos(reliable=True)
+    assert {reader.topic for reader in facts.readers} == {"rt/lowcmd"}
+
+
+def test_what_is_published(domain_id):
+    state = LowState()
+    state.mode_machine[()] = 5
+    state.rpy[:] = 0.1
+    with Participant(domain_id, "lo") as peer:
+        writer = RawWriter(peer, LOWSTATE, depth=100)
+
+        def publish():
+            while not writer.matched:
+                time.sleep(0.001)
+            for tick in (2, 4, 6, 12):
+                state.tick[()] = tick
+                writer.write(state.seal())
+
+        thread = threading.Thread(target=publish)
+        thread.start()
+        facts = look_at_wire(domain_id, "lo", [LO], 1.0)
+        thread.join()
+    said = facts.state
+    assert (said.received, said.tick_step, said.missed) == (4, 2, 2)
+    assert (said.crc_right, said.crc_zero, said.mode_machine) == (4, 0, 5)
+    assert said.has_rpy
+    assert 0.0 <= said.ages_ms[0] <= said.ages_ms[1]
+
+
+def test_another_type(domain_id):
+    other = make_idl_struct("LowState_", "unitree_hg.msg.dds_.LowState_", {"crc": uint32})
+    with Participant(domain_id, "lo") as peer:
+        writer = DataWriter(peer.entity, Topic(peer.entity, LOWSTATE.name, other))
+        facts = look_at_wire(domain_id, "lo", [LO], 0.5)
+        del writer
+    assert [one.same_type for one in facts.writers] == [False]
+    assert facts.states_matched == 0
+
+
+def test_other_policies(domain_id):
+    with Participant(domain_id, "lo") as peer:
+        topic = Topic(peer.entity, LOWSTATE.name, types.LowState_)
+        writer = DataWriter(peer.entity, topic, CycloneQos(Policy.Partition(["lab"])))
+        topic = Topic(peer.entity, LOWCMD.name, types.LowCmd_)
+        durable = CycloneQos(Policy.Reliability.Reliable(0), Policy.Durability.TransientLocal)
+        reader = DataReader(peer.entity, topic, durable)
+        facts = look_at_wire(domain_id, "lo", [LO], 0.5)
+        del writer, reader
+    assert facts.states_matched == 0
+    assert facts.writers[0].qos.partitions == ("lab",)
+    assert facts.readers[0].qos == Qos(reliable=True, durability=1)
+
+
+def test_the_domain_next_door(domain_id):
+    with Participant(domain_id, "lo") as peer:
+        RawWriter(peer, LOWSTATE)
+        facts = look_at_wire(domain_id - 1, "lo", [LO], 0.2)
+    assert (domain_id, "lo") in {place[:2] for place in facts.elsewhere}
+
+
+@pytest.mark.parametrize(
+    ("policies", "expected"),
+    [
+        ([], Qos()),
+        ([Policy.Reliability.BestEffort, Policy.Durability.Volatile], Qos()),
+        ([Policy.Deadline(5_000_000)], Qos(deadline=5_000_000)),
+        ([Policy.Ownership.Exclusive], Qos(exclusive=True)),
+        ([Policy.Durability.Persistent], Qos(durability=3)),
+        ([Policy.DataRepresentation(False, True)], Qos(xcdr1=False)),
+    ],
+)
+def test_policies(policies, expected):
+    assert qos_facts(CycloneQos(*policies)) == expected

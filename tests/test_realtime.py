@@ -1,0 +1,87 @@
+"""What is asked of the system holds inside, and is given back."""
+
+import gc
+import os
+import sys
+import threading
+
+import pytest
+
+from g1stream import realtime
+from g1stream.realtime import on_time, told
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="asks for Linux's own")
+
+POLICY = ~os.SCHED_RESET_ON_FORK if sys.platform == "linux" else 0
+
+
+def state():
+    return (
+        os.sched_getscheduler(0) & POLICY,
+        os.sched_getaffinity(0),
+        gc.isenabled(),
+        gc.get_freeze_count(),
+    )
+
+
+def by_name(grants):
+    return {grant.what: grant for grant in grants}
+
+
+def test_everything_is_given_back():
+    before = state()
+    with on_time():
+        assert not gc.isenabled()
+        assert gc.get_freeze_count() > 0
+    assert state() == before
+
+
+def test_given_back_after_an_error():
+    before = state()
+    with pytest.raises(KeyError), on_time():
+        raise KeyError
+    assert state() == before
+
+
+def test_what_is_told_is_so():
+    with on_time(priority=7) as grants:
+        is_fifo = os.sched_getscheduler(0) & POLICY == os.SCHED_FIFO
+        assert by_name(grants)["SCHED_FIFO"].granted == is_fifo
+        assert ("SCHED_FIFO priority 7" in told(grants)) == is_fifo
+        if is_fifo:
+            assert os.sched_getparam(0).sched_priority == 7
+
+
+def test_threads_do_not_inherit_the_priority():
+    seen = []
+    with on_time():
+        thread = threading.Thread(target=lambda: seen.append(os.sched_getscheduler(0) & POLICY))
+        thread.start()
+        thread.join()
+    assert seen == [os.SCHED_OTHER]
+
+
+def test_without_the_rights_it_says_how_to_get_them(monkeypatch):
+    def refuse(*_):
+        raise PermissionError
+
+    monkeypatch.setattr(os, "sched_setscheduler", refuse)
+    grant = realtime._ask_for_fifo(50)
+    assert not grant.granted
+    assert "rtprio 50" in grant.remedy
+    assert grant.cost
+
+
+def test_priority_0_stays_ordinary():
+    with on_time(priority=0) as grants:
+        assert os.sched_getscheduler(0) & POLICY == os.SCHED_OTHER
+    assert not by_name(grants)["SCHED_FIFO"].granted
+
+
+def test_one_cpu_is_chosen():
+    cpu = min(os.sched_getaffinity(0))
+    with on_time(cpu=cpu) as grants:
+        assert os.sched_getaffinity(0) == {cpu}
+        assert by_name(grants)["affinity"].granted
+    with on_time(cpu=100_000) as grants:
+        assert not by_name(grants)["affinity"].granted

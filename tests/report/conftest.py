@@ -99,8 +99,8 @@ def play(motion):
     def make(delay=0.0, offset=0.0, phases=ALL_PHASES):
         reference = _reference(motion, phases)
         first, last = (reference.publish_time[[0, -1]] - T0) / 1e9
-        # 0.7 ms beside the references, and 2000 in the 4 s of PLAY.
-        seconds = np.arange(first - 0.1, last + 0.1, 0.002) + 0.0007
+        # 0.7 ms beside the references, from 0.1 s before them until 0.1 s after them.
+        seconds = np.arange(round((last - first + 0.2) * 500)) / 500 + first - 0.0993
         return Played(reference, _measured(seconds, motion.at(seconds - delay) + offset))
 
     return make
@@ -143,20 +143,20 @@ def _write(writer, topic, stream, encode):
     writer.write_batch(topic, payloads, stream.log_time, stream.publish_time)
 
 
+_REFERENCE, _COMMAND, _STATE = ReferenceMessage(), LowCmd(), LowState()
+
+
 def _as_reference(stream, i):
-    message = ReferenceMessage()
     for name in ("tick", "motion_time", "phase", "q", "root_quat_wxyz"):
-        getattr(message, name)[...] = getattr(stream, name)[i]
-    return message.tobytes()
+        getattr(_REFERENCE, name)[...] = getattr(stream, name)[i]
+    return _REFERENCE.tobytes()
 
 
 def _as_command(stream, i):
-    message = LowCmd()
-    message.q[:] = stream.q[i]
-    return message.seal()
+    _COMMAND.q[:] = stream.q[i]
+    return _COMMAND.seal()
 
 
 def _as_state(stream, i):
-    message = LowState()
-    message.q[:] = stream.q[i]
-    return message.seal()
+    _STATE.q[:] = stream.q[i]
+    return _STATE.seal()

@@ -127,10 +127,10 @@ def test_a_robot_with_a_clock_of_its_own(play):
 
 def test_a_recorder_that_came_late_still_finds_the_delay(play, take):
     reference, measured = play(0.06)
-    late = reference.publish_time[0] + 1_500_000_000
+    late = reference.publish_time[0] + 4_000_000_000
     reference, measured = (take(s, s.publish_time > late) for s in (reference, measured))
     comparison = compare(reference, measured)
-    assert len(comparison.time) == 1499
+    assert len(comparison.time) == 249
     assert track(comparison).delay.seconds == pytest.approx(0.06, abs=1e-4)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -38,7 +39,7 @@ _SHADES: Final = {Phase.RAMP: "#eef1f5", Phase.HOLD: "#eef1f5", Phase.DAMP: "#f8
 #: A phase that takes less of the width than this is not named in the picture.
 _NARROW: Final = 0.04
 
-_MEASURED: Final[Mapping[str, Any]] = {"label": "measured", "linewidth": 2.2}
+_MEASURED: Final[Mapping[str, Any]] = {"label": "measured", "linewidth": 2.0}
 _REFERENCE: Final[Mapping[str, Any]] = {
     "label": "reference",
     "linewidth": 1.1,
@@ -90,6 +91,8 @@ def _draw_head(figure: Figure, scene: Scene, session: Session) -> None:
     name = (session.metadata.get("motion") or {}).get("name") or "unknown motion"
     figure.text(0.015, 0.965, name, fontsize=17, weight="bold")
     figures = [session.path.name, *_figures(scene)]
+    if reason := (session.metadata.get("stream") or {}).get("reason"):
+        figures.append(f"ended early: {textwrap.shorten(reason, 55, placeholder=' ...')}")
     figure.text(0.015, 0.937, "   ·   ".join(figures), color=_MUTED, fontsize=11)
     lines = [Line2D([], [], color=_MUTED, **_MEASURED), Line2D([], [], **_REFERENCE)]
     figure.legend(
@@ -142,7 +145,7 @@ def _draw_joint(axes: Axes, scene: Scene, joint: int) -> None:
 
 def _draw_error(axes: Axes, scene: Scene) -> None:
     first, last = scene.phases[0].start, scene.phases[-1].end
-    axes.set_title("Error over time, RMS over each limb's joints", weight="bold")
+    axes.set_title("RMS error of each limb", weight="bold")
     axes.set_ylabel("deg")
     _shade_phases(axes, scene)
     _name_phases(axes, scene)

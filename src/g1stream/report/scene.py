@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
 __all__ = ["LONGEST_VIEW", "Scene", "Span", "binned_rms", "joints_to_show", "make_scene"]
 
-LONGEST_VIEW: Final = 30.0
+LONGEST_VIEW: Final = 20.0
 """A longer session shows its joints for so long only, around the greatest error, s."""
 
 _NARROWEST_BIN: Final = 0.1
-_MOST_BINS: Final = 600
+_MOST_BINS: Final = 200
 
 
 class Span(NamedTuple):
@@ -106,7 +106,7 @@ def joints_to_show(scene: Scene) -> tuple[list[int], list[int]]:
 
 
 def binned_rms(times: Floats, errors: Floats) -> tuple[Floats, Floats]:
-    """RMS of errors (K, J) at times (K,) in bins of 0.1 s, or in 600 bins of a longer session.
+    """RMS of errors (K, J) at times (K,) in bins of 0.1 s, or in 200 bins of a longer session.
 
     Returns:
         the middle of each bin (B,) and its RMS (B,), nan where it is empty.

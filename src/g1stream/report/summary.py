@@ -106,7 +106,7 @@ def summarise(session: Session) -> Summary:
         RecordingError: the file is damaged.
     """
     counts = {topic: n for topic, n in sorted(session.topics.items()) if n}
-    stats = {t: message_stats(session.times(t)) for t in counts if _is_of_the_wire(t)}
+    stats = {t: message_stats(s) for t, s in session.times.items() if _is_of_the_wire(t)}
     compared = None
     if Reference.topic in counts and Measured.topic in counts:
         compared = compare(session.reference, session.measured)

@@ -65,13 +65,33 @@ class Message:
         return bytes(self._buffer)
 
 
-class _Checked(Message):
-    """A message that ends in Unitree's checksum."""
+class _Motors(Message):
+    """A message that holds all motors and ends in Unitree's checksum."""
+
+    #: The wire's array of motors.
+    motors: ClassVar[str]
 
     def __init__(self) -> None:
         super().__init__()
         self._crc = Crc(self.layout)
         self.crc = self.view("crc")
+        self.mode_pr = self.view("mode_pr")
+        self.mode_machine = self.view("mode_machine")
+        # The first motor's mode is not in step with the others', so that no view can show them all.
+        self._modes = self.layout[f"{self.motors}.mode"].offsets[:_N_MOTORS]
+
+    def motor_view(self, name: str) -> NDArray[Any]:
+        """A writable view (29,) of a field of every motor, by its name in the IDL."""
+        return self.view(f"{self.motors}.{name}")[:_N_MOTORS]
+
+    @property
+    def motor_mode(self) -> NDArray[np.uint8]:
+        """(29,) uint8, 1 for a motor that is enabled; a copy."""
+        return self.payload[self._modes]
+
+    @motor_mode.setter
+    def motor_mode(self, mode: NDArray[np.uint8] | int) -> None:
+        self.payload[self._modes] = mode
 
     def seal(self) -> bytes:
         """Fill in the checksum and return the sample as it goes onto the wire."""
@@ -83,7 +103,7 @@ class _Checked(Message):
         return self._crc.matches(self.payload)
 
 
-class LowCmd(_Checked):
+class LowCmd(_Motors):
     """The command to all motors, topic rt/lowcmd.
 
     Attributes:
@@ -92,28 +112,16 @@ class LowCmd(_Checked):
     """
 
     idl_type = types.LowCmd_
+    motors = "motor_cmd"
 
     def __init__(self) -> None:
         super().__init__()
-        self.mode_pr = self.view("mode_pr")
-        self.mode_machine = self.view("mode_machine")
-        self.q, self.dq, self.tau, self.kp, self.kd = (
-            self.view(f"motor_cmd.{name}")[:_N_MOTORS] for name in ("q", "dq", "tau", "kp", "kd")
+        self.q, self.dq, self.tau, self.kp, self.kd = map(
+            self.motor_view, ("q", "dq", "tau", "kp", "kd")
         )
-        # The first motor's mode is not in step with the others', so that no view can show them all.
-        self._modes = self.layout["motor_cmd.mode"].offsets[:_N_MOTORS]
-
-    @property
-    def motor_mode(self) -> NDArray[np.uint8]:
-        """(29,) uint8, 1 for a motor that is enabled; a copy."""
-        return self.payload[self._modes]
-
-    @motor_mode.setter
-    def motor_mode(self, mode: NDArray[np.uint8] | int) -> None:
-        self.payload[self._modes] = mode
 
 
-class LowState(_Checked):
+class LowState(_Motors):
     """The measured state of the whole robot, topic rt/lowstate.
 
     Attributes:
@@ -126,29 +134,18 @@ class LowState(_Checked):
     """
 
     idl_type = types.LowState_
+    motors = "motor_state"
 
     def __init__(self) -> None:
         super().__init__()
-        self.mode_pr = self.view("mode_pr")
-        self.mode_machine = self.view("mode_machine")
         self.tick = self.view("tick")
         self.quaternion, self.gyroscope, self.accelerometer, self.rpy = (
             self.view(f"imu_state.{name}")
             for name in ("quaternion", "gyroscope", "accelerometer", "rpy")
         )
-        self.q, self.dq, self.ddq, self.tau_est = (
-            self.view(f"motor_state.{name}")[:_N_MOTORS] for name in ("q", "dq", "ddq", "tau_est")
+        self.q, self.dq, self.ddq, self.tau_est = map(
+            self.motor_view, ("q", "dq", "ddq", "tau_est")
         )
-        self._modes = self.layout["motor_state.mode"].offsets[:_N_MOTORS]
-
-    @property
-    def motor_mode(self) -> NDArray[np.uint8]:
-        """(29,) uint8, 1 for a motor that is enabled; a copy."""
-        return self.payload[self._modes]
-
-    @motor_mode.setter
-    def motor_mode(self, mode: NDArray[np.uint8] | int) -> None:
-        self.payload[self._modes] = mode
 
 
 class SecondaryImu(Message):
@@ -168,6 +165,7 @@ class SportModeState(Message):
 
     Attributes:
         position, velocity: (3,) float32, of the pelvis in the world, m and m/s.
+        quaternion: (4,) float32, wxyz, pelvis to world; 0 where the simulator does not tell it.
         sec, nanosec: () the simulator's own time.
     """
 

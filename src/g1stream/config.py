@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Config",
     "DdsConfig",
+    "FeedForwardKind",
     "GainsConfig",
     "RealtimeConfig",
     "RecordConfig",
@@ -36,7 +37,8 @@ __all__ = [
     "read_toml",
 ]
 
-Support = Literal["bolted", "hanging"]
+Support = Literal["bolted", "hanging", "follow", "free"]
+FeedForwardKind = Literal["none", "velocity", "dynamics"]
 
 Seconds = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
@@ -65,6 +67,17 @@ class StreamConfig(_Table):
     duration: Positive | None = Field(None, description="how much of it to play, s; all if unset")
     loop: bool = Field(False, description="play again and again until stopped")
     damp_kd: float = Field(3.0, ge=0.5, le=10.0, description="gain while damping, Nm s/rad")
+    feedforward: FeedForwardKind | None = Field(
+        None,
+        description="what commands carry beside q; if unset, dynamics for a simulator on this "
+        "machine that says how it holds the robot, and velocity for everybody else",
+    )
+    support: Support | None = Field(
+        None, description="how the robot is held; if unset, as the simulator says"
+    )
+    preview: float = Field(
+        0.0, ge=0.0, le=0.1, description="commands are ahead of the motion by this, s"
+    )
 
 
 class RealtimeConfig(_Table):

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from g1stream.control.phases import Phase
-from g1stream.control.targets import Targets, minimum_jerk
+from g1stream.control.targets import Targets, coast, minimum_jerk
 from g1stream.motion.trajectory import Trajectory
 
 STEP = 1e-5
@@ -19,7 +20,7 @@ def targets(trajectory):
 
 def is_at_rest(target):
     moving = (target.dq, target.ddq, target.tau, target.root_lin_vel, target.root_ang_vel)
-    return not any(part.any() for part in moving)
+    return not any(part.any() for part in (*moving, target.root_lin_acc, target.root_ang_acc))
 
 
 def same_pose(one, other):
@@ -57,8 +58,51 @@ def test_ramp_leads_from_the_measured_pose_to_the_first_frame(targets, trajector
     assert is_at_rest(first)
     last = targets.at(Phase.RAMP, 2.0)
     assert last.q == pytest.approx(trajectory.sample(0.1).joint_pos, abs=1e-15)
-    assert is_at_rest(last)
+    assert last.dq == pytest.approx(trajectory.sample(0.1).joint_vel, abs=1e-15)
     assert same_pose(targets.at(Phase.RAMP, 2.5), last)
+
+
+def test_coasting_starts_with_unit_velocity_and_ends_where_it_started():
+    assert coast(0.0, 0.2) == (0.0, 1.0, 0.0)
+    assert coast(0.2, 0.2) == coast(7.0, 0.2) == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("seconds", np.linspace(0.01, 0.19, 7))
+def test_coasting_derivatives_are_finite_differences(seconds):
+    before, here, after = (np.array(coast(seconds + d, 0.2)) for d in (-STEP, 0.0, STEP))
+    difference = (after - before) / (2 * STEP)
+    assert here[1] == pytest.approx(difference[0], abs=1e-6)
+    assert here[2] == pytest.approx(difference[1], abs=1e-4)
+
+
+def test_no_velocity_leaps_from_ramp_to_play_to_hold_to_rest(targets):
+    whole = [(Phase.RAMP, 2.0), (Phase.PLAY, 0.3), (Phase.HOLD, 0.5)]
+    step = 1e-3
+    path = [
+        targets.at(phase, elapsed)
+        for phase, length in whole
+        for elapsed in np.arange(0.0, length, step)
+    ]
+    for name, rate, fastest in (("q", "dq", 60.0), ("root_pos", "root_lin_vel", 60.0)):
+        positions = np.array([getattr(target, name) for target in path])
+        velocities = np.array([getattr(target, rate) for target in path])
+        assert np.abs(np.diff(velocities, axis=0)).max() < fastest * step
+        moved = np.diff(positions, axis=0)
+        assert moved == pytest.approx((velocities[:-1] + velocities[1:]) / 2 * step, abs=1e-5)
+    assert is_at_rest(path[-1])
+
+
+def test_the_root_turns_with_its_velocity_while_it_runs_up_and_coasts(targets):
+    for phase, elapsed in ((Phase.RAMP, 1.9), (Phase.HOLD, 0.05)):
+        before, here, after = (targets.at(phase, elapsed + d) for d in (-STEP, 0.0, STEP))
+        turn = Rotation.from_quat(np.roll(before.root_quat_wxyz, -1)).inv() * Rotation.from_quat(
+            np.roll(after.root_quat_wxyz, -1)
+        )
+        assert turn.as_rotvec() / (2 * STEP) == pytest.approx(here.root_ang_vel, abs=1e-6)
+        spun = (after.root_ang_vel - before.root_ang_vel) / (2 * STEP)
+        assert spun == pytest.approx(here.root_ang_acc, abs=1e-4)
+        moved = (after.root_lin_vel - before.root_lin_vel) / (2 * STEP)
+        assert moved == pytest.approx(here.root_lin_acc, abs=1e-4)
 
 
 def test_ramp_velocity_and_acceleration_are_finite_differences(targets):
@@ -119,7 +163,7 @@ def test_play_does_not_go_on_behind_its_end(targets, trajectory):
 
 
 def test_hold_rests_at_the_end(targets, trajectory):
-    for elapsed in (0.0, 0.5, 100.0):
+    for elapsed in (0.2, 0.5, 100.0):
         target = targets.at(Phase.HOLD, elapsed)
         assert target.motion_time == 0.1 + 0.3
         assert target.q.tolist() == trajectory.sample(0.1 + 0.3).joint_pos.tolist()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING, Final, Protocol
 
+from g1stream.dds.announcement import support_announced
 from g1stream.dds.layout import CDR_HEADER, Layout
 from g1stream.dds.messages import Log
 from g1stream.dds.raw import RawReader, RawWriter
@@ -30,6 +31,9 @@ class Link(Protocol):
 
     def rivals(self) -> list[str]:
         """Who else writes LowCmd, named as well as can be."""
+
+    def support(self) -> str | None:
+        """How the bridge says that it holds the robot; None where it does not say."""
 
     def receive(self, state: LowState) -> bool:
         """Load the newest LowState since the last call; False where none came."""
@@ -66,6 +70,10 @@ class DdsLink:
             return []
         named = [str(writer) for writer in self._participant.writers(LOWCMD.name)]
         return named or ["a participant that does not tell its name"]
+
+    def support(self) -> str | None:
+        """How the bridge says that it holds the robot; None where it does not say."""
+        return support_announced(self._participant.writers(LOWSTATE.name))
 
     def receive(self, state: LowState) -> bool:
         """Load the newest LowState since the last call; False where none came."""

@@ -12,15 +12,17 @@ from itertools import islice
 from typing import TYPE_CHECKING
 
 from g1stream.control.envelope import Measured
+from g1stream.control.feedforward import ImuReading
 from g1stream.control.phases import Inputs, Phase, PhaseState, Timing, step
 from g1stream.control.report import LoopReport
-from g1stream.control.targets import Target
+from g1stream.control.targets import UNPUBLISHED, Target
 from g1stream.control.ticker import Ticker
 from g1stream.dds.messages import LowCmd, LowState, Reference
 
 if TYPE_CHECKING:
     from g1stream.clock import Clock
     from g1stream.control.envelope import Envelope
+    from g1stream.control.feedforward import FeedForward
     from g1stream.control.gains import Gains
     from g1stream.control.link import Link
     from g1stream.control.targets import Targets
@@ -36,7 +38,7 @@ _RIVAL_PERIOD = 100_000_000
 _OVERRUN_PERIOD = 1_000_000_000
 
 #: What a target says, a Reference says under the same names.
-_NAMES = tuple(one.name for one in fields(Target))
+_NAMES = tuple(one.name for one in fields(Target) if one.name not in UNPUBLISHED)
 
 
 class StreamLoop:
@@ -53,6 +55,7 @@ class StreamLoop:
         damp_kd: kd in DAMP, Nm s/rad.
         settle: for how long others are looked for before the first command, ns.
         allow_rivals: play although somebody else writes LowCmd.
+        feedforward: what a command carries beside the position; the velocity alone if left out.
 
     Attributes:
         state: the phase now.
@@ -74,6 +77,7 @@ class StreamLoop:
         damp_kd: float,
         settle: int = 300_000_000,
         allow_rivals: bool = False,
+        feedforward: FeedForward | None = None,
     ) -> None:
         self._link = link
         self._clock = clock
@@ -85,7 +89,10 @@ class StreamLoop:
         self._damp_kd = damp_kd
         self._settle = settle
         self._allow_rivals = allow_rivals
+        self._feedforward = feedforward
         self._command, self._reference, self._low_state = LowCmd(), Reference(), LowState()
+        state = self._low_state
+        self._imu = ImuReading(state.quaternion, state.gyroscope, state.accelerometer)
         self._measured: Measured | None = None
         self._target: Target | None = None
         self._prepared: tuple[bytes, bytes] | None = None
@@ -212,6 +219,7 @@ class StreamLoop:
         phase, measured = self.state.phase, self._measured
         if phase is Phase.RAMP and measured is not None:
             self._targets.begin(measured.q)
+            self._begin_feedforward()
             self._command.motor_mode = 1
             self._command.mode_pr[()] = 0  # the other mode gives ankle and waist another meaning
             self._command.mode_machine[()] = measured.mode_machine
@@ -225,24 +233,43 @@ class StreamLoop:
         else:
             self._tell(INFO, went)
 
+    def _begin_feedforward(self) -> None:
+        if self._feedforward is None:
+            return
+        for level, text in self._feedforward.begin(self._link.support()):
+            self._tell(level, text)
+        self.report.saturated = self._feedforward.saturated
+        self.report.feedforward = self._feedforward.kind or ""
+        self.report.support = self._feedforward.support or ""
+
     def _tell(self, level: int, text: str) -> None:
         self.events.append((level, text))
         self._link.tell(level, text)
 
     def _prepare(self, deadline: int) -> None:
-        elapsed = self.state.elapsed(deadline) / 1e9
-        self._compose(self._targets.at(self.state.phase, elapsed), deadline)
+        phase, elapsed = self.state.phase, self.state.elapsed(deadline) / 1e9
+        asked = target = self._targets.at(phase, elapsed)
+        if self._feedforward and self._measured and phase is not Phase.DAMP:
+            ahead = self._feedforward.preview
+            sooner = self._targets.at(phase, elapsed + ahead) if ahead else target
+            age = (self._clock.now() - self._measured.received) / 1e9
+            asked = self._feedforward.command(phase, elapsed, sooner, self._imu, age)
+            for text in self._feedforward.news():
+                self._tell(WARNING, text)
+        self._compose(target, asked, deadline)
 
-    def _compose(self, target: Target, deadline: int) -> None:
+    def _compose(self, target: Target, asked: Target, deadline: int) -> None:
+        """Prepare what is due, and the command that is to bring it about."""
         command, reference = self._command, self._reference
-        command.q[:] = self._envelope.limit(target.q)
-        command.dq[:] = target.dq
-        command.tau[:] = target.tau
+        command.q[:] = self._envelope.limit(asked.q)
+        command.dq[:] = asked.dq
+        command.tau[:] = asked.tau
         self._envelope.require_finite(q=command.q, dq=command.dq, tau=command.tau)
         reference.tick[()] = self.report.commands
         reference.phase[()] = self.state.phase
         for name in _NAMES:
             getattr(reference, name)[...] = getattr(target, name)
+        reference.tau[:] = asked.tau
         self.motion_time = target.motion_time
         self._prepared = command.seal(), reference.tobytes()
         self._prepared_for = deadline
@@ -266,5 +293,5 @@ class StreamLoop:
     def _damp(self, target: Target, start: int) -> None:
         n_ticks = -(-self._timing.damp // self._period)
         for _, deadline in islice(Ticker(self._clock, self._period, start), n_ticks):
-            self._compose(target, deadline)
+            self._compose(target, target, deadline)
             self._publish(deadline)

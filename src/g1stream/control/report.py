@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from g1stream.control.ticker import Lateness
+from g1stream.robot.joints import N_JOINTS
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
 __all__ = ["LoopReport"]
@@ -28,11 +30,16 @@ class LoopReport:
         lateness: of each write against its deadline.
         worst_work: longest time from a write to the end of the tick's computation, ns.
         clamped: (29,) ticks at which each joint's target was held at its limit.
+        feedforward, support: what commands carried, and how the robot was taken to be held.
+        saturated: (29,) ticks at which each joint's feed-forward torque was held at its limit.
     """
 
     period: int
     clamped: NDArray[np.int64]
     reason: str = ""
+    feedforward: str = ""
+    support: str = ""
+    saturated: NDArray[np.int64] = field(default_factory=lambda: np.zeros(N_JOINTS, np.int64))
     commands: int = 0
     states: int = 0
     first_stamp: int = 0

@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from g1stream.control.phases import Phase
+from g1stream.robot.rotations import quat_from_axis_angle, quat_mul
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from g1stream.motion.trajectory import Trajectory, TrajectoryPoint
 
-__all__ = ["Target", "Targets", "minimum_jerk"]
+__all__ = ["UNPUBLISHED", "Target", "Targets", "coast", "minimum_jerk"]
+
+#: What a target knows that a Reference does not say.
+UNPUBLISHED: Final = frozenset({"root_lin_acc", "root_ang_acc"})
+
+#: Seconds in which the motion's first velocity is run up to, and its last one dies away.
+_COAST: Final = 0.2
 
 
 @dataclass(frozen=True)
@@ -28,6 +35,8 @@ class Target:
         root_quat_wxyz: (4,) pelvis to world.
         root_lin_vel: (3,) m/s, world.
         root_ang_vel: (3,) rad/s, pelvis frame.
+        root_lin_acc: (3,) m/s^2, world, without gravity.
+        root_ang_acc: (3,) rad/s^2, pelvis frame, the time derivative of `root_ang_vel`.
     """
 
     motion_time: float
@@ -39,12 +48,21 @@ class Target:
     root_quat_wxyz: NDArray[np.float64]
     root_lin_vel: NDArray[np.float64]
     root_ang_vel: NDArray[np.float64]
+    root_lin_acc: NDArray[np.float64]
+    root_ang_acc: NDArray[np.float64]
 
     def at_rest(self) -> Target:
         """The same pose, with no velocity, acceleration or torque."""
         still, nowhere = np.zeros_like(self.q), np.zeros(3)
         return replace(
-            self, dq=still, ddq=still, tau=still, root_lin_vel=nowhere, root_ang_vel=nowhere
+            self,
+            dq=still,
+            ddq=still,
+            tau=still,
+            root_lin_vel=nowhere,
+            root_ang_vel=nowhere,
+            root_lin_acc=nowhere,
+            root_ang_acc=nowhere,
         )
 
 
@@ -61,8 +79,28 @@ def minimum_jerk(s: float) -> tuple[float, float, float]:
     return progress, rate, acceleration
 
 
+def coast(seconds: float, length: float) -> tuple[float, float, float]:
+    """How far something of unit velocity has come, its velocity and its acceleration, braking.
+
+    The fifth-order polynomial that starts with velocity 1 and without acceleration, and ends with
+    neither, where it started: x - 6 x^3 + 8 x^4 - 3 x^5 of x = t / T, times T.
+
+    Args:
+        seconds: since it began to brake.
+        length: how long it takes, s; after that it rests.
+    """
+    x = min(1.0, seconds / length)
+    way = length * x * (1.0 - x) ** 3 * (1.0 + 3.0 * x)
+    rate = 1.0 + x * x * (-18.0 + x * (32.0 - 15.0 * x))
+    acceleration = x * (-36.0 + x * (96.0 - 60.0 * x)) / length
+    return way, rate, acceleration
+
+
 class Targets:
     """Samples the motion as each phase asks for it.
+
+    The velocity of what is asked for never jumps, so that no servo has to catch up: the ramp runs
+    up to the velocity of the motion's first frame, and HOLD lets the last one's die away.
 
     Args:
         trajectory: the motion, sampled at any time.
@@ -79,7 +117,8 @@ class Targets:
         self._play = play
         self._ramp = ramp
         self._from: NDArray[np.float64] | None = None
-        self._last = self._at_rest(start)
+        self._first = _moving(start, trajectory.sample(start))
+        self._last = self._first.at_rest()
 
     def begin(self, q: NDArray[np.floating]) -> None:
         """Set the measured pose (29,) that the ramp starts from, rad."""
@@ -97,7 +136,7 @@ class Targets:
         elif phase is Phase.PLAY:
             self._last = self._playing(elapsed)
         elif phase is Phase.HOLD:
-            self._last = self._at_rest(self._start + (self._play or 0.0))
+            self._last = _coasting(self._playing(self._play or 0.0), *coast(elapsed, _COAST))
         else:
             self._last = self._last.at_rest()
         return self._last
@@ -107,21 +146,41 @@ class Targets:
         time = self._start + within
         return _moving(time, self._trajectory.sample(time))
 
-    def _at_rest(self, time: float) -> Target:
-        return _moving(time, self._trajectory.sample(time)).at_rest()
-
     def _ramping(self, elapsed: float) -> Target:
-        goal = self._at_rest(self._start)
         if self._from is None:
             raise RuntimeError("the ramp has no pose to start from: call begin() first")
-        progress, rate, acceleration = minimum_jerk(elapsed / self._ramp)
-        way = goal.q - self._from
+        left = max(0.0, self._ramp - elapsed)
+        way, rate, acceleration = coast(left, min(_COAST, self._ramp))  # braking, run backwards
+        goal = _coasting(self._first, -way, rate, -acceleration)
+        progress, speed, change = minimum_jerk(elapsed / self._ramp)
+        distance = self._first.q - self._from
         return replace(
             goal,
-            q=self._from + progress * way,
-            dq=rate / self._ramp * way,
-            ddq=acceleration / self._ramp**2 * way,
+            q=self._from + progress * distance - way * self._first.dq,
+            dq=goal.dq + speed / self._ramp * distance,
+            ddq=goal.ddq + change / self._ramp**2 * distance,
         )
+
+
+def _coasting(target: Target, way: float, rate: float, acceleration: float) -> Target:
+    """A target moved on along its own velocity, as if that had lasted `way` seconds."""
+    turn = target.root_ang_vel
+    angle = float(np.linalg.norm(turn))
+    axis = turn / angle if angle else turn
+    return replace(
+        target,
+        q=target.q + way * target.dq,
+        dq=rate * target.dq,
+        ddq=acceleration * target.dq,
+        root_pos=target.root_pos + way * target.root_lin_vel,
+        root_quat_wxyz=quat_mul(
+            target.root_quat_wxyz, quat_from_axis_angle(axis, np.asarray(way * angle))
+        ),
+        root_lin_vel=rate * target.root_lin_vel,
+        root_ang_vel=rate * turn,
+        root_lin_acc=acceleration * target.root_lin_vel,
+        root_ang_acc=acceleration * turn,
+    )
 
 
 def _moving(time: float, point: TrajectoryPoint) -> Target:
@@ -135,4 +194,6 @@ def _moving(time: float, point: TrajectoryPoint) -> Target:
         point.root_quat_wxyz,
         point.root_lin_vel,
         point.root_ang_vel,
+        point.root_lin_acc,
+        point.root_ang_acc,
     )

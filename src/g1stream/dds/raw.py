@@ -76,13 +76,19 @@ class RawWriter:
 
     Args:
         depth: how many samples are kept for reliable readers that have not confirmed them.
+        user_data: what discovery tells others beside the topic.
     """
 
-    def __init__(self, participant: Participant, topic: Topic, depth: int = 1) -> None:
+    def __init__(
+        self, participant: Participant, topic: Topic, depth: int = 1, *, user_data: bytes = b""
+    ) -> None:
         self.topic = topic
         self.dropped = 0
         self._type = _raw_type(topic.message.idl_type)
-        qos = Qos(Policy.Reliability.Reliable(0), Policy.History.KeepLast(depth))
+        policies = [Policy.Reliability.Reliable(0), Policy.History.KeepLast(depth)]
+        if user_data:
+            policies.append(Policy.Userdata(user_data))
+        qos = Qos(*policies)
         self._writer: Any = CountingWriter(
             participant.entity, CycloneTopic(participant.entity, topic.name, self._type), qos
         )

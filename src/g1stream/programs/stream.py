@@ -6,22 +6,27 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from g1stream.clock import SystemClock
 from g1stream.config import Config
 from g1stream.control.envelope import Envelope
+from g1stream.control.feedforward import FeedForward
 from g1stream.control.gains import Gains, resolve_gains
 from g1stream.control.link import DdsLink
 from g1stream.control.loop import INFO, StreamLoop
 from g1stream.control.phases import Timing
 from g1stream.control.targets import Targets
-from g1stream.dds.domain import Participant
+from g1stream.dds.domain import Participant, is_loopback
 from g1stream.errors import ConfigError
 from g1stream.motion.motion import Motion
 from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.programs.children import Child
 from g1stream.realtime import on_time, told
+from g1stream.robot.dynamics import InverseDynamics
 from g1stream.robot.model import G1
+from g1stream.robot.motors import TORQUE_LIMIT
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -151,6 +156,29 @@ def make_loop(
         period=round(1e9 / settings.rate),
         damp_kd=settings.damp_kd,
         allow_rivals=safety.allow_second_writer,
+        feedforward=make_feedforward(config, robot),
+    )
+
+
+def make_feedforward(config: Config, robot: G1) -> FeedForward:
+    """What commands carry beside q. By itself it takes no model to another machine.
+
+    Raises:
+        RobotError: the torques of this robot cannot be computed.
+    """
+    settings = config.stream
+    kind = settings.feedforward
+    if kind is None and not is_loopback(config.dds.interface):
+        kind = "velocity"
+    dynamics = InverseDynamics(robot) if kind in (None, "dynamics") else None
+    return FeedForward(
+        kind,
+        settings.support,
+        dynamics=dynamics,
+        limit=np.minimum(TORQUE_LIMIT, robot.effort),
+        period=1.0 / settings.rate,
+        ramp=settings.ramp,
+        preview=settings.preview,
     )
 
 
@@ -171,6 +199,9 @@ def loop_summary(report: LoopReport) -> dict[str, Any]:
         "worst_work_us": report.worst_work / 1000.0,
         "states": report.states,
         "clamped_ticks": report.clamped.tolist(),
+        "feedforward": report.feedforward,
+        "support": report.support or None,
+        "saturated_ticks": report.saturated.tolist(),
     }
 
 

@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from g1stream.dds.messages import Log, LowCmd, LowState, SecondaryImu, SportModeState
+from g1stream.dds.announcement import user_data_of_support
+from g1stream.dds.messages import Log, LowCmd, LowState, Reference, SecondaryImu, SportModeState
 from g1stream.dds.raw import RawReader, RawWriter
-from g1stream.dds.topics import LOG, LOWCMD, LOWSTATE, SECONDARY_IMU, SPORTMODESTATE
+from g1stream.dds.topics import LOG, LOWCMD, LOWSTATE, REFERENCE, SECONDARY_IMU, SPORTMODESTATE
 from g1stream.robot.joints import N_JOINTS
 from g1stream.robot.rotations import quat_to_rpy
+from g1stream.sim.supports import Root
 from g1stream.sim.world import MotorCommand
 
 if TYPE_CHECKING:
@@ -23,7 +25,7 @@ if TYPE_CHECKING:
     from g1stream.dds.domain import Participant
     from g1stream.sim.world import Imu, World, WorldState
 
-__all__ = ["Bridge", "BridgeReport"]
+__all__ = ["Bridge", "BridgeReport", "fill_low_state", "root_of"]
 
 MODE_MACHINE_29 = 5
 """What LowState says of a G1 with 29 joints, and what a LowCmd for it must echo."""
@@ -33,6 +35,7 @@ _TELL_PERIOD = 1_000_000_000
 _CATCH_UP = 50_000_000
 _VIEW_PERIOD = 20_000_000
 _WARNING, _INFO = 3, 2
+_PLAY = 2  # the phase in idl/g1stream/Reference_.idl
 
 
 @dataclass
@@ -96,7 +99,10 @@ class Bridge:
         self._steps = max(1, round(self._period / 1e9 / world.timestep))
         self._timeout = round(config.command_timeout * 1e9)
         self._commands = RawReader(participant, LOWCMD)
-        self._states = RawWriter(participant, LOWSTATE)
+        support = user_data_of_support(config.support)
+        self._references = RawReader(participant, REFERENCE)
+        self._reference = Reference()
+        self._states = RawWriter(participant, LOWSTATE, user_data=support)
         self._sport = RawWriter(participant, SPORTMODESTATE)
         self._torso = RawWriter(participant, SECONDARY_IMU)
         self._log = RawWriter(participant, LOG, depth=100)
@@ -123,6 +129,7 @@ class Bridge:
             self._clock.sleep_until(due)
             now = self._clock.now()
             self._take_command(now)
+            self._take_reference()
             for _ in range(self._steps):
                 self._world.step(self._motors)
             self._publish(self._world.state())
@@ -166,6 +173,12 @@ class Bridge:
             )
             self._tell(_WARNING, "no LowCmd any more: the motors only damp", now)
 
+    def _take_reference(self) -> None:
+        sample = self._references.take_latest()
+        if sample is not None:
+            self._reference.load(sample.data)
+            self._world.lead(root_of(self._reference))
+
     def _refusal(self) -> str:
         command = self._low_cmd
         if not command.crc_matches():
@@ -200,12 +213,7 @@ class Bridge:
 
     def _publish(self, state: WorldState) -> None:
         message = self._low_state
-        message.tick[()] = round(state.time * 1000)
-        message.mode_machine[()] = MODE_MACHINE_29
-        message.motor_mode = self._motors.enabled.astype(np.uint8)
-        message.q[:], message.dq[:], message.ddq[:] = state.q, state.dq, state.ddq
-        message.tau_est[:] = state.tau_est
-        _fill_imu(message, state.imu)
+        fill_low_state(message, state, self._motors)
         _fill_imu(self._torso_imu, state.torso_imu)
         sport = self._sport_state
         sport.sec[()], sport.nanosec[()] = divmod(round(state.time * 1e9), 1_000_000_000)
@@ -228,6 +236,27 @@ class Bridge:
         self._message.level[()] = level
         self._message.text = text
         self._log.write(self._message.tobytes(), self._clock.stamp())
+
+
+def fill_low_state(message: LowState, state: WorldState, motors: MotorCommand) -> None:
+    """Say in a LowState what is measured, and which motors are enabled."""
+    message.tick[()] = round(state.time * 1000)
+    message.mode_machine[()] = MODE_MACHINE_29
+    message.motor_mode = motors.enabled.astype(np.uint8)
+    message.q[:], message.dq[:], message.ddq[:] = state.q, state.dq, state.ddq
+    message.tau_est[:] = state.tau_est
+    _fill_imu(message, state.imu)
+
+
+def root_of(reference: Reference) -> Root:
+    """Where a reference wants the base. Numbers that are not finite end the simulation."""
+    return Root(
+        reference.root_pos,
+        reference.root_quat_wxyz,
+        reference.root_lin_vel,
+        reference.root_ang_vel,
+        playing=int(reference.phase) >= _PLAY,
+    )
 
 
 def _fill_imu(message: LowState | SecondaryImu, imu: Imu) -> None:

@@ -12,16 +12,21 @@ from g1stream.robot.mujoco_spec import mujoco_spec
 if TYPE_CHECKING:
     from g1stream.robot.model import G1
 
-__all__ = ["BASE_BODY", "build_model"]
+__all__ = ["BASE_BODY", "LEADER", "build_model"]
 
 BASE_BODY: Final = 1
 """The body of the URDF's root link: the world is body 0, and the root comes next."""
+
+LEADER: Final = "leader"
+"""The mocap body that leads a base, and the weld between the two."""
 
 _FLOOR: Final = 1  # the floor's contact bit; a shape meets the floor where it has it too
 _HIDDEN: Final = 3  # the first group of shapes that MuJoCo's viewer does not show unless asked
 
 
-def build_model(robot: G1, *, floating: bool, timestep: float, gravity: float) -> Any:
+def build_model(
+    robot: G1, *, floating: bool, led: bool = False, timestep: float, gravity: float
+) -> Any:
     """Compile a `mujoco.MjModel` of the robot above a floor at height 0.
 
     Motors are servos in motor order: with control c and `actuator_biasprm` (0, -kp, -kd) a motor's
@@ -36,6 +41,7 @@ def build_model(robot: G1, *, floating: bool, timestep: float, gravity: float) -
     Args:
         robot: whose URDF to take.
         floating: give the base a free joint, rather than make it part of the world.
+        led: weld the base to a mocap body `leader`, by an equality of that name.
         timestep: s.
         gravity: m/s², downward.
 
@@ -54,6 +60,8 @@ def build_model(robot: G1, *, floating: bool, timestep: float, gravity: float) -
         _add_scene(spec)
         _add_motors(spec)
         _add_sensors(spec)
+        if led:
+            _add_leader(spec, timestep)
         model = spec.compile()
     except (ValueError, mujoco.FatalError) as error:
         raise SimError(
@@ -98,6 +106,22 @@ def _add_scene(spec: Any) -> None:
     )
     spec.worldbody.add_light(pos=[1, 1, 4], dir=[-0.2, -0.2, -1])
     spec.visual.headlight.ambient = [0.4, 0.4, 0.4]
+
+
+def _add_leader(spec: Any, timestep: float) -> None:
+    """A body that is put where the base shall be, and a weld as stiff as the timestep allows."""
+    import mujoco
+
+    spec.worldbody.add_body(name=LEADER, mocap=True)
+    spec.add_equality(
+        name=LEADER,
+        type=mujoco.mjtEq.mjEQ_WELD,
+        objtype=mujoco.mjtObj.mjOBJ_BODY,
+        name1=LEADER,
+        name2=spec.worldbody.first_body().name,
+        solref=[2 * timestep, 1],
+        solimp=[0.9999, 0.9999, 0.001, 0.5, 2],
+    )
 
 
 def _add_motors(spec: Any) -> None:

@@ -3,17 +3,38 @@
 from __future__ import annotations
 
 from math import sqrt
-from typing import TYPE_CHECKING, Any, ClassVar, Final, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple, Protocol
 
 import numpy as np
 
 from g1stream.errors import SimError
-from g1stream.sim.model import BASE_BODY
+from g1stream.robot.rotations import quat_mul, quat_normalize
+from g1stream.sim.model import BASE_BODY, LEADER
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["BaseSupport", "Bolted", "Hanging", "find_support"]
+    from numpy.typing import NDArray
+
+__all__ = ["BaseSupport", "Bolted", "Follow", "Free", "Hanging", "Root", "find_support"]
+
+
+class Root(NamedTuple):
+    """Where a reference wants the base, and how it moves there.
+
+    Attributes:
+        pos: (3,) m, world.
+        quat_wxyz: (4,) base to world.
+        lin_vel: (3,) m/s, world.
+        ang_vel: (3,) rad/s, base frame.
+        playing: whether the motion is being played, rather than led up to.
+    """
+
+    pos: NDArray[np.float64]
+    quat_wxyz: NDArray[np.float64]
+    lin_vel: NDArray[np.float64]
+    ang_vel: NDArray[np.float64]
+    playing: bool
 
 
 class BaseSupport(Protocol):
@@ -21,10 +42,12 @@ class BaseSupport(Protocol):
 
     Attributes:
         floating: whether the base needs a free joint.
+        led: whether it needs a leader to be welded to.
         height: where the base starts unless told, m.
     """
 
     floating: ClassVar[bool]
+    led: ClassVar[bool]
     height: float
 
     def __init__(self, model: Any, data: Any) -> None: ...
@@ -35,11 +58,15 @@ class BaseSupport(Protocol):
     def hold(self) -> None:
         """Set the outer forces of the next physics step."""
 
+    def lead(self, root: Root) -> None:
+        """Take note of where the reference wants the base."""
+
 
 class Bolted:
     """The base is part of the world and never moves."""
 
     floating: ClassVar[bool] = False
+    led: ClassVar[bool] = False
     height = 1.0  # a stretched leg and its foot reach 0.8 m down, so the feet stay off the floor
 
     def __init__(self, model: Any, data: Any) -> None:
@@ -53,6 +80,9 @@ class Bolted:
     def hold(self) -> None:
         """Nothing: the world holds it."""
 
+    def lead(self, root: Root) -> None:
+        """Nothing: it stays."""
+
 
 class Hanging:
     """The base floats, and an elastic band carries the torso, as in unitree_mujoco.
@@ -64,6 +94,7 @@ class Hanging:
     """
 
     floating: ClassVar[bool] = True
+    led: ClassVar[bool] = False
     _TOP: Final = 3.0
     _STIFFNESS: Final = 200.0
     _DAMPING: Final = 100.0
@@ -95,8 +126,85 @@ class Hanging:
         self._force[:] = pull * dx, pull * dy, pull * dz
         self._forces[self._torso, :3] = self._share * self._force
 
+    def lead(self, root: Root) -> None:
+        """Nothing: the band carries it where it will."""
 
-_SUPPORTS: Final[Mapping[str, type[BaseSupport]]] = {"bolted": Bolted, "hanging": Hanging}
+
+class Follow:
+    """The base is driven along the reference's root pose, as far as the robot reaches in the clip.
+
+    Nothing else touches the robot: the feet of a retargeted motion pass through a floor. Until a
+    reference comes, the base stays where it was put; to the first one, and to one that leaps, it is
+    moved at once, joints and all.
+    """
+
+    floating: ClassVar[bool] = True
+    led: ClassVar[bool] = True
+    height = 1.0
+    _LEAP: Final = 0.2  # m between two references, beyond any speed
+
+    def __init__(self, model: Any, data: Any) -> None:
+        self._base_pose, self._base_vel = data.qpos[:7], data.qvel[:6]
+        leader = model.body_mocapid[model.body(LEADER).id]
+        self._pos, self._quat = data.mocap_pos[leader], data.mocap_quat[leader]
+        self._timestep = model.opt.timestep
+        self._vel, self._ang_vel = np.zeros(3), np.zeros(3)
+        floor = model.geom("floor").id
+        model.geom_contype[floor] = model.geom_conaffinity[floor] = 0
+
+    def place(self, height: float) -> None:
+        """Let the base stay at this height, m, until a reference comes."""
+        self._base_pose[:] = 0.0, 0.0, height, 1.0, 0.0, 0.0, 0.0
+        self._base_vel[:] = 0.0
+        self._pos[:], self._quat[:] = self._base_pose[:3], self._base_pose[3:]
+
+    def hold(self) -> None:
+        """Move the leader on by a step."""
+        self._pos += self._timestep * self._vel
+        turn = self._timestep * self._ang_vel
+        self._quat[:] = quat_normalize(quat_mul(self._quat, np.array([1.0, *(turn / 2)])))
+
+    def lead(self, root: Root) -> None:
+        """Put the leader where the reference is, and the base too if that is far."""
+        if np.abs(root.pos - self._pos).max() > self._LEAP:
+            self._base_pose[:3], self._base_pose[3:] = root.pos, root.quat_wxyz
+            self._base_vel[:3], self._base_vel[3:] = root.lin_vel, root.ang_vel
+        self._pos[:], self._quat[:] = root.pos, root.quat_wxyz
+        self._vel[:], self._ang_vel[:] = root.lin_vel, root.ang_vel
+
+
+class Free(Follow):
+    """Nothing holds the base once the motion is played: the robot stands, or falls.
+
+    Until then it is held where the reference's first frame has it.
+    """
+
+    def __init__(self, model: Any, data: Any) -> None:
+        floor = model.geom("floor").id
+        solid = model.geom_contype[floor], model.geom_conaffinity[floor]
+        super().__init__(model, data)
+        model.geom_contype[floor], model.geom_conaffinity[floor] = solid
+        self._weld = data.eq_active[model.equality(LEADER).id :][:1]
+
+    def hold(self) -> None:
+        """Move the leader on by a step, while there is one."""
+        if self._weld[0]:
+            super().hold()
+
+    def lead(self, root: Root) -> None:
+        """Let go when the motion begins."""
+        if root.playing:
+            self._weld[0] = False
+        if self._weld[0]:
+            super().lead(root)
+
+
+_SUPPORTS: Final[Mapping[str, type[BaseSupport]]] = {
+    "bolted": Bolted,
+    "hanging": Hanging,
+    "follow": Follow,
+    "free": Free,
+}
 
 
 def find_support(name: str) -> type[BaseSupport]:

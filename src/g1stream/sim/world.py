@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from g1stream.config import Support
     from g1stream.robot.model import G1
+    from g1stream.sim.supports import Root
 
 __all__ = ["Imu", "MotorCommand", "World", "WorldState"]
 
@@ -134,7 +135,7 @@ class World:
         kind = find_support(support)
         self.timestep = _checked("timestep", timestep)
         self.model: Any = build_model(
-            robot, floating=kind.floating, timestep=timestep, gravity=gravity
+            robot, floating=kind.floating, led=kind.led, timestep=timestep, gravity=gravity
         )
         self.data: Any = mujoco.MjData(self.model)
         self._support = kind(self.model, self.data)
@@ -189,6 +190,10 @@ class World:
                 "too large to integrate, or the viewer reset it.",
                 "Look for implausible masses in the URDF, or for gains far above Unitree's.",
             )
+
+    def lead(self, root: Root) -> None:
+        """Tell the support where the reference wants the base."""
+        self._support.lead(root)
 
     def _set_motors(self, command: MotorCommand) -> None:
         kp, kd, work, control = self._kp, self._kd, self._work, self.data.ctrl

@@ -1,0 +1,114 @@
+"""What the pelvis's inertial unit tells about how the robot is held; pure."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from g1stream.robot.rotations import quat_rotate, quat_rotate_inverse
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from g1stream.control.feedforward import ImuReading
+    from g1stream.robot.dynamics import InverseDynamics, Solution
+
+__all__ = ["ForceObserver", "SupportCheck"]
+
+
+class ForceObserver:
+    """Estimates the force that carries a hanging robot, from the pelvis's accelerometer.
+
+    A band that stretches and swings does not carry the weight alone, straight up. What the model
+    expects the accelerometer to say, and what it says, differ by the force's error over the mass:
+    a share of that goes into the estimate at every tick (a disturbance observer, K. Ohnishi 1987).
+
+    Args:
+        dynamics: the model whose solutions are compared.
+        period: s between updates.
+    """
+
+    #: Slower than the noise and the delay of a unit, faster than the swing of a band, s.
+    _TIME: Final = 0.05
+    #: The estimate stays within this many weights of the weight.
+    _REACH: Final = 1.0
+
+    def __init__(self, dynamics: InverseDynamics, period: float) -> None:
+        self._gain = dynamics.mass * period / self._TIME
+        self._imu_pos = dynamics.imu_pos
+        self._up = np.array([0.0, 0.0, dynamics.gravity])
+        self._weight = dynamics.mass * self._up
+        self._furthest = self._REACH * dynamics.mass * dynamics.gravity
+        self._error = np.zeros(3)
+        self._expected: list[Solution] = []
+
+    def update(self, imu: ImuReading) -> NDArray[np.float64]:
+        """The force (3,), N, world, after another reading."""
+        # A reading answers the command before the last, which it was prepared beside.
+        if len(self._expected) == 2:
+            quat, rate = imu.quat_wxyz.astype(np.float64), imu.gyroscope.astype(np.float64)
+            solution = self._expected.pop(0)
+            lever = self._imu_pos
+            expected = quat_rotate_inverse(quat, solution.lin_acc + self._up)
+            expected += np.cross(solution.ang_acc, lever) + np.cross(rate, np.cross(rate, lever))
+            self._error += self._gain * quat_rotate(quat, imu.accelerometer - expected)
+            length = float(np.linalg.norm(self._error))
+            self._error *= min(1.0, self._furthest / max(length, 1e-9))
+        return self._weight + self._error
+
+    def expect(self, solution: Solution) -> None:
+        """Remember what the command of this tick does to the base."""
+        self._expected.append(solution)
+
+
+class SupportCheck:
+    """Notices that the pelvis does not turn as the assumed support lets it.
+
+    The change of the gyroscope's reading over a short while is compared with what the model says,
+    for a second at a time. A support that explains less of it than no model at all is wrong.
+
+    Attributes:
+        wrong: whether it was; for good.
+    """
+
+    _WINDOW: Final = 0.02
+    _SPAN: Final = 50  # windows
+    #: What nobody is blamed for: noise, and the play of a real mount, rad/s a window.
+    _FLOOR: Final = 0.03
+    _UNEXPLAINED: Final = 0.8
+
+    def __init__(self, period: float) -> None:
+        self.wrong = False
+        self._period = period
+        self._ticks = max(1, round(self._WINDOW / period))
+        self._n = 0
+        self._predicted = np.zeros(3)
+        self._last: NDArray[np.float64] | None = None
+        self._measured_power = self._residual_power = 0.0
+        self._windows = 0
+
+    def add(self, gyroscope: NDArray[np.floating], ang_acc: NDArray[np.float64]) -> None:
+        """Take another tick's measured rate (3,), rad/s, and predicted change of it, rad/s²."""
+        self._predicted += self._period * ang_acc
+        self._n += 1
+        if self._n % self._ticks:
+            return
+        rate = gyroscope.astype(np.float64)
+        if self._last is not None:
+            change = rate - self._last
+            self._measured_power += float(change @ change)
+            residual = change - self._predicted
+            self._residual_power += float(residual @ residual)
+            self._windows += 1
+        self._last = rate
+        self._predicted = np.zeros(3)
+        if self._windows == self._SPAN:
+            self._judge()
+
+    def _judge(self) -> None:
+        measured = np.sqrt(self._measured_power / self._SPAN)
+        residual = np.sqrt(self._residual_power / self._SPAN)
+        self.wrong |= bool(residual > self._FLOOR + self._UNEXPLAINED * measured)
+        self._measured_power = self._residual_power = 0.0
+        self._windows = 0

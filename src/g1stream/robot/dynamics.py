@@ -1,0 +1,213 @@
+"""The joint torques that a movement takes, for a robot held in one way or another; pure.
+
+A robot whose base floats obeys, with a = (base's acceleration, joints' acceleration),
+
+    M(q) a + h(q, v) = (0, tau - friction) + J(q)^T f
+
+(R. Featherstone, "Rigid Body Dynamics Algorithms", 2008, chapters 3.1 and 9). M is the inertia, the
+rotors' included, h holds gravity, centrifugal and Coriolis terms, and f is the force of whatever
+holds the robot, at a point of Jacobian J. The joints' acceleration is the reference's; no motor
+acts on the first six rows. How the robot is held closes the system:
+
+- bolted: the base's acceleration is zero, and the six rows say what the bolts carry;
+- follow: the base's acceleration is prescribed, and the six rows say what drives it;
+- hanging: f is the weight, straight up, or what else is known of it, at a link; the six rows give
+  the base's acceleration;
+- free: f is zero, which is flight; the six rows give the base's acceleration.
+
+The base's linear velocity is not asked for, because nothing depends on it: the equations are the
+same in every frame that moves evenly (Galilei). docs/tracking.md has the derivation at length.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+from g1stream.errors import RobotError
+from g1stream.robot.joints import JOINT_NAMES
+from g1stream.robot.motors import DAMPING, FRICTION
+from g1stream.robot.mujoco_spec import mujoco_spec
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from g1stream.config import Support
+    from g1stream.robot.model import G1
+
+    Array = NDArray[np.float64]
+
+__all__ = ["BaseMotion", "InverseDynamics", "Solution", "friction_torque"]
+
+_BASE: Final = 6
+_GRAVITY: Final = 9.81
+
+#: Dry friction has its full value from about twice this speed on, rad/s.
+_STICTION_SPEED: Final = 0.05
+
+
+class BaseMotion(NamedTuple):
+    """How the pelvis is turned and moves.
+
+    Attributes:
+        quat_wxyz: (4,) pelvis to world.
+        ang_vel: (3,) rad/s, pelvis frame, as a gyroscope measures it.
+        lin_acc: (3,) m/s², of its origin, world, without gravity; for `follow` only.
+        ang_acc: (3,) rad/s², time derivative of `ang_vel`; for `follow` only.
+    """
+
+    quat_wxyz: Array
+    ang_vel: Array
+    lin_acc: Array = np.zeros(3)
+    ang_acc: Array = np.zeros(3)
+
+
+class Solution(NamedTuple):
+    """What a movement takes, and what it does to the base.
+
+    Attributes:
+        tau: (29,) N·m, motor order, friction included.
+        lin_acc: (3,) m/s², of the pelvis's origin, world.
+        ang_acc: (3,) rad/s², pelvis frame.
+    """
+
+    tau: Array
+    lin_acc: Array
+    ang_acc: Array
+
+
+class InverseDynamics:
+    """The inverse dynamics of one robot.
+
+    Args:
+        robot: whose URDF to take.
+        carrier: the link that carries the weight when hanging.
+        gravity: m/s², downward.
+
+    Attributes:
+        mass: kg, of the whole robot.
+        gravity: as given.
+        imu_pos: (3,) m, the pelvis's inertial unit in the pelvis frame.
+
+    Raises:
+        RobotError: MuJoCo does not accept the URDF, or it has no such link.
+    """
+
+    def __init__(
+        self, robot: G1, *, carrier: str = "torso_link", gravity: float = _GRAVITY
+    ) -> None:
+        import mujoco
+
+        robot.link_index(carrier)
+        try:
+            spec = mujoco_spec(robot, floating=True, shapes=False)
+            spec.option.gravity = [0.0, 0.0, -gravity]
+            model = spec.compile()
+        except (ValueError, mujoco.FatalError) as error:
+            raise RobotError(
+                f"MuJoCo does not accept the URDF {robot.source}: {' '.join(str(error).split())}.",
+                "Correct the URDF; every moving link needs a mass and an inertia.",
+            ) from error
+        self._mujoco: Any = mujoco
+        self._model: Any = model
+        self._data: Any = mujoco.MjData(model)
+        joints = [model.joint(name) for name in JOINT_NAMES]
+        self._q = np.array([joint.qposadr[0] for joint in joints])
+        self._v = np.array([joint.dofadr[0] for joint in joints])
+        self._rigid_part = _rigid_part(model, carrier)
+        self.mass = float(model.body_mass.sum())
+        self.gravity = gravity
+        self.imu_pos = _imu_pos(robot)
+        self._jacobian = np.zeros((3, model.nv))
+
+    def solve(
+        self,
+        support: Support,
+        q: Array,
+        dq: Array,
+        ddq: Array,
+        base: BaseMotion,
+        *,
+        force: Array | None = None,
+    ) -> Solution:
+        """The torques of a movement.
+
+        Args:
+            support: how the robot is held.
+            q: (29,) rad, motor order.
+            dq: (29,) rad/s.
+            ddq: (29,) rad/s².
+            base: of the pelvis; its accelerations count where it follows, and only there.
+            force: (3,) N, world, that carries a hanging robot; its weight unless given.
+        """
+        data, v = self._data, self._v
+        self._place(q, dq, base)
+        acc, outer = np.zeros(self._model.nv), np.zeros(self._model.nv)
+        acc[v] = ddq
+        if support == "follow":
+            acc[:3], acc[3:_BASE] = base.lin_acc, base.ang_acc
+        elif support != "bolted":
+            if support == "hanging":
+                outer = self._carried(force)
+            missing = outer - data.qfrc_bias - self._times_inertia(acc)
+            acc[:_BASE] = np.linalg.solve(self._base_inertia(), missing[:_BASE])
+        total = self._times_inertia(acc) + data.qfrc_bias - outer
+        return Solution(total[v] + friction_torque(dq), acc[:3].copy(), acc[3:_BASE].copy())
+
+    def _place(self, q: Array, dq: Array, base: BaseMotion) -> None:
+        """Compute inertia and bias of a state; the base stays at the origin, which is as good."""
+        data = self._data
+        data.qpos[3:7] = base.quat_wxyz
+        data.qpos[self._q] = q
+        data.qvel[3:_BASE] = base.ang_vel
+        data.qvel[self._v] = dq
+        self._mujoco.mj_fwdPosition(self._model, data)
+        self._mujoco.mj_fwdVelocity(self._model, data)
+
+    def _times_inertia(self, vector: Array) -> Array:
+        result = np.zeros_like(vector)
+        self._mujoco.mj_mulM(self._model, self._data, result, vector)
+        return result
+
+    def _base_inertia(self) -> Array:
+        """The first six rows and columns of M (6, 6)."""
+        unit = np.zeros(self._model.nv)
+        columns = []
+        for i in range(_BASE):
+            unit[i] = 1.0
+            columns.append(self._times_inertia(unit)[:_BASE])
+            unit[i] = 0.0
+        return np.stack(columns)
+
+    def _carried(self, force: Array | None) -> Array:
+        """The generalised force (35,) of what carries the robot, at the carrier's mass centre."""
+        bodies, share = self._rigid_part
+        centre = share @ self._data.xipos[bodies]
+        self._mujoco.mj_jac(self._model, self._data, self._jacobian, None, centre, bodies[0])
+        if force is None:
+            force = np.array([0.0, 0.0, self.mass * self.gravity])
+        carried: Array = force @ self._jacobian
+        return carried
+
+
+def friction_torque(dq: Array) -> Array:
+    """What the joints' damping and dry friction take from the motors at speeds dq (29,), N·m.
+
+    Dry friction is smoothed through a standstill, where its direction is unknown.
+    """
+    torque: Array = DAMPING * dq + FRICTION * np.tanh(dq / _STICTION_SPEED)
+    return torque
+
+
+def _rigid_part(model: Any, link: str) -> tuple[NDArray[np.intp], Array]:
+    """The bodies (B,) that are fixed to a link, itself included, and their shares (B,) of mass."""
+    bodies = np.flatnonzero(model.body_weldid == model.body_weldid[model.body(link).id])
+    return bodies, model.body_mass[bodies] / model.body_mass[bodies].sum()
+
+
+def _imu_pos(robot: G1) -> Array:
+    """Of the link `imu_in_pelvis`, where it is fixed to the base; the base's origin otherwise."""
+    names = robot.link_names
+    link = names.index("imu_in_pelvis") if "imu_in_pelvis" in names else 0
+    return robot.origin_pos[link] if robot.parent[link] == 0 else np.zeros(3)

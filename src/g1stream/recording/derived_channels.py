@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
-
-from g1stream.recording.schemas import protobuf_schema
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
 if TYPE_CHECKING:
     from google.protobuf.message import Message
@@ -44,6 +43,24 @@ class Channel:
     source: Topic | None = None
 
 
+def _schema(message_class: type[Message]) -> bytes:
+    """A serialised FileDescriptorSet of a message and all that it imports, the imported first."""
+    files: dict[str, Any] = {}
+    _collect(message_class.DESCRIPTOR.file, files)
+    collected = FileDescriptorSet()
+    for file in files.values():
+        file.CopyToProto(collected.file.add())
+    schema: bytes = collected.SerializeToString()
+    return schema
+
+
+def _collect(file: Any, found: dict[str, Any]) -> None:
+    if file.name not in found:
+        for imported in file.dependencies:
+            _collect(imported, found)
+        found[file.name] = file
+
+
 def _foxglove(topic: str, message_class: type[Message], description: str) -> Channel:
     return Channel(
         topic,
@@ -51,7 +68,7 @@ def _foxglove(topic: str, message_class: type[Message], description: str) -> Cha
         schema_encoding="protobuf",
         message_encoding="protobuf",
         description=description,
-        build_schema=partial(protobuf_schema, message_class),
+        build_schema=partial(_schema, message_class),
     )
 
 

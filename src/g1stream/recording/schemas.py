@@ -1,30 +1,14 @@
-"""Schemas as a session file carries them, so that any reader can decode it without this package."""
+"""Schemas of the wire as ROS 2 message text, so that any reader decodes a session's samples."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
-
-from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from typing import Any, Final
 
 from g1stream.dds.layout import members
 
-if TYPE_CHECKING:
-    from google.protobuf.message import Message
-
-__all__ = ["protobuf_schema", "ros2_name", "ros2msg"]
+__all__ = ["ros2_name", "ros2msg"]
 
 _SEPARATOR: Final = "=" * 80
-
-
-def protobuf_schema(message_class: type[Message]) -> bytes:
-    """A serialised FileDescriptorSet of a message and all that it imports, the imported first."""
-    files: dict[str, Any] = {}
-    _collect(message_class.DESCRIPTOR.file, files)
-    collected = FileDescriptorSet()
-    for file in files.values():
-        file.CopyToProto(collected.file.add())
-    schema: bytes = collected.SerializeToString()
-    return schema
 
 
 def ros2_name(idl_type: Any) -> str:
@@ -43,13 +27,6 @@ def ros2msg(idl_type: Any) -> str:
         for struct in _nested(idl_type)
     )
     return _definition(idl_type) + "".join(nested)
-
-
-def _collect(file: Any, found: dict[str, Any]) -> None:
-    if file.name not in found:
-        for imported in file.dependencies:
-            _collect(imported, found)
-        found[file.name] = file
 
 
 def _definition(idl_type: Any) -> str:

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
-from urllib.parse import unquote, urlparse
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -80,6 +79,8 @@ def find_mesh(robot: G1, name: str) -> Path | None:
     Relative names start from the URDF's directory. For `package://NAME/REST` the package is looked
     for in that directory and those above it, as a directory called NAME or one that holds REST.
     """
+    from urllib.parse import unquote, urlparse
+
     url = urlparse(name)
     rest = unquote(url.path).lstrip("/")
     start = Path(robot.source).resolve().parent

@@ -102,7 +102,7 @@ def test_the_text_says_what_the_figures_are(summary_of):
     text, figures = render(summary), summary.as_dict()["tracking"]
     for group, rmse in figures["rmse_rad_by_group"].items():
         row = _lines(text, group.replace("_", " "))
-        assert f"{rmse:.4f} {np.degrees(rmse):.2f}" in row
+        assert f"{rmse:.4f} {np.degrees(rmse):.3f}" in row
     assert f"{figures['rmse_rad']:.4f}" in _lines(text, "all joints")
     assert figures["worst_joint"] in _lines(text, "all joints")
     assert _lines(text, "motion") == "motion dance"

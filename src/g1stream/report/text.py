@@ -66,9 +66,9 @@ def _tracking_table(tracking: Tracking) -> list[str]:
             (
                 limb.replace("_", " "),
                 f"{figures[limb]:.4f}",
-                f"{np.degrees(figures[limb]):.2f}",
+                f"{np.degrees(figures[limb]):.3f}",
                 JOINT_NAMES[worst],
-                f"{np.degrees(tracking.rmse[worst]):.2f}",
+                f"{np.degrees(tracking.rmse[worst]):.3f}",
                 f"{np.degrees(tracking.max_abs[worst]):.2f}",
                 f"{tracking.max_abs_at[worst]:.2f}",
             )

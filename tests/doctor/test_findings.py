@@ -57,7 +57,7 @@ CASES = {
         Level.PROBLEM,
         "ownership",
     ),
-    "unmatched": ({"wire": {"states_matched": 0}}, Level.PROBLEM, "does not match"),
+    "unmatched": ({"wire": {"states_matched": 0}}, Level.PROBLEM, "its type must be"),
     "silent": ({"state": {"received": 0}}, Level.PROBLEM, "silent"),
     "clocks differ": ({"state": {"ages_ms": (-5e3, -4e3)}}, Level.WARNING, "clock"),
     "lost": ({"state": {"missed": 3}}, Level.WARNING, "3 LowStates did not arrive"),

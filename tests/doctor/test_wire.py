@@ -2,6 +2,7 @@
 
 import threading
 import time
+from importlib.metadata import version
 
 import pytest
 from cyclonedds.core import Policy
@@ -20,6 +21,7 @@ from g1stream.dds.topics import LOWCMD, LOWSTATE
 from g1stream.doctor.facts import Interface, Qos
 from g1stream.doctor.wire import look_at_wire, qos_facts
 
+SHOWS_TYPES = not version("cyclonedds").startswith("0.10.")
 LO = Interface("lo", loopback=True)
 
 
@@ -38,7 +40,7 @@ def test_silent_publisher(domain_id):
     assert facts.states_matched == 1
     assert facts.state.received == 0
     (writer,) = facts.writers
-    assert writer.same_type
+    assert writer.same_type is not False
     assert writer.qos == Qos(reliable=True)
     assert {reader.topic for reader in facts.readers} == {"rt/lowcmd"}
 
@@ -74,7 +76,9 @@ def test_another_type(domain_id):
         writer = DataWriter(peer.entity, Topic(peer.entity, LOWSTATE.name, other))
         facts = look_at_wire(domain_id, "lo", [LO], 0.5)
         del writer
-    assert [one.same_type for one in facts.writers] == [False]
+    # Cyclone 0.10.2 does not show the types that others announce.
+    (writer,) = facts.writers
+    assert writer.same_type is (False if SHOWS_TYPES else None)
     assert facts.states_matched == 0
 
 

@@ -10,7 +10,7 @@ TESTS = Path(__file__).parents[1]
 
 
 def test_our_wire_on_the_sdks_own_cyclone(sdk_python, tmp_path):
-    """Run the tests of dds/, and an exchange with the SDK, in the SDK's environment."""
+    """Run the tests of dds/ and doctor/, and an exchange with the SDK, in its environment."""
     if Path(sys.prefix) == sdk_python.parents[1]:
         pytest.skip("these very tests are running there")
     exchange = f"{TESTS}/integration/test_python_sdk.py::test_sdk_reads_every_field_of_ours"
@@ -24,7 +24,7 @@ def test_our_wire_on_the_sdks_own_cyclone(sdk_python, tmp_path):
         tmp_path / "inner",
     ]
     done = subprocess.run(
-        [*command, TESTS / "dds", exchange],
+        [*command, TESTS / "dds", TESTS / "doctor", exchange],
         cwd=TESTS.parent,
         capture_output=True,
         text=True,

@@ -35,6 +35,7 @@ class Demo(WireCommand):
         **WireCommand.settings,
         "support": "sim.support",
         "duration": "stream.duration",
+        "feedforward": "stream.feedforward",
         "viewer": "sim.viewer",
     }
 
@@ -44,10 +45,17 @@ class Demo(WireCommand):
     """Where session.mcap and tracking.png go."""
     force: Flag = False
     """Replace files that are there already."""
-    support: Annotated[Literal["bolted", "hanging"] | None, value("{bolted,hanging}", "bolted")] = (
-        None
-    )
-    """What holds the simulated pelvis: the world, or an elastic band at the torso."""
+    support: Annotated[
+        Literal["bolted", "hanging", "follow", "free"] | None,
+        value("{bolted,hanging,follow,free}", "bolted"),
+    ] = None
+    """What holds the simulated pelvis: the world, an elastic band at the torso, the reference, or,
+    once the motion is played, nothing."""
+    feedforward: Annotated[
+        Literal["none", "velocity", "dynamics"] | None,
+        value("{none,velocity,dynamics}", "dynamics, but velocity where nothing holds it"),
+    ] = None
+    """What commands carry beside the position: nothing, velocity, or velocity and torque."""
     duration: Annotated[float | None, value("S", "to its end")] = None
     """How much of the motion to play."""
     viewer: Flag = False
@@ -57,8 +65,8 @@ class Demo(WireCommand):
 
     def run(self) -> int:
         """Do it, and return the exit code."""
-        from g1stream.motion.readers import load_motion
         from g1stream.programs.demo import demo
+        from g1stream.recording.motions import load_motion
         from g1stream.report.summary import render
         from g1stream.robot.model import G1
 

@@ -37,10 +37,12 @@ class Sim(WireCommand):
         "viewer": "sim.viewer",
     }
 
-    support: Annotated[Literal["bolted", "hanging"] | None, value("{bolted,hanging}", "bolted")] = (
-        None
-    )
-    """What holds the pelvis: the world, or an elastic band at the torso."""
+    support: Annotated[
+        Literal["bolted", "hanging", "follow", "free"] | None,
+        value("{bolted,hanging,follow,free}", "bolted"),
+    ] = None
+    """What holds the pelvis: the world, an elastic band at the torso, the reference that is
+    streamed, or, once the motion is played, nothing."""
     rate: Annotated[float | None, value("HZ", "500")] = None
     """LowState per second."""
     duration: Annotated[float | None, value("S", "until stopped")] = None

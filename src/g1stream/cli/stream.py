@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import tyro
 
@@ -27,15 +27,12 @@ if TYPE_CHECKING:
     from g1stream.control.loop import StreamLoop
     from g1stream.programs.stream import StreamOutcome
 
-__all__ = ["Stream", "exit_code"]
+__all__ = ["PlayCommand", "Stream", "exit_code"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Stream(WireCommand):
-    """Play a motion on whatever robot listens: publish it as LowCmd, watch LowState.
-
-    Waits for a LowState, moves to the first frame, plays, holds, damps. Ctrl-C damps and ends.
-    """
+class PlayCommand(WireCommand):
+    """Flags of the subcommands that play something on a robot."""
 
     settings: ClassVar[dict[str, str]] = {
         **WireCommand.settings,
@@ -44,11 +41,11 @@ class Stream(WireCommand):
         "duration": "stream.duration",
         "loop": "stream.loop",
         "ramp": "stream.ramp",
+        "feedforward": "stream.feedforward",
+        "support": "stream.support",
         "allow_second_writer": "safety.allow_second_writer",
     }
 
-    motion: Annotated[str, tyro.conf.Positional, value("MOTION")]
-    """Motion file (CSV), or the name of a bundled motion: demo."""
     record: Annotated[Path | None, value("MCAP")] = None
     """Record the session into this file."""
     force: Flag = False
@@ -63,10 +60,21 @@ class Stream(WireCommand):
     """Play again and again until stopped."""
     ramp: Annotated[float | None, value("S", "3")] = None
     """Time from the measured pose to the first frame."""
+    feedforward: Annotated[
+        Literal["none", "velocity", "dynamics"] | None,
+        value(
+            "{none,velocity,dynamics}",
+            "dynamics where a simulator here says how it holds, velocity elsewhere",
+        ),
+    ] = None
+    """What commands carry beside the position: nothing, velocity, or velocity and torque."""
+    support: Annotated[
+        Literal["bolted", "hanging", "follow", "free"] | None,
+        value("{bolted,hanging,follow,free}", "as the simulator says"),
+    ] = None
+    """How the robot is held, for the torque; a wrong answer follows worse than none."""
     gains: Annotated[Path | None, value("TOML", "those of Unitree's example")] = None
     """File with tables [kp] and [kd]: joint name or pattern = gain. Goes over the config's."""
-    fps: Annotated[float | None, value("N", "30")] = None
-    """Frames per second of the motion file."""
     allow_second_writer: Flag = False
     """Play although somebody else commands the robot. Dangerous."""
     json: Flag = False
@@ -81,10 +89,31 @@ class Stream(WireCommand):
             over["gains"] = read_toml(self.gains)
         return over
 
+    def report(self, outcome: StreamOutcome) -> int:
+        """Print how it went, and return the exit code."""
+        if self.json:
+            print_json(outcome.as_dict())
+        else:
+            print(_summary(outcome))
+        return exit_code(outcome)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stream(PlayCommand):
+    """Play a motion on whatever robot listens: publish it as LowCmd, watch LowState.
+
+    Waits for a LowState, moves to the first frame, plays, holds, damps. Ctrl-C damps and ends.
+    """
+
+    motion: Annotated[str, tyro.conf.Positional, value("MOTION")]
+    """Motion file (CSV), session file, or the name of a bundled motion: demo."""
+    fps: Annotated[float | None, value("N", "30")] = None
+    """Frames per second of the motion file."""
+
     def run(self) -> int:
         """Play, and return the exit code."""
-        from g1stream.motion.readers import load_motion
         from g1stream.programs.stream import stream
+        from g1stream.recording.motions import load_motion
         from g1stream.robot.model import G1
 
         config = self.resolve()
@@ -98,11 +127,7 @@ class Stream(WireCommand):
             watch(loop, motion)
 
         outcome = stream(motion, config, record=self.record, force=self.force, on_loop=prepare)
-        if self.json:
-            print_json(outcome.as_dict())
-        else:
-            print(_summary(outcome))
-        return exit_code(outcome)
+        return self.report(outcome)
 
 
 def exit_code(outcome: StreamOutcome) -> int:
@@ -131,6 +156,8 @@ def _summary(outcome: StreamOutcome) -> str:
     ]
     if clamped := int(report.clamped.sum()):
         lines.append(f"  limits     {clamped} joint targets were held at their limit")
+    if saturated := int(report.saturated.sum()):
+        lines.append(f"  torque     {saturated} feed-forward torques were held at their limit")
     if outcome.recording:
         lines.append(f"  recording  {outcome.recording['path']}")
     return "\n".join(lines)

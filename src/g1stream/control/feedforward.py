@@ -98,7 +98,7 @@ class FeedForward:
         self._period = period
         self._ramp = ramp
         self._trust = 1.0
-        self._distrusted = ""
+        self._told = ""
         self._tau = np.zeros(N_JOINTS)
         self._news: list[str] = []
         self._observer: ForceObserver | None = None
@@ -157,11 +157,12 @@ class FeedForward:
         if self.kind != "dynamics":
             return target
         blend = minimum_jerk(elapsed / self._ramp)[0] if phase is Phase.RAMP else 1.0
-        trusted = self._trusted(imu, age)
-        if trusted:
+        doubt = self._doubt(imu, age)
+        if not doubt:
             self._tau = self._torque(target, imu, playing=phase is Phase.PLAY)
-        step = self._period / _FADE
-        self._trust = min(1.0, self._trust + step) if trusted else max(0.0, self._trust - step)
+        self._trust += (-1.0 if doubt else 1.0) * self._period / _FADE
+        self._trust = min(1.0, max(0.0, self._trust))
+        self._tell(doubt)
         return replace(target, tau=self._limited(blend * self._trust * self._tau))
 
     def news(self) -> list[str]:
@@ -169,18 +170,23 @@ class FeedForward:
         news, self._news = self._news, []
         return news
 
-    def _trusted(self, imu: ImuReading, age: float) -> bool:
-        reason = _fault(imu, age)
+    def _doubt(self, imu: ImuReading, age: float) -> str:
+        """Why no torque is to be computed from what is known now; empty where all is well."""
         if self._check and self._check.wrong:
-            reason = (
-                f"the pelvis does not move as one that is held {self.support}; "
+            return (
+                f"the pelvis does not move as one that is held {self.support}: "
                 "give the --support that it has"
             )
-        if reason != self._distrusted:
-            fate = f"feed-forward: velocity only, because {reason}" if reason else "dynamics again"
-            self._news.append(fate)
-            self._distrusted = reason
-        return not reason
+        return _fault(imu, age)
+
+    def _tell(self, doubt: str) -> None:
+        """Warn when the torque is gone and when it is back; a moment's doubt is not worth a word."""
+        if doubt and not self._trust and doubt != self._told:
+            self._news.append(f"feed-forward: velocity only, because {doubt}")
+            self._told = doubt
+        elif self._told and self._trust == 1.0:
+            self._news.append("feed-forward: dynamics again")
+            self._told = ""
 
     def _torque(self, target: Target, imu: ImuReading, *, playing: bool) -> NDArray[np.float64]:
         dynamics, support = self._dynamics, self.support

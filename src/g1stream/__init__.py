@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from g1stream.config import Config, load_config
     from g1stream.errors import G1StreamError
     from g1stream.motion.motion import Motion
-    from g1stream.motion.readers import load_motion
     from g1stream.motion.trajectory import Trajectory
     from g1stream.programs.record import record
     from g1stream.programs.sim import simulate
     from g1stream.programs.stream import stream
+    from g1stream.recording.motions import load_motion
     from g1stream.recording.session import Session, open_session
     from g1stream.robot.model import G1
 
@@ -51,7 +51,7 @@ _HOME = {
     "Session": "recording.session",
     "Trajectory": "motion.trajectory",
     "load_config": "config",
-    "load_motion": "motion.readers",
+    "load_motion": "recording.motions",
     "open_session": "recording.session",
     "record": "programs.record",
     "simulate": "programs.sim",

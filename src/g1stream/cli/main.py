@@ -31,6 +31,7 @@ _COMMANDS = {
     "stream": ("stream", "Stream"),
     "sim": ("sim", "Sim"),
     "record": ("record", "Record"),
+    "replay": ("replay", "Replay"),
     "convert": ("convert", "Convert"),
     "info": ("info", "Info"),
     "motion": ("motion", "Inspect"),

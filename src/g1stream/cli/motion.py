@@ -32,7 +32,7 @@ class Inspect(Command):
     def run(self) -> int:
         """Look, and return the exit code."""
         from g1stream.motion.check import check_motion
-        from g1stream.motion.readers import load_motion
+        from g1stream.recording.motions import load_motion
         from g1stream.robot.model import G1
 
         robot = G1.load(self.resolve().robot)

@@ -20,10 +20,10 @@ from g1stream.control.targets import Targets
 from g1stream.dds.domain import Participant, is_loopback
 from g1stream.errors import ConfigError
 from g1stream.motion.motion import Motion
-from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.programs.children import Child
 from g1stream.realtime import on_time, told
+from g1stream.recording.motions import load_motion
 from g1stream.robot.dynamics import InverseDynamics
 from g1stream.robot.model import G1
 from g1stream.robot.motors import TORQUE_LIMIT
@@ -76,6 +76,7 @@ def stream(
     record: str | Path | None = None,
     force: bool = False,
     on_loop: Callable[[StreamLoop], None] | None = None,
+    make_link: Callable[[Participant], DdsLink] = DdsLink,
 ) -> StreamOutcome:
     """Play a motion on whatever robot listens, and return how it went.
 
@@ -87,6 +88,7 @@ def stream(
         record: also record the session into this file.
         force: replace a recording that is there already.
         on_loop: is given the loop before it runs, to watch it or to ask it to stop.
+        make_link: makes what stands between the loop and the wire.
 
     Raises:
         G1StreamError: a file, a setting or the wire does not allow it.
@@ -98,7 +100,7 @@ def stream(
     start, play = _interval(motion, config)
     gains = resolve_gains(config.gains)
     with Participant(config.dds.domain, config.dds.interface) as participant:
-        link = DdsLink(participant)
+        link = make_link(participant)
         # Only now, because it takes as long as others need to be discovered.
         trajectory = Trajectory(motion, loop=config.stream.loop)
         targets = Targets(trajectory, start=start, play=play, ramp=config.stream.ramp)

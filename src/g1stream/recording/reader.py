@@ -31,6 +31,7 @@ from g1stream.recording.records import (
 )
 
 if TYPE_CHECKING:
+    import os
     from collections.abc import Iterable, Iterator
 
     from g1stream.recording.records import Record
@@ -51,7 +52,7 @@ class McapFile:
         RecordingError: there is no such file, or it is not an MCAP, or it is damaged.
     """
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = Path(path)
         self.complete = False
         self.counts: Counter[str] = Counter()

@@ -17,6 +17,7 @@ from g1stream.recording.samples import Samples
 from g1stream.recording.streams import Base, Command, Measured, Reference, Stream, TorsoImu
 
 if TYPE_CHECKING:
+    import os
     from collections.abc import Callable, Iterator, Mapping
 
     import pandas
@@ -79,7 +80,7 @@ class LogEvent(NamedTuple):
     text: str
 
 
-def open_session(path: str | Path) -> Session:
+def open_session(path: str | os.PathLike[str]) -> Session:
     """Open a session file, also one whose recorder was killed.
 
     Raises:
@@ -99,7 +100,7 @@ class Session:
         metadata: what the recorder noted about the session.
     """
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = Path(path)
         self._parts = [McapFile(path)]
         self.paths = [part.path for part in self._parts]

@@ -1,0 +1,49 @@
+"""Motions from wherever there are some: motion files, and sessions in which one was played."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from g1stream.motion import readers
+
+if TYPE_CHECKING:
+    import os
+
+    from g1stream.motion.motion import Motion
+    from g1stream.robot.model import G1
+
+__all__ = ["load_motion"]
+
+_MCAP: Final = b"\x89MCAP"
+
+
+def load_motion(
+    path_or_name: str | os.PathLike[str], robot: G1 | None = None, *, fps: float | None = None
+) -> Motion:
+    """Read a motion file, a session file, or a bundled motion by its bare name (`demo`).
+
+    Args:
+        path_or_name: what `g1stream.motion.readers.load_motion` takes, or a session file, of which
+            the motion is the reference that was played.
+        robot: whose joints a motion file must have; the 29-dof G1 if None.
+        fps: frames a second: of a motion file, those that it has; of a session, those that it is to
+            be sampled with, which are the rate of its reference if None.
+
+    Raises:
+        MotionError: there is no such motion file, or something in it cannot be right.
+        RecordingError: the session is damaged, or no motion was played in it.
+    """
+    if not _is_session(Path(path_or_name)):
+        return readers.load_motion(path_or_name, robot, fps=fps)
+    from g1stream.recording.session import open_session
+
+    return open_session(path_or_name).motion(fps)
+
+
+def _is_session(path: Path) -> bool:
+    try:
+        with path.open("rb") as file:
+            return file.read(len(_MCAP)) == _MCAP
+    except OSError:
+        return False

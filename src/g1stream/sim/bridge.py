@@ -128,11 +128,12 @@ class Bridge:
         while not should_stop():
             self._clock.sleep_until(due)
             now = self._clock.now()
+            # The state is of this very instant: what is simulated next lies in the future.
+            self._publish(self._world.state())
             self._take_command(now)
             self._take_reference()
             for _ in range(self._steps):
                 self._world.step(self._motors)
-            self._publish(self._world.state())
             if self._view and now - shown >= _VIEW_PERIOD:
                 shown = now
                 if not self._view():

@@ -1,0 +1,52 @@
+"""No LowState goes uncounted, over real DDS."""
+
+import pytest
+
+from g1stream.control.link import DdsLink
+from g1stream.dds.domain import Participant
+from g1stream.dds.messages import LowState
+from g1stream.dds.raw import RawWriter
+from g1stream.dds.topics import LOWSTATE
+
+
+@pytest.fixture
+def ends(domain_id, until):
+    """Our link, and a writer of LowState in a participant of its own."""
+    with Participant(domain_id, "lo") as ours, Participant(domain_id, "lo") as theirs:
+        link, writer = DdsLink(ours), RawWriter(theirs, LOWSTATE, depth=100)
+        until(lambda: writer.matched, "a match")
+        yield link, writer
+
+
+def publish(writer, ticks):
+    state = LowState()
+    for tick in ticks:
+        state.tick[()] = tick
+        writer.write(state.seal())
+
+
+def test_all_are_counted_and_the_newest_is_given(ends, until):
+    link, writer = ends
+    state = LowState()
+    publish(writer, range(2, 42, 2))
+    until(lambda: link.receive(state) and link.counts()["states_received"] == 20, "20 states")
+    assert int(state.tick) == 40
+    assert link.counts()["states_missed"] == 0
+
+
+def test_a_gap_in_the_ticks_is_told(ends, until):
+    link, writer = ends
+    state = LowState()
+    publish(writer, [2, 4, 6, 14, 16])
+    until(lambda: link.receive(state) and int(state.tick) == 16, "the last state")
+    counts = link.counts()
+    assert (counts["states_received"], counts["states_missed"]) == (5, 3)
+    assert counts["states_malformed"] == counts["state_restarts"] == 0
+
+
+def test_unknown_where_nobody_counts(ends, until):
+    link, writer = ends
+    state = LowState()
+    publish(writer, [0, 0, 0])
+    until(lambda: link.receive(state) and link.counts()["states_received"] == 3, "three states")
+    assert link.counts()["states_missed"] is None

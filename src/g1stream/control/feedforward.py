@@ -180,7 +180,7 @@ class FeedForward:
         return _fault(imu, age)
 
     def _tell(self, doubt: str) -> None:
-        """Warn when the torque is gone and when it is back; a moment's doubt is not worth a word."""
+        """Warn when the torque is gone and when it is back, not of a moment's doubt."""
         if doubt and not self._trust and doubt != self._told:
             self._news.append(f"feed-forward: velocity only, because {doubt}")
             self._told = doubt

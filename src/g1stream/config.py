@@ -22,6 +22,8 @@ else:
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from pydantic_core import ErrorDetails
+
 __all__ = [
     "Config",
     "DdsConfig",
@@ -45,7 +47,8 @@ Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 
 
 class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    # Strict: TOML has a type for everything, so that "yes" is no bool and true is no number.
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
 class DdsConfig(_Table):
@@ -59,7 +62,12 @@ class StreamConfig(_Table):
     """How a motion is played."""
 
     rate: float = Field(500.0, ge=10.0, le=2000.0, description="LowCmd per second, Hz")
-    wait: Seconds = Field(10.0, description="longest wait for a first LowState, s")
+    wait: float = Field(
+        10.0,
+        ge=1.0,
+        allow_inf_nan=False,
+        description="longest wait for a first LowState, s; discovery alone may take 2 s",
+    )
     ramp: Positive = Field(3.0, description="from the measured pose to the first frame, s")
     hold: Seconds = Field(1.0, description="stay at the last frame, s")
     damp: float = Field(1.0, ge=0.5, le=10.0, description="damp before letting go, s")
@@ -97,7 +105,10 @@ class SafetyConfig(_Table):
     max_tilt: float = Field(1.0, gt=0.0, le=3.2, description="pelvis tilt that stops, rad")
     max_joint_speed: Positive = Field(40.0, description="measured joint speed that stops, rad/s")
     mode_machine: tuple[int, ...] = Field(
-        (0, 5), description="robots that may be commanded: 5 is the 29-joint G1, 0 a simulator"
+        (0, 5),
+        min_length=1,
+        strict=False,  # TOML and JSON know lists only
+        description="robots that may be commanded: 5 is the 29-joint G1, 0 a simulator",
     )
     allow_second_writer: bool = Field(False, description="play although somebody else commands")
 
@@ -135,7 +146,9 @@ class SimConfig(_Table):
 class Config(_Table):
     """All settings of a session."""
 
-    robot: Path | None = Field(None, description="URDF; the built-in G1 if unset")
+    robot: Annotated[Path, Field(strict=False)] | None = Field(
+        None, description="URDF; the built-in G1 if unset"
+    )
     dds: DdsConfig = DdsConfig()
     stream: StreamConfig = StreamConfig()
     realtime: RealtimeConfig = RealtimeConfig()
@@ -156,15 +169,19 @@ def load_config(path: Path | None = None, over: Mapping[str, Any] | None = None)
         ConfigError: the file cannot be read, is not TOML, or a value does not fit; names it.
     """
     values = read_toml(path) if path else {}
-    for key, value in (over or {}).items():
-        if value is None:
-            continue
+    given = {key: value for key, value in (over or {}).items() if value is not None}
+    for key, value in given.items():
         table, _, name = key.rpartition(".")
-        (values.setdefault(table, {}) if table else values)[name] = value
+        settings = values.setdefault(table, {}) if table else values
+        if isinstance(settings, dict):  # otherwise the file is at fault, which is told below
+            settings[name] = value
     try:
         return Config.model_validate(values)
     except ValidationError as error:
-        raise _explained(error, path) from error
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        in_file = path and not any(f"{key}.".startswith(f"{flag}.") for flag in given)
+        raise _explained(first, key, f" in {path}" if in_file else "") from error
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -187,17 +204,20 @@ def read_toml(path: Path) -> dict[str, Any]:
     return values
 
 
-def _explained(error: ValidationError, path: Path | None) -> ConfigError:
-    first = error.errors()[0]
-    key = ".".join(str(part) for part in first["loc"])
-    where = f" in {path}" if path else ""
-    if first["type"] == "extra_forbidden":
+def _explained(error: ErrorDetails, key: str, where: str) -> ConfigError:
+    value = error["input"]
+    if error["type"] == "extra_forbidden":
         parent = Config.model_fields.get(key.split(".", maxsplit=1)[0])
         table = parent.annotation if parent and "." in key else Config
         known = ", ".join(getattr(table, "model_fields", {}))
         return ConfigError(f"There is no setting {key}{where}.", f"Choose from {known}.")
-    message = str(first["msg"]).removeprefix("Value error, ")
+    if error["type"] in ("model_type", "dict_type"):
+        return ConfigError(
+            f"The setting {key} = {value!r}{where} is not a table.",
+            f"Write [{key}] and its settings below it, as in configs/sim.toml.",
+        )
+    message = error["msg"]
     return ConfigError(
-        f"The setting {key} = {first['input']!r}{where} does not fit: {message.lower()}.",
+        f"The setting {key} = {value!r}{where} does not fit: {message[0].lower()}{message[1:]}.",
         "Correct the value; configs/sim.toml lists every setting with its meaning.",
     )

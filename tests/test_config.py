@@ -1,0 +1,267 @@
+"""Settings: every mistake has its sentence, flags go over files, and configs/ is in step."""
+
+import json
+import re
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from g1stream.config import Config, load_config, read_toml
+from g1stream.errors import ConfigError
+
+CONFIGS = Path(__file__).parents[1] / "configs"
+
+
+@pytest.fixture
+def write(tmp_path):
+    """Write a TOML file and give its path."""
+    path = tmp_path / "settings.toml"
+
+    def write(text):
+        path.write_text(text)
+        return path
+
+    return write
+
+
+def error_of(path, over=None):
+    with pytest.raises(ConfigError) as caught:
+        load_config(path, over)
+    for sentence in (caught.value.cause, caught.value.remedy):
+        assert re.fullmatch(r"[A-Z].*\.", sentence), sentence
+    return caught.value
+
+
+# Files that cannot be used
+
+
+def test_no_such_file(tmp_path):
+    path = tmp_path / "none.toml"
+    error = error_of(path)
+    assert error.cause == f"The config {path} cannot be read: No such file or directory."
+
+
+def test_a_folder_is_no_file(tmp_path):
+    assert f"The config {tmp_path} cannot be read" in error_of(tmp_path).cause
+
+
+@pytest.mark.parametrize(
+    ("text", "place"),
+    [
+        ("[dds]\ndomain = \n", "line 2"),
+        ("[dds]\n\ndomain: 1", "line 3"),
+        ("[dds]\ndomain = 1\ndomain = 2\n", "line 3"),
+        ("[dds\n", "line 1"),
+        ("[dds", "end of document"),
+    ],
+)
+def test_not_toml(write, text, place):
+    path = write(text)
+    error = error_of(path)
+    assert f"{path} is not TOML" in error.cause
+    assert place in error.cause
+
+
+def test_not_text(tmp_path):
+    path = tmp_path / "settings.toml"
+    path.write_bytes(b"\xff\xfe")
+    assert f"{path} is not TOML" in error_of(path).cause
+
+
+# Settings that do not exist, or do not fit
+
+
+@pytest.mark.parametrize(
+    ("text", "unknown", "choices"),
+    [
+        ("foo = 1", "foo", list(Config.model_fields)),
+        ("[foo]\nrate = 1.0", "foo", list(Config.model_fields)),
+        ("[dds]\nDomain = 1", "dds.Domain", ["domain", "interface"]),
+        ("[gains.ki]\n'*' = 1.0", "gains.ki", ["kp", "kd"]),
+        ("rate = 500.0", "rate", ["stream"]),
+    ],
+)
+def test_an_unknown_setting_is_named_with_the_known_ones(write, text, unknown, choices):
+    path = write(text)
+    error = error_of(path)
+    assert error.cause == f"There is no setting {unknown} in {path}."
+    for choice in choices:
+        assert choice in error.remedy
+
+
+@pytest.mark.parametrize("table", [t for t in Config.model_fields if t != "robot"] + ["gains.kp"])
+@pytest.mark.parametrize("value", ["3", "'x'", "[1]"])
+def test_a_table_that_is_none(write, table, value):
+    *parent, name = table.split(".")
+    error = error_of(write("".join(f"[{p}]\n" for p in parent) + f"{name} = {value}"))
+    assert f"The setting {table} = " in error.cause
+    assert "is not a table" in error.cause
+    assert f"[{table}]" in error.remedy
+
+
+WRONG_TYPES = {
+    "dds.domain": ["1.0", "'1'", "true", "[1]"],
+    "dds.interface": ["1", "true", "''"],
+    "stream.rate": ["'500'", "true", "[500.0]"],
+    "stream.loop": ["1", "'yes'", "0.0"],
+    "stream.duration": ["'10'", "false"],
+    "stream.feedforward": ["'torque'", "true", "1"],
+    "realtime.cpu": ["1.5", "'3'"],
+    "safety.mode_machine": ["5", "['5']", "[5, true]", "[5.5]", "[]"],
+    "sim.support": ["'Bolted'", "1"],
+    "robot": ["3", "true", "2024-01-01"],
+}
+OUT_OF_RANGE = {
+    "dds.domain": ["-1", "233"],
+    "stream.rate": ["9.99", "2000.1", "nan", "inf"],
+    "stream.wait": ["0.9", "inf", "nan"],
+    "stream.ramp": ["0.0", "-1.0", "nan", "inf"],
+    "stream.hold": ["-0.1", "nan", "inf"],
+    "stream.damp": ["0.49", "10.1", "nan"],
+    "stream.damp_kd": ["0.49", "10.1"],
+    "stream.start": ["-0.001", "inf"],
+    "stream.duration": ["0.0", "-1.0", "nan"],
+    "stream.preview": ["-0.01", "0.2"],
+    "realtime.priority": ["-1", "100"],
+    "realtime.cpu": ["-1"],
+    "safety.position_margin": ["-0.1", "0.6", "nan"],
+    "safety.state_timeout": ["0.0", "inf"],
+    "safety.max_tilt": ["0.0", "3.3", "nan"],
+    "safety.max_joint_speed": ["0.0", "inf", "nan"],
+    "gains.kp.'*'": ["-1.0", "501.0", "nan", "'60'"],
+    "gains.kd.'*'": ["-1.0", "51.0", "nan"],
+    "record.tf_rate": ["0.0", "2001.0"],
+    "record.batch": ["0.0", "0.6"],
+    "sim.rate": ["49.0", "1001.0", "nan"],
+    "sim.command_timeout": ["-1.0", "inf"],
+    "sim.duration": ["0.0"],
+}
+
+
+@pytest.mark.parametrize(
+    ("setting", "value"),
+    [
+        (setting, value)
+        for cases in (WRONG_TYPES, OUT_OF_RANGE)
+        for setting, values in cases.items()
+        for value in values
+    ],
+)
+def test_a_value_that_does_not_fit(write, setting, value):
+    path = write(f"{setting} = {value}")
+    error = error_of(path)
+    assert f"The setting {setting.replace(chr(39), '')}" in error.cause
+    assert f" in {path} does not fit: " in error.cause
+    assert "configs/sim.toml" in error.remedy
+
+
+def test_whole_numbers_do_for_others(write):
+    assert load_config(write("[stream]\nrate = 100")).stream.rate == 100.0
+
+
+# Flags
+
+
+def test_nothing_given_is_the_defaults(write):
+    assert load_config() == load_config(write("")) == Config()
+
+
+def test_flags_go_over_the_file_and_the_file_over_the_defaults(write):
+    path = write("[stream]\nrate = 100.0\nramp = 5.0\n[dds]\ndomain = 7\n")
+    over = {"stream.rate": 250.0, "sim.support": "hanging", "robot": Path("my.urdf")}
+    config = load_config(path, over)
+    assert (config.stream.rate, config.stream.ramp, config.stream.hold) == (250.0, 5.0, 1.0)
+    assert (config.dds.domain, config.sim.support) == (7, "hanging")
+    assert config.robot == Path("my.urdf")
+
+
+def test_flags_not_given_change_nothing(write):
+    path = write("[stream]\nrate = 100.0")
+    assert load_config(path, {"stream.rate": None, "robot": None}) == load_config(path)
+
+
+def test_a_whole_table_goes_over_the_files(write):
+    path = write("[gains.kp]\n'*' = 10.0")
+    config = load_config(path, {"gains": {"kd": {"*": 2.0}}})
+    assert (config.gains.kp, config.gains.kd) == ({}, {"*": 2.0})
+
+
+def test_a_bad_flag_is_not_blamed_on_the_file(write):
+    path = write("[stream]\nrate = 100.0")
+    error = error_of(path, {"stream.rate": 1.0})
+    assert "stream.rate = 1.0 does not fit" in error.cause
+    assert str(path) not in error.cause
+    error = error_of(path, {"gains": {"kp": {"*": -1.0}}})
+    assert str(path) not in error.cause
+
+
+def test_a_good_flag_does_not_hide_a_bad_file(write):
+    path = write("stream = 3")
+    error = error_of(path, {"stream.rate": 100.0})
+    assert error.cause == f"The setting stream = 3 in {path} is not a table."
+
+
+def test_settings_cannot_be_changed_in_passing():
+    config = Config()
+    with pytest.raises(ValueError, match="frozen"):
+        config.stream.rate = 1.0
+
+
+def test_a_config_survives_json():
+    """As it does on its way to the recorder."""
+    config = load_config(CONFIGS / "robot.toml", {"robot": Path("my.urdf")})
+    assert Config.model_validate(json.loads(json.dumps(config.model_dump(mode="json")))) == config
+
+
+# The files that come with the package
+
+
+def given_settings(tables, prefix=""):
+    """The settings of a TOML file by their dotted names; a table of gains counts as one."""
+    found = set()
+    for name, value in tables.items():
+        key = f"{prefix}{name}"
+        nested = isinstance(value, dict) and not key.startswith("gains.")
+        found |= given_settings(value, f"{key}.") if nested else {key}
+    return found
+
+
+ALL_SETTINGS = given_settings(Config().model_dump())
+
+
+def test_sim_toml_is_the_defaults():
+    assert load_config(CONFIGS / "sim.toml") == Config()
+
+
+def test_sim_toml_lists_every_setting_those_unset_behind_a_hash(write):
+    text = (CONFIGS / "sim.toml").read_text()
+    unset = write(re.sub(r"^#(?=\w+ = )", "", text, flags=re.MULTILINE))
+    load_config(unset)
+    assert given_settings(read_toml(unset)) == ALL_SETTINGS
+    by_default = given_settings(read_toml(CONFIGS / "sim.toml"))
+    values = Config().model_dump()
+    for key in ALL_SETTINGS - by_default:
+        *tables, name = key.split(".")
+        assert (values[tables[0]] if tables else values)[name] is None
+
+
+def test_sim_toml_says_what_each_setting_is():
+    lines = (CONFIGS / "sim.toml").read_text().splitlines()
+    for before, line in pairwise(lines):
+        if re.match(r"#?\w+ = ", line):
+            assert before.startswith("# "), line
+
+
+def test_robot_toml_is_more_careful_than_the_defaults():
+    default, robot = Config(), load_config(CONFIGS / "robot.toml")
+    assert (robot.dds.domain, robot.dds.interface) == (0, "eth0")
+    assert robot.stream.feedforward != "dynamics"
+    assert robot.stream.ramp > default.stream.ramp
+    assert robot.stream.damp > default.stream.damp
+    assert robot.safety.position_margin > default.safety.position_margin
+    assert robot.safety.state_timeout <= default.safety.state_timeout
+    assert robot.safety.max_tilt < default.safety.max_tilt
+    assert robot.safety.max_joint_speed < default.safety.max_joint_speed
+    assert robot.safety.mode_machine == (5,)
+    assert not robot.safety.allow_second_writer

@@ -37,6 +37,9 @@ if TYPE_CHECKING:
 
 __all__ = ["StreamOutcome", "stream"]
 
+#: For how long others are looked for before the first command, ns.
+_DISCOVERY = 300_000_000
+
 _PERCENTILES = (50.0, 99.0, 99.9)
 
 
@@ -99,12 +102,14 @@ def stream(
         motion = load_motion(motion, robot)
     start, play = _interval(motion, config)
     gains = resolve_gains(config.gains)
+    clock = SystemClock()
     with Participant(config.dds.domain, config.dds.interface) as participant:
+        joined = clock.now()
         link = make_link(participant)
         # Only now, because it takes as long as others need to be discovered.
         trajectory = Trajectory(motion, loop=config.stream.loop)
         targets = Targets(trajectory, start=start, play=play, ramp=config.stream.ramp)
-        loop = make_loop(config, robot, link, targets, play, gains, SystemClock())
+        loop = make_loop(config, robot, link, targets, play, gains, clock, discovering_since=joined)
         if on_loop:
             on_loop(loop)
         recorder = _start_recorder(Path(record), force, config, motion, gains) if record else None
@@ -138,8 +143,13 @@ def make_loop(
     play: float | None,
     gains: Gains,
     clock: Clock,
+    *,
+    discovering_since: int,
 ) -> StreamLoop:
-    """The loop of a config, not yet running; `play` is how much of the motion is played, s."""
+    """The loop of a config, not yet running; `play` is how much of the motion is played, s.
+
+    Others are looked for since `discovering_since`, ns: the loop need not wait as long as that.
+    """
     settings, safety = config.stream, config.safety
     timing = Timing(
         wait=_ns(settings.wait),
@@ -157,6 +167,7 @@ def make_loop(
         gains,
         period=round(1e9 / settings.rate),
         damp_kd=settings.damp_kd,
+        settle=max(0, _DISCOVERY - (clock.now() - discovering_since)),
         allow_rivals=safety.allow_second_writer,
         feedforward=make_feedforward(config, robot),
     )
@@ -168,7 +179,7 @@ def make_feedforward(config: Config, robot: G1) -> FeedForward:
     Raises:
         RobotError: the torques of this robot cannot be computed.
     """
-    settings = config.stream
+    settings, period = config.stream, 1.0 / config.stream.rate
     kind = settings.feedforward
     if kind is None and not is_loopback(config.dds.interface):
         kind = "velocity"
@@ -178,9 +189,11 @@ def make_feedforward(config: Config, robot: G1) -> FeedForward:
         settings.support,
         dynamics=dynamics,
         limit=np.minimum(TORQUE_LIMIT, robot.effort),
-        period=1.0 / settings.rate,
+        period=period,
         ramp=settings.ramp,
-        preview=settings.preview,
+        # On average a servo of the same rate looks at a command half a period after it came, and
+        # obeys it for a whole one.
+        preview=period if settings.preview is None else settings.preview,
     )
 
 

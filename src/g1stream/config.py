@@ -83,8 +83,11 @@ class StreamConfig(_Table):
     support: Support | None = Field(
         None, description="how the robot is held; if unset, as the simulator says"
     )
-    preview: float = Field(
-        0.0, ge=0.0, le=0.1, description="commands are ahead of the motion by this, s"
+    preview: float | None = Field(
+        None,
+        ge=0.0,
+        le=0.1,
+        description="commands are ahead of the motion by this, s; one period of them if unset",
     )
 
 
@@ -129,6 +132,9 @@ class RecordConfig(_Table):
 
     tf_rate: float = Field(100.0, gt=0.0, le=2000.0, description="link poses per second, Hz")
     batch: float = Field(0.05, gt=0.0, le=0.5, description="samples are handled this often, s")
+    split_size: Positive | None = Field(None, description="begin a new file after so many MB")
+    split_duration: Positive | None = Field(None, description="begin a new file after so long, s")
+    auto_name: bool = Field(False, description="put the time into the file's name")
 
 
 class SimConfig(_Table):

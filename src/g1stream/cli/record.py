@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import tyro
 
@@ -23,9 +23,11 @@ from g1stream.cli.common import (
 from g1stream.errors import ConfigError, G1StreamError
 
 if TYPE_CHECKING:
-    from g1stream.recording.recorder import RecorderReport
+    from g1stream.recording.recorder_report import RecorderReport
 
 __all__ = ["Record"]
+
+_WARNING = 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,10 +37,23 @@ class Record(WireCommand):
     Never disturbs what it watches. Ctrl-C ends the recording and closes the file.
     """
 
+    settings: ClassVar[dict[str, str]] = {
+        **WireCommand.settings,
+        "split_size": "record.split_size",
+        "split_duration": "record.split_duration",
+        "auto_name": "record.auto_name",
+    }
+
     file: Annotated[Path, tyro.conf.Positional, value("MCAP")]
     """The session file."""
     force: Flag = False
     """Replace a file that is there already."""
+    auto_name: Flag = False
+    """Put the time, UTC, into the file's name."""
+    split_size: Annotated[float | None, value("MB", "one file")] = None
+    """Go on in a new file (name_001.mcap, name_002.mcap) after so much."""
+    split_duration: Annotated[float | None, value("S", "one file")] = None
+    """Go on in a new file after so long."""
     json: Flag = False
     """Print the summary as JSON on standard output."""
     attached: Flag = False
@@ -55,12 +70,18 @@ class Record(WireCommand):
         config = self.resolve()
         announce_wire(config)
         print(f"Recording {self.file}. Ctrl-C ends it.", file=sys.stderr)
-        report = record(self.file, config, force=self.force, should_stop=lambda: bool(stopped))
+        report = record(
+            self.file,
+            config,
+            force=self.force,
+            should_stop=lambda: bool(stopped),
+            on_event=_print_event,
+        )
         if self.json:
             print_json(report.as_dict())
         else:
-            print(_summary(self.file, report))
-        return EXIT_OK if report.counts else EXIT_STOPPED
+            print(_summary(report))
+        return EXIT_OK if report.whole and report.first else EXIT_STOPPED
 
     def _run_attached(self, stopped: list[str]) -> int:
         from g1stream.config import Config
@@ -82,12 +103,13 @@ class Record(WireCommand):
                 session=session,
                 should_stop=lambda: bool(stopped) or parent.gone.is_set(),
                 on_ready=lambda: parent.say("ready"),
+                on_event=_print_event,
                 last_words=lambda: _merged(parent.received()),
             )
         except G1StreamError as error:
             parent.say("error", cause=error.cause, remedy=error.remedy)
             return EXIT_BAD_INPUT
-        parent.say("done", path=str(self.file), **report.as_dict())
+        parent.say("done", path=" ".join(report.paths), **report.as_dict())
         return EXIT_OK
 
 
@@ -95,11 +117,25 @@ def _merged(lines: list[dict[str, Any]]) -> dict[str, Any]:
     return {key: value for line in lines for key, value in line.items()}
 
 
-def _summary(path: Path, report: RecorderReport) -> str:
-    if not report.counts:
-        return f"{path}: nothing was published."
+def _print_event(level: int, text: str) -> None:
+    """Show a warning; what else the recorder tells is for the file."""
+    if level >= _WARNING:
+        print(f"record: {text}", file=sys.stderr)
+
+
+def _summary(report: RecorderReport) -> str:
+    name = " ".join(report.paths)
+    if not report.first:
+        return f"{name}: nothing was published."
     width = max(map(len, report.counts))
-    lines = [f"{path}: {report.as_dict()['duration_s']:.1f} s"]
+    lines = [f"{name}: {report.as_dict()['duration_s']:.1f} s"]
     lines += [f"  {topic:<{width}}  {n:>8}" for topic, n in sorted(report.counts.items())]
     lines += [f"  missing from {topic}: {n}" for topic, n in report.missing.items() if n]
+    lines += [f"  absent: {', '.join(report.absent)}"] if report.absent else []
+    lines += [
+        f"  {topic} comes from {', '.join(delay['hosts'])}, whose clock is "
+        f"{-delay['clock_offset_estimate_ns'] / 1e6:+.2f} ms from this one's, transit included"
+        for topic, delay in report.delays.items()
+        if "clock_offset_estimate_ns" in delay
+    ]
     return "\n".join(lines)

@@ -44,12 +44,21 @@ class PlayCommand(WireCommand):
         "feedforward": "stream.feedforward",
         "support": "stream.support",
         "allow_second_writer": "safety.allow_second_writer",
+        "auto_name": "record.auto_name",
+        "split_size": "record.split_size",
+        "split_duration": "record.split_duration",
     }
 
     record: Annotated[Path | None, value("MCAP")] = None
     """Record the session into this file."""
     force: Flag = False
     """Replace a recording that is there already."""
+    auto_name: Flag = False
+    """Put the time, UTC, into the recording's name."""
+    split_size: Annotated[float | None, value("MB", "one file")] = None
+    """Record on in a new file (name_001.mcap, name_002.mcap) after so much."""
+    split_duration: Annotated[float | None, value("S", "one file")] = None
+    """Record on in a new file after so long."""
     rate: Annotated[float | None, value("HZ", "500")] = None
     """LowCmd per second."""
     start: Annotated[float | None, value("S", "0")] = None
@@ -131,10 +140,15 @@ class Stream(PlayCommand):
 
 
 def exit_code(outcome: StreamOutcome) -> int:
-    """0 for a motion played to its end, 128 + n for signal n, 1 for what else stopped it."""
+    """0 for a motion played to its end, 128 + n for signal n, 1 for what else stopped it.
+
+    1 as well where it was to be recorded and something of it is not in the file.
+    """
     reason = outcome.report.reason
+    recording = outcome.recording
     if not reason:
-        return EXIT_OK
+        lost = recording and (recording["stopped"] or any(recording["missing"].values()))
+        return EXIT_STOPPED if lost else EXIT_OK
     return exit_code_of_signal(reason) or EXIT_STOPPED
 
 
@@ -159,7 +173,7 @@ def _summary(outcome: StreamOutcome) -> str:
     if saturated := int(report.saturated.sum()):
         lines.append(f"  torque     {saturated} feed-forward torques were held at their limit")
     if outcome.recording:
-        lines.append(f"  recording  {outcome.recording['path']}")
+        lines += _recording(outcome.recording)
     return "\n".join(lines)
 
 
@@ -169,3 +183,11 @@ def _states(wire: dict[str, int | None]) -> str:
         "how many were lost is unknown: they carry no tick" if missed is None else f"{missed} lost"
     )
     return f"{wire['states_received']} received, {lost}"
+
+
+def _recording(recording: dict[str, Any]) -> list[str]:
+    lines = [f"  recording  {recording['path']}"]
+    lines += [f"             missing from {t}: {n}" for t, n in recording["missing"].items() if n]
+    if recording["stopped"]:
+        lines.append(f"             it ended early: {recording['stopped']}")
+    return lines

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from g1stream.config import Config
@@ -15,7 +16,6 @@ from g1stream.programs.stream import stream
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
     from g1stream.control.loop import StreamLoop
     from g1stream.motion.motion import Motion
@@ -73,6 +73,8 @@ def demo(
         sim.finish()
     finally:
         sim.kill()
+    if played.recording:  # which names its files itself, with the time or in parts
+        session_path = Path(played.recording["paths"][0])
     session = open_session(session_path)
     draw(session, picture_path)
     return DemoOutcome(session_path, picture_path, played, summarise(session))

@@ -12,19 +12,28 @@ from g1stream._version import __version__
 from g1stream.config import Config
 from g1stream.dds.domain import Participant
 from g1stream.dds.topics import LOWCMD, REFERENCE
+from g1stream.errors import RecordingError
+from g1stream.recording.encode import MEASURED_PREFIX
 from g1stream.recording.recorder import Recorder
-from g1stream.recording.writer import SessionWriter
+from g1stream.recording.rotation import Limits, PartedWriter, timestamped
+from g1stream.recording.scene import encode_robot_description, encode_scene
 from g1stream.robot.model import G1
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from g1stream.recording.recorder import RecorderReport
+    from g1stream.config import RecordConfig
+    from g1stream.recording.recorder_report import RecorderReport
+    from g1stream.recording.writer import SessionWriter
 
 __all__ = ["record"]
 
 _MATCH_TIMEOUT = 10.0
+_LOOK_EVERY = 0.05
 _LARGE = 16 * 2**20
+
+#: How solid the reference is drawn.
+_GHOST = 0.3
 
 
 def record(
@@ -35,9 +44,10 @@ def record(
     session: Mapping[str, Any] | None = None,
     should_stop: Callable[[], bool] = lambda: False,
     on_ready: Callable[[], None] = lambda: None,
+    on_event: Callable[[int, str], None] = lambda level, text: None,
     last_words: Callable[[], Mapping[str, Any]] = dict,
 ) -> RecorderReport:
-    """Record until told to stop.
+    """Record until told to stop, or until the disk is full.
 
     Args:
         path: the session file; its directory must exist.
@@ -47,26 +57,63 @@ def record(
             it is matched with the streamer before it calls `on_ready`.
         should_stop: asked a few times a second.
         on_ready: called when nothing that is published from then on can be missed.
-        last_words: more metadata, asked for at the end.
+        on_event: is told what is worth telling while it happens, (level, text).
+        last_words: more metadata, asked for when told to stop.
+
+    Returns:
+        What the recording holds; `stopped` says why it ended early, if it did.
 
     Raises:
         G1StreamError: the file, a setting or the wire does not allow it.
     """
     config = config or Config()
+    settings = config.record
     robot = G1.load(config.robot)
+    path = timestamped(path, time.time_ns()) if settings.auto_name else Path(path)
+    about = _about(config, session or {})
+
+    def preface(writer: SessionWriter) -> None:
+        writer.add_metadata(about)
+        _attach(writer, robot, config, session or {})
+        _write_robot(writer, robot)
+
     with (
         Participant(config.dds.domain, config.dds.interface) as participant,
-        SessionWriter(path, force=force) as writer,
+        PartedWriter(path, preface, _limits(settings), force=force) as writer,
     ):
-        recorder = Recorder(participant, writer, robot, config.record)
-        writer.add_metadata(_preface(config, session or {}))
-        _attach(writer, robot, config, session or {})
+        recorder = Recorder(participant, writer, robot, settings, on_event=on_event)
         if session:
             _wait_for_streamer(recorder)
         on_ready()
         report = recorder.run(should_stop)
-        writer.add_metadata({**last_words(), "recorder": report.as_dict()})
+        if session:
+            # A disk that is full does not end the streamer, and its last words are worth having.
+            _wait_until(should_stop)
+        _close(writer, report, last_words())
     return report
+
+
+def _limits(settings: RecordConfig) -> Limits:
+    size, duration = settings.split_size, settings.split_duration
+    return Limits(
+        None if size is None else round(size * 1e6),
+        None if duration is None else round(duration * 1e9),
+    )
+
+
+def _wait_until(should_stop: Callable[[], bool]) -> None:
+    while not should_stop():
+        time.sleep(_LOOK_EVERY)
+
+
+def _close(writer: PartedWriter, report: RecorderReport, last_words: Mapping[str, Any]) -> None:
+    """Write the last metadata and the index; a disk that is full may not have room for them."""
+    try:
+        values = {**last_words, "recorder": report.as_dict(), "measured_tf": report.measured_tf}
+        writer.add_metadata(values)
+        writer.close()
+    except RecordingError as error:
+        report.stopped = report.stopped or error.cause
 
 
 def _wait_for_streamer(recorder: Recorder) -> None:
@@ -78,7 +125,7 @@ def _wait_for_streamer(recorder: Recorder) -> None:
         time.sleep(0.01)
 
 
-def _preface(config: Config, session: Mapping[str, Any]) -> dict[str, Any]:
+def _about(config: Config, session: Mapping[str, Any]) -> dict[str, Any]:
     """What is known before the first sample, for the file's metadata record."""
     packages = ("cyclonedds", "mcap", "numpy")
     return {
@@ -102,3 +149,11 @@ def _attach(writer: SessionWriter, robot: G1, config: Config, session: Mapping[s
     source = (session.get("motion") or {}).get("source")
     if source and Path(source).is_file() and Path(source).stat().st_size <= _LARGE:
         writer.attach(Path(source).name, "text/csv", Path(source).read_bytes(), now)
+
+
+def _write_robot(writer: SessionWriter, robot: G1) -> None:
+    """What viewers draw: the reference as a ghost, the measured robot as it is."""
+    now = time.time_ns()
+    scene = encode_scene(now, robot, {"": _GHOST, MEASURED_PREFIX: 1.0})
+    writer.write("/scene", scene, now, now)
+    writer.write("/robot_description", encode_robot_description(robot), now, now)

@@ -8,8 +8,10 @@ import numpy as np
 
 from g1stream.dds.messages import Log
 from g1stream.dds.topics import LOG, LOWSTATE, REFERENCE, SPORTMODESTATE
+from g1stream.recording.base import MeasuredBase
 from g1stream.recording.encode import MEASURED_PREFIX, JointStatesEncoder, TfEncoder, encode_log
 from g1stream.recording.samples import Samples
+from g1stream.recording.tracking import Track, TrackingError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -53,23 +55,23 @@ class Every:
 class Deriver:
     """Makes the derived messages of each batch.
 
-    The measured base has its attitude from the IMU. Its position comes from SportModeState where a
-    simulator publishes one, else from the reference, else it is the origin.
-
     Args:
         robot: whose links are shown.
         tf_rate: transforms per second, Hz.
+
+    Attributes:
+        base: where the measured pelvis is taken to be.
     """
 
     def __init__(self, robot: G1, tf_rate: float) -> None:
         self._tf = TfEncoder(robot)
         self._measured_tf = TfEncoder(robot, MEASURED_PREFIX)
         self._joints = JointStatesEncoder(robot)
+        self._tracking = TrackingError(robot)
         self._every_reference = Every(tf_rate)
         self._every_state = Every(tf_rate)
-        self._base_pos = np.zeros(3)
-        self._base_known = False
         self._log = Log()
+        self.base = MeasuredBase()
 
     def derive(self, batches: Mapping[str, Batch]) -> list[Derived]:
         """The messages that follow from raw samples.
@@ -84,22 +86,24 @@ class Deriver:
         if REFERENCE.name in batches:
             made += self._from_references(batches[REFERENCE.name])
         if SPORTMODESTATE.name in batches:
-            position = Samples(SPORTMODESTATE, batches[SPORTMODESTATE.name].data[-1:])["position"]
-            self._base_pos, self._base_known = position[0].astype(float), True
+            batch = batches[SPORTMODESTATE.name]
+            positions = Samples(SPORTMODESTATE, batch.data)["position"].astype(float)
+            self.base.see_positions(np.array(batch.publish_times), positions)
         if LOWSTATE.name in batches:
             made += self._from_states(batches[LOWSTATE.name])
         if LOG.name in batches:
             made.append(self._from_log(batches[LOG.name]))
-        return made
+        made.append(Derived("/tracking_error/joint_states", *self._tracking.take()))
+        return [derived for derived in made if len(derived.log_times)]
 
     def _from_references(self, batch: Batch) -> list[Derived]:
         samples = Samples(REFERENCE, batch.data)
         logged, published = _times(batch)
-        q, root_pos = samples["q"], samples["root_pos"]
+        q, dq, root_pos = samples["q"], samples["dq"], samples["root_pos"]
         root_quat = samples["root_quat_wxyz"]
-        joints = self._joints.encode(published, q, samples["dq"], samples["ddq"], samples["tau"])
-        if not self._base_known:
-            self._base_pos = root_pos[-1]
+        self.base.see_references(published, root_pos, root_quat)
+        self._tracking.add_references(Track(published, logged, q, dq))
+        joints = self._joints.encode(published, q, dq, samples["ddq"], samples["tau"])
         few = self._every_reference.pick(published)
         tf = self._tf.encode(published[few], q[few], root_pos[few], root_quat[few])
         return [
@@ -113,10 +117,12 @@ class Deriver:
         q, dq, ddq, tau = (
             samples[f"motor_state.{name}"].astype(float) for name in ("q", "dq", "ddq", "tau_est")
         )
+        self._tracking.add_states(Track(published, logged, q, dq))
         joints = self._joints.encode(published, q, dq, ddq, tau)
         few = self._every_state.pick(published)
-        quat = samples["imu_state.quaternion"][few].astype(float)
-        tf = self._measured_tf.encode(published[few], q[few], self._base_pos, quat)
+        imu_quats = samples["imu_state.quaternion"][few].astype(float)
+        positions, quats = self.base.poses(published[few], imu_quats)
+        tf = self._measured_tf.encode(published[few], q[few], positions, quats)
         return [
             Derived("/measured/joint_states", joints, logged, published),
             Derived("/measured/tf", tf, logged[few], published[few]),

@@ -87,6 +87,9 @@ DERIVED_CHANNELS: Final = (
     _foxglove("/measured/tf", FrameTransforms, "measured pose of every link, frames measured/*"),
     _foxglove("/reference/joint_states", JointStates, "joints as the motion asks for them"),
     _foxglove("/measured/joint_states", JointStates, "joints as the motors report them"),
+    _foxglove(
+        "/tracking_error/joint_states", JointStates, "reference minus measured, at each LowState"
+    ),
     _foxglove("/log", Log, "phase changes, safety events, gaps and overruns"),
     _foxglove("/scene", SceneUpdate, "the robot's shapes, each locked to the frame of its link"),
     _ROBOT_DESCRIPTION,

@@ -33,6 +33,7 @@ class PendingMessages:
     size: int = 0
 
     def add(self, records: bytes, log_times: NDArray[np.int64], offsets: NDArray[np.int64]) -> None:
+        """Add what `message_records` made, and the messages' log times."""
         self.records.append(records)
         self.log_times.append(log_times)
         self.offsets.append(self.size + offsets)

@@ -3,90 +3,40 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from collections import defaultdict
+from contextlib import suppress
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from g1stream.dds.topics import LOWSTATE, REFERENCE, TOPICS
+from g1stream.dds.topics import TOPICS
+from g1stream.errors import RecordingError
 from g1stream.recording.channels import CHANNELS
+from g1stream.recording.clocks import DelayEstimator, StepDetector, read_clocks
 from g1stream.recording.derive import Deriver
 from g1stream.recording.encode import encode_log
+from g1stream.recording.losses import Losses
 from g1stream.recording.receiver import Receiver
-from g1stream.recording.samples import Samples
+from g1stream.recording.recorder_report import Publishers, RecorderReport
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from g1stream.config import RecordConfig
     from g1stream.dds.domain import Participant
+    from g1stream.recording.clocks import ClockReading
     from g1stream.recording.receiver import Batch
-    from g1stream.recording.writer import SessionWriter
+    from g1stream.recording.rotation import PartedWriter
     from g1stream.robot.model import G1
 
-__all__ = ["Recorder", "RecorderReport"]
+__all__ = ["Recorder"]
 
-_WARNING = 3
+_INFO, _WARNING, _ERROR = 2, 3, 4
 
-#: A number that leaps further was not lost on the way: its publisher was started anew, or there are
-#: two of them.
-_JUMP = 10_000
+#: A delay beyond this, either way, is told while it can still be mended.
+_FAR_NS = 20_000_000
 
 _CHANNEL_OF = {c.source.name: c.topic for c in CHANNELS.values() if c.source is not None}
-
-
-@dataclass
-class _Counter:
-    """Finds holes in a number that each sample carries.
-
-    Attributes:
-        step: by how much the number grows from one sample to the next; 0 until it is known.
-        missing: samples that the numbers say were published and that did not come.
-    """
-
-    path: str
-    step: int = 0
-    missing: int = 0
-    last: int | None = None
-
-    def count(self, samples: Samples) -> int:
-        """Look through a batch; returns how many more are missing."""
-        numbers = samples[self.path].astype(np.int64)
-        steps = np.diff(numbers if self.last is None else np.append(self.last, numbers))
-        self.last = int(numbers[-1])
-        if not self.step:
-            forward = steps[steps > 0]
-            self.step = int(np.median(forward)) if forward.size else 0
-        if not self.step:
-            return 0
-        missed = steps // self.step - 1
-        found = int(missed[(missed > 0) & (missed < _JUMP)].sum())
-        self.missing += found
-        return found
-
-
-@dataclass
-class RecorderReport:
-    """What a recording holds.
-
-    Attributes:
-        counts: messages by topic of the file.
-        missing: samples known to be lost, by topic of the file, from the numbers they carry.
-        first, last: log times of the first and last sample, ns since the epoch.
-    """
-
-    counts: dict[str, int] = field(default_factory=dict)
-    missing: dict[str, int] = field(default_factory=dict)
-    first: int = 0
-    last: int = 0
-
-    def as_dict(self) -> dict[str, Any]:
-        """The report as JSON values."""
-        return {
-            "counts": dict(sorted(self.counts.items())),
-            "missing": self.missing,
-            "duration_s": (self.last - self.first) / 1e9,
-        }
 
 
 class Recorder:
@@ -97,18 +47,31 @@ class Recorder:
         writer: the session file.
         robot: whose links the transforms show.
         config: rates.
+        on_event: is told what is worth telling, (level, text); it goes into /log as well.
+        clocks: reads this machine's clocks.
     """
 
     def __init__(
-        self, participant: Participant, writer: SessionWriter, robot: G1, config: RecordConfig
+        self,
+        participant: Participant,
+        writer: PartedWriter,
+        robot: G1,
+        config: RecordConfig,
+        *,
+        on_event: Callable[[int, str], None] = lambda level, text: None,
+        clocks: Callable[[], ClockReading] = read_clocks,
     ) -> None:
+        self._participant = participant
         self._writer = writer
         self._batch_s = config.batch
+        self._on_event = on_event
+        self._clocks = clocks
         self._receiver = Receiver(participant, TOPICS)
         self._deriver = Deriver(robot, config.tf_rate)
-        # LowState's tick is 0 for ever on one of the simulators; then nothing can be known.
-        self._counters = {REFERENCE.name: _Counter("tick"), LOWSTATE.name: _Counter("tick")}
-        self._topics = {topic.name: topic for topic in TOPICS}
+        self._losses = Losses()
+        self._steps = StepDetector()
+        self._delays: dict[str, DelayEstimator] = defaultdict(DelayEstimator)
+        self._publishers: dict[str, Publishers] = {}
         self.report = RecorderReport()
 
     def matched(self) -> dict[str, int]:
@@ -116,14 +79,13 @@ class Recorder:
         return self._receiver.matched()
 
     def run(self, should_stop: Callable[[], bool], linger: float = 0.3) -> RecorderReport:
-        """Record until told to stop.
+        """Record until told to stop, or until the file cannot be written any more.
+
+        The latter is no exception: the report says so, and the file is in order.
 
         Args:
             should_stop: asked a few times a second.
             linger: go on for so long afterwards, for what is still on its way, s.
-
-        Raises:
-            RecordingError: the file cannot be written any more.
         """
         self._receiver.start()
         try:
@@ -131,17 +93,25 @@ class Recorder:
                 time.sleep(self._batch_s)
                 self._write_batches()
             time.sleep(linger)
+            self._write_batches()
+        except RecordingError as error:
+            self.report.stopped = error.cause
+            # There is room for last words, if the disk is what failed.
+            with suppress(RecordingError):
+                self.tell(_ERROR, error.cause)
         finally:
             self._receiver.stop()
-        self._write_batches()
-        self.report.counts = dict(self._writer.counts)
-        self.report.missing = {
-            _CHANNEL_OF[name]: counter.missing for name, counter in self._counters.items()
-        }
+        self._fill_report()
         return self.report
 
     def tell(self, level: int, text: str) -> None:
-        """Add an event of the recorder's own to /log."""
+        """Add an event of the recorder's own to /log.
+
+        Args:
+            level: 2 info, 3 warning, 4 error.
+            text: what happened.
+        """
+        self._on_event(level, text)
         happened = time.time_ns()
         line = encode_log(happened, level, "record", text)
         self._writer.write("/log", line, time.time_ns(), happened)
@@ -149,21 +119,73 @@ class Recorder:
     def _write_batches(self) -> None:
         batches = self._receiver.drain()
         for name, batch in batches.items():
-            self.report.first = self.report.first or batch.log_times[0]
-            self.report.last = max(self.report.last, batch.log_times[-1])
+            self.report.see(batch.log_times)
             if name in _CHANNEL_OF:
                 self._writer.write_batch(
                     _CHANNEL_OF[name], batch.data, batch.log_times, batch.publish_times
                 )
-            self._count(name, batch)
+                self._watch(name, batch)
+        aligned = self._deriver.base.yaw_offset
         for made in self._deriver.derive(batches):
             self._writer.write_batch(*made)
+        if aligned is None and self._deriver.base.yaw_offset is not None:
+            self._tell_alignment()
+        self._watch_losses()
+        self._watch_clock()
         self._writer.flush_if_due(time.time_ns())
 
-    def _count(self, name: str, batch: Batch) -> None:
-        counter = self._counters.get(name)
-        if counter is None:
+    def _watch(self, name: str, batch: Batch) -> None:
+        """Look after numbers, delays and publishers of a topic."""
+        self._losses.look(name, batch)
+        delay = self._delays[name]
+        delay.observe(np.array(batch.log_times), np.array(batch.publish_times))
+        if name not in self._publishers and delay.seconds:
+            self._publishers[name] = Publishers.of(self._participant, name)
+            self._tell_distance(name)
+
+    def _watch_losses(self) -> None:
+        for name, number in self._losses.update(self._receiver.lost()).items():
+            channel = _CHANNEL_OF.get(name, name)
+            self.tell(_WARNING, f"{number} samples of {channel} did not arrive")
+
+    def _watch_clock(self) -> None:
+        step = self._steps.observe(self._clocks())
+        if step:
+            self.tell(
+                _WARNING,
+                f"CLOCK_REALTIME was set by {step / 1e9:+.3f} s: log times before and after do "
+                "not compare",
+            )
+
+    def _tell_distance(self, name: str) -> None:
+        median = self._delays[name].median() or 0
+        if abs(median) < _FAR_NS:
             return
-        found = counter.count(Samples(self._topics[name], batch.data))
-        if found:
-            self.tell(_WARNING, f"{found} samples of {_CHANNEL_OF[name]} did not arrive")
+        self.tell(
+            _WARNING,
+            f"{_CHANNEL_OF[name]} from {self._publishers[name]} is logged {median / 1e9:+.3f} s "
+            "after it was published: the clocks differ, or this machine cannot keep up",
+        )
+
+    def _tell_alignment(self) -> None:
+        base = self._deriver.base
+        self._writer.add_metadata({"measured_tf": base.as_dict()})
+        self.tell(
+            _INFO,
+            f"the measured robot is shown turned by {base.yaw_offset:+.3f} rad, to face as the "
+            f"reference; its position is from {base.source}",
+        )
+
+    def _fill_report(self) -> None:
+        report = self.report
+        report.counts = {topic: n for topic, n in self._writer.counts.items() if n}
+        report.absent = [t for t in _CHANNEL_OF.values() if t not in report.counts]
+        report.missing = {
+            _CHANNEL_OF[name]: n for name, n in self._losses.missing.items() if name in _CHANNEL_OF
+        }
+        report.clock = self._steps.as_dict()
+        report.measured_tf = self._deriver.base.as_dict()
+        report.paths = [str(path) for path in self._writer.paths]
+        for name, delay in self._delays.items():
+            publishers = self._publishers.get(name) or Publishers.of(self._participant, name)
+            report.add_delay(_CHANNEL_OF[name], publishers, delay.median())

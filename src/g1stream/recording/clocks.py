@@ -1,0 +1,121 @@
+"""What the clocks of a session do: steps of our own, and how far others' are from it.
+
+Nothing here corrects anything: stamps are kept as they were read.
+"""
+
+from __future__ import annotations
+
+import time
+from array import array
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["ClockReading", "DelayEstimator", "StepDetector", "read_clocks"]
+
+_SECOND: Final = 1_000_000_000
+_STEP: Final = 2_000_000
+_TRIES: Final = 5
+
+
+class ClockReading(NamedTuple):
+    """Both clocks of this machine at one instant, ns."""
+
+    realtime: int
+    monotonic: int
+
+
+def read_clocks() -> ClockReading:
+    """Read both clocks as near to one instant as can be."""
+    best = _SECOND
+    reading = ClockReading(0, 0)
+    for _ in range(_TRIES):
+        before = time.monotonic_ns()
+        realtime = time.time_ns()
+        after = time.monotonic_ns()
+        if after - before < best:
+            best, reading = after - before, ClockReading(realtime, (before + after) // 2)
+    return reading
+
+
+@dataclass
+class StepDetector:
+    """Notices when CLOCK_REALTIME is set, by its distance from CLOCK_MONOTONIC.
+
+    A clock that is slewed, as NTP does at up to 0.5 ms a second, is not one that steps; what it
+    gains shows in the difference between `first` and `last`.
+
+    Attributes:
+        first, last: realtime minus monotonic at the first and the last reading, ns.
+        steps: (when by the clock after it, by how much), ns each.
+    """
+
+    first: int | None = None
+    last: int = 0
+    steps: list[tuple[int, int]] = field(default_factory=list)
+
+    def observe(self, reading: ClockReading) -> int:
+        """By how much the clock was set since the reading before, ns; 0 when it was not.
+
+        Args:
+            reading: some tenths of a second at the most after the one before.
+        """
+        offset = reading.realtime - reading.monotonic
+        if self.first is None:
+            self.first = self.last = offset
+        step, self.last = offset - self.last, offset
+        if abs(step) < _STEP:
+            return 0
+        self.steps.append((reading.realtime, step))
+        return step
+
+    def as_dict(self) -> dict[str, Any]:
+        """What was noticed, as JSON values."""
+        return {
+            "realtime_minus_monotonic_ns": [self.first, self.last],
+            "steps": [{"at_ns": at, "step_ns": step} for at, step in self.steps],
+        }
+
+
+class DelayEstimator:
+    """How long messages of one topic take: the median of log time minus publish time.
+
+    From another host this is the transit and the offset between the two clocks; which part is which
+    cannot be told from one direction. In a wired network the transit is well below 1 ms, so that
+    more than that is offset.
+
+    Keeps one median for each second.
+    """
+
+    def __init__(self) -> None:
+        self._medians = array("q")
+        self._waiting: list[NDArray[np.int64]] = []
+        self._since: int | None = None
+
+    def observe(self, log_times: NDArray[np.int64], publish_times: NDArray[np.int64]) -> None:
+        """Take in a batch of T > 0 messages: (T,) ns since the epoch each."""
+        self._waiting.append(log_times - publish_times)
+        if self._since is None:
+            self._since = int(log_times[0])
+        if abs(int(log_times[-1]) - self._since) >= _SECOND:
+            self._medians.append(self._median_of_waiting())
+            self._waiting.clear()
+            self._since = int(log_times[-1])
+
+    @property
+    def seconds(self) -> int:
+        """How many seconds have been looked at."""
+        return len(self._medians)
+
+    def median(self) -> int | None:
+        """The median delay, ns; None before the first message."""
+        if self._medians:
+            return int(np.median(self._medians))
+        return self._median_of_waiting() if self._waiting else None
+
+    def _median_of_waiting(self) -> int:
+        return int(np.median(np.concatenate(self._waiting)))

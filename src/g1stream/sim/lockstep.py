@@ -72,13 +72,13 @@ class Lockstep:
         self._now = max(self._now, deadline)
 
     def _tick(self) -> None:
-        for _ in range(self._steps):
-            self._world.step(self._motors)
         state = self._world.state()
         fill_low_state(self._state, state, self._motors)
         self._distort(self._state)
         self._on_state(self._due, state)
         self._fresh = True
+        for _ in range(self._steps):
+            self._world.step(self._motors)
         self._due += self._period
 
     def listeners(self) -> int:

@@ -2,6 +2,7 @@
 
 import gc
 import os
+import subprocess
 import sys
 import threading
 
@@ -85,3 +86,10 @@ def test_one_cpu_is_chosen():
         assert by_name(grants)["affinity"].granted
     with on_time(cpu=100_000) as grants:
         assert not by_name(grants)["affinity"].granted
+
+
+def test_standing_back_is_for_the_whole_process():
+    """In a process of its own: giving way cannot be taken back."""
+    script = "import os; from g1stream.realtime import stand_back; stand_back(); print(os.nice(0))"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, check=True)
+    assert int(done.stdout) == min(19, os.nice(0) + 5)

@@ -21,6 +21,7 @@ from g1stream.cli.common import (
     value,
 )
 from g1stream.errors import ConfigError, G1StreamError
+from g1stream.realtime import stand_back
 
 if TYPE_CHECKING:
     from g1stream.recording.recorder_report import RecorderReport
@@ -63,6 +64,7 @@ class Record(WireCommand):
         """Record, and return the exit code."""
         from g1stream.programs.record import record
 
+        stand_back()
         stopped: list[str] = []
         on_signals(stopped.append)
         if self.attached:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from g1stream.errors import MotionError
-from g1stream.motion.trajectory import Trajectory
+from g1stream.motion.resample import resample
 from g1stream.robot.joints import JOINT_GROUPS
 
 if TYPE_CHECKING:
@@ -201,13 +201,16 @@ def _fastest(motion: Motion, robot: G1) -> JointSpeed:
 
 
 def _fastest_streamed(motion: Motion, robot: G1) -> tuple[JointSpeed, ...]:
-    n_samples = (motion.n_frames - 1) * _SAMPLES_PER_FRAME + 1
-    times = np.linspace(0.0, motion.duration, n_samples)
-    speed = np.abs(Trajectory(motion).sample_many(times).joint_vel)
-    rows = speed.argmax(axis=0)
+    rate = motion.fps * _SAMPLES_PER_FRAME
+    top, time = np.zeros(len(motion.joint_names)), np.zeros(len(motion.joint_names))
+    for numbers, samples in resample(motion, rate, 0, motion.n_frames):
+        speed = np.abs(samples.joint_vel)
+        here = speed.max(axis=0)
+        time = np.where(here > top, (numbers.start + speed.argmax(axis=0)) / rate, time)
+        top = np.maximum(here, top)
     found = [
-        JointSpeed(name, float(times[row]), float(speed[row, joint]), float(robot.velocity[joint]))
-        for joint, (name, row) in enumerate(zip(motion.joint_names, rows, strict=True))
+        JointSpeed(name, float(time[joint]), float(top[joint]), float(robot.velocity[joint]))
+        for joint, name in enumerate(motion.joint_names)
     ]
     return tuple(sorted(found, key=lambda s: -s.value / s.limit))
 

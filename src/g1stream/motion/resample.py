@@ -34,7 +34,8 @@ def resample(
     Args:
         motion: what to sample; frame k is at the time k / fps.
         rate: samples a second, Hz.
-        start, stop: the times run from frame `start` to frame `stop - 1`.
+        start: the frame from which the times run.
+        stop: the frame before which they end; that is, they run to frame `stop - 1`.
 
     Yields:
         Sample numbers i, in order, and the samples (a row each), a piece at a time. Numbers and

@@ -43,7 +43,7 @@ class Table:
     def __getitem__(self, columns: Sequence[str]) -> NDArray[np.float64]:
         """The named columns, in the order named: (rows, len(columns))."""
         places = {name: place for place, name in enumerate(self.columns)}
-        return self.values[:, [places[name] for name in columns]]
+        return self.values.take([places[name] for name in columns], axis=1)
 
     def line(self, row: int) -> int:
         """The line of the file, from 1, that a row stands on."""

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
 import numpy as np
-from foxglove_schemas_protobuf.Log_pb2 import Log
 
 from g1stream.errors import RecordingError
-from g1stream.recording.metadata import METADATA_NAME, metadata_from_strings
-from g1stream.recording.reader import McapFile
+from g1stream.recording.events import LogEvent, log_event
+from g1stream.recording.parts import SessionFiles
 from g1stream.recording.samples import Samples
 from g1stream.recording.streams import Base, Command, Measured, Reference, Stream, TorsoImu
 
@@ -64,24 +62,12 @@ class Message(NamedTuple):
     data: bytes
 
 
-class LogEvent(NamedTuple):
-    """One event of a session.
-
-    Attributes:
-        time: when it happened, ns since the epoch.
-        level: DEBUG, INFO, WARNING, ERROR or FATAL.
-        name: the program that told it.
-        text: what happened.
-    """
-
-    time: int
-    level: str
-    name: str
-    text: str
-
-
 def open_session(path: str | os.PathLike[str]) -> Session:
     """Open a session file, also one whose recorder was killed.
+
+    Args:
+        path: of the file, or of one of the parts that a recorder split it into: those that lie
+            beside it are read as one. So are those that are named after a path with no file.
 
     Raises:
         RecordingError: there is no such file, or it is no session, or it is damaged.
@@ -90,27 +76,32 @@ def open_session(path: str | os.PathLike[str]) -> Session:
 
 
 class Session:
-    """A session file. The samples of a topic are read when they are first asked for, and kept.
+    """A session file, or several that are the parts of one.
+
+    The samples of a topic are read when they are first asked for, and kept.
+
+    Args:
+        path: of the file, or of one of its parts: then all that lie beside it are read as one.
 
     Attributes:
-        path: of the file.
-        paths: of all its parts, oldest first.
-        complete: whether it was closed properly; otherwise it ends with its last whole chunk.
+        path: as given.
+        paths: of the file or its parts, oldest first.
+        absent_parts: numbers of parts, counted from 1, that should be there and are not.
+        complete: whether everything is there and was closed properly; a part that was not ends with
+            its last whole chunk.
         topics: number of messages by topic.
         metadata: what the recorder noted about the session.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = Path(path)
-        self._parts = [McapFile(path)]
-        self.paths = [part.path for part in self._parts]
-        self.complete = all(part.complete for part in self._parts)
-        self.topics: dict[str, int] = dict(sum((part.counts for part in self._parts), Counter()))
-        self.metadata: dict[str, Any] = {}
+        self._files = SessionFiles(self.path)
+        self.paths = self._files.paths
+        self.absent_parts = self._files.absent
+        self.complete = self._files.complete
+        self.topics: dict[str, int] = dict(self._files.counts)
+        self.metadata: dict[str, Any] = self._files.metadata
         self._streams: dict[type[Stream], Any] = {}
-        for record in (record for part in self._parts for record in part.metadata):
-            if record.name == METADATA_NAME:
-                self.metadata |= metadata_from_strings(record.metadata)
         if not any(self.topics.get(topic) for topic in _ESSENTIAL):
             raise RecordingError(
                 f"{self.path} is not a session of g1stream: it has no messages on "
@@ -121,7 +112,7 @@ class Session:
     @cached_property
     def attachments(self) -> dict[str, bytes]:
         """The attached files by name."""
-        return {file.name: file.data for part in self._parts for file in part.attachments()}
+        return self._files.attachments()
 
     @property
     def reference(self) -> Reference:
@@ -163,7 +154,9 @@ class Session:
     @cached_property
     def log(self) -> list[LogEvent]:
         """The events of the session, in the order of the file."""
-        return [_log_event(data) for _, batch in self._batches({"/log"}) for data in batch.data]
+        return [
+            log_event(data) for _, batch in self._files.batches({"/log"}) for data in batch.data
+        ]
 
     @cached_property
     def times(self) -> dict[str, Stream]:
@@ -182,7 +175,7 @@ class Session:
             RecordingError: the topic is not in this session, or the file is damaged.
         """
         self._require(topic)
-        for _, batch in self._batches({topic}):
+        for _, batch in self._files.batches({topic}):
             times = batch.log_times.tolist(), batch.publish_times.tolist()
             yield from map(Message, *times, batch.data)
 
@@ -253,7 +246,7 @@ class Session:
     ) -> dict[str, dict[str, NDArray[Any]]]:
         """By topic and attribute, what all messages of some topics have; read in one pass."""
         parts: dict[str, dict[str, list[NDArray[Any]]]] = {topic: {} for topic in decoders}
-        for topic, messages in self._batches(set(decoders)):
+        for topic, messages in self._files.batches(set(decoders)):
             times = {"log_time": messages.log_times, "publish_time": messages.publish_times}
             for attribute, values in (times | decoders[topic](messages)).items():
                 parts[topic].setdefault(attribute, []).append(values)
@@ -269,10 +262,6 @@ class Session:
             topic: {attribute: _joined(columns.pop(attribute)) for attribute in list(columns)}
             for topic, columns in parts.items()
         }
-
-    def _batches(self, topics: set[str]) -> Iterator[tuple[str, Messages]]:
-        for part in self._parts:
-            yield from part.batches(topics)
 
     def _require(self, topic: str) -> None:
         if not self.topics.get(topic):
@@ -291,13 +280,3 @@ def _joined(parts: list[NDArray[Any]]) -> NDArray[Any]:
     values = np.concatenate(parts, dtype=np.float64 if parts[0].dtype.kind == "f" else None)
     values.setflags(write=False)
     return values
-
-
-def _log_event(data: bytes) -> LogEvent:
-    message = Log.FromString(data)
-    return LogEvent(
-        message.timestamp.ToNanoseconds(),
-        Log.Level.Name(message.level),
-        message.name,
-        message.message,
-    )

@@ -182,8 +182,8 @@ def _gains(gains: Mapping[str, list[float]] | None) -> dict[str, tuple[float, fl
 
 
 def _problems(session: Session, info: Info) -> list[str]:
-    found = []
-    if not info.complete:
+    found = [f"Part {number} is not there." for number in session.absent_parts]
+    if not (info.complete or session.absent_parts):
         found.append("The file was not closed by its recorder; it ends with its last whole chunk.")
     if info.missing is None:
         found.append("The recorder did not get to say what it missed.")

@@ -146,11 +146,10 @@ def _attach(writer: SessionWriter, robot: G1, config: Config, session: Mapping[s
     now = time.time_ns()
     writer.attach("robot.urdf", "application/xml", robot.urdf.encode(), now)
     writer.attach("config.json", "application/json", config.model_dump_json().encode(), now)
-    source = (session.get("motion") or {}).get("source")
+    source = Path((session.get("motion") or {}).get("source") or "")
     # Of a session that is played again, /reference holds all that matters.
-    is_motion_file = source and Path(source).is_file() and Path(source).suffix != ".mcap"
-    if is_motion_file and Path(source).stat().st_size <= _LARGE:
-        writer.attach(Path(source).name, "text/csv", Path(source).read_bytes(), now)
+    if source.is_file() and source.suffix != ".mcap" and source.stat().st_size <= _LARGE:
+        writer.attach(source.name, "text/csv", source.read_bytes(), now)
 
 
 def _write_robot(writer: SessionWriter, robot: G1) -> None:

@@ -52,6 +52,7 @@ class Info:
         counts: messages by topic.
         streams: by topic, how they came.
         missing: by topic, samples that their own numbers say were published and did not come.
+        absent: topics of the wire that nobody published.
         attachments: name -> size in bytes.
         problems: what is not as it should be, a sentence each.
     """
@@ -72,6 +73,7 @@ class Info:
     counts: dict[str, int]
     streams: dict[str, MessageStats]
     missing: dict[str, int] | None
+    absent: list[str]
     attachments: dict[str, int]
     problems: list[str]
 
@@ -100,6 +102,7 @@ class Info:
             "counts": self.counts,
             "streams": {topic: stats.as_dict() for topic, stats in self.streams.items()},
             "missing": self.missing,
+            "absent": self.absent,
             "attachments_bytes": self.attachments,
             "problems": self.problems,
         }
@@ -114,7 +117,7 @@ def describe(session: Session) -> Info:
     metadata, times = session.metadata, session.times
     streams = {t: message_stats(stream) for t, stream in times.items() if t not in _EVENTS}
     told = metadata.get("stream")
-    missing = (metadata.get("recorder") or {}).get("missing")
+    recorder = metadata.get("recorder") or {}
     info = Info(
         files={str(path): path.stat().st_size for path in session.paths},
         complete=session.complete,
@@ -131,7 +134,8 @@ def describe(session: Session) -> Info:
         loop=loop_figures(told) if told else None,
         counts=dict(sorted(session.topics.items())),
         streams=streams,
-        missing=missing,
+        missing=recorder.get("missing"),
+        absent=recorder.get("absent", []),
         attachments={name: len(data) for name, data in session.attachments.items()},
         problems=[],
     )
@@ -185,8 +189,16 @@ def _problems(session: Session, info: Info) -> list[str]:
     found = [f"Part {number} is not there." for number in session.absent_parts]
     if not (info.complete or session.absent_parts):
         found.append("The file was not closed by its recorder; it ends with its last whole chunk.")
-    if info.missing is None:
+    recorder = session.metadata.get("recorder")
+    if recorder is None:
         found.append("The recorder did not get to say what it missed.")
+        recorder = {}
+    if recorder.get("stopped"):
+        found.append(f"The recorder stopped early: {recorder['stopped']}")
+    found += [
+        f"The recorder's clock was set by {step['step_ns'] / 1e9:+.3f} s."
+        for step in recorder.get("clock", {}).get("steps", [])
+    ]
     lost = [f"{topic} {n}" for topic, n in (info.missing or {}).items() if n]
     if lost:
         found.append(f"Samples that never came: {', '.join(lost)}.")

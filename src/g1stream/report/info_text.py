@@ -29,6 +29,7 @@ def render_info(info: Info) -> str:
             ),
             line("settings", _settings(info)),
             *(loop_lines(info.loop) if info.loop else []),
+            *([line("absent", ", ".join(info.absent))] if info.absent else []),
             line("attached", ", ".join(f"{n} ({_size(b)})" for n, b in info.attachments.items())),
         ],
         message_table(info.counts, info.streams),

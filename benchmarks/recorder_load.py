@@ -21,6 +21,7 @@ from g1stream.dds.raw import RawWriter
 from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE
 
 TABLE = 4096
+MATCH_WITHIN = 15_000_000_000
 
 
 def main() -> None:
@@ -41,7 +42,10 @@ def main() -> None:
     with Participant(arguments.domain, "lo") as participant:
         writers = [RawWriter(participant, topic, 64) for topic in (LOWCMD, LOWSTATE, REFERENCE)]
         digests = [hashlib.sha256() for _ in writers]
+        patience = clock.now() + MATCH_WITHIN
         while not all(writer.matched for writer in writers):
+            if clock.now() > patience:
+                raise SystemExit("nobody records")
             time.sleep(0.01)
         time.sleep(0.5)
         start, tick, behind = clock.now(), 0, 0

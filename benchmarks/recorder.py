@@ -1,0 +1,180 @@
+"""The recorder under load: what is lost, what it costs, what a kill costs.
+
+    python benchmarks/recorder.py                     one minute at 1 kHz, beside a plain recorder
+    python benchmarks/recorder.py --seconds 600       ten
+    python benchmarks/recorder.py --limit             the rate at which it begins to lose
+    python benchmarks/recorder.py --kill 100          SIGKILL at random moments
+
+LowCmd, LowState and Reference come at the same rate each, while a process that does nothing but
+count keeps a core busy. CPU time is that of the whole recording process, in percent of one core.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from recorder_check import check, cpu_seconds, kill_at_random, resident_mb
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+HERE = Path(__file__).parent
+OURS = [sys.executable, "-m", "g1stream", "record"]
+PLAIN = [sys.executable, str(HERE / "recorder_plain.py")]
+#: The recorder has matched and warmed up by then, s after the load was started.
+WARM = 3.0
+BUSY = "while True: pass"
+
+
+@contextmanager
+def process(command: list[str]) -> Iterator[subprocess.Popen[str]]:
+    """A child that is gone afterwards, however this ends."""
+    child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    try:
+        yield child
+    finally:
+        child.kill()
+        child.communicate()
+
+
+def load_command(domain: int, rate: float, seconds: float) -> list[str]:
+    options = [f"--domain={domain}", f"--rate={rate}", f"--seconds={seconds}"]
+    return [sys.executable, str(HERE / "recorder_load.py"), *options]
+
+
+def run(
+    recorder: list[str], path: Path, domain: int, rate: float, seconds: float
+) -> dict[str, Any]:
+    """Record a load; CPU and memory of the recorder, what it says and what was sent."""
+    with (
+        process([sys.executable, "-c", BUSY]),
+        process([*recorder, str(path), f"--domain={domain}"]) as recording,
+        process(load_command(domain, rate, seconds)) as load,
+    ):
+        time.sleep(WARM)
+        start, cpu = time.monotonic(), cpu_seconds(recording.pid)
+        memory = resident_mb(recording.pid)
+        time.sleep(max(1.0, seconds - WARM))
+        used = cpu_seconds(recording.pid) - cpu
+        elapsed = time.monotonic() - start
+        grown = resident_mb(recording.pid) - memory
+        sent = json.loads(load.communicate(timeout=60)[0])
+        recording.send_signal(signal.SIGINT)
+        said = json.loads(recording.communicate(timeout=60)[0])
+        return {
+            "cpu_percent": 100.0 * used / elapsed,
+            "memory_mb": memory + grown,
+            "memory_grown_mb": grown,
+            "sent": sent,
+            "said": said,
+            "exit_code": recording.returncode,
+        }
+
+
+def measure(domain: int, rate: float, seconds: float, directory: Path) -> dict[str, Any]:
+    """Ours at a rate: lost, told, CPU, memory, exactness."""
+    path = directory / f"ours-{rate:g}.mcap"
+    done = run([*OURS, "--json"], path, domain, rate, seconds)
+    found = check(path, done["sent"])
+    path.unlink()
+    return {
+        "rate_hz": rate,
+        "sent_rate_hz": done["sent"]["rate_hz"],
+        "seconds": seconds,
+        "sent": 3 * done["sent"]["sent"],
+        "lost": found.lost,
+        "told_lost": sum(done["said"]["missing"].values()),
+        "exact": found.exact,
+        "exit_code": done["exit_code"],
+        "cpu_percent": done["cpu_percent"],
+        "memory_mb": done["memory_mb"],
+        "memory_grown_mb": done["memory_grown_mb"],
+        "latency_us": found.latency_us,
+        "file_mb": found.size_mb,
+    }
+
+
+def measure_plain(domain: int, rate: float, seconds: float, directory: Path) -> dict[str, Any]:
+    """The plain recorder at a rate."""
+    path = directory / "plain.mcap"
+    done = run(PLAIN, path, domain, rate, seconds)
+    sent, recorded = 3 * done["sent"]["sent"], done["said"]["recorded"]
+    path.unlink()
+    return {
+        "sent_rate_hz": done["sent"]["rate_hz"],
+        "cpu_percent": done["cpu_percent"],
+        "sent": sent,
+        "lost": sent - recorded,
+    }
+
+
+def per_sample(row: dict[str, Any]) -> float:
+    """CPU for each sample that got into the file."""
+    return float(row["cpu_percent"] / (1.0 - row["lost"] / row["sent"]))
+
+
+def print_row(name: str, row: dict[str, Any]) -> None:
+    latency = row.get("latency_us", {})
+    print(
+        f"{name:<10} {row.get('sent_rate_hz', 0):>8.0f} {row['sent']:>9} {row['lost']:>8} "
+        f"{row.get('told_lost', '-'):>8} {row['cpu_percent']:>7.1f} "
+        f"{row.get('memory_mb', 0):>7.1f} {row.get('memory_grown_mb', 0):>6.1f} "
+        + " ".join(f"{latency.get(p, 0):>7.0f}" for p in ("p50", "p99", "p99.9"))
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
+    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--rate", type=float, default=1000.0, help="Hz, of each topic")
+    parser.add_argument("--domain", type=int, default=97)
+    parser.add_argument("--limit", action="store_true", help="double the rate until it loses")
+    parser.add_argument("--kill", type=int, default=0, metavar="N")
+    parser.add_argument("--json", action="store_true")
+    arguments = parser.parse_args()
+    domain, seconds = arguments.domain, arguments.seconds
+    result: dict[str, Any] = {}
+    with tempfile.TemporaryDirectory() as name:
+        directory = Path(name)
+        if arguments.kill:
+            with process(load_command(domain, arguments.rate, 1e6)):
+                result = kill_at_random(OURS, directory, domain, arguments.kill)
+        else:
+            rows = [measure(domain, arguments.rate, seconds, directory)]
+            while arguments.limit and not rows[-1]["lost"] and rows[-1]["rate_hz"] < 16_000:
+                rows.append(measure(domain, 2 * rows[-1]["rate_hz"], min(seconds, 10), directory))
+            plain = measure_plain(domain, arguments.rate, min(seconds, 20.0), directory)
+            result = {
+                **rows[0],
+                "cpu_ratio": per_sample(plain) / per_sample(rows[0]),
+                "plain": plain,
+                "rates": rows,
+            }
+    if arguments.json:
+        print(json.dumps(result, indent=2))
+    elif arguments.kill:
+        print("\n".join(f"{key:<14} {value}" for key, value in result.items()))
+    else:
+        print(
+            f"{'':<10} {'Hz each':>8} {'sent':>9} {'lost':>8} {'told':>8} {'CPU %':>7} "
+            f"{'MB':>7} {'grown':>6} {'p50 us':>7} {'p99':>7} {'p99.9':>7}"
+        )
+        for row in result["rates"]:
+            print_row("g1stream", row)
+        print_row("plain", result["plain"])
+        print(
+            f"the plain one takes {result['cpu_ratio']:.1f} times the CPU for each sample it keeps"
+        )
+
+
+if __name__ == "__main__":
+    main()

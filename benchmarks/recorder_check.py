@@ -1,0 +1,125 @@
+"""What the recorder's benchmark looks at: recordings, with the stock reader, and processes."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import random
+import signal
+import struct
+import subprocess
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap.exceptions import EndOfFile
+from mcap.reader import make_reader
+from mcap.records import Channel, Message
+from mcap.stream_reader import StreamReader
+
+from g1stream.errors import RecordingError
+from g1stream.recording.session import open_session
+
+TICKS = os.sysconf("SC_CLK_TCK")
+
+
+@dataclass
+class Found:
+    """What the stock reader found in a recording."""
+
+    lost: int
+    exact: bool
+    latency_us: dict[str, float]
+    size_mb: float
+
+
+def check(path: Path, sent: dict[str, Any]) -> Found:
+    """Compare a recording, byte for byte, with what was sent."""
+    lost, exact = 0, True
+    delays = []
+    for topic, digest in sent["sha256"].items():
+        found, count = hashlib.sha256(), 0
+        with path.open("rb") as file:
+            for _, _, message in make_reader(file).iter_messages(topics=[topic]):
+                found.update(message.data)
+                delays.append(message.log_time - message.publish_time)
+                count += 1
+        lost += sent["sent"] - count
+        exact &= found.hexdigest() == digest
+    percentiles = (50, 99, 99.9)
+    values = np.percentile(delays, percentiles) / 1e3
+    latency = {f"p{p:g}": float(v) for p, v in zip(percentiles, values, strict=True)}
+    return Found(lost, exact, latency, path.stat().st_size / 1e6)
+
+
+def cpu_seconds(pid: int) -> float:
+    """User and system time of a process so far, of all its threads."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / TICKS
+
+
+def resident_mb(pid: int) -> float:
+    """Memory that a process holds."""
+    for line in Path(f"/proc/{pid}/status").read_text().splitlines():
+        if line.startswith("VmRSS:"):
+            return int(line.split()[1]) / 1024
+    return 0.0
+
+
+def kill_at_random(recorder: list[str], directory: Path, domain: int, times: int) -> dict[str, Any]:
+    """Kill a recorder at random moments, and look at what is left."""
+    chance = random.Random(2)
+    losses, unreadable = [], 0
+    for number in range(times):
+        path = directory / f"killed-{number}.mcap"
+        command = [*recorder, str(path), f"--domain={domain}"]
+        with subprocess.Popen(command, stderr=subprocess.DEVNULL) as child:
+            try:
+                _wait_for_samples(path)
+                time.sleep(chance.uniform(0.0, 2.0))
+            finally:
+                killed = time.time_ns()
+                child.send_signal(signal.SIGKILL)
+        last = _last_log_time(path)
+        unreadable += last is None or not _opens(path)
+        if last is not None:
+            losses.append((killed - last) / 1e9)
+        path.unlink()
+    return {
+        "kills": times,
+        "unreadable": unreadable,
+        "worst_loss_s": max(losses, default=None),
+        "median_loss_s": float(np.median(losses)) if losses else None,
+    }
+
+
+def _wait_for_samples(path: Path, within: float = 20.0) -> None:
+    """Until the file holds a first chunk of samples."""
+    end = time.monotonic() + within
+    while time.monotonic() < end:
+        if path.exists() and (_last_log_time(path) or 0):
+            return
+        time.sleep(0.02)
+
+
+def _last_log_time(path: Path) -> int | None:
+    """The newest log time of the samples, by the stock reader up to the last whole chunk."""
+    last = None
+    with path.open("rb") as file, suppress(EndOfFile, struct.error):
+        channels: dict[int, str] = {}
+        for record in StreamReader(file, validate_crcs=True).records:
+            if isinstance(record, Channel):
+                channels[record.id] = record.topic
+            elif isinstance(record, Message) and channels[record.channel_id] == "/lowstate":
+                last = max(last or 0, record.log_time)
+    return last
+
+
+def _opens(path: Path) -> bool:
+    try:
+        return len(open_session(path).measured.q) > 0
+    except RecordingError:
+        return False

@@ -167,7 +167,7 @@ def _numbers(text: str, count: int, where: str) -> list[float]:
         numbers = []
     if len(numbers) != count or not all(map(isfinite, numbers)):
         raise RobotError(
-            f"{where} has {text.strip()!r} where {count} finite numbers belong.",
+            f"{where} has {text.strip()!r} where it needs {count} finite number{'s' * (count > 1)}.",
             "Correct it in the URDF.",
         )
     return numbers

@@ -1,0 +1,117 @@
+"""The shapes of a URDF, against yourdfpy and figures worked out by hand."""
+
+from dataclasses import replace
+from io import StringIO
+
+import numpy as np
+import pytest
+import yourdfpy
+
+from g1stream.errors import RobotError
+from g1stream.robot.model import G1
+from g1stream.robot.rotations import quat_to_matrix
+from g1stream.robot.visuals import find_mesh, missing_meshes, read_visuals
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return G1.default()
+
+
+def with_urdf(robot, xml, source="made.urdf"):
+    """A robot that looks as the XML says; its joints are of no account here."""
+    return replace(robot, urdf=f"<robot name='made'>{xml}</robot>", source=str(source))
+
+
+def shape(geometry, origin="", material=""):
+    return (
+        f"<link name='a'><visual>{origin}<geometry>{geometry}</geometry>{material}</visual></link>"
+    )
+
+
+def sizes(geometry):
+    """Kind and extents of a yourdfpy geometry."""
+    if geometry.box is not None:
+        return "box", tuple(geometry.box.size)
+    if geometry.sphere is not None:
+        return "sphere", (2 * geometry.sphere.radius,) * 3
+    cylinder = geometry.cylinder
+    return "cylinder", (2 * cylinder.radius, 2 * cylinder.radius, cylinder.length)
+
+
+def test_the_default_robot_looks_as_yourdfpy_reads_it(robot):
+    theirs = yourdfpy.URDF.load(StringIO(robot.urdf), build_scene_graph=False).robot
+    materials = {m.name: tuple(m.color.rgba) for m in theirs.materials}
+    expected = [(link.name, visual) for link in theirs.links for visual in link.visuals]
+    ours = read_visuals(robot)
+    assert len(ours) == len(expected) > 100
+    for visual, (link, their) in zip(ours, expected, strict=True):
+        assert visual.link == link
+        assert (visual.kind, visual.size) == sizes(their.geometry)
+        np.testing.assert_allclose(visual.pos, their.origin[:3, 3], atol=1e-12)
+        turn = quat_to_matrix(np.array(visual.quat_wxyz))
+        np.testing.assert_allclose(turn, their.origin[:3, :3], atol=1e-12)
+        assert visual.rgba == materials[their.material.name]
+        assert visual.coloured
+
+
+def test_what_is_left_out_is_nothing_turned_and_grey(robot):
+    (visual,) = read_visuals(with_urdf(robot, shape("<box size='1 2 3'/>")))
+    assert (visual.pos, visual.quat_wxyz) == ((0, 0, 0), (1, 0, 0, 0))
+    assert visual.size == (1, 2, 3)
+    assert not visual.coloured
+    assert visual.rgba[3] == 1
+
+
+def test_a_colour_of_its_own_and_a_mesh(robot):
+    material = "<material name='red'><color rgba='1 0 0 0.5'/></material>"
+    mesh = "<mesh filename='meshes/a.stl' scale='0.001 0.001 0.001'/>"
+    (visual,) = read_visuals(with_urdf(robot, shape(mesh, material=material)))
+    assert visual.rgba == (1, 0, 0, 0.5)
+    assert (visual.kind, visual.mesh, visual.size) == ("mesh", "meshes/a.stl", (0.001,) * 3)
+
+
+@pytest.mark.parametrize(
+    ("geometry", "origin", "message"),
+    [
+        ("<box size='1 2'/>", "", "has '1 2' where it needs 3 finite numbers"),
+        ("<sphere/>", "", "has '' where it needs 1 finite number\\."),
+        ("<cylinder radius='1'/>", "", "has '1' where it needs 2 finite"),
+        ("<box size='1 2 nan'/>", "", "has '1 2 nan' where it needs 3"),
+        ("<box size='1 2 3'/>", "<origin xyz='0 x 0'/>", "has '0 x 0' where"),
+        ("<box size='1 2 3'/>", "<origin rpy='0 0'/>", "has '0 0' where"),
+        ("<capsule radius='1'/>", "", "is capsule"),
+        ("<mesh/>", "", "is a mesh without a file"),
+        ("", "", "is nothing"),
+    ],
+)
+def test_a_shape_that_cannot_be_read_is_named(robot, geometry, origin, message):
+    with pytest.raises(RobotError, match=rf"made\.urdf: a shape of the link 'a' {message}"):
+        read_visuals(with_urdf(robot, shape(geometry, origin)))
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "../meshes/a b.stl",
+        "package://g1_description/meshes/a b.stl",
+        "package://g1_description/meshes/a%20b.stl",
+        "package://elsewhere/meshes/a b.stl",
+    ],
+)
+def test_meshes_are_found_from_the_urdf_and_by_package(robot, tmp_path, name):
+    package = tmp_path / "g1_description"
+    mesh = package / "meshes" / "a b.stl"
+    mesh.parent.mkdir(parents=True)
+    mesh.touch()
+    (package / "urdf").mkdir()
+    made = with_urdf(robot, "", package / "urdf" / "g1.urdf")
+    assert find_mesh(made, name).resolve() == mesh
+    assert find_mesh(made, f"file://{mesh}") == mesh
+
+
+def test_meshes_that_are_not_there_are_named_once(robot, tmp_path):
+    xml = shape("<mesh filename='a.stl'/>") + shape("<mesh filename='a.stl'/>")
+    assert missing_meshes(with_urdf(robot, xml, tmp_path / "g1.urdf")) == ("a.stl",)
+    (tmp_path / "a.stl").touch()
+    assert missing_meshes(with_urdf(robot, xml, tmp_path / "g1.urdf")) == ()

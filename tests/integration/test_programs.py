@@ -212,16 +212,20 @@ def test_a_recorder_ends_with_its_streamer(domain_id, tmp_path):
     assert open_session(path).complete
 
 
-def test_a_second_writer_is_refused_by_name(domain_id, tmp_path):
+def test_a_second_writer_is_refused_by_name_and_the_first_plays_on(domain_id, tmp_path):
     with (
         simulator(domain_id),
         running(*stream_arguments(domain_id, "--loop", "--record", tmp_path / "a.mcap")) as first,
     ):
         wait_for(first, PLAYING)
         second = run(stream_arguments(domain_id))
-        assert second.returncode == 1
-        assert str(first.pid) in second.stdout + second.stderr
-        assert "0 " not in second.stdout.splitlines()[0]
+        assert second.returncode == 2
+        assert f"pid {first.pid} " in second.stderr
+        assert "--allow-second-writer" in second.stderr
+        assert first.poll() is None
+        first.send_signal(signal.SIGINT)
+        printed, _ = first.communicate(timeout=20)
+        assert "stopped: SIGINT" in printed
 
 
 def test_nobody_there_ends_without_a_command(domain_id, tmp_path):

@@ -18,7 +18,8 @@ from g1stream.control.loop import INFO, StreamLoop
 from g1stream.control.phases import Timing
 from g1stream.control.targets import Targets
 from g1stream.dds.domain import Participant, is_loopback
-from g1stream.errors import ConfigError
+from g1stream.dds.topics import LOWCMD
+from g1stream.errors import ConfigError, SafetyError
 from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.programs.children import Child
@@ -37,8 +38,10 @@ if TYPE_CHECKING:
 
 __all__ = ["StreamOutcome", "stream"]
 
-#: For how long others are looked for before the first command, ns.
+#: For how long others are looked for before we show ourselves as a writer of LowCmd, ns.
 _DISCOVERY = 300_000_000
+#: For how long then, in case that somebody else started at the same moment, ns.
+_SETTLE = 100_000_000
 
 _PERCENTILES = (50.0, 99.0, 99.9)
 
@@ -105,11 +108,14 @@ def stream(
     clock = SystemClock()
     with Participant(config.dds.domain, config.dds.interface) as participant:
         joined = clock.now()
-        link = make_link(participant)
         # Only now, because it takes as long as others need to be discovered.
         trajectory = Trajectory(motion, loop=config.stream.loop)
         targets = Targets(trajectory, start=start, play=play, ramp=config.stream.ramp)
-        loop = make_loop(config, robot, link, targets, play, gains, clock, discovering_since=joined)
+        if not config.safety.allow_second_writer:
+            clock.sleep_until(joined + _DISCOVERY)
+            _refuse_if_commanded(participant)
+        link = make_link(participant)
+        loop = make_loop(config, robot, link, targets, play, gains, clock)
         if on_loop:
             on_loop(loop)
         recorder = _start_recorder(Path(record), force, config, motion, gains) if record else None
@@ -135,6 +141,16 @@ def stream(
     return StreamOutcome(motion.name, report, recording, wire, granted)
 
 
+def _refuse_if_commanded(participant: Participant) -> None:
+    """Refuse before there is a writer of ours, the sight of which would stop whoever plays."""
+    others = participant.writers(LOWCMD.name)
+    if others:
+        raise SafetyError(
+            f"Somebody else writes {LOWCMD.name}: {', '.join(map(str, others))}.",
+            "End it, or pass --allow-second-writer if you mean to command beside it.",
+        )
+
+
 def make_loop(
     config: Config,
     robot: G1,
@@ -143,13 +159,8 @@ def make_loop(
     play: float | None,
     gains: Gains,
     clock: Clock,
-    *,
-    discovering_since: int,
 ) -> StreamLoop:
-    """The loop of a config, not yet running; `play` is how much of the motion is played, s.
-
-    Others are looked for since `discovering_since`, ns: the loop need not wait as long as that.
-    """
+    """The loop of a config, not yet running; `play` is how much of the motion is played, s."""
     settings, safety = config.stream, config.safety
     timing = Timing(
         wait=_ns(settings.wait),
@@ -167,7 +178,7 @@ def make_loop(
         gains,
         period=round(1e9 / settings.rate),
         damp_kd=settings.damp_kd,
-        settle=max(0, _DISCOVERY - (clock.now() - discovering_since)),
+        settle=_SETTLE,
         allow_rivals=safety.allow_second_writer,
         feedforward=make_feedforward(config, robot),
     )
@@ -236,21 +247,19 @@ def _interval(motion: Motion, config: Config) -> tuple[float, float | None]:
 
 
 def _start_recorder(path: Path, force: bool, config: Config, motion: Motion, gains: Gains) -> Child:
-    recorder = Child(["record", str(path), *(["--force"] if force else [])])
+    greeting = {
+        "config": config.model_dump(mode="json"),
+        "gains": {name: values.tolist() for name, values in gains._asdict().items()},
+        "motion": {
+            "name": motion.name,
+            "fps": motion.fps,
+            "frames": motion.n_frames,
+            "sha256": motion.sha256,
+            "source": str(motion.source) if motion.source else None,
+        },
+    }
+    recorder = Child(["record", str(path), *(["--force"] if force else [])], greeting)
     try:
-        recorder.send(
-            {
-                "config": config.model_dump(mode="json"),
-                "gains": {name: values.tolist() for name, values in gains._asdict().items()},
-                "motion": {
-                    "name": motion.name,
-                    "fps": motion.fps,
-                    "frames": motion.n_frames,
-                    "sha256": motion.sha256,
-                    "source": str(motion.source) if motion.source else None,
-                },
-            }
-        )
         recorder.wait_for("ready", timeout=20.0)
     except BaseException:
         recorder.kill()

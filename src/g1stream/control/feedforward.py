@@ -68,7 +68,7 @@ class FeedForward:
         dynamics: the model; needed for `dynamics`.
         limit: (29,) N·m, the greatest torque either way.
         period: s between commands.
-        ramp: s, how long the torque fades in.
+        ramp: s, how long RAMP lasts; the torque fades in during its first half.
         preview: s by which a command is ahead of what is due when it is published, because it
             takes effect later.
 
@@ -156,7 +156,8 @@ class FeedForward:
             return replace(target, dq=np.zeros_like(target.dq))
         if self.kind != "dynamics":
             return target
-        blend = minimum_jerk(elapsed / self._ramp)[0] if phase is Phase.RAMP else 1.0
+        # In half the ramp, so that the rest of it can mend the sag of a torque that was not whole.
+        blend = minimum_jerk(2.0 * elapsed / self._ramp)[0] if phase is Phase.RAMP else 1.0
         doubt = self._doubt(imu, age)
         if not doubt:
             self._tau = self._torque(target, imu, playing=phase is Phase.PLAY)

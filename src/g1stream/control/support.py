@@ -66,7 +66,8 @@ class SupportCheck:
     """Notices that the pelvis does not turn as the assumed support lets it.
 
     The change of the gyroscope's reading over a short while is compared with what the model says,
-    for a second at a time. A support that explains less of it than no model at all is wrong.
+    for a second at a time. A support that leaves most of it unexplained is wrong, and so is one
+    that predicts what does not happen.
 
     Attributes:
         wrong: whether it was; for good.
@@ -76,7 +77,8 @@ class SupportCheck:
     _SPAN: Final = 50  # windows
     #: What nobody is blamed for: noise, and the play of a real mount, rad/s a window.
     _FLOOR: Final = 0.03
-    _UNEXPLAINED: Final = 0.8
+    #: The part of the change, by root mean square, that a right model may leave unexplained.
+    _UNEXPLAINED: Final = 0.7
 
     def __init__(self, period: float) -> None:
         self.wrong = False
@@ -109,6 +111,6 @@ class SupportCheck:
     def _judge(self) -> None:
         measured = np.sqrt(self._measured_power / self._SPAN)
         residual = np.sqrt(self._residual_power / self._SPAN)
-        self.wrong |= bool(residual > self._FLOOR + self._UNEXPLAINED * measured)
+        self.wrong |= bool(residual > np.hypot(self._FLOOR, self._UNEXPLAINED * measured))
         self._measured_power = self._residual_power = 0.0
         self._windows = 0

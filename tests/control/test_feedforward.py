@@ -1,0 +1,297 @@
+"""What commands carry: by hand-made models and readings, then against a simulated robot."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from g1stream.config import SafetyConfig
+from g1stream.control.envelope import Envelope
+from g1stream.control.feedforward import FeedForward, ImuReading
+from g1stream.control.gains import Gains
+from g1stream.control.loop import StreamLoop
+from g1stream.control.phases import Phase, Timing
+from g1stream.control.support import ForceObserver, SupportCheck
+from g1stream.control.targets import Targets, minimum_jerk
+from g1stream.motion.readers import load_motion
+from g1stream.motion.trajectory import Trajectory
+from g1stream.robot.dynamics import InverseDynamics, Solution
+from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP
+from g1stream.sim.lockstep import Lockstep
+from g1stream.sim.world import World
+
+WARNING = 3
+NOW = 0.002
+
+
+class Model:
+    """Says the same whatever is asked, and remembers what that was."""
+
+    mass, gravity, imu_pos = 30.0, 10.0, np.zeros(3)
+
+    def __init__(self):
+        self.tau, self.lin_acc, self.ang_acc = np.full(29, 8.0), np.zeros(3), np.zeros(3)
+        self.asked = []
+
+    def solve(self, support, q, dq, ddq, base, *, force=None):
+        self.asked.append((support, q, base, force))
+        return Solution(self.tau, self.lin_acc, self.ang_acc)
+
+
+@pytest.fixture
+def model():
+    return Model()
+
+
+@pytest.fixture
+def imu():
+    rest = ImuReading(np.array([1.0, 0, 0, 0]), np.zeros(3), np.array([0, 0, 10.0]))
+    return ImuReading(*(part.astype(np.float32) for part in rest))
+
+
+@pytest.fixture
+def target(trajectory):
+    return Targets(trajectory, start=0.1, play=0.3, ramp=1.0).at(Phase.PLAY, 0.1)
+
+
+def made(model, kind="dynamics", support="bolted", **other):
+    limit = np.full(29, 10.0)
+    return FeedForward(kind, support, dynamics=model, limit=limit, ramp=1.0, **other)
+
+
+def test_none_asks_for_positions_only(model, target, imu):
+    feed = made(model, "none")
+    feed.begin("bolted")
+    asked = feed.command(Phase.PLAY, 0.0, target, imu, NOW)
+    assert not asked.dq.any()
+    assert not asked.tau.any()
+    assert asked.q is target.q
+
+
+def test_velocity_leaves_the_target_as_it_is(model, target, imu):
+    feed = made(model, "velocity")
+    feed.begin("bolted")
+    assert feed.command(Phase.PLAY, 0.0, target, imu, NOW) is target
+    assert not model.asked
+
+
+def test_dynamics_adds_the_torque_of_the_target(model, target, imu):
+    feed = made(model)
+    feed.begin(None)
+    asked = feed.command(Phase.PLAY, 0.0, target, imu, NOW)
+    assert asked.tau.tolist() == model.tau.tolist()
+    assert asked.dq is target.dq
+    ((support, q, base, force),) = model.asked
+    assert support == "bolted"
+    assert q is target.q
+    assert base.quat_wxyz.tolist() == [1, 0, 0, 0]
+    assert force is None
+
+
+def test_following_takes_the_base_from_the_reference(model, target, imu):
+    feed = made(model, support="follow")
+    feed.begin(None)
+    feed.command(Phase.PLAY, 0.0, target, imu, NOW)
+    base = model.asked[0][2]
+    assert base.lin_acc is target.root_lin_acc
+    assert base.ang_vel is target.root_ang_vel
+
+
+@pytest.mark.parametrize("elapsed", [0.0, 0.3, 1.0])
+def test_the_ramp_blends_the_torque_in(model, target, imu, elapsed):
+    feed = made(model)
+    feed.begin(None)
+    asked = feed.command(Phase.RAMP, elapsed, target, imu, NOW)
+    assert asked.tau == pytest.approx(minimum_jerk(2 * elapsed)[0] * model.tau)
+
+
+def test_torque_is_held_at_its_limit_and_counted(model, target, imu):
+    feed = made(model)
+    feed.begin(None)
+    model.tau[3], model.tau[4] = 11.0, -500.0
+    for _ in range(5):
+        asked = feed.command(Phase.PLAY, 0.0, target, imu, NOW)
+    assert asked.tau[3:5].tolist() == [10.0, -10.0]
+    assert feed.saturated.nonzero()[0].tolist() == [3, 4]
+    assert feed.saturated[3] == 5
+
+
+@pytest.mark.parametrize(
+    ("kind", "told", "announced", "dynamics", "expected"),
+    [
+        (None, None, "hanging", True, ("dynamics", "hanging")),
+        (None, None, None, True, ("velocity", None)),
+        (None, "bolted", None, True, ("dynamics", "bolted")),
+        (None, None, "free", True, ("velocity", "free")),
+        (None, None, "strapped", True, ("velocity", None)),
+        (None, None, "hanging", False, ("velocity", "hanging")),
+        ("dynamics", None, "follow", True, ("dynamics", "follow")),
+        ("dynamics", None, None, True, ("velocity", None)),
+        ("dynamics", "free", "bolted", True, ("dynamics", "free")),
+        ("velocity", None, "bolted", True, ("velocity", "bolted")),
+        ("none", None, "bolted", True, ("none", "bolted")),
+    ],
+)
+def test_what_is_done_depends_on_what_is_known(model, kind, told, announced, dynamics, expected):
+    feed = made(model if dynamics else None, kind, told)
+    lines = feed.begin(announced)
+    assert (feed.kind, feed.support) == expected
+    wanted = kind == "dynamics" and expected[0] == "velocity"
+    contradicted = expected[0] == "dynamics" and told and announced and told != announced
+    assert any(level == WARNING for level, _ in lines) == bool(wanted or contradicted)
+
+
+def faulty(imu, **parts):
+    return imu._replace(**{name: np.asarray(value, np.float32) for name, value in parts.items()})
+
+
+@pytest.mark.parametrize(
+    ("parts", "age", "reason"),
+    [
+        ({}, 0.05, "older"),
+        ({"gyroscope": [0, np.nan, 0]}, NOW, "not finite"),
+        ({"accelerometer": [np.inf, 0, 0]}, NOW, "not finite"),
+        ({"quat_wxyz": [0, 0, 0, 0]}, NOW, "length 1"),
+        ({"gyroscope": [0, 0, 100.0]}, NOW, "turns faster"),
+    ],
+)
+def test_a_bad_imu_takes_the_torque_out_and_says_so(model, target, imu, parts, age, reason):
+    feed = made(model)
+    feed.begin(None)
+    feed.command(Phase.PLAY, 0.0, target, imu, NOW)
+    taus = [
+        feed.command(Phase.PLAY, 0.0, target, faulty(imu, **parts), age).tau[0] for _ in range(60)
+    ]
+    assert np.diff([8.0, *taus]).min() >= -8.0 * 0.002 / 0.1 - 1e-9
+    assert taus[-1] == 0.0
+    (text,) = feed.news()
+    assert "velocity only" in text
+    assert reason in text
+    back = [feed.command(Phase.PLAY, 0.0, target, imu, NOW).tau[0] for _ in range(60)]
+    assert back[-1] == 8.0
+    assert feed.news() == ["feed-forward: dynamics again"]
+
+
+def test_a_moment_of_doubt_is_not_told(model, target, imu):
+    feed = made(model)
+    feed.begin(None)
+    for age in [NOW] * 5 + [0.05] * 5 + [NOW] * 60:
+        asked = feed.command(Phase.PLAY, 0.0, target, imu, age)
+    assert asked.tau[0] == 8.0
+    assert not feed.news()
+
+
+def test_the_observer_finds_a_force_that_is_not_the_weight(model):
+    """A body of 30 kg that is pushed by 12, -5, 20 N more than its weight, for half a second."""
+    observer = ForceObserver(model, 0.002)
+    quat = np.array([np.cos(0.4), 0.0, np.sin(0.4), 0.0])
+    turn = np.array([[np.cos(0.8), 0, np.sin(0.8)], [0, 1, 0], [-np.sin(0.8), 0, np.cos(0.8)]])
+    push = np.array([12.0, -5.0, 20.0])
+    reading = turn.T @ (push / 30.0 + [0, 0, 10.0])
+    imu = ImuReading(quat, np.zeros(3), reading)
+    weight = np.array([0.0, 0.0, 300.0])
+    force = observer.update(imu)
+    assert force.tolist() == weight.tolist()
+    for _ in range(250):
+        observer.expect(Solution(model.tau, (force - weight) / 30.0, np.zeros(3)))
+        force = observer.update(imu)
+    assert force - weight == pytest.approx(push, abs=0.01)
+
+
+def test_the_observer_takes_the_lever_of_the_unit_into_account(model):
+    """A body that turns about its origin, without any force but its weight."""
+    model.imu_pos = np.array([0.3, 0.0, -0.2])
+    observer = ForceObserver(model, 0.002)
+    rate, spin = np.array([0.0, 3.0, 1.0]), np.array([2.0, 0.0, -4.0])
+    lever = model.imu_pos
+    reading = np.cross(spin, lever) + np.cross(rate, np.cross(rate, lever)) + [0, 0, 10.0]
+    for _ in range(100):
+        observer.expect(Solution(model.tau, np.zeros(3), spin))
+        force = observer.update(ImuReading(np.array([1.0, 0, 0, 0]), rate, reading))
+    assert force == pytest.approx([0, 0, 300.0], abs=1e-6)
+
+
+def test_the_observer_does_not_reach_for_the_absurd(model):
+    observer = ForceObserver(model, 0.002)
+    imu = ImuReading(np.array([1.0, 0, 0, 0]), np.zeros(3), np.array([1000.0, 0, 10.0]))
+    for _ in range(100):
+        observer.expect(Solution(model.tau, np.zeros(3), np.zeros(3)))
+        force = observer.update(imu)
+    assert np.linalg.norm(force - [0, 0, 300.0]) == pytest.approx(300.0)
+
+
+def checked(rates, predicted):
+    """Whether a second of gyroscope readings and predictions at 500 Hz is found to be wrong."""
+    check = SupportCheck(0.002)
+    for rate, acceleration in zip(rates, predicted, strict=True):
+        check.add(np.array([rate, 0.0, 0.0]), np.array([acceleration, 0.0, 0.0]))
+    return check.wrong
+
+
+def test_a_pelvis_that_turns_as_predicted_is_believed():
+    time = np.arange(600) * 0.002
+    rates, accelerations = np.sin(6 * time), 6 * np.cos(6 * time)
+    noise = np.random.default_rng(1).normal(0, 0.01, 600)
+    assert not checked(rates + noise, accelerations)
+    assert not checked(rates + noise, 0.7 * accelerations)
+    assert checked(rates, -accelerations)
+    assert checked(rates, np.zeros(600))
+    assert checked(np.zeros(600), accelerations)
+    assert not checked(noise, np.zeros(600))
+
+
+def play(robot, support, told, seconds=4.0, *, kind="dynamics"):
+    """Play a piece of the demo in lockstep; gives the RMSE while it played, and the loop."""
+    trajectory = Trajectory(load_motion("demo", robot))
+    errors = []
+
+    def look(time, state):
+        if loop.state.phase is Phase.PLAY and time >= loop.state.since:
+            played = (time - loop.state.since) / 1e9
+            errors.append(trajectory.sample(played).joint_pos - state.q)
+
+    link = Lockstep(World(robot, support), support, on_state=look)
+    ns = [round(s * 1e9) for s in (1.0, 1.0, seconds, 0.1, 0.5)]
+    feed = FeedForward(
+        kind,
+        told,
+        dynamics=InverseDynamics(robot),
+        limit=robot.effort,
+        ramp=1.0,
+        preview=0.002,
+    )
+    loop = StreamLoop(
+        link,
+        link,
+        Targets(trajectory, start=0.0, play=seconds, ramp=1.0),
+        Envelope(robot, SafetyConfig(max_tilt=3.0)),
+        Timing(*ns),
+        Gains(EXAMPLE_KP, EXAMPLE_KD),
+        period=2_000_000,
+        damp_kd=3.0,
+        settle=0,
+        feedforward=feed,
+    )
+    loop.run()
+    return float(np.sqrt(np.mean(np.square(errors)))), loop
+
+
+@pytest.mark.parametrize("support", ["bolted", "hanging", "follow"])
+def test_the_right_support_follows_ten_times_as_closely_as_none(robot, support):
+    known, loop = play(robot, support, None)
+    unknown, _ = play(robot, support, None, kind="velocity")
+    assert known < unknown / 10
+    assert loop.report.support == support
+    assert not [text for level, text in loop.events if level == WARNING]
+
+
+def test_a_wrong_support_is_noticed(robot):
+    _, loop = play(robot, "bolted", "hanging")
+    warnings = [text for level, text in loop.events if level == WARNING]
+    assert any("holds the robot bolted, not hanging" in text for text in warnings)
+    assert any("does not move as one that is held hanging" in text for text in warnings)
+
+
+def test_lockstep_is_the_same_every_time(robot):
+    first, second = (play(robot, "hanging", None, 0.4)[0] for _ in range(2))
+    assert first == second

@@ -1,0 +1,36 @@
+"""`g1stream doctor`: what it prints and how it exits."""
+
+import json
+
+from g1stream.cli.main import main
+from g1stream.dds.domain import Participant
+from g1stream.dds.raw import RawWriter
+from g1stream.dds.topics import LOWSTATE
+
+
+def doctor(domain, *flags):
+    return main(["doctor", "--domain", str(domain), "--seconds", "0.3", *flags])
+
+
+def test_nobody_there_is_a_problem(domain_id, capsys):
+    assert doctor(domain_id) == 2
+    printed = capsys.readouterr().out
+    assert f"problem  publisher     nobody publishes rt/lowstate in domain {domain_id}" in printed
+    assert "g1stream sim" in printed
+
+
+def test_json_has_every_finding(domain_id, capsys):
+    with Participant(domain_id, "lo") as participant:
+        RawWriter(participant, LOWSTATE)
+        assert doctor(domain_id, "--json") == 2
+    findings = json.loads(capsys.readouterr().out)
+    assert {tuple(one) for one in findings} == {("level", "about", "cause", "remedy")}
+    silent = [one for one in findings if "silent" in one["cause"]]
+    assert [one["level"] for one in silent] == ["problem"]
+
+
+def test_a_missing_interface_is_a_finding_not_an_error(domain_id, capsys):
+    assert doctor(domain_id, "--interface", "nonsense0") == 2
+    printed = capsys.readouterr().out
+    assert "has no interface nonsense0" in printed
+    assert "Choose --interface from" in printed

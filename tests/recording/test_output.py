@@ -1,0 +1,130 @@
+"""A file system that fills up, the real thing: a small tmpfs."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from g1stream.errors import RecordingError
+from g1stream.recording.output import create
+from g1stream.recording.writer import SessionWriter
+
+MS = 1_000_000
+SIZE = 3 * 2**20
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A directory that holds 3 MiB."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", f"size={SIZE}", "none", str(place)]
+    done = subprocess.run(mount, capture_output=True, text=True, check=False)
+    if done.returncode:
+        pytest.skip(f"no small file system can be mounted here: {done.stderr.strip()}")
+    yield place
+    subprocess.run(["umount", str(place)], check=True)
+
+
+def fill(writer, seconds):
+    """500 messages a second of 2 kB that do not compress."""
+    noise = np.random.default_rng(3).integers(0, 256, (500, 2096), dtype=np.uint8)
+    for second in range(seconds):
+        times = (second * 1000 + 2 * np.arange(500)) * MS
+        writer.write_batch("/lowstate", noise, times, times)
+
+
+def stamps(path, topic="/lowstate"):
+    with path.open("rb") as file:
+        found = make_reader(file, validate_crcs=True).iter_messages(topics=[topic])
+        return [message.log_time for _, _, message in found]
+
+
+@contextmanager
+def filled(path):
+    """A writer whose disk has just filled up."""
+    with SessionWriter(path) as writer:
+        with pytest.raises(RecordingError, match="No space left on device"):
+            fill(writer, 10)
+        yield writer
+
+
+def test_a_full_disk_leaves_a_whole_file_with_its_index(small_disk):
+    with filled(small_disk / "s.mcap") as writer:
+        taken = writer.counts["/lowstate"]
+    times = stamps(small_disk / "s.mcap")
+    assert times == [2 * MS * i for i in range(taken)]
+    assert taken * 2096 > SIZE / 3
+
+
+def test_there_is_room_for_last_words(small_disk):
+    with filled(small_disk / "s.mcap") as writer:
+        writer.write("/log", b"the disk is full", 10**12, 10**12)
+        writer.add_metadata({"recorder": {"stopped": "the disk is full"}})
+    with (small_disk / "s.mcap").open("rb") as file:
+        reader = make_reader(file)
+        assert [m.name for m in reader.iter_metadata()] == ["g1stream"]
+        assert reader.get_summary().statistics.message_count == len(
+            stamps(small_disk / "s.mcap")
+        ) + len(stamps(small_disk / "s.mcap", "/log"))
+    assert stamps(small_disk / "s.mcap", "/log") == [10**12]
+
+
+def test_a_disk_filled_by_somebody_else_still_leaves_what_was_whole(small_disk):
+    with SessionWriter(small_disk / "s.mcap") as writer:
+        fill(writer, 1)
+        with (small_disk / "other").open("wb", buffering=0) as other:
+            while other.write(bytes(4096)) == 4096:
+                if other.tell() > SIZE - 4096 * 2 - (small_disk / "s.mcap").stat().st_blocks * 512:
+                    break
+        with pytest.raises(RecordingError, match="No space left"):
+            fill(writer, 10)
+        kept = writer.counts["/lowstate"]
+    assert len(stamps(small_disk / "s.mcap")) == kept
+
+
+def test_a_disk_without_any_room_is_said_at_once(small_disk):
+    (small_disk / "other").write_bytes(bytes(SIZE - 4096))
+    with pytest.raises(RecordingError, match=r"cannot be (made|written any more): No space left"):
+        SessionWriter(small_disk / "s.mcap").attach("a.urdf", "text/xml", bytes(8192), 0)
+
+
+def test_room_claimed_and_not_used_is_given_back(tmp_path):
+    path = tmp_path / "s.mcap"
+    with SessionWriter(path) as writer:
+        fill(writer, 1)
+    assert path.stat().st_blocks * 512 < path.stat().st_size + 2**16
+
+
+def test_a_piece_that_fails_is_taken_back(tmp_path):
+    output = create(tmp_path / "x", force=False)
+    output.write(b"whole")
+    output.settle()
+    output.write(b"half")
+    output.take_back()
+    output.write(b"!")
+    output.close()
+    assert (tmp_path / "x").read_bytes() == b"whole!"
+
+
+def test_a_directory_that_may_not_be_written_is_said(tmp_path):
+    locked = tmp_path / "locked"
+    locked.mkdir(mode=0o555)
+    code = (
+        "import os, sys\n"
+        "from pathlib import Path\n"
+        "from g1stream.recording.output import create\n"
+        "os.getuid() or os.setuid(65534)\n"
+        "create(Path(sys.argv[1]), force=False)\n"
+    )
+    tmp_path.chmod(0o755)
+    for parent in tmp_path.parents[:2]:
+        parent.chmod(0o755)
+    command = [sys.executable, "-c", code, str(locked / "s.mcap")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert "cannot be made: Permission denied" in done.stderr

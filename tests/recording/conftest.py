@@ -37,6 +37,17 @@ def make_sample():
 
 
 @pytest.fixture
+def on_the_wire():
+    """The bytes of an instance of cyclonedds' classes as they are on the wire: padded to words."""
+
+    def encode(sample):
+        data = sample.serialize()
+        return data + bytes(-len(data) % 4)
+
+    return encode
+
+
+@pytest.fixture
 def write_session(tmp_path):
     """Writes (topic, samples) with the times T0 + i * STEP, received DELAY later."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
@@ -82,7 +83,8 @@ def to_parquet(session: Session, directory: Path) -> list[Path]:
             table.to_parquet(unfinished, engine="pyarrow")
             unfinished.replace(path)
         except OSError as error:
-            unfinished.unlink(missing_ok=True)
+            with suppress(OSError):
+                unfinished.unlink(missing_ok=True)
             raise RecordingError(
                 f"The table {path} cannot be written: {error.strerror or error}.",
                 "Choose another directory for it, or make room.",

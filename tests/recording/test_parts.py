@@ -1,0 +1,107 @@
+"""A session in several files is read as one."""
+
+import numpy as np
+import pytest
+
+from g1stream.dds.topics import LOWCMD, LOWSTATE
+from g1stream.errors import RecordingError
+from g1stream.recording.rotation import Limits, PartedWriter
+from g1stream.recording.session import open_session
+
+T0 = 1_700_000_000_000_000_000
+STEP = 100_000_000
+N = 60
+
+
+@pytest.fixture
+def samples(make_sample):
+    return {
+        "/lowcmd": [make_sample(LOWCMD).serialize() for _ in range(N)],
+        "/lowstate": [make_sample(LOWSTATE).serialize() for _ in range(N)],
+    }
+
+
+@pytest.fixture
+def write_parts(tmp_path, samples):
+    """Writes N samples of both topics in parts of two seconds: three parts."""
+
+    def write(name="session.mcap"):
+        def preface(writer):
+            writer.add_metadata({"host": "here"})
+            writer.attach("robot.urdf", "application/xml", b"<robot/>", T0)
+
+        path = tmp_path / name
+        with PartedWriter(path, preface, Limits(duration=2_000_000_000)) as writer:
+            for i in range(N):
+                for topic, data in samples.items():
+                    writer.write(topic, data[i], T0 + i * STEP + 9, T0 + i * STEP)
+                writer.flush_if_due(T0 + i * STEP + 9)
+            writer.add_metadata({"at_end": True})
+        return writer.paths
+
+    return write
+
+
+def test_any_part_opens_them_all(write_parts, samples):
+    paths = write_parts()
+    assert len(paths) == 3
+    for path in paths:
+        session = open_session(path)
+        assert session.paths == paths
+        assert session.complete
+        assert not session.absent_parts
+        assert session.topics == {"/lowcmd": N, "/lowstate": N}
+        assert list(session.replay_bytes("/lowstate")) == samples["/lowstate"]
+        np.testing.assert_array_equal(
+            session.command.publish_time, T0 + STEP * np.arange(N, dtype=np.int64)
+        )
+        assert session.metadata["host"] == "here"
+        assert session.metadata["at_end"] is True
+        assert session.attachments == {"robot.urdf": b"<robot/>"}
+
+
+def test_the_name_they_are_called_after_opens_them_too(write_parts, tmp_path):
+    paths = write_parts()
+    assert open_session(tmp_path / "session.mcap").paths == paths
+
+
+def test_a_part_that_is_gone_is_missed(write_parts, samples):
+    paths = write_parts()
+    paths[1].unlink()
+    session = open_session(paths[2])
+    assert session.absent_parts == [2]
+    assert not session.complete
+    found = list(session.replay_bytes("/lowcmd"))
+    assert 0 < len(found) < N
+    assert found[-1] == samples["/lowcmd"][-1]
+
+
+def test_the_first_part_that_is_gone_is_missed(write_parts):
+    paths = write_parts()
+    paths[0].unlink()
+    assert open_session(paths[1]).absent_parts == [1]
+
+
+def test_the_part_of_a_killed_recorder_is_not_complete(write_parts):
+    paths = write_parts()
+    content = paths[2].read_bytes()
+    paths[2].write_bytes(content[: len(content) // 2])
+    session = open_session(paths[0])
+    assert not session.complete
+    assert not session.absent_parts
+    assert 0 < session.topics["/lowcmd"] < N
+
+
+def test_parts_of_another_session_are_left_out(write_parts):
+    ours, others = write_parts(), write_parts("other.mcap")
+    others[2].rename(ours[0].with_name("session_004.mcap"))
+    session = open_session(ours[0])
+    assert session.paths == ours
+    assert session.complete
+
+
+def test_a_file_in_between_that_is_no_mcap_is_named(write_parts):
+    paths = write_parts()
+    paths[1].write_text("oops")
+    with pytest.raises(RecordingError, match=r"session_002\.mcap is not an MCAP file"):
+        open_session(paths[0])

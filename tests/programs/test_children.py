@@ -15,7 +15,7 @@ from g1stream.programs.children import Child, ChildError
 
 
 def sim(domain_id: int) -> Child:
-    return Child(["sim", f"--domain={domain_id}"])
+    return Child(["sim"], {"config": {"dds": {"domain": domain_id}}})
 
 
 def test_a_child_says_when_it_is_ready_and_what_it_did(domain_id):
@@ -29,18 +29,30 @@ def test_a_child_says_when_it_is_ready_and_what_it_did(domain_id):
 def test_a_child_that_cannot_start_says_why(tmp_path):
     path = tmp_path / "there.mcap"
     path.write_bytes(b"precious")
-    child = Child(["record", str(path)])
-    child.send({"config": {}})
+    child = Child(["record", str(path)], {"config": {}})
     with pytest.raises(ChildError, match="exists already"):
         child.wait_for("ready", timeout=20)
     child.kill()
 
 
 def test_a_child_that_ends_early_is_noticed(capfd):
-    child = Child(["sim", "--interface=nowhere0"])
+    child = Child(["sim", "--nonsense"], {"config": {}})
     with pytest.raises(ChildError, match="exit code 2"):
         child.wait_for("ready", timeout=20)
-    assert "nowhere0" in capfd.readouterr().err
+    assert "--nonsense" in capfd.readouterr().err
+
+
+def test_an_attached_program_without_a_parent_says_so():
+    done = subprocess.run(
+        [sys.executable, "-m", "g1stream", "sim", "--attached"],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert "Leave out --attached" in done.stdout
 
 
 def test_a_child_that_is_silent_is_not_waited_for_for_ever(domain_id):
@@ -62,7 +74,7 @@ def test_a_child_ends_when_its_parent_is_killed(domain_id):
     code = f"""
         import time
         from g1stream.programs.children import Child
-        child = Child(["sim", "--domain={domain_id}"])
+        child = Child(["sim"], {{"config": {{"dds": {{"domain": {domain_id}}}}}}})
         child.wait_for("ready", timeout=20)
         print(child._process.pid, flush=True)
         time.sleep(60)

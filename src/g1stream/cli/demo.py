@@ -80,7 +80,10 @@ class Demo(WireCommand):
 
         done = demo(motion, self.out, config, force=self.force, on_loop=prepare)
         if self.json:
-            print_json({**done.played.as_dict(), "summary": done.summary.as_dict()})
+            summary = done.summary.as_dict() if done.summary else None
+            print_json({**done.played.as_dict(), "summary": summary})
+        elif done.summary is None:
+            print(f"Nothing was played: {done.played.report.reason}.")
         else:
             print(render(done.summary))
             print(f"\nsession  {done.session}\npicture  {done.picture}")

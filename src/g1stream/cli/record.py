@@ -20,7 +20,7 @@ from g1stream.cli.common import (
     print_json,
     value,
 )
-from g1stream.errors import ConfigError, G1StreamError
+from g1stream.errors import G1StreamError
 from g1stream.realtime import stand_back
 
 if TYPE_CHECKING:
@@ -92,12 +92,7 @@ class Record(WireCommand):
 
         parent = ParentLine()
         try:
-            session = parent.next(timeout=10.0)
-            if session is None:
-                raise ConfigError(
-                    "No session was described on standard input.",
-                    "Leave out --attached; it is for programs that start a recorder.",
-                )
+            session = parent.greeting()
             report = record(
                 self.file,
                 Config.model_validate(session["config"]),

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from g1stream.cli.common import (
+    EXIT_BAD_INPUT,
     EXIT_OK,
     Flag,
     WireCommand,
@@ -15,6 +16,7 @@ from g1stream.cli.common import (
     print_json,
     value,
 )
+from g1stream.errors import G1StreamError
 
 if TYPE_CHECKING:
     from g1stream.sim.bridge import BridgeReport
@@ -56,22 +58,13 @@ class Sim(WireCommand):
 
     def run(self) -> int:
         """Simulate, and return the exit code."""
-        from g1stream.programs.children import ParentLine
         from g1stream.programs.sim import simulate
 
-        config = self.resolve()
         stopped: list[str] = []
         on_signals(stopped.append)
         if self.attached:
-            parent = ParentLine()
-            report = simulate(
-                config,
-                should_stop=lambda: bool(stopped) or parent.gone.is_set(),
-                on_event=_print_event,
-                on_ready=lambda: parent.say("ready"),
-            )
-            parent.say("done", **report.as_dict())
-            return EXIT_OK
+            return self._run_attached(stopped)
+        config = self.resolve()
         announce_wire(config)
         print(f"Simulating a G1, {config.sim.support}. Ctrl-C ends it.", file=sys.stderr)
         report = simulate(config, should_stop=lambda: bool(stopped), on_event=_print_event)
@@ -79,6 +72,25 @@ class Sim(WireCommand):
             print_json(report.as_dict())
         else:
             print(_summary(report))
+        return EXIT_OK
+
+    def _run_attached(self, stopped: list[str]) -> int:
+        from g1stream.config import Config
+        from g1stream.programs.children import ParentLine
+        from g1stream.programs.sim import simulate
+
+        parent = ParentLine()
+        try:
+            report = simulate(
+                Config.model_validate(parent.greeting()["config"]),
+                should_stop=lambda: bool(stopped) or parent.gone.is_set(),
+                on_event=_print_event,
+                on_ready=lambda: parent.say("ready"),
+            )
+        except G1StreamError as error:
+            parent.say("error", cause=error.cause, remedy=error.remedy)
+            return EXIT_BAD_INPUT
+        parent.say("done", **report.as_dict())
         return EXIT_OK
 
 

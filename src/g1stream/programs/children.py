@@ -15,10 +15,10 @@ import threading
 import time
 from typing import IO, TYPE_CHECKING, Any
 
-from g1stream.errors import G1StreamError
+from g1stream.errors import ConfigError, G1StreamError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
 __all__ = ["Child", "ChildError", "ParentLine"]
 
@@ -32,12 +32,13 @@ class Child:
 
     Args:
         command: the arguments after `g1stream`.
+        greeting: the first line that the child is sent: what it is to do, its `config` above all.
 
     Attributes:
         name: the subcommand.
     """
 
-    def __init__(self, command: Sequence[str]) -> None:
+    def __init__(self, command: Sequence[str], greeting: Mapping[str, Any]) -> None:
         self.name = command[0]
         # A session of its own: Ctrl-C in the terminal is for the parent, who ends the child.
         self._process = subprocess.Popen(
@@ -49,6 +50,7 @@ class Child:
         )
         self._lines: queue.Queue[dict[str, Any] | None] = queue.Queue()
         threading.Thread(target=self._read, daemon=True).start()
+        self.send(greeting)
 
     def _read(self) -> None:
         for line in _pipe(self._process.stdout):
@@ -60,7 +62,7 @@ class Child:
         """Whether the process still runs."""
         return self._process.poll() is None
 
-    def send(self, message: dict[str, Any]) -> None:
+    def send(self, message: Mapping[str, Any]) -> None:
         """Write one line to the child; a child that is gone hears nothing."""
         pipe = _pipe(self._process.stdin)
         try:
@@ -148,12 +150,19 @@ class ParentLine:
             lines.append(self._lines.get())
         return lines
 
-    def next(self, timeout: float) -> dict[str, Any] | None:
-        """The next line, or None when none comes in time."""
+    def greeting(self, timeout: float = 10.0) -> dict[str, Any]:
+        """The first line, which says what to do.
+
+        Raises:
+            ConfigError: none comes in time.
+        """
         try:
             return self._lines.get(timeout=timeout)
         except queue.Empty:
-            return None
+            raise ConfigError(
+                "Nothing was described on standard input.",
+                "Leave out --attached; it is for programs that start this one.",
+            ) from None
 
     @staticmethod
     def say(event: str, **values: Any) -> None:

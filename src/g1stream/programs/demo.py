@@ -30,12 +30,15 @@ _LOOK_AROUND = 0.5
 
 @dataclass(frozen=True)
 class DemoOutcome:
-    """What a demo made: the files, how the motion was played and how well it was followed."""
+    """What a demo made: the files, how the motion was played and how well it was followed.
+
+    Picture and summary are None where it was stopped before the first command.
+    """
 
     session: Path
-    picture: Path
     played: StreamOutcome
-    summary: Summary
+    picture: Path | None = None
+    summary: Summary | None = None
 
 
 def demo(
@@ -66,7 +69,7 @@ def demo(
     _make_directory(out)
     session_path, picture_path = out / "session.mcap", out / "tracking.png"
     _check_nobody_simulates(config)
-    sim = Child(_sim_command(config))
+    sim = Child(["sim"], {"config": config.model_dump(mode="json")})
     try:
         sim.wait_for("ready", timeout=20.0)
         played = stream(motion, config, record=session_path, force=force, on_loop=on_loop)
@@ -75,22 +78,11 @@ def demo(
         sim.kill()
     if played.recording:  # which names its files itself, with the time or in parts
         session_path = Path(played.recording["paths"][0])
+    if not played.report.commands:
+        return DemoOutcome(session_path, played)
     session = open_session(session_path)
     draw(session, picture_path)
-    return DemoOutcome(session_path, picture_path, played, summarise(session))
-
-
-def _sim_command(config: Config) -> list[str]:
-    command = [
-        "sim",
-        f"--domain={config.dds.domain}",
-        f"--interface={config.dds.interface}",
-        f"--support={config.sim.support}",
-        f"--rate={config.sim.rate}",
-    ]
-    if config.robot:
-        command.append(f"--robot={config.robot}")
-    return command + (["--viewer"] if config.sim.viewer else [])
+    return DemoOutcome(session_path, played, picture_path, summarise(session))
 
 
 def _make_directory(out: Path) -> None:

@@ -166,8 +166,9 @@ def _numbers(text: str, count: int, where: str) -> list[float]:
     except ValueError:
         numbers = []
     if len(numbers) != count or not all(map(isfinite, numbers)):
+        needed = f"{count} finite number{'s' * (count > 1)}"
         raise RobotError(
-            f"{where} has {text.strip()!r} where it needs {count} finite number{'s' * (count > 1)}.",
+            f"{where} has {text.strip()!r} where it needs {needed}.",
             "Correct it in the URDF.",
         )
     return numbers

@@ -1,0 +1,153 @@
+"""`g1stream convert` as a user meets it: output, exit codes, bad input, signals, a terminal."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+DEMO = Path(__file__).parents[2] / "src" / "g1stream" / "motion" / "demo.csv"
+COMMAND = [sys.executable, "-m", "g1stream", "convert"]
+
+
+def run(*arguments: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*COMMAND, *map(str, arguments)], capture_output=True, text=True, timeout=60, check=False
+    )
+
+
+@pytest.fixture
+def out(tmp_path):
+    return tmp_path / "out.mcap"
+
+
+def test_in_a_pipe_it_is_silent(out):
+    done = run("demo", out)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    assert out.stat().st_size > 0
+
+
+def test_the_summary_as_json(out):
+    done = run("demo", out, "--json", "--frames", "10:40", "--base-time", "1970-01-01T00:01Z")
+    told = json.loads(done.stdout)
+    assert told["path"] == str(out)
+    assert told["size"] == out.stat().st_size
+    assert told["counts"]["/tf"] == 30
+    assert told["start_ns"] == 60 * 10**9 + 333_333_333
+
+
+def test_on_a_terminal_there_is_a_bar_and_a_summary(out):
+    leader, follower = pty.openpty()
+    with subprocess.Popen([*COMMAND, "demo", str(out)], stdout=follower, stderr=follower):
+        os.close(follower)
+        shown = b""
+        with suppress(OSError):  # that is how a terminal says that nobody writes any more
+            while True:
+                shown += os.read(leader, 4096)
+    os.close(leader)
+    assert b"100 %" in shown
+    assert b"/reference/joint_states" in shown
+
+
+def test_check_prints_what_is_in_the_file():
+    done = run("--check", "demo")
+    assert done.returncode == 0
+    for words in ("29", "9 left_hip_pitch_joint", "37 right_wrist_yaw_joint", "quaternion norm"):
+        assert words in done.stdout
+    assert "13 left_ankle_pitch_joint" in done.stdout
+    assert "14 left_ankle_roll_joint" not in done.stdout, "only the first five and the last five"
+
+
+def test_check_finds_what_is_wrong(tmp_path):
+    path = tmp_path / "clip.csv"
+    path.write_text(DEMO.read_text().replace("left_knee_joint", "left_kneee_joint", 1))
+    done = run("--check", path)
+    assert done.returncode == 1
+    assert "not in the URDF left_kneee_joint" in done.stdout
+    assert "not in the file left_knee_joint" in done.stdout
+    as_json = json.loads(run("--check", path, "--json").stdout)
+    assert as_json["all_well"] is False
+    assert as_json["not_in_file"] == ["left_knee_joint"]
+
+
+def spoiled(tmp_path: Path, old: str, new: str) -> Path:
+    path = tmp_path / "spoiled.csv"
+    path.write_text(DEMO.read_text().replace(old, new, 1))
+    return path
+
+
+CASES = {
+    "no such motion": (lambda tmp: [tmp / "nowhere.csv", tmp / "a.mcap"], "nowhere.csv"),
+    "an unknown joint": (
+        lambda tmp: [spoiled(tmp, "left_knee_joint", "knee"), tmp / "a.mcap"],
+        "lacks joints that the robot has: left_knee_joint",
+    ),
+    "a word for a number": (
+        lambda tmp: [spoiled(tmp, "\n0,", "\n0,x"), tmp / "a.mcap"],
+        "line 2, column 2 (X)",
+    ),
+    "no output": (lambda tmp: ["demo"], "no file to write to"),
+    "no directory": (lambda tmp: ["demo", tmp / "nowhere" / "a.mcap"], "mkdir -p"),
+    "a file that is there": (lambda tmp: ["demo", spoiled(tmp, "", "")], "exists already"),
+    "no frame rate": (lambda tmp: ["demo", tmp / "a.mcap", "--fps", "0"], "frames a second"),
+    "a time without a zone": (
+        lambda tmp: ["demo", tmp / "a.mcap", "--base-time", "2026-03-01T12:00:00"],
+        "has no zone",
+    ),
+    "frames backwards": (lambda tmp: ["demo", tmp / "a.mcap", "--frames", "9:3"], "9:3"),
+    "no range": (lambda tmp: ["demo", tmp / "a.mcap", "--frames", "9"], "not a range of frames"),
+    "no rate": (lambda tmp: ["demo", tmp / "a.mcap", "--resample", "-5"], "cannot be sampled"),
+    "no such link": (lambda tmp: ["demo", tmp / "a.mcap", "--root-link", "hip"], "no link 'hip'"),
+    "no URDF": (lambda tmp: ["demo", tmp / "a.mcap", "--urdf", DEMO], "is not XML"),
+    "a topic that is taken": (lambda tmp: ["demo", tmp / "a.mcap", "--topic", "/scene"], "/scene"),
+    "a world that is a link": (
+        lambda tmp: ["demo", tmp / "a.mcap", "--world-frame", "pelvis"],
+        "'pelvis'",
+    ),
+    "an unknown compression": (
+        lambda tmp: ["demo", tmp / "a.mcap", "--compression", "zip"],
+        "zstd",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_bad_input_has_a_cause_a_remedy_and_leaves_no_file(case, tmp_path):
+    arguments, word = CASES[case]
+    given = arguments(tmp_path)
+    before = sorted(tmp_path.iterdir())
+    done = run(*given)
+    assert done.returncode == 2
+    assert word in done.stderr
+    assert "Traceback" not in done.stderr
+    assert done.stdout == ""
+    assert sorted(tmp_path.iterdir()) == before
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_leaves_no_file(tmp_path, number):
+    header, *lines = DEMO.read_text().splitlines()
+    motion = tmp_path / "long.csv"
+    rows = (f"{i},{lines[i % len(lines)].split(',', 1)[1]}" for i in range(20_000))
+    motion.write_text("\n".join((header, *rows)))
+    with subprocess.Popen(
+        [*COMMAND, str(motion), str(tmp_path / "a.mcap"), "--resample", "500"],
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        end = time.monotonic() + 30
+        while not list(tmp_path.glob(".a.mcap.*")) and time.monotonic() < end:
+            time.sleep(0.01)
+        process.send_signal(number)
+        _, told = process.communicate(timeout=30)
+    assert process.returncode == 128 + number
+    assert number.name in told
+    assert list(tmp_path.iterdir()) == [motion]

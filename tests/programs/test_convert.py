@@ -1,0 +1,335 @@
+"""Converted files, decoded with other people's packages and compared with yourdfpy's kinematics."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections import defaultdict
+from dataclasses import replace
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yourdfpy
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoders
+from mcap_ros2.decoder import DecoderFactory as Ros2Decoders
+from scipy.spatial.transform import Rotation
+
+from g1stream.errors import ConfigError, G1StreamError, MotionError, RecordingError, RobotError
+from g1stream.motion.motion import Motion
+from g1stream.motion.readers import load_motion
+from g1stream.programs.convert import Conversion, convert
+from g1stream.recording.metadata import metadata_from_strings
+from g1stream.robot.joints import JOINT_NAMES
+from g1stream.robot.model import G1
+
+T0 = 1_700_000_000_000_000_000
+JOINTS = "/reference/joint_states"
+
+
+@pytest.fixture(scope="module")
+def motion():
+    """300 frames, the joints anywhere within their limits and the root anywhere."""
+    robot, rng = G1.default(), np.random.default_rng(9)
+    return Motion(
+        name="anywhere",
+        fps=30.0,
+        joint_names=JOINT_NAMES,
+        joint_pos=rng.uniform(robot.lower, robot.upper, (300, 29)),
+        root_pos=rng.normal(size=(300, 3)),
+        root_quat_wxyz=rng.normal(size=(300, 4)),
+    )
+
+
+@pytest.fixture
+def out(tmp_path):
+    return tmp_path / "out.mcap"
+
+
+def read(path):
+    """Messages by topic, each with its decoded body."""
+    found = defaultdict(list)
+    with path.open("rb") as file:
+        factories = [ProtobufDecoders(), Ros2Decoders()]
+        reader = make_reader(file, validate_crcs=True, decoder_factories=factories)
+        for _, channel, message, body in reader.iter_decoded_messages():
+            found[channel.topic].append((message, body))
+    return found
+
+
+def world_poses(body, world="world"):
+    """Each link's matrix, by following the frames from the world as a viewer does."""
+    found = {world: np.eye(4)}
+    for t in body.transforms:
+        p, q = t.translation, t.rotation
+        local = np.eye(4)
+        local[:3, :3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
+        local[:3, 3] = p.x, p.y, p.z
+        found[t.child_frame_id] = found[t.parent_frame_id] @ local
+    return found
+
+
+def root_matrix(motion, frame):
+    matrix = np.eye(4)
+    matrix[:3, :3] = Rotation.from_quat(np.roll(motion.root_quat_wxyz[frame], -1)).as_matrix()
+    matrix[:3, 3] = motion.root_pos[frame]
+    return matrix
+
+
+def yourdfpy_poses(motion, frame):
+    """Each link's matrix in its root link, by yourdfpy."""
+    urdf = yourdfpy.URDF.load(StringIO(G1.default().urdf), load_meshes=False)
+    urdf.update_cfg(dict(zip(JOINT_NAMES, motion.joint_pos[frame], strict=True)))
+    return {link: urdf.get_transform(link) for link in urdf.link_map}
+
+
+def test_every_link_is_where_yourdfpy_has_it(motion, out):
+    report = convert(motion, out)
+    messages = read(out)
+    assert {topic: len(found) for topic, found in messages.items()} == report.counts
+    assert report.counts == {"/tf": 300, JOINTS: 300, "/scene": 1, "/robot_description": 1}
+    for frame in (0, 127, 128, 299):
+        poses = world_poses(messages["/tf"][frame][1])
+        expected = yourdfpy_poses(motion, frame)
+        assert poses.keys() == {"world", *expected}
+        for link, in_root in expected.items():
+            matrix = root_matrix(motion, frame) @ in_root
+            np.testing.assert_allclose(poses[link], matrix, atol=1e-9)
+
+
+def test_composed_down_the_tree_or_flat_is_the_same(motion, out, tmp_path):
+    flat = tmp_path / "flat.mcap"
+    convert(motion, out)
+    convert(motion, flat, Conversion(flat=True))
+    for (_, tree), (_, straight) in zip(read(out)["/tf"], read(flat)["/tf"], strict=True):
+        assert {t.parent_frame_id for t in straight.transforms} == {"world"}
+        composed, given = world_poses(tree), world_poses(straight)
+        assert composed.keys() == given.keys()
+        for link, matrix in composed.items():
+            np.testing.assert_allclose(given[link], matrix, atol=1e-9)
+
+
+def test_joint_states_are_the_motions(motion, out):
+    convert(motion, out)
+    for frame, (_, body) in enumerate(read(out)[JOINTS]):
+        assert tuple(joint.name for joint in body.joints) == JOINT_NAMES
+        assert [joint.position for joint in body.joints] == motion.joint_pos[frame].tolist()
+        assert not any(joint.HasField("velocity") for joint in body.joints)
+
+
+def stamps_of(body):
+    """The stamps inside a message."""
+    inside = getattr(body, "transforms", None) or getattr(body, "entities", None) or [body]
+    return {item.timestamp.ToNanoseconds() for item in inside}
+
+
+def test_log_time_publish_time_and_the_stamps_inside_are_one(motion, out):
+    convert(motion, out, Conversion(base_time_ns=T0))
+    messages = read(out)
+    for topic in ("/tf", JOINTS):
+        for frame, (message, body) in enumerate(messages[topic]):
+            exact = T0 + (2 * frame * 10**9 + 30) // 60
+            assert message.log_time == message.publish_time == exact
+            assert message.sequence == frame + 1
+            assert stamps_of(body) == {exact}
+    for topic in ("/scene", "/robot_description"):
+        ((message, _),) = messages[topic]
+        assert message.log_time == message.publish_time == T0
+    ((_, scene),) = messages["/scene"]
+    assert stamps_of(scene) == {T0}
+
+
+def test_the_time_zone_of_the_machine_changes_nothing(tmp_path):
+    contents = set()
+    for zone in ("UTC", "Asia/Tokyo", "America/New_York"):
+        path = tmp_path / f"{zone.replace('/', '-')}.mcap"
+        command = ["-m", "g1stream", "convert", "demo", str(path)]
+        flags = ["--base-time", "2026-03-01T12:00:00+01:00", "--frames", ":40"]
+        environment = {**os.environ, "TZ": zone}
+        subprocess.run([sys.executable, *command, *flags], check=True, env=environment)
+        contents.add(path.read_bytes())
+    assert len(contents) == 1
+    ((message, body), *_) = read(path)["/tf"]
+    assert message.log_time == 1_772_362_800 * 10**9
+    assert stamps_of(body) == {message.log_time}
+
+
+def test_half_the_rate_plays_half_as_fast(motion, out, tmp_path):
+    slow = tmp_path / "slow.mcap"
+    convert(motion, out)
+    convert(motion, slow, fps=15.0)
+    fast_times = [message.log_time for message, _ in read(out)["/tf"]]
+    slow_times = [message.log_time for message, _ in read(slow)["/tf"]]
+    assert len(fast_times) == len(slow_times)
+    assert (fast_times[150], slow_times[150]) == (5 * 10**9, 10 * 10**9)
+    assert slow_times[-1] == (2 * 299 * 10**9 + 15) // 30
+
+
+@pytest.mark.parametrize(
+    ("frames", "kept"),
+    [((10, 200), range(10, 200)), ((290, None), range(290, 300)), ((None, 1), range(1))],
+)
+def test_a_part_has_the_messages_of_the_whole(motion, out, tmp_path, frames, kept):
+    part = tmp_path / "part.mcap"
+    convert(motion, out)
+    convert(motion, part, Conversion(frames=frames))
+    whole, cut = read(out), read(part)
+    for topic in ("/tf", JOINTS):
+        assert [m.data for m, _ in cut[topic]] == [whole[topic][i][0].data for i in kept]
+        assert [m.log_time for m, _ in cut[topic]] == [whole[topic][i][0].log_time for i in kept]
+
+
+def test_resampled_joints_go_through_the_frames_and_have_velocities(motion, out):
+    report = convert(motion, out, Conversion(resample=90.0))
+    assert report.rate == 90.0
+    bodies = [body for _, body in read(out)[JOINTS]]
+    assert len(bodies) == 299 * 3 + 1
+    position = np.array([[joint.position for joint in body.joints] for body in bodies])
+    velocity = np.array([[joint.velocity for joint in body.joints] for body in bodies])
+    np.testing.assert_allclose(position[::3], motion.joint_pos, atol=1e-9)
+    # Simpson's rule is exact on cubics, up to where they are joined: over two samples of three.
+    moved = (velocity[:-2] + 4 * velocity[1:-1] + velocity[2:]) / (6 * 45.0)
+    inside = np.arange(len(moved)) % 3 < 2
+    np.testing.assert_allclose(moved[inside], (position[2:] - position[:-2])[inside], atol=1e-9)
+    assert all(joint.HasField("acceleration") for joint in bodies[7].joints)
+
+
+def test_resampled_times_are_exact(motion, out):
+    convert(motion, out, Conversion(resample=90.0, base_time_ns=T0))
+    times = [message.log_time for message, _ in read(out)["/tf"]]
+    assert times == [T0 + (2 * i * 10**9 + 90) // 180 for i in range(len(times))]
+
+
+def test_without_a_floating_root_the_pelvis_is_at_the_origin(motion, out):
+    convert(motion, out, Conversion(floating_root=False))
+    for frame, (_, body) in list(enumerate(read(out)["/tf"]))[::50]:
+        poses = world_poses(body)
+        for link, in_root in yourdfpy_poses(motion, frame).items():
+            np.testing.assert_allclose(poses[link], in_root, atol=1e-9)
+
+
+@pytest.mark.parametrize("floating", [True, False])
+def test_another_link_can_be_the_one_whose_pose_the_motion_says(motion, out, floating):
+    convert(motion, out, Conversion(root_link="torso_link", floating_root=floating))
+    for frame, (_, body) in list(enumerate(read(out)["/tf"]))[::50]:
+        assert body.transforms[0].child_frame_id == "pelvis"
+        poses, in_root = world_poses(body), yourdfpy_poses(motion, frame)
+        torso = root_matrix(motion, frame) if floating else np.eye(4)
+        np.testing.assert_allclose(poses["torso_link"], torso, atol=1e-9)
+        hand = np.linalg.inv(in_root["torso_link"]) @ in_root["left_wrist_yaw_link"]
+        np.testing.assert_allclose(poses["left_wrist_yaw_link"], torso @ hand, atol=1e-9)
+
+
+def test_names_of_the_world_and_of_the_topic(motion, out):
+    convert(motion, out, Conversion(world_frame="map", topic="/clip/tf"))
+    messages = read(out)
+    assert "/tf" not in messages
+    assert messages["/clip/tf"][0][1].transforms[0].parent_frame_id == "map"
+
+
+def test_the_urdf_is_in_the_file_twice_and_the_motion_once(out):
+    source = Path(load_motion("demo").source)
+    convert("demo", out)
+    urdf = G1.default().urdf
+    with out.open("rb") as file:
+        attachments = {a.name: a.data for a in make_reader(file).iter_attachments()}
+    assert attachments == {"robot.urdf": urdf.encode(), "demo.csv": source.read_bytes()}
+    assert read(out)["/robot_description"][0][1].data == urdf
+    with out.open("rb") as file:
+        (record,) = make_reader(file).iter_metadata()
+    values = metadata_from_strings(record.metadata)
+    assert values["motion"]["sha256"] == load_motion("demo").sha256
+    assert values["conversion"]["base_time_ns"] == 0
+
+
+def test_the_same_input_gives_the_same_bytes(out, tmp_path):
+    again = tmp_path / "again.mcap"
+    convert("demo", out)
+    convert("demo", again)
+    assert out.read_bytes() == again.read_bytes()
+
+
+def test_progress_rises_to_all(motion, out):
+    told = []
+    convert(motion, out, on_progress=told.append)
+    assert told == sorted(told)
+    assert told[-1] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({"frames": (200, 100)}, MotionError, "Frames 200:100 are not a part"),
+        ({"frames": (0, 301)}, MotionError, "which has 300"),
+        ({"resample": 0.0}, MotionError, "cannot be sampled at 0"),
+        ({"resample": float("nan")}, MotionError, "cannot be sampled at nan"),
+        ({"root_link": "head"}, RobotError, "no link 'head'"),
+        ({"world_frame": "pelvis"}, ConfigError, "cannot be called 'pelvis'"),
+        ({"topic": "/scene"}, ConfigError, "something else is there"),
+        ({"topic": ""}, ConfigError, "no name"),
+        ({"base_time_ns": 2**63 - 1}, ConfigError, "2262"),
+    ],
+)
+def test_what_cannot_be_done_is_said_and_leaves_nothing(motion, out, options, error, message):
+    with pytest.raises(error, match=message):
+        convert(motion, out, Conversion(**options))
+    assert list(out.parent.iterdir()) == []
+
+
+def test_a_motion_is_not_converted_into_itself(tmp_path):
+    source = tmp_path / "clip.csv"
+    source.write_bytes(Path(load_motion("demo").source).read_bytes())
+    before = source.read_bytes()
+    with pytest.raises(RecordingError, match="is what is converted"):
+        convert(source, source, Conversion(force=True))
+    assert source.read_bytes() == before
+
+
+def test_a_motion_of_another_robot_is_refused(motion, out):
+    other = replace(motion, joint_names=tuple(reversed(JOINT_NAMES)))
+    with pytest.raises(G1StreamError, match="are not those of the robot"):
+        convert(other, out)
+
+
+HOUR = """
+import resource, sys
+from g1stream.cli.main import main
+code = main(["convert", sys.argv[1], sys.argv[2]])
+print(code, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)
+"""
+
+
+def test_a_long_motion_needs_little_more_memory_than_a_short_one(tmp_path):
+    """Twenty minutes and one: the difference is the motion itself, 36 doubles a frame, not what
+    is written for it, which is twenty times as much.
+    """
+    header, *lines = Path(load_motion("demo").source).read_text().splitlines()
+    peak = {}
+    for minutes in (1, 20):
+        motion = tmp_path / f"{minutes}.csv"
+        rows = (f"{i},{lines[i % len(lines)].split(',', 1)[1]}" for i in range(minutes * 60 * 30))
+        motion.write_text("\n".join((header, *rows)))
+        command = [sys.executable, "-c", HOUR, str(motion), str(tmp_path / f"{minutes}.mcap")]
+        done = subprocess.run(command, check=True, capture_output=True, text=True)
+        code, peak[minutes] = map(int, done.stdout.split())
+        assert code == 0
+    frames = 19 * 60 * 30
+    assert (peak[20] - peak[1]) * 2**20 < 5 * frames * 36 * 8
+
+
+IMPORTS = """
+import sys
+from g1stream.cli.main import main
+code = main(["convert", "demo", sys.argv[1]])
+heavy = ("scipy", "trimesh", "yourdfpy", "mujoco", "cyclonedds", "pydantic", "matplotlib")
+print(code, [name for name in heavy if name in sys.modules])
+"""
+
+
+def test_conversion_imports_nothing_that_it_does_not_need(out):
+    command = [sys.executable, "-c", IMPORTS, str(out)]
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    assert done.stdout == "0 []\n"

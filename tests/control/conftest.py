@@ -36,6 +36,8 @@ class FakeClock:
         oversleeps: by how much the sleep until a deadline takes too long, ns.
     """
 
+    _LIMIT = 100_000_000_000
+
     def __init__(self) -> None:
         self.time = 5_000_000_000
         self.deadlines: list[int] = []
@@ -51,6 +53,7 @@ class FakeClock:
         self.deadlines.append(deadline)
         if deadline > self.time:
             self.time = deadline + self.oversleeps.get(deadline, 0)
+        assert self.time < self._LIMIT, "the loop does not end"
 
     def work(self, duration: int) -> None:
         """Let time pass, ns."""
@@ -92,12 +95,16 @@ class FakeLink:
         self._pending: bytes | None = None
         self._n_listeners = 0
         self._rivals: list[str] = []
+        self._support: str | None = None
 
     def listeners(self) -> int:
         return self._n_listeners
 
     def rivals(self) -> list[str]:
         return list(self._rivals)
+
+    def support(self) -> str | None:
+        return self._support
 
     def receive(self, state: LowState) -> bool:
         data = self._pending if self.silent else self.robot.tobytes()
@@ -163,6 +170,13 @@ class FakeLink:
         self._n_listeners += 1
         yield
         self._n_listeners -= 1
+
+    @contextmanager
+    def held(self, support: str) -> Iterator[None]:
+        """Meanwhile there is a bridge that says how it holds the robot."""
+        self._support = support
+        yield
+        self._support = None
 
     @contextmanager
     def rivalled(self) -> Iterator[str]:

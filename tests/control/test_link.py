@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from g1stream.control.link import DdsLink
+from g1stream.dds.announcement import user_data_of_support
 from g1stream.dds.domain import Participant
 from g1stream.dds.messages import Log, LowCmd, LowState, Reference
 from g1stream.dds.raw import RawReader, RawWriter
@@ -20,6 +21,7 @@ class FakeEnds:
     def __init__(self, link):
         self.link = link
         self.listening = link.listening
+        self.held = link.held
         self.rivalled = link.rivalled
         self.publish_state = link.publish_state
 
@@ -56,6 +58,13 @@ class DdsEnds:
     def rivalled(self):
         writer = RawWriter(self._theirs, LOWCMD)
         yield "pid"
+        writer.close()
+
+    @contextmanager
+    def held(self, support):
+        data = user_data_of_support(support)
+        writer = RawWriter(self._theirs, LOWSTATE, user_data=data)
+        yield
         writer.close()
 
     def publish_state(self, data):
@@ -102,6 +111,7 @@ def test_an_empty_wire(ends):
     state = LowState()
     assert ends.link.listeners() == 0
     assert ends.link.rivals() == []
+    assert ends.link.support() is None
     assert not ends.link.receive(state)
     assert state.tobytes() == LowState().tobytes()
 
@@ -110,6 +120,12 @@ def test_listeners_come_and_go(ends, until):
     with ends.listening():
         until(lambda: ends.link.listeners() == 1, "a listener")
     until(lambda: ends.link.listeners() == 0, "its departure")
+
+
+def test_a_bridge_says_how_it_holds_the_robot(ends, until):
+    with ends.held("hanging"):
+        until(lambda: ends.link.support() == "hanging", "the support")
+    until(lambda: ends.link.support() is None, "the departure of the bridge")
 
 
 def test_the_newest_state_is_received_once(ends, until):

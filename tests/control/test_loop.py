@@ -1,5 +1,7 @@
 """The loop from WAIT to DONE on a clock and a wire of the test's own: every command, to the ns."""
 
+import gc
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -7,6 +9,7 @@ import pytest
 
 from g1stream.config import SafetyConfig
 from g1stream.control.phases import Phase
+from g1stream.control.report import LoopReport
 from g1stream.control.targets import Targets
 from g1stream.motion.trajectory import Trajectory
 
@@ -184,3 +187,42 @@ def test_damping_is_commanded_in_full_whatever_stalls(make_loop, link, clock, ph
 def test_waiting_is_not_counted_as_skipping(make_loop, clock):
     clock.oversleeps[clock.now() + 10 * PERIOD] = 20 * PERIOD
     assert make_loop().run().skipped == 0
+
+
+@pytest.fixture
+def no_collector():
+    """As in a session: what refers to itself would stay for ever."""
+    gc.collect()
+    gc.disable()
+    yield
+    gc.enable()
+
+
+@pytest.mark.usefixtures("no_collector")
+def test_memory_does_not_grow_with_the_motion(make_loop, link, clock, motion, timing, monkeypatch):
+    looping = Targets(Trajectory(motion, loop=True), start=0.0, play=None, ramp=0.1)
+    loop = make_loop(targets=looping, timing=replace(timing, play=None))
+    blocks = []
+
+    def send(command, reference, stamp):
+        if loop.report.commands in (1000, 3000):
+            blocks.append(sys.getallocatedblocks())
+        if loop.report.commands == 3000:
+            loop.request_stop("enough")
+
+    monkeypatch.setattr(link, "send", send)
+    monkeypatch.setattr(type(clock), "sleep_until", sleep_without_a_record)
+    loop.run()
+    assert len(blocks) == 2
+    assert blocks[1] - blocks[0] < 100  # in 2,000 ticks
+
+
+def sleep_without_a_record(clock, deadline):
+    clock.time = max(clock.time, deadline)
+
+
+def test_a_report_of_fewer_than_two_commands_has_no_rate():
+    report = LoopReport(PERIOD, np.zeros(29, dtype=np.int64))
+    assert np.isnan(report.rate)
+    report.commands, report.first_stamp, report.last_stamp = 1, 5, 5
+    assert np.isnan(report.rate)

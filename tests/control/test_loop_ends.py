@@ -114,7 +114,7 @@ def test_nobody_listens(make_loop, bare_link, clock):
     bare_link.silent = False
     start = clock.now()
     report = make_loop(link=bare_link).run()
-    assert report.reason
+    assert report.reason == "nobody came to read rt/lowcmd within 1 s"
     assert bare_link.sent == []
     assert clock.now() - start == 1000 * MS - PERIOD
 
@@ -123,7 +123,7 @@ def test_no_state_comes(make_loop, link, clock):
     link.silent = True
     start = clock.now()
     report = make_loop().run()
-    assert report.reason
+    assert report.reason == "no LowState came within 1 s"
     assert report.states == 0
     assert link.sent == []
     assert clock.now() - start == 1000 * MS - PERIOD

@@ -193,14 +193,17 @@ class StreamLoop:
     def _advance(self, now: int, deadline: int) -> None:
         before = self.state
         stop = self._stop_reason or self._verdict(now) or self._rival(now)
-        ready = before.phase is Phase.WAIT and self._ready(now)
-        self.state = step(deadline, before, Inputs(ready, stop), self._timing)
+        settled = now - before.since >= self._settle
+        missing = self._missing() if before.phase is Phase.WAIT else ""
+        inputs = Inputs(settled and not missing, stop, missing)
+        self.state = step(deadline, before, inputs, self._timing)
         if self.state.phase is not before.phase:
             self._entered(before.phase)
 
-    def _ready(self, now: int) -> bool:
-        settled = now - self.state.since >= self._settle
-        return settled and self._measured is not None and self._link.listeners() > 0
+    def _missing(self) -> str:
+        if self._measured is None:
+            return "no LowState came"
+        return "" if self._link.listeners() else "nobody came to read rt/lowcmd"
 
     def _verdict(self, now: int) -> str:
         if self._measured is None or self.state.phase >= Phase.DAMP:

@@ -48,11 +48,13 @@ class Inputs:
 
     Attributes:
         ready: a LowState has come and somebody reads LowCmd.
+        missing: what did not come, for the reason of a wait in vain.
         stop: why the session must end now; empty while it may go on.
     """
 
     ready: bool = False
     stop: str = ""
+    missing: str = "nobody answered"
 
 
 @dataclass(frozen=True)
@@ -90,7 +92,7 @@ def _leave_wait(now: int, state: PhaseState, inputs: Inputs, timing: Timing) -> 
     if inputs.ready:
         return PhaseState(Phase.RAMP, now)
     if state.elapsed(now) >= timing.wait:
-        return PhaseState(Phase.DONE, now, "nobody answered in time")
+        return PhaseState(Phase.DONE, now, f"{inputs.missing} within {timing.wait / 1e9:g} s")
     return state
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Protocol, Union
 import tyro
 
 from g1stream._version import __version__
-from g1stream.cli.common import EXIT_BAD_INPUT, print_error
+from g1stream.cli.common import EXIT_BAD_INPUT, EXIT_STOPPED, print_error
 from g1stream.errors import G1StreamError
 
 if TYPE_CHECKING:
@@ -56,10 +56,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"g1stream {__version__}")
         return 0
     try:
-        return _parse(arguments).run()
+        code = _parse(arguments).run()
+        sys.stdout.flush()
     except G1StreamError as error:
         print_error(error)
         return EXIT_BAD_INPUT
+    except BrokenPipeError:
+        # Whoever read our output is gone; nor can what is buffered still be told at the exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_STOPPED
+    return code
 
 
 def _parse(arguments: Sequence[str]) -> _Command:

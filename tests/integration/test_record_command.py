@@ -1,0 +1,189 @@
+"""`g1stream record` and `stream --record` as a user runs them, and what can go wrong with them."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from contextlib import contextmanager
+
+import pytest
+from mcap.reader import make_reader
+
+from g1stream.dds.domain import Participant
+from g1stream.dds.messages import LowState
+from g1stream.dds.raw import RawWriter
+from g1stream.dds.topics import LOWSTATE
+from g1stream.recording.session import open_session
+
+PROGRAM = [sys.executable, "-m", "g1stream"]
+
+
+@contextmanager
+def command(*arguments, **options):
+    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, **options}
+    process = subprocess.Popen([*PROGRAM, *map(str, arguments)], **streams)
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+@contextmanager
+def robot(domain_id, rate=500):
+    """LowStates at a rate, from a thread; yields what has been sent so far."""
+    stop, sent = threading.Event(), []
+    with Participant(domain_id, "lo") as participant:
+        writer, state = RawWriter(participant, LOWSTATE, 100), LowState()
+
+        def publish():
+            while not stop.is_set():
+                if writer.matched:
+                    state.tick[()] = len(sent)
+                    sent.append(state.seal())
+                    writer.write(sent[-1])
+                time.sleep(1 / rate)
+
+        thread = threading.Thread(target=publish)
+        thread.start()
+        try:
+            yield sent
+        finally:
+            stop.set()
+            thread.join()
+
+
+def lowstates(path):
+    with path.open("rb") as file:
+        found = make_reader(file, validate_crcs=True).iter_messages(topics=["/lowstate"])
+        return [message.data for _, _, message in found]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGTSTP])
+def test_every_signal_of_a_terminal_ends_with_a_whole_file(domain_id, tmp_path, until, number):
+    path = tmp_path / "s.mcap"
+    with (
+        robot(domain_id) as sent,
+        command("record", path, "--domain", domain_id, "--json") as process,
+    ):
+        until(lambda: len(sent) > 200, "samples")
+        process.send_signal(number)
+        said, _ = process.communicate(timeout=20)
+    assert process.returncode == 0
+    recorded = lowstates(path)
+    assert len(recorded) == json.loads(said)["counts"]["/lowstate"] >= 200
+    first = sent.index(recorded[0])
+    assert recorded == sent[first : first + len(recorded)]
+
+
+def test_a_reader_of_the_output_that_goes_away_costs_no_recording(domain_id, tmp_path, until):
+    path = tmp_path / "s.mcap"
+    reading, writing = os.pipe()
+    with (
+        robot(domain_id) as sent,
+        command("record", path, "--domain", domain_id, stdout=writing) as process,
+    ):
+        os.close(writing)
+        os.close(reading)
+        until(lambda: len(sent) > 200, "samples")
+        process.send_signal(signal.SIGINT)
+        _, told = process.communicate(timeout=20)
+    assert "Traceback" not in told
+    assert open_session(path).complete
+    assert len(lowstates(path)) >= 200
+
+
+def test_parts_are_recorded_and_named(domain_id, tmp_path, until):
+    with (
+        robot(domain_id) as sent,
+        command(
+            "record", tmp_path / "s.mcap", "--domain", domain_id, "--split-duration", 0.5, "--json"
+        ) as process,
+    ):
+        until(lambda: len(sent) > 900, "samples")
+        process.send_signal(signal.SIGINT)
+        said, _ = process.communicate(timeout=20)
+    report = json.loads(said)
+    parts = sorted(tmp_path.glob("s_*.mcap"))
+    assert [str(part) for part in parts] == report["paths"]
+    assert len(parts) >= 3
+    recorded = [data for part in parts for data in lowstates(part)]
+    assert len(recorded) == report["counts"]["/lowstate"]
+    first = sent.index(recorded[0])
+    assert recorded == sent[first : first + len(recorded)]
+
+
+def test_a_file_is_never_replaced_unasked(domain_id, tmp_path, until):
+    path = tmp_path / "s.mcap"
+    path.write_bytes(b"precious")
+    with command("record", path, "--domain", domain_id) as process:
+        _, told = process.communicate(timeout=30)
+    assert process.returncode == 2
+    assert "--force" in told
+    assert "--auto-name" in told
+    assert path.read_bytes() == b"precious"
+    with (
+        robot(domain_id) as sent,
+        command("record", path, "--domain", domain_id, "--auto-name") as process,
+    ):
+        until(lambda: len(sent) > 50, "samples")
+        process.send_signal(signal.SIGINT)
+        process.communicate(timeout=20)
+    (named,) = tmp_path.glob("s-*Z.mcap")
+    assert open_session(named).complete
+
+
+def test_nothing_on_the_wire_is_an_exit_code_and_a_whole_file(domain_id, tmp_path):
+    path = tmp_path / "s.mcap"
+    with command("record", path, "--domain", domain_id) as process:
+        while not path.exists() or not path.stat().st_size:
+            time.sleep(0.05)
+        time.sleep(0.5)
+        process.send_signal(signal.SIGINT)
+        said, _ = process.communicate(timeout=20)
+    assert process.returncode == 1
+    assert "nothing was published" in said
+    with path.open("rb") as file:
+        assert make_reader(file).get_summary() is not None
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A directory that holds 3 MiB."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=3m", "none", str(place)]
+    done = subprocess.run(mount, capture_output=True, text=True, check=False)
+    if done.returncode:
+        pytest.skip(f"no small file system can be mounted here: {done.stderr.strip()}")
+    yield place
+    subprocess.run(["umount", str(place)], check=True)
+
+
+def test_a_full_disk_ends_the_recording_and_not_the_motion(domain_id, small_disk, tmp_path):
+    path = small_disk / "s.mcap"
+    patient = tmp_path / "patient.toml"  # with a simulator that shares a busy machine
+    patient.write_text("[safety]\nstate_timeout = 5.0\n")
+    play = ["stream", "demo", "--domain", domain_id, "--config", patient, "--json"]
+    play += ["--ramp", 0.5, "--duration", 4]
+    with (
+        command("sim", "--domain", domain_id),
+        command(*play, "--record", path) as stream,
+    ):
+        said, told = stream.communicate(timeout=60)
+    outcome = json.loads(said)
+    assert outcome["loop"]["reason"] == ""
+    assert "No space left on device" in outcome["recording"]["stopped"]
+    assert "record: The recording" in told
+    assert stream.returncode == 1
+    session = open_session(path)
+    assert session.complete
+    assert session.log[-1].text == outcome["recording"]["stopped"]
+    assert 100 < len(session.command) < outcome["loop"]["commands"]
+    assert session.metadata["stream"]["commands"] == outcome["loop"]["commands"]

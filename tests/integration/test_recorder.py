@@ -1,0 +1,204 @@
+"""The recorder on real DDS, its file read with the stock reader."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from g1stream.config import RecordConfig
+from g1stream.dds.domain import Participant
+from g1stream.dds.messages import LowState, Reference
+from g1stream.dds.raw import RawWriter
+from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE
+from g1stream.recording.clocks import ClockReading, read_clocks
+from g1stream.recording.recorder import Recorder
+from g1stream.recording.rotation import PartedWriter
+from g1stream.recording.session import open_session
+from g1stream.robot.model import G1
+
+S = 1_000_000_000
+
+
+class Publisher:
+    """Publishes numbered samples of some topics and remembers their bytes."""
+
+    def __init__(self, participant, *topics):
+        self.sent = {topic.name: [] for topic in topics}
+        self._made = [
+            (topic, RawWriter(participant, topic, 100), topic.message()) for topic in topics
+        ]
+
+    def matched(self):
+        return all(writer.matched for _, writer, _ in self._made)
+
+    def publish(self, tick, stamp=None):
+        stamp = stamp or time.time_ns()
+        for topic, writer, message in self._made:
+            message.payload[-8:] = tick % 251
+            if isinstance(message, (LowState, Reference)):
+                message.tick[()] = tick
+            if isinstance(message, Reference):
+                message.root_quat_wxyz[:] = 1, 0, 0, 0
+            if isinstance(message, LowState):
+                message.quaternion[:] = 1, 0, 0, 0
+            self.sent[topic.name].append(message.tobytes())
+            writer.write(message.tobytes(), stamp)
+
+    def run(self, ticks, rate=500, ahead_ns=0):
+        for tick in ticks:
+            self.publish(tick, time.time_ns() + ahead_ns)
+            time.sleep(1 / rate)
+
+
+@contextmanager
+def recording(domain_id, path, **options):
+    """A recorder in a thread of its own; it has stopped when this is left."""
+    stop = threading.Event()
+    with (
+        Participant(domain_id, "lo") as participant,
+        PartedWriter(path, lambda writer: None) as writer,
+    ):
+        recorder = Recorder(participant, writer, G1.load(), RecordConfig(), **options)
+        thread = threading.Thread(target=recorder.run, args=(stop.is_set,))
+        thread.start()
+        try:
+            yield recorder
+        finally:
+            stop.set()
+            thread.join()
+
+
+@pytest.fixture
+def record(domain_id, tmp_path, until):
+    """Runs `publish(publisher)` under a recorder; returns its report and the file."""
+
+    def run(topics, publish, **options):
+        path = tmp_path / "session.mcap"
+        with (
+            Participant(domain_id, "lo") as participant,
+            recording(domain_id, path, **options) as recorder,
+        ):
+            publisher = Publisher(participant, *topics)
+            until(publisher.matched, "the recorder's readers")
+            publish(publisher)
+        return recorder.report, path, publisher
+
+    return run
+
+
+def data_of(path, topic):
+    with path.open("rb") as file:
+        found = make_reader(file, validate_crcs=True).iter_messages(topics=[topic])
+        return [message.data for _, _, message in found]
+
+
+def logged(path):
+    return [event.text for event in open_session(path).log]
+
+
+def test_every_byte_of_the_wire_is_in_the_file(record):
+    report, path, publisher = record((LOWCMD, LOWSTATE, REFERENCE), lambda p: p.run(range(500)))
+    assert data_of(path, "/lowcmd") == publisher.sent[LOWCMD.name]
+    assert data_of(path, "/lowstate") == publisher.sent[LOWSTATE.name]
+    assert data_of(path, "/reference") == publisher.sent[REFERENCE.name]
+    assert report.whole
+    assert not any(report.missing.values())
+
+
+def test_what_follows_from_the_samples_is_beside_them(record):
+    report, path, _ = record((LOWCMD, LOWSTATE, REFERENCE), lambda p: p.run(range(300)))
+    for topic in ("/reference/joint_states", "/measured/joint_states"):
+        assert report.counts[topic] == 300
+    # A state and the reference of its very moment bear the same stamp here.
+    assert report.counts["/tracking_error/joint_states"] == 300
+    assert report.counts["/tf"] > 40
+    assert report.counts["/measured/tf"] > 40
+    assert report.measured_tf == {"yaw_offset_rad": 0.0, "position_from": "reference"}
+    assert any("turned by" in text for text in logged(path))
+
+
+def test_messages_of_a_topic_are_in_the_order_they_were_received(record):
+    _, path, _ = record((LOWCMD, LOWSTATE, REFERENCE), lambda p: p.run(range(300)))
+    times = {}
+    with path.open("rb") as file:
+        for _, channel, message in make_reader(file).iter_messages(log_time_order=False):
+            times.setdefault(channel.topic, []).append(message.log_time)
+    for topic, of_topic in times.items():
+        assert of_topic == sorted(of_topic), topic
+
+
+def test_somebody_elses_session_is_recorded_as_far_as_it_goes(record):
+    report, path, publisher = record((LOWCMD, LOWSTATE), lambda p: p.run(range(200)))
+    assert data_of(path, "/lowstate") == publisher.sent[LOWSTATE.name]
+    assert report.absent == ["/sportmodestate", "/secondary_imu", "/reference"]
+    assert {"/tf", "/reference/joint_states", "/tracking_error/joint_states"}.isdisjoint(
+        report.counts
+    )
+    assert report.counts["/measured/joint_states"] == 200
+    assert report.measured_tf == {"yaw_offset_rad": None, "position_from": "none"}
+    assert report.whole
+
+
+def test_holes_in_the_numbers_are_told(record):
+    told = []
+    report, path, _ = record(
+        (LOWSTATE,),
+        lambda p: p.run([*range(100), *range(107, 200)]),
+        on_event=lambda level, text: told.append(text),
+    )
+    assert report.missing["/lowstate"] == 7
+    assert not report.whole
+    assert told == ["7 samples of /lowstate did not arrive"]
+    assert logged(path) == told
+
+
+def test_two_publishers_are_not_taken_for_losses(record, domain_id):
+    def both(publisher):
+        with Participant(domain_id, "lo") as participant:
+            other = Publisher(participant, LOWSTATE)
+            while not other.matched():
+                time.sleep(0.01)
+            for tick in range(200):
+                publisher.publish(tick)
+                other.publish(tick + 90_000)
+                time.sleep(0.002)
+
+    report, _, _ = record((LOWSTATE,), both)
+    assert report.counts["/lowstate"] == 400
+    assert report.missing["/lowstate"] == 0
+
+
+def test_a_clock_that_is_set_is_told_and_nothing_is_corrected(record):
+    start = time.monotonic_ns()
+
+    def clocks():
+        reading = read_clocks()
+        set_forward = 3600 * S if reading.monotonic - start > S else 0
+        return ClockReading(reading.realtime + set_forward, reading.monotonic)
+
+    report, path, _ = record((LOWSTATE,), lambda p: p.run(range(1000)), clocks=clocks)
+    (step,) = report.clock["steps"]
+    assert step["step_ns"] == pytest.approx(3600 * S, abs=50_000_000)
+    assert any("CLOCK_REALTIME was set by +3600" in text for text in logged(path))
+    measured = open_session(path).measured
+    assert np.ptp(measured.log_time) < 100 * S
+
+
+def test_a_publisher_whose_clock_is_ahead_is_told(record):
+    report, path, _ = record((LOWSTATE,), lambda p: p.run(range(1000), ahead_ns=5 * S))
+    assert report.delays["/lowstate"]["median_ns"] == pytest.approx(-5 * S, abs=50_000_000)
+    (text,) = [text for text in logged(path) if "clocks differ" in text]
+    assert "/lowstate from" in text
+    assert "-4.99" in text or "-5.00" in text
+
+
+def test_the_interpreter_is_left_as_it_was(record):
+    before = sys.getswitchinterval()
+    record((LOWCMD,), lambda p: p.run(range(20)))
+    assert sys.getswitchinterval() == before

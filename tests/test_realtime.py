@@ -9,6 +9,7 @@ import threading
 import pytest
 
 from g1stream import realtime
+from g1stream.dds.domain import Participant
 from g1stream.realtime import on_time, told
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="asks for Linux's own")
@@ -53,6 +54,17 @@ def test_what_is_told_is_so():
             assert os.sched_getparam(0).sched_priority == 7
 
 
+def test_the_threads_of_dds_come_right_behind(domain_id, until):
+    with Participant(domain_id, "lo"):
+        until(lambda: len(realtime._library_threads()) >= 3, "Cyclone to name its threads")
+        threads = realtime._library_threads()
+        with on_time(priority=7) as grants:
+            inside = {os.sched_getparam(thread).sched_priority for thread in threads}
+        after = {os.sched_getscheduler(thread) & POLICY for thread in threads}
+    assert inside == ({6} if by_name(grants)["SCHED_FIFO"].granted else {0})
+    assert after == {os.SCHED_OTHER}
+
+
 def test_threads_do_not_inherit_the_priority():
     seen = []
     with on_time():
@@ -67,7 +79,7 @@ def test_without_the_rights_it_says_how_to_get_them(monkeypatch):
         raise PermissionError
 
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
-    grant = realtime._ask_for_fifo(50)
+    grant = realtime._ask_for_fifo(50, [])
     assert not grant.granted
     assert "rtprio 50" in grant.remedy
     assert grant.cost

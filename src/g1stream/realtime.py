@@ -10,7 +10,8 @@ import ctypes
 import gc
 import os
 import sys
-from contextlib import contextmanager
+import threading
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -52,8 +53,8 @@ def on_time(priority: int = DEFAULT_PRIORITY, cpu: int | None = None) -> Iterato
     """Make the calling thread as punctual as the system allows, for the length of a `with`.
 
     Asks for SCHED_FIFO, pages that stay in memory, timers without slack, an isolated CPU where
-    there is one; and keeps Python's garbage collector away. Threads and processes that are started
-    inside do not inherit the priority.
+    there is one; and keeps Python's garbage collector away. The threads of DDS that are there come
+    right behind it. Threads and processes that are started inside do not inherit the priority.
 
     Args:
         priority: of SCHED_FIFO, 1 to 99; 0 leaves the thread an ordinary one.
@@ -82,16 +83,19 @@ def _linux_thread(priority: int, cpu: int | None) -> Iterator[list[Grant]]:
         return
     affinity, slack = os.sched_getaffinity(0), _timer_slack()
     policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
+    helpers = _library_threads()
     try:
         yield [
-            _ask_for_fifo(priority),
+            _ask_for_fifo(priority, helpers),
             _ask_for_memory(),
             _ask_for_exact_timers(),
             _ask_for_cpu(cpu),
         ]
     finally:
         # The flag is harmless here, and taking it back needs a right that the user may not have.
-        os.sched_setscheduler(0, policy | os.SCHED_RESET_ON_FORK, parameters)
+        for thread in (0, *helpers):
+            with suppress(ProcessLookupError):  # it has ended meanwhile
+                os.sched_setscheduler(thread, policy | os.SCHED_RESET_ON_FORK, parameters)
         os.sched_setaffinity(0, affinity)
         _libc().prctl(_PR_SET_TIMERSLACK, ctypes.c_ulong(slack))
         _libc().munlockall()
@@ -107,13 +111,17 @@ def told(grants: list[Grant]) -> str:
     return ", ".join(f"{g.what} {g.detail if g.granted else 'not granted'}" for g in grants)
 
 
-def _ask_for_fifo(priority: int) -> Grant:
+def _ask_for_fifo(priority: int, helpers: list[int]) -> Grant:
     what = "SCHED_FIFO"
     if not priority:
         return Grant(what, granted=False, detail="not asked for: the priority is set to 0")
+    # Without the flag, threads and processes started from here would be real-time ones too.
+    policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
     try:
-        # Without the flag, threads and processes started from here would be real-time ones too.
-        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
+        os.sched_setscheduler(0, policy, os.sched_param(priority))
+        for thread in helpers:
+            with suppress(ProcessLookupError):
+                os.sched_setscheduler(thread, policy, os.sched_param(max(1, priority - 1)))
     except PermissionError:
         return Grant(
             what,
@@ -124,6 +132,20 @@ def _ask_for_fifo(priority: int) -> Grant:
             "/etc/security/limits.d/g1stream.conf and log in again.",
         )
     return Grant(what, granted=True, detail=f"priority {priority}")
+
+
+def _library_threads() -> list[int]:
+    """Threads of this process that a library has started and named, as Cyclone names its own.
+
+    The loop waits for what they receive, and now and then for a lock that one of them holds.
+    """
+    ours = {thread.native_id for thread in threading.enumerate()}
+    own_name, found = Path("/proc/self/comm").read_text(), []
+    for task in Path("/proc/self/task").iterdir():
+        with suppress(OSError):  # it has ended meanwhile
+            if int(task.name) not in ours and (task / "comm").read_text() != own_name:
+                found.append(int(task.name))
+    return found
 
 
 def _ask_for_memory() -> Grant:

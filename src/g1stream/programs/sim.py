@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import time
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING
 from g1stream.clock import SystemClock
 from g1stream.config import Config
 from g1stream.dds.domain import Participant
+from g1stream.realtime import on_time, told
 from g1stream.robot.model import G1
 from g1stream.sim.bridge import Bridge
 from g1stream.sim.world import World
@@ -20,6 +22,10 @@ if TYPE_CHECKING:
     from g1stream.sim.bridge import BridgeReport
 
 __all__ = ["simulate"]
+
+_INFO = 2
+#: By how much the bridge comes after the loop: it is the robot that answers, not the one in charge.
+_BELOW_LOOP = 10
 
 
 def simulate(
@@ -46,9 +52,21 @@ def simulate(
         participant = stack.enter_context(Participant(config.dds.domain, config.dds.interface))
         view = _viewer(world, stack) if config.sim.viewer else None
         bridge = Bridge(participant, world, config.sim, SystemClock(), on_event=on_event, view=view)
+        on_event(_INFO, told(stack.enter_context(on_time(_priority(config)))))
         on_ready()
         end = None if config.sim.duration is None else time.monotonic() + config.sim.duration
         return bridge.run(lambda: should_stop() or (end is not None and time.monotonic() >= end))
+
+
+def _priority(config: Config) -> int:
+    """Of SCHED_FIFO: below the loop's, and none where the bridge could keep all else from running.
+
+    With one CPU, a simulation that is too slow for it would; with a viewer, it would wait for the
+    thread that draws.
+    """
+    if config.sim.viewer or (os.cpu_count() or 1) < 2:
+        return 0
+    return max(0, config.realtime.priority - _BELOW_LOOP)
 
 
 def _timestep(rate: float) -> float:

@@ -10,6 +10,7 @@ import pytest
 
 from g1stream.errors import SimError
 from g1stream.robot.rotations import quat_rotate
+from g1stream.sim.supports import Root
 from g1stream.sim.world import World
 
 if TYPE_CHECKING:
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from g1stream.config import Support
     from g1stream.robot.model import G1
     from g1stream.sim.world import MotorCommand
 
@@ -88,3 +90,70 @@ def test_band_pulls_at_the_torso_by_its_law(
 def test_unknown_support_is_refused(robot: G1) -> None:
     with pytest.raises(SimError, match=r"'floating'\. Choose from bolted, hanging"):
         World(robot, "floating")
+
+
+def root_at(time: float, *, playing: bool = True) -> Root:
+    """A base that runs around a circle of 0.4 m in 4 s, turning with it."""
+    rate, angle = np.pi / 2, np.pi / 2 * time
+    return Root(
+        pos=np.array([0.4 * np.cos(angle), 0.4 * np.sin(angle), 0.9]),
+        quat_wxyz=np.array([np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2)]),
+        lin_vel=0.4 * rate * np.array([-np.sin(angle), np.cos(angle), 0.0]),
+        ang_vel=np.array([0.0, 0.0, rate]),
+        playing=playing,
+    )
+
+
+def test_a_followed_base_is_where_the_reference_is(
+    robot: G1, servo: Callable[..., MotorCommand]
+) -> None:
+    world = World(robot, "follow")
+    before = world.state().q
+    for tick in range(1000):  # a reference comes at every other step
+        world.lead(root_at(tick * 0.002))
+        if tick == 0:
+            assert world.state().q.tolist() == before.tolist()
+        world.step(servo())
+        world.step(servo())
+        if tick > 50:
+            root, state = root_at((tick + 1) * 0.002), world.state()
+            assert state.base_pos == pytest.approx(root.pos, abs=0.003)
+            assert state.imu.quat_wxyz == pytest.approx(root.quat_wxyz, abs=0.006)
+            assert state.base_lin_vel == pytest.approx(root.lin_vel, abs=0.02)
+
+
+@pytest.mark.parametrize("support", ["follow", "free"])
+def test_a_base_stays_where_it_is_until_a_reference_comes(
+    robot: G1,
+    support: Support,
+    servo: Callable[..., MotorCommand],
+    run: Callable[..., None],
+) -> None:
+    world = World(robot, support)
+    run(world, servo(), 0.3)
+    assert world.state().base_pos == pytest.approx([0, 0, 1.0], abs=0.003)
+    assert base_tilt(world.state().imu.quat_wxyz) < 0.003
+
+
+def test_a_free_base_is_let_go_when_the_motion_begins(
+    robot: G1, servo: Callable[..., MotorCommand], run: Callable[..., None]
+) -> None:
+    world = World(robot, "free")
+    world.lead(root_at(0.0, playing=False)._replace(lin_vel=np.zeros(3), ang_vel=np.zeros(3)))
+    run(world, servo(), 0.2)
+    assert world.state().base_pos == pytest.approx([0.4, 0.0, 0.9], abs=0.003)
+    world.lead(root_at(0.0))
+    run(world, servo(), 0.1)
+    fallen = GRAVITY * 0.1**2 / 2
+    assert 0.9 - world.state().base_pos[2] == pytest.approx(fallen, abs=0.01)
+    run(world, servo(enabled=False), 2.0)
+    assert 0.03 < world.state().base_pos[2] < 0.4  # it lies on the floor
+
+
+def test_only_a_followed_robot_passes_through_the_floor(
+    robot: G1, servo: Callable[..., MotorCommand], run: Callable[..., None]
+) -> None:
+    world = World(robot, "follow", base_height=0.3)
+    run(world, servo(), 0.1)
+    assert world.data.ncon == 0
+    assert world.state().base_pos[2] == pytest.approx(0.3, abs=0.003)

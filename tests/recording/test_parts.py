@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from g1stream.dds.layout import CDR_HEADER, Layout
 from g1stream.dds.topics import LOWCMD, LOWSTATE
 from g1stream.errors import RecordingError
 from g1stream.recording.rotation import Limits, PartedWriter
@@ -14,11 +15,14 @@ N = 60
 
 
 @pytest.fixture
-def samples(make_sample):
-    return {
-        "/lowcmd": [make_sample(LOWCMD).serialize() for _ in range(N)],
-        "/lowstate": [make_sample(LOWSTATE).serialize() for _ in range(N)],
-    }
+def samples():
+    rng = np.random.default_rng(3)
+
+    def some(topic):
+        size = Layout.of(topic.message.idl_type).sample_size
+        return [CDR_HEADER + rng.bytes(size - len(CDR_HEADER)) for _ in range(N)]
+
+    return {"/lowcmd": some(LOWCMD), "/lowstate": some(LOWSTATE)}
 
 
 @pytest.fixture
@@ -53,7 +57,7 @@ def test_any_part_opens_them_all(write_parts, samples):
         assert session.topics == {"/lowcmd": N, "/lowstate": N}
         assert list(session.replay_bytes("/lowstate")) == samples["/lowstate"]
         np.testing.assert_array_equal(
-            session.command.publish_time, T0 + STEP * np.arange(N, dtype=np.int64)
+            session.times["/lowcmd"].publish_time, T0 + STEP * np.arange(N, dtype=np.int64)
         )
         assert session.metadata["host"] == "here"
         assert session.metadata["at_end"] is True

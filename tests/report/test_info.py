@@ -1,0 +1,118 @@
+"""What info says of sessions whose figures are known."""
+
+import json
+
+import numpy as np
+import pytest
+
+from g1stream.config import Config
+from g1stream.recording.session import open_session
+from g1stream.report.info import describe
+from g1stream.report.info_text import render_info
+
+METADATA = {
+    "g1stream": "9.9.9",
+    "host": "bench",
+    "domain": 3,
+    "interface": "lo",
+    "motion": {"name": "dance", "fps": 30.0, "frames": 121, "sha256": "ab" * 32, "source": None},
+    "gains": {"kp": [40.0] * 28 + [100.0], "kd": [1.0] * 28 + [2.0]},
+    "config": Config.model_validate({"stream": {"rate": 250.0}, "dds": {"domain": 3}}).model_dump(
+        mode="json"
+    ),
+    "stream": {"reason": "", "commands": 2500, "rate_hz": 500.0, "skipped_ticks": 0},
+    "recorder": {"missing": {"/reference": 0, "/lowstate": 0}, "absent": ["rt/secondary_imu"]},
+}
+
+
+@pytest.fixture
+def info(play, write_session):
+    def look(*, metadata=METADATA, **settings):
+        return describe(open_session(write_session(*play(), metadata, **settings)))
+
+    return look
+
+
+def test_a_session_in_which_all_is_well(info):
+    found = info()
+    assert found.problems == []
+    assert found.complete
+    assert [span.phase for span in found.phases] == ["RAMP", "PLAY", "HOLD", "DAMP"]
+    np.testing.assert_allclose(
+        [span.seconds for span in found.phases], [0.5, 4.0, 0.3, 0.198], atol=1e-9
+    )
+    assert found.settings == {"stream.rate": 250.0, "dds.domain": 3}
+    assert found.gains == {"kp": (40.0, 100.0), "kd": (1.0, 2.0)}
+    assert found.absent == ["rt/secondary_imu"]
+    assert found.loop.commands == 2500
+    stats = found.streams["/reference"]
+    assert stats.rate == pytest.approx(500.0)
+    assert stats.latency.p50 == pytest.approx(100.0)
+    assert found.counts == {"/lowcmd": 2500, "/lowstate": 2599, "/reference": 2500}
+    assert found.duration == pytest.approx(5.196, abs=3e-3)
+
+
+def test_it_is_one_screen(info):
+    text = render_info(info())
+    lines = text.splitlines()
+    assert len(lines) < 40
+    assert max(map(len, lines)) <= 100
+    for said in (
+        "dance",
+        "bench",
+        "domain 3 on lo",
+        "PLAY 4.00 s",
+        "nothing is amiss",
+        "/lowstate",
+    ):
+        assert said in text
+
+
+def test_json_says_the_same(info):
+    found = info()
+    values = json.loads(json.dumps(found.as_dict()))
+    assert values["streams"]["/lowcmd"]["rate_hz"] == pytest.approx(500.0)
+    assert values["phases"][1] == {"phase": "PLAY", "duration_s": pytest.approx(4.0)}
+    assert values["problems"] == []
+
+
+def test_a_killed_recorder_is_told(info):
+    found = info(close=False)
+    assert not found.complete
+    assert any("not closed" in problem for problem in found.problems)
+    assert any("did not get to say" in problem for problem in found.problems)
+    assert "not closed" in render_info(found)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"recorder": {"missing": {"/lowstate": 7}}}, "never came: /lowstate 7"),
+        ({"recorder": {"stopped": "The disk is full."}}, "stopped early: The disk is full."),
+        ({"recorder": {"clock": {"steps": [{"step_ns": -2_000_000_000}]}}}, "set by -2.000 s"),
+        ({"stream": {"reason": "SIGINT", "skipped_ticks": 0}}, "ended early: SIGINT"),
+        ({"stream": {"reason": "", "skipped_ticks": 12}}, "skipped 12 ticks"),
+    ],
+)
+def test_what_is_amiss_is_told(info, change, told):
+    found = info(metadata=METADATA | change)
+    assert any(told in problem for problem in found.problems)
+    assert "nothing is amiss" not in render_info(found)
+
+
+def test_gaps_are_told(play, take, write_session):
+    reference, measured = play()
+    holed = take(reference, np.r_[0:900, 950:2500])
+    found = describe(open_session(write_session(holed, measured, METADATA)))
+    assert found.problems == [
+        "Gaps: /lowcmd 1 (longest 102.0 ms), /reference 1 (longest 102.0 ms)."
+    ]
+
+
+def test_somebody_elses_session(play, write_session):
+    _, measured = play()
+    found = describe(open_session(write_session(None, measured, {})))
+    assert found.phases == []
+    assert found.motion is None
+    assert found.settings is None
+    assert "not recorded" in render_info(found)

@@ -85,6 +85,13 @@ def test_without_the_rights_it_says_how_to_get_them(monkeypatch):
     assert grant.cost
 
 
+def test_a_user_without_a_name_gets_a_remedy_too(monkeypatch):
+    for name in ("LOGNAME", "USER", "LNAME", "USERNAME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(os, "getuid", lambda: 1_234_567)
+    assert realtime._user() == ":1234567"
+
+
 def test_priority_0_stays_ordinary():
     with on_time(priority=0) as grants:
         assert os.sched_getscheduler(0) & POLICY == os.SCHED_OTHER

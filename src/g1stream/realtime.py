@@ -212,6 +212,10 @@ def _listed(cpus: set[int]) -> str:
 
 
 def _user() -> str:
+    """This user as limits.conf(5) names one: `:uid` for one that has no name, as in containers."""
     import getpass
 
-    return getpass.getuser()
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):
+        return f":{os.getuid()}"

@@ -212,7 +212,7 @@ def _listed(cpus: set[int]) -> str:
 
 
 def _user() -> str:
-    """This user as limits.conf(5) names one: `:uid` for one that has no name, as in containers."""
+    """The user as limits.conf(5) has it: `:uid` for one without a name, as in containers."""
     import getpass
 
     try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import suppress
 from dataclasses import replace
 from statistics import median
 from typing import TYPE_CHECKING, Any
@@ -15,6 +16,7 @@ from g1stream.dds.raw import RawReader
 from g1stream.dds.ticks import TickGaps
 from g1stream.dds.topics import LOWSTATE, TOPICS
 from g1stream.doctor.facts import Peer, Qos, StateFacts, WireFacts
+from g1stream.errors import WireError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -94,7 +96,8 @@ def _elsewhere(
     nearby = sorted({0, 1, domain - 1, domain + 1} - {domain, -1, MAX_DOMAIN + 1})
     usable = [i.name for i in interfaces if i.up and i.address and i.name != interface]
     for place in [(other, interface) for other in nearby] + [(domain, name) for name in usable]:
-        with Participant(*place) as participant:
+        # Where we cannot go, nobody is found; the place that was asked for is another matter.
+        with suppress(WireError), Participant(*place) as participant:
             time.sleep(_LOOK_ELSEWHERE_S)
             yield from ((*place, str(writer)) for writer in participant.writers(LOWSTATE.name))
 

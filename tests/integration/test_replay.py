@@ -1,0 +1,159 @@
+"""A session played again: real processes, real DDS on loopback, real MuJoCo."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from g1stream.control.phases import Phase
+from g1stream.recording.session import open_session
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from g1stream.recording.session import Session
+
+PATIENT = Path(__file__).parents[1] / "data" / "patient.toml"
+PLAY = 2.0
+
+
+def command(*arguments: object) -> list[str]:
+    return [sys.executable, "-m", "g1stream", *map(str, arguments)]
+
+
+def run(*arguments: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        command(*arguments), capture_output=True, text=True, timeout=90, check=False
+    )
+
+
+@contextmanager
+def simulator(domain_id: int) -> Iterator[None]:
+    with subprocess.Popen(
+        command("sim", "--domain", domain_id), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    ) as process:
+        try:
+            yield
+        finally:
+            process.kill()
+
+
+@pytest.fixture(scope="module")
+def sessions(
+    module_domain_id: int, tmp_path_factory: pytest.TempPathFactory
+) -> dict[str, tuple[Session, dict[str, Any]]]:
+    """A motion as it was streamed, replayed, replayed exactly and replayed at half speed."""
+    directory = tmp_path_factory.mktemp("replay")
+    first = directory / "first.mcap"
+    runs = {
+        "first": ["stream", "demo", "--start", 2.0, "--duration", PLAY],
+        "again": ["replay", first],
+        "exact": ["replay", first, "--exact"],
+        "slow": ["replay", first, "--speed", 0.5],
+    }
+    found = {}
+    with simulator(module_domain_id):
+        for name, arguments in runs.items():
+            path = directory / f"{name}.mcap"
+            shared = ["--domain", module_domain_id, "--config", PATIENT, "--ramp", 0.5, "--json"]
+            done = run(*arguments, *shared, "--record", path)
+            # A recorder that a busy machine keeps from its samples says so with exit code 1.
+            assert done.returncode in {0, 1}, done.stderr
+            found[name] = open_session(path), json.loads(done.stdout)
+    return found
+
+
+def played(session: Session) -> tuple[np.ndarray, np.ndarray]:
+    """Motion times (N,) and q (N, 29) while the motion played, as far as they were recorded."""
+    playing = session.reference.phase == Phase.PLAY
+    return session.reference.motion_time[playing], session.reference.q[playing]
+
+
+def rmse(
+    times: np.ndarray, values: np.ndarray, others_times: np.ndarray, others: np.ndarray
+) -> float:
+    """Of two (N, 29) and (M, 29) at instants where both are known, no hole of either near."""
+    other = np.column_stack([np.interp(times, others_times, column) for column in others.T])
+    after = np.searchsorted(others_times, times).clip(1, len(others_times) - 1)
+    known = others_times[after] - others_times[after - 1] < 0.02
+    assert known.mean() > 0.5
+    return float(np.sqrt(np.mean((other - values)[known] ** 2)))
+
+
+def test_the_reference_is_played_again(sessions):
+    times, q = played(sessions["first"][0])
+    assert rmse(times - times[0], q, *played(sessions["again"][0])) < 1e-3
+
+
+def test_half_the_speed_takes_twice_as_long(sessions):
+    times, q = played(sessions["first"][0])
+    assert rmse(2.0 * (times - times[0]), q, *played(sessions["slow"][0])) < 1e-3
+
+
+def test_it_is_played_as_any_motion_is(sessions):
+    for name in ("again", "exact", "slow"):
+        session, summary = sessions[name]
+        assert summary["loop"]["reason"] == ""
+        assert session.complete
+        told = [event.text for event in session.log if event.name == "stream"]
+        for change in ("RAMP -> PLAY", "PLAY -> HOLD", "HOLD -> DAMP"):
+            assert change in told
+
+
+def test_exact_means_bit_for_bit(sessions):
+    first, exact = sessions["first"][0], sessions["exact"][0]
+    reference = exact.reference
+    stamps = set(reference.publish_time[reference.phase == Phase.PLAY].tolist())
+    sent = [m.data for m in exact.messages("/lowcmd") if m.publish_time in stamps]
+    assert len(sent) > 0.5 * PLAY * 500
+    # All are of the first session, and in the order that they were recorded in.
+    order = {data: i for i, data in enumerate(first.replay_bytes("/lowcmd"))}
+    assert np.all(np.diff([order[data] for data in sent]) >= 0)
+
+
+def test_a_replay_does_not_carry_the_first_session_along(sessions):
+    session = sessions["again"][0]
+    assert "first.mcap" not in session.attachments
+    assert session.metadata["motion"]["source"].endswith("first.mcap")
+
+
+def test_a_session_is_a_motion_to_look_at(sessions):
+    done = run("motion", sessions["first"][0].path, "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["fps"] == 500
+
+
+def test_info_looks_into_it(sessions):
+    done = run("info", sessions["first"][0].path)
+    assert done.returncode == 0, done.stderr
+    assert len(done.stdout.splitlines()) < 45
+    assert "PLAY 2.0" in done.stdout
+    values = json.loads(run("info", sessions["first"][0].path, "--json").stdout)
+    assert values["complete"]
+    assert values["counts"] == sessions["first"][0].topics
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["replay", "nowhere.mcap"], "nowhere.mcap"),
+        (["replay", PATIENT], "not an MCAP"),
+        (["replay", "{first}", "--speed", 0], "speed"),
+        (["replay", "{first}", "--exact", "--loop"], "--loop"),
+        (["info", "nowhere.mcap"], "nowhere.mcap"),
+        (["info", PATIENT], "not an MCAP"),
+    ],
+)
+def test_what_cannot_be_is_explained(sessions, domain_id, arguments, told):
+    filled = [str(a).format(first=sessions["first"][0].path) for a in arguments]
+    done = run(*filled, *(["--domain", domain_id] if filled[0] == "replay" else []))
+    assert done.returncode == 2
+    assert told in done.stderr
+    assert "Traceback" not in done.stderr

@@ -1,0 +1,35 @@
+"""The examples of docs/sessions.md run as they stand, one after the other."""
+
+import importlib.util
+import re
+from pathlib import Path
+
+import pytest
+
+TEXT = (Path(__file__).parents[2] / "docs" / "sessions.md").read_text()
+BLOCKS = re.findall(r"```python\n(.*?)```", TEXT, flags=re.DOTALL)
+HAS_TABLES = importlib.util.find_spec("pandas") and importlib.util.find_spec("pyarrow")
+
+
+def test_the_examples_run(play, write_session, monkeypatch, tmp_path):
+    write_session(*play(), {"motion": {"name": "dance"}})
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {}
+    assert len(BLOCKS) == 4
+    for block in BLOCKS:
+        if "to_pandas" in block and not HAS_TABLES:
+            continue
+        exec(block, names)
+    assert names["motion_name"] == {"name": "dance"}
+    assert names["motion"].fps == 30
+
+
+@pytest.mark.skipif(not HAS_TABLES, reason="the extra `export` is not installed")
+def test_the_tables_are_those_of_the_text(play, write_session, monkeypatch, tmp_path):
+    write_session(*play())
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {}
+    for block in BLOCKS[:3]:
+        exec(block, names)
+    assert len(names["knee"]) == len(names["session"].measured)
+    assert all(path.suffix == ".parquet" for path in names["files"])

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from g1stream.errors import G1StreamError
     from g1stream.motion.motion import Motion
     from g1stream.motion.trajectory import Trajectory
+    from g1stream.programs.convert import Conversion, convert
     from g1stream.programs.record import record
     from g1stream.programs.sim import simulate
     from g1stream.programs.stream import stream
@@ -30,11 +31,13 @@ if TYPE_CHECKING:
 __all__ = [
     "G1",
     "Config",
+    "Conversion",
     "G1StreamError",
     "Motion",
     "Session",
     "Trajectory",
     "__version__",
+    "convert",
     "load_config",
     "load_motion",
     "open_session",
@@ -45,11 +48,13 @@ __all__ = [
 
 _HOME = {
     "Config": "config",
+    "Conversion": "programs.convert",
     "G1": "robot.model",
     "G1StreamError": "errors",
     "Motion": "motion.motion",
     "Session": "recording.session",
     "Trajectory": "motion.trajectory",
+    "convert": "programs.convert",
     "load_config": "config",
     "load_motion": "recording.motions",
     "open_session": "recording.session",

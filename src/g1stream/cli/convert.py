@@ -45,7 +45,7 @@ class Convert:
     """
 
     motion: Annotated[str, tyro.conf.Positional, value("MOTION")]
-    """Motion file (CSV), or the name of a bundled motion: demo."""
+    """Motion file (CSV), session file, or the name of a bundled motion: demo."""
     out: Annotated[Maybe[Path], tyro.conf.Positional, value("MCAP")] = None
     """The file to write; not needed with --check."""
     check: Flag = False

@@ -10,9 +10,9 @@ import numpy as np
 
 from g1stream._version import __version__
 from g1stream.errors import ConfigError, MotionError, RecordingError
-from g1stream.motion.readers import load_motion
 from g1stream.recording.derived_channels import DERIVED_CHANNELS
 from g1stream.recording.encode import WORLD_FRAME
+from g1stream.recording.motions import load_motion
 from g1stream.recording.offline import OfflineWriter
 from g1stream.recording.poses import PoseEncoder, Poses
 from g1stream.recording.scene import encode_robot_description, encode_scene
@@ -32,6 +32,7 @@ __all__ = ["Conversion", "ConvertReport", "convert"]
 #: everything that is done to a chunk several times faster, and large enough to compress.
 _CHUNK: Final = 128
 _LARGE: Final = 16 * 2**20
+_MEDIA_TYPES: Final = {".csv": "text/csv"}
 _TF, _JOINTS, _SCENE, _DESCRIPTION = (
     "/tf",
     "/reference/joint_states",
@@ -119,7 +120,7 @@ def convert(
     nanosecond. A failure leaves no file behind.
 
     Args:
-        motion: a motion, a motion file, or the name of a bundled motion.
+        motion: a motion, a motion file, a session file, or the name of a bundled motion.
         out: the session file.
         options: how; see `Conversion`.
         robot: whose joints the motion has; the 29-dof G1 if None.
@@ -226,7 +227,8 @@ def _write_preface(
     writer.add_metadata(_metadata(motion, robot, options))
     writer.attach("robot.urdf", "application/xml", robot.urdf.encode(), first)
     if motion.source and motion.source.stat().st_size <= _LARGE:
-        writer.attach(motion.source.name, "text/csv", motion.source.read_bytes(), first)
+        kind = _MEDIA_TYPES.get(motion.source.suffix.lower(), "application/octet-stream")
+        writer.attach(motion.source.name, kind, motion.source.read_bytes(), first)
     once = {
         _SCENE: encode_scene(first, robot, {"": 1.0}),
         _DESCRIPTION: encode_robot_description(robot),

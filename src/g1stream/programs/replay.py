@@ -107,16 +107,17 @@ def _played_commands(session: Session) -> tuple[NDArray[np.float64], NDArray[np.
         _, chosen, paired = np.intersect1d(
             command.publish_time, reference.publish_time[playing], return_indices=True
         )
-        times = reference.motion_time[playing[paired]]
+        times = reference.motion_time[playing]
+        times = times[paired] - times[:1]
     else:
         chosen = np.flatnonzero(command.kp.any(axis=1))
-        times = (command.publish_time[chosen] - command.publish_time[0]) / 1e9
+        times = (command.publish_time[chosen] - command.publish_time[chosen[:1]]) / 1e9
     if len(chosen) < 2:
         raise RecordingError(
             f"{session.path} has no commands that played a motion.",
             "Give a session in which somebody held the robot with kp above 0.",
         )
-    return times - times[0], chosen
+    return times, chosen
 
 
 def _check(session: Session, chosen: NDArray[np.intp], robot: G1) -> None:

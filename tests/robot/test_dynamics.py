@@ -6,6 +6,7 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree as ET
 
+import mujoco
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -183,6 +184,30 @@ def test_following_takes_the_torque_of_the_base_acceleration_that_is_given(inver
     still = inverse.solve("follow", *arguments, moving.base)
     bolted = inverse.solve("bolted", *arguments, moving.base)
     assert still.tau.tolist() == bolted.tau.tolist()
+
+
+def test_the_accelerometer_feels_what_a_simulated_one_does(robot, inverse):
+    """And the base moves as the simulated one does, with the band's own force."""
+    world = World(robot, "hanging")
+    rng = np.random.default_rng(3)
+    for _ in range(300):
+        tau = rng.normal(0.0, 5.0, N_JOINTS)
+        world.step(
+            MotorCommand(
+                np.ones(N_JOINTS, bool), *np.zeros((2, N_JOINTS)), tau, *np.zeros((2, N_JOINTS))
+            )
+        )
+    state = world.state()
+    base = BaseMotion(state.imu.quat_wxyz, state.imu.gyroscope)
+    world._support.hold()
+    mujoco.mj_forward(world.model, world.data)
+    solution = inverse.solve(
+        "hanging", state.q, state.dq, world.data.qacc[6:], base, force=world._support._force
+    )
+    assert np.linalg.norm(state.imu.gyroscope) > 0.1
+    assert solution.lin_acc == pytest.approx(world.data.qacc[:3], abs=1e-8)
+    assert solution.ang_acc == pytest.approx(world.data.qacc[3:6], abs=1e-8)
+    assert solution.felt == pytest.approx(world.data.sensor("imu_acc").data, abs=1e-8)
 
 
 def test_gravity_in_free_fall_is_not_felt(inverse, moving):

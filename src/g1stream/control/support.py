@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from g1stream.robot.rotations import quat_rotate, quat_rotate_inverse
+from g1stream.robot.rotations import quat_rotate
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -36,9 +36,7 @@ class ForceObserver:
 
     def __init__(self, dynamics: InverseDynamics, period: float) -> None:
         self._gain = dynamics.mass * period / self._TIME
-        self._imu_pos = dynamics.imu_pos
-        self._up = np.array([0.0, 0.0, dynamics.gravity])
-        self._weight = dynamics.mass * self._up
+        self._weight = np.array([0.0, 0.0, dynamics.mass * dynamics.gravity])
         self._furthest = self._REACH * dynamics.mass * dynamics.gravity
         self._error = np.zeros(3)
         self._expected: list[Solution] = []
@@ -47,13 +45,9 @@ class ForceObserver:
         """The force (3,), N, world, after another reading."""
         # A reading answers the command before the last, which it was prepared beside.
         if len(self._expected) == 2:
-            quat, rate = imu.quat_wxyz.astype(np.float64), imu.gyroscope.astype(np.float64)
-            solution = self._expected.pop(0)
-            lever = self._imu_pos
-            expected = quat_rotate_inverse(quat, solution.lin_acc + self._up)
-            expected += np.cross(solution.ang_acc, lever) + np.cross(rate, np.cross(rate, lever))
-            self._error += self._gain * quat_rotate(quat, imu.accelerometer - expected)
-            length = float(np.linalg.norm(self._error))
+            wrong = imu.accelerometer - self._expected.pop(0).felt
+            self._error += self._gain * quat_rotate(imu.quat_wxyz.astype(np.float64), wrong)
+            length = float(np.sqrt(self._error @ self._error))
             self._error *= min(1.0, self._furthest / max(length, 1e-9))
         return self._weight + self._error
 

@@ -41,6 +41,7 @@ if TYPE_CHECKING:
 __all__ = ["BaseMotion", "InverseDynamics", "Solution", "friction_torque"]
 
 _BASE: Final = 6
+_BASE_BODY: Final = 1
 _GRAVITY: Final = 9.81
 
 #: Dry friction has its full value from about twice this speed on, rad/s.
@@ -70,11 +71,13 @@ class Solution(NamedTuple):
         tau: (29,) N·m, motor order, friction included.
         lin_acc: (3,) m/s², of the pelvis's origin, world.
         ang_acc: (3,) rad/s², pelvis frame.
+        felt: (3,) m/s², what the accelerometer of the pelvis's unit says to that, pelvis frame.
     """
 
     tau: Array
     lin_acc: Array
     ang_acc: Array
+    felt: Array
 
 
 class InverseDynamics:
@@ -88,7 +91,6 @@ class InverseDynamics:
     Attributes:
         mass: kg, of the whole robot.
         gravity: as given.
-        imu_pos: (3,) m, the pelvis's inertial unit in the pelvis frame.
 
     Raises:
         RobotError: MuJoCo does not accept the URDF, or it has no such link.
@@ -118,7 +120,8 @@ class InverseDynamics:
         self._rigid_part = _rigid_part(model, carrier)
         self.mass = float(model.body_mass.sum())
         self.gravity = gravity
-        self.imu_pos = _imu_pos(robot)
+        self._up = np.array([0.0, 0.0, gravity])
+        self._imu_pos = _imu_pos(robot)
         self._jacobian = np.zeros((3, model.nv))
 
     def solve(
@@ -153,7 +156,9 @@ class InverseDynamics:
             missing = outer - data.qfrc_bias - self._times_inertia(acc)
             acc[:_BASE] = np.linalg.solve(self._base_inertia(), missing[:_BASE])
         total = self._times_inertia(acc) + data.qfrc_bias - outer
-        return Solution(total[v] + friction_torque(dq), acc[:3].copy(), acc[3:_BASE].copy())
+        lin_acc, ang_acc = acc[:3], acc[3:_BASE]
+        felt = self._felt(lin_acc, ang_acc, base.ang_vel)
+        return Solution(total[v] + friction_torque(dq), lin_acc, ang_acc, felt)
 
     def _place(self, q: Array, dq: Array, base: BaseMotion) -> None:
         """Compute inertia and bias of a state; the base stays at the origin, which is as good."""
@@ -180,13 +185,22 @@ class InverseDynamics:
             unit[i] = 0.0
         return np.stack(columns)
 
+    def _felt(self, lin_acc: Array, ang_acc: Array, ang_vel: Array) -> Array:
+        """Specific force at the unit: a - g of the origin, a' x r and w x (w x r), pelvis frame."""
+        turn = self._data.xmat[_BASE_BODY].reshape(3, 3)
+        (x, y, z), (ax, ay, az) = self._imu_pos.tolist(), ang_acc.tolist()
+        swing = np.array([ay * z - az * y, az * x - ax * z, ax * y - ay * x])
+        inward = ang_vel * (ang_vel @ self._imu_pos) - self._imu_pos * (ang_vel @ ang_vel)
+        felt: Array = (lin_acc + self._up) @ turn + swing + inward
+        return felt
+
     def _carried(self, force: Array | None) -> Array:
         """The generalised force (35,) of what carries the robot, at the carrier's mass centre."""
         bodies, share = self._rigid_part
         centre = share @ self._data.xipos[bodies]
         self._mujoco.mj_jac(self._model, self._data, self._jacobian, None, centre, bodies[0])
         if force is None:
-            force = np.array([0.0, 0.0, self.mass * self.gravity])
+            force = self.mass * self._up
         carried: Array = force @ self._jacobian
         return carried
 

@@ -91,9 +91,8 @@ class McapFile:
         """The attached files, oldest first."""
         with self._open() as file:
             for record in self._attachments:
-                file.seek(record.place)
                 with self._unpacking(record):
-                    attachment = Attachment.read(ReadDataStream(file))
+                    attachment = Attachment.read(_stream(file, record))
                 yield attachment
 
     def _open(self) -> IO[bytes]:
@@ -120,11 +119,11 @@ class McapFile:
         elif record.opcode == Opcode.ATTACHMENT:
             self._attachments.append(record)
         elif record.opcode == Opcode.METADATA:
-            self.metadata.append(Metadata.read(ReadDataStream(file)))
+            self.metadata.append(Metadata.read(_stream(file, record)))
         elif record.opcode == Opcode.CHANNEL:
-            self._add_channel(ReadDataStream(file))
+            self._add_channel(_stream(file, record))
         elif record.opcode == Opcode.STATISTICS:
-            self._statistics = Statistics.read(ReadDataStream(file))
+            self._statistics = Statistics.read(_stream(file, record))
         elif record.opcode == Opcode.FOOTER:
             self.complete = True
 
@@ -193,6 +192,10 @@ class McapFile:
 def _content(file: IO[bytes], record: Record) -> bytes:
     file.seek(record.place)
     return file.read(record.length)
+
+
+def _stream(file: IO[bytes], record: Record) -> ReadDataStream:
+    return ReadDataStream(BytesIO(_content(file, record)))
 
 
 def _messages(

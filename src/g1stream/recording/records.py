@@ -5,6 +5,7 @@ The layouts are those of the MCAP specification, https://mcap.dev/spec.
 
 from __future__ import annotations
 
+import os
 import struct
 from dataclasses import dataclass, field
 from io import BytesIO
@@ -86,8 +87,7 @@ class ChunkPlace:
         Raises:
             ValueError: it is damaged.
         """
-        file.seek(record.place)
-        channel, size = _INDEX_HEAD.unpack(file.read(_INDEX_HEAD.size))
+        channel, size = _INDEX_HEAD.unpack(_read(file, record.place, _INDEX_HEAD.size))
         n_entries, rest = divmod(size, _INDEX_ENTRY.itemsize)
         if rest or size != record.length - _INDEX_HEAD.size:
             raise ValueError("the index of a chunk has another length than it says")
@@ -97,8 +97,7 @@ class ChunkPlace:
     def places(self, file: IO[bytes], channel: int) -> NDArray[np.int64]:
         """(N,) where in the unpacked chunk the messages of a channel are, as the index says."""
         start, n_entries = self.index[channel]
-        file.seek(start)
-        entries = np.frombuffer(file.read(n_entries * _INDEX_ENTRY.itemsize), _INDEX_ENTRY)
+        entries = np.frombuffer(_read(file, start, n_entries * _INDEX_ENTRY.itemsize), _INDEX_ENTRY)
         return np.sort(entries["place"])
 
 
@@ -107,8 +106,7 @@ def records(file: IO[bytes]) -> Iterator[Record]:
     size = file.seek(0, 2)
     place = len(MCAP0_MAGIC)
     while place + _HEAD.size <= size:
-        file.seek(place)
-        opcode, length = _HEAD.unpack(file.read(_HEAD.size))
+        opcode, length = _HEAD.unpack(_read(file, place, _HEAD.size))
         place += _HEAD.size
         # A power cut may leave a tail of zeros, and there is no record of that kind.
         if not opcode or place + length > size:
@@ -117,6 +115,11 @@ def records(file: IO[bytes]) -> Iterator[Record]:
         if opcode == Opcode.FOOTER:
             return
         place += length
+
+
+def _read(file: IO[bytes], place: int, size: int) -> bytes:
+    """Some bytes of a file; past its buffer, which would be filled anew at each leap."""
+    return os.pread(file.fileno(), size, place)
 
 
 def unpack(content: bytes) -> bytes:

@@ -93,6 +93,7 @@ def measure(domain: int, rate: float, seconds: float, directory: Path) -> dict[s
         "sent": 3 * done["sent"]["sent"],
         "lost": found.lost,
         "told_lost": sum(done["said"]["missing"].values()),
+        "dropped_datagrams": done["said"]["dropped_datagrams"],
         "exact": found.exact,
         "exit_code": done["exit_code"],
         "cpu_percent": done["cpu_percent"],

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import socket
+
 import numpy as np
 import pytest
 
 from g1stream.dds.messages import LowState, Reference
 from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE
-from g1stream.recording.losses import Counter, Losses
+from g1stream.recording.losses import Counter, Losses, Partners, dropped_datagrams
 from g1stream.recording.receiver import Batch
 
 
@@ -17,6 +19,7 @@ def batch(message, ticks, writer=1):
         message.tick[()] = tick
         made.data.append(message.tobytes())
         made.writers.append(writer)
+        made.publish_times.append(1000 * tick)
     return made
 
 
@@ -55,6 +58,7 @@ def test_two_writers_on_one_topic_are_not_taken_for_holes():
             one = batch(Reference(), [tick + offset], writer)
             both.data += one.data
             both.writers += one.writers
+            both.publish_times += one.publish_times
     losses.look(REFERENCE.name, both)
     assert losses.update({REFERENCE.name: 0}) == {}
 
@@ -66,3 +70,36 @@ def test_dds_and_the_numbers_are_two_witnesses_of_the_same_loss():
     assert losses.update({LOWSTATE.name: 5, LOWCMD.name: 2}) == {}
     assert losses.update({LOWSTATE.name: 9, LOWCMD.name: 2}) == {LOWSTATE.name: 4}
     assert losses.missing == {LOWSTATE.name: 9, LOWCMD.name: 2}
+
+
+def test_a_reference_without_its_command_is_a_command_lost():
+    partners, second = Partners(), 1_000_000_000
+    stamps = [i * 2_000_000 for i in range(1000)]
+    partners.add_commands(stamp for stamp in stamps if stamp not in stamps[10:13])
+    assert partners.add_references(stamps[:500]) == 0
+    assert partners.add_references(stamps[500:]) == 3
+    assert partners.add_references([3 * second]) == 0
+
+
+def test_commands_without_references_are_no_loss_and_do_not_pile_up():
+    losses = Losses()
+    commands = Batch(publish_times=list(range(0, 10**10, 10**7)))
+    losses.look(LOWCMD.name, commands)
+    assert losses.update({LOWCMD.name: 0}) == {}
+    partners = Partners()
+    partners.add_commands(commands.publish_times)
+    partners.add_references([10**10])
+    assert len(partners._commands) <= 101
+
+
+def test_the_kernel_counts_what_nobody_fetched():
+    before = dropped_datagrams()
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender,
+    ):
+        receiver.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        receiver.bind(("127.0.0.1", 0))
+        for _ in range(100):
+            sender.sendto(bytes(1000), receiver.getsockname())
+        assert dropped_datagrams() - before > 50

@@ -147,7 +147,11 @@ def exit_code(outcome: StreamOutcome) -> int:
     reason = outcome.report.reason
     recording = outcome.recording
     if not reason:
-        lost = recording and (recording["stopped"] or any(recording["missing"].values()))
+        lost = recording and (
+            recording["stopped"]
+            or recording["dropped_datagrams"]
+            or any(recording["missing"].values())
+        )
         return EXIT_STOPPED if lost else EXIT_OK
     return exit_code_of_signal(reason) or EXIT_STOPPED
 

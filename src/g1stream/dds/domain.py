@@ -33,9 +33,12 @@ __all__ = ["Endpoint", "Participant", "interfaces", "is_loopback"]
 #: Beyond this the ports that a domain id stands for leave the range of ports (RTPS 2.5, 9.6.2).
 MAX_DOMAIN: Final = 232
 
+# The kernel gives as much of the receive buffer as net.core.rmem_max allows. Cyclone's own 1 MB
+# overflows when a busy machine leaves a process waiting for a tenth of a second.
 _CONFIG: Final = (
     '<CycloneDDS><Domain Id="any">'
     '<General><Interfaces><NetworkInterface name="{interface}"/></Interfaces></General>'
+    '<Internal><SocketReceiveBufferSize max="16MB"/></Internal>'
     "{discovery}</Domain></CycloneDDS>"
 )
 _LOOPBACK_DISCOVERY: Final = (

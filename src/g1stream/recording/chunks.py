@@ -83,7 +83,10 @@ class ChunkedFile:
         self._stream = stream
         self._compression = "" if compression == "none" else compression
         self._compress = _compressor(compression)
-        self._chunks: list[ChunkIndex] = []
+        # Serialised, so that a long recording does not hold an object for each of its chunks.
+        self._chunks = bytearray()
+        self._n_chunks = 0
+        self._times: tuple[int, int] | None = None
         self._attachments: list[AttachmentIndex] = []
         self._metadata: list[MetadataIndex] = []
         stream.write(_MAGIC)
@@ -152,7 +155,13 @@ class ChunkedFile:
             index.message_index_length += self._stream.write(
                 _message_index(channel, log_times, len(before) + offsets)
             )
-        self._chunks.append(index)
+        self._chunks += _serialised([index])
+        self._n_chunks += 1
+        first, last = self._times or (index.message_start_time, index.message_end_time)
+        self._times = (
+            min(first, index.message_start_time),
+            max(last, index.message_end_time),
+        )
 
     def attach(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
         """Add a file."""
@@ -188,18 +197,17 @@ class ChunkedFile:
         """
         self._write(DataEnd(data_section_crc=0))
         start = self._stream.tell()
-        groups: dict[Opcode, Sequence[McapRecord]] = {
-            Opcode.SCHEMA: schemas,
-            Opcode.CHANNEL: channels,
-            Opcode.STATISTICS: [self._statistics(len(schemas), counts)],
-            Opcode.CHUNK_INDEX: self._chunks,
-            Opcode.ATTACHMENT_INDEX: self._attachments,
-            Opcode.METADATA_INDEX: self._metadata,
+        groups = {
+            Opcode.SCHEMA: _serialised(schemas),
+            Opcode.CHANNEL: _serialised(channels),
+            Opcode.STATISTICS: _serialised([self._statistics(len(schemas), counts)]),
+            Opcode.CHUNK_INDEX: bytes(self._chunks),
+            Opcode.ATTACHMENT_INDEX: _serialised(self._attachments),
+            Opcode.METADATA_INDEX: _serialised(self._metadata),
         }
         summary, offsets = b"", []
-        for opcode, records in groups.items():
-            if records:
-                data = _serialised(records)
+        for opcode, data in groups.items():
+            if data:
                 offsets.append(SummaryOffset(opcode, start + len(summary), len(data)))
                 summary += data
         footer = Footer(start, summary_offset_start=start + len(summary), summary_crc=0)
@@ -211,14 +219,15 @@ class ChunkedFile:
         self._stream.write(_MAGIC)
 
     def _statistics(self, n_schemas: int, counts: Mapping[int, int]) -> Statistics:
+        first, last = self._times or (0, 0)
         return Statistics(
             attachment_count=len(self._attachments),
             channel_count=len(counts),
             channel_message_counts=dict(counts),
-            chunk_count=len(self._chunks),
+            chunk_count=self._n_chunks,
             message_count=sum(counts.values()),
-            message_end_time=max((c.message_end_time for c in self._chunks), default=0),
-            message_start_time=min((c.message_start_time for c in self._chunks), default=0),
+            message_end_time=last,
+            message_start_time=first,
             metadata_count=len(self._metadata),
             schema_count=n_schemas,
         )

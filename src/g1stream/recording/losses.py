@@ -1,33 +1,38 @@
 """Counts the samples that were published and did not come.
 
-Two independent witnesses: DDS numbers the samples of each writer and tells what it missed on the
-way, and some messages carry a number of their own, which also shows what was lost after that.
+The witnesses: what the reader itself knows, the numbers that some messages carry, the stamp that a
+Reference shares with its LowCmd, and the kernel, which counts the datagrams that it had to drop
+because nobody fetched them. A best-effort reader is not told by DDS what it missed on the way.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
+from contextlib import suppress
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from g1stream.dds.topics import LOWSTATE, REFERENCE
+from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE
 from g1stream.recording.samples import Samples
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from g1stream.recording.receiver import Batch
 
-__all__ = ["Counter", "Losses"]
+__all__ = ["Counter", "Losses", "Partners", "dropped_datagrams"]
 
 #: A number that leaps further was not lost on the way: its publisher was started anew.
 _JUMP: Final = 10_000
 #: Steps to have seen before it is known by how much a number grows.
 _ENOUGH: Final = 8
+#: How long a Reference's LowCmd may be on its way, ns.
+_PATIENCE: Final = 1_000_000_000
 
 #: The field that numbers the samples. LowState's is 0 for ever on one of the simulators; then
 #: nothing can be known from it.
@@ -62,6 +67,44 @@ class Counter:
         return int(missed[(missed > 0) & (missed < _JUMP)].sum())
 
 
+class Partners:
+    """Finds References whose LowCmd, of the very same stamp, did not come."""
+
+    def __init__(self) -> None:
+        self._commands: set[int] = set()
+        self._references: set[int] = set()
+
+    def add_commands(self, stamps: Iterable[int]) -> None:
+        """Take in the publish times of LowCmds, ns."""
+        self._commands.update(stamps)
+
+    def add_references(self, stamps: Sequence[int]) -> int:
+        """Take in the publish times of References, ns; how many more LowCmds are missing."""
+        self._references.update(stamps)
+        pairs = self._references & self._commands
+        self._references -= pairs
+        self._commands -= pairs
+        old = stamps[-1] - _PATIENCE
+        alone = {stamp for stamp in self._references if stamp < old}
+        self._references -= alone
+        self._commands = {stamp for stamp in self._commands if stamp >= old}
+        return len(alone)
+
+
+def dropped_datagrams() -> int:
+    """How many datagrams the kernel dropped for want of room in this process's sockets."""
+    inodes = set()
+    for descriptor in Path("/proc/self/fd").glob("*"):
+        with suppress(OSError):  # closed in the meantime
+            inodes.add(descriptor.readlink().name.removeprefix("socket:[").removesuffix("]"))
+    dropped = 0
+    for table in (Path("/proc/net/udp"), Path("/proc/net/udp6")):
+        if table.exists():
+            rows = (line.split() for line in table.read_text().splitlines()[1:])
+            dropped += sum(int(row[-1]) for row in rows if row[9] in inodes)
+    return dropped
+
+
 class Losses:
     """What is known to be missing, by DDS topic.
 
@@ -73,9 +116,15 @@ class Losses:
         self.missing: dict[str, int] = {}
         self._counters: dict[tuple[str, int], Counter] = defaultdict(Counter)
         self._by_number: dict[str, int] = defaultdict(int)
+        self._partners = Partners()
 
     def look(self, name: str, batch: Batch) -> None:
-        """Look through the numbers of a batch, oldest sample first, of each writer by itself."""
+        """Look through a batch, oldest sample first, the numbers of each writer by themselves."""
+        if name == LOWCMD.name:
+            self._partners.add_commands(batch.publish_times)
+        if name == REFERENCE.name:
+            missed = self._partners.add_references(batch.publish_times)
+            self._by_number[LOWCMD.name] += missed
         if name not in _NUMBERED:
             return
         topic, path = _NUMBERED[name]
@@ -86,17 +135,17 @@ class Losses:
             self._by_number[name] += missed
 
     def update(self, lost: Mapping[str, int]) -> dict[str, int]:
-        """Join what both witnesses say.
+        """Join what the witnesses say.
 
         Args:
-            lost: samples that DDS says were lost so far, by topic name.
+            lost: samples that the readers know to be lost so far, by topic name.
 
         Returns:
             How many more are missing than at the last update, where any are.
         """
         news = {}
-        for name, by_dds in lost.items():
-            missing = max(by_dds, self._by_number[name])
+        for name, by_reader in lost.items():
+            missing = max(by_reader, self._by_number[name])
             if missing > self.missing.get(name, 0):
                 news[name] = missing - self.missing.get(name, 0)
             self.missing[name] = missing

@@ -15,7 +15,7 @@ from g1stream.recording.channels import CHANNELS
 from g1stream.recording.clocks import DelayEstimator, StepDetector, read_clocks
 from g1stream.recording.derive import Deriver
 from g1stream.recording.encode import encode_log
-from g1stream.recording.losses import Losses
+from g1stream.recording.losses import Losses, dropped_datagrams
 from g1stream.recording.receiver import Receiver
 from g1stream.recording.recorder_report import Publishers, RecorderReport
 
@@ -35,6 +35,9 @@ _INFO, _WARNING, _ERROR = 2, 3, 4
 
 #: A delay beyond this, either way, is told while it can still be mended.
 _FAR_NS = 20_000_000
+
+#: Between two looks at what the kernel dropped, s.
+_LOOK_EVERY_S = 1.0
 
 _CHANNEL_OF = {c.source.name: c.topic for c in CHANNELS.values() if c.source is not None}
 
@@ -72,6 +75,7 @@ class Recorder:
         self._steps = StepDetector()
         self._delays: dict[str, DelayEstimator] = defaultdict(DelayEstimator)
         self._publishers: dict[str, Publishers] = {}
+        self._next_look = 0.0
         self.report = RecorderReport()
 
     def matched(self) -> dict[str, int]:
@@ -147,6 +151,12 @@ class Recorder:
         for name, number in self._losses.update(self._receiver.lost()).items():
             channel = _CHANNEL_OF.get(name, name)
             self.tell(_WARNING, f"{number} samples of {channel} did not arrive")
+        if time.monotonic() >= self._next_look:
+            self._next_look = time.monotonic() + _LOOK_EVERY_S
+            more = dropped_datagrams() - self.report.dropped
+            if more > 0:
+                self.report.dropped += more
+                self.tell(_WARNING, f"the kernel dropped {more} datagrams: the recorder was late")
 
     def _watch_clock(self) -> None:
         step = self._steps.observe(self._clocks())

@@ -50,6 +50,8 @@ class RecorderReport:
         counts: messages by topic of the file.
         absent: topics of the wire that nobody published.
         missing: samples known to be lost, by topic of the file.
+        dropped: datagrams, each a sample or a part of one, that came and that the kernel had no
+            room to keep until they were fetched; of which topic is not known.
         first, last: log times of the first and last sample, ns since the epoch.
         paths: the files.
         stopped: why the recording ended before it was told to; empty when it did not.
@@ -62,6 +64,7 @@ class RecorderReport:
     counts: dict[str, int] = field(default_factory=dict)
     absent: list[str] = field(default_factory=list)
     missing: dict[str, int] = field(default_factory=dict)
+    dropped: int = 0
     first: int = 0
     last: int = 0
     paths: list[str] = field(default_factory=list)
@@ -73,7 +76,7 @@ class RecorderReport:
     @property
     def whole(self) -> bool:
         """Whether, as far as is known, everything published until the end is in the file."""
-        return not self.stopped and not any(self.missing.values())
+        return not self.stopped and not self.dropped and not any(self.missing.values())
 
     def see(self, log_times: Sequence[int]) -> None:
         """Take note of when samples were received."""
@@ -92,6 +95,7 @@ class RecorderReport:
             "counts": dict(sorted(self.counts.items())),
             "absent": self.absent,
             "missing": self.missing,
+            "dropped_datagrams": self.dropped,
             "duration_s": (self.last - self.first) / 1e9,
             "stopped": self.stopped,
             "paths": self.paths,

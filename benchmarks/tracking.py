@@ -79,12 +79,12 @@ class Trace(NamedTuple):
     reference: NDArray[np.float64]
     measured: NDArray[np.float64]
 
-    def cell(self, cost_us: float | None = None) -> Cell:
-        """The figures of a run."""
-        joints = np.sqrt(np.mean((self.reference - self.measured) ** 2, axis=0))
-        worst = int(joints.argmax())
-        rmse = float(np.sqrt(np.mean(joints**2)))
-        return Cell(rmse, float(joints[worst]), JOINT_NAMES[worst], cost_us)
+
+def cell_of(joints: NDArray[np.float64], cost_us: float | None = None) -> Cell:
+    """The figures of a run, from the RMSE (29,) of each joint."""
+    worst = int(joints.argmax())
+    rmse = float(np.sqrt(np.mean(joints**2)))
+    return Cell(rmse, float(joints[worst]), JOINT_NAMES[worst], cost_us)
 
 
 class NearestFrame(Targets):
@@ -177,7 +177,8 @@ def in_lockstep(
     loop.run()
     times, measured = (np.array(part) for part in zip(*states, strict=True))
     trace = Trace(times, trajectory.sample_many(times).joint_pos, measured)
-    return trace.cell(statistics.median(feed.costs) / 1e3), trace
+    joints = np.sqrt(np.mean((trace.reference - trace.measured) ** 2, axis=0))
+    return cell_of(joints, statistics.median(feed.costs) / 1e3), trace
 
 
 def safety(config: Config) -> Config:
@@ -208,9 +209,7 @@ def over_dds(
         sim.kill()
     if tracking is None:
         raise RuntimeError("the session has no state to compare")
-    worst = int(tracking.rmse.argmax())
-    rmse = float(np.sqrt(np.mean(tracking.rmse**2)))
-    return Cell(rmse, float(tracking.rmse[worst]), JOINT_NAMES[worst], None)
+    return cell_of(tracking.rmse)
 
 
 def draw(traces: dict[str, Trace], path: Path) -> None:
@@ -221,9 +220,9 @@ def draw(traces: dict[str, Trace], path: Path) -> None:
     from matplotlib import pyplot as plt
 
     figure, axes = plt.subplots(len(SHOWN), sharex=True, figsize=(11, 8), layout="constrained")
+    reference = next(iter(traces.values()))
     for axis, name in zip(axes, SHOWN, strict=True):
         joint = JOINT_NAMES.index(name)
-        reference = next(iter(traces.values()))
         axis.plot(reference.time, reference.reference[:, joint], "k", lw=2.5, label="reference")
         for label, trace in traces.items():
             axis.plot(trace.time, trace.measured[:, joint], lw=1, label=label)
@@ -235,15 +234,14 @@ def draw(traces: dict[str, Trace], path: Path) -> None:
 
 def table(cells: dict[str, dict[str, Cell]]) -> str:
     """The cells as text: a row for each way to command, a column for each support."""
-    columns = list(dict.fromkeys(column for row in cells.values() for column in row))
-    head = f"{'':32}" + "".join(f"{column:>34}" for column in columns)
+    head = f"{'':32}" + "".join(f"{column:>34}" for column in SUPPORTS)
     lines = [head, "-" * len(head)]
     for name, row in cells.items():
         shown = [
             f"{cell.rmse:.4f} ({cell.worst.removesuffix('_joint')} {cell.worst_rmse:.3f})"
             if (cell := row.get(column))
             else "-"
-            for column in columns
+            for column in SUPPORTS
         ]
         lines.append(f"{name:32}" + "".join(f"{text:>34}" for text in shown))
     return "\n".join(lines)
@@ -282,10 +280,9 @@ def main() -> None:
         for told in SUPPORTS:
             if told != support:
                 lockstep(f"dynamics, as if {told}", support, "dynamics", told=told)
-        if arguments.dds:
-            for kind in KINDS:
-                cell = over_dds(motion, seconds, support, kind, arguments.domain)
-                cells.setdefault(f"DDS, real time: {kind}", {})[support] = cell
+        for kind in KINDS if arguments.dds else ():
+            cell = over_dds(motion, seconds, support, kind, arguments.domain)
+            cells.setdefault(f"DDS, real time: {kind}", {})[support] = cell
     print(file=sys.stderr)
     if arguments.plot:
         draw(traces, arguments.plot)

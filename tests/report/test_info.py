@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from g1stream.config import Config
-from g1stream.recording.session import open_session
+from g1stream.recording.session import LogEvent, open_session
 from g1stream.report.info import describe
 from g1stream.report.info_text import render_info
 
@@ -107,6 +107,16 @@ def test_gaps_are_told(play, take, write_session):
     assert found.problems == [
         "Gaps: /lowcmd 1 (longest 102.0 ms), /reference 1 (longest 102.0 ms)."
     ]
+
+
+def test_warnings_that_differ_in_numbers_only_are_told_once(play, write_session):
+    path = write_session(*play(), METADATA, close=False)
+    session = open_session(path)
+    events = [(2, "phase"), (3, "7 ticks late"), (3, "9 ticks late"), (4, "the end")]
+    levels = {2: "INFO", 3: "WARNING", 4: "ERROR"}
+    session.log = [LogEvent(0, levels[level], "stream", text) for level, text in events]
+    problems = describe(session).problems
+    assert problems[-2:] == ["stream: 9 ticks late (the last of 2 such)", "stream: the end"]
 
 
 def test_somebody_elses_session(play, write_session):

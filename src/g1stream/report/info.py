@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -218,10 +218,17 @@ def _problems(session: Session, info: Info) -> list[str]:
         found.append(f"The streamer skipped {info.loop.skipped} ticks.")
     if info.loop and info.loop.reason:
         found.append(f"The streamer ended early: {info.loop.reason}.")
-    warned = Counter(
-        f"{event.name}: {event.text}"
-        for event in session.log
-        if event.level in {"WARNING", "ERROR", "FATAL"}
-    )
-    found += [text if n == 1 else f"{text} ({n} times)" for text, n in warned.items()]
-    return found
+    return found + _warnings(session)
+
+
+def _warnings(session: Session) -> list[str]:
+    """What programs warned of; what differs in its numbers only is told once, as it was last."""
+    alike: dict[str, list[str]] = {}
+    for event in session.log:
+        if event.level in {"WARNING", "ERROR", "FATAL"}:
+            text = f"{event.name}: {event.text}"
+            alike.setdefault(re.sub(r"\d+", "#", text), []).append(text)
+    return [
+        texts[0] if len(texts) == 1 else f"{texts[-1]} (the last of {len(texts)} such)"
+        for texts in alike.values()
+    ]

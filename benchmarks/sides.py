@@ -34,13 +34,13 @@ def clean_environment() -> dict[str, str]:
 
 
 def result_of(command: list[str]) -> Any:
-    """Run a side to its end; the JSON that it prints."""
+    """Run a side to its end; the JSON on its last line, after what the SDK may have to say."""
     done = subprocess.run(
         command, capture_output=True, text=True, check=False, env=clean_environment()
     )
     if done.returncode:
         sys.exit(f"{' '.join(command)} ended with {done.returncode}:\n{done.stderr}")
-    return json.loads(done.stdout)
+    return json.loads(done.stdout.splitlines()[-1])
 
 
 @contextmanager

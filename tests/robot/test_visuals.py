@@ -115,3 +115,10 @@ def test_meshes_that_are_not_there_are_named_once(robot, tmp_path):
     assert missing_meshes(with_urdf(robot, xml, tmp_path / "g1.urdf")) == ("a.stl",)
     (tmp_path / "a.stl").touch()
     assert missing_meshes(with_urdf(robot, xml, tmp_path / "g1.urdf")) == ()
+
+
+def test_the_meshes_of_unitrees_robot_are_found_where_its_package_has_them(reference_urdf):
+    theirs = G1.load(reference_urdf("g1_29dof_rev_1_0.urdf"))
+    meshes = [visual.mesh for visual in read_visuals(theirs) if visual.kind == "mesh"]
+    assert len(meshes) == 35
+    assert missing_meshes(theirs) == ()

@@ -44,8 +44,8 @@ class TfEncoder:
         frames = [f"{prefix}{name}" for name in robot.link_names]
         if world in frames:
             raise ConfigError(
-                f"The world's frame cannot be called {world!r}: a link of {robot.source} is.",
-                "Call the world otherwise (such as map), or the link.",
+                f"The world's frame cannot be called {world!r}: a link of {robot.name} is.",
+                "Give the world another, such as map.",
             )
         parents = [world if flat or parent < 0 else frames[parent] for parent in robot.parent]
         self._robot = robot

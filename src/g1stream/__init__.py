@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from g1stream.motion.trajectory import Trajectory
     from g1stream.programs.convert import Conversion, convert
     from g1stream.programs.record import record
+    from g1stream.programs.replay import replay
     from g1stream.programs.sim import simulate
     from g1stream.programs.stream import stream
     from g1stream.recording.motions import load_motion
@@ -42,6 +43,7 @@ __all__ = [
     "load_motion",
     "open_session",
     "record",
+    "replay",
     "simulate",
     "stream",
 ]
@@ -59,6 +61,7 @@ _HOME = {
     "load_motion": "recording.motions",
     "open_session": "recording.session",
     "record": "programs.record",
+    "replay": "programs.replay",
     "simulate": "programs.sim",
     "stream": "programs.stream",
 }

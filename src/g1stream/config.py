@@ -46,6 +46,10 @@ Seconds = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 
 
+#: The greatest gains that are ever sent, Nm/rad and Nm s/rad: beyond any that a G1 is run with.
+MAX_KP, MAX_KD = 500.0, 50.0
+
+
 class _Table(BaseModel):
     # Strict: TOML has a type for everything, so that "yes" is no bool and true is no number.
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
@@ -123,8 +127,8 @@ class GainsConfig(_Table):
     over earlier ones, and joints that nothing names keep the default.
     """
 
-    kp: dict[str, Annotated[float, Field(ge=0.0, le=500.0)]] = Field(default_factory=dict)
-    kd: dict[str, Annotated[float, Field(ge=0.0, le=50.0)]] = Field(default_factory=dict)
+    kp: dict[str, Annotated[float, Field(ge=0.0, le=MAX_KP)]] = Field(default_factory=dict)
+    kd: dict[str, Annotated[float, Field(ge=0.0, le=MAX_KD)]] = Field(default_factory=dict)
 
 
 class RecordConfig(_Table):

@@ -109,7 +109,11 @@ def damaged(data):
 @pytest.mark.parametrize(
     ("odd", "told"),
     [
-        (command(0, q=9.0), "beyond its limits"),
+        (command(0, q=9.0), "q of 9.000 rad, beyond its limits"),
+        (command(0, dq=99.0), "dq of 99.000 rad/s, beyond its limits"),
+        (command(0, tau=900.0), "tau of 900.000 Nm, beyond its limits"),
+        (command(0, kp=2000.0), "kp of 2000.000 Nm/rad, beyond its limits"),
+        (command(0, kd=80.0), "kd of 80.000 Nm s/rad, beyond its limits"),
         (command(0, tau=np.nan), "tau of left_hip_pitch_joint that is not finite"),
         (command(0, mode_pr=1), "mode_pr 1"),
         (damaged(command(0)), "checksum"),

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from g1stream.config import Config
+from g1stream.config import MAX_KD, MAX_KP, Config
 from g1stream.control.link import DdsLink
 from g1stream.control.recorded import RecordedLink
 from g1stream.dds.messages import LowCmd
@@ -19,6 +19,7 @@ from g1stream.recording.session import Session, open_session
 from g1stream.recording.streams import Command, Reference
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import G1
+from g1stream.robot.motors import TORQUE_LIMIT
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -128,15 +129,26 @@ def _check(session: Session, chosen: NDArray[np.intp], robot: G1) -> None:
         if not np.isfinite(values).all():
             joint = JOINT_NAMES[int(np.argwhere(~np.isfinite(values))[0, 1])]
             raise _unsafe(session, f"has a {name} of {joint} that is not finite")
-    q = command.q[chosen]
-    beyond = (q < robot.lower - _ROUNDING) | (q > robot.upper + _ROUNDING)
-    if beyond.any():
-        row, joint = np.argwhere(beyond)[0]
-        raise _unsafe(
-            session,
-            f"asks {JOINT_NAMES[joint]} for {q[row, joint]:.3f} rad, beyond its limits "
-            f"{robot.lower[joint]:.3f} and {robot.upper[joint]:.3f}",
-        )
+    torque = np.minimum(TORQUE_LIMIT, robot.effort)
+    nothing = np.zeros(len(JOINT_NAMES))
+    for name, unit, lower, upper in (
+        ("q", "rad", robot.lower, robot.upper),
+        ("dq", "rad/s", -robot.velocity, robot.velocity),
+        ("tau", "Nm", -torque, torque),
+        ("kp", "Nm/rad", nothing, nothing + MAX_KP),
+        ("kd", "Nm s/rad", nothing, nothing + MAX_KD),
+    ):
+        values = getattr(command, name)[chosen]
+        # What lies at a limit was rounded to float32 on the wire.
+        slack = _ROUNDING * np.maximum(1.0, np.maximum(np.abs(lower), np.abs(upper)))
+        beyond = (values < lower - slack) | (values > upper + slack)
+        if beyond.any():
+            row, joint = np.argwhere(beyond)[0]
+            raise _unsafe(
+                session,
+                f"asks {JOINT_NAMES[joint]} for a {name} of {values[row, joint]:.3f} {unit}, "
+                f"beyond its limits {lower[joint]:.3f} and {upper[joint]:.3f}",
+            )
 
 
 def _bytes_of(session: Session, chosen: NDArray[np.intp]) -> list[bytes]:

@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState, WaitSet
 
+from g1stream.dds.announcement import OBSERVER
 from g1stream.dds.raw import RawReader
+from g1stream.errors import RecordingError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -57,11 +59,14 @@ class Receiver:
         self, participant: Participant, topics: Sequence[Topic], depth: int = 4096
     ) -> None:
         self._depth = depth
-        self._readers = [RawReader(participant, topic, depth) for topic in topics]
+        self._readers = [
+            RawReader(participant, topic, depth, user_data=OBSERVER) for topic in topics
+        ]
         self._overflows = dict.fromkeys((topic.name for topic in topics), 0)
         self._batches = {topic.name: Batch() for topic in topics}
         self._lock = threading.Lock()
         self._stop = threading.Event()
+        self._failure: BaseException | None = None
         every = SampleState.NotRead | ViewState.Any | InstanceState.Any
         self._conditions = [ReadCondition(reader.entity, every) for reader in self._readers]
         self._waitset: Any = WaitSet(participant.entity)
@@ -84,11 +89,21 @@ class Receiver:
         del self._waitset, self._conditions
 
     def drain(self) -> dict[str, Batch]:
-        """What came since the last drain, by topic name; topics without a sample are left out."""
+        """What came since the last drain, by topic name; topics without a sample are left out.
+
+        Raises:
+            RecordingError: nothing more can come, and all that came has been drained.
+        """
+        failure = self._failure  # looked at first: what came before it is in the batches by now
         with self._lock:
             full = {name: batch for name, batch in self._batches.items() if batch.data}
             for name in full:
                 self._batches[name] = Batch()
+        if failure is not None and not full:
+            raise RecordingError(
+                f"Samples cannot be received any more: {failure!r}.",
+                "Record again; what came until then is in the file.",
+            ) from failure
         return full
 
     def matched(self) -> dict[str, int]:
@@ -103,17 +118,24 @@ class Receiver:
         return {r.topic.name: r.lost + self._overflows[r.topic.name] for r in self._readers}
 
     def _receive(self) -> None:
-        while not self._stop.is_set():
-            self._waitset.wait(_WAKE_NS)
-            for reader in self._readers:
-                samples = reader.take(self._depth)
-                if samples:
-                    now = time.time_ns()
-                    if len(samples) >= self._depth:
-                        self._overflows[reader.topic.name] += 1
-                    with self._lock:
-                        batch = self._batches[reader.topic.name]
-                        batch.data.extend(sample.data for sample in samples)
-                        batch.publish_times.extend(sample.publish_time for sample in samples)
-                        batch.log_times.extend([now] * len(samples))
-                        batch.writers.extend(s.sample_info.publication_handle for s in samples)
+        try:
+            while not self._stop.is_set():
+                self._waitset.wait(_WAKE_NS)
+                self._take()
+        except BaseException as error:  # told by `drain`: nobody sees what ends a thread
+            self._failure = error
+
+    def _take(self) -> None:
+        for reader in self._readers:
+            samples = reader.take(self._depth)
+            if not samples:
+                continue
+            now = time.time_ns()
+            if len(samples) >= self._depth:
+                self._overflows[reader.topic.name] += 1
+            with self._lock:
+                batch = self._batches[reader.topic.name]
+                batch.data.extend(sample.data for sample in samples)
+                batch.publish_times.extend(sample.publish_time for sample in samples)
+                batch.log_times.extend([now] * len(samples))
+                batch.writers.extend(s.sample_info.publication_handle for s in samples)

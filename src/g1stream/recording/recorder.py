@@ -83,7 +83,7 @@ class Recorder:
         return self._receiver.matched()
 
     def run(self, should_stop: Callable[[], bool], linger: float = 0.3) -> RecorderReport:
-        """Record until told to stop, or until the file cannot be written any more.
+        """Record until told to stop, or until nothing can be received or written any more.
 
         The latter is no exception: the report says so, and the file is in order.
 
@@ -97,7 +97,9 @@ class Recorder:
                 time.sleep(self._batch_s)
                 self._write_batches()
             time.sleep(linger)
-            self._write_batches()
+            # Once more after the last samples, to hear whether they were the last by accident.
+            for _ in range(2):
+                self._write_batches()
         except RecordingError as error:
             self.report.stopped = error.cause
             # There is room for last words, if the disk is what failed.

@@ -181,10 +181,10 @@ def test_flags_not_given_change_nothing(write):
     assert load_config(path, {"stream.rate": None, "robot": None}) == load_config(path)
 
 
-def test_a_whole_table_goes_over_the_files(write):
+def test_a_table_goes_over_the_files_entry_by_entry(write):
     path = write("[gains.kp]\n'*' = 10.0")
     config = load_config(path, {"gains": {"kd": {"*": 2.0}}})
-    assert (config.gains.kp, config.gains.kd) == ({}, {"*": 2.0})
+    assert (config.gains.kp, config.gains.kd) == ({"*": 10.0}, {"*": 2.0})
 
 
 def test_a_bad_flag_is_not_blamed_on_the_file(write):

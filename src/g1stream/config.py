@@ -72,7 +72,9 @@ class StreamConfig(_Table):
         allow_inf_nan=False,
         description="longest wait for a first LowState, s; discovery alone may take 2 s",
     )
-    ramp: Positive = Field(3.0, description="from the measured pose to the first frame, s")
+    ramp: float = Field(
+        3.0, ge=0.2, le=60.0, description="from the measured pose to the first frame, s"
+    )
     hold: Seconds = Field(1.0, description="stay at the last frame, s")
     damp: float = Field(1.0, ge=0.5, le=10.0, description="damp before letting go, s")
     start: Seconds = Field(0.0, description="where in the motion to start, s")
@@ -173,7 +175,8 @@ def load_config(path: Path | None = None, over: Mapping[str, Any] | None = None)
 
     Args:
         path: the TOML file; defaults alone when None.
-        over: values that go over the file's, keyed like `stream.rate`; None values do not count.
+        over: values that go over the file's, keyed like `stream.rate`; None values do not count,
+            and tables, such as `gains.kp`, are put over the file's entry by entry.
 
     Raises:
         ConfigError: the file cannot be read, is not TOML, or a value does not fit; names it.
@@ -184,7 +187,13 @@ def load_config(path: Path | None = None, over: Mapping[str, Any] | None = None)
         table, _, name = key.rpartition(".")
         settings = values.setdefault(table, {}) if table else values
         if isinstance(settings, dict):  # otherwise the file is at fault, which is told below
-            settings[name] = value
+            below = settings.get(name)
+            if isinstance(value, dict) and isinstance(below, dict):
+                # In the order in which they count: what goes over comes last.
+                kept = {k: v for k, v in below.items() if k not in value}
+                settings[name] = kept | value
+            else:
+                settings[name] = value
     try:
         return Config.model_validate(values)
     except ValidationError as error:

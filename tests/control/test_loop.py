@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from g1stream.config import SafetyConfig
+from g1stream.control.feedforward import FeedForward
 from g1stream.control.phases import Phase
 from g1stream.control.report import LoopReport
 from g1stream.control.targets import Targets
@@ -68,6 +69,19 @@ def test_ramp_begins_at_the_measured_pose_and_no_command_leaps(make_loop, link):
     q = np.array([sent.command.q for sent in link.sent])
     # 0.45 rad in 0.1 s of minimum jerk peaks at 1.875 * 0.45 / 0.1 = 8.4 rad/s.
     assert np.abs(np.diff(q, axis=0)).max() < 8.5 * PERIOD / 1e9
+
+
+@pytest.mark.parametrize("preview", [0.002, 0.02, 0.05])
+def test_a_preview_crosses_into_the_next_phase(make_loop, link, preview):
+    """The motion moves at up to 0.4 rad/s from its first frame to its last."""
+    link.robot.q[:] = 0.1 * np.sin(np.linspace(0.1, 1.5, 29))
+    ahead = FeedForward("velocity", limit=np.full(29, 50.0), ramp=0.1, preview=preview)
+    make_loop(feedforward=ahead).run()
+    q = np.array([sent.command.q for sent in link.sent])
+    fastest = max(np.abs(sent.command.dq).max() for sent in link.sent)
+    assert np.abs(np.diff(q, axis=0)).max() < 1.1 * fastest * PERIOD / 1e9
+    damping = link.in_phase(Phase.DAMP)
+    assert damping[0].command.q.tolist() == link.sent[-DAMP - 1].command.q.tolist()
 
 
 def test_gains_hold_until_damping(make_loop, link):

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,7 +18,10 @@ import pytest
 from mcap.reader import make_reader
 
 from g1stream.control.phases import Phase
-from g1stream.dds.messages import LowCmd
+from g1stream.dds.domain import Participant
+from g1stream.dds.messages import LowCmd, LowState
+from g1stream.dds.raw import RawWriter
+from g1stream.dds.topics import LOWSTATE
 from g1stream.recording.session import open_session
 
 if TYPE_CHECKING:
@@ -182,7 +187,9 @@ def test_a_simulator_that_dies_leads_to_damping(domain_id, tmp_path):
     assert open_session(path).complete
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGTSTP])
+@pytest.mark.parametrize(
+    "number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGTSTP, signal.SIGQUIT]
+)
 def test_signals_lead_to_damping(domain_id, tmp_path, number):
     path = tmp_path / "signal.mcap"
     with (
@@ -248,3 +255,48 @@ def test_a_demo_makes_session_picture_and_summary(domain_id, tmp_path):
     again = run(["demo", *where])
     assert again.returncode == 2
     assert "exists already" in again.stderr
+
+
+def test_a_recorder_is_nobody_to_play_to(domain_id, tmp_path):
+    """A LowState comes, but who reads LowCmd only records it: nothing may be sent into the void."""
+    config = tmp_path / "short.toml"
+    config.write_text("[stream]\nwait = 2.0\n")
+    stop = threading.Event()
+
+    def publish() -> None:
+        state = LowState()
+        state.quaternion[0] = 1.0
+        with Participant(domain_id, "lo") as participant:
+            writer = RawWriter(participant, LOWSTATE)
+            while not stop.wait(0.002):
+                writer.write(state.seal())
+
+    publisher = threading.Thread(target=publish)
+    publisher.start()
+    try:
+        where = ["--domain", domain_id, "--record", tmp_path / "void.mcap"]
+        done = run(["stream", "demo", "--config", config, *where])
+    finally:
+        stop.set()
+        publisher.join()
+    assert done.returncode == 1
+    assert "nobody came to read rt/lowcmd" in done.stdout
+    assert "/lowcmd" not in times(tmp_path / "void.mcap")
+
+
+def test_a_recorder_that_dies_does_not_hide_how_the_motion_went(domain_id, tmp_path):
+    path = tmp_path / "dead.mcap"
+    with (
+        simulator(domain_id),
+        running(*stream_arguments(domain_id, "--duration", 2, "--record", path)) as stream,
+    ):
+        wait_for(stream, PLAYING)
+        (recorder,) = [
+            int(child)
+            for child in Path(f"/proc/{stream.pid}/task/{stream.pid}/children").read_text().split()
+        ]
+        os.kill(recorder, signal.SIGKILL)
+        printed, _ = stream.communicate(timeout=30)
+    assert stream.returncode == 1
+    assert "played to its end" in printed
+    assert "it ended early" in printed

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from g1stream.config import RecordConfig
 from g1stream.dds.domain import Participant
 from g1stream.dds.messages import LowState, Reference
 from g1stream.dds.raw import RawWriter
 from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE
 from g1stream.recording.clocks import ClockReading, read_clocks
+from g1stream.recording.derive import Deriver
 from g1stream.recording.recorder import Recorder
 from g1stream.recording.rotation import PartedWriter
 from g1stream.recording.session import open_session
@@ -64,7 +64,7 @@ def recording(domain_id, path, **options):
         Participant(domain_id, "lo") as participant,
         PartedWriter(path, lambda writer: None) as writer,
     ):
-        recorder = Recorder(participant, writer, G1.load(), RecordConfig(), **options)
+        recorder = Recorder(participant, writer, Deriver(G1.load(), 100.0), 0.1, **options)
         thread = threading.Thread(target=recorder.run, args=(stop.is_set,))
         thread.start()
         try:

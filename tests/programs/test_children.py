@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -87,6 +88,18 @@ def test_a_child_ends_when_its_parent_is_killed(domain_id):
     parent.send_signal(signal.SIGKILL)
     parent.communicate()
     assert_ends(pid)
+
+
+def test_a_child_ends_though_its_parent_died_in_mid_line(domain_id):
+    child = subprocess.Popen(
+        [sys.executable, "-m", "g1stream", "sim", "--attached"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    greeting = json.dumps({"config": {"dds": {"domain": domain_id}}})
+    child.communicate(greeting + '\n{"half a', timeout=20)
+    assert child.returncode == 0
 
 
 def assert_ends(pid: int, seconds: float = 15.0) -> None:

@@ -6,12 +6,12 @@ from types import SimpleNamespace
 
 import pytest
 
-from g1stream.config import RecordConfig
 from g1stream.dds.domain import Participant
 from g1stream.dds.messages import LowState
-from g1stream.dds.raw import RawReader, RawSample
+from g1stream.dds.raw import RawReader, RawSample, RawWriter
 from g1stream.dds.topics import LOWSTATE
 from g1stream.errors import RecordingError
+from g1stream.recording.derive import Deriver
 from g1stream.recording.receiver import Receiver
 from g1stream.recording.recorder import Recorder
 from g1stream.recording.rotation import PartedWriter
@@ -29,7 +29,7 @@ def participant(domain_id):
 @pytest.fixture
 def recorder(participant, tmp_path):
     with PartedWriter(tmp_path / "s.mcap", lambda writer: None) as writer:
-        yield Recorder(participant, writer, G1.load(), RecordConfig())
+        yield Recorder(participant, writer, Deriver(G1.load(), 100.0), 0.1)
 
 
 @pytest.fixture
@@ -68,3 +68,12 @@ def test_a_recording_whose_receiver_died_is_not_whole(recorder, dying, at_once):
     assert "no room" in report.stopped
     assert not report.whole
     assert report.counts["/lowstate"] == 2
+
+
+def test_malformed_samples_are_told_and_the_recording_is_not_whole(recorder, participant, until):
+    writer = RawWriter(participant, LOWSTATE)
+    until(lambda: writer.matched, "the recorder's reader")
+    writer.write(LowState().tobytes() + bytes(8))
+    report = recorder.run(lambda: True)
+    assert report.as_dict()["malformed"] == {"/lowstate": 1}
+    assert not report.whole

@@ -36,7 +36,7 @@ __all__ = [
 
 EXIT_OK, EXIT_STOPPED, EXIT_BAD_INPUT = 0, 1, 2
 
-_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGTSTP)
+_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGTSTP, signal.SIGQUIT)
 
 
 def value(metavar: str, default: str = "") -> Any:
@@ -80,7 +80,10 @@ class Command:
     def overrides(self) -> dict[str, Any]:
         """The flags that were given, keyed like `stream.rate`."""
         given = {key: getattr(self, flag) for flag, key in self.settings.items()}
-        return {key: value for key, value in given.items() if value not in (None, False)}
+        # By identity: 0 is a domain, and equal to False.
+        return {
+            key: value for key, value in given.items() if value is not None and value is not False
+        }
 
     def run(self) -> int:
         """Do it, and return the exit code."""
@@ -105,12 +108,12 @@ class WireCommand(Command):
 
 def announce_wire(config: Config) -> None:
     """Say on standard error where on DDS this goes; loudly, where a robot may be."""
-    from g1stream.dds.domain import is_loopback
+    from g1stream.dds.domain import stays_here
 
     where = f"DDS domain {config.dds.domain} on {config.dds.interface}"
     if os.environ.get("CYCLONEDDS_URI"):
-        where = f"DDS domain {config.dds.domain}; CYCLONEDDS_URI is set and picks the interface"
-    elif not is_loopback(config.dds.interface):
+        where = f"DDS domain {config.dds.domain}, where CYCLONEDDS_URI says"
+    if not stays_here(config.dds.interface):
         where = (
             f"WARNING: {where}: whatever listens there will move, a real robot too. "
             "Keep its remote at hand"
@@ -119,7 +122,7 @@ def announce_wire(config: Config) -> None:
 
 
 def on_signals(stop: Callable[[str], None]) -> None:
-    """Call `stop` with the signal's name on Ctrl-C, Ctrl-Z, termination and a closed terminal."""
+    """Call `stop` with the signal's name on the terminal's keys, termination and hang-up."""
     for number in _SIGNALS:
         signal.signal(number, lambda received, _: stop(signal.Signals(received).name))
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Annotated
 
 from g1stream.cli.common import Flag, WireCommand, print_json, value
+from g1stream.errors import ConfigError
 
 if TYPE_CHECKING:
     from g1stream.doctor.finding import Finding
@@ -29,6 +31,10 @@ class Doctor(WireCommand):
         """Look, and return the exit code."""
         from g1stream.programs.doctor import diagnose
 
+        if not 0.0 < self.seconds < math.inf:
+            raise ConfigError(
+                f"The doctor cannot listen for {self.seconds} s.", "Give --seconds above 0."
+            )
         findings = diagnose(self.resolve(), self.seconds)
         if self.json:
             print_json([{**asdict(one), "level": one.level.name.lower()} for one in findings])

@@ -128,6 +128,7 @@ def _summary(report: RecorderReport) -> str:
     lines = [f"{name}: {report.as_dict()['duration_s']:.1f} s"]
     lines += [f"  {topic:<{width}}  {n:>8}" for topic, n in sorted(report.counts.items())]
     lines += [f"  missing from {topic}: {n}" for topic, n in report.missing.items() if n]
+    lines += [f"  not of the type of {topic}: {n}" for topic, n in report.malformed.items()]
     lines += [f"  datagrams dropped by the kernel: {report.dropped}"] if report.dropped else []
     lines += [f"  absent: {', '.join(report.absent)}"] if report.absent else []
     lines += [

@@ -95,7 +95,7 @@ class PlayCommand(WireCommand):
 
         over = super().overrides()
         if self.gains:
-            over["gains"] = read_toml(self.gains)
+            over |= {f"gains.{name}": table for name, table in read_toml(self.gains).items()}
         return over
 
     def report(self, outcome: StreamOutcome) -> int:
@@ -151,6 +151,7 @@ def exit_code(outcome: StreamOutcome) -> int:
             recording["stopped"]
             or recording["dropped_datagrams"]
             or any(recording["missing"].values())
+            or any(recording["malformed"].values())
         )
         return EXIT_STOPPED if lost else EXIT_OK
     return exit_code_of_signal(reason) or EXIT_STOPPED

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING, Final, Protocol
 
-from g1stream.dds.announcement import support_announced
+from g1stream.dds.announcement import OBSERVER, observers, support_announced
 from g1stream.dds.layout import CDR_HEADER, Layout
 from g1stream.dds.messages import Log
 from g1stream.dds.raw import RawReader, RawWriter
@@ -27,7 +27,7 @@ class Link(Protocol):
     """Commands out, states back. No call waits."""
 
     def listeners(self) -> int:
-        """How many readers of LowCmd are matched."""
+        """How many readers of LowCmd are matched that may obey it."""
 
     def rivals(self) -> list[str]:
         """Who else writes LowCmd, named as well as can be."""
@@ -56,13 +56,16 @@ class DdsLink:
         self._states = RawReader(participant, LOWSTATE, depth=_STATE_DEPTH)
         self._gaps = TickGaps()
         self._tick_at = slice(*_bytes_of(LOWSTATE, "tick"))
-        self._others = RawReader(participant, LOWCMD, ignore_own=True)
+        self._others = RawReader(participant, LOWCMD, ignore_own=True, user_data=OBSERVER)
         self._message = Log()
         self._message.name = "stream"
 
     def listeners(self) -> int:
-        """How many readers of LowCmd are matched."""
-        return self._commands.matched
+        """How many readers of LowCmd are matched that may obey it: a recorder does not."""
+        matched = self._commands.matched
+        if not matched:
+            return 0
+        return max(0, matched - observers(self._participant.readers(LOWCMD.name)))
 
     def rivals(self) -> list[str]:
         """Who else writes LowCmd."""

@@ -60,6 +60,11 @@ def is_loopback(interface: str) -> bool:
     return bool(int(flags.read_text(), 16) & 0x8)  # IFF_LOOPBACK, netdevice(7)
 
 
+def stays_here(interface: str) -> bool:
+    """Whether what is published cannot leave this machine; a CYCLONEDDS_URI could say anything."""
+    return not os.environ.get("CYCLONEDDS_URI") and is_loopback(interface)
+
+
 @dataclass(frozen=True)
 class Endpoint:
     """A writer or reader that somebody has on a topic.

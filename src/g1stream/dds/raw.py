@@ -131,19 +131,28 @@ class RawReader:
     Args:
         depth: how many samples wait between two takes before the oldest is lost.
         ignore_own: do not match writers of the same participant.
+        user_data: what to tell those who discover it.
 
     Attributes:
         malformed: samples that came and were not of the topic's type.
     """
 
     def __init__(
-        self, participant: Participant, topic: Topic, depth: int = 1, *, ignore_own: bool = False
+        self,
+        participant: Participant,
+        topic: Topic,
+        depth: int = 1,
+        *,
+        ignore_own: bool = False,
+        user_data: bytes = b"",
     ) -> None:
         self.topic = topic
         self._type = _raw_type(topic.message.idl_type)
         policies = [Policy.Reliability.BestEffort, Policy.History.KeepLast(depth)]
         if ignore_own:
             policies.append(Policy.IgnoreLocal.Participant)
+        if user_data:
+            policies.append(Policy.Userdata(user_data))
         qos = Qos(*policies)
         self._size = Layout.of(topic.message.idl_type).sample_size
         self.malformed = 0

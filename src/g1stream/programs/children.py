@@ -13,6 +13,7 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import suppress
 from typing import IO, TYPE_CHECKING, Any
 
 from g1stream.errors import ConfigError, G1StreamError
@@ -53,9 +54,12 @@ class Child:
         self.send(greeting)
 
     def _read(self) -> None:
-        for line in _pipe(self._process.stdout):
-            self._lines.put(json.loads(line))
-        self._lines.put(None)
+        try:
+            for line in _pipe(self._process.stdout):
+                with suppress(json.JSONDecodeError):  # some library's own words
+                    self._lines.put(json.loads(line))
+        finally:
+            self._lines.put(None)
 
     @property
     def alive(self) -> bool:
@@ -103,10 +107,11 @@ class Child:
             ChildError: it did not end well or in time; it is gone all the same.
         """
         try:
-            _pipe(self._process.stdin).close()
+            with suppress(BrokenPipeError):  # it is gone: what it did not say tells why
+                _pipe(self._process.stdin).close()
             done = self.wait_for("done", timeout)
             self._process.wait(timeout)
-        except (BrokenPipeError, subprocess.TimeoutExpired) as error:
+        except subprocess.TimeoutExpired as error:
             raise ChildError(
                 f"g1stream {self.name} did not end in order: {error}.", "Look at what it printed."
             ) from error
@@ -139,9 +144,12 @@ class ParentLine:
         threading.Thread(target=self._read, daemon=True).start()
 
     def _read(self) -> None:
-        for line in sys.stdin:
-            self._lines.put(json.loads(line))
-        self.gone.set()
+        try:
+            for line in sys.stdin:
+                with suppress(json.JSONDecodeError):  # cut off: the parent was killed in mid-line
+                    self._lines.put(json.loads(line))
+        finally:
+            self.gone.set()
 
     def received(self) -> list[dict[str, Any]]:
         """The lines that came since the last call."""

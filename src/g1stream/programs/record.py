@@ -12,7 +12,8 @@ from g1stream._version import __version__
 from g1stream.config import Config
 from g1stream.dds.domain import Participant
 from g1stream.dds.topics import LOWCMD, REFERENCE
-from g1stream.errors import RecordingError
+from g1stream.errors import RecordingError, WireError
+from g1stream.recording.derive import Deriver
 from g1stream.recording.encode import MEASURED_PREFIX
 from g1stream.recording.recorder import Recorder
 from g1stream.recording.rotation import Limits, PartedWriter, timestamped
@@ -70,6 +71,7 @@ def record(
     settings = config.record
     robot = G1.load(config.robot)
     path = timestamped(path, time.time_ns()) if settings.auto_name else Path(path)
+    deriver = Deriver(robot, settings.tf_rate)  # may refuse the robot: before there is a file
     about = _about(config, session or {})
 
     def preface(writer: SessionWriter) -> None:
@@ -81,11 +83,13 @@ def record(
         Participant(config.dds.domain, config.dds.interface) as participant,
         PartedWriter(path, preface, _limits(settings), force=force) as writer,
     ):
-        recorder = Recorder(participant, writer, robot, settings, on_event=on_event)
-        if session:
-            _wait_for_streamer(recorder)
-        on_ready()
-        report = recorder.run(should_stop)
+        recorder = Recorder(participant, writer, deriver, settings.batch, on_event=on_event)
+
+        def on_started() -> None:
+            if not session or _wait_for_streamer(recorder, should_stop):
+                on_ready()
+
+        report = recorder.run(should_stop, on_started=on_started)
         if session:
             # A disk that is full does not end the streamer, and its last words are worth having.
             _wait_until(should_stop)
@@ -116,13 +120,22 @@ def _close(writer: PartedWriter, report: RecorderReport, last_words: Mapping[str
         report.stopped = report.stopped or error.cause
 
 
-def _wait_for_streamer(recorder: Recorder) -> None:
+def _wait_for_streamer(recorder: Recorder, should_stop: Callable[[], bool]) -> bool:
+    """Wait until the streamer's writers are matched; False where told to stop before."""
     end = time.monotonic() + _MATCH_TIMEOUT
-    while time.monotonic() < end:
+    while not should_stop():
         matched = recorder.matched()
-        if matched[LOWCMD.name] and matched[REFERENCE.name]:
-            return
+        absent = [topic.name for topic in (LOWCMD, REFERENCE) if not matched[topic.name]]
+        if not absent:
+            return True
+        if time.monotonic() >= end:
+            raise WireError(
+                f"Nobody that publishes {' or '.join(absent)} was found in {_MATCH_TIMEOUT:g} s.",
+                "Check with `g1stream doctor` that the recorder and the streamer hear each other "
+                "on this domain and interface.",
+            )
         time.sleep(0.01)
+    return False
 
 
 def _about(config: Config, session: Mapping[str, Any]) -> dict[str, Any]:

@@ -64,9 +64,16 @@ def _priority(config: Config) -> int:
     With one CPU, a simulation that is too slow for it would; with a viewer, it would wait for the
     thread that draws.
     """
-    if config.sim.viewer or (os.cpu_count() or 1) < 2:
+    if config.sim.viewer or _cpus() < 2:
         return 0
     return max(0, config.realtime.priority - _BELOW_LOOP)
+
+
+def _cpus() -> int:
+    """How many CPUs this process may run on."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def _timestep(rate: float) -> float:

@@ -17,12 +17,12 @@ from g1stream.control.link import DdsLink
 from g1stream.control.loop import INFO, StreamLoop
 from g1stream.control.phases import Timing
 from g1stream.control.targets import Targets
-from g1stream.dds.domain import Participant, is_loopback
+from g1stream.dds.domain import Participant, stays_here
 from g1stream.dds.topics import LOWCMD
 from g1stream.errors import ConfigError, SafetyError
 from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
-from g1stream.programs.children import Child
+from g1stream.programs.children import Child, ChildError
 from g1stream.realtime import on_time, told
 from g1stream.recording.motions import load_motion
 from g1stream.robot.dynamics import InverseDynamics
@@ -137,8 +137,22 @@ def stream(
                         }
                     }
                 )
-                recording = recorder.finish()
+                recording = _finish_recorder(recorder, Path(record or ""))
     return StreamOutcome(motion.name, report, recording, wire, granted)
+
+
+def _finish_recorder(recorder: Child, path: Path) -> dict[str, Any]:
+    """The recorder's summary; where it died, that it did, as how the motion went still counts."""
+    try:
+        return recorder.finish()
+    except ChildError as error:
+        return {
+            "path": str(path),
+            "paths": [str(path)],
+            "stopped": error.cause,
+            "missing": {},
+            "dropped_datagrams": 0,
+        }
 
 
 def _refuse_if_commanded(participant: Participant) -> None:
@@ -192,7 +206,7 @@ def make_feedforward(config: Config, robot: G1) -> FeedForward:
     """
     settings, period = config.stream, 1.0 / config.stream.rate
     kind = settings.feedforward
-    if kind is None and not is_loopback(config.dds.interface):
+    if kind is None and not stays_here(config.dds.interface):
         kind = "velocity"
     dynamics = InverseDynamics(robot) if kind in (None, "dynamics") else None
     return FeedForward(

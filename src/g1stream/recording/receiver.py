@@ -117,6 +117,10 @@ class Receiver:
         """
         return {r.topic.name: r.lost + self._overflows[r.topic.name] for r in self._readers}
 
+    def malformed(self) -> dict[str, int]:
+        """How many samples of each topic came and were not of its type."""
+        return {reader.topic.name: reader.malformed for reader in self._readers}
+
     def _receive(self) -> None:
         try:
             while not self._stop.is_set():

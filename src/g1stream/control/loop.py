@@ -37,6 +37,9 @@ _RIVAL_PERIOD = 100_000_000
 #: How often it tells of skipped ticks, ns.
 _OVERRUN_PERIOD = 1_000_000_000
 
+#: Longer than any session, ns.
+_FOR_EVER = 1 << 62
+
 #: What a target says, a Reference says under the same names.
 _NAMES = tuple(one.name for one in fields(Target) if one.name not in UNPUBLISHED)
 
@@ -84,6 +87,7 @@ class StreamLoop:
         self._targets = targets
         self._envelope = envelope
         self._timing = timing
+        self._undamped = replace(timing, hold=_FOR_EVER)
         self._gains = gains
         self._period = period
         self._damp_kd = damp_kd
@@ -254,12 +258,17 @@ class StreamLoop:
         asked = target = self._targets.at(phase, elapsed)
         if self._feedforward and self._measured and phase is not Phase.DAMP:
             ahead = self._feedforward.preview
-            sooner = self._targets.at(phase, elapsed + ahead) if ahead else target
+            sooner = self._due_at(deadline + round(ahead * 1e9)) if ahead else target
             age = (self._clock.now() - self._measured.received) / 1e9
             asked = self._feedforward.command(phase, elapsed, sooner, self._imu, age)
             for text in self._feedforward.news():
                 self._tell(WARNING, text)
         self._compose(target, asked, deadline)
+
+    def _due_at(self, then: int) -> Target:
+        """What will be asked for, in whichever phase that is, if nothing ends the session."""
+        soon = step(then, self.state, Inputs(), self._undamped)
+        return self._targets.at(soon.phase, soon.elapsed(then) / 1e9)
 
     def _compose(self, target: Target, asked: Target, deadline: int) -> None:
         """Prepare what is due, and the command that is to bring it about."""

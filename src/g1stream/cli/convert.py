@@ -7,7 +7,7 @@ import signal
 import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, NoReturn
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -93,10 +93,13 @@ class Convert:
                 "There is no file to write to.",
                 "Name it after the motion, such as motion.mcap, or give --check to only look.",
             )
+        # Heeded between chunks: an exception out of nowhere could come between making a file and
+        # taking care of it.
+        stopped_by: list[str] = []
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            signal.signal(number, _stop)
+            signal.signal(number, lambda got, _: stopped_by.append(signal.Signals(got).name))
         try:
-            report = self._convert(robot, self.out)
+            report = self._convert(robot, self.out, stopped_by)
         except _StoppedError as stopped:
             print(f"\nStopped by {stopped}; nothing was written.", file=sys.stderr)
             return exit_code_of_signal(str(stopped)) or EXIT_STOPPED
@@ -108,7 +111,7 @@ class Convert:
             print(_summary(report))
         return EXIT_OK
 
-    def _convert(self, robot: G1, out: Path) -> ConvertReport:
+    def _convert(self, robot: G1, out: Path, stopped_by: list[str]) -> ConvertReport:
         from g1stream.programs.convert import Conversion, convert
         from g1stream.recording.stamps import parse_time
 
@@ -125,9 +128,15 @@ class Convert:
             force=self.force,
         )
         bar = _Bar()
+
+        def on_progress(share: float) -> None:
+            if stopped_by:
+                raise _StoppedError(stopped_by[0])
+            bar.show(share)
+
         try:
             return convert(
-                self.motion, out, options, robot=robot, fps=self.fps, on_progress=bar.show
+                self.motion, out, options, robot=robot, fps=self.fps, on_progress=on_progress
             )
         finally:
             bar.clear()
@@ -164,10 +173,6 @@ class _Bar:
         if self._shown:
             sys.stderr.write("\r\x1b[K")
             sys.stderr.flush()
-
-
-def _stop(number: int, _: object) -> NoReturn:
-    raise _StoppedError(signal.Signals(number).name)
 
 
 def _frames(text: str) -> tuple[int | None, int | None]:

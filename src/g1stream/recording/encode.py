@@ -45,7 +45,7 @@ class TfEncoder:
         if world in frames:
             raise ConfigError(
                 f"The world's frame cannot be called {world!r}: a link of {robot.name} is.",
-                "Give the world another, such as map.",
+                "Rename the link, or the world with --world where there is that flag.",
             )
         parents = [world if flat or parent < 0 else frames[parent] for parent in robot.parent]
         self._robot = robot

@@ -13,7 +13,6 @@ from g1stream.dds.topics import TOPICS
 from g1stream.errors import RecordingError
 from g1stream.recording.channels import CHANNELS
 from g1stream.recording.clocks import DelayEstimator, StepDetector, read_clocks
-from g1stream.recording.derive import Deriver
 from g1stream.recording.encode import encode_log
 from g1stream.recording.losses import Losses, dropped_datagrams
 from g1stream.recording.receiver import Receiver
@@ -22,12 +21,11 @@ from g1stream.recording.recorder_report import Publishers, RecorderReport
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from g1stream.config import RecordConfig
     from g1stream.dds.domain import Participant
     from g1stream.recording.clocks import ClockReading
+    from g1stream.recording.derive import Deriver
     from g1stream.recording.receiver import Batch
     from g1stream.recording.rotation import PartedWriter
-    from g1stream.robot.model import G1
 
 __all__ = ["Recorder"]
 
@@ -48,8 +46,8 @@ class Recorder:
     Args:
         participant: whose domain to listen in.
         writer: the session file.
-        robot: whose links the transforms show.
-        config: rates.
+        deriver: makes what follows from the samples.
+        batch: how often samples are handed on, s.
         on_event: is told what is worth telling, (level, text); it goes into /log as well.
         clocks: reads this machine's clocks.
     """
@@ -58,19 +56,19 @@ class Recorder:
         self,
         participant: Participant,
         writer: PartedWriter,
-        robot: G1,
-        config: RecordConfig,
+        deriver: Deriver,
+        batch: float,
         *,
         on_event: Callable[[int, str], None] = lambda level, text: None,
         clocks: Callable[[], ClockReading] = read_clocks,
     ) -> None:
         self._participant = participant
         self._writer = writer
-        self._batch_s = config.batch
+        self._batch_s = batch
         self._on_event = on_event
         self._clocks = clocks
         self._receiver = Receiver(participant, TOPICS)
-        self._deriver = Deriver(robot, config.tf_rate)
+        self._deriver = deriver
         self._losses = Losses()
         self._steps = StepDetector()
         self._delays: dict[str, DelayEstimator] = defaultdict(DelayEstimator)
@@ -82,7 +80,12 @@ class Recorder:
         """How many writers each DDS topic is matched with."""
         return self._receiver.matched()
 
-    def run(self, should_stop: Callable[[], bool], linger: float = 0.3) -> RecorderReport:
+    def run(
+        self,
+        should_stop: Callable[[], bool],
+        linger: float = 0.3,
+        on_started: Callable[[], None] = lambda: None,
+    ) -> RecorderReport:
         """Record until told to stop, or until nothing can be received or written any more.
 
         The latter is no exception: the report says so, and the file is in order.
@@ -90,9 +93,11 @@ class Recorder:
         Args:
             should_stop: asked a few times a second.
             linger: go on for so long afterwards, for what is still on its way, s.
+            on_started: called when samples are being received; may take its time, or raise.
         """
         self._receiver.start()
         try:
+            on_started()
             while not should_stop():
                 time.sleep(self._batch_s)
                 self._write_batches()
@@ -194,6 +199,9 @@ class Recorder:
         report.absent = [t for t in _CHANNEL_OF.values() if t not in report.counts]
         report.missing = {
             _CHANNEL_OF[name]: n for name, n in self._losses.missing.items() if name in _CHANNEL_OF
+        }
+        report.malformed = {
+            _CHANNEL_OF.get(name, name): n for name, n in self._receiver.malformed().items() if n
         }
         report.clock = self._steps.as_dict()
         report.measured_tf = self._deriver.base.as_dict()

@@ -50,6 +50,8 @@ class RecorderReport:
         counts: messages by topic of the file.
         absent: topics of the wire that nobody published.
         missing: samples known to be lost, by topic of the file.
+        malformed: samples that came and were not of their topic's type, by topic of the file; they
+            are not in it.
         dropped: datagrams, each a sample or a part of one, that came and that the kernel had no
             room to keep until they were fetched; of which topic is not known.
         first, last: log times of the first and last sample, ns since the epoch.
@@ -64,6 +66,7 @@ class RecorderReport:
     counts: dict[str, int] = field(default_factory=dict)
     absent: list[str] = field(default_factory=list)
     missing: dict[str, int] = field(default_factory=dict)
+    malformed: dict[str, int] = field(default_factory=dict)
     dropped: int = 0
     first: int = 0
     last: int = 0
@@ -76,7 +79,8 @@ class RecorderReport:
     @property
     def whole(self) -> bool:
         """Whether, as far as is known, everything published until the end is in the file."""
-        return not self.stopped and not self.dropped and not any(self.missing.values())
+        lacking = (self.dropped, *self.missing.values(), *self.malformed.values())
+        return not self.stopped and not any(lacking)
 
     def see(self, log_times: Sequence[int]) -> None:
         """Take note of when samples were received."""
@@ -95,6 +99,7 @@ class RecorderReport:
             "counts": dict(sorted(self.counts.items())),
             "absent": self.absent,
             "missing": self.missing,
+            "malformed": self.malformed,
             "dropped_datagrams": self.dropped,
             "duration_s": (self.last - self.first) / 1e9,
             "stopped": self.stopped,

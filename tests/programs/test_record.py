@@ -1,0 +1,88 @@
+"""Recording as a program: when it is ready, and what it leaves behind when it cannot be."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+
+from g1stream.config import Config
+from g1stream.dds.domain import Participant
+from g1stream.dds.messages import LowState
+from g1stream.dds.raw import RawWriter
+from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE
+from g1stream.errors import ConfigError, WireError
+from g1stream.programs import record as program
+from g1stream.recording.reader import McapFile
+from g1stream.robot.model import G1
+
+SESSION = {"motion": {"name": "walk"}}
+
+
+@pytest.fixture
+def config(domain_id):
+    return Config.model_validate({"dds": {"domain": domain_id, "interface": "lo"}})
+
+
+def test_a_streamer_that_is_not_there_is_an_error(config, tmp_path, monkeypatch):
+    monkeypatch.setattr(program, "_MATCH_TIMEOUT", 0.2)
+    ready = threading.Event()
+    with pytest.raises(WireError, match="rt/lowcmd"):
+        program.record(tmp_path / "s.mcap", config, session=SESSION, on_ready=ready.set)
+    assert not ready.is_set()
+    assert McapFile(tmp_path / "s.mcap").complete
+
+
+def test_it_ends_when_told_to_while_it_waits(config, tmp_path):
+    ready = threading.Event()
+    report = program.record(
+        tmp_path / "s.mcap",
+        config,
+        session=SESSION,
+        should_stop=lambda: True,
+        on_ready=ready.set,
+    )
+    assert not ready.is_set()
+    assert not report.stopped
+
+
+def test_samples_are_received_while_the_streamer_is_awaited(config, domain_id, tmp_path, until):
+    """Each when it comes: ten that come one by one do not share a log time."""
+    stop = threading.Event()
+    path = tmp_path / "s.mcap"
+    with Participant(domain_id, "lo") as participant:
+        states = RawWriter(participant, LOWSTATE, 20)
+        ready = threading.Event()
+        thread = threading.Thread(
+            target=program.record,
+            args=(path, config),
+            kwargs={"session": SESSION, "should_stop": stop.is_set, "on_ready": ready.set},
+        )
+        thread.start()
+        try:
+            until(lambda: states.matched, "the recorder's reader")
+            for _ in range(10):
+                states.write(LowState().tobytes())
+                stop.wait(0.05)
+            assert not ready.is_set()
+            RawWriter(participant, LOWCMD)
+            RawWriter(participant, REFERENCE)
+            until(ready.is_set, "the recorder")
+        finally:
+            stop.set()
+            thread.join()
+    times = [
+        stamp
+        for _, messages in McapFile(path).batches({"/lowstate"})
+        for stamp in messages.log_times.tolist()
+    ]
+    assert len(set(times)) == 10
+
+
+def test_a_robot_that_cannot_be_shown_leaves_no_file(config, tmp_path):
+    urdf = tmp_path / "g1.urdf"
+    urdf.write_text(G1.load().urdf.replace('"head_link"', '"world"'))
+    config = config.model_copy(update={"robot": str(urdf)})
+    with pytest.raises(ConfigError, match="world"):
+        program.record(tmp_path / "s.mcap", config, should_stop=lambda: True)
+    assert not (tmp_path / "s.mcap").exists()

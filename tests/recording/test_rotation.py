@@ -125,3 +125,51 @@ def test_a_preface_that_fails_leaves_no_open_file(tmp_path):
 def test_the_time_in_a_name_is_utc(monkeypatch):
     monkeypatch.setenv("TZ", "Asia/Tokyo")
     assert timestamped("a/s.mcap", T0) == Path("a/s-20231114T221320Z.mcap")
+
+
+def test_what_is_only_named_like_a_part_is_left_alone(tmp_path):
+    strangers = [tmp_path / "walk_20240301.mcap", tmp_path / "walk_0042.mcap"]
+    with PartedWriter(strangers[0], preface) as writer:
+        record(writer, 1)
+    strangers[1].write_bytes(b"not an MCAP")
+    before = [path.read_bytes() for path in strangers]
+    for force in (False, True):
+        with PartedWriter(
+            tmp_path / "walk.mcap", preface, Limits(duration=10**9), force=force
+        ) as writer:
+            record(writer, 2.5)
+        assert [path.read_bytes() for path in strangers] == before
+        assert len(writer.paths) == 3
+
+
+@pytest.mark.parametrize("where", ["before", "after"])
+def test_without_a_next_part_the_last_words_go_into_the_old(tmp_path, where):
+    prefaces = []
+
+    def once(writer):
+        if where == "after" or not prefaces:
+            preface(writer)
+        if prefaces:
+            raise RecordingError("The disk is full.", "Make room.")
+        prefaces.append(writer.path)
+
+    with PartedWriter(tmp_path / "s.mcap", once, Limits(duration=10**9)) as writer:
+        with pytest.raises(RecordingError, match="full"):
+            record(writer, 2)
+        writer.add_metadata({"last": "words"})
+    assert writer.paths == [tmp_path / "s_001.mcap"] == sorted(tmp_path.iterdir())
+    messages, metadata, _ = read(writer.paths[0])
+    assert metadata["last"] == "words"
+    assert writer.counts == {"/robot_description": 1, "/lowcmd": len(messages) - 1}
+
+
+def test_what_every_part_carries_does_not_fill_a_part(tmp_path):
+    def large(writer):
+        writer.attach("robot.urdf", "application/xml", bytes(100_000), T0)
+
+    noise = np.random.default_rng(1).bytes(10_000)
+    with PartedWriter(tmp_path / "s.mcap", large, Limits(size=50_000)) as writer:
+        record(writer, 0.2)
+        assert len(writer.paths) == 1
+        record(writer, 2, noise)
+    assert len(writer.paths) > 1

@@ -9,12 +9,15 @@ from __future__ import annotations
 
 import re
 import uuid
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from g1stream.errors import RecordingError
+from g1stream.recording.metadata import METADATA_NAME, metadata_from_strings
+from g1stream.recording.reader import McapFile
 from g1stream.recording.writer import SessionWriter
 
 if TYPE_CHECKING:
@@ -33,7 +36,7 @@ class Limits:
     """When a part ends: with the first chunks that reach one of these.
 
     Attributes:
-        size: bytes; None: no limit.
+        size: bytes, without what every part carries; None: no limit.
         duration: log time, ns; None: no limit.
     """
 
@@ -126,9 +129,11 @@ class PartedWriter:
         if self._part_start is None:
             self._part_start = now_ns
         if self._is_full(now_ns):
-            self._writer.close()
-            self._writer = self._next_part()
+            # First what may fail: without a next part, the last words go into this one.
+            self._writer.flush()
+            full, self._writer = self._writer, self._next_part()
             self._part_start = now_ns
+            full.close()
 
     def close(self) -> None:
         """Close the part in progress; after that, nothing."""
@@ -138,26 +143,38 @@ class PartedWriter:
         size, duration = self._limits.size, self._limits.duration
         # The distance, not the difference: a clock may be set back.
         elapsed = abs(now_ns - (self._part_start or now_ns))
-        return (size is not None and self._writer.size >= size) or (
+        return (size is not None and self._writer.size - self._preface_size >= size) or (
             duration is not None and elapsed >= duration
         )
 
     def _next_part(self) -> SessionWriter:
         number = len(self.paths) + 1
         path = _part_path(self._path, number) if self._limits.any else self._path
+        counts = dict(self.counts)
         writer = SessionWriter(path, force=self._force, counts=self.counts)
-        self.paths.append(path)
         try:
             writer.add_metadata({"session_id": self.session_id, "part": number})
             self._preface(writer)
+            writer.flush()
         except BaseException:
-            writer.close()
+            with suppress(RecordingError):
+                writer.close()
+            if number > 1:
+                path.unlink(missing_ok=True)
+                self.counts.clear()
+                self.counts.update(counts)
             raise
+        self.paths.append(path)
+        self._preface_size = writer.size
         return writer
 
     def _make_way(self) -> None:
-        """Refuse where parts of this name are, or remove them: they would mix with the new."""
-        old = _parts(self._path.parent, self._path.stem, self._path.suffix)
+        """Refuse where parts of this name are, or remove them: they would mix with the new.
+
+        Others' files of such names are left alone.
+        """
+        named = _parts(self._path.parent, self._path.stem, self._path.suffix)
+        old = [path for path in named if _is_part(path)]
         if old and not self._force:
             raise RecordingError(
                 f"The file {old[0]} exists already.",
@@ -191,6 +208,17 @@ def timestamped(path: str | Path, now_ns: int) -> Path:
 
 def _part_path(path: Path, number: int) -> Path:
     return path.with_name(f"{path.stem}_{number:03}{path.suffix}")
+
+
+def _is_part(path: Path) -> bool:
+    """Whether a file that is named like a part says itself that it is the part of that number."""
+    match = _PART.fullmatch(path.stem)
+    try:
+        records = McapFile(path).metadata
+    except RecordingError:
+        return False
+    ours = (metadata_from_strings(one.metadata) for one in records if one.name == METADATA_NAME)
+    return match is not None and any(one.get("part") == int(match["number"]) for one in ours)
 
 
 def _parts(directory: Path, stem: str, suffix: str) -> list[Path]:

@@ -80,8 +80,14 @@ class SessionWriter:
         self._schemas: dict[str, Schema] = {}
         self._announced: set[int] = set()
         self._file = create(self.path, force=force)
-        with self._whole_or_not():
-            self._mcap = ChunkedFile(self._file, f"g1stream {__version__}", "zstd")
+        try:
+            with self._whole_or_not():
+                self._mcap = ChunkedFile(self._file, f"g1stream {__version__}", "zstd")
+        except RecordingError:
+            self._file.close()
+            if self.path.is_file():  # and no device
+                self.path.unlink()
+            raise
 
     def __enter__(self) -> SessionWriter:
         return self
@@ -196,7 +202,7 @@ class SessionWriter:
             return
         try:
             try:
-                self._flush()
+                self.flush()
             finally:
                 with self._whole_or_not():
                     self._mcap.finish(
@@ -212,7 +218,7 @@ class SessionWriter:
         # The distance, not the difference: a clock may be set back.
         fits = np.abs(log_times - self._chunk_start) < self._chunk_ns
         if not fits[0]:
-            self._flush()
+            self.flush()
             return self._make_room(log_times)
         return len(fits) if fits.all() else int(fits.argmin())
 
@@ -232,10 +238,14 @@ class SessionWriter:
         pending.add(records, log_times, offsets)
         self.counts[topic] = count + len(log_times)
         if pending.size > _CHUNK_BYTES:
-            self._flush()
+            self.flush()
 
-    def _flush(self) -> None:
-        """Close the open chunks; what does not fit on the disk is dropped."""
+    def flush(self) -> None:
+        """Close the open chunks; what does not fit on the disk is dropped.
+
+        Raises:
+            RecordingError: the disk is full, or the file cannot be written for another reason.
+        """
         pending, self._pending, self._chunk_start = self._pending, {}, None
         try:
             with self._whole_or_not():

@@ -100,3 +100,13 @@ def test_what_waits_in_vain_does_not_pile_up(robot):
         error.add_references(ramp(np.arange(start, start + 1000)))
         error.take()
     assert len(error._references.q) <= 1001
+
+
+def test_a_state_that_comes_a_batch_late_finds_its_reference(robot):
+    error, published = TrackingError(robot), []
+    references, states = ramp(np.arange(0, 400, 2)), ramp(np.arange(1, 390, 2))
+    for start in range(0, 250, 25):
+        error.add_references(references.where(slice(start, start + 25)))
+        error.add_states(states.where(slice(max(0, start - 25), start)))
+        published += error.take()[2].tolist()
+    assert published == states.publish_times.tolist()

@@ -79,9 +79,8 @@ class TrackingError:
         known = self._states.publish_times <= self._references.publish_times[-1:].max(initial=-1)
         errors = _errors(self._references, self._states.where(known))
         self._states = _recent(self._states.where(~known))
-        oldest = self._states.publish_times.min(initial=np.iinfo(np.int64).max)
-        first = int(np.searchsorted(self._references.publish_times, oldest)) - 1
-        self._references = _recent(self._references.where(slice(max(0, first), None)))
+        # Kept though no state waits: one published before them may be handed over after them.
+        self._references = _recent(self._references)
         payloads = self._template.encode(errors.publish_times, errors.q, errors.dq)
         return payloads, errors.log_times, errors.publish_times
 

@@ -56,6 +56,25 @@ def test_targets_within_the_limits_are_left_alone(make_envelope, robot):
     assert not envelope.clamped.any()
 
 
+def test_a_held_target_is_not_driven_on_into_its_limit(make_envelope):
+    beyond = np.array([0.2, 0.2, -0.2, -0.2, 0.0])
+    dq, tau = np.full(5, 3.0), np.array([5.0, -5.0, 5.0, -5.0, 5.0])
+    held_dq, held_tau = make_envelope().inward(beyond, dq, tau)
+    assert held_dq.tolist() == [0.0, 0.0, 0.0, 0.0, 3.0]
+    assert held_tau.tolist() == [0.0, -5.0, 5.0, 0.0, 5.0]
+
+
+@pytest.mark.parametrize("side", ["lower", "upper"])
+def test_a_ramp_from_beyond_a_limit_is_let_in_with_the_ramp(make_envelope, robot, side):
+    envelope = make_envelope(position_margin=0.1)
+    at_stop, inward = getattr(robot, side), 0.1 if side == "lower" else -0.1
+    envelope.begin(at_stop)
+    assert envelope.limit(at_stop, 0.0).tolist() == at_stop.tolist()
+    assert envelope.limit(at_stop, 0.25) == pytest.approx(at_stop + 0.25 * inward)
+    assert envelope.limit(at_stop, 1.0) == pytest.approx(at_stop + inward)
+    assert envelope.limit(at_stop) == pytest.approx(at_stop + inward)
+
+
 def test_targets_beyond_a_limit_are_held_and_counted(make_envelope, robot):
     envelope = make_envelope(position_margin=0.1)
     q = (robot.lower + robot.upper) / 2

@@ -99,6 +99,7 @@ def test_command_echoes_the_robots_machine(make_loop, link):
 
 def test_targets_are_held_at_the_limits_and_counted(make_loop, link, robot):
     narrow = SafetyConfig(position_margin=0.25)
+    link.robot.q[:] = np.clip(0.0, robot.lower + 0.26, robot.upper - 0.26)
     report = make_loop(narrow).run()
     lower, upper = (np.float32(v) for v in (robot.lower + 0.25, robot.upper - 0.25))
     beyond = np.zeros(29, dtype=int)

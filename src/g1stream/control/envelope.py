@@ -63,6 +63,7 @@ class Envelope:
         self._config = config
         self._lower = robot.lower + config.position_margin
         self._upper = robot.upper - config.position_margin
+        self._begun: NDArray[np.float64] = (robot.lower + robot.upper) / 2
         self._names = robot.joint_names
         narrowest = int(np.argmin(robot.upper - robot.lower))
         if self._lower[narrowest] > self._upper[narrowest]:
@@ -74,11 +75,44 @@ class Envelope:
             )
         self.clamped: NDArray[np.int64] = np.zeros(len(robot.joint_names), dtype=np.int64)
 
-    def limit(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Joint targets (29,) within the limits, rad."""
-        limited: NDArray[np.float64] = np.clip(q, self._lower, self._upper)
+    def begin(self, q: NDArray[np.floating]) -> None:
+        """Set the measured pose (29,) that a ramp starts from, rad; it may be beyond the limits."""
+        self._begun = np.asarray(q, dtype=np.float64).copy()
+
+    def limit(self, q: NDArray[np.float64], ramped: float = 1.0) -> NDArray[np.float64]:
+        """Joint targets (29,) within the limits, rad.
+
+        A joint that was beyond a limit where the ramp began is brought inside with it, at no tick
+        by a leap.
+
+        Args:
+            q: the targets, rad.
+            ramped: how much of the ramp's way lies behind, 0 to 1.
+        """
+        lower, upper = self._lower, self._upper
+        if ramped < 1.0:
+            begun = self._begun
+            lower = np.minimum(lower, begun + ramped * (lower - begun))
+            upper = np.maximum(upper, begun + ramped * (upper - begun))
+        limited: NDArray[np.float64] = np.clip(q, lower, upper)
         self.clamped += limited != q
         return limited
+
+    @staticmethod
+    def inward(
+        beyond: NDArray[np.float64], dq: NDArray[np.float64], tau: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Velocities and torques (29,) that drive no joint into the limit it is held at.
+
+        Args:
+            beyond: by how much each target lay above its limit, or below it (negative), rad.
+            dq: the velocities asked for, rad/s.
+            tau: the torques asked for, N·m.
+
+        Returns:
+            dq, zero where a target is held, and tau, zero where it would push outward there.
+        """
+        return np.where(beyond, 0.0, dq), np.where(beyond * tau > 0.0, 0.0, tau)
 
     def require_finite(self, **targets: NDArray[np.floating]) -> None:
         """Refuse targets (29,) that hold a number that is not finite.

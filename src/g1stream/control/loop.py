@@ -15,7 +15,7 @@ from g1stream.control.envelope import Measured
 from g1stream.control.feedforward import ImuReading
 from g1stream.control.phases import Inputs, Phase, PhaseState, Timing, step
 from g1stream.control.report import LoopReport
-from g1stream.control.targets import UNPUBLISHED, Target
+from g1stream.control.targets import UNPUBLISHED, Target, minimum_jerk
 from g1stream.control.ticker import Ticker
 from g1stream.dds.messages import LowCmd, LowState, Reference
 
@@ -129,6 +129,7 @@ class StreamLoop:
         return self.report
 
     def _play(self) -> None:
+        self._link.receive(self._low_state)  # this one may be older than it seems
         start = self._clock.now()
         self.state = PhaseState(Phase.WAIT, start)
         ticker = Ticker(self._clock, self._period, start)
@@ -172,7 +173,9 @@ class StreamLoop:
             self.state = replace(self.state, since=self.state.since + gap)
         else:
             self.request_stop(self._envelope.stalled(gap))
-            self._advance(self._clock.now(), deadline)
+            now = self._clock.now()
+            self._receive(now)  # what came meanwhile, before it is judged by its age
+            self._advance(now, deadline)
         self._prepare(deadline)
 
     def _publish(self, deadline: int) -> None:
@@ -226,6 +229,7 @@ class StreamLoop:
         phase, measured = self.state.phase, self._measured
         if phase is Phase.RAMP and measured is not None:
             self._targets.begin(measured.q)
+            self._envelope.begin(measured.q)
             self._begin_feedforward()
             self._command.motor_mode = 1
             self._command.mode_pr[()] = 0  # the other mode gives ankle and waist another meaning
@@ -273,10 +277,10 @@ class StreamLoop:
     def _compose(self, target: Target, asked: Target, deadline: int) -> None:
         """Prepare what is due, and the command that is to bring it about."""
         command, reference = self._command, self._reference
-        command.q[:] = self._envelope.limit(asked.q)
-        command.dq[:] = asked.dq
-        command.tau[:] = asked.tau
-        self._envelope.require_finite(q=command.q, dq=command.dq, tau=command.tau)
+        envelope, limited = self._envelope, self._envelope.limit(asked.q, self._ramped(deadline))
+        command.q[:] = limited
+        command.dq[:], command.tau[:] = envelope.inward(asked.q - limited, asked.dq, asked.tau)
+        envelope.require_finite(q=command.q, dq=command.dq, tau=command.tau)
         reference.tick[()] = self.report.commands
         reference.phase[()] = self.state.phase
         for name in _NAMES:
@@ -286,6 +290,12 @@ class StreamLoop:
         self._prepared = command.seal(), reference.tobytes()
         self._prepared_for = deadline
         self._target = target
+
+    def _ramped(self, now: int) -> float:
+        """How much of the way to the motion's first frame lies behind."""
+        if self.state.phase is not Phase.RAMP:
+            return 1.0
+        return minimum_jerk(self.state.elapsed(now) / 1e9 / (self._timing.ramp / 1e9))[0]
 
     def _abort(self, error: BaseException) -> None:
         """Damp without looking left or right: the loop itself has failed."""

@@ -1,0 +1,82 @@
+"""What the loop commands of joints whose targets, or whose starts, are beyond a limit."""
+
+import numpy as np
+import pytest
+
+from g1stream.config import SafetyConfig
+from g1stream.control.feedforward import FeedForward
+from g1stream.control.phases import Phase
+from g1stream.dds.messages import LowState
+
+PERIOD = 2_000_000
+MARGIN = 0.25
+
+
+class Pushing(FeedForward):
+    """Asks for the same torque of every joint."""
+
+    def __init__(self, torque):
+        super().__init__("velocity", limit=np.full(29, 50.0), ramp=0.1)
+        self.torque = torque
+
+    def command(self, phase, elapsed, target, imu, age):
+        target = super().command(phase, elapsed, target, imu, age)
+        target.tau[:] = self.torque
+        return target
+
+
+@pytest.mark.parametrize("torque", [5.0, -5.0])
+def test_a_held_joint_is_not_driven_into_its_limit(make_loop, link, robot, torque):
+    make_loop(SafetyConfig(position_margin=MARGIN), feedforward=Pushing(torque)).run()
+    lower, upper = robot.lower + MARGIN, robot.upper - MARGIN
+    held = 0
+    for sent in link.in_phase(Phase.PLAY):
+        q, command = sent.reference.q, sent.command
+        below, above = q < lower, q > upper
+        assert not command.dq[below | above].any()
+        assert (command.tau[below] == max(torque, 0.0)).all()
+        assert (command.tau[above] == min(torque, 0.0)).all()
+        free = ~(below | above)
+        assert command.dq[free].tolist() == sent.reference.dq[free].astype(np.float32).tolist()
+        assert (command.tau[free] == torque).all()
+        held += below.sum()
+    assert held
+
+
+@pytest.mark.parametrize("stop", ["lower", "upper"])
+def test_a_robot_that_rests_at_its_stops_is_brought_inside_by_the_ramp(
+    make_loop, link, robot, stop
+):
+    start = np.clip(0.0, robot.lower + MARGIN, robot.upper - MARGIN)
+    start[3] = getattr(robot, stop)[3]  # the left knee
+    link.robot.q[:] = start
+    make_loop(SafetyConfig(position_margin=MARGIN)).run()
+    knee = np.array([sent.command.q[3] for sent in link.sent])
+    assert knee[0] == link.robot.q[3]
+    # Minimum jerk is at most 1.875 times as fast as an even move; the motion adds its 0.4 rad/s.
+    way = abs(robot.lower[3] + MARGIN - start[3]) if stop == "lower" else abs(start[3]) + 0.1
+    assert np.abs(np.diff(knee[:300])).max() < (1.875 * way / 0.1 + 0.4) * PERIOD / 1e9
+    played = np.array([sent.command.q[3] for sent in link.in_phase(Phase.PLAY)])
+    assert (played >= np.float32(robot.lower[3] + MARGIN)).all()
+
+
+def test_a_state_from_before_the_session_is_no_sign_of_a_robot(make_loop, bare_link):
+    old = LowState()
+    old.quaternion[:] = (1.0, 0.0, 0.0, 0.0)
+    old.mode_machine[()] = 5
+    bare_link.publish_state(old.tobytes())
+    with bare_link.listening():
+        report = make_loop(link=bare_link).run()
+    assert report.reason == "no LowState came within 1 s"
+    assert report.commands == 0
+
+
+def test_states_that_came_during_a_stall_are_received_before_their_age_is_judged(
+    make_loop, link, clock
+):
+    """The stall itself is within the limit; with the tick before it, the last state is not."""
+    late = clock.now() + 300_000_000 + PERIOD + 100 * PERIOD
+    clock.oversleeps[late] = 100_000_000
+    report = make_loop().run()
+    assert report.skipped == 50
+    assert report.reason == ""

@@ -150,6 +150,34 @@ def test_a_free_base_is_let_go_when_the_motion_begins(
     assert 0.03 < world.state().base_pos[2] < 0.4  # it lies on the floor
 
 
+@pytest.mark.parametrize("support", ["follow", "free"])
+def test_a_base_stands_still_when_the_reference_has_stopped_coming(
+    robot: G1, support: Support, servo: Callable[..., MotorCommand], run: Callable[..., None]
+) -> None:
+    world = World(robot, support)
+    world.lead(root_at(0.0, playing=False))  # at 0.63 m/s
+    run(world, servo(), 0.3)
+    there = world.state().base_pos.copy()
+    run(world, servo(), 1.0)
+    assert world.state().base_pos == pytest.approx(there, abs=0.01)
+    assert world.state().base_lin_vel == pytest.approx([0, 0, 0], abs=0.01)
+
+
+def test_a_free_base_is_held_again_by_the_next_session(
+    robot: G1, servo: Callable[..., MotorCommand], run: Callable[..., None]
+) -> None:
+    world = World(robot, "free")
+    rest = root_at(0.0, playing=False)._replace(lin_vel=np.zeros(3), ang_vel=np.zeros(3))
+    world.lead(rest)
+    world.lead(rest._replace(playing=True))
+    run(world, servo(enabled=False), 1.0)
+    assert world.state().base_pos[2] < 0.7
+    world.lead(rest)
+    run(world, servo(), 0.5)
+    assert world.state().base_pos == pytest.approx([0.4, 0.0, 0.9], abs=0.003)
+    assert base_tilt(world.state().imu.quat_wxyz) < 0.01
+
+
 def test_only_a_followed_robot_passes_through_the_floor(
     robot: G1, servo: Callable[..., MotorCommand], run: Callable[..., None]
 ) -> None:

@@ -135,13 +135,14 @@ class Follow:
 
     Nothing else touches the robot: the feet of a retargeted motion pass through a floor. Until a
     reference comes, the base stays where it was put; to the first one, and to one that leaps, it is
-    moved at once, joints and all.
+    moved at once, joints and all. Where references stop coming it stands still.
     """
 
     floating: ClassVar[bool] = True
     led: ClassVar[bool] = True
     height = 1.0
     _LEAP: Final = 0.2  # m between two references, beyond any speed
+    _PATIENCE: Final = 0.1  # s without a reference, after which there is nobody to follow
 
     def __init__(self, model: Any, data: Any) -> None:
         self._base_pose, self._base_vel = data.qpos[:7], data.qvel[:6]
@@ -149,6 +150,7 @@ class Follow:
         self._pos, self._quat = data.mocap_pos[leader], data.mocap_quat[leader]
         self._timestep = model.opt.timestep
         self._vel, self._ang_vel = np.zeros(3), np.zeros(3)
+        self._unled = 0.0
         floor = model.geom("floor").id
         model.geom_contype[floor] = model.geom_conaffinity[floor] = 0
 
@@ -159,7 +161,10 @@ class Follow:
         self._pos[:], self._quat[:] = self._base_pose[:3], self._base_pose[3:]
 
     def hold(self) -> None:
-        """Move the leader on by a step."""
+        """Move the leader on by a step, unless it has lost its reference."""
+        self._unled += self._timestep
+        if self._unled > self._PATIENCE:
+            return
         self._pos += self._timestep * self._vel
         turn = self._timestep * self._ang_vel
         self._quat[:] = quat_normalize(quat_mul(self._quat, np.array([1.0, *(turn / 2)])))
@@ -167,16 +172,21 @@ class Follow:
     def lead(self, root: Root) -> None:
         """Put the leader where the reference is, and the base too if that is far."""
         if np.abs(root.pos - self._pos).max() > self._LEAP:
-            self._base_pose[:3], self._base_pose[3:] = root.pos, root.quat_wxyz
-            self._base_vel[:3], self._base_vel[3:] = root.lin_vel, root.ang_vel
+            self._move_base(root)
         self._pos[:], self._quat[:] = root.pos, root.quat_wxyz
         self._vel[:], self._ang_vel[:] = root.lin_vel, root.ang_vel
+        self._unled = 0.0
+
+    def _move_base(self, root: Root) -> None:
+        self._base_pose[:3], self._base_pose[3:] = root.pos, root.quat_wxyz
+        self._base_vel[:3], self._base_vel[3:] = root.lin_vel, root.ang_vel
 
 
 class Free(Follow):
     """Nothing holds the base once the motion is played: the robot stands, or falls.
 
-    Until then it is held where the reference's first frame has it.
+    Until then it is held where the reference's first frame has it, and so it is again when another
+    session leads up to its motion.
     """
 
     def __init__(self, model: Any, data: Any) -> None:
@@ -192,11 +202,14 @@ class Free(Follow):
             super().hold()
 
     def lead(self, root: Root) -> None:
-        """Let go when the motion begins."""
+        """Let go when the motion begins, and take hold when another is led up to."""
         if root.playing:
             self._weld[0] = False
-        if self._weld[0]:
-            super().lead(root)
+            return
+        if not self._weld[0]:
+            self._weld[0] = True
+            self._move_base(root)
+        super().lead(root)
 
 
 _SUPPORTS: Final[Mapping[str, type[BaseSupport]]] = {

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from g1stream.config import Config
-from g1stream.dds.domain import Participant
+from g1stream.dds.domain import Participant, is_loopback, stays_here
 from g1stream.dds.topics import LOWSTATE
-from g1stream.errors import RecordingError, WireError
+from g1stream.errors import ConfigError, RecordingError, WireError
 from g1stream.programs.children import Child
 from g1stream.programs.stream import stream
 
@@ -59,15 +59,21 @@ def demo(
         on_loop: is given the loop before it runs.
 
     Raises:
-        G1StreamError: a file, a setting or the wire does not allow it.
+        ConfigError: the domain is not this machine's alone.
+        RecordingError: a file is there already and `force` is off, or none can be made there.
+        G1StreamError: another setting or the wire does not allow it.
     """
     from g1stream.recording.session import open_session
     from g1stream.report.picture import draw
     from g1stream.report.summary import summarise
 
     config = config or Config()
-    _make_directory(out)
+    _check_stays_here(config.dds.interface)
     session_path, picture_path = out / "session.mcap", out / "tracking.png"
+    if not force:
+        named_anew = config.record.auto_name  # with the time in it
+        _check_absent(*([] if named_anew else [session_path]), picture_path)
+    _make_directory(out)
     _check_nobody_simulates(config)
     sim = Child(["sim"], {"config": config.model_dump(mode="json")})
     try:
@@ -83,6 +89,29 @@ def demo(
     session = open_session(session_path)
     draw(session, picture_path)
     return DemoOutcome(session_path, played, picture_path, summarise(session))
+
+
+def _check_stays_here(interface: str) -> None:
+    if stays_here(interface):
+        return
+    what = (
+        f"the interface {interface} is not the loopback"
+        if not is_loopback(interface)
+        else "CYCLONEDDS_URI is set, which could lead elsewhere"
+    )
+    raise ConfigError(
+        f"A demo plays on this machine only, and {what}.",
+        "Leave that out; to play on a robot use `g1stream stream`.",
+    )
+
+
+def _check_absent(*paths: Path) -> None:
+    for path in paths:
+        if path.exists():
+            raise RecordingError(
+                f"The file {path} exists already.",
+                "Give --force to replace it, or choose another --out.",
+            )
 
 
 def _make_directory(out: Path) -> None:

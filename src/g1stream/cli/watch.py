@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 import threading
-import time
 from typing import TYPE_CHECKING
 
 from g1stream.control.phases import Phase
@@ -13,30 +12,57 @@ if TYPE_CHECKING:
     from g1stream.control.loop import StreamLoop
     from g1stream.motion.motion import Motion
 
-__all__ = ["watch"]
+__all__ = ["Watch", "watch"]
 
 _PERIOD_S = 0.2
+_PATIENCE_S = 1.0
 _BAR = 30
 
 
-def watch(loop: StreamLoop, motion: Motion) -> None:
-    """Print events as lines and, on a terminal, a progress bar; on standard error."""
-    threading.Thread(target=_watch, args=(loop, motion), daemon=True).start()
+class Watch:
+    """Prints events as lines and, on a terminal, a progress bar; on standard error.
+
+    Args:
+        loop: what is watched, until it is done.
+        motion: what it plays.
+    """
+
+    def __init__(self, loop: StreamLoop, motion: Motion) -> None:
+        self._loop = loop
+        self._motion = motion
+        self._clear = "\r\x1b[K" if sys.stderr.isatty() else ""
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def finish(self) -> None:
+        """Print what is left, so that the next thing printed comes after it; waits 1 s at most."""
+        self._over.set()
+        self._thread.join(_PATIENCE_S)
+        if not self._thread.is_alive():
+            self._print_events()  # those told since the thread last looked
+
+    def _run(self) -> None:
+        while True:
+            done = self._loop.state.phase is Phase.DONE
+            self._print_events()
+            if done:
+                return
+            if self._clear:
+                _write(f"{self._clear}{_bar(self._loop, self._motion)}")
+            if self._over.wait(_PERIOD_S):
+                _write(self._clear)
+                return
+
+    def _print_events(self) -> None:
+        while self._loop.events:
+            _, text = self._loop.events.popleft()
+            _write(f"{self._clear}{text}\n")
 
 
-def _watch(loop: StreamLoop, motion: Motion) -> None:
-    shows_bar = sys.stderr.isatty()
-    while True:
-        done = loop.state.phase is Phase.DONE
-        clear = "\r\x1b[K" if shows_bar else ""
-        while loop.events:
-            _, text = loop.events.popleft()
-            _write(f"{clear}{text}\n")
-        if done:
-            return
-        if shows_bar:
-            _write(f"{clear}{_bar(loop, motion)}")
-        time.sleep(_PERIOD_S)
+def watch(loop: StreamLoop, motion: Motion) -> Watch:
+    """Show how a loop goes, beside it."""
+    return Watch(loop, motion)
 
 
 def _bar(loop: StreamLoop, motion: Motion) -> str:

@@ -73,3 +73,15 @@ def test_a_measured_position_turns_with_the_yaw_about_the_start():
     np.testing.assert_allclose(positions[:, 1], 3.0 + np.arange(5), atol=1e-12)
     np.testing.assert_allclose(positions[:, 2], 0.8, atol=1e-12)
     assert base.source == "sportmodestate"
+
+
+@pytest.mark.parametrize("bad", [0.0, np.nan, 3.0])
+def test_the_yaw_is_turned_at_the_first_state_that_has_an_attitude(bad):
+    base = MeasuredBase()
+    base.see_references(TIMES, np.zeros((5, 3)), wxyz(spin([0.5] * 5)))
+    imu = wxyz(spin([0.2] * 5))
+    imu[:3] = np.full(4, bad)
+    base.poses(TIMES[:2], imu[:2])
+    assert base.yaw_offset is None
+    _, quats = base.poses(TIMES[2:], imu[2:])
+    same(quats[1:], spin([0.5] * 2))

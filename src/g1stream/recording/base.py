@@ -19,13 +19,16 @@ __all__ = ["MeasuredBase", "PositionSource"]
 PositionSource = Literal["sportmodestate", "reference", "none"]
 
 _UP = np.array([0.0, 0.0, 1.0])
+#: An attitude further from a unit quaternion is no attitude: an IMU that is not ready sends zeros.
+_UNIT_WITHIN = 0.1
 
 
 class MeasuredBase:
     """The pose of the measured pelvis in the world of the reference.
 
     An IMU counts yaw from where it was switched on. So the measured yaw is turned to that of the
-    reference at the first state after the first reference, once, and stays turned. The position is
+    reference at the first state with an attitude after the first reference, once, and stays turned.
+    The position is
     SportModeState's where there is one, turned likewise about where it was then; else the
     reference's; else the origin.
 
@@ -68,10 +71,12 @@ class MeasuredBase:
         positions = np.stack(
             [np.interp(times, self._times, axis) for axis in self._positions.T], axis=-1
         )
-        if len(times) and self.yaw_offset is None and self._wanted_yaw is not None:
-            turn = self._wanted_yaw - float(yaw_of(imu_quats_wxyz[0]))
+        usable = np.abs(np.linalg.norm(imu_quats_wxyz, axis=-1) - 1.0) <= _UNIT_WITHIN
+        if usable.any() and self.yaw_offset is None and self._wanted_yaw is not None:
+            first = int(usable.argmax())
+            turn = self._wanted_yaw - float(yaw_of(imu_quats_wxyz[first]))
             self.yaw_offset = float(np.angle(np.exp(1j * turn)))
-            self._start = positions[0]
+            self._start = positions[first]
         if self.yaw_offset is None or self._start is None:
             return positions, imu_quats_wxyz
         turned = quat_from_axis_angle(_UP, np.array(self.yaw_offset))

@@ -8,13 +8,15 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 
 __all__ = ["LogEvent", "log_event"]
 
+_NAMES = {number: name for name, number in Log.Level.items()}
+
 
 class LogEvent(NamedTuple):
     """One event of a session.
 
     Attributes:
         time: when it happened, ns since the epoch.
-        level: DEBUG, INFO, WARNING, ERROR or FATAL.
+        level: DEBUG, INFO, WARNING, ERROR or FATAL; UNKNOWN where it is none of these.
         name: the program that told it.
         text: what happened.
     """
@@ -30,7 +32,7 @@ def log_event(data: bytes) -> LogEvent:
     message = Log.FromString(data)
     return LogEvent(
         message.timestamp.ToNanoseconds(),
-        Log.Level.Name(message.level),
+        _NAMES.get(message.level, "UNKNOWN"),
         message.name,
         message.message,
     )

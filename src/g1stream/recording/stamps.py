@@ -24,9 +24,11 @@ __all__ = ["frame_stamps", "parse_time"]
 _NS_PER_S: Final = 1_000_000_000
 #: The last stamp that a signed 64-bit number holds, in the year 2262.
 _LAST_NS: Final = 2**63 - 1
+#: Not longer than anybody means: Python refuses to read thousands of digits.
+_WHOLE: Final = re.compile(r"[+-]?[0-9]{1,40}")
 _ISO: Final = re.compile(
     r"(?P<date>\d{4}-\d\d-\d\d)[T ](?P<clock>\d\d:\d\d(:\d\d)?)"
-    r"([.,](?P<fraction>\d{1,9}))?(?P<zone>Z|[+-]\d\d:?\d\d)?",
+    r"([.,](?P<fraction>\d{1,9}))?(?P<zone>Z|[+-]([01]\d|2[0-3]):?[0-5]\d)?",
     re.IGNORECASE,
 )
 
@@ -66,7 +68,7 @@ def parse_time(text: str) -> int:
     Raises:
         ConfigError: it is neither, or lies before 1970 or after 2262.
     """
-    stamp = int(text) if re.fullmatch(r"[+-]?[0-9]+", text) else _parse_iso(text)
+    stamp = int(text) if _WHOLE.fullmatch(text) else _parse_iso(text)
     if not 0 <= stamp <= _LAST_NS:
         raise ConfigError(
             f"The time {text} is {'before 1970' if stamp < 0 else 'after 2262'}.",

@@ -104,8 +104,19 @@ def test_parts_of_another_session_are_left_out(write_parts):
     assert session.complete
 
 
-def test_a_file_in_between_that_is_no_mcap_is_named(write_parts):
+def test_a_part_that_is_no_mcap_is_absent_and_named_when_asked_for(write_parts):
     paths = write_parts()
     paths[1].write_text("oops")
+    session = open_session(paths[0])
+    assert session.absent_parts == [2]
+    assert not session.complete
     with pytest.raises(RecordingError, match=r"session_002\.mcap is not an MCAP file"):
-        open_session(paths[0])
+        open_session(paths[1])
+
+
+def test_a_broken_file_named_like_a_part_does_not_spoil_the_others(write_parts, tmp_path):
+    paths = write_parts()
+    (tmp_path / "session_2024.mcap").touch()
+    assert open_session(paths[0]).paths == paths
+    with pytest.raises(RecordingError, match="is empty"):
+        open_session(tmp_path / "session_2024.mcap")

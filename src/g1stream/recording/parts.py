@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
+from contextlib import nullcontext, suppress
 from typing import TYPE_CHECKING, Any
 
+from g1stream.errors import RecordingError
 from g1stream.recording.metadata import METADATA_NAME, metadata_from_strings
 from g1stream.recording.reader import McapFile
 from g1stream.recording.rotation import parts_of
@@ -32,7 +34,8 @@ class SessionFiles:
         metadata: what the recorder noted; what it noted later replaces what it noted earlier.
 
     Raises:
-        RecordingError: there is no such file, or one of them is not an MCAP, or it is damaged.
+        RecordingError: there is no such file, or it is not an MCAP, or it is damaged; another part
+            that is so is absent.
     """
 
     def __init__(self, path: Path) -> None:
@@ -65,9 +68,13 @@ class SessionFiles:
 def _belonging(path: Path) -> tuple[list[McapFile], list[dict[str, Any]]]:
     """The files that belong to the session of one of them, oldest first, and their metadata.
 
-    Others may be named like its parts without being any.
+    Others may be named like its parts without being any, nor recordings at all.
     """
-    files = [McapFile(part) for part in parts_of(path)]
+    files, parts = [], parts_of(path)
+    wanted = path if path in parts else parts[0]
+    for part in parts:
+        with nullcontext() if part == wanted else suppress(RecordingError):
+            files.append(McapFile(part))
     metadata = [_metadata(file) for file in files]
     given = next((i for i, file in enumerate(files) if file.path == path), 0)
     session_id = metadata[given].get("session_id")

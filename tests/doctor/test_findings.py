@@ -12,6 +12,8 @@ from g1stream.realtime import Grant
 
 STATE = Peer("rt/lowstate", "LowState_", who="python (pid 7 on here)", participant="bridge")
 SPORT = Peer("rt/sportmodestate", "SportModeState_", participant="bridge")
+ROBOTS = Peer("rt/lf/lowstate", "LowState_", participant="bridge")
+ARM = Peer("rt/arm_sdk", "LowCmd_", participant="bridge")
 REFUSED = Grant("SCHED_FIFO", granted=False, detail="no right", cost="delays", remedy="limits.conf")
 
 # What is changed, the level it leads to, and what must be said.
@@ -138,9 +140,16 @@ def test_bridges_are_told_apart(changed):
         "own bridge": changed(
             wire={"writers": (STATE, Peer("rt/g1stream/log", "", participant="bridge"))}
         ),
-        "robot": changed(wire={"writers": (STATE, SPORT, Peer("rt/lf/lowstate", ""))}),
+        "robot": changed(wire={"writers": (STATE, SPORT, ROBOTS)}),
+        "a robot": changed(wire={"writers": (STATE, SPORT), "readers": (ARM,)}),
         "Python simulator": changed(state=silent),
         "C++ simulator": changed(),
+        "unitree_mujoco's C++": changed(
+            wire={
+                "writers": (STATE, SPORT, replace(ROBOTS, participant="other")),
+                "readers": (replace(ARM, participant="other"), ROBOTS),
+            }
+        ),
         "unknown": changed(state={"has_motor_modes": True}),
     }
     for name, facts in named.items():

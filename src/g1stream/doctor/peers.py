@@ -14,7 +14,8 @@ LOWSTATE: Final = "rt/lowstate"
 SPORTMODESTATE: Final = "rt/sportmodestate"
 
 _OUR_LOG = "rt/g1stream/log"
-_ROBOT_ONLY = {"rt/arm_sdk", "rt/lf/lowstate", "rt/odommodestate"}
+_ROBOT_WRITES = {"rt/lf/lowstate", "rt/odommodestate"}
+_ROBOT_READS = {"rt/arm_sdk"}
 _DURABILITIES = ("volatile", "transient local", "transient", "persistent")
 
 
@@ -45,7 +46,8 @@ def recognise(wire: WireFacts) -> str:
     topics = {peer.topic for peer in wire.writers if peer.participant in publishers}
     if _OUR_LOG in topics:
         return "g1stream's own bridge"
-    if _ROBOT_ONLY & {peer.topic for peer in (*wire.writers, *wire.readers)}:
+    read = {peer.topic for peer in wire.readers if peer.participant in publishers}
+    if _ROBOT_WRITES & topics or _ROBOT_READS & read:
         return "a robot"
     return _simulator(wire.state, topics)
 

@@ -44,7 +44,8 @@ class Sim(WireCommand):
         value("{bolted,hanging,follow,free}", "bolted"),
     ] = None
     """What holds the pelvis: the world, an elastic band at the torso, the reference that is
-    streamed, or, once the motion is played, nothing."""
+    streamed, or, once the motion is played, nothing: who then lies on the floor is refused as
+    tilted by the next session, so start the simulation anew."""
     rate: Annotated[float | None, value("HZ", "500")] = None
     """LowState per second."""
     duration: Annotated[float | None, value("S", "until stopped")] = None

@@ -103,3 +103,14 @@ def test_the_kernel_counts_what_nobody_fetched():
         for _ in range(100):
             sender.sendto(bytes(1000), receiver.getsockname())
         assert dropped_datagrams() - before > 50
+
+
+@pytest.mark.parametrize("on_its_way", [0, 1])
+def test_what_waits_at_the_end_is_counted_but_for_the_last_moment(on_its_way):
+    partners = Partners()
+    stamps = [i * 2_000_000 for i in range(100)]
+    partners.add_commands(
+        stamp for stamp in stamps[: 100 - on_its_way] if stamp not in stamps[50:53]
+    )
+    assert partners.add_references(stamps) == 0
+    assert partners.finish() == 3

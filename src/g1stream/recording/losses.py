@@ -33,6 +33,8 @@ _JUMP: Final = 10_000
 _ENOUGH: Final = 8
 #: How long a Reference's LowCmd may be on its way, ns.
 _PATIENCE: Final = 1_000_000_000
+#: At the end of a recording, how far a Reference may be ahead of its LowCmd, ns.
+_ON_ITS_WAY: Final = 20_000_000
 
 #: The field that numbers the samples. LowState's is 0 for ever on one of the simulators; then
 #: nothing can be known from it.
@@ -73,6 +75,7 @@ class Partners:
     def __init__(self) -> None:
         self._commands: set[int] = set()
         self._references: set[int] = set()
+        self._newest = 0
 
     def add_commands(self, stamps: Iterable[int]) -> None:
         """Take in the publish times of LowCmds, ns."""
@@ -81,6 +84,7 @@ class Partners:
     def add_references(self, stamps: Sequence[int]) -> int:
         """Take in the publish times of References, ns; how many more LowCmds are missing."""
         self._references.update(stamps)
+        self._newest = stamps[-1]
         pairs = self._references & self._commands
         self._references -= pairs
         self._commands -= pairs
@@ -89,6 +93,11 @@ class Partners:
         self._references -= alone
         self._commands = {stamp for stamp in self._commands if stamp >= old}
         return len(alone)
+
+    def finish(self) -> int:
+        """At the end, how many more LowCmds are missing; the last few may just not be here yet."""
+        due = self._newest - _ON_ITS_WAY
+        return sum(stamp < due for stamp in self._references)
 
 
 def dropped_datagrams() -> int:
@@ -133,6 +142,10 @@ class Losses:
         for writer in np.unique(writers):
             missed = self._counters[name, int(writer)].count(numbers[writers == writer])
             self._by_number[name] += missed
+
+    def finish(self) -> None:
+        """Count, after the last batch, what has waited for its partner in vain."""
+        self._by_number[LOWCMD.name] += self._partners.finish()
 
     def update(self, lost: Mapping[str, int]) -> dict[str, int]:
         """Join what the witnesses say.

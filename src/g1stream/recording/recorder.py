@@ -197,6 +197,8 @@ class Recorder:
         report = self.report
         report.counts = {topic: n for topic, n in self._writer.counts.items() if n}
         report.absent = [t for t in _CHANNEL_OF.values() if t not in report.counts]
+        self._losses.finish()
+        self._losses.update(self._receiver.lost())
         report.missing = {
             _CHANNEL_OF[name]: n for name, n in self._losses.missing.items() if name in _CHANNEL_OF
         }

@@ -219,3 +219,13 @@ def test_a_full_disk_is_said_and_left_as_it_was(tmp_path):
     result = subprocess.run(command, capture_output=True, text=True, check=True)
     assert result.stdout == f"The file {path} cannot be written: File too large.\n"
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_disk_that_is_full_from_the_start_leaves_nothing(tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("g1stream.recording.offline.ChunkedFile", full)
+    with pytest.raises(RecordingError, match="No space left"):
+        OfflineWriter(tmp_path / "a.mcap")
+    assert list(tmp_path.iterdir()) == []

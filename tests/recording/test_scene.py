@@ -7,9 +7,10 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
 
+from g1stream.errors import RobotError
 from g1stream.recording.channels import CHANNELS
 from g1stream.recording.encode import MEASURED_PREFIX
-from g1stream.recording.scene import encode_robot_description, encode_scene
+from g1stream.recording.scene import _model, encode_robot_description, encode_scene
 from g1stream.robot.model import G1
 from g1stream.robot.visuals import read_visuals
 
@@ -89,3 +90,10 @@ def test_the_description_is_a_ros_string(robot, text):
     )
     decode = DecoderFactory().decoder_for(channel.message_encoding, schema)
     assert decode(encode_robot_description(made)).data == text
+
+
+def test_a_mesh_that_cannot_be_read_is_named(tmp_path, monkeypatch):
+    monkeypatch.setattr("g1stream.recording.scene.find_mesh", lambda robot, name: tmp_path)
+    robot = G1.load()
+    with pytest.raises(RobotError, match=str(tmp_path)):
+        _model(robot, "torso.stl")

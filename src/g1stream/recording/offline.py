@@ -62,7 +62,11 @@ class OfflineWriter:
         self._part = self.path.with_name(f".{self.path.name}.{os.getpid()}.part")
         with self._os_errors():
             self._stream = self._part.open("wb")
-            self._file = ChunkedFile(self._stream, f"g1stream {__version__}", compression)
+            try:
+                self._file = ChunkedFile(self._stream, f"g1stream {__version__}", compression)
+            except BaseException:
+                self._part.unlink(missing_ok=True)
+                raise
 
     def __enter__(self) -> OfflineWriter:
         return self

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
+from g1stream.errors import RobotError
 from g1stream.robot.visuals import find_mesh, read_visuals
 
 if TYPE_CHECKING:
@@ -92,4 +93,10 @@ def _model(robot: G1, name: str) -> dict[str, Any]:
     if path is None:
         return {"url": name}
     media_type = _MEDIA_TYPES.get(path.suffix.lower(), "application/octet-stream")
-    return {"data": path.read_bytes(), "media_type": media_type}
+    try:
+        return {"data": path.read_bytes(), "media_type": media_type}
+    except OSError as error:
+        raise RobotError(
+            f"The mesh {path} of {robot.name} cannot be read: {error.strerror}.",
+            "Make it readable, or move it away to be shown by its name only.",
+        ) from error

@@ -8,10 +8,12 @@ from __future__ import annotations
 import argparse
 import json
 import subprocess
+import sys
 import time
 from statistics import median
 
 import sides
+from g1stream.dds.announcement import OBSERVER
 from g1stream.dds.domain import Participant
 from g1stream.dds.raw import RawReader
 from g1stream.dds.topics import LOWCMD
@@ -20,10 +22,10 @@ from g1stream.dds.topics import LOWCMD
 def first_command(domain: int) -> float:
     """Seconds from exec to the publish time of the first LowCmd."""
     with Participant(domain, "lo") as participant:
-        reader = RawReader(participant, LOWCMD, depth=10_000)
+        reader = RawReader(participant, LOWCMD, depth=10_000, user_data=OBSERVER)
         started = time.time_ns()
         process = subprocess.Popen(
-            [*sides.G1STREAM, "stream", "demo", f"--domain={domain}", "--ramp=0.1"],
+            [*sides.G1STREAM, "stream", "demo", f"--domain={domain}", "--ramp=0.2"],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             env=sides.clean_environment(),
@@ -34,6 +36,8 @@ def first_command(domain: int) -> float:
             samples = reader.take(1)
         process.terminate()
         process.wait()
+    if not samples:
+        sys.exit(f"g1stream stream ended with exit code {process.returncode} before a command")
     return (samples[0].publish_time - started) / 1e9
 
 

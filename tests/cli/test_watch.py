@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from g1stream.cli.watch import watch
+from g1stream.cli.watch import Watch
 from g1stream.control.phases import Phase, PhaseState
 
 
@@ -20,7 +20,7 @@ def motion():
 
 
 def test_the_last_events_are_shown_before_what_is_printed_next(loop, motion, capsys):
-    watching = watch(loop, motion)
+    watching = Watch(loop, motion)
     loop.state = PhaseState(Phase.DONE, 0)
     loop.events.extend([(2, "HOLD -> DAMP"), (2, "DAMP -> DONE")])
     watching.finish()
@@ -28,7 +28,7 @@ def test_the_last_events_are_shown_before_what_is_printed_next(loop, motion, cap
 
 
 def test_a_watch_of_a_loop_that_never_ran_can_be_finished(loop, motion, capsys):
-    watching = watch(loop, motion)
+    watching = Watch(loop, motion)
     watching.finish()
     loop.events.append((2, "too late"))
     assert capsys.readouterr().err == ""

@@ -16,7 +16,7 @@ from g1stream.cli.common import (
     value,
 )
 from g1stream.cli.stream import exit_code
-from g1stream.cli.watch import Watch, watch
+from g1stream.cli.watch import watching
 
 if TYPE_CHECKING:
     from g1stream.control.loop import StreamLoop
@@ -74,17 +74,13 @@ class Demo(WireCommand):
         motion = load_motion(self.motion, G1.load(config.robot))
         announce_wire(config)
 
-        watches: list[Watch] = []
+        with watching() as watch:
 
-        def prepare(loop: StreamLoop) -> None:
-            on_signals(loop.request_stop)
-            watches.append(watch(loop, motion))
+            def prepare(loop: StreamLoop) -> None:
+                on_signals(loop.request_stop)
+                watch(loop, motion)
 
-        try:
             done = demo(motion, self.out, config, force=self.force, on_loop=prepare)
-        finally:
-            for one in watches:
-                one.finish()
         if self.json:
             summary = done.summary.as_dict() if done.summary else None
             print_json({**done.played.as_dict(), "summary": summary})

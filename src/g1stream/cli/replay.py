@@ -10,7 +10,7 @@ import tyro
 
 from g1stream.cli.common import Flag, announce_wire, on_signals, value
 from g1stream.cli.stream import PlayCommand
-from g1stream.cli.watch import watch
+from g1stream.cli.watch import watching
 
 if TYPE_CHECKING:
     from g1stream.control.loop import StreamLoop
@@ -41,12 +41,13 @@ class Replay(PlayCommand):
         config = self.resolve()
         announce_wire(config)
 
-        def prepare(loop: StreamLoop, motion: Motion) -> None:
-            on_signals(loop.request_stop)
-            watch(loop, motion)
+        with watching() as watch:
 
-        return self.report(
-            replay(
+            def prepare(loop: StreamLoop, motion: Motion) -> None:
+                on_signals(loop.request_stop)
+                watch(loop, motion)
+
+            outcome = replay(
                 self.file,
                 config,
                 exact=self.exact,
@@ -55,4 +56,4 @@ class Replay(PlayCommand):
                 force=self.force,
                 on_loop=prepare,
             )
-        )
+        return self.report(outcome)

@@ -20,7 +20,7 @@ from g1stream.cli.common import (
     print_json,
     value,
 )
-from g1stream.cli.watch import watch
+from g1stream.cli.watch import watching
 from g1stream.realtime import told
 
 if TYPE_CHECKING:
@@ -131,11 +131,13 @@ class Stream(PlayCommand):
             print(f"warning: {warning}", file=sys.stderr)
         announce_wire(config)
 
-        def prepare(loop: StreamLoop) -> None:
-            on_signals(loop.request_stop)
-            watch(loop, motion)
+        with watching() as watch:
 
-        outcome = stream(motion, config, record=self.record, force=self.force, on_loop=prepare)
+            def prepare(loop: StreamLoop) -> None:
+                on_signals(loop.request_stop)
+                watch(loop, motion)
+
+            outcome = stream(motion, config, record=self.record, force=self.force, on_loop=prepare)
         return self.report(outcome)
 
 

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import sys
 import threading
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from g1stream.control.phases import Phase
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
     from g1stream.control.loop import StreamLoop
     from g1stream.motion.motion import Motion
 
-__all__ = ["Watch", "watch"]
+__all__ = ["Watch", "watching"]
 
 _PERIOD_S = 0.2
 _PATIENCE_S = 1.0
@@ -60,9 +63,15 @@ class Watch:
             _write(f"{self._clear}{text}\n")
 
 
-def watch(loop: StreamLoop, motion: Motion) -> Watch:
-    """Show how a loop goes, beside it."""
-    return Watch(loop, motion)
+@contextmanager
+def watching() -> Iterator[Callable[[StreamLoop, Motion], None]]:
+    """Give what is called when a loop begins; at the end of the `with`, all it told is printed."""
+    watches: list[Watch] = []
+    try:
+        yield lambda loop, motion: watches.append(Watch(loop, motion))
+    finally:
+        for watch in watches:
+            watch.finish()
 
 
 def _bar(loop: StreamLoop, motion: Motion) -> str:

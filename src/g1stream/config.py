@@ -112,7 +112,7 @@ class SafetyConfig(_Table):
     position_margin: float = Field(0.0, ge=0.0, le=0.5, description="kept from joint limits, rad")
     state_timeout: Positive = Field(0.1, description="LowState older than this stops, s")
     max_tilt: float = Field(1.0, gt=0.0, le=3.2, description="pelvis tilt that stops, rad")
-    max_joint_speed: Positive = Field(40.0, description="measured joint speed that stops, rad/s")
+    max_joint_speed: Positive = Field(60.0, description="measured joint speed that stops, rad/s")
     mode_machine: tuple[int, ...] = Field(
         (0, 5),
         min_length=1,

@@ -20,7 +20,6 @@ import statistics
 import sys
 import tempfile
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -32,7 +31,8 @@ from g1stream.control.feedforward import FeedForward
 from g1stream.control.gains import Gains
 from g1stream.control.loop import StreamLoop
 from g1stream.control.phases import Phase, Timing
-from g1stream.control.targets import Target, Targets
+from g1stream.control.target import Target
+from g1stream.control.targets import Targets
 from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.programs.children import Child
@@ -100,7 +100,7 @@ class NearestFrame(Targets):
         if phase is not Phase.PLAY:
             return target
         frame = min(round(target.motion_time * self._motion.fps), self._motion.n_frames - 1)
-        return replace(target, q=self._motion.joint_pos[frame])
+        return target.but(q=self._motion.joint_pos[frame])
 
 
 class Timed(FeedForward):

@@ -35,7 +35,10 @@ class Model:
 
     def solve(self, support, q, dq, ddq, base, *, force=None):
         self.asked.append((support, q, base, force))
-        return Solution(self.tau, self.lin_acc, self.ang_acc, np.array([0.0, 0.0, 10.0]))
+        return Solution(self.tau, self.lin_acc, self.ang_acc)
+
+    def felt(self, solution, base):
+        return np.array([0.0, 0.0, 10.0])
 
 
 @pytest.fixture
@@ -65,7 +68,7 @@ def test_none_asks_for_positions_only(model, target, imu):
     asked = feed.command(Phase.PLAY, 0.0, target, imu, NOW)
     assert not asked.dq.any()
     assert not asked.tau.any()
-    assert asked.q is target.q
+    assert asked.q.tolist() == target.q.tolist()
 
 
 def test_velocity_leaves_the_target_as_it_is(model, target, imu):
@@ -80,10 +83,10 @@ def test_dynamics_adds_the_torque_of_the_target(model, target, imu):
     feed.begin(None)
     asked = feed.command(Phase.PLAY, 0.0, target, imu, NOW)
     assert asked.tau.tolist() == model.tau.tolist()
-    assert asked.dq is target.dq
+    assert asked.dq.tolist() == target.dq.tolist()
     ((support, q, base, force),) = model.asked
     assert support == "bolted"
-    assert q is target.q
+    assert q.tolist() == target.q.tolist()
     assert base.quat_wxyz.tolist() == [1, 0, 0, 0]
     assert force is None
 
@@ -93,8 +96,8 @@ def test_following_takes_the_base_from_the_reference(model, target, imu):
     feed.begin(None)
     feed.command(Phase.PLAY, 0.0, target, imu, NOW)
     base = model.asked[0][2]
-    assert base.lin_acc is target.root_lin_acc
-    assert base.ang_vel is target.root_ang_vel
+    assert base.lin_acc.tolist() == target.root_lin_acc.tolist()
+    assert base.ang_vel.tolist() == target.root_ang_vel.tolist()
 
 
 @pytest.mark.parametrize("elapsed", [0.0, 0.3, 1.0])
@@ -194,7 +197,7 @@ def test_the_observer_finds_a_force_that_is_not_the_weight(model):
     assert force.tolist() == weight.tolist()
     for _ in range(250):
         felt = turn.T @ force / 30.0
-        observer.expect(Solution(model.tau, np.zeros(3), np.zeros(3), felt))
+        observer.expect(felt)
         force = observer.update(imu)
     assert force - weight == pytest.approx(push, abs=0.01)
 
@@ -203,7 +206,7 @@ def test_the_observer_does_not_reach_for_the_absurd(model):
     observer = ForceObserver(model, 0.002)
     imu = ImuReading(np.array([1.0, 0, 0, 0]), np.zeros(3), np.array([1000.0, 0, 10.0]))
     for _ in range(100):
-        observer.expect(model.solve(None, None, None, None, None))
+        observer.expect(np.array([0.0, 0.0, 10.0]))
         force = observer.update(imu)
     assert np.linalg.norm(force - [0, 0, 300.0]) == pytest.approx(300.0)
 

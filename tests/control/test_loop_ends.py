@@ -1,7 +1,5 @@
 """Every way out of the loop: what stops it, what breaks it, and that the robot is damped."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -162,7 +160,7 @@ class Nonsense(Targets):
     def at(self, phase, elapsed):
         target = super().at(phase, elapsed)
         if phase is Phase.PLAY and elapsed >= 0.1:
-            self._last = target = replace(target, **self.nonsense)
+            self._last = target = target.but(**self.nonsense)
         return target
 
 
@@ -178,19 +176,13 @@ def test_an_error_in_the_targets_damps_and_is_raised_again(make_loop, link, traj
 
 
 @pytest.mark.parametrize(
-    ("nonsense", "error"),
-    [
-        ({"q": np.full(29, np.nan)}, SafetyError),
-        ({"dq": np.full(29, np.inf)}, SafetyError),
-        ({"tau": np.full(29, np.nan)}, SafetyError),
-        ({"q": np.zeros(28)}, ValueError),
-        ({"root_pos": np.zeros(2)}, ValueError),
-    ],
+    "nonsense", [{"q": np.nan}, {"dq": np.inf}, {"tau": np.nan}, {"dq": -1e300}]
 )
-def test_nonsense_is_never_sent(make_loop, link, trajectory, nonsense, error):
+@pytest.mark.filterwarnings("ignore:overflow")
+def test_nonsense_is_never_sent(make_loop, link, trajectory, nonsense):
     targets = Nonsense(trajectory, start=0.0, play=0.5, ramp=0.1)
     targets.nonsense = nonsense
-    with pytest.raises(error):
+    with pytest.raises(SafetyError, match=f"{next(iter(nonsense))} = "):
         make_loop(targets=targets).run()
     assert link.phases() == {"RAMP": RAMP, "PLAY": 50, "DAMP": DAMP}
     link.assert_damped()

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from g1stream.dds.layout import CDR_HEADER, Layout
-from g1stream.dds.messages import Log, LowCmd, LowState, Message, SecondaryImu
+from g1stream.dds.messages import Log, LowCmd, LowState, Message, Reference, SecondaryImu
 from g1stream.dds.topics import TOPICS
 from g1stream.errors import WireError
 
@@ -53,7 +53,7 @@ def test_every_attribute_shows_the_field_of_its_name(cls, random_sample):
     message = cls()
     message.load(random_sample(cls))
     shown = {k: v for k, v in vars(message).items() if isinstance(v, np.ndarray)}
-    shown = {k: v for k, v in shown.items() if k not in ("payload", "_modes")}
+    shown = {k: v for k, v in shown.items() if k not in ("payload", "_modes", "target")}
     assert shown
     for name, view in shown.items():
         (path,) = (p for p in message.layout.fields if p.split(".")[-1] == name.lstrip("_"))
@@ -62,6 +62,16 @@ def test_every_attribute_shows_the_field_of_its_name(cls, random_sample):
         view[...] = 7
         part = message.layout[path].read(message.payload)[tuple(slice(n) for n in view.shape)]
         assert (part == 7).all()
+
+
+def test_a_target_is_the_fields_of_a_reference_from_q_on(random_sample):
+    reference = Reference()
+    reference.load(random_sample(Reference))
+    names = ("q", "dq", "ddq", "tau", "root_pos", "root_quat_wxyz", "root_lin_vel", "root_ang_vel")
+    parts = [getattr(reference, name) for name in names]
+    assert reference.target.tobytes() == np.concatenate(parts).tobytes()
+    reference.target[:] = 3.0
+    assert all((part == 3.0).all() for part in parts)
 
 
 @with_motors

@@ -94,7 +94,7 @@ class Envelope:
             begun = self._begun
             lower = np.minimum(lower, begun + ramped * (lower - begun))
             upper = np.maximum(upper, begun + ramped * (upper - begun))
-        limited: NDArray[np.float64] = np.clip(q, lower, upper)
+        limited: NDArray[np.float64] = np.minimum(np.maximum(q, lower), upper)
         self.clamped += limited != q
         return limited
 
@@ -121,8 +121,7 @@ class Envelope:
             SafetyError: names the first joint of which one does.
         """
         for what, values in targets.items():
-            # NaN and infinity survive a sum, which takes a fraction of the time of a test of each.
-            if not math.isfinite(values.sum()):
+            if not _all_finite(values):
                 joint = int(np.argmin(np.isfinite(values)))
                 raise SafetyError(
                     f"The motion asks for {what} = {values[joint]} of {self._names[joint]}.",
@@ -147,7 +146,7 @@ class Envelope:
         age = (now - state.received) / 1e9
         if age > self._config.state_timeout:
             return f"no LowState for {age:.3f} s (limit {self._config.state_timeout:g} s)"
-        if not (np.isfinite(state.q).all() and np.isfinite(state.dq).all()):
+        if not (_all_finite(state.q) and _all_finite(state.dq)):
             return "LowState holds a number that is not finite"
         return self._wrong_robot(state) or self._tilted(state) or self._too_fast(state)
 
@@ -161,7 +160,7 @@ class Envelope:
         )
 
     def _tilted(self, state: Measured) -> str:
-        norm = float(np.linalg.norm(state.quat_wxyz))
+        norm = math.hypot(*state.quat_wxyz.tolist())
         if not abs(norm - 1.0) < 0.05:
             return f"the IMU's quaternion has the norm {norm:.3f}"
         tilt = tilt_of(state.quat_wxyz)
@@ -170,11 +169,16 @@ class Envelope:
         return f"the pelvis is tilted by {tilt:.2f} rad (limit {self._config.max_tilt:g} rad)"
 
     def _too_fast(self, state: Measured) -> str:
-        fastest = int(np.argmax(np.abs(state.dq)))
-        speed = abs(float(state.dq[fastest]))
+        speeds = [abs(speed) for speed in state.dq.tolist()]
+        speed = max(speeds)
         if speed <= self._config.max_joint_speed:
             return ""
         return (
-            f"{self._names[fastest]} moves at {speed:.1f} rad/s "
+            f"{self._names[speeds.index(speed)]} moves at {speed:.1f} rad/s "
             f"(limit {self._config.max_joint_speed:g} rad/s)"
         )
+
+
+def _all_finite(values: NDArray[np.floating]) -> bool:
+    """Whether none of a few numbers is NaN or infinite: neither disappears from a sum."""
+    return math.isfinite(sum(values.tolist()))

@@ -5,7 +5,7 @@ Pure: time and measurements come in as arguments. docs/tracking.md explains the 
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
 from typing import TYPE_CHECKING, Final, NamedTuple, get_args
 
 import numpy as np
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from g1stream.config import FeedForwardKind
-    from g1stream.control.targets import Target
+    from g1stream.control.target import Target
     from g1stream.robot.dynamics import InverseDynamics
 
 __all__ = ["FeedForward", "ImuReading"]
@@ -153,7 +153,7 @@ class FeedForward:
             age: s since that came.
         """
         if self.kind == "none":
-            return replace(target, dq=np.zeros_like(target.dq))
+            return target.but(dq=0.0)
         if self.kind != "dynamics":
             return target
         # In half the ramp, so that the rest of it can mend the sag of a torque that was not whole.
@@ -164,7 +164,7 @@ class FeedForward:
         self._trust += (-1.0 if doubt else 1.0) * self._period / _FADE
         self._trust = min(1.0, max(0.0, self._trust))
         self._tell(doubt)
-        return replace(target, tau=self._limited(blend * self._trust * self._tau))
+        return target.but(tau=self._limited(blend * self._trust * self._tau))
 
     def news(self) -> list[str]:
         """The warnings since the last call."""
@@ -193,18 +193,17 @@ class FeedForward:
         dynamics, support = self._dynamics, self.support
         if dynamics is None or support is None:
             raise RuntimeError("there is no model to compute torques with: call begin() first")
+        base = _base(support, target, imu)
         force = self._observer.update(imu) if self._observer else None
-        solution = dynamics.solve(
-            support, target.q, target.dq, target.ddq, _base(support, target, imu), force=force
-        )
+        solution = dynamics.solve(support, target.q, target.dq, target.ddq, base, force=force)
         if self._observer:
-            self._observer.expect(solution)
+            self._observer.expect(dynamics.felt(solution, base))
         if self._check and playing:
             self._check.add(imu.gyroscope, solution.ang_acc)
         return solution.tau
 
     def _limited(self, tau: NDArray[np.float64]) -> NDArray[np.float64]:
-        limited: NDArray[np.float64] = np.clip(tau, -self._limit, self._limit)
+        limited: NDArray[np.float64] = np.minimum(np.maximum(tau, -self._limit), self._limit)
         self.saturated += limited != tau
         return limited
 
@@ -213,11 +212,12 @@ def _fault(imu: ImuReading, age: float) -> str:
     """What is wrong with a reading; empty where nothing is."""
     if age > _STALE:
         return f"LowState is older than {_STALE:g} s"
-    if not all(np.isfinite(part).all() for part in imu):
+    quat, rates, forces = (part.tolist() for part in imu)
+    if not all(map(math.isfinite, (*quat, *rates, *forces))):
         return "the IMU says a number that is not finite"
-    if abs(float(imu.quat_wxyz @ imu.quat_wxyz) - 1.0) > 0.1:
+    if abs(math.hypot(*quat) - 1.0) > 0.05:
         return "the IMU's quaternion is not of length 1"
-    if np.abs(imu.gyroscope).max() > _ABSURD_RATE:
+    if max(map(abs, rates)) > _ABSURD_RATE:
         return f"the IMU turns faster than {_ABSURD_RATE:g} rad/s"
     return ""
 

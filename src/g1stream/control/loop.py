@@ -7,7 +7,7 @@ next command, so that only a write lies between the deadline and the wire.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import fields, replace
+from dataclasses import replace
 from itertools import islice
 from typing import TYPE_CHECKING
 
@@ -15,7 +15,7 @@ from g1stream.control.envelope import Measured
 from g1stream.control.feedforward import ImuReading
 from g1stream.control.phases import Inputs, Phase, PhaseState, Timing, step
 from g1stream.control.report import LoopReport
-from g1stream.control.targets import UNPUBLISHED, Target, minimum_jerk
+from g1stream.control.targets import minimum_jerk
 from g1stream.control.ticker import Ticker
 from g1stream.dds.messages import LowCmd, LowState, Reference
 
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from g1stream.control.feedforward import FeedForward
     from g1stream.control.gains import Gains
     from g1stream.control.link import Link
+    from g1stream.control.target import Target
     from g1stream.control.targets import Targets
 
 __all__ = ["LoopReport", "StreamLoop"]
@@ -39,9 +40,6 @@ _OVERRUN_PERIOD = 1_000_000_000
 
 #: Longer than any session, ns.
 _FOR_EVER = 1 << 62
-
-#: What a target says, a Reference says under the same names.
-_NAMES = tuple(one.name for one in fields(Target) if one.name not in UNPUBLISHED)
 
 
 class StreamLoop:
@@ -283,10 +281,9 @@ class StreamLoop:
         envelope.require_finite(q=command.q, dq=command.dq, tau=command.tau)
         reference.tick[()] = self.report.commands
         reference.phase[()] = self.state.phase
-        for name in _NAMES:
-            getattr(reference, name)[...] = getattr(target, name)
+        reference.motion_time[()] = self.motion_time = target.motion_time
+        reference.target[:] = target.published
         reference.tau[:] = asked.tau
-        self.motion_time = target.motion_time
         self._prepared = command.seal(), reference.tobytes()
         self._prepared_for = deadline
         self._target = target

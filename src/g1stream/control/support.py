@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from g1stream.control.feedforward import ImuReading
-    from g1stream.robot.dynamics import InverseDynamics, Solution
+    from g1stream.robot.dynamics import InverseDynamics
 
 __all__ = ["ForceObserver", "SupportCheck"]
 
@@ -39,21 +39,21 @@ class ForceObserver:
         self._weight = np.array([0.0, 0.0, dynamics.mass * dynamics.gravity])
         self._furthest = self._REACH * dynamics.mass * dynamics.gravity
         self._error = np.zeros(3)
-        self._expected: list[Solution] = []
+        self._expected: list[NDArray[np.float64]] = []
 
     def update(self, imu: ImuReading) -> NDArray[np.float64]:
         """The force (3,), N, world, after another reading."""
         # A reading answers the command before the last, which it was prepared beside.
         if len(self._expected) == 2:
-            wrong = imu.accelerometer - self._expected.pop(0).felt
+            wrong = imu.accelerometer - self._expected.pop(0)
             self._error += self._gain * quat_rotate(imu.quat_wxyz.astype(np.float64), wrong)
             length = float(np.sqrt(self._error @ self._error))
             self._error *= min(1.0, self._furthest / max(length, 1e-9))
         return self._weight + self._error
 
-    def expect(self, solution: Solution) -> None:
-        """Remember what the command of this tick does to the base."""
-        self._expected.append(solution)
+    def expect(self, felt: NDArray[np.float64]) -> None:
+        """Remember what (3,) the accelerometer ought to say to the command of this tick, m/s²."""
+        self._expected.append(felt)
 
 
 class SupportCheck:

@@ -37,10 +37,13 @@ MAX_DOMAIN: Final = 232
 # overflows when a busy machine leaves a process waiting for a tenth of a second.
 _CONFIG: Final = (
     '<CycloneDDS><Domain Id="any">'
-    '<General><Interfaces><NetworkInterface name="{interface}"/></Interfaces></General>'
+    '<General><Interfaces><NetworkInterface name="{interface}"/></Interfaces>{multicast}</General>'
     '<Internal><SocketReceiveBufferSize max="16MB"/></Internal>'
     "{discovery}</Domain></CycloneDDS>"
 )
+#: Samples go to those who read them: by multicast on loopback, every process in the domain would
+#: wake up for each of them, the sender too.
+_LOOPBACK_MULTICAST: Final = "<AllowMulticast>spdp</AllowMulticast>"
 _LOOPBACK_DISCOVERY: Final = (
     "<Discovery><ParticipantIndex>auto</ParticipantIndex>"
     '<Peers><Peer Address="127.0.0.1"/></Peers></Discovery>'
@@ -155,10 +158,13 @@ class Participant:
                 "Use one interface for a domain, or another domain.",
             )
         if entity is None:
-            discovery = _LOOPBACK_DISCOVERY if is_loopback(self.interface) else ""
-            entity = Domain(
-                self.domain, _CONFIG.format(interface=self.interface, discovery=discovery)
+            here = is_loopback(self.interface)
+            config = _CONFIG.format(
+                interface=self.interface,
+                multicast=_LOOPBACK_MULTICAST if here else "",
+                discovery=_LOOPBACK_DISCOVERY if here else "",
             )
+            entity = Domain(self.domain, config)
         self._domains[self.domain] = (entity, interface, users + 1)
 
     def _release(self) -> None:

@@ -192,6 +192,7 @@ class Reference(Message):
         root_quat_wxyz: (4,) float64, pelvis to world.
         root_lin_vel: (3,) float64, m/s, world.
         root_ang_vel: (3,) float64, rad/s, pelvis frame.
+        target: (129,) float64, all from `q` to `root_ang_vel`, one after the other.
     """
 
     idl_type = types.Reference_
@@ -208,6 +209,8 @@ class Reference(Message):
         self.root_quat_wxyz = self.view("root_quat_wxyz")
         self.root_lin_vel = self.view("root_lin_vel")
         self.root_ang_vel = self.view("root_ang_vel")
+        start = int(self.layout["q"].offsets[0])
+        self.target = np.frombuffer(self.payload.data, np.float64, offset=start)
 
 
 class Log(Message):

@@ -109,8 +109,10 @@ def stream(
     with Participant(config.dds.domain, config.dds.interface) as participant:
         joined = clock.now()
         # Only now, because it takes as long as others need to be discovered.
-        trajectory = Trajectory(motion, loop=config.stream.loop)
-        targets = Targets(trajectory, start=start, play=play, ramp=config.stream.ramp)
+        settings = config.stream
+        trajectory = Trajectory(motion, loop=settings.loop)
+        period = _period(config) / 1e9
+        targets = Targets(trajectory, start=start, play=play, ramp=settings.ramp, period=period)
         if not config.safety.allow_second_writer:
             clock.sleep_until(joined + _DISCOVERY)
             _refuse_if_commanded(participant)
@@ -190,7 +192,7 @@ def make_loop(
         Envelope(robot, safety),
         timing,
         gains,
-        period=round(1e9 / settings.rate),
+        period=_period(config),
         damp_kd=settings.damp_kd,
         settle=_SETTLE,
         allow_rivals=safety.allow_second_writer,
@@ -204,7 +206,7 @@ def make_feedforward(config: Config, robot: G1) -> FeedForward:
     Raises:
         RobotError: the torques of this robot cannot be computed.
     """
-    settings, period = config.stream, 1.0 / config.stream.rate
+    settings, period = config.stream, _period(config) / 1e9
     kind = settings.feedforward
     if kind is None and not stays_here(config.dds.interface):
         kind = "velocity"
@@ -279,6 +281,11 @@ def _start_recorder(path: Path, force: bool, config: Config, motion: Motion, gai
         recorder.kill()
         raise
     return recorder
+
+
+def _period(config: Config) -> int:
+    """Between two commands, ns; whole, because the deadlines are."""
+    return round(1e9 / config.stream.rate)
 
 
 def _ns(seconds: float) -> int:

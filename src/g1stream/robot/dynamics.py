@@ -71,13 +71,11 @@ class Solution(NamedTuple):
         tau: (29,) N·m, motor order, friction included.
         lin_acc: (3,) m/s², of the pelvis's origin, world.
         ang_acc: (3,) rad/s², pelvis frame.
-        felt: (3,) m/s², what the accelerometer of the pelvis's unit says to that, pelvis frame.
     """
 
     tau: Array
     lin_acc: Array
     ang_acc: Array
-    felt: Array
 
 
 class InverseDynamics:
@@ -123,6 +121,10 @@ class InverseDynamics:
         self._up = np.array([0.0, 0.0, gravity])
         self._imu_pos = _imu_pos(robot)
         self._jacobian = np.zeros((3, model.nv))
+        # Views and room for what is computed at every tick.
+        self._qpos, self._qvel, self._acc = self._data.qpos, self._data.qvel, self._data.qacc
+        self._armature = model.dof_armature.copy()
+        self._units, self._columns = np.eye(_BASE, model.nv), np.zeros((_BASE, model.nv))
 
     def solve(
         self,
@@ -144,49 +146,57 @@ class InverseDynamics:
             base: of the pelvis; its accelerations count where it follows, and only there.
             force: (3,) N, world, that carries a hanging robot; its weight unless given.
         """
-        data, v = self._data, self._v
+        acc, v = self._acc, self._v
         self._place(q, dq, base)
-        acc, outer = np.zeros(self._model.nv), np.zeros(self._model.nv)
+        acc[:_BASE] = 0.0
         acc[v] = ddq
+        outer = self._outer(support, force)
         if support == "follow":
             acc[:3], acc[3:_BASE] = base.lin_acc, base.ang_acc
         elif support != "bolted":
-            if support == "hanging":
-                outer = self._carried(force)
-            missing = outer - data.qfrc_bias - self._times_inertia(acc)
+            missing = outer - self._inverse()
             acc[:_BASE] = np.linalg.solve(self._base_inertia(), missing[:_BASE])
-        total = self._times_inertia(acc) + data.qfrc_bias - outer
-        lin_acc, ang_acc = acc[:3], acc[3:_BASE]
-        felt = self._felt(lin_acc, ang_acc, base.ang_vel)
-        return Solution(total[v] + friction_torque(dq), lin_acc, ang_acc, felt)
+        total = self._inverse() - outer
+        base_acc = acc[:_BASE].copy()
+        return Solution(total[v] + friction_torque(dq), base_acc[:3], base_acc[3:])
 
     def _place(self, q: Array, dq: Array, base: BaseMotion) -> None:
-        """Compute inertia and bias of a state; the base stays at the origin, which is as good."""
-        data = self._data
-        data.qpos[3:7] = base.quat_wxyz
-        data.qpos[self._q] = q
-        data.qvel[3:_BASE] = base.ang_vel
-        data.qvel[self._v] = dq
-        self._mujoco.mj_fwdPosition(self._model, data)
-        self._mujoco.mj_fwdVelocity(self._model, data)
+        """Compute what depends on a state; the base stays at the origin, which is as good."""
+        mujoco, model, data = self._mujoco, self._model, self._data
+        self._qpos[3:7] = base.quat_wxyz
+        self._qpos[self._q] = q
+        self._qvel[3:_BASE] = base.ang_vel
+        self._qvel[self._v] = dq
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_comVel(model, data)
 
-    def _times_inertia(self, vector: Array) -> Array:
-        result = np.zeros_like(vector)
-        self._mujoco.mj_mulM(self._model, self._data, result, vector)
+    def _inverse(self) -> Array:
+        """The generalised force (35,) of the state and acceleration at hand, nothing holding it."""
+        result = np.empty(self._model.nv)
+        self._mujoco.mj_rne(self._model, self._data, 1, result)
+        result += self._armature * self._acc  # of which the recursion knows nothing
         return result
+
+    def _outer(self, support: Support, force: Array | None) -> Array | float:
+        return self._carried(force) if support == "hanging" else 0.0
 
     def _base_inertia(self) -> Array:
         """The first six rows and columns of M (6, 6)."""
-        unit = np.zeros(self._model.nv)
-        columns = []
-        for i in range(_BASE):
-            unit[i] = 1.0
-            columns.append(self._times_inertia(unit)[:_BASE])
-            unit[i] = 0.0
-        return np.stack(columns)
+        self._mujoco.mj_makeM(self._model, self._data)
+        for unit, column in zip(self._units, self._columns, strict=True):
+            self._mujoco.mj_mulM(self._model, self._data, column, unit)
+        return self._columns[:, :_BASE]
 
-    def _felt(self, lin_acc: Array, ang_acc: Array, ang_vel: Array) -> Array:
-        """Specific force at the unit: a - g of the origin, a' x r and w x (w x r), pelvis frame."""
+    def felt(self, solution: Solution, base: BaseMotion) -> Array:
+        """What the accelerometer of the pelvis's unit says to a solution just found.
+
+        The specific force at the unit: a - g of the pelvis's origin, a' x r and w x (w x r).
+
+        Returns:
+            (3,) m/s², pelvis frame.
+        """
+        lin_acc, ang_acc, ang_vel = solution.lin_acc, solution.ang_acc, base.ang_vel
         turn = self._data.xmat[_BASE_BODY].reshape(3, 3)
         (x, y, z), (ax, ay, az) = self._imu_pos.tolist(), ang_acc.tolist()
         swing = np.array([ay * z - az * y, az * x - ax * z, ax * y - ay * x])

@@ -37,7 +37,7 @@ def test_a_session_in_which_all_is_well(info):
     found = info()
     assert found.problems == []
     assert found.complete
-    assert [span.phase for span in found.phases] == ["RAMP", "PLAY", "HOLD", "DAMP"]
+    assert [span.phase.name for span in found.phases] == ["RAMP", "PLAY", "HOLD", "DAMP"]
     np.testing.assert_allclose(
         [span.seconds for span in found.phases], [0.5, 4.0, 0.3, 0.198], atol=1e-9
     )

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
 
-import numpy as np
-
-from g1stream.control.phases import Phase
 from g1stream.recording.session import STREAMS
 from g1stream.recording.streams import Reference
 from g1stream.report.messages import message_stats
+from g1stream.report.spans import phase_spans
 from g1stream.report.summary import loop_figures
 
 if TYPE_CHECKING:
@@ -19,19 +17,13 @@ if TYPE_CHECKING:
 
     from g1stream.recording.session import Session
     from g1stream.report.messages import MessageStats
+    from g1stream.report.spans import Span
     from g1stream.report.summary import LoopFigures
 
-__all__ = ["Info", "PhaseSpan", "describe"]
+__all__ = ["Info", "describe"]
 
 #: Topics whose messages come when something happens: they have no rate and no gaps.
 _EVENTS: Final = ("/log", "/robot_description", "/scene")
-
-
-class PhaseSpan(NamedTuple):
-    """A phase that the session went through, and how long it lasted, s."""
-
-    phase: str
-    seconds: float
 
 
 @dataclass(frozen=True)
@@ -66,7 +58,7 @@ class Info:
     interface: str | None
     versions: dict[str, str]
     motion: dict[str, Any] | None
-    phases: list[PhaseSpan]
+    phases: list[Span]
     settings: dict[str, Any] | None
     gains: dict[str, tuple[float, float]] | None
     loop: LoopFigures | None
@@ -95,7 +87,9 @@ class Info:
             "interface": self.interface,
             "versions": self.versions,
             "motion": self.motion,
-            "phases": [{"phase": span.phase, "duration_s": span.seconds} for span in self.phases],
+            "phases": [
+                {"phase": span.phase.name, "duration_s": span.seconds} for span in self.phases
+            ],
             "settings": self.settings,
             "gains": self.gains,
             "loop": self.loop and self.loop.as_dict(),
@@ -143,18 +137,12 @@ def describe(session: Session) -> Info:
     return info
 
 
-def _phases(session: Session) -> list[PhaseSpan]:
-    """From the stamps of the references: a phase lasts until the next one begins."""
+def _phases(session: Session) -> list[Span]:
+    """By the publish times of the references."""
     if not session.topics.get(Reference.topic):
         return []
-    reference = session.reference
-    begins = np.append(0, np.flatnonzero(np.diff(reference.phase.astype(int))) + 1)
-    instants = np.append(reference.publish_time[begins], reference.publish_time[-1])
-    names = [Phase(number).name for number in reference.phase[begins].tolist()]
-    return [
-        PhaseSpan(name, ns / 1e9)
-        for name, ns in zip(names, np.diff(instants).tolist(), strict=True)
-    ]
+    stamps = session.reference.publish_time
+    return phase_spans((stamps - stamps[0]) / 1e9, session.reference.phase)
 
 
 def _settings(config: Mapping[str, Any] | None) -> dict[str, Any] | None:

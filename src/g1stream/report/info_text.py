@@ -25,7 +25,8 @@ def render_info(info: Info) -> str:
             line("recorded", _recorded(info)),
             line("motion", _motion(info)),
             line(
-                "phases", ", ".join(f"{p.phase} {p.seconds:.2f} s" for p in info.phases) or _UNKNOWN
+                "phases",
+                ", ".join(f"{p.phase.name} {p.seconds:.2f} s" for p in info.phases) or _UNKNOWN,
             ),
             line("settings", _settings(info)),
             *(loop_lines(info.loop) if info.loop else []),

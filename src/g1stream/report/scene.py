@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from g1stream.control.phases import Phase
 from g1stream.report.metrics import common_times, compare, track
+from g1stream.report.spans import phase_spans
 from g1stream.robot.joints import JOINT_GROUPS, N_JOINTS
 
 if TYPE_CHECKING:
@@ -16,24 +17,17 @@ if TYPE_CHECKING:
 
     from g1stream.recording.streams import Measured, Reference
     from g1stream.report.metrics import Comparison, Tracking
+    from g1stream.report.spans import Span
 
     Floats = NDArray[np.float64]
 
-__all__ = ["LONGEST_VIEW", "Scene", "Span", "binned_rms", "joints_to_show", "make_scene"]
+__all__ = ["LONGEST_VIEW", "Scene", "binned_rms", "joints_to_show", "make_scene"]
 
 LONGEST_VIEW: Final = 20.0
 """A longer session shows its joints for so long only, around the greatest error, s."""
 
 _NARROWEST_BIN: Final = 0.1
 _MOST_BINS: Final = 200
-
-
-class Span(NamedTuple):
-    """A phase from `start` to `end`, s."""
-
-    phase: Phase
-    start: float
-    end: float
 
 
 @dataclass(frozen=True)
@@ -72,7 +66,7 @@ def make_scene(reference: Reference, measured: Measured) -> Scene:
     playing = times[reference.phase == Phase.PLAY]
     origin = playing[0] if len(playing) else times[0]
     damping = (reference.phase == Phase.DAMP)[:, None]
-    phases = _phases(times - origin, reference.phase)
+    phases = phase_spans(times - origin, reference.phase)
     error = np.degrees(compared.reference - compared.measured)
     error_times = compared.time - origin
     return Scene(
@@ -117,15 +111,6 @@ def binned_rms(times: Floats, errors: Floats) -> tuple[Floats, Floats]:
     sums, _ = np.histogram(times, edges, weights=np.square(errors).mean(axis=1))
     mean_squares = np.divide(sums, counts, out=np.full(len(counts), np.nan), where=counts > 0)
     return (edges[:-1] + edges[1:]) / 2.0, np.sqrt(mean_squares)
-
-
-def _phases(times: Floats, numbers: NDArray[np.uint8]) -> list[Span]:
-    starts = np.concatenate([[0], np.flatnonzero(np.diff(numbers)) + 1])
-    ends = np.concatenate([starts[1:], [len(times) - 1]])
-    return [
-        Span(Phase(int(numbers[start])), float(times[start]), float(times[end]))
-        for start, end in zip(starts, ends, strict=True)
-    ]
 
 
 def _view(first: float, last: float, error_times: Floats, error: Floats) -> tuple[float, float]:

@@ -27,7 +27,8 @@ def test_the_parts_cover_the_row_without_overlap(target):
 
 def test_a_row_is_a_sample_of_the_motion(trajectory):
     point = trajectory.sample(0.13)
-    target = Target(0.13, Target.rows(point))
+    target = Target.of(0.13, point)
+    assert target.motion_time == 0.13
     for part, of_point in (
         (target.q, point.joint_pos),
         (target.dq, point.joint_vel),
@@ -41,13 +42,6 @@ def test_a_row_is_a_sample_of_the_motion(trajectory):
     ):
         assert part.tolist() == of_point.tolist()
     assert not target.tau.any()
-
-
-def test_rows_of_many_samples_are_those_of_each(trajectory):
-    times = np.arange(5) / 100
-    rows = Target.rows(trajectory.sample_many(times))
-    for t, row in zip(times, rows, strict=True):
-        assert row == pytest.approx(Target.rows(trajectory.sample(t)), abs=1e-12)
 
 
 def test_other_values_leave_the_original_alone(target):

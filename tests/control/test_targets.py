@@ -5,7 +5,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from g1stream.control.phases import Phase
-from g1stream.control.target import Target
 from g1stream.control.targets import Targets, coast, minimum_jerk
 from g1stream.motion.trajectory import Trajectory
 
@@ -197,24 +196,13 @@ def test_rest_changes_the_motion_and_not_the_pose(targets):
     assert not is_at_rest(target)
 
 
-@pytest.mark.parametrize("apart", [0.0, 0.002, 0.00123])
-def test_going_through_the_motion_in_even_steps_is_sampling_it(trajectory, apart):
-    """In blocks, whoever looks a little ahead of himself, and after a leap over some steps."""
-    targets = Targets(trajectory, start=0.05, play=None, ramp=2.0, period=0.002)
-    for i in [*range(70), *range(90, 130), *range(40, 50)]:
-        for elapsed in (i * 0.002, i * 0.002 + apart):
-            due = Target.rows(trajectory.sample(0.05 + elapsed))
-            assert targets.at(Phase.PLAY, elapsed).values == pytest.approx(due, abs=1e-9)
-
-
-def test_even_steps_are_sampled_in_blocks(trajectory, monkeypatch):
-    asked = []
-    sample_many = trajectory.sample_many
-    monkeypatch.setattr(
-        trajectory, "sample_many", lambda times: asked.append(len(times)) or sample_many(times)
-    )
-    targets = Targets(trajectory, start=0.0, play=None, ramp=2.0, period=0.002)
-    for i in range(200):
-        for ahead in (0.0, 0.0007):
-            targets.at(Phase.PLAY, i * 0.002 + ahead)
-    assert len(asked) < 200 * 2 / 8
+def test_what_was_seen_a_tick_ahead_is_not_sampled_again(trajectory, monkeypatch):
+    sample, asked = trajectory.sample, []
+    monkeypatch.setattr(trajectory, "sample", lambda t: asked.append(t) or sample(t))
+    targets = Targets(trajectory, start=0.0, play=0.3, ramp=2.0)
+    asked.clear()
+    for i in range(1, 100):
+        for elapsed in (i * 0.002, (i + 1) * 0.002):
+            target = targets.at(Phase.PLAY, elapsed)
+            assert target.q.tolist() == sample(elapsed).joint_pos.tolist()
+    assert asked == [i * 0.002 for i in range(1, 101)]

@@ -80,7 +80,7 @@ class Envelope:
         self._begun = np.asarray(q, dtype=np.float64).copy()
 
     def limit(self, q: NDArray[np.float64], ramped: float = 1.0) -> NDArray[np.float64]:
-        """Joint targets (29,) within the limits, rad.
+        """Joint targets (29,) within the limits, rad; `q` itself where they are.
 
         A joint that was beyond a limit where the ramp began is brought inside with it, at no tick
         by a leap.
@@ -95,7 +95,10 @@ class Envelope:
             lower = np.minimum(lower, begun + ramped * (lower - begun))
             upper = np.maximum(upper, begun + ramped * (upper - begun))
         limited: NDArray[np.float64] = np.minimum(np.maximum(q, lower), upper)
-        self.clamped += limited != q
+        held = limited != q
+        if not np.count_nonzero(held):
+            return q
+        self.clamped += held
         return limited
 
     @staticmethod

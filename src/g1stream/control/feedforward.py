@@ -204,7 +204,9 @@ class FeedForward:
 
     def _limited(self, tau: NDArray[np.float64]) -> NDArray[np.float64]:
         limited: NDArray[np.float64] = np.minimum(np.maximum(tau, -self._limit), self._limit)
-        self.saturated += limited != tau
+        held = limited != tau
+        if np.count_nonzero(held):
+            self.saturated += held
         return limited
 
 

@@ -275,9 +275,11 @@ class StreamLoop:
     def _compose(self, target: Target, asked: Target, deadline: int) -> None:
         """Prepare what is due, and the command that is to bring it about."""
         command, reference = self._command, self._reference
-        envelope, limited = self._envelope, self._envelope.limit(asked.q, self._ramped(deadline))
-        command.q[:] = limited
-        command.dq[:], command.tau[:] = envelope.inward(asked.q - limited, asked.dq, asked.tau)
+        envelope, q, dq, tau = self._envelope, asked.q, asked.dq, asked.tau
+        limited = envelope.limit(q, self._ramped(deadline))
+        if limited is not q:
+            dq, tau = envelope.inward(q - limited, dq, tau)
+        command.q[:], command.dq[:], command.tau[:] = limited, dq, tau
         envelope.require_finite(q=command.q, dq=command.dq, tau=command.tau)
         reference.tick[()] = self.report.commands
         reference.phase[()] = self.state.phase

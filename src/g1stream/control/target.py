@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 __all__ = ["Target"]
 
 _N: Final = 29
+_NO_TORQUE: Final = np.zeros(_N)
 
 
 class _Part:
@@ -32,8 +33,7 @@ class _Part:
 class Target:
     """What the motion asks for at one instant, as one row of numbers with names for its parts.
 
-    One row, because a control loop then copies it into a message at once, and can have the rows of
-    many instants made together.
+    One row, because a control loop then copies it into a message at once.
 
     Attributes:
         motion_time: s since the motion's first frame.
@@ -66,21 +66,23 @@ class Target:
     published = _Part(0, 4 * _N + 13)
 
     @staticmethod
-    def rows(point: TrajectoryPoint) -> NDArray[np.float64]:
-        """The values (..., 135) of one or many samples of a motion, without torque."""
-        parts = (
-            point.joint_pos,
-            point.joint_vel,
-            point.joint_acc,
-            np.zeros_like(point.joint_pos),
-            point.root_pos,
-            point.root_quat_wxyz,
-            point.root_lin_vel,
-            point.root_ang_vel,
-            point.root_lin_acc,
-            point.root_ang_acc,
+    def of(time: float, point: TrajectoryPoint) -> Target:
+        """The target at the time of a sample of the motion, s, without torque."""
+        values = np.concatenate(
+            (
+                point.joint_pos,
+                point.joint_vel,
+                point.joint_acc,
+                _NO_TORQUE,
+                point.root_pos,
+                point.root_quat_wxyz,
+                point.root_lin_vel,
+                point.root_ang_vel,
+                point.root_lin_acc,
+                point.root_ang_acc,
+            )
         )
-        return np.concatenate(parts, axis=-1)
+        return Target(time, values)
 
     def but(self, **parts: NDArray[np.float64] | float) -> Target:
         """The same with other values in the named parts."""

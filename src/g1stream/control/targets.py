@@ -20,11 +20,6 @@ __all__ = ["Targets", "coast", "minimum_jerk"]
 #: Seconds in which the motion's first velocity is run up to, and its last one dies away.
 _COAST: Final = 0.2
 
-#: How many samples of the motion are taken together.
-_BLOCK: Final = 32
-#: Samples nearer to each other than this are one, s: a thousandth of a microradian at 1 rad/s.
-_SAME: Final = 1e-9
-
 
 def minimum_jerk(s: float) -> tuple[float, float, float]:
     """Progress, its rate and its acceleration at the fraction `s` of a minimum-jerk move.
@@ -67,25 +62,19 @@ class Targets:
         start: where in the motion PLAY begins, s.
         play: how much of it is played, s; None for a motion that loops.
         ramp: how long the way to the first frame takes, s.
-        period: s between the instants that are mostly asked for.
     """
 
     def __init__(
-        self,
-        trajectory: Trajectory,
-        *,
-        start: float,
-        play: float | None,
-        ramp: float,
-        period: float = 0.002,
+        self, trajectory: Trajectory, *, start: float, play: float | None, ramp: float
     ) -> None:
+        self._trajectory = trajectory
         self._start = start
         self._play = play
         self._ramp = ramp
         self._from: NDArray[np.float64] | None = None
-        self._samples = _Samples(trajectory, period)
-        self._first = Target(start, Target.rows(trajectory.sample(start)))
+        self._first = Target.of(start, trajectory.sample(start))
         self._last = self._first.at_rest()
+        self._sampled = self._first
 
     def begin(self, q: NDArray[np.floating]) -> None:
         """Set the measured pose (29,) that the ramp starts from, rad."""
@@ -110,7 +99,10 @@ class Targets:
 
     def _playing(self, elapsed: float) -> Target:
         time = self._start + (elapsed if self._play is None else min(elapsed, self._play))
-        return Target(time, self._samples.at(time))
+        # A loop that looks a tick ahead asks again for what it saw there.
+        if time != self._sampled.motion_time:
+            self._sampled = Target.of(time, self._trajectory.sample(time))
+        return self._sampled
 
     def _ramping(self, elapsed: float) -> Target:
         if self._from is None:
@@ -125,33 +117,6 @@ class Targets:
             dq=goal.dq + speed / self._ramp * distance,
             ddq=goal.ddq + change / self._ramp**2 * distance,
         )
-
-
-class _Samples:
-    """The motion at even steps, sampled ahead in blocks: together they cost a tenth of one by one.
-
-    Two blocks are kept, so that somebody may go through the motion twice, a little apart.
-    """
-
-    def __init__(self, trajectory: Trajectory, step: float) -> None:
-        self._trajectory = trajectory
-        self._step = step
-        self._blocks: list[tuple[float, NDArray[np.float64]]] = []
-
-    def at(self, time: float) -> NDArray[np.float64]:
-        """The values (135,) of the target at a time, s."""
-        for newest, (start, rows) in enumerate(self._blocks):
-            i = round((time - start) / self._step)
-            if 0 <= i < _BLOCK and abs(start + i * self._step - time) < _SAME:
-                if newest:
-                    self._blocks.reverse()
-                row: NDArray[np.float64] = rows[i]
-                return row
-        times = time + self._step * np.arange(_BLOCK)
-        rows = Target.rows(self._trajectory.sample_many(times))
-        self._blocks = [(time, rows), *self._blocks[:1]]
-        first: NDArray[np.float64] = rows[0]
-        return first
 
 
 def _coasting(target: Target, way: float, rate: float, acceleration: float) -> Target:

@@ -15,19 +15,17 @@ Everything is one array of cubic coefficients, so that a sample is one small mat
 from __future__ import annotations
 
 from math import factorial
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
 from g1stream.motion.seam import seam_frames
-from g1stream.robot.rotations import cross, quat_mul, xyzw_from_wxyz
+from g1stream.robot.rotations import xyzw_from_wxyz
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from g1stream.motion.motion import Motion
-
-    Array = NDArray[np.float64]
 
 __all__ = ["Trajectory", "TrajectoryPoint"]
 
@@ -41,18 +39,10 @@ _WRAP: Final = 32
 _TERMS: Final = range(15)
 _VERSINE: Final = tuple((-1) ** k / factorial(2 * k + 2) for k in _TERMS)  # (1 - cos a) / a**2
 _SINE_GAP: Final = tuple((-1) ** k / factorial(2 * k + 3) for k in _TERMS)  # (a - sin a) / a**3
+_VERSINE_RATE: Final = tuple(k * c for k, c in enumerate(_VERSINE))[1:]  # its d / d(a**2)
+_SINE_GAP_RATE: Final = tuple(k * c for k, c in enumerate(_SINE_GAP))[1:]
 _HALF_COS: Final = tuple((-0.25) ** k / factorial(2 * k) for k in _TERMS)  # cos(a / 2)
 _HALF_SINC: Final = tuple((-0.25) ** k / factorial(2 * k + 1) / 2 for k in _TERMS)  # sin(a/2) / a
-
-
-def _derivative(series: tuple[float, ...]) -> tuple[float, ...]:
-    return (*(k * c for k, c in enumerate(series) if k), 0.0)
-
-
-#: The coefficients (15, 6) of all that are needed: their products with powers of a**2 are the sums.
-_SERIES: Final = np.array(
-    [_VERSINE, _SINE_GAP, _derivative(_VERSINE), _derivative(_SINE_GAP), _HALF_COS, _HALF_SINC]
-).T
 
 
 class TrajectoryPoint(NamedTuple):
@@ -122,8 +112,22 @@ class Trajectory:
         self.period = self._n_segments / motion.fps
 
     def sample(self, t: float) -> TrajectoryPoint:
-        """The reference at time `t`, s; to sample many times together costs little more."""
-        return TrajectoryPoint(*(part[0] for part in self.sample_many([t])))
+        """The reference at time `t`, s. Some 20 us: fit for a control loop."""
+        inside = t >= 0 if self.loop else 0 <= t <= self.period
+        t = t % self.period if self.loop and inside else min(max(t, 0.0), self.period)
+        k = min(int(t * self.motion.fps), self._n_segments - 1)
+        s = t - k / self.motion.fps
+        moving = 1.0 if inside else 0.0
+        basis = np.array(
+            (
+                (s * s * s, s * s, s, 1.0),
+                (3.0 * s * s * moving, 2.0 * s * moving, moving, 0.0),
+                (6.0 * s * moving, 2.0 * moving, 0.0, 0.0),
+            )
+        )
+        value = basis @ self._coefficients[k]
+        rotation = _rotation_state(self._quats[k].tolist(), *value[:, -3:].tolist())
+        return self._point(value, *map(np.array, rotation))
 
     def sample_many(self, times: ArrayLike) -> TrajectoryPoint:
         """The reference at many times (N,), s: each array of the result has a row for each."""
@@ -151,9 +155,18 @@ class Trajectory:
             axis=-1,
         ).reshape(-1, 3, 4)
         basis[~inside, 1:] = 0.0
-        value = (basis @ self._coefficients[k]).swapaxes(0, 1)
+        value = np.moveaxis(basis @ self._coefficients[k], 0, 1)
+        rotation = _rotation_state(self._quats[k].T, *np.moveaxis(value[..., -3:], -1, 1))
+        return self._point(value, *(np.stack(part, axis=-1) for part in rotation))
+
+    def _point(
+        self,
+        value: NDArray[np.float64],
+        quat: NDArray[np.float64],
+        ang_vel: NDArray[np.float64],
+        ang_acc: NDArray[np.float64],
+    ) -> TrajectoryPoint:
         joints, root = value[..., : self._n_joints], value[..., self._n_joints : -3]
-        quat, ang_vel, ang_acc = _rotation_state(self._quats[k], *value[..., -3:])
         return TrajectoryPoint(
             joints[0], joints[1], joints[2], root[0], root[1], root[2], quat, ang_vel, ang_acc
         )
@@ -172,35 +185,59 @@ def _fit(linear: NDArray[np.float64], quat: NDArray[np.float64], fps: float) -> 
     splines = CubicSpline(times, linear, bc_type="natural").c
     rotations = Rotation.from_quat(xyzw_from_wxyz(quat))
     rotation_vectors = RotationSpline(times, rotations).interpolator.c
-    powers_first = np.concatenate([splines, rotation_vectors], axis=-1)
-    coefficients: Array = powers_first.swapaxes(0, 1)
-    return coefficients
+    powers_first: NDArray[np.float64] = np.concatenate([splines, rotation_vectors], axis=-1)
+    return np.moveaxis(powers_first, 0, 1)
 
 
-def _rotation_state(base: Array, r: Array, rate: Array, accel: Array) -> tuple[Array, Array, Array]:
+def _rotation_state(base: Any, r: Any, rate: Any, accel: Any) -> tuple[Any, Any, Any]:
     """Orientation base * exp(r), and its angular velocity and acceleration in its own axes.
 
-    With x for the cross product, A = (1 - cos a) / a^2 and B = (a - sin a) / a^3 of a = |r|, the
-    angular velocity is r' - A r x r' + B r x (r x r') (the right Jacobian of SO(3), as in Sola et
-    al., "A micro Lie theory", eq. 143); the acceleration is its time derivative.
-
-    Args:
-        base: (N, 4) wxyz.
-        r: (N, 3) the rotation vector, rad.
-        rate: (N, 3) its time derivative.
-        accel: (N, 3) and that of `rate`.
-
-    Returns:
-        (N, 4) wxyz, (N, 3) rad/s, (N, 3) rad/s^2.
+    Each argument is a sequence of components, floats or arrays (N,): base as a quaternion wxyz, the
+    rotation vector r and its first two time derivatives. With x for the cross product,
+    A = (1 - cos a) / a^2 and B = (a - sin a) / a^3 of a = |r|, the angular velocity is
+    r' - A r x r' + B r x (r x r') (the right Jacobian of SO(3), as in Sola et al., "A micro Lie
+    theory", eq. 143); the acceleration is its time derivative.
     """
-    angle2 = (r * r).sum(axis=-1, keepdims=True)
-    powers = np.cumprod(np.broadcast_to(angle2, (len(r), len(_TERMS) - 1)), axis=-1)
-    sums = _SERIES[0] + powers @ _SERIES[1:]
-    a, b, a_slope, b_slope, w, half = np.split(sums, 6, axis=-1)
-    growth = 2.0 * (r * rate).sum(axis=-1, keepdims=True)
-    # As one product each, what is crossed with r first, and with r once more.
-    c1, d1 = cross(r, np.stack([rate, accel]))
-    c2, d2, e2 = cross(np.stack([r, r, rate]), np.stack([c1, d1, c1]))
-    ang_vel = rate - a * c1 + b * c2
-    ang_acc = accel - a * d1 + b * (d2 + e2) + growth * (b_slope * c2 - a_slope * c1)
-    return quat_mul(base, np.concatenate([w, half * r], axis=-1)), ang_vel, ang_acc
+    angle2 = _dot(r, r)
+    a, b = _series(_VERSINE, angle2), _series(_SINE_GAP, angle2)
+    growth = 2.0 * _dot(r, rate)
+    a_dot, b_dot = growth * _series(_VERSINE_RATE, angle2), growth * _series(_SINE_GAP_RATE, angle2)
+    c1 = _cross(r, rate)
+    c2 = _cross(r, c1)
+    d1 = _cross(r, accel)
+    d2 = _cross(r, d1)
+    e2 = _cross(rate, c1)
+    ang_vel = tuple(rate[i] - a * c1[i] + b * c2[i] for i in range(3))
+    ang_acc = tuple(
+        accel[i] - a * d1[i] + b * d2[i] - a_dot * c1[i] + b_dot * c2[i] + b * e2[i]
+        for i in range(3)
+    )
+    w, half = _series(_HALF_COS, angle2), _series(_HALF_SINC, angle2)
+    x, y, z = half * r[0], half * r[1], half * r[2]
+    bw, bx, by, bz = base
+    quat = (
+        bw * w - bx * x - by * y - bz * z,
+        bw * x + bx * w + by * z - bz * y,
+        bw * y - bx * z + by * w + bz * x,
+        bw * z + bx * y - by * x + bz * w,
+    )
+    return quat, ang_vel, ang_acc
+
+
+def _series(coefficients: tuple[float, ...], x: Any) -> Any:
+    total = coefficients[-1]
+    for coefficient in coefficients[-2::-1]:
+        total = total * x + coefficient
+    return total
+
+
+def _dot(u: Any, v: Any) -> Any:
+    return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
+
+
+def _cross(u: Any, v: Any) -> tuple[Any, Any, Any]:
+    return (
+        u[1] * v[2] - u[2] * v[1],
+        u[2] * v[0] - u[0] * v[2],
+        u[0] * v[1] - u[1] * v[0],
+    )

@@ -111,8 +111,7 @@ def stream(
         # Only now, because it takes as long as others need to be discovered.
         settings = config.stream
         trajectory = Trajectory(motion, loop=settings.loop)
-        period = _period(config) / 1e9
-        targets = Targets(trajectory, start=start, play=play, ramp=settings.ramp, period=period)
+        targets = Targets(trajectory, start=start, play=play, ramp=settings.ramp)
         if not config.safety.allow_second_writer:
             clock.sleep_until(joined + _DISCOVERY)
             _refuse_if_commanded(participant)

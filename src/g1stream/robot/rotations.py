@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 __all__ = [
-    "cross",
     "quat_angle",
     "quat_conj",
     "quat_from_axis_angle",
@@ -58,11 +57,6 @@ def _product(a: Array, b: Array, matrix: Array) -> Array:
     return result
 
 
-def cross(a: Array, b: Array) -> Array:
-    """Cross product (..., 3) of vectors."""
-    return _product(a, b, _CROSS)
-
-
 def quat_mul(a: Array, b: Array) -> Array:
     """Hamilton product (..., 4): the rotation that does `b` first and then `a`."""
     return _product(a, b, _HAMILTON)
@@ -83,7 +77,7 @@ def quat_normalize(quat: Array) -> Array:
 def quat_rotate(quat: Array, vector: Array) -> Array:
     """Vectors (..., 3) turned by unit quaternions (..., 4): from body to parent frame."""
     axis = quat[..., 1:]
-    twice = 2.0 * cross(axis, vector)
+    twice = 2.0 * _product(axis, vector, _CROSS)
     turned: Array = vector + quat[..., :1] * twice + _product(axis, twice, _CROSS)
     return turned
 

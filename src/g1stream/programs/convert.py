@@ -10,6 +10,7 @@ import numpy as np
 
 from g1stream._version import __version__
 from g1stream.errors import ConfigError, MotionError, RecordingError
+from g1stream.programs.attachments import attach_motion
 from g1stream.recording.derived_channels import DERIVED_CHANNELS
 from g1stream.recording.encode import WORLD_FRAME
 from g1stream.recording.motions import load_motion
@@ -31,8 +32,6 @@ __all__ = ["Conversion", "ConvertReport", "convert"]
 #: Times in one chunk: with some 6 kB each, small enough for the processor's cache, which makes
 #: everything that is done to a chunk several times faster, and large enough to compress.
 _CHUNK: Final = 128
-_LARGE: Final = 16 * 2**20
-_MEDIA_TYPES: Final = {".csv": "text/csv"}
 _TF, _JOINTS, _SCENE, _DESCRIPTION = (
     "/tf",
     "/reference/joint_states",
@@ -226,9 +225,7 @@ def _write_preface(
         writer.add_channel(_CHANNELS[topic])
     writer.add_metadata(_metadata(motion, robot, options))
     writer.attach("robot.urdf", "application/xml", robot.urdf.encode(), first)
-    if motion.source and motion.source.stat().st_size <= _LARGE:
-        kind = _MEDIA_TYPES.get(motion.source.suffix.lower(), "application/octet-stream")
-        writer.attach(motion.source.name, kind, motion.source.read_bytes(), first)
+    attach_motion(writer, motion.source, first)
     once = {
         _SCENE: encode_scene(first, robot, {"": 1.0}),
         _DESCRIPTION: encode_robot_description(robot),

@@ -13,6 +13,7 @@ from g1stream.config import Config
 from g1stream.dds.domain import Participant
 from g1stream.dds.topics import LOWCMD, REFERENCE
 from g1stream.errors import RecordingError, WireError
+from g1stream.programs.attachments import attach_motion
 from g1stream.recording.derive import Deriver
 from g1stream.recording.encode import MEASURED_PREFIX
 from g1stream.recording.recorder import Recorder
@@ -31,7 +32,6 @@ __all__ = ["record"]
 
 _MATCH_TIMEOUT = 10.0
 _LOOK_EVERY = 0.05
-_LARGE = 16 * 2**20
 
 #: How solid the reference is drawn.
 _GHOST = 0.3
@@ -159,10 +159,9 @@ def _attach(writer: SessionWriter, robot: G1, config: Config, session: Mapping[s
     now = time.time_ns()
     writer.attach("robot.urdf", "application/xml", robot.urdf.encode(), now)
     writer.attach("config.json", "application/json", config.model_dump_json().encode(), now)
-    source = Path((session.get("motion") or {}).get("source") or "")
-    # Of a session that is played again, /reference holds all that matters.
-    if source.is_file() and source.suffix != ".mcap" and source.stat().st_size <= _LARGE:
-        writer.attach(source.name, "text/csv", source.read_bytes(), now)
+    motion = session.get("motion")
+    source = motion.get("source") if isinstance(motion, dict) else None
+    attach_motion(writer, Path(source) if isinstance(source, str) else None, now)
 
 
 def _write_robot(writer: SessionWriter, robot: G1) -> None:

@@ -8,10 +8,12 @@ import signal
 import subprocess
 import sys
 import textwrap
+import threading
 from pathlib import Path
 
 import pytest
 
+from g1stream.cli.main import main
 from g1stream.programs.children import Child, ChildError
 
 
@@ -54,6 +56,69 @@ def test_an_attached_program_without_a_parent_says_so():
     )
     assert done.returncode == 2
     assert "Leave out --attached" in done.stdout
+
+
+@pytest.mark.parametrize("command", [["sim"], ["record", "out.mcap"]])
+@pytest.mark.parametrize(
+    ("greeting", "told"),
+    [
+        (b"not JSON", "is not a JSON object"),
+        (b"\xff\xfe\xfd", "is not a JSON object"),
+        (b"[" * 100_000, "is not a JSON object"),
+        (b"5", "is not a JSON object"),
+        (b"{}", "has no object 'config'"),
+        (b'{"config": [1]}', "has no object 'config'"),
+        (b'{"config": {"dds": 5}}', "dds = 5 is not a table"),
+        (b'{"config": {"dds": {"domain": "x"}}}', "dds.domain = 'x' does not fit"),
+        (b'{"config": {"nonsense": 1}}', "There is no setting nonsense"),
+    ],
+)
+def test_a_greeting_that_describes_nothing_is_explained(
+    command, greeting, told, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    written = tmp_path / "greeting"
+    written.write_bytes(greeting + b"\n")
+    stdin = written.open()
+    written.unlink()
+    monkeypatch.setattr(sys, "stdin", stdin)
+    monkeypatch.setattr("g1stream.cli.record.stand_back", lambda: None)
+    for module in ("record", "sim"):
+        monkeypatch.setattr(f"g1stream.cli.{module}.on_signals", lambda stop: None)
+    assert main([*command, "--attached"]) == 2
+    for thread in threading.enumerate():
+        if thread.name == "parent":
+            thread.join()
+    stdin.close()
+    (line,) = capsys.readouterr().out.splitlines()
+    message = json.loads(line)
+    assert message["event"] == "error"
+    assert told in message["cause"]
+    assert message["remedy"]
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_a_library_prints_is_no_message(monkeypatch):
+    """Whether it happens to be JSON or not even text."""
+    code = r"import os, sys; os.write(1, b'5\n\xff\n{\"event\": \"ready\"}\n')"
+    start = subprocess.Popen
+    monkeypatch.setattr(
+        subprocess, "Popen", lambda _, **how: start([sys.executable, "-c", code], **how)
+    )
+    child = Child(["sim"], {"config": {}})
+    assert child.wait_for("ready", timeout=20) == {"event": "ready"}
+    child.kill()
+
+
+def test_a_child_that_ends_before_its_parent_does_not_stumble(tmp_path, capfd):
+    """Though it still waits for its parent's next word."""
+    path = tmp_path / "there.mcap"
+    path.write_bytes(b"precious")
+    child = Child(["record", str(path)], {"config": {}})
+    with pytest.raises(ChildError):
+        child.wait_for("ready", timeout=20)
+    assert child._process.wait(20) == 2
+    assert not capfd.readouterr().err
 
 
 def test_a_child_that_is_silent_is_not_waited_for_for_ever(domain_id):

@@ -86,7 +86,7 @@ class Record(WireCommand):
         return EXIT_OK if report.whole and report.first else EXIT_STOPPED
 
     def _run_attached(self, stopped: list[str]) -> int:
-        from g1stream.config import Config
+        from g1stream.config import load_config
         from g1stream.programs.children import ParentLine
         from g1stream.programs.record import record
 
@@ -95,7 +95,7 @@ class Record(WireCommand):
             session = parent.greeting()
             report = record(
                 self.file,
-                Config.model_validate(session["config"]),
+                load_config(over=session["config"]),
                 force=self.force,
                 session=session,
                 should_stop=lambda: bool(stopped) or parent.gone.is_set(),

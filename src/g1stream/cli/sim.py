@@ -76,14 +76,14 @@ class Sim(WireCommand):
         return EXIT_OK
 
     def _run_attached(self, stopped: list[str]) -> int:
-        from g1stream.config import Config
+        from g1stream.config import load_config
         from g1stream.programs.children import ParentLine
         from g1stream.programs.sim import simulate
 
         parent = ParentLine()
         try:
             report = simulate(
-                Config.model_validate(parent.greeting()["config"]),
+                load_config(over=parent.greeting()["config"]),
                 should_stop=lambda: bool(stopped) or parent.gone.is_set(),
                 on_event=_print_event,
                 on_ready=lambda: parent.say("ready"),

@@ -14,7 +14,7 @@ import sys
 import threading
 import time
 from contextlib import suppress
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any, Final
 
 from g1stream.errors import ConfigError, G1StreamError
 
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
 __all__ = ["Child", "ChildError", "ParentLine"]
+
+_NOT_FOR_PEOPLE: Final = "Leave out --attached; it is for programs that start this one."
 
 
 class ChildError(G1StreamError):
@@ -47,6 +49,7 @@ class Child:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
+            errors="replace",
             start_new_session=True,
         )
         self._lines: queue.Queue[dict[str, Any] | None] = queue.Queue()
@@ -56,8 +59,9 @@ class Child:
     def _read(self) -> None:
         try:
             for line in _pipe(self._process.stdout):
-                with suppress(json.JSONDecodeError):  # some library's own words
-                    self._lines.put(json.loads(line))
+                message = _object(line)
+                if message is not None:  # else they are some library's own words
+                    self._lines.put(message)
         finally:
             self._lines.put(None)
 
@@ -140,43 +144,63 @@ class ParentLine:
 
     def __init__(self) -> None:
         self.gone = threading.Event()
-        self._lines: queue.Queue[dict[str, Any]] = queue.Queue()
-        threading.Thread(target=self._read, daemon=True).start()
+        self._lines: queue.Queue[bytes] = queue.Queue()
+        threading.Thread(target=self._read, name="parent", daemon=True).start()
 
     def _read(self) -> None:
+        # Not sys.stdin itself: a process that ends while this thread waits would stumble over it.
         try:
-            for line in sys.stdin:
-                with suppress(json.JSONDecodeError):  # cut off: the parent was killed in mid-line
-                    self._lines.put(json.loads(line))
+            with open(sys.stdin.fileno(), "rb", closefd=False) as lines:
+                for line in lines:
+                    self._lines.put(line)
         finally:
+            self._lines.put(b"")
             self.gone.set()
 
     def received(self) -> list[dict[str, Any]]:
-        """The lines that came since the last call."""
-        lines = []
+        """The lines that came since the last call; one cut off with its parent is left out."""
+        messages = []
         while not self._lines.empty():
-            lines.append(self._lines.get())
-        return lines
+            messages.append(_object(self._lines.get()))
+        return [message for message in messages if message is not None]
 
     def greeting(self, timeout: float = 10.0) -> dict[str, Any]:
-        """The first line, which says what to do.
+        """The first line, which says what to do: an object in which `config` is one too.
 
         Raises:
-            ConfigError: none comes in time.
+            ConfigError: none comes in time, or it does not say that.
         """
         try:
-            return self._lines.get(timeout=timeout)
+            line = self._lines.get(timeout=timeout)
         except queue.Empty:
+            line = b""
+        if not line:
+            raise ConfigError("Nothing was described on standard input.", _NOT_FOR_PEOPLE)
+        greeting = _object(line)
+        if greeting is None:
             raise ConfigError(
-                "Nothing was described on standard input.",
-                "Leave out --attached; it is for programs that start this one.",
-            ) from None
+                "The first line on standard input is not a JSON object.", _NOT_FOR_PEOPLE
+            )
+        if not isinstance(greeting.get("config"), dict):
+            raise ConfigError(
+                "The first line on standard input has no object 'config'.", _NOT_FOR_PEOPLE
+            )
+        return greeting
 
     @staticmethod
     def say(event: str, **values: Any) -> None:
         """Print one line for the parent."""
         sys.stdout.write(json.dumps({"event": event, **values}) + "\n")
         sys.stdout.flush()
+
+
+def _object(line: str | bytes) -> dict[str, Any] | None:
+    """The JSON object in a line; None where it holds something else."""
+    try:
+        message = json.loads(line)
+    except (ValueError, RecursionError):
+        return None
+    return message if isinstance(message, dict) else None
 
 
 def _pipe(pipe: IO[str] | None) -> IO[str]:

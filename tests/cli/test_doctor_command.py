@@ -24,7 +24,9 @@ def test_json_has_every_finding(domain_id, capsys):
         RawWriter(participant, LOWSTATE)
         assert doctor(domain_id, "--json") == 2
     findings = json.loads(capsys.readouterr().out)
-    assert {tuple(one) for one in findings} == {("level", "about", "cause", "remedy")}
+    assert {tuple(one) for one in findings} == {("level", "about", "cause", "remedy", "figures")}
+    (punctual,) = [one for one in findings if one["about"] == "punctuality"]
+    assert punctual["figures"]["deadlines"] >= 250
     silent = [one for one in findings if "silent" in one["cause"]]
     assert [one["level"] for one in silent] == ["problem"]
 

@@ -4,7 +4,16 @@ from dataclasses import replace
 
 import pytest
 
-from g1stream.doctor.facts import Facts, HostFacts, Interface, Peer, Qos, StateFacts, WireFacts
+from g1stream.doctor.facts import (
+    Facts,
+    HostFacts,
+    Interface,
+    Peer,
+    Punctuality,
+    Qos,
+    StateFacts,
+    WireFacts,
+)
 from g1stream.realtime import Grant
 
 BRIDGE = {"who": "python (pid 7 on here)", "participant": "bridge"}
@@ -43,7 +52,8 @@ def healthy() -> Facts:
         state=state,
         states_matched=1,
     )
-    return Facts(1, "lo", (0, 5), host, wire)
+    punctual = Punctuality(500.0, 250, missed=0, usual_ns=5_000, worst_ns=90_000)
+    return Facts(1, "lo", (0, 5), host, wire, punctuality=punctual)
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from g1stream.doctor.facts import Interface, Peer, Qos
+from g1stream.doctor.facts import Interface, Peer, Punctuality, Qos
 from g1stream.doctor.finding import Level
 from g1stream.doctor.findings import examine
 from g1stream.doctor.peers import mismatch, recognise
@@ -39,6 +39,11 @@ CASES = {
     "small buffers": ({"host": {"rmem_max": 212_992}}, Level.WARNING, "208 KiB"),
     "slow clock": ({"host": {"clock_source": "hpet"}}, Level.WARNING, "hpet"),
     "not real time": ({"host": {"grants": (REFUSED,)}}, Level.WARNING, "without it, delays"),
+    "unpunctual": (
+        {"punctuality": Punctuality(500.0, 250, 3, usual_ns=5_000, worst_ns=9_400_000)},
+        Level.WARNING,
+        "3 of 250 deadlines at 500 Hz were missed by a whole period, 9.40 ms late at worst",
+    ),
     "wrong domain": (
         {"wire": {"writers": (), "elsewhere": ((0, "lo", "sim"),)}},
         Level.PROBLEM,
@@ -94,6 +99,19 @@ def test_what_is_wrong_is_said(name, changed):
     (said,) = [one for one in findings if text in one.cause and one.level]
     assert said.level is level is worst(findings)
     assert said.remedy
+
+
+def test_late_by_less_than_a_period_is_on_time(changed):
+    late = Punctuality(500.0, 250, missed=0, usual_ns=5_000, worst_ns=1_990_000)
+    (said,) = [one for one in examine(changed(punctuality=late)) if one.about == "punctuality"]
+    assert said.level is Level.OK
+    assert said.figures == {
+        "rate_hz": 500.0,
+        "deadlines": 250,
+        "missed_deadlines": 0,
+        "median_lateness_us": 5.0,
+        "worst_lateness_us": 1990.0,
+    }
 
 
 def test_a_domain_that_cannot_be_joined(healthy):

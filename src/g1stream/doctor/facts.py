@@ -8,7 +8,16 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from g1stream.realtime import Grant
 
-__all__ = ["Facts", "HostFacts", "Interface", "Peer", "Qos", "StateFacts", "WireFacts"]
+__all__ = [
+    "Facts",
+    "HostFacts",
+    "Interface",
+    "Peer",
+    "Punctuality",
+    "Qos",
+    "StateFacts",
+    "WireFacts",
+]
 
 
 @dataclass(frozen=True)
@@ -47,6 +56,24 @@ class HostFacts:
     rmem_max: int | None
     clock_source: str
     grants: tuple[Grant, ...]
+
+
+@dataclass(frozen=True)
+class Punctuality:
+    """How punctually a thread with the loop's rights was woken when nothing else was asked of it.
+
+    Attributes:
+        rate: deadlines per second, Hz.
+        deadlines: how many there were.
+        missed: how many had passed by a whole period or more when the thread ran.
+        usual_ns, worst_ns: how late it ran, the median and the most, ns.
+    """
+
+    rate: float
+    deadlines: int
+    missed: int
+    usual_ns: int
+    worst_ns: int
 
 
 @dataclass(frozen=True)
@@ -148,6 +175,7 @@ class Facts:
         host: this machine.
         wire: the domain; None where it could not be joined.
         cannot_join: why not.
+        punctuality: how a trial of this machine's deadlines went; None where there was none.
     """
 
     domain: int
@@ -156,3 +184,4 @@ class Facts:
     host: HostFacts
     wire: WireFacts | None
     cannot_join: str = ""
+    punctuality: Punctuality | None = None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 
 __all__ = ["Finding", "Level"]
@@ -25,9 +25,11 @@ class Finding:
         about: what was looked at, in a word or two.
         cause: what was found.
         remedy: what to do about it; empty where all is well.
+        figures: what was measured, by name and unit.
     """
 
     level: Level
     about: str
     cause: str
     remedy: str = ""
+    figures: dict[str, float] = field(default_factory=dict)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 from g1stream.doctor.facts import Qos
 from g1stream.doctor.finding import Finding, Level
-from g1stream.doctor.host_findings import examine_host, examine_interface
+from g1stream.doctor.host_findings import examine_host, examine_interface, examine_punctuality
 from g1stream.doctor.peers import LOWCMD, LOWSTATE, SPORTMODESTATE, mismatch, recognise
 
 if TYPE_CHECKING:
@@ -23,6 +23,8 @@ _OUR_WRITER: Final = Qos(reliable=True)
 def examine(facts: Facts) -> list[Finding]:
     """Everything there is to say, in the order in which to mend it."""
     found = [*examine_interface(facts), *examine_host(facts.host)]
+    if facts.punctuality:
+        found.append(examine_punctuality(facts.punctuality))
     if facts.wire is None:
         return [*found, Finding(Level.PROBLEM, "domain", facts.cannot_join, "Mend that first.")]
     return [

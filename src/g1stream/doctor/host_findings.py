@@ -9,9 +9,9 @@ from g1stream.doctor.finding import Finding, Level
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from g1stream.doctor.facts import Facts, HostFacts
+    from g1stream.doctor.facts import Facts, HostFacts, Punctuality
 
-__all__ = ["examine_host", "examine_interface"]
+__all__ = ["examine_host", "examine_interface", "examine_punctuality"]
 
 #: Room for a hundred LowStates, with what the kernel keeps beside each.
 _ENOUGH_BUFFER: Final = 1 << 20
@@ -95,3 +95,32 @@ def examine_host(host: HostFacts) -> Iterator[Finding]:
             cost = f"; without it, {grant.cost}" if grant.cost else ""
             cause = f"{grant.what}: {grant.detail}{cost}"
             yield Finding(Level.WARNING, "real time", cause, grant.remedy)
+
+
+def examine_punctuality(tried: Punctuality) -> Finding:
+    """Whether this machine wakes a thread when it asks for it."""
+    about, figures = "punctuality", _figures(tried)
+    at = f"at {tried.rate:g} Hz"
+    worst = f"{tried.worst_ns / 1e6:.2f} ms late at worst"
+    if not tried.missed:
+        cause = f"woken {tried.deadlines} times {at}, {worst}, no deadline missed"
+        return Finding(Level.OK, about, cause, figures=figures)
+    return Finding(
+        Level.WARNING,
+        about,
+        f"{tried.missed} of {tried.deadlines} deadlines {at} were missed by a whole "
+        f"period, {worst}: this machine stops its programs by itself: another load or a hypervisor",
+        "End other load and mend what real time lacks; where it stays, use a machine that is not "
+        "virtual, or expect skipped ticks.",
+        figures,
+    )
+
+
+def _figures(tried: Punctuality) -> dict[str, float]:
+    return {
+        "rate_hz": tried.rate,
+        "deadlines": tried.deadlines,
+        "missed_deadlines": tried.missed,
+        "median_lateness_us": tried.usual_ns / 1000.0,
+        "worst_lateness_us": tried.worst_ns / 1000.0,
+    }

@@ -9,6 +9,7 @@ from g1stream.doctor.findings import examine
 from g1stream.doctor.host import look_at_host
 from g1stream.doctor.wire import look_at_wire
 from g1stream.errors import WireError
+from g1stream.programs.punctuality import try_waking
 
 if TYPE_CHECKING:
     from g1stream.config import Config
@@ -24,14 +25,16 @@ def diagnose(config: Config, seconds: float = 1.0) -> list[Finding]:
 
     Args:
         config: where to look (`dds`), which robots may be commanded (`safety`), and how punctual
-            the loop wants to be (`realtime`).
+            the loop wants to be (`realtime`, and `stream.rate`).
         seconds: how long to listen for LowState.
     """
     domain, interface = config.dds.domain, config.dds.interface
     host = look_at_host(config.realtime)
+    punctuality = try_waking(config.realtime, config.stream.rate)
     wire, cannot_join = None, ""
     try:
         wire = look_at_wire(domain, interface, host.interfaces, seconds)
     except WireError as error:
         cannot_join = error.cause
-    return examine(Facts(domain, interface, config.safety.mode_machine, host, wire, cannot_join))
+    robots = config.safety.mode_machine
+    return examine(Facts(domain, interface, robots, host, wire, cannot_join, punctuality))

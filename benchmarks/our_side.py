@@ -2,7 +2,8 @@
 
 our_side.py operations --domain N     CPU of one of each, us
 our_side.py run --domain N --rate HZ --seconds S     a control loop: CPU
-our_side.py floor --domain N --rate HZ --seconds S   deadlines alone: lateness
+our_side.py floor --rate HZ --seconds S    deadlines alone: lateness and CPU
+our_side.py sockets --rate HZ --seconds S  deadlines, a datagram out and one in: CPU
 our_side.py robot --domain N --rate HZ     publishes LowState and reads LowCmd until stdin ends
 """
 
@@ -10,10 +11,13 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
+import socket
 import sys
 import threading
 import time
 from collections import Counter
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -128,18 +132,53 @@ def sleep_only(rate: float, seconds: float) -> dict[str, Any]:
     """Deadlines alone, kept by the same thread with the same rights: what this machine can do."""
     clock, lateness = SystemClock(), Lateness()
     with on_time():
-        start = clock.now()
+        start, cpu = clock.now(), time.process_time()
         ticker = Ticker(clock, round(1e9 / rate), start)
         for _, deadline in ticker:
             lateness.add(clock.now() - deadline)
             if deadline - start >= seconds * 1e9:
                 break
+        cpu = time.process_time() - cpu
+        elapsed = (clock.now() - start) / 1e9
     return {
+        "cpu_percent": 100 * cpu / elapsed,
         "commands": lateness.n,
         "skipped": ticker.skipped,
         "max_us": lateness.maximum_ns / 1000.0,
         "histogram_us": lateness.sparse(),
     }
+
+
+def sockets_only(rate: float, seconds: float) -> dict[str, Any]:
+    """What the system takes for waking up, sending one sample and receiving one, without DDS.
+
+    The peer sends from a process of its own; both samples have the sizes that they have on the
+    wire.
+    """
+    command, state = LowCmd().tobytes(), LowState().tobytes()
+    ours, peer = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
+    for end in (ours, peer):
+        end.bind(("127.0.0.1", 0))
+        end.setblocking(False)
+    clock, period = SystemClock(), round(1e9 / rate)
+
+    def loop(end: socket.socket, to: Any, data: bytes, length: float) -> float:
+        start, cpu = clock.now(), time.process_time()
+        for _, deadline in Ticker(clock, period, start):
+            end.sendto(data, to)
+            with suppress(BlockingIOError):
+                end.recv(2048)
+            if deadline - start >= length * 1e9:
+                break
+        return 100 * (time.process_time() - cpu) / ((clock.now() - start) / 1e9)
+
+    peer_id = os.fork()
+    if not peer_id:
+        loop(peer, ours.getsockname(), state, seconds + 1.0)
+        os._exit(0)
+    share = loop(ours, peer.getsockname(), command, seconds)
+    os.waitpid(peer_id, 0)
+    return {"cpu_percent": share}
 
 
 def be_robot(participant: Participant, rate: float) -> None:
@@ -163,15 +202,16 @@ def be_robot(participant: Participant, rate: float) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser()
-    parser.add_argument("mode", choices=["operations", "run", "robot", "floor"])
-    parser.add_argument("--domain", type=int, required=True)
+    parser.add_argument("mode", choices=["operations", "run", "robot", "floor", "sockets"])
+    parser.add_argument("--domain", type=int, default=87)
     parser.add_argument("--rate", type=float, default=500.0)
     parser.add_argument("--seconds", type=float, default=10.0)
     parser.add_argument("--count", type=int, default=2000)
     parser.add_argument("--pause", type=float, default=0.0)
     args = parser.parse_args()
-    if args.mode == "floor":
-        print(json.dumps(sleep_only(args.rate, args.seconds)), flush=True)
+    if args.mode in ("floor", "sockets"):
+        alone = sleep_only if args.mode == "floor" else sockets_only
+        print(json.dumps(alone(args.rate, args.seconds)), flush=True)
         return
     with Participant(args.domain, "lo") as participant:
         if args.mode == "robot":

@@ -5,22 +5,28 @@
 Our bridge and a recorder run all the time on the same machine, and the two sides take turns: ours
 is the real command with a looping motion, the SDK's a RecurrentThread with its publisher and a
 subscriber with a handler. A tick that comes a whole period late or more is skipped by both, and
-counted apart. The row "deadlines alone" is a thread with our rights that does nothing but sleep
-until each deadline: later than that this machine is by itself.
+counted apart. Beside each run goes a thread with our rights that does nothing but sleep until each
+deadline: what it misses meanwhile, this machine took.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
 import subprocess
 import tempfile
 import time
 from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import sides
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
 
 PERCENTILES = (50.0, 99.0, 99.9)
 RATES = (500, 1000)
@@ -45,7 +51,7 @@ def stream(domain: int, rate: int, seconds: float) -> dict[str, Any]:
     told = json.loads(out)
     loop = told["loop"]
     return {
-        "cpu_percent": share,
+        "cpu_percent": None if loop["reason"] else share,  # it may have ended long ago
         "commands": loop["commands"],
         "skipped": loop["skipped_ticks"],
         "max_us": loop["lateness_us"]["max"],
@@ -57,8 +63,6 @@ def stream(domain: int, rate: int, seconds: float) -> dict[str, Any]:
 
 def cpu_of(pid: int) -> float:
     """CPU time of a process and its threads so far, s (proc(5): utime and stime)."""
-    import os
-
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
@@ -68,8 +72,10 @@ def merged(runs: list[dict[str, Any]]) -> dict[str, Any]:
     histogram: Counter[int] = Counter()
     for one in runs:
         histogram.update({int(late): count for late, count in one["histogram_us"].items()})
-    shares = [one["cpu_percent"] for one in runs if "cpu_percent" in one]
+    shares = [one["cpu_percent"] for one in runs if one["cpu_percent"] is not None]
     return {
+        "realtime": runs[0].get("realtime"),
+        "ended_by": [one["reason"] for one in runs if one.get("reason")],
         "commands": sum(one["commands"] for one in runs),
         "skipped": sum(one["skipped"] for one in runs),
         "cpu_percent": sum(shares) / len(shares) if shares else None,
@@ -91,20 +97,40 @@ def measure(domain: int, rounds: int, seconds: float) -> dict[str, Any]:
     ):
         for rate in RATES:
             flags = [f"--domain={domain}", f"--rate={rate}", f"--seconds={seconds}"]
-            runs: dict[str, list[dict[str, Any]]] = {"ours": [], "sdk": [], "floor": []}
-            for _ in range(rounds):
-                runs["ours"].append(stream(domain, rate, seconds))
-                runs["sdk"].append(sides.result_of([*sdk, "run", *flags]))
-                runs["floor"].append(sides.result_of([*sides.OURS, "floor", *flags]))
-            found[str(rate)] = {side: merged(of) for side, of in runs.items()}
-            found["realtime"] = runs["ours"][0]["realtime"]
-        found[str(FAST)] = {"ours": merged([stream(domain, FAST, seconds)])}
+            players = {
+                "ours": partial(stream, domain, rate, seconds),
+                "sdk": partial(sides.result_of, [*sdk, "run", *flags]),
+            }
+            found[str(rate)] = in_turns(players, rate, rounds, seconds)
+        found[str(FAST)] = in_turns(
+            {"ours": partial(stream, domain, FAST, seconds)}, FAST, 1, seconds
+        )
     return found
+
+
+def in_turns(
+    players: Mapping[str, Callable[[], dict[str, Any]]], rate: int, rounds: int, seconds: float
+) -> dict[str, Any]:
+    """Figures of each player, and under its name and `_alone` those of the deadlines meanwhile."""
+    runs: dict[str, list[dict[str, Any]]] = {}
+    alone = [*sides.OURS, "floor", f"--rate={rate}", f"--seconds={seconds}"]
+    with ThreadPoolExecutor(1) as beside:
+        for _ in range(rounds):
+            for side, play in players.items():
+                meanwhile = beside.submit(sides.result_of, alone)
+                runs.setdefault(side, []).append(play())
+                runs.setdefault(f"{side}_alone", []).append(meanwhile.result())
+    return {side: merged(of) for side, of in runs.items()}
 
 
 def table(found: dict[str, Any]) -> str:
     """The figures as text."""
-    names = {"ours": "g1stream", "sdk": "SDK", "floor": "deadlines alone"}
+    names = {
+        "ours": "g1stream",
+        "ours_alone": "  deadlines alone",
+        "sdk": "SDK",
+        "sdk_alone": "  deadlines alone",
+    }
     columns = [f"p{p:g}" for p in PERCENTILES] + ["max"]
     lines = [
         f"{'lateness, us':<26}"
@@ -120,6 +146,7 @@ def table(found: dict[str, Any]) -> str:
                 + f"{figures['skipped']:9d}{figures['commands']:10d}"
                 + (f"{cpu:7.1f}" if cpu is not None else "")
             )
+            lines += [f"{'':10}ended early: {reason}" for reason in figures["ended_by"]]
         if "sdk" in found[rate]:
             ratio = ratios(found[rate])
             lines.append(
@@ -127,7 +154,7 @@ def table(found: dict[str, Any]) -> str:
             )
     granted = ", ".join(
         f"{one['what']} {one['detail'] if one['granted'] else 'not granted'}"
-        for one in found["realtime"]
+        for one in found[str(RATES[0])]["ours"]["realtime"]
     )
     return "\n".join([*lines, f"granted: {granted}", sides.load()])
 
@@ -149,6 +176,7 @@ def main() -> None:
     slowest = str(RATES[0])
     found["p999_ratio"] = ratios(found[slowest])["p99.9"]
     found["missed"] = found[slowest]["ours"]["skipped"]
+    found["missed_by_deadlines_alone"] = found[slowest]["ours_alone"]["skipped"]
     print(json.dumps(found, indent=2) if args.json else table(found))
 
 

@@ -15,7 +15,7 @@ from g1stream.cli.common import (
     print_json,
     value,
 )
-from g1stream.cli.stream import exit_code
+from g1stream.cli.stream import exit_code, summary
 from g1stream.cli.watch import watching
 
 if TYPE_CHECKING:
@@ -82,10 +82,10 @@ class Demo(WireCommand):
 
             done = demo(motion, self.out, config, force=self.force, on_loop=prepare)
         if self.json:
-            summary = done.summary.as_dict() if done.summary else None
-            print_json({**done.played.as_dict(), "summary": summary})
+            figures = done.summary.as_dict() if done.summary else None
+            print_json({**done.played.as_dict(), "summary": figures})
         elif done.summary is None:
-            print(f"Nothing was played: {done.played.report.reason}.")
+            print(summary(done.played))
         else:
             print(render(done.summary))
             print(f"\nsession  {done.session}\npicture  {done.picture}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
 from g1stream.cli.common import Flag, WireCommand, print_json, value
@@ -37,7 +37,7 @@ class Doctor(WireCommand):
             )
         findings = diagnose(self.resolve(), self.seconds)
         if self.json:
-            print_json([{**asdict(one), "level": one.level.name.lower()} for one in findings])
+            print_json([one.as_dict() for one in findings])
         else:
             print("\n".join(map(_text, findings)))
         return max(one.level for one in findings)

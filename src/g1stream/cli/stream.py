@@ -25,9 +25,9 @@ from g1stream.realtime import told
 
 if TYPE_CHECKING:
     from g1stream.control.loop import StreamLoop
-    from g1stream.programs.stream import StreamOutcome
+    from g1stream.programs.outcome import StreamOutcome
 
-__all__ = ["PlayCommand", "Stream", "exit_code"]
+__all__ = ["PlayCommand", "Stream", "exit_code", "summary"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,7 +103,7 @@ class PlayCommand(WireCommand):
         if self.json:
             print_json(outcome.as_dict())
         else:
-            print(_summary(outcome))
+            print(summary(outcome))
         return exit_code(outcome)
 
 
@@ -159,12 +159,15 @@ def exit_code(outcome: StreamOutcome) -> int:
     return exit_code_of_signal(reason) or EXIT_STOPPED
 
 
-def _summary(outcome: StreamOutcome) -> str:
+def summary(outcome: StreamOutcome) -> str:
+    """How it went, for people."""
     report = outcome.report
     lateness = report.lateness
     ended = f"stopped: {report.reason}" if report.reason else "played to its end"
     if not report.commands:
-        return f"{outcome.motion}: no command was sent; {report.reason}."
+        lines = [f"{outcome.motion}: no command was sent; {report.reason}."]
+        lines += [f"  {finding.cause}\n  {finding.remedy}" for finding in outcome.findings]
+        return "\n".join(lines)
     lines = [
         f"{outcome.motion}: {ended}",
         f"  commands   {report.commands} at {report.rate:.2f} Hz "

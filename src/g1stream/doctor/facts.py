@@ -107,6 +107,7 @@ class Peer:
         qos: its policies.
         who: its process, or its participant.
         participant: the GUID of its participant.
+        only_looks: it says that it does not obey what it reads.
     """
 
     topic: str
@@ -115,6 +116,7 @@ class Peer:
     qos: Qos = field(default_factory=Qos)
     who: str = "somebody"
     participant: str = ""
+    only_looks: bool = False
 
 
 @dataclass(frozen=True)
@@ -154,6 +156,8 @@ class WireFacts:
         writers, readers: everybody else's, on any topic.
         state: what came on rt/lowstate.
         states_matched: how many writers of rt/lowstate are matched with our reader.
+        commands_matched: how many obedient readers of rt/lowcmd are matched with a writer of ours;
+            None where there is none, as the doctor has none.
         elsewhere: where else somebody publishes rt/lowstate: (domain, interface, who); looked for
             only if nobody does here.
     """
@@ -162,6 +166,7 @@ class WireFacts:
     readers: tuple[Peer, ...] = ()
     state: StateFacts = field(default_factory=lambda: StateFacts(0.0))
     states_matched: int = 0
+    commands_matched: int | None = None
     elsewhere: tuple[tuple[int, str, str], ...] = ()
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from enum import IntEnum
+from typing import Any
 
 __all__ = ["Finding", "Level"]
 
@@ -33,3 +34,7 @@ class Finding:
     cause: str
     remedy: str = ""
     figures: dict[str, float] = field(default_factory=dict)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The finding as JSON values."""
+        return {**asdict(self), "level": self.level.name.lower()}

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
-from g1stream.doctor.facts import Qos
 from g1stream.doctor.finding import Finding, Level
 from g1stream.doctor.host_findings import examine_host, examine_interface, examine_punctuality
-from g1stream.doctor.peers import LOWCMD, LOWSTATE, SPORTMODESTATE, mismatch, recognise
+from g1stream.doctor.misfits import (
+    command_misfits,
+    misfits,
+    names,
+    obedient,
+    silence,
+    state_misfits,
+)
+from g1stream.doctor.peers import LOWCMD, LOWSTATE, SPORTMODESTATE, recognise
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from g1stream.doctor.facts import Facts, Peer, StateFacts, WireFacts
+    from g1stream.doctor.facts import Facts, StateFacts, WireFacts
 
 __all__ = ["examine"]
-
-_OUR_READER: Final = Qos()
-_OUR_WRITER: Final = Qos(reliable=True)
 
 
 def examine(facts: Facts) -> list[Finding]:
@@ -40,8 +44,8 @@ def _presence(facts: Facts, wire: WireFacts) -> Iterator[Finding]:
     here = f"domain {facts.domain} on {facts.interface}"
     writers = [peer for peer in wire.writers if peer.topic == LOWSTATE]
     if writers:
-        yield from _misfits(writers, "LowState")
-        yield Finding(Level.OK, "publisher", f"{recognise(wire)}: {_names(writers)}")
+        yield from state_misfits(wire)
+        yield Finding(Level.OK, "publisher", f"{recognise(wire)}: {names(writers)}")
         return
     for domain, interface, who in wire.elsewhere:
         is_domain = domain != facts.domain
@@ -63,52 +67,12 @@ def _presence(facts: Facts, wire: WireFacts) -> Iterator[Finding]:
         )
 
 
-def _misfits(writers: list[Peer], name: str) -> Iterator[Finding]:
-    for peer in writers:
-        if reason := _misfit(peer, mismatch(peer.qos, _OUR_READER), name):
-            yield reason
-
-
-def _misfit(peer: Peer, qos_reason: str, name: str) -> Finding | None:
-    if peer.same_type is False:
-        return Finding(
-            Level.PROBLEM,
-            "types",
-            f"{peer.who} has {peer.topic} with a type of another structure, {peer.type_name}",
-            f"Make it use Unitree's {name}_, as idl/ has it.",
-        )
-    if qos_reason:
-        return Finding(
-            Level.PROBLEM,
-            "QoS",
-            f"{peer.who} does not match on {peer.topic}: {qos_reason}",
-            "Make it use the SDK's policies: reliable or best effort, volatile, XCDR1.",
-        )
-    return None
-
-
 def _states(facts: Facts, wire: WireFacts) -> Iterator[Finding]:
     state, about = wire.state, "LowState"
     if not wire.states_matched:
-        writers = [peer for peer in wire.writers if peer.topic == LOWSTATE]
-        # Cyclone 0.10.2 does not show the types that others announce.
-        if writers and not any(_misfits(writers, "LowState")):
-            yield Finding(
-                Level.PROBLEM,
-                "types",
-                f"{_names(writers)} does not match on {LOWSTATE} though its policies fit: "
-                "its type must be of another structure",
-                "Make it use Unitree's LowState_, as idl/ has it.",
-            )
         return
     if not state.received:
-        yield Finding(
-            Level.PROBLEM,
-            about,
-            f"a publisher of {LOWSTATE} is matched, but silent for {state.seconds:.1f} s"
-            + (f"; {state.malformed} samples were no LowState" if state.malformed else ""),
-            "See whether it hangs or is paused, or whether a firewall stops its packets.",
-        )
+        yield from silence(wire)
         return
     rate, (age, oldest) = state.received / state.seconds, state.ages_ms
     text = f"{rate:.0f} a second, {age:.2f} ms old on arrival, {oldest:.2f} ms at most"
@@ -161,18 +125,18 @@ def _contents(facts: Facts, state: StateFacts) -> Iterator[Finding]:
 
 def _base(wire: WireFacts) -> Iterator[Finding]:
     writers = [peer for peer in wire.writers if peer.topic == SPORTMODESTATE]
-    yield from _misfits(writers, "SportModeState")
+    yield from misfits(writers, "SportModeState")
     if writers:
-        yield Finding(Level.OK, "base", f"{SPORTMODESTATE} from {_names(writers)}")
+        yield Finding(Level.OK, "base", f"{SPORTMODESTATE} from {names(writers)}")
     else:
         yield Finding(Level.OK, "base", "position and velocity not provided")
 
 
 def _commands(wire: WireFacts) -> Iterator[Finding]:
-    readers = [peer for peer in wire.readers if peer.topic == LOWCMD]
+    readers = obedient(wire)
     writers = [peer for peer in wire.writers if peer.topic == LOWCMD]
-    misfits = [_misfit(peer, mismatch(_OUR_WRITER, peer.qos), "LowCmd") for peer in readers]
-    yield from filter(None, misfits)
+    apart = command_misfits(wire)
+    yield from apart
     if not readers and any(peer.topic == LOWSTATE for peer in wire.writers):
         yield Finding(
             Level.PROBLEM,
@@ -180,16 +144,12 @@ def _commands(wire: WireFacts) -> Iterator[Finding]:
             f"nobody reads {LOWCMD}: commands would move nothing",
             "Start a bridge (g1stream sim), or connect and switch on the robot.",
         )
-    elif readers and not any(misfits):
-        yield Finding(Level.OK, "LowCmd", f"read by {_names(readers)}")
+    elif readers and not apart:
+        yield Finding(Level.OK, "LowCmd", f"read by {names(readers)}")
     if writers:
         yield Finding(
             Level.WARNING,
             "LowCmd",
-            f"written already, by {_names(writers)}: g1stream stream will refuse to start",
+            f"written already, by {names(writers)}: g1stream stream will refuse to start",
             "End it before you stream.",
         )
-
-
-def _names(peers: list[Peer]) -> str:
-    return ", ".join(sorted({peer.who for peer in peers}))

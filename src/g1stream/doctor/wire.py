@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from cyclonedds.core import Policy
 
+from g1stream.dds.announcement import observers
 from g1stream.dds.domain import MAX_DOMAIN, Participant
 from g1stream.dds.messages import LowState
 from g1stream.dds.raw import RawReader
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from g1stream.dds.domain import Endpoint
     from g1stream.doctor.facts import Interface
 
-__all__ = ["look_at_wire", "qos_facts"]
+__all__ = ["look_around", "look_at_wire", "qos_facts"]
 
 _POLL_S = 0.001
 #: How long discovery may take with somebody whose announcements come every few seconds, s.
@@ -46,19 +47,24 @@ def look_at_wire(
         WireError: the domain cannot be joined on the interface.
     """
     with Participant(domain, interface) as participant:
-        reader = RawReader(participant, LOWSTATE, depth=4096)
-        state = _listen(reader, seconds)
-        facts = WireFacts(
-            writers=tuple(_peers(participant.writers())),
-            readers=tuple(_peers(participant.readers())),
-            state=state,
-            states_matched=reader.matched,
-        )
+        facts = look_around(participant, seconds)
     if any(writer.topic == LOWSTATE.name for writer in facts.writers):
         return facts
     # With a CYCLONEDDS_URI the interface is not for us to choose.
     others = [] if participant.uses_environment else interfaces
     return replace(facts, elsewhere=tuple(_elsewhere(domain, interface, others)))
+
+
+def look_around(participant: Participant, seconds: float) -> WireFacts:
+    """Listen in a participant's domain for so long."""
+    reader = RawReader(participant, LOWSTATE, depth=4096)
+    state = _listen(reader, seconds)
+    return WireFacts(
+        writers=tuple(_peers(participant.writers())),
+        readers=tuple(_peers(participant.readers())),
+        state=state,
+        states_matched=reader.matched,
+    )
 
 
 def _listen(reader: RawReader, seconds: float) -> StateFacts:
@@ -113,6 +119,7 @@ def _peers(endpoints: Iterable[Endpoint]) -> Iterator[Peer]:
                 qos=qos_facts(endpoint.qos),
                 who=str(endpoint),
                 participant=endpoint.participant,
+                only_looks=bool(observers([endpoint])),
             )
 
 

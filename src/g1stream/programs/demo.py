@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from g1stream.control.loop import StreamLoop
     from g1stream.motion.motion import Motion
-    from g1stream.programs.stream import StreamOutcome
+    from g1stream.programs.outcome import StreamOutcome
     from g1stream.report.summary import Summary
 
 __all__ = ["DemoOutcome", "demo"]

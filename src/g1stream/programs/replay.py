@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from g1stream.control.loop import StreamLoop
     from g1stream.motion.motion import Motion
-    from g1stream.programs.stream import StreamOutcome
+    from g1stream.programs.outcome import StreamOutcome
 
 __all__ = ["replay"]
 

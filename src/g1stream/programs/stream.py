@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,15 +14,18 @@ from g1stream.control.envelope import Envelope
 from g1stream.control.feedforward import FeedForward
 from g1stream.control.gains import Gains, resolve_gains
 from g1stream.control.link import DdsLink
-from g1stream.control.loop import INFO, StreamLoop
+from g1stream.control.loop import ERROR, INFO, StreamLoop
 from g1stream.control.phases import Timing
 from g1stream.control.targets import Targets
 from g1stream.dds.domain import Participant, stays_here
 from g1stream.dds.topics import LOWCMD
+from g1stream.doctor.misfits import unanswered
+from g1stream.doctor.wire import look_around
 from g1stream.errors import ConfigError, SafetyError
 from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.programs.children import Child, ChildError
+from g1stream.programs.outcome import StreamOutcome, loop_summary
 from g1stream.realtime import on_time, told
 from g1stream.recording.motions import load_motion
 from g1stream.robot.dynamics import InverseDynamics
@@ -34,6 +37,7 @@ if TYPE_CHECKING:
 
     from g1stream.clock import Clock
     from g1stream.control.loop import LoopReport
+    from g1stream.doctor.finding import Finding
     from g1stream.realtime import Grant
 
 __all__ = ["StreamOutcome", "stream"]
@@ -42,37 +46,8 @@ __all__ = ["StreamOutcome", "stream"]
 _DISCOVERY = 300_000_000
 #: For how long then, in case that somebody else started at the same moment, ns.
 _SETTLE = 100_000_000
-
-_PERCENTILES = (50.0, 99.0, 99.9)
-
-
-@dataclass(frozen=True)
-class StreamOutcome:
-    """How a motion was played.
-
-    Attributes:
-        motion: its name.
-        report: what the loop counted.
-        recording: the recorder's own summary; None where nothing was recorded.
-        wire: what was lost on the wire and what was not.
-        granted: what the system granted to be on time.
-    """
-
-    motion: str
-    report: LoopReport
-    recording: dict[str, Any] | None
-    wire: dict[str, int | None]
-    granted: list[Grant]
-
-    def as_dict(self) -> dict[str, Any]:
-        """The outcome as JSON values."""
-        return {
-            "motion": self.motion,
-            "loop": loop_summary(self.report),
-            "recording": self.recording,
-            "wire": self.wire,
-            "realtime": [asdict(grant) for grant in self.granted],
-        }
+#: For how long a wire is listened to on which nobody answered, s.
+_LISTEN = 0.2
 
 
 def stream(
@@ -126,6 +101,7 @@ def stream(
             with on_time(config.realtime.priority, config.realtime.cpu) as granted:
                 link.tell(INFO, told(granted))
                 report = loop.run()
+            findings = _unanswered(config, participant, link, report)
         finally:
             wire = link.counts()
             if recorder:
@@ -139,7 +115,21 @@ def stream(
                     }
                 )
                 recording = _finish_recorder(recorder, Path(record or ""))
-    return StreamOutcome(motion.name, report, recording, wire, granted)
+    return StreamOutcome(motion.name, report, recording, wire, granted, findings)
+
+
+def _unanswered(
+    config: Config, participant: Participant, link: DdsLink, report: LoopReport
+) -> list[Finding]:
+    """Why nobody was there to play to, in the doctor's words; they go into the recording too."""
+    listeners = link.listeners()
+    if report.commands or (report.states and listeners):
+        return []
+    wire = replace(look_around(participant, _LISTEN), commands_matched=listeners)
+    findings = unanswered(config.dds.domain, config.dds.interface, wire)
+    for finding in findings:
+        link.tell(ERROR, finding.cause)
+    return findings
 
 
 def _finish_recorder(recorder: Child, path: Path) -> dict[str, Any]:
@@ -221,29 +211,6 @@ def make_feedforward(config: Config, robot: G1) -> FeedForward:
         # obeys it for a whole one.
         preview=period if settings.preview is None else settings.preview,
     )
-
-
-def loop_summary(report: LoopReport) -> dict[str, Any]:
-    """What the loop counted, as JSON values."""
-    lateness = report.lateness
-    return {
-        "reason": report.reason,
-        "commands": report.commands,
-        "rate_hz": report.rate if report.commands > 1 else None,
-        "nominal_rate_hz": 1e9 / report.period,
-        "lateness_us": {
-            **{f"p{p:g}": lateness.percentile_us(p) for p in _PERCENTILES if lateness.n},
-            "max": lateness.maximum_ns / 1000.0,
-        },
-        "lateness_histogram_us": lateness.sparse(),
-        "skipped_ticks": report.skipped,
-        "worst_work_us": report.worst_work / 1000.0,
-        "states": report.states,
-        "clamped_ticks": report.clamped.tolist(),
-        "feedforward": report.feedforward,
-        "support": report.support or None,
-        "saturated_ticks": report.saturated.tolist(),
-    }
 
 
 def _interval(motion: Motion, config: Config) -> tuple[float, float | None]:

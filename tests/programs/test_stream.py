@@ -1,0 +1,80 @@
+"""A stream that nobody answers says why."""
+
+from __future__ import annotations
+
+import json
+from importlib.metadata import version
+
+import pytest
+from cyclonedds.core import Policy
+from cyclonedds.core import Qos as CycloneQos
+from cyclonedds.idl import make_idl_struct
+from cyclonedds.idl.types import uint32
+from cyclonedds.pub import DataWriter
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
+
+from g1stream.cli.main import main
+from g1stream.config import Config
+from g1stream.dds import types
+from g1stream.dds.domain import Participant
+from g1stream.dds.raw import RawWriter
+from g1stream.dds.topics import LOWCMD, LOWSTATE
+from g1stream.programs.stream import stream
+
+SHOWS_TYPES = not version("cyclonedds").startswith("0.10.")
+
+
+@pytest.fixture
+def config(domain_id):
+    return Config.model_validate({"dds": {"domain": domain_id}, "stream": {"wait": 1.0}})
+
+
+def test_a_publisher_of_another_type_is_named(domain_id, config):
+    other = make_idl_struct("LowState_", "unitree_hg.msg.dds_.LowState_", {"crc": uint32})
+    with Participant(domain_id, "lo") as peer:
+        writer = DataWriter(peer.entity, Topic(peer.entity, LOWSTATE.name, other))
+        outcome = stream("demo", config)
+        del writer
+    assert outcome.report.reason == "no LowState came within 1 s"
+    (finding,) = outcome.findings
+    # Cyclone 0.10.2 does not show the types that others announce.
+    told = "with a type of another structure" if SHOWS_TYPES else "its type must be of another"
+    assert told in finding.cause
+    assert outcome.as_dict()["findings"][0]["remedy"] == finding.remedy
+
+
+def test_a_reader_with_other_policies_is_named(domain_id, config):
+    with Participant(domain_id, "lo") as peer:
+        RawWriter(peer, LOWSTATE)
+        topic = Topic(peer.entity, LOWCMD.name, types.LowCmd_)
+        durable = CycloneQos(Policy.Reliability.Reliable(0), Policy.Durability.TransientLocal)
+        reader = DataReader(peer.entity, topic, durable)
+        outcome = stream("demo", config)
+        del reader
+    causes = " / ".join(finding.cause for finding in outcome.findings)
+    assert "a publisher of rt/lowstate is matched, but silent" in causes
+    assert "does not match on rt/lowcmd: the reader asks for durability transient local" in causes
+
+
+@pytest.fixture
+def short(tmp_path):
+    path = tmp_path / "short.toml"
+    path.write_text("[stream]\nwait = 1.0\n")
+    return str(path)
+
+
+def test_where_nobody_is_it_leads_to_the_doctor(domain_id, short, capsys, monkeypatch):
+    monkeypatch.setattr("g1stream.cli.stream.on_signals", lambda stop: None)
+    assert main(["stream", "demo", "--domain", str(domain_id), "--config", short]) == 1
+    printed = capsys.readouterr().out
+    assert "no command was sent; no LowState came within 1 s." in printed
+    assert f"nobody publishes rt/lowstate in domain {domain_id} on lo" in printed
+    assert f"g1stream doctor --domain {domain_id} --interface lo" in printed
+
+
+def test_it_is_in_the_json(domain_id, short, capsys, monkeypatch):
+    monkeypatch.setattr("g1stream.cli.stream.on_signals", lambda stop: None)
+    main(["stream", "demo", "--domain", str(domain_id), "--config", short, "--json"])
+    (finding,) = json.loads(capsys.readouterr().out)["findings"]
+    assert finding["level"] == "problem"

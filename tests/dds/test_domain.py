@@ -2,6 +2,7 @@
 
 import gc
 import os
+import socket
 import sys
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import pytest
 from cyclonedds.core import Entity
 
 from g1stream.dds.domain import Endpoint, Participant, interfaces, is_loopback
-from g1stream.dds.messages import LowCmd
+from g1stream.dds.messages import LowCmd, LowState
 from g1stream.dds.raw import RawReader, RawWriter
 from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE, TOPICS
 from g1stream.errors import WireError
@@ -185,3 +186,25 @@ def test_an_endpoint_is_named_as_well_as_can_be():
     assert str(Endpoint("rt/lowcmd", LOWCMD_TYPE, "guid")) == "participant guid"
     nameless = Endpoint("rt/lowcmd", LOWCMD_TYPE, "guid", pid="7")
     assert str(nameless) == "process (pid 7 on an unnamed host)"
+
+
+def test_on_loopback_samples_go_to_their_readers_alone(domain_id, peer_on, until):
+    """Who merely shares the domain is not woken by them: nothing comes by multicast."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as bystander:
+        bystander.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        bystander.bind(("", _multicast_port(domain_id)))
+        group = socket.inet_aton("239.255.0.1") + socket.inet_aton("127.0.0.1")
+        bystander.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, group)
+        bystander.setblocking(False)
+        with Participant(domain_id, "lo") as here, peer_on(domain_id) as peer:
+            reader = RawReader(here, LOWSTATE)
+            until(lambda: reader.matched)
+            peer.write(LOWSTATE.name, 1, LowState().seal())
+            until(reader.take)
+        with pytest.raises(BlockingIOError):
+            bystander.recv(65536)
+
+
+def _multicast_port(domain: int) -> int:
+    """Where samples to everybody in a domain would go (RTPS 2.5, section 9.6.2)."""
+    return 7400 + 250 * domain + 1

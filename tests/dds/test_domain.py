@@ -198,9 +198,9 @@ def test_on_loopback_samples_go_to_their_readers_alone(domain_id, peer_on, until
         bystander.setblocking(False)
         with Participant(domain_id, "lo") as here, peer_on(domain_id) as peer:
             reader = RawReader(here, LOWSTATE)
-            until(lambda: reader.matched)
+            until(lambda: reader.matched, "its writer")
             peer.write(LOWSTATE.name, 1, LowState().seal())
-            until(reader.take)
+            until(reader.take_latest, "its sample")
         with pytest.raises(BlockingIOError):
             bystander.recv(65536)
 

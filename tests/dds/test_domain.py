@@ -10,7 +10,7 @@ import pytest
 from cyclonedds.core import Entity
 
 from g1stream.dds.domain import Endpoint, Participant, interfaces, is_loopback
-from g1stream.dds.messages import LowCmd, LowState
+from g1stream.dds.messages import LowCmd
 from g1stream.dds.raw import RawReader, RawWriter
 from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE, TOPICS
 from g1stream.errors import WireError
@@ -196,11 +196,10 @@ def test_on_loopback_samples_go_to_their_readers_alone(domain_id, peer_on, until
         group = socket.inet_aton("239.255.0.1") + socket.inet_aton("127.0.0.1")
         bystander.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, group)
         bystander.setblocking(False)
-        with Participant(domain_id, "lo") as here, peer_on(domain_id) as peer:
-            reader = RawReader(here, LOWSTATE)
-            until(lambda: reader.matched, "its writer")
-            peer.write(LOWSTATE.name, 1, LowState().seal())
-            until(reader.take_latest, "its sample")
+        with Participant(domain_id, "lo") as here, peer_on(domain_id), peer_on(domain_id):
+            writer = RawWriter(here, LOWCMD)
+            until(lambda: writer.matched == 2, "two readers")  # one alone is never sent multicast
+            assert writer.write(LowCmd().seal())
         with pytest.raises(BlockingIOError):
             bystander.recv(65536)
 

@@ -11,13 +11,14 @@ from dataclasses import replace
 from itertools import islice
 from typing import TYPE_CHECKING
 
+from g1stream.control.compose import Composer
 from g1stream.control.envelope import Measured
 from g1stream.control.feedforward import ImuReading
 from g1stream.control.phases import Inputs, Phase, PhaseState, Timing, step
 from g1stream.control.report import LoopReport
 from g1stream.control.targets import minimum_jerk
 from g1stream.control.ticker import Ticker
-from g1stream.dds.messages import LowCmd, LowState, Reference
+from g1stream.dds.messages import LowState
 
 if TYPE_CHECKING:
     from g1stream.clock import Clock
@@ -86,14 +87,12 @@ class StreamLoop:
         self._envelope = envelope
         self._timing = timing
         self._undamped = replace(timing, hold=_FOR_EVER)
-        self._gains = gains
+        self._composer = Composer(envelope, gains, damp_kd)
         self._period = period
-        self._damp_kd = damp_kd
         self._settle = settle
         self._allow_rivals = allow_rivals
         self._feedforward = feedforward
-        self._command, self._reference, self._low_state = LowCmd(), Reference(), LowState()
-        state = self._low_state
+        self._low_state = state = LowState()
         self._imu = ImuReading(state.quaternion, state.gyroscope, state.accelerometer)
         self._measured: Measured | None = None
         self._target: Target | None = None
@@ -227,15 +226,10 @@ class StreamLoop:
         phase, measured = self.state.phase, self._measured
         if phase is Phase.RAMP and measured is not None:
             self._targets.begin(measured.q)
-            self._envelope.begin(measured.q)
+            self._composer.begin(measured)
             self._begin_feedforward()
-            self._command.motor_mode = 1
-            self._command.mode_pr[()] = 0  # the other mode gives ankle and waist another meaning
-            self._command.mode_machine[()] = measured.mode_machine
-            self._command.kp[:], self._command.kd[:] = self._gains
         elif phase is Phase.DAMP:
-            self._command.kp[:] = 0.0
-            self._command.kd[:] = self._damp_kd
+            self._composer.damp()
         went = f"{before.name} -> {phase.name}"
         if self.state.reason and before < Phase.DAMP:
             self._tell(ERROR, f"{went}: {self.state.reason}")
@@ -274,20 +268,11 @@ class StreamLoop:
 
     def _compose(self, target: Target, asked: Target, deadline: int) -> None:
         """Prepare what is due, and the command that is to bring it about."""
-        command, reference = self._command, self._reference
-        envelope, q, dq, tau = self._envelope, asked.q, asked.dq, asked.tau
-        limited = envelope.limit(q, self._ramped(deadline))
-        if limited is not q:
-            dq, tau = envelope.inward(q - limited, dq, tau)
-        command.q[:], command.dq[:], command.tau[:] = limited, dq, tau
-        envelope.require_finite(q=command.q, dq=command.dq, tau=command.tau)
-        reference.tick[()] = self.report.commands
-        reference.phase[()] = self.state.phase
-        reference.motion_time[()] = self.motion_time = target.motion_time
-        reference.target[:] = target.published
-        reference.tau[:] = asked.tau
-        self._prepared = command.seal(), reference.tobytes()
+        self._prepared = self._composer.compose(
+            target, asked, self.state.phase, self.report.commands, self._ramped(deadline)
+        )
         self._prepared_for = deadline
+        self.motion_time = target.motion_time
         self._target = target
 
     def _ramped(self, now: int) -> float:

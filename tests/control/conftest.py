@@ -114,12 +114,13 @@ class FakeLink:
         state.load(data)
         return True
 
-    def send(self, command: bytes, reference: bytes, stamp: int) -> None:
+    def send(self, command: bytes, reference: bytes, stamp: int) -> int:
         sent = Sent(self._clock.now(), stamp, LowCmd(), Reference())
         sent.command.load(command)
         sent.reference.load(reference)
         self.sent.append(sent)
         self.on_send(len(self.sent) - 1)
+        return self._clock.now()
 
     def tell(self, level: int, text: str) -> None:
         self.told.append((level, text))

@@ -1,5 +1,6 @@
 """One contract for every link: the test's own, in this process, and DDS on the loopback."""
 
+import time
 from contextlib import contextmanager
 
 import numpy as np
@@ -24,6 +25,7 @@ class FakeEnds:
         self.held = link.held
         self.rivalled = link.rivalled
         self.publish_state = link.publish_state
+        self.now = link._clock.now
 
     def commands(self):
         return [(sent.command.tobytes(), sent.stamp) for sent in self.link.sent]
@@ -41,6 +43,7 @@ class DdsEnds:
     def __init__(self, ours, theirs):
         self._theirs = theirs
         self.link = DdsLink(ours)
+        self.now = time.monotonic_ns
         self._states = RawWriter(theirs, LOWSTATE)
         self._readers = {t.name: RawReader(theirs, t, depth=10) for t in (REFERENCE, LOG)}
         self._arrived = {name: [] for name in (LOWCMD.name, *self._readers)}
@@ -154,6 +157,12 @@ def test_command_and_reference_arrive_whole_with_one_stamp(ends, until):
         until(lambda: len(ends.references()) == 3, "three references")
         assert ends.commands() == [(command, stamp) for command, _, stamp in sent]
         assert ends.references() == [(reference, stamp) for _, reference, stamp in sent]
+
+
+def test_sending_tells_when_the_command_was_out(ends):
+    before = ends.now()
+    out = ends.link.send(LowCmd().seal(), Reference().tobytes(), STAMP)
+    assert before <= out <= ends.now()
 
 
 def test_sending_into_the_void_is_no_error(ends):

@@ -219,6 +219,7 @@ def test_memory_does_not_grow_with_the_motion(make_loop, link, clock, motion, ti
             blocks.append(sys.getallocatedblocks())
         if loop.report.commands == 3000:
             loop.request_stop("enough")
+        return clock.now()
 
     monkeypatch.setattr(link, "send", send)
     monkeypatch.setattr(type(clock), "sleep_until", sleep_without_a_record)

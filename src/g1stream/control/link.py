@@ -38,8 +38,12 @@ class Link(Protocol):
     def receive(self, state: LowState) -> bool:
         """Load the newest LowState since the last call; False where none came."""
 
-    def send(self, command: bytes, reference: bytes, stamp: int) -> None:
-        """Publish a LowCmd and the Reference beside it, both with the publish time `stamp`, ns."""
+    def send(self, command: bytes, reference: bytes, stamp: int) -> int:
+        """Publish a LowCmd and the Reference beside it, both with the publish time `stamp`, ns.
+
+        Returns:
+            When the LowCmd was out, ns of CLOCK_MONOTONIC.
+        """
 
     def tell(self, level: int, text: str) -> None:
         """Publish an event: level 2 info, 3 warning, 4 error."""
@@ -88,10 +92,16 @@ class DdsLink:
         state.load(samples[-1].data)
         return True
 
-    def send(self, command: bytes, reference: bytes, stamp: int) -> None:
-        """Publish a LowCmd and the Reference beside it with the same publish time, ns."""
+    def send(self, command: bytes, reference: bytes, stamp: int) -> int:
+        """Publish a LowCmd and the Reference beside it, both with the publish time `stamp`, ns.
+
+        Returns:
+            When the LowCmd was out, ns of CLOCK_MONOTONIC.
+        """
         self._commands.write(command, stamp)
+        out = time.monotonic_ns()
         self._references.write(reference, stamp)
+        return out
 
     def counts(self) -> dict[str, int | None]:
         """What was lost on the wire and what was not, as JSON values.

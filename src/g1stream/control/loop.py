@@ -180,9 +180,8 @@ class StreamLoop:
             return
         command, reference = self._prepared
         stamp = self._clock.stamp()
-        self._link.send(command, reference, stamp)
         report = self.report
-        report.lateness.add(self._clock.now() - deadline)
+        report.lateness.add(self._link.send(command, reference, stamp) - deadline)
         report.commands += 1
         report.first_stamp = report.first_stamp or stamp
         report.last_stamp = stamp

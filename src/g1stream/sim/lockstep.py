@@ -100,8 +100,8 @@ class Lockstep:
         fresh, self._fresh = self._fresh, False
         return fresh
 
-    def send(self, command: bytes, reference: bytes, stamp: int) -> None:
-        """Take over a command and the reference beside it."""
+    def send(self, command: bytes, reference: bytes, stamp: int) -> int:
+        """Take over a command and the reference beside it, at once."""
         del stamp
         self._command.load(command)
         self._reference.load(reference)
@@ -111,6 +111,7 @@ class Lockstep:
             *(part.copy() for part in (one.q, one.dq, one.tau, one.kp, one.kd)),
         )
         self._world.lead(root_of(self._reference))
+        return self.now()
 
     def tell(self, level: int, text: str) -> None:
         """Events stay with the loop."""

@@ -9,8 +9,10 @@ from g1stream.dds.messages import LowCmd, Reference
 from g1stream.errors import ConfigError, RecordingError, SafetyError
 from g1stream.programs import replay as program
 from g1stream.programs.replay import replay
+from g1stream.recording.session import Session
 from g1stream.recording.writer import SessionWriter
 from g1stream.robot.joints import JOINT_NAMES
+from g1stream.robot.model import G1
 
 T0 = 1_700_000_000_000_000_000
 PERIOD = 4_000_000
@@ -34,6 +36,7 @@ def command(i, **changes):
     message = LowCmd()
     message.q[KNEE] = knee_at(i)
     message.kp[:] = 40.0
+    message.motor_mode = changes.pop("motor_mode", 1)
     for name, value in changes.items():
         getattr(message, name)[...] = value
     return message.seal()
@@ -50,12 +53,15 @@ def reference(i, phase):
 
 @pytest.fixture
 def write(tmp_path):
-    def make(commands, phases=None):
+    """Commands and, where phases are given, references; one every PERIOD, or at `ticks`."""
+
+    def make(commands, phases=None, ticks=None):
         path = tmp_path / "session.mcap"
-        with SessionWriter(path) as writer:
+        with SessionWriter(path, force=True) as writer:
             for i, data in enumerate(commands):
-                stamp = T0 + i * PERIOD
-                writer.write("/lowcmd", data, stamp + 9, stamp)
+                stamp = T0 + round((i if ticks is None else ticks[i]) * PERIOD)
+                if data is not None:
+                    writer.write("/lowcmd", data, stamp + 9, stamp)
                 if phases is not None:
                     writer.write("/reference", reference(i, phases[i]), stamp + 9, stamp)
         return path
@@ -80,7 +86,7 @@ def test_exact_hands_over_the_commands_of_play_when_they_were_due(write, handed)
     commands = [command(i) for i in range(N)]
     replay(write(commands, PHASES), exact=True, speed=2.0)
     link = handed[0][1]["make_link"].keywords
-    assert link["commands"] == commands[20:80]
+    assert [link["commands"][i] for i in range(60)] == commands[20:80]
     np.testing.assert_allclose(link["times"], np.arange(60) * 0.002, atol=1e-12)
 
 
@@ -88,7 +94,8 @@ def test_without_a_reference_the_commands_that_held_the_robot_are_the_motion(wri
     commands = [command(i, kp=40.0 if 10 <= i < 90 else 0.0) for i in range(N)]
     replay(write(commands), exact=True)
     (motion, _), named = handed[0]
-    assert named["make_link"].keywords["commands"] == commands[10:90]
+    sent = named["make_link"].keywords["commands"]
+    assert [sent[i] for i in range(80)] == commands[10:90]
     assert motion.n_frames == 80
     assert motion.fps == 250
     np.testing.assert_allclose(
@@ -116,6 +123,7 @@ def damaged(data):
         (command(0, kd=80.0), "kd of 80.000 Nm s/rad, beyond its limits"),
         (command(0, tau=np.nan), "tau of left_hip_pitch_joint that is not finite"),
         (command(0, mode_pr=1), "mode_pr 1"),
+        (command(0, motor_mode=0), "mode 0 for the motor of left_hip_pitch_joint"),
         (damaged(command(0)), "checksum"),
     ],
 )
@@ -149,3 +157,116 @@ def test_commands_are_not_looped(write, handed):
 def test_a_session_without_commands_that_held_the_robot(write, handed):
     with pytest.raises(RecordingError, match="no commands that played"):
         replay(write([command(i, kp=0.0) for i in range(N)]), exact=True)
+
+
+def exactly(path, **safety):
+    replay(path, Config.model_validate({"safety": safety}), exact=True)
+
+
+def test_the_margin_to_the_joint_limits_holds_for_recorded_commands(write, handed):
+    lower = float(G1.load().lower[KNEE])
+    at_limit = [command(i, q=np.where(np.arange(29) == KNEE, lower, 0.0)) for i in range(N)]
+    path = write(at_limit, PHASES)
+    exactly(path)
+    with pytest.raises(SafetyError, match=r"safety.position_margin = 0.05 rad"):
+        exactly(path, position_margin=0.05)
+    assert len(handed) == 1
+
+
+def test_a_margin_that_leaves_nothing_is_explained(write, handed):
+    with pytest.raises(ConfigError, match="position_margin"):
+        exactly(write(map(command, range(N)), PHASES), position_margin=0.49)
+
+
+def knees(targets):
+    return [command(i, q=np.where(np.arange(29) == KNEE, q, 0.0)) for i, q in enumerate(targets)]
+
+
+@pytest.mark.parametrize("phases", [PHASES, None])
+def test_a_spliced_recording_would_make_the_robot_leap(write, handed, phases):
+    spliced = np.where(np.arange(N) < 50, 0.3, 0.9)
+    with pytest.raises(SafetyError, match=r"left_knee_joint, 0\.\d+ s into .* leap by 0.600 rad"):
+        exactly(write(knees(spliced), phases))
+    assert not handed
+
+
+def test_as_fast_as_the_joint_can_is_no_leap(write, handed):
+    speed = float(G1.load().velocity[KNEE])
+    there = np.minimum(speed * np.arange(N) * PERIOD / 1e9, 2.0)
+    path = write(knees(there), [Phase.PLAY] * N)
+    exactly(path)
+    with pytest.raises(SafetyError, match="to leap by"):
+        replay(path, exact=True, speed=1.2)
+    assert len(handed) == 1
+
+
+def with_hole(n):
+    """All commands but n in the middle of PLAY."""
+    return [None if 40 <= i < 40 + n else command(i) for i in range(N)]
+
+
+def test_a_short_gap_is_bridged(write, handed):
+    exactly(write(with_hole(10), PHASES))
+    assert len(handed) == 1
+
+
+def test_a_gap_in_which_the_robot_goes_far_is_a_leap(write, handed):
+    fast = np.minimum(15.0 * np.arange(N) * PERIOD / 1e9, 2.0)
+    whole = knees(fast)
+    path = write([None if 22 <= i < 31 else one for i, one in enumerate(whole)], PHASES)
+    with pytest.raises(SafetyError, match=r"leap by 0.600 rad .* allow 0.400"):
+        exactly(path)
+    exactly(write(whole, PHASES))
+
+
+@pytest.mark.parametrize(
+    ("missing", "told"),
+    [((40, 66), "0.076 to 0.184 s"), ((20, 50), "0.000 to 0.120 s"), ((50, 80), "0.116 to 0.236")],
+)
+def test_one_command_does_not_stand_for_many(write, handed, missing, told):
+    commands = [None if missing[0] <= i < missing[1] else command(i) for i in range(N)]
+    path = write(commands, PHASES)
+    with pytest.raises(SafetyError, match=told):
+        exactly(path)
+    exactly(path, state_timeout=0.2)
+    with pytest.raises(SafetyError, match=r"limit 0.2 s"):
+        replay(
+            path,
+            Config.model_validate({"safety": {"state_timeout": 0.2}}),
+            exact=True,
+            speed=0.5,
+        )
+    assert len(handed) == 1
+
+
+def test_two_motions_in_one_session_are_not_played_through_each_other(write, handed, monkeypatch):
+    def reference_of_two(i, phase, whole=reference):
+        return whole(i if i < 50 else i - 25, phase)
+
+    monkeypatch.setitem(globals(), "reference", reference_of_two)
+    with pytest.raises(SafetyError, match="more than one motion was played"):
+        exactly(write(knees([0.3] * N), PHASES))
+    assert not handed
+
+
+def test_commands_that_came_in_a_burst_are_no_leap(write, handed):
+    """Of somebody who publishes when scheduled: two at once, and none for a while."""
+    ticks = np.arange(N) + np.where(np.arange(N) % 10 == 0, 0.95, 0.0)
+    exactly(write(knees(0.3 + 0.03 * np.arange(N)[:60]), ticks=ticks))
+    assert len(handed) == 1
+
+
+def test_without_a_reference_no_reference_is_recommended(write, handed):
+    with pytest.raises(SafetyError) as caught:
+        exactly(write(knees(np.where(np.arange(N) < 50, 0.3, 0.9))))
+    assert "leave out --exact" not in caught.value.remedy
+
+
+def test_commands_are_read_a_batch_at_a_time(write, handed, monkeypatch):
+    """None of the arrays of all of them is made, which take four times what is kept."""
+    monkeypatch.delattr(Session, "command")
+    monkeypatch.setattr("g1stream.programs.recorded_commands._BATCH", 7)
+    commands = [command(i) for i in range(N)]
+    exactly(write(commands, PHASES))
+    sent = handed[0][1]["make_link"].keywords["commands"]
+    assert [sent[i] for i in range(len(sent))] == commands[20:80]

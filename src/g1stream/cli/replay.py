@@ -30,7 +30,9 @@ class Replay(PlayCommand):
     file: Annotated[Path, tyro.conf.Positional, value("MCAP")]
     """The session file, or one of its parts."""
     exact: Flag = False
-    """Publish the recorded LowCmds, bit for bit, gains and torques included, while it plays."""
+    """Publish the recorded LowCmds, bit for bit, gains and torques included, while it plays.
+    Refused where one is beyond a limit or for motors that are off, or where the robot would leap:
+    at a splice, or over a gap of more than safety.state_timeout."""
     speed: Annotated[float, value("X", "1")] = 1.0
     """How many times as fast as it was recorded."""
 

@@ -1,0 +1,290 @@
+"""The commands of a session that played its motion, looked at before they are sent again.
+
+Nothing alters a recorded command, so that none may be sent which would not have passed the envelope
+or at which the robot would leap. A session is read a batch at a time: what stays in memory of a
+command is what differs from others.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import islice
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from g1stream.config import MAX_KD, MAX_KP
+from g1stream.control.envelope import Envelope
+from g1stream.control.recorded import LEAP_TIME, PackedCommands
+from g1stream.dds.messages import LowCmd
+from g1stream.errors import RecordingError, SafetyError
+from g1stream.recording.played import PLAY
+from g1stream.recording.samples import Samples
+from g1stream.recording.streams import Command, Reference
+from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
+from g1stream.robot.motors import TORQUE_LIMIT
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from g1stream.config import SafetyConfig
+    from g1stream.recording.session import Session
+    from g1stream.robot.model import G1
+
+    Floats = NDArray[np.float64]
+
+__all__ = ["RecordedCommands", "recorded_commands"]
+
+#: Commands that are looked at together.
+_BATCH: Final = 1024
+#: Commands are float32: a target at a limit may be beyond it by its rounding, rad.
+_ROUNDING: Final = 1e-6
+
+
+@dataclass(frozen=True)
+class RecordedCommands:
+    """Commands that may be sent again.
+
+    Attributes:
+        times: (N,) when in the motion each was due, s at the speed of the recording.
+        commands: (N) as they were on the wire, CDR header included.
+        q: (N, 29) float32, their joint targets, rad; (0, 29) where the session has a reference,
+            which says better what was meant.
+    """
+
+    times: Floats
+    commands: PackedCommands
+    q: NDArray[np.float32]
+
+
+def recorded_commands(
+    session: Session, robot: G1, safety: SafetyConfig, speed: float = 1.0
+) -> RecordedCommands:
+    """The commands of PLAY, or where there is no reference all that held the robot.
+
+    Args:
+        session: where they were recorded.
+        robot: whose limits hold.
+        safety: the margin to the joint limits, and how long a loop may stand still.
+        speed: how many times as fast they are to be sent.
+
+    Raises:
+        RecordingError: there are none, or the file is damaged.
+        SafetyError: one of them must not be sent, or the robot would leap at it.
+    """
+    due = _Due(session)
+    look, steps = _Look(robot, safety), _Steps(robot)
+    packed, times, targets = PackedCommands(), [np.empty(0)], [np.empty((0, N_JOINTS), np.float32)]
+    for stamps, data in _batches(session):
+        samples = _samples(session, data)
+        rows, when = due.find(stamps, samples)
+        chosen = [data[row] for row in rows.tolist()]
+        if odd := look.at(samples, rows) or look.at_whole(chosen):
+            raise _unsafe(session, odd)
+        q = samples["motor_cmd.q"][rows]
+        steps.add(q)
+        packed.add(chosen)
+        times.append(when)
+        if not due.has_reference:
+            targets.append(q)
+    all_times = np.concatenate(times)
+    if len(all_times) < 2:
+        raise RecordingError(
+            f"{session.path} has no commands that played a motion.",
+            "Give a session in which somebody held the robot with kp above 0.",
+        )
+    all_times -= due.begins(all_times)
+    odd = _disorder(all_times) or _pause(
+        np.concatenate([[0.0], all_times, [due.lasts(all_times)]]), safety.state_timeout, speed
+    )
+    if odd := odd or steps.leap(all_times, speed):
+        raise _unsafe(session, odd)
+    return RecordedCommands(all_times, packed, np.concatenate(targets))
+
+
+def _batches(session: Session) -> Iterator[tuple[NDArray[np.int64], list[bytes]]]:
+    """Publish times (n,), ns, and bytes (n) of the recorded commands, in the order of the file."""
+    messages = session.messages(Command.topic)
+    while batch := list(islice(messages, _BATCH)):
+        yield np.array([one.publish_time for one in batch]), [one.data for one in batch]
+
+
+def _samples(session: Session, data: list[bytes]) -> Samples:
+    try:
+        return Samples(Command.source, data)
+    except ValueError as error:
+        raise RecordingError(
+            f"{session.path} does not fit this version of g1stream: on {Command.topic} {error}.",
+            "Read it with the version that recorded it.",
+        ) from error
+
+
+class _Due:
+    """Which commands are sent again, and when each was due.
+
+    Attributes:
+        has_reference: it says so; a command and its reference have the very same stamp.
+    """
+
+    def __init__(self, session: Session) -> None:
+        self.has_reference = bool(session.topics.get(Reference.topic))
+        self._stamps: NDArray[np.int64] = np.empty(0, np.int64)
+        self._times: Floats = np.empty(0)
+        if self.has_reference:
+            reference = session.reference
+            playing = np.flatnonzero(reference.phase == PLAY)
+            stamps = reference.publish_time[playing]
+            order = np.argsort(stamps, kind="stable")
+            self._stamps, self._times = stamps[order], reference.motion_time[playing][order]
+
+    def find(self, stamps: NDArray[np.int64], samples: Samples) -> tuple[NDArray[np.intp], Floats]:
+        """The rows (m,) of a batch that are sent again, and when they were due (m,), s."""
+        if not self.has_reference:
+            rows = np.flatnonzero(samples["motor_cmd.kp"].any(axis=1))
+            # Since the first command of all, so that no digit is lost.
+            self._stamps = self._stamps if len(self._stamps) else stamps[:1]
+            return rows, (stamps[rows] - self._stamps[0]) / 1e9
+        if not len(self._stamps):
+            return np.empty(0, np.intp), np.empty(0)
+        nearest = np.searchsorted(self._stamps, stamps).clip(max=len(self._stamps) - 1)
+        rows = np.flatnonzero(self._stamps[nearest] == stamps)
+        return rows, self._times[nearest[rows]]
+
+    def begins(self, times: Floats) -> float:
+        """When the motion begins of which commands are due at these times, s."""
+        return float(self._times.min() if self.has_reference else times[0])
+
+    def lasts(self, times: Floats) -> float:
+        """When it ends, s since it began."""
+        return float(np.ptp(self._times) if self.has_reference else times[-1])
+
+
+class _Look:
+    """Whether single commands would have passed the envelope."""
+
+    def __init__(self, robot: G1, safety: SafetyConfig) -> None:
+        Envelope(robot, safety)  # refuses a margin that leaves nothing
+        margin = safety.position_margin
+        torque = np.minimum(TORQUE_LIMIT, robot.effort)
+        nothing = np.zeros(N_JOINTS)
+        self._kept = f", with safety.position_margin = {margin:g} rad" if margin else ""
+        self._limits: tuple[tuple[str, str, Floats, Floats], ...] = (
+            ("q", "rad", robot.lower + margin, robot.upper - margin),
+            ("dq", "rad/s", -robot.velocity, robot.velocity),
+            ("tau", "Nm", -torque, torque),
+            ("kp", "Nm/rad", nothing, nothing + MAX_KP),
+            ("kd", "Nm s/rad", nothing, nothing + MAX_KD),
+        )
+        self._seen = LowCmd()
+
+    def at(self, samples: Samples, rows: NDArray[np.intp]) -> str:
+        """What is wrong with the values of these rows of a batch, or ""."""
+        for name, unit, lower, upper in self._limits:
+            values = samples[f"motor_cmd.{name}"][rows].astype(np.float64)
+            if not np.isfinite(values).all():
+                joint = JOINT_NAMES[int(np.argwhere(~np.isfinite(values))[0, 1])]
+                return f"has a {name} of {joint} that is not finite"
+            # What lies at a limit was rounded to float32 on the wire.
+            slack = _ROUNDING * np.maximum(1.0, np.maximum(np.abs(lower), np.abs(upper)))
+            beyond = (values < lower - slack) | (values > upper + slack)
+            if beyond.any():
+                row, j = np.argwhere(beyond)[0]
+                return (
+                    f"asks {JOINT_NAMES[j]} for a {name} of {values[row, j]:.3f} {unit}, beyond "
+                    f"its limits {lower[j]:.3f} and {upper[j]:.3f}{self._kept * (name == 'q')}"
+                )
+        return self._modes(samples, rows)
+
+    @staticmethod
+    def _modes(samples: Samples, rows: NDArray[np.intp]) -> str:
+        if (odd := samples["mode_pr"][rows]).any():
+            return f"has mode_pr {odd.max()}, not 0"
+        modes: NDArray[Any] = samples["motor_cmd.mode"][rows]
+        if (modes != 1).any():
+            row, j = np.argwhere(modes != 1)[0]
+            return f"has mode {modes[row, j]} for the motor of {JOINT_NAMES[j]}, not 1"
+        return ""
+
+    def at_whole(self, commands: list[bytes]) -> str:
+        """What is wrong with commands as a whole, or ""."""
+        for data in commands:
+            self._seen.load(data)
+            if not self._seen.crc_matches():
+                return "has a checksum that does not fit"
+        return ""
+
+
+class _Steps:
+    """How far joint targets move from one command to the next, by what the joints can do."""
+
+    def __init__(self, robot: G1) -> None:
+        self._velocity = robot.velocity
+        self._last: NDArray[np.float32] = np.empty((0, N_JOINTS), np.float32)
+        #: Of each step, in which time the joint that has furthest to go can make it, s; and which.
+        self._needed: list[Floats] = [np.empty(0)]
+        self._joints: list[NDArray[np.intp]] = [np.empty(0, np.intp)]
+
+    def add(self, q: NDArray[np.float32]) -> None:
+        """Go on with the targets (n, 29) of the next commands, rad."""
+        needed = np.abs(np.diff(np.concatenate([self._last, q]), axis=0)) / self._velocity
+        if len(q):
+            self._last = q[-1:]
+        if len(needed):
+            self._needed.append(needed.max(axis=1))
+            self._joints.append(needed.argmax(axis=1))
+
+    def leap(self, times: Floats, speed: float) -> str:
+        """Which of the commands due at these times (N,), s, is a leap, or "".
+
+        None is that a joint can make in the time between two commands, of which no more than
+        `LEAP_TIME` counts where the usual one is shorter; nor does less than the usual one, where
+        somebody published two commands in a burst.
+        """
+        between = np.diff(times) / speed
+        usual = float(np.median(between))
+        allowed = between.clip(usual, max(usual, LEAP_TIME))
+        needed = np.concatenate(self._needed)
+        beyond = np.flatnonzero(needed > 1.001 * allowed + _ROUNDING / self._velocity.min())
+        if not len(beyond):
+            return ""
+        i = int(beyond[0])
+        joint = int(np.concatenate(self._joints)[i])
+        velocity = self._velocity[joint]
+        return (
+            f"asks {JOINT_NAMES[joint]}, {times[i + 1]:.3f} s into the motion, to leap by "
+            f"{needed[i] * velocity:.3f} rad from the command before it, where its {velocity:g} "
+            f"rad/s allow {allowed[i] * velocity:.3f}"
+        )
+
+
+def _disorder(times: Floats) -> str:
+    back = np.flatnonzero(np.diff(times) < 0.0)
+    if not len(back):
+        return ""
+    i = int(back[0])
+    return (
+        f"comes {times[i]:.3f} s into the motion and is followed by one of {times[i + 1]:.3f} s: "
+        "more than one motion was played, or the clock was set back"
+    )
+
+
+def _pause(times: Floats, longest: float, speed: float) -> str:
+    """Where a command would be sent for too long, because the next is missing; or ""."""
+    between = np.diff(times) / speed
+    if between.max() <= longest + 1e-9:
+        return ""
+    i = int(np.argmax(between))
+    return (
+        f"would stand for others that are missing, from {times[i]:.3f} to {times[i + 1]:.3f} s of "
+        f"the motion: played, {between[i]:.3f} s (limit {longest:g} s, safety.state_timeout)"
+    )
+
+
+def _unsafe(session: Session, what: str) -> SafetyError:
+    if session.topics.get(Reference.topic):
+        remedy = "Replay the reference instead, which stays within the envelope: leave out --exact."
+    else:
+        remedy = "Record the commands again: without a reference there is no other way to replay."
+    return SafetyError(f"A recorded command of {session.path} {what}.", remedy)

@@ -4,12 +4,12 @@ from pathlib import Path
 
 import pytest
 
+from g1stream.container.reader import McapFile
 from g1stream.motion.motion import Motion
 from g1stream.programs import attachments
 from g1stream.programs.attachments import attach_motion
 from g1stream.programs.convert import convert
 from g1stream.recording.motions import load_motion
-from g1stream.recording.reader import McapFile
 
 
 class Writer:

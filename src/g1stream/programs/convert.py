@@ -24,8 +24,8 @@ from g1stream.robot.visuals import missing_meshes
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from g1stream.container.compression import Compression
     from g1stream.motion.motion import Motion
-    from g1stream.recording.chunks import Compression
 
 __all__ = ["Conversion", "ConvertReport", "convert"]
 

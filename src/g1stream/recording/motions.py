@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
+from g1stream.container.magic import is_mcap
 from g1stream.motion import readers
 
 if TYPE_CHECKING:
@@ -14,8 +15,6 @@ if TYPE_CHECKING:
     from g1stream.robot.model import G1
 
 __all__ = ["load_motion"]
-
-_MCAP: Final = b"\x89MCAP"
 
 
 def load_motion(
@@ -34,16 +33,8 @@ def load_motion(
         MotionError: there is no such motion file, or something in it cannot be right.
         RecordingError: the session is damaged, or no motion was played in it.
     """
-    if not _is_session(Path(path_or_name)):
+    if not is_mcap(Path(path_or_name)):
         return readers.load_motion(path_or_name, robot, fps=fps)
     from g1stream.recording.session import open_session
 
     return open_session(path_or_name).motion(fps)
-
-
-def _is_session(path: Path) -> bool:
-    try:
-        with path.open("rb") as file:
-            return file.read(len(_MCAP)) == _MCAP
-    except OSError:
-        return False

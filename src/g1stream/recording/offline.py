@@ -10,11 +10,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mcap.records import Channel, Schema
-
 from g1stream._version import __version__
+from g1stream.container.chunked_file import ChunkedFile
+from g1stream.container.messages import Rows
 from g1stream.errors import RecordingError
-from g1stream.recording.chunks import ChunkedFile, Messages
 from g1stream.recording.metadata import METADATA_NAME, metadata_to_strings
 
 if TYPE_CHECKING:
@@ -24,8 +23,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from g1stream.recording import derived_channels
-    from g1stream.recording.chunks import Compression
+    from g1stream.container.compression import Compression
+    from g1stream.recording.derived_channels import Channel
 
 __all__ = ["OfflineWriter"]
 
@@ -55,9 +54,6 @@ class OfflineWriter:
         self.path = Path(path)
         self.counts: dict[str, int] = {}
         self._force = force
-        self._channels: dict[str, Channel] = {}
-        self._schemas: dict[str, Schema] = {}
-        self._new: list[Schema | Channel] = []
         _check_free(self.path, force)
         self._part = self.path.with_name(f".{self.path.name}.{os.getpid()}.part")
         with self._os_errors():
@@ -85,25 +81,9 @@ class OfflineWriter:
         finally:
             self._part.unlink(missing_ok=True)
 
-    def add_channel(self, channel: derived_channels.Channel) -> None:
-        """Add a channel; its first chunk announces it."""
-        name = channel.schema_name
-        if name not in self._schemas:
-            self._schemas[name] = Schema(
-                id=len(self._schemas) + 1,
-                name=name,
-                encoding=channel.schema_encoding,
-                data=channel.build_schema(),
-            )
-            self._new.append(self._schemas[name])
-        self._channels[channel.topic] = Channel(
-            id=len(self._channels) + 1,
-            topic=channel.topic,
-            message_encoding=channel.message_encoding,
-            metadata={"description": channel.description},
-            schema_id=self._schemas[name].id,
-        )
-        self._new.append(self._channels[channel.topic])
+    def add_channel(self, channel: Channel) -> None:
+        """Add a channel; the next chunk describes it."""
+        self._file.registry.number(channel)
         self.counts[channel.topic] = 0
 
     def write(
@@ -118,13 +98,13 @@ class OfflineWriter:
         Raises:
             RecordingError: the file cannot be written any more.
         """
+        channels = self._file.registry.channels
         rows = [
-            Messages(self._channels[topic].id, data, self.counts[topic] + 1)
+            Rows(channels[topic].id, data, self.counts[topic] + 1)
             for topic, data in messages.items()
         ]
         with self._os_errors():
-            self._file.write_chunk(self._new, rows, stamps_ns)
-        self._new = []
+            self._file.write_rows(rows, stamps_ns)
         for topic in messages:
             self.counts[topic] += len(stamps_ns)
 
@@ -154,8 +134,7 @@ class OfflineWriter:
             self._file.add_metadata(METADATA_NAME, metadata_to_strings(values))
 
     def _finish(self) -> None:
-        counts = {channel.id: self.counts[topic] for topic, channel in self._channels.items()}
-        self._file.finish([*self._schemas.values()], [*self._channels.values()], counts)
+        self._file.finish()
         self._stream.close()
         _check_free(self.path, self._force)
         self._part.replace(self.path.resolve())

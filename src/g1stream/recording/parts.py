@@ -6,16 +6,16 @@ from collections import Counter
 from contextlib import nullcontext, suppress
 from typing import TYPE_CHECKING, Any
 
+from g1stream.container.reader import McapFile
 from g1stream.errors import RecordingError
 from g1stream.recording.metadata import METADATA_NAME, metadata_from_strings
-from g1stream.recording.reader import McapFile
 from g1stream.recording.rotation import parts_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from g1stream.recording.records import Messages
+    from g1stream.container.messages import Messages
 
 __all__ = ["SessionFiles"]
 

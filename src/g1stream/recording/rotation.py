@@ -15,9 +15,9 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from g1stream.container.reader import McapFile
 from g1stream.errors import RecordingError
 from g1stream.recording.metadata import METADATA_NAME, metadata_from_strings
-from g1stream.recording.reader import McapFile
 from g1stream.recording.writer import SessionWriter
 
 if TYPE_CHECKING:

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     import pandas
     from numpy.typing import NDArray
 
+    from g1stream.container.messages import Messages
     from g1stream.motion.motion import Motion
-    from g1stream.recording.records import Messages
 
 __all__ = [
     "STREAMS",

@@ -13,19 +13,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from mcap.records import Channel, Schema
 
 from g1stream._version import __version__
+from g1stream.container.chunked_file import ChunkedFile
+from g1stream.container.messages import message_records
+from g1stream.container.open_chunks import OpenChunks
+from g1stream.container.output import create
 from g1stream.errors import RecordingError
 from g1stream.recording.channels import CHANNELS
-from g1stream.recording.chunks import ChunkedFile
-from g1stream.recording.message_records import PendingMessages, message_records
 from g1stream.recording.metadata import METADATA_NAME, metadata_to_strings
-from g1stream.recording.output import create
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
-    from types import TracebackType
 
     from numpy.typing import ArrayLike, NDArray
 
@@ -71,14 +70,7 @@ class SessionWriter:
     ) -> None:
         self.path = Path(path)
         self.counts: dict[str, int] = {} if counts is None else counts
-        self._in_this_file: dict[int, int] = {}
-        self._chunk_ns = chunk_ns
-        self._chunk_start: int | None = None
-        self._n_chunks = 0
-        self._pending: dict[str, PendingMessages] = {}
-        self._channels: dict[str, Channel] = {}
-        self._schemas: dict[str, Schema] = {}
-        self._announced: set[int] = set()
+        self._open = OpenChunks(chunk_ns)
         self._file = create(self.path, force=force)
         try:
             with self._whole_or_not():
@@ -92,12 +84,7 @@ class SessionWriter:
     def __enter__(self) -> SessionWriter:
         return self
 
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     @property
@@ -165,7 +152,7 @@ class SessionWriter:
             RecordingError: the disk is full, or the file cannot be written for another reason.
         """
         with self._whole_or_not():
-            self._file.claim(len(data) + self._end_size())
+            self._file.claim(len(data) + self._end_size(len(self._open.pending)))
             self._mcap.attach(name, media_type, data, time_ns)
 
     def add_metadata(self, values: Mapping[str, Any]) -> None:
@@ -205,22 +192,36 @@ class SessionWriter:
                 self.flush()
             finally:
                 with self._whole_or_not():
-                    self._mcap.finish(
-                        [*self._schemas.values()], [*self._channels.values()], self._in_this_file
-                    )
+                    self._mcap.finish()
         finally:
             self._file.close()
 
+    def flush(self) -> None:
+        """Close the open chunks; what does not fit on the disk is dropped.
+
+        Raises:
+            RecordingError: the disk is full, or the file cannot be written for another reason.
+        """
+        size, pending = self._open.size, self._open.take()
+        try:
+            with self._whole_or_not():
+                self._file.claim(size + self._end_size(len(pending)))
+                for topic in list(pending):
+                    channel = self._mcap.registry.number(CHANNELS[topic])
+                    self._mcap.add_chunk(channel, *pending[topic].joined())
+                    self._file.settle()
+                    del pending[topic]
+        finally:
+            for topic, dropped in pending.items():
+                self.counts[topic] -= len(dropped)
+
     def _make_room(self, log_times: NDArray[np.int64]) -> int:
         """How many of the messages, one at least, go into the chunks that are open then."""
-        if self._chunk_start is None:
-            self._chunk_start = int(log_times[0])
-        # The distance, not the difference: a clock may be set back.
-        fits = np.abs(log_times - self._chunk_start) < self._chunk_ns
-        if not fits[0]:
+        fits = self._open.room_for(log_times)
+        if not fits:
             self.flush()
-            return self._make_room(log_times)
-        return len(fits) if fits.all() else int(fits.argmin())
+            fits = self._open.room_for(log_times)
+        return fits
 
     def _add(
         self,
@@ -230,71 +231,17 @@ class SessionWriter:
         publish_times: NDArray[np.int64],
     ) -> None:
         count = self.counts.get(topic, 0)
-        channel = self._channel(topic)
-        pending = self._pending.setdefault(topic, PendingMessages())
-        records, offsets = message_records(
-            channel.id, count + 1, payloads, log_times, publish_times
-        )
+        channel = self._mcap.registry.number(CHANNELS[topic])
+        records, offsets = message_records(channel, count + 1, payloads, log_times, publish_times)
+        pending = self._open.of(topic)
         pending.add(records, log_times, offsets)
         self.counts[topic] = count + len(log_times)
         if pending.size > _CHUNK_BYTES:
             self.flush()
 
-    def flush(self) -> None:
-        """Close the open chunks; what does not fit on the disk is dropped.
-
-        Raises:
-            RecordingError: the disk is full, or the file cannot be written for another reason.
-        """
-        pending, self._pending, self._chunk_start = self._pending, {}, None
-        try:
-            with self._whole_or_not():
-                self._file.claim(sum(p.size for p in pending.values()) + self._end_size())
-                for topic in list(pending):
-                    self._write_chunk(self._channels[topic], pending[topic])
-                    del pending[topic]
-        finally:
-            for topic, dropped in pending.items():
-                self.counts[topic] -= sum(map(len, dropped.log_times))
-
-    def _write_chunk(self, channel: Channel, messages: PendingMessages) -> None:
-        preface = [] if channel.id in self._announced else [self._schema_of(channel), channel]
-        log_times = np.concatenate(messages.log_times)
-        places = {channel.id: (log_times, np.concatenate(messages.offsets))}
-        self._mcap.add_chunk(preface, b"".join(messages.records), places)
-        self._file.settle()
-        self._announced.add(channel.id)
-        self._n_chunks += 1
-        self._in_this_file[channel.id] = self._in_this_file.get(channel.id, 0) + len(log_times)
-
-    def _end_size(self) -> int:
-        return _END_BYTES + _INDEX_BYTES * (self._n_chunks + len(self._pending))
-
-    def _schema_of(self, channel: Channel) -> Schema:
-        return self._schemas[CHANNELS[channel.topic].schema_name]
-
-    def _channel(self, topic: str) -> Channel:
-        known = self._channels.get(topic)
-        if known is not None:
-            return known
-        about = CHANNELS[topic]
-        schema = self._schemas.setdefault(
-            about.schema_name,
-            Schema(
-                id=len(self._schemas) + 1,
-                name=about.schema_name,
-                encoding=about.schema_encoding,
-                data=about.build_schema(),
-            ),
-        )
-        self._channels[topic] = Channel(
-            id=len(self._channels) + 1,
-            topic=topic,
-            message_encoding=about.message_encoding,
-            metadata={"description": about.description},
-            schema_id=schema.id,
-        )
-        return self._channels[topic]
+    def _end_size(self, n_open: int) -> int:
+        """Bytes to keep free for the end of the file, when so many chunks are still open."""
+        return _END_BYTES + _INDEX_BYTES * (self._mcap.n_chunks + n_open)
 
     @contextmanager
     def _whole_or_not(self) -> Iterator[None]:

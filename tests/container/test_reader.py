@@ -7,9 +7,8 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 
+from g1stream.container.reader import McapFile
 from g1stream.errors import RecordingError
-from g1stream.recording.ahead import ahead
-from g1stream.recording.reader import McapFile
 
 T0 = 1_700_000_000_000_000_000
 TOPICS = ("/a", "/b", "/never")
@@ -121,29 +120,3 @@ def test_an_index_that_lies_is_noticed(tmp_path):
         else:
             assert (T0, T0, found[0][2]) == found[0]
     assert broken
-
-
-def test_work_ahead_keeps_order_and_takes_no_more_than_it_needs():
-    taken = []
-
-    def items():
-        for i in range(1000):
-            taken.append(i)
-            yield i
-
-    results = ahead(lambda i: i * i, items())
-    assert [next(results) for _ in range(5)] == [0, 1, 4, 9, 16]
-    assert len(taken) < 30
-    assert list(results) == [i * i for i in range(5, 1000)]
-
-
-def test_what_fails_ahead_is_raised_where_it_belongs():
-    def work(i):
-        if i == 3:
-            raise KeyError(i)
-        return i
-
-    results = ahead(work, range(10))
-    assert [next(results) for _ in range(3)] == [0, 1, 2]
-    with pytest.raises(KeyError):
-        next(results)

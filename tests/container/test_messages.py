@@ -7,7 +7,7 @@ import pytest
 from mcap.data_stream import RecordBuilder
 from mcap.records import Message
 
-from g1stream.recording.message_records import PendingMessages, message_records
+from g1stream.container.messages import message_records
 
 T0 = 1_700_000_000_000_000_000
 
@@ -44,15 +44,3 @@ def test_they_are_what_the_stock_writer_makes(payloads):
     expected, expected_starts = stock(3, 41, payloads, logged, logged - 5)
     assert made == expected
     assert starts.tolist() == expected_starts
-
-
-def test_batches_that_wait_lie_one_behind_the_other():
-    pending = PendingMessages()
-    times = np.array([T0, T0 + 1])
-    for payloads in ([b"a", b"bc"], [b"def", b""]):
-        records, starts = message_records(1, 1, payloads, times, times)
-        pending.add(records, times, starts)
-    joined = b"".join(pending.records)
-    assert len(joined) == pending.size
-    opcodes = [joined[start] for start in np.concatenate(pending.offsets)]
-    assert opcodes == [5, 5, 5, 5]

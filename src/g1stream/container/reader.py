@@ -16,25 +16,21 @@ from typing import IO, TYPE_CHECKING
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Statistics
-from mcap.writer import MCAP0_MAGIC
 
+from g1stream.container.ahead import ahead
+from g1stream.container.compression import unpack
+from g1stream.container.magic import MAGIC
+from g1stream.container.message_index import ChunkPlace
+from g1stream.container.messages import message_places, messages_at
+from g1stream.container.records import records, records_in
 from g1stream.errors import RecordingError
-from g1stream.recording.ahead import ahead
-from g1stream.recording.records import (
-    ChunkPlace,
-    Messages,
-    message_places,
-    messages_at,
-    records,
-    records_in,
-    unpack,
-)
 
 if TYPE_CHECKING:
     import os
     from collections.abc import Iterable, Iterator
 
-    from g1stream.recording.records import Record
+    from g1stream.container.messages import Messages
+    from g1stream.container.records import Record
 
 __all__ = ["McapFile"]
 
@@ -103,8 +99,8 @@ class McapFile:
                 f"The recording {self.path} cannot be read: {error.strerror}.",
                 "Check the path given.",
             ) from error
-        magic = file.read(len(MCAP0_MAGIC))
-        if magic != MCAP0_MAGIC:
+        magic = file.read(len(MAGIC))
+        if magic != MAGIC:
             file.close()
             what = "is not an MCAP file" if magic else "is empty"
             raise RecordingError(f"{self.path} {what}.", "Give a file that g1stream recorded.")

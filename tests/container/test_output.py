@@ -1,0 +1,37 @@
+"""The file under a recording: whole pieces or none."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+from g1stream.container.output import create
+
+
+def test_a_piece_that_fails_is_taken_back(tmp_path):
+    output = create(tmp_path / "x", force=False)
+    output.write(b"whole")
+    output.settle()
+    output.write(b"half")
+    output.take_back()
+    output.write(b"!")
+    output.close()
+    assert (tmp_path / "x").read_bytes() == b"whole!"
+
+
+def test_a_directory_that_may_not_be_written_is_said(tmp_path):
+    locked = tmp_path / "locked"
+    locked.mkdir(mode=0o555)
+    code = (
+        "import os, sys\n"
+        "from pathlib import Path\n"
+        "from g1stream.container.output import create\n"
+        "os.getuid() or os.setuid(65534)\n"
+        "create(Path(sys.argv[1]), force=False)\n"
+    )
+    tmp_path.chmod(0o755)
+    for parent in tmp_path.parents[:2]:
+        parent.chmod(0o755)
+    command = [sys.executable, "-c", code, str(locked / "s.mcap")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert "cannot be made: Permission denied" in done.stderr

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, get_args
 
 import numpy as np
 
-from g1stream.config import Support
+from g1stream.config import FeedForwardKind, Support
 from g1stream.control.phases import Phase
 from g1stream.control.support import ForceObserver, SupportCheck
 from g1stream.control.targets import minimum_jerk
@@ -22,11 +22,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from g1stream.config import FeedForwardKind
     from g1stream.control.target import Target
     from g1stream.robot.dynamics import InverseDynamics
 
-__all__ = ["FeedForward", "ImuReading"]
+__all__ = ["Change", "FeedForward", "ImuReading"]
 
 _INFO, _WARNING = 2, 3
 _SUPPORTS: Final[tuple[Support, ...]] = get_args(Support)
@@ -51,6 +50,25 @@ class ImuReading(NamedTuple):
     quat_wxyz: NDArray[np.floating]
     gyroscope: NDArray[np.floating]
     accelerometer: NDArray[np.floating]
+
+
+class Change(NamedTuple):
+    """The torque went, or came back.
+
+    Attributes:
+        motion_time: when in the motion, s.
+        kind: what commands carry from then on.
+        reason: why; empty where the reason to do without has gone.
+    """
+
+    motion_time: float
+    kind: FeedForwardKind
+    reason: str
+
+    def __str__(self) -> str:
+        if self.reason:
+            return f"feed-forward: {self.kind} only, because {self.reason}"
+        return f"feed-forward: {self.kind} again"
 
 
 class FeedForward:
@@ -100,7 +118,7 @@ class FeedForward:
         self._trust = 1.0
         self._told = ""
         self._tau = np.zeros(N_JOINTS)
-        self._news: list[str] = []
+        self._news: list[Change] = []
         self._observer: ForceObserver | None = None
         self._check: SupportCheck | None = None
 
@@ -126,7 +144,8 @@ class FeedForward:
                     "give --support",
                 )
             ]
-        self._check = SupportCheck(self._period)
+        # What the bridge says of itself needs no check.
+        self._check = SupportCheck(self._period) if self.support != announced else None
         if self.support == "hanging":
             self._observer = ForceObserver(self._dynamics, self._period)
         lines = [(_INFO, f"feed-forward: dynamics of a robot that is held {self.support}")]
@@ -160,14 +179,14 @@ class FeedForward:
         blend = minimum_jerk(2.0 * elapsed / self._ramp)[0] if phase is Phase.RAMP else 1.0
         doubt = self._doubt(imu, age)
         if not doubt:
-            self._tau = self._torque(target, imu, playing=phase is Phase.PLAY)
+            self._tau = self._torque(target, imu)
         self._trust += (-1.0 if doubt else 1.0) * self._period / _FADE
         self._trust = min(1.0, max(0.0, self._trust))
-        self._tell(doubt)
+        self._note(doubt, target.motion_time)
         return target.but(tau=self._limited(blend * self._trust * self._tau))
 
-    def news(self) -> list[str]:
-        """The warnings since the last call."""
+    def news(self) -> list[Change]:
+        """What has changed since the last call."""
         news, self._news = self._news, []
         return news
 
@@ -180,16 +199,16 @@ class FeedForward:
             )
         return _fault(imu, age)
 
-    def _tell(self, doubt: str) -> None:
-        """Warn when the torque is gone and when it is back, not of a moment's doubt."""
+    def _note(self, doubt: str, motion_time: float) -> None:
+        """Note when the torque is gone and when it is back, not a moment's doubt."""
         if doubt and not self._trust and doubt != self._told:
-            self._news.append(f"feed-forward: velocity only, because {doubt}")
+            self._news.append(Change(motion_time, "velocity", doubt))
             self._told = doubt
         elif self._told and self._trust == 1.0:
-            self._news.append("feed-forward: dynamics again")
+            self._news.append(Change(motion_time, "dynamics", ""))
             self._told = ""
 
-    def _torque(self, target: Target, imu: ImuReading, *, playing: bool) -> NDArray[np.float64]:
+    def _torque(self, target: Target, imu: ImuReading) -> NDArray[np.float64]:
         dynamics, support = self._dynamics, self.support
         if dynamics is None or support is None:
             raise RuntimeError("there is no model to compute torques with: call begin() first")
@@ -198,8 +217,8 @@ class FeedForward:
         solution = dynamics.solve(support, target.q, target.dq, target.ddq, base, force=force)
         if self._observer:
             self._observer.expect(dynamics.felt(solution, base))
-        if self._check and playing:
-            self._check.add(imu.gyroscope, solution.ang_acc)
+        if self._check:
+            self._check.add(target.motion_time, imu.gyroscope, solution.ang_acc)
         return solution.tau
 
     def _limited(self, tau: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -256,8 +256,9 @@ class StreamLoop:
             sooner = self._due_at(deadline + round(ahead * 1e9)) if ahead else target
             age = (self._clock.now() - self._measured.received) / 1e9
             asked = self._feedforward.command(phase, elapsed, sooner, self._imu, age)
-            for text in self._feedforward.news():
-                self._tell(WARNING, text)
+            for change in self._feedforward.news():
+                self.report.feedforward_changes.append(change)
+                self._tell(WARNING, str(change))
         self._compose(target, asked, deadline)
 
     def _due_at(self, then: int) -> Target:

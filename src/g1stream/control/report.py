@@ -13,6 +13,8 @@ from g1stream.robot.joints import N_JOINTS
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from g1stream.control.feedforward import Change
+
 __all__ = ["LoopReport"]
 
 
@@ -31,6 +33,7 @@ class LoopReport:
         worst_work: longest time from a write to the end of the tick's computation, ns.
         clamped: (29,) ticks at which each joint's target was held at its limit.
         feedforward, support: what commands carried, and how the robot was taken to be held.
+        feedforward_changes: when the torque went and came back, in order.
         saturated: (29,) ticks at which each joint's feed-forward torque was held at its limit.
     """
 
@@ -39,6 +42,7 @@ class LoopReport:
     reason: str = ""
     feedforward: str = ""
     support: str = ""
+    feedforward_changes: list[Change] = field(default_factory=list)
     saturated: NDArray[np.int64] = field(default_factory=lambda: np.zeros(N_JOINTS, np.int64))
     commands: int = 0
     states: int = 0

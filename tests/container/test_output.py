@@ -4,6 +4,11 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import tempfile
+from itertools import takewhile
+from pathlib import Path
+
+import pytest
 
 from g1stream.container.output import create
 
@@ -19,9 +24,10 @@ def test_a_piece_that_fails_is_taken_back(tmp_path):
     assert (tmp_path / "x").read_bytes() == b"whole!"
 
 
-def test_a_directory_that_may_not_be_written_is_said(tmp_path):
+@pytest.mark.parametrize("mode", [0o555, 0o444])
+def test_a_directory_that_may_not_be_written_is_said(tmp_path, mode):
     locked = tmp_path / "locked"
-    locked.mkdir(mode=0o555)
+    locked.mkdir(mode=mode)
     code = (
         "import os, sys\n"
         "from pathlib import Path\n"
@@ -29,8 +35,8 @@ def test_a_directory_that_may_not_be_written_is_said(tmp_path):
         "os.getuid() or os.setuid(65534)\n"
         "create(Path(sys.argv[1]), force=False)\n"
     )
-    tmp_path.chmod(0o755)
-    for parent in tmp_path.parents[:2]:
+    temporary = Path(tempfile.gettempdir())
+    for parent in takewhile(lambda path: path != temporary, (tmp_path, *tmp_path.parents)):
         parent.chmod(0o755)
     command = [sys.executable, "-c", code, str(locked / "s.mcap")]
     done = subprocess.run(command, capture_output=True, text=True, check=False)

@@ -35,9 +35,11 @@ def create(path: Path, *, force: bool) -> Output:
     Raises:
         RecordingError: there is one already and `force` is off, or none can be made there.
     """
-    if path.is_dir():
-        raise RecordingError(f"{path} is a directory.", "Name a file in it, such as session.mcap.")
     try:
+        if path.is_dir():
+            raise RecordingError(
+                f"{path} is a directory.", "Name a file in it, such as session.mcap."
+            )
         return Output(path, "w" if force else "x")
     except FileExistsError as error:
         raise RecordingError(

@@ -12,6 +12,7 @@ from g1stream.recording.session import open_session
 T0 = 1_700_000_000_000_000_000
 STEP = 100_000_000
 N = 60
+TWO_SECONDS = Limits(duration=2_000_000_000)
 
 
 @pytest.fixture
@@ -29,18 +30,18 @@ def samples():
 def write_parts(tmp_path, samples):
     """Writes N samples of both topics in parts of two seconds: three parts."""
 
-    def write(name="session.mcap"):
+    def write(name="session.mcap", limits=TWO_SECONDS, last_words=None):
         def preface(writer):
             writer.add_metadata({"host": "here"})
             writer.attach("robot.urdf", "application/xml", b"<robot/>", T0)
 
         path = tmp_path / name
-        with PartedWriter(path, preface, Limits(duration=2_000_000_000)) as writer:
+        with PartedWriter(path, preface, limits) as writer:
             for i in range(N):
                 for topic, data in samples.items():
                     writer.write(topic, data[i], T0 + i * STEP + 9, T0 + i * STEP)
                 writer.flush_if_due(T0 + i * STEP + 9)
-            writer.add_metadata({"at_end": True})
+            writer.add_metadata({"at_end": True, **(last_words or {})})
         return writer.paths
 
     return write
@@ -74,6 +75,7 @@ def test_a_part_that_is_gone_is_missed(write_parts, samples):
     paths[1].unlink()
     session = open_session(paths[2])
     assert session.absent_parts == [2]
+    assert session.unreadable_parts == {}
     assert not session.complete
     found = list(session.replay_bytes("/lowcmd"))
     assert 0 < len(found) < N
@@ -109,9 +111,39 @@ def test_a_part_that_is_no_mcap_is_absent_and_named_when_asked_for(write_parts):
     paths[1].write_text("oops")
     session = open_session(paths[0])
     assert session.absent_parts == [2]
+    assert session.unreadable_parts == {2: f"{paths[1]} is not an MCAP file."}
     assert not session.complete
     with pytest.raises(RecordingError, match=r"session_002\.mcap is not an MCAP file"):
         open_session(paths[1])
+
+
+@pytest.mark.parametrize("content", [b"", bytes(4096)])
+def test_the_last_part_is_missed_when_it_cannot_be_read(write_parts, content):
+    paths = write_parts()
+    for path in paths[1:]:
+        path.write_bytes(content)
+    session = open_session(paths[0])
+    assert session.paths == paths[:1]
+    assert session.absent_parts == [2, 3]
+    assert list(session.unreadable_parts) == [2, 3]
+    assert str(paths[2]) in session.unreadable_parts[3]
+    assert not session.complete
+
+
+def test_behind_the_last_words_of_a_recorder_no_part_is_missed(write_parts, tmp_path):
+    paths = write_parts(last_words={"recorder": {}})
+    (tmp_path / "session_004.mcap").touch()
+    session = open_session(paths[0])
+    assert session.paths == paths
+    assert session.complete
+    assert not session.absent_parts
+
+
+def test_a_session_in_one_file_misses_no_part(write_parts, tmp_path):
+    paths = write_parts(name="take_001.mcap", limits=None)
+    (tmp_path / "take_002.mcap").touch()
+    assert paths == [tmp_path / "take_001.mcap"]
+    assert open_session(paths[0]).complete
 
 
 def test_a_broken_file_named_like_a_part_does_not_spoil_the_others(write_parts, tmp_path):

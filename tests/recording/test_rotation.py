@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from mcap.reader import make_reader
 
 from g1stream.errors import RecordingError
+from g1stream.recording.file_names import parts_of
 from g1stream.recording.metadata import metadata_from_strings
-from g1stream.recording.rotation import Limits, PartedWriter, parts_of, timestamped
+from g1stream.recording.rotation import Limits, PartedWriter
 
 T0 = 1_700_000_000_000_000_000
 MS = 1_000_000
@@ -45,6 +44,7 @@ def test_without_limits_there_is_one_file_of_the_name_given(tmp_path):
     with PartedWriter(tmp_path / "s.mcap", preface) as writer:
         record(writer, 3)
     assert writer.paths == [tmp_path / "s.mcap"]
+    assert read(writer.paths[0])[1] == {"session_id": writer.session_id, "host": "here"}
     assert writer.counts == {"/robot_description": 1, "/lowcmd": 300}
     assert parts_of(tmp_path / "s.mcap") == writer.paths
 
@@ -91,28 +91,6 @@ def test_a_clock_set_back_does_not_keep_a_part_open(tmp_path):
     assert len(writer.paths) == 2
 
 
-def test_the_parts_of_any_part_are_all_in_their_order(tmp_path):
-    with PartedWriter(tmp_path / "s.mcap", preface, Limits(duration=10**9)) as writer:
-        record(writer, 2.5)
-    (tmp_path / "s_old.mcap").touch()
-    (tmp_path / "other_001.mcap").touch()
-    for path in (*writer.paths, tmp_path / "s.mcap"):
-        assert parts_of(path) == writer.paths
-    assert parts_of(tmp_path / "nowhere.mcap") == [tmp_path / "nowhere.mcap"]
-    assert parts_of(tmp_path / "s_old.mcap") == [tmp_path / "s_old.mcap"]
-
-
-def test_old_parts_are_refused_or_all_replaced(tmp_path):
-    with PartedWriter(tmp_path / "s.mcap", preface, Limits(duration=10**9)) as writer:
-        record(writer, 3.5)
-    with pytest.raises(RecordingError, match=r"s_001\.mcap exists already"):
-        PartedWriter(tmp_path / "s.mcap", preface, Limits(duration=10**9))
-    assert len(parts_of(tmp_path / "s.mcap")) == 4
-    with PartedWriter(tmp_path / "s.mcap", preface, Limits(size=10**9), force=True) as writer:
-        record(writer, 1)
-    assert parts_of(tmp_path / "s.mcap") == writer.paths == [tmp_path / "s_001.mcap"]
-
-
 def test_a_preface_that_fails_leaves_no_open_file(tmp_path):
     def broken(writer):
         raise RecordingError("No.", "Never.")
@@ -120,26 +98,6 @@ def test_a_preface_that_fails_leaves_no_open_file(tmp_path):
     with pytest.raises(RecordingError, match="No"):
         PartedWriter(tmp_path / "s.mcap", broken)
     assert read(tmp_path / "s.mcap")[0] == []
-
-
-def test_the_time_in_a_name_is_utc(monkeypatch):
-    monkeypatch.setenv("TZ", "Asia/Tokyo")
-    assert timestamped("a/s.mcap", T0) == Path("a/s-20231114T221320Z.mcap")
-
-
-def test_what_is_only_named_like_a_part_is_left_alone(tmp_path):
-    strangers = [tmp_path / "walk_20240301.mcap", tmp_path / "walk_0042.mcap"]
-    with PartedWriter(strangers[0], preface) as writer:
-        record(writer, 1)
-    strangers[1].write_bytes(b"not an MCAP")
-    before = [path.read_bytes() for path in strangers]
-    for force in (False, True):
-        with PartedWriter(
-            tmp_path / "walk.mcap", preface, Limits(duration=10**9), force=force
-        ) as writer:
-            record(writer, 2.5)
-        assert [path.read_bytes() for path in strangers] == before
-        assert len(writer.paths) == 3
 
 
 @pytest.mark.parametrize("where", ["before", "after"])

@@ -7,6 +7,7 @@ import pytest
 
 from g1stream.config import Config
 from g1stream.recording.session import LogEvent, open_session
+from g1stream.recording.writer import SessionWriter
 from g1stream.report.info import describe
 from g1stream.report.info_text import render_info
 
@@ -98,6 +99,30 @@ def test_what_is_amiss_is_told(info, change, told):
     found = info(metadata=METADATA | change)
     assert any(told in problem for problem in found.problems)
     assert "nothing is amiss" not in render_info(found)
+
+
+def test_a_part_that_cannot_be_read_is_told(play, tmp_path):
+    first, last = tmp_path / "s_001.mcap", tmp_path / "s_002.mcap"
+    reference = play().reference
+
+    def write(path, part):
+        with SessionWriter(path) as writer:
+            writer.add_metadata({"session_id": "a", "part": part})
+            writer.write("/log", b"", reference.log_time[0], reference.publish_time[0])
+            writer.write("/lowcmd", bytes(8), reference.log_time[0], reference.publish_time[0])
+
+    write(first, 1)
+    write(last, 2)
+    whole = describe(open_session(first))
+    last.write_bytes(b"")
+    found = describe(open_session(first))
+    assert [one for one in whole.problems if one.startswith("Part")] == []
+    assert f"Part 2 cannot be read: {last} is empty." in found.problems
+    assert "Part 2 cannot be read" in render_info(found)
+    assert not found.complete
+    last.unlink()
+    write(tmp_path / "s_003.mcap", 3)
+    assert "Part 2 is not there." in describe(open_session(first)).problems
 
 
 def test_gaps_are_told(play, take, write_session):

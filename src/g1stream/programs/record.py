@@ -16,8 +16,9 @@ from g1stream.errors import RecordingError, WireError
 from g1stream.programs.attachments import attach_motion
 from g1stream.recording.derive import Deriver
 from g1stream.recording.encode import MEASURED_PREFIX
+from g1stream.recording.file_names import timestamped
 from g1stream.recording.recorder import Recorder
-from g1stream.recording.rotation import Limits, PartedWriter, timestamped
+from g1stream.recording.rotation import Limits, PartedWriter
 from g1stream.recording.scene import encode_robot_description, encode_scene
 from g1stream.robot.model import G1
 

@@ -12,7 +12,9 @@ from typing import TYPE_CHECKING, Any, Final
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["METADATA_NAME", "metadata_from_strings", "metadata_to_strings"]
+    from g1stream.container.reader import McapFile
+
+__all__ = ["METADATA_NAME", "metadata_from_strings", "metadata_to_strings", "session_metadata"]
 
 METADATA_NAME: Final = "g1stream"
 """The name of the record. A file may have several; a later one's values replace an earlier's."""
@@ -30,6 +32,15 @@ def metadata_to_strings(values: Mapping[str, Any]) -> dict[str, str]:
 def metadata_from_strings(strings: Mapping[str, str]) -> dict[str, Any]:
     """The values that `metadata_to_strings` flattened."""
     return {key: _from_string(string) for key, string in strings.items()}
+
+
+def session_metadata(file: McapFile) -> dict[str, Any]:
+    """What a file's recorder noted; what it noted later replaces what it noted earlier."""
+    values: dict[str, Any] = {}
+    for record in file.metadata:
+        if record.name == METADATA_NAME:
+            values |= metadata_from_strings(record.metadata)
+    return values
 
 
 def _to_string(value: Any) -> str:

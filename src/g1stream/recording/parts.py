@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from contextlib import nullcontext, suppress
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from g1stream.container.reader import McapFile
 from g1stream.errors import RecordingError
-from g1stream.recording.metadata import METADATA_NAME, metadata_from_strings
-from g1stream.recording.rotation import parts_of
+from g1stream.recording.file_names import part_number, parts_of
+from g1stream.recording.metadata import session_metadata
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -18,6 +17,9 @@ if TYPE_CHECKING:
     from g1stream.container.messages import Messages
 
 __all__ = ["SessionFiles"]
+
+#: What a recorder notes when it ends: behind it no part can follow.
+_LAST_WORDS: Final = "recorder"
 
 
 class SessionFiles:
@@ -28,7 +30,9 @@ class SessionFiles:
 
     Attributes:
         paths: of the files, oldest first.
-        absent: numbers of parts, counted from 1, that should be there and are not.
+        absent: numbers of parts, counted from 1, that should be there and are not, or that cannot
+            be read.
+        unreadable: of the latter, the reason, a sentence, by number.
         complete: whether everything is there and was closed properly.
         counts: messages of each topic.
         metadata: what the recorder noted; what it noted later replaces what it noted earlier.
@@ -39,10 +43,15 @@ class SessionFiles:
     """
 
     def __init__(self, path: Path) -> None:
-        self._files, metadata = _belonging(path)
+        files, broken = _read(path)
+        self._files, metadata = _belonging(files, path)
         self.paths = [file.path for file in self._files]
         numbers = {one.get("part", 1) for one in metadata}
-        self.absent = sorted(set(range(1, max(numbers))) - numbers)
+        missing = set(range(1, max(numbers))) - numbers
+        if _goes_on(metadata):
+            missing |= _directly_behind(max(numbers), broken)
+        self.absent = sorted(missing)
+        self.unreadable = {number: broken[number] for number in self.absent if number in broken}
         self.complete = not self.absent and all(file.complete for file in self._files)
         self.counts: Counter[str] = sum((file.counts for file in self._files), Counter())
         self.metadata = {key: value for one in metadata for key, value in one.items()}
@@ -65,17 +74,39 @@ class SessionFiles:
         return {one.name: one.data for file in self._files for one in file.attachments()}
 
 
-def _belonging(path: Path) -> tuple[list[McapFile], list[dict[str, Any]]]:
-    """The files that belong to the session of one of them, oldest first, and their metadata.
+def _read(path: Path) -> tuple[list[McapFile], dict[int, str]]:
+    """What is named like the parts that a file belongs to, oldest first.
 
     Others may be named like its parts without being any, nor recordings at all.
+
+    Returns:
+        The files, and by the number in its name why another cannot be read.
+
+    Raises:
+        RecordingError: the file asked for, or the first of the name asked for, cannot be read.
     """
-    files, parts = [], parts_of(path)
+    parts = parts_of(path)
     wanted = path if path in parts else parts[0]
-    for part in parts:
-        with nullcontext() if part == wanted else suppress(RecordingError):
-            files.append(McapFile(part))
-    metadata = [_metadata(file) for file in files]
+    found = {part: McapFile(part) if part == wanted else _try(part) for part in parts}
+    files = [one for one in found.values() if isinstance(one, McapFile)]
+    return files, {
+        number: reason
+        for part, reason in found.items()
+        if isinstance(reason, str) and (number := part_number(part)) is not None
+    }
+
+
+def _try(path: Path) -> McapFile | str:
+    """A file, or why it cannot be read."""
+    try:
+        return McapFile(path)
+    except RecordingError as error:
+        return error.cause
+
+
+def _belonging(files: list[McapFile], path: Path) -> tuple[list[McapFile], list[dict[str, Any]]]:
+    """Those of some files that belong to the session of one of them, and their metadata."""
+    metadata = [session_metadata(file) for file in files]
     given = next((i for i, file in enumerate(files) if file.path == path), 0)
     session_id = metadata[given].get("session_id")
     ours = [
@@ -86,9 +117,14 @@ def _belonging(path: Path) -> tuple[list[McapFile], list[dict[str, Any]]]:
     return [files[i] for i in ours], [metadata[i] for i in ours]
 
 
-def _metadata(file: McapFile) -> dict[str, Any]:
-    values: dict[str, Any] = {}
-    for record in file.metadata:
-        if record.name == METADATA_NAME:
-            values |= metadata_from_strings(record.metadata)
-    return values
+def _goes_on(metadata: list[dict[str, Any]]) -> bool:
+    """Whether there may be a part behind the last of those that have this metadata."""
+    return "part" in metadata[-1] and _LAST_WORDS not in metadata[-1]
+
+
+def _directly_behind(last: int, broken: dict[int, str]) -> set[int]:
+    """Numbers that go on without a gap behind the last."""
+    found: set[int] = set()
+    while last + len(found) + 1 in broken:
+        found.add(last + len(found) + 1)
+    return found

@@ -1,34 +1,28 @@
-"""A session in several files, each of them whole by itself.
+"""A session written into several files, each of them whole by itself.
 
-The parts of `session.mcap` are `session_001.mcap`, `session_002.mcap` and so on. Each carries the
-attachments and the metadata, and in it `session_id`, which they share, and `part`, from 1. Sequence
-numbers go on from part to part.
+Each part carries the attachments and the metadata, and in it `session_id`, which they share, and
+`part`, from 1. Sequence numbers go on from part to part.
 """
 
 from __future__ import annotations
 
-import re
 import uuid
 from contextlib import suppress
 from dataclasses import dataclass
-from datetime import datetime, timezone
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
-from g1stream.container.reader import McapFile
 from g1stream.errors import RecordingError
-from g1stream.recording.metadata import METADATA_NAME, metadata_from_strings
+from g1stream.recording.earlier_parts import make_way
+from g1stream.recording.file_names import part_path
 from g1stream.recording.writer import SessionWriter
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
-    from types import TracebackType
 
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Limits", "PartedWriter", "parts_of", "timestamped"]
-
-_PART: Final = re.compile(r"(?P<stem>.+)_(?P<number>\d{3,})")
+__all__ = ["Limits", "PartedWriter"]
 
 
 @dataclass(frozen=True)
@@ -56,7 +50,8 @@ class PartedWriter:
         path: the session file; the parts are named after it.
         preface: is given the writer of each new part, to say what every part must carry.
         limits: of a part.
-        force: replace what is there already.
+        force: replace the file that is there already, or the parts of one earlier session; nothing
+            else that has the name of a part.
 
     Attributes:
         session_id: the same in all parts.
@@ -64,7 +59,8 @@ class PartedWriter:
         counts: messages taken so far, in all parts, by topic.
 
     Raises:
-        RecordingError: there is a file or a part already, or none can be made there.
+        RecordingError: there is a file or a part already, something else has the name of a part, or
+            no file can be made there.
     """
 
     def __init__(
@@ -81,21 +77,15 @@ class PartedWriter:
         self._path = Path(path)
         self._preface = preface
         self._limits = limits or Limits()
-        self._force = force
         self._part_start: int | None = None
         if self._limits.any:
-            self._make_way()
-        self._writer = self._next_part()
+            make_way(self._path, force=force)
+        self._writer = self._next_part(force=force and not self._limits.any)
 
     def __enter__(self) -> PartedWriter:
         return self
 
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def write(self, topic: str, data: bytes, log_time: int, publish_time: int) -> None:
@@ -147,13 +137,15 @@ class PartedWriter:
             duration is not None and elapsed >= duration
         )
 
-    def _next_part(self) -> SessionWriter:
+    def _next_part(self, *, force: bool = False) -> SessionWriter:
         number = len(self.paths) + 1
-        path = _part_path(self._path, number) if self._limits.any else self._path
+        parted = self._limits.any
+        path = part_path(self._path, number) if parted else self._path
         counts = dict(self.counts)
-        writer = SessionWriter(path, force=self._force, counts=self.counts)
+        writer = SessionWriter(path, force=force, counts=self.counts)
         try:
-            writer.add_metadata({"session_id": self.session_id, "part": number})
+            about: dict[str, Any] = {"session_id": self.session_id}
+            writer.add_metadata(about | {"part": number} if parted else about)
             self._preface(writer)
             writer.flush()
         except BaseException:
@@ -167,65 +159,3 @@ class PartedWriter:
         self.paths.append(path)
         self._preface_size = writer.size
         return writer
-
-    def _make_way(self) -> None:
-        """Refuse where parts of this name are, or remove them: they would mix with the new.
-
-        Others' files of such names are left alone.
-        """
-        named = _parts(self._path.parent, self._path.stem, self._path.suffix)
-        old = [path for path in named if _is_part(path)]
-        if old and not self._force:
-            raise RecordingError(
-                f"The file {old[0]} exists already.",
-                "Choose another name, give --force to replace all its parts, or --auto-name to "
-                "add the time.",
-            )
-        for path in old:
-            path.unlink()
-
-
-def parts_of(path: str | Path) -> list[Path]:
-    """The parts that lie beside a part, in order, itself included; or of the name they are after.
-
-    A file that is no part is its own and only one. Whether files belong together is said by the
-    `session_id` in their metadata, which is not looked at here.
-    """
-    path = Path(path)
-    match = _PART.fullmatch(path.stem)
-    if match and path.exists():
-        found = _parts(path.parent, match["stem"], path.suffix)
-        return found if path in found else [path]
-    return [path] if path.exists() else _parts(path.parent, path.stem, path.suffix) or [path]
-
-
-def timestamped(path: str | Path, now_ns: int) -> Path:
-    """The path with the time, UTC, in its name: `session-20260301T120000Z.mcap`."""
-    path = Path(path)
-    now = datetime.fromtimestamp(now_ns // 1_000_000_000, timezone.utc)
-    return path.with_name(f"{path.stem}-{now:%Y%m%dT%H%M%SZ}{path.suffix}")
-
-
-def _part_path(path: Path, number: int) -> Path:
-    return path.with_name(f"{path.stem}_{number:03}{path.suffix}")
-
-
-def _is_part(path: Path) -> bool:
-    """Whether a file that is named like a part says itself that it is the part of that number."""
-    match = _PART.fullmatch(path.stem)
-    try:
-        records = McapFile(path).metadata
-    except RecordingError:
-        return False
-    ours = (metadata_from_strings(one.metadata) for one in records if one.name == METADATA_NAME)
-    return match is not None and any(one.get("part") == int(match["number"]) for one in ours)
-
-
-def _parts(directory: Path, stem: str, suffix: str) -> list[Path]:
-    """Part 1, 2, ... of a name, as they lie in a directory."""
-    found = {}
-    for path in directory.iterdir() if directory.is_dir() else ():
-        match = _PART.fullmatch(path.stem)
-        if path.suffix == suffix and match and match["stem"] == stem:
-            found[int(match["number"])] = path
-    return [found[number] for number in sorted(found)]

@@ -86,7 +86,9 @@ class Session:
     Attributes:
         path: as given.
         paths: of the file or its parts, oldest first.
-        absent_parts: numbers of parts, counted from 1, that should be there and are not.
+        absent_parts: numbers of parts, counted from 1, that should be there and are not, or that
+            cannot be read.
+        unreadable_parts: of the latter, the reason, a sentence, by number.
         complete: whether everything is there and was closed properly; a part that was not ends with
             its last whole chunk.
         topics: number of messages by topic.
@@ -98,6 +100,7 @@ class Session:
         self._files = SessionFiles(self.path)
         self.paths = self._files.paths
         self.absent_parts = self._files.absent
+        self.unreadable_parts = self._files.unreadable
         self.complete = self._files.complete
         self.topics: dict[str, int] = dict(self._files.counts)
         self.metadata: dict[str, Any] = self._files.metadata

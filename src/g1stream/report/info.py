@@ -174,7 +174,12 @@ def _gains(gains: Mapping[str, list[float]] | None) -> dict[str, tuple[float, fl
 
 
 def _problems(session: Session, info: Info) -> list[str]:
-    found = [f"Part {number} is not there." for number in session.absent_parts]
+    unreadable = session.unreadable_parts
+    found = [
+        f"Part {number} "
+        + (f"cannot be read: {unreadable[number]}" if number in unreadable else "is not there.")
+        for number in session.absent_parts
+    ]
     if not (info.complete or session.absent_parts):
         found.append("The file was not closed by its recorder; it ends with its last whole chunk.")
     recorder = session.metadata.get("recorder")

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from g1stream.errors import MotionError
-from g1stream.motion.resample import resample
+from g1stream.motion.streamed import STREAM_RATE, HeldJoint, JointSpeed, measure_streamed
 from g1stream.robot.joints import JOINT_GROUPS
 
 if TYPE_CHECKING:
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "GroupRange",
+    "HeldJoint",
     "JointSpeed",
     "JointStep",
     "LimitViolation",
@@ -29,11 +30,10 @@ __all__ = [
 
 #: Files have six decimals, so an angle at a limit may be written this far beyond it.
 _ROUNDING: Final = 1e-6
-#: Samples of the spline per frame in which its greatest speed is looked for.
-_SAMPLES_PER_FRAME: Final = 8
 
 
-class LimitViolation(NamedTuple):
+@dataclass(frozen=True)
+class LimitViolation:
     """A joint beyond its position limit: the worst frame of that joint on that side.
 
     Attributes:
@@ -51,23 +51,8 @@ class LimitViolation(NamedTuple):
     n_frames: int
 
 
-class JointSpeed(NamedTuple):
-    """A joint's speed at one time.
-
-    Attributes:
-        joint: its name.
-        time: s from frame 0.
-        value: rad/s, how fast, whichever way.
-        limit: rad/s, the joint's velocity limit.
-    """
-
-    joint: str
-    time: float
-    value: float
-    limit: float
-
-
-class JointStep(NamedTuple):
+@dataclass(frozen=True)
+class JointStep:
     """How far a joint goes from a frame to the next: `value` rad, after `frame`."""
 
     joint: str
@@ -75,7 +60,8 @@ class JointStep(NamedTuple):
     value: float
 
 
-class RootTravel(NamedTuple):
+@dataclass(frozen=True)
+class RootTravel:
     """Where the root goes.
 
     Attributes:
@@ -91,7 +77,8 @@ class RootTravel(NamedTuple):
     highest: float
 
 
-class GroupRange(NamedTuple):
+@dataclass(frozen=True)
+class GroupRange:
     """The least and the greatest angle, rad, that any joint of a group takes."""
 
     group: str
@@ -111,8 +98,12 @@ class MotionReport:
         limit_violations: joints beyond their position limits, the furthest out first.
         fastest: of the joint velocities at the frames (central differences, as most tools compute
             them), the greatest.
+        rate: targets a second with which the next two are measured, Hz.
+        position_margin: rad, by which position limits are narrowed for `held`.
         fastest_streamed: the greatest speed of each joint that the spline through the frames asks
-            for in between, largest share of its limit first.
+            for, largest share of its limit first.
+        held: joints that the spline asks beyond a limit, the furthest out first. It overshoots
+            between frames, so that there may be some where every frame is within.
         largest_step: between two neighbouring frames.
         root: where the root goes.
         groups: range of angles by limb.
@@ -125,7 +116,10 @@ class MotionReport:
     duration: float
     limit_violations: tuple[LimitViolation, ...]
     fastest: JointSpeed
+    rate: float
+    position_margin: float
     fastest_streamed: tuple[JointSpeed, ...]
+    held: tuple[HeldJoint, ...]
     largest_step: JointStep
     root: RootTravel
     groups: tuple[GroupRange, ...]
@@ -137,13 +131,29 @@ class MotionReport:
         return tuple(speed for speed in self.fastest_streamed if speed.value > speed.limit)
 
     @property
+    def n_held(self) -> int:
+        """How many joint targets would be held at a limit."""
+        return sum(joint.n_targets for joint in self.held)
+
+    @property
     def within_limits(self) -> bool:
-        """Whether no joint passes a position or velocity limit."""
+        """Whether every frame is within the position limits, and all that is asked for in speed.
+
+        Targets that are held between frames are not counted against a motion: they are safe.
+        """
         return not self.limit_violations and not self.too_fast
 
 
-def check_motion(motion: Motion, robot: G1) -> MotionReport:
+def check_motion(
+    motion: Motion, robot: G1, *, rate: float = STREAM_RATE, position_margin: float = 0.0
+) -> MotionReport:
     """Measure a motion against the robot's limits.
+
+    Args:
+        motion: what is asked.
+        robot: of whom.
+        rate: joint targets a second when it is streamed, Hz.
+        position_margin: rad, kept from position limits when it is streamed.
 
     Raises:
         MotionError: the motion's joints are not the robot's, in the robot's order.
@@ -153,6 +163,7 @@ def check_motion(motion: Motion, robot: G1) -> MotionReport:
             f"The joints of the motion {motion.name} are not those of the robot {robot.name}.",
             "Load the motion for this robot: load_motion(path, robot).",
         )
+    fastest_streamed, held = measure_streamed(motion, robot, rate, position_margin)
     return MotionReport(
         name=motion.name,
         n_frames=motion.n_frames,
@@ -160,7 +171,10 @@ def check_motion(motion: Motion, robot: G1) -> MotionReport:
         duration=motion.duration,
         limit_violations=_limit_violations(motion, robot),
         fastest=_fastest(motion, robot),
-        fastest_streamed=_fastest_streamed(motion, robot),
+        rate=rate,
+        position_margin=position_margin,
+        fastest_streamed=fastest_streamed,
+        held=held,
         largest_step=_largest_step(motion),
         root=_root_travel(motion.root_pos),
         groups=tuple(
@@ -198,21 +212,6 @@ def _fastest(motion: Motion, robot: G1) -> JointSpeed:
         float(speed[frame, joint]),
         float(robot.velocity[joint]),
     )
-
-
-def _fastest_streamed(motion: Motion, robot: G1) -> tuple[JointSpeed, ...]:
-    rate = motion.fps * _SAMPLES_PER_FRAME
-    top, time = np.zeros(len(motion.joint_names)), np.zeros(len(motion.joint_names))
-    for numbers, samples in resample(motion, rate, 0, motion.n_frames):
-        speed = np.abs(samples.joint_vel)
-        here = speed.max(axis=0)
-        time = np.where(here > top, (numbers.start + speed.argmax(axis=0)) / rate, time)
-        top = np.maximum(here, top)
-    found = [
-        JointSpeed(name, float(time[joint]), float(top[joint]), float(robot.velocity[joint]))
-        for joint, name in enumerate(motion.joint_names)
-    ]
-    return tuple(sorted(found, key=lambda s: -s.value / s.limit))
 
 
 def _largest_step(motion: Motion) -> JointStep:

@@ -1,0 +1,79 @@
+"""`g1stream motion` as a user meets it: what it says in words and as JSON, and its exit codes."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+DEMO = Path(__file__).parents[2] / "src" / "g1stream" / "motion" / "demo.csv"
+
+
+def run(*arguments: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "g1stream", "motion", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+
+
+@pytest.fixture
+def leaping(tmp_path):
+    """The demo, in which a wrist leaps onto its limit: the spline overshoots, the frames do not."""
+    header, *lines = DEMO.read_text().splitlines()
+    rows = [line.split(",") for line in lines]
+    place = header.split(",").index("left_wrist_roll_joint")
+    for i, row in enumerate(rows):
+        row[place] = "1.972222" if i > 100 else "1.5"
+    path = tmp_path / "leaping.csv"
+    path.write_text("\n".join([header, *(",".join(row) for row in rows)]))
+    return path
+
+
+def test_the_speed_it_says_is_the_one_that_is_streamed():
+    told = json.loads(run("demo", "--json").stdout)
+    streamed = max(speed["value"] for speed in told["fastest_streamed"])
+    assert set(told["fastest"]) == {"joint", "time", "value", "limit"}
+    assert told["rate"] == 500.0
+    assert streamed > told["fastest"]["value"]
+    text = run("demo").stdout
+    fastest = next(line for line in text.splitlines() if line.startswith("  fastest"))
+    assert f"{streamed:.1f} rad/s" in fastest
+    assert "as streamed at 500 Hz" in fastest
+    assert "m along the ground" in text
+    assert text.endswith("all kept\n")
+
+
+def test_targets_that_would_be_held_are_told_and_no_fault(leaping):
+    done = run(leaping)
+    told = json.loads(run(leaping, "--json").stdout)
+    (held,) = told["held"]
+    assert held["joint"] == "left_wrist_roll_joint"
+    assert told["n_held"] == held["n_targets"] > 0
+    assert told["within_limits"] is True
+    assert f"held at limit   {held['n_targets']} joint targets at 500 Hz" in done.stdout
+    assert "all kept" not in done.stdout
+    assert done.returncode == 0
+
+
+def test_targets_are_held_at_the_limits_of_the_settings(leaping, tmp_path):
+    path = tmp_path / "config.toml"
+    path.write_text("[stream]\nrate = 50.0\n[safety]\nposition_margin = 0.1\n")
+    told = json.loads(run(leaping, "--config", path, "--json").stdout)
+    wrist = next(j for j in told["held"] if j["joint"] == "left_wrist_roll_joint")
+    assert (told["rate"], told["position_margin"]) == (50.0, 0.1)
+    assert wrist["limit"] == pytest.approx(1.972222 - 0.1, abs=1e-5)
+    assert wrist["n_targets"] > 500  # most of 14 s at 50 Hz
+
+
+@pytest.mark.parametrize("name", ["empty.mcap", "nowhere.mcap"])
+def test_a_session_is_offered_too(tmp_path, name):
+    (tmp_path / "empty.mcap").touch()
+    done = run(tmp_path / name)
+    assert done.returncode == 2
+    assert "session file" in done.stderr

@@ -14,6 +14,10 @@ from pathlib import Path
 
 import pytest
 
+from g1stream.control.phases import Phase
+from g1stream.dds.messages import Reference
+from g1stream.recording.writer import SessionWriter
+
 DEMO = Path(__file__).parents[2] / "src" / "g1stream" / "motion" / "demo.csv"
 COMMAND = [sys.executable, "-m", "g1stream", "convert"]
 
@@ -29,10 +33,11 @@ def out(tmp_path):
     return tmp_path / "out.mcap"
 
 
-def test_in_a_pipe_it_is_silent(out):
-    done = run("demo", out)
-    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
-    assert out.stat().st_size > 0
+def test_in_a_pipe_it_shows_no_progress_and_says_in_one_line_what_it_wrote(out):
+    done = run("demo", out, "--frames", "10:40")
+    size = out.stat().st_size / 1e6
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout == f"{out}: 30 frames at 30 Hz, 0.97 s, {size:.1f} MB\n"
 
 
 def test_the_summary_as_json(out):
@@ -40,7 +45,7 @@ def test_the_summary_as_json(out):
     told = json.loads(done.stdout)
     assert told["path"] == str(out)
     assert told["size"] == out.stat().st_size
-    assert told["counts"]["/tf"] == 30
+    assert told["counts"]["/tf"] == told["frames"] == 30
     assert told["start_ns"] == 60 * 10**9 + 333_333_333
 
 
@@ -54,7 +59,7 @@ def test_on_a_terminal_there_is_a_bar_and_a_summary(out):
                 shown += os.read(leader, 4096)
     os.close(leader)
     assert b"100 %" in shown
-    assert b"/reference/joint_states" in shown
+    assert shown.endswith(b" MB\r\n")
 
 
 def test_check_prints_what_is_in_the_file():
@@ -76,6 +81,53 @@ def test_check_finds_what_is_wrong(tmp_path):
     as_json = json.loads(run("--check", path, "--json").stdout)
     assert as_json["all_well"] is False
     assert as_json["not_in_file"] == ["left_knee_joint"]
+
+
+def test_check_tells_of_a_bad_cell_what_is_known_and_what_to_do(tmp_path):
+    done = run("--check", spoiled(tmp_path, "\n9,", "\n9,nan"))
+    assert done.returncode == 1
+    assert "421 rows, 37 columns, named by a header" in done.stdout
+    assert "LAFAN1" not in done.stdout
+    assert "line 11, column 2 (X)" in done.stdout
+    assert "Write a decimal number there" in done.stdout
+
+
+def test_check_of_a_session(tmp_path):
+    path, message = tmp_path / "session.mcap", Reference()
+    message.phase[()], message.root_quat_wxyz[0] = Phase.PLAY, 1.0
+    with SessionWriter(path) as writer:
+        for i in range(100):
+            message.motion_time[()] = 0.002 * i
+            writer.write("/reference", message.tobytes(), 2_000_000 * i, 2_000_000 * i)
+    done = run("--check", path)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "a session" in done.stdout
+    assert "100 frames at 500 fps" in done.stdout
+    as_json = json.loads(run("--check", path, "--json").stdout)
+    assert (as_json["kind"], as_json["all_well"]) == ("session", True)
+    assert as_json["motion"]["fastest"]["value"] == 0.0
+
+
+@pytest.mark.parametrize("content", [b"", b"\x89PNG\r\n\x1a\n", b"\x89MCAP0\r\nnothing"])
+def test_check_of_what_cannot_be_read_is_bad_input(tmp_path, content):
+    path = tmp_path / "clip.csv"
+    path.write_bytes(content)
+    done = run("--check", path)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "session" in done.stderr
+
+
+def test_a_warning_changes_no_exit_code(tmp_path, out):
+    header, *lines = DEMO.read_text().splitlines()
+    cells = lines[7].split(",")
+    cells[4:8] = [str(2.24 * float(cell)) for cell in cells[4:8]]
+    path = tmp_path / "norm.csv"
+    path.write_text("\n".join([header, *lines[:7], ",".join(cells), *lines[8:]]))
+    check, converted = run("--check", path), run(path, out)
+    for done, told in ((check, check.stdout), (converted, converted.stderr)):
+        assert done.returncode == 0
+        assert "frame 7, line 9, with the norm 2.24" in told
+    assert check.stdout.endswith("  well, with a warning\n")
 
 
 def spoiled(tmp_path: Path, old: str, new: str) -> Path:

@@ -2,11 +2,10 @@
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from g1stream.errors import MotionError
-from g1stream.motion.file_check import check_file
+from g1stream.motion.file_check import MappedColumn, NormRange, check_file
 from g1stream.motion.readers import load_motion
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import G1
@@ -37,7 +36,9 @@ def test_a_motion_that_is_right(clip):
     assert [m.column for m in report.mapped] == list(range(9, 38))
     assert (report.not_in_robot, report.not_in_file, report.fault) == ((), (), "")
     assert report.motion.duration == pytest.approx(9 / 30)
-    assert np.allclose(report.quat_norms, 1.0, atol=1e-5)
+    assert report.quat_norms == NormRange(
+        pytest.approx(1.0, abs=1e-5), pytest.approx(1.0, abs=1e-5)
+    )
 
 
 def test_a_bundled_motion_by_its_name():
@@ -70,7 +71,7 @@ def test_a_file_without_a_header(tmp_path):
     report = check_file(path, ROBOT)
     assert report.all_well
     assert not report.has_header
-    assert report.mapped[0] == (8, JOINT_NAMES[0])
+    assert report.mapped[0] == MappedColumn(8, JOINT_NAMES[0])
 
 
 def test_no_quaternions(clip):
@@ -82,15 +83,16 @@ def test_no_quaternions(clip):
     assert "QW" in report.fault
 
 
-def test_quaternions_that_are_not_unit_are_not_well(clip):
+def test_quaternions_that_are_not_unit_are_a_warning_and_no_fault(clip):
     def scale(columns, rows):
         for name in ("QX", "QY", "QZ", "QW"):
-            rows[3][columns.index(name)] = str(1.1 * float(rows[3][columns.index(name)]))
+            rows[3][columns.index(name)] = str(2.24 * float(rows[3][columns.index(name)]))
 
     report = clip(scale)
-    assert report.quat_norms.highest == pytest.approx(1.1, abs=1e-4)
-    assert report.motion.warnings
-    assert not report.all_well
+    assert report.quat_norms.highest == pytest.approx(2.24, abs=1e-4)
+    (warning,) = report.motion.warnings
+    assert "frame 3, line 5, with the norm 2.24" in warning
+    assert report.all_well
 
 
 def test_limits_and_the_largest_step_are_found_with_their_frames(clip):
@@ -105,15 +107,72 @@ def test_limits_and_the_largest_step_are_found_with_their_frames(clip):
     assert not report.all_well
 
 
-def test_a_file_that_is_no_table_is_a_finding(clip):
-    def spoil(columns, rows):
-        rows[2][4] = "half"
+def word(columns, rows):
+    rows[2][4] = "half"
 
-    report = clip(spoil)
-    assert "line 4, column 5 (QX): 'half' is not a finite number" in report.fault
+
+def nan(columns, rows):
+    rows[2][4] = "nan"
+
+
+def short(columns, rows):
+    del rows[2][30:]
+
+
+@pytest.mark.parametrize(
+    ("change", "fault", "remedy"),
+    [
+        (word, "line 4, column 5 (QX): 'half' is not a finite number", "decimal number"),
+        (nan, "line 4, column 5 (QX): 'nan' is not a finite number", "decimal number"),
+        (short, "line 4: the row is too short, with 30 values for 37", "one value a column"),
+    ],
+)
+def test_with_a_bad_row_the_rest_is_told_all_the_same(clip, change, fault, remedy):
+    report = clip(change)
+    assert fault in report.fault
+    assert remedy in report.remedy
+    assert (report.n_rows, report.n_columns, report.has_header) == (10, 37, True)
+    assert [m.joint for m in report.mapped] == list(JOINT_NAMES)
+    assert (report.motion, report.quat_norms) == (None, None)
     assert not report.all_well
 
 
-def test_no_file_is_an_error(tmp_path):
-    with pytest.raises(MotionError, match="There is no motion file"):
-        check_file(tmp_path / "nowhere.csv", ROBOT)
+def test_columns_that_nobody_names(tmp_path):
+    path = tmp_path / "narrow.csv"
+    path.write_text("1,2,3\n4,5,6\n")
+    report = check_file(path, ROBOT)
+    assert (report.n_rows, report.n_columns, report.has_header) == (2, 3, False)
+    assert (report.mapped, report.not_in_robot, report.not_in_file) == ((), (), ())
+    assert "3 values, and no header" in report.fault
+
+
+def test_no_columns_at_all(clip):
+    def join(columns, rows):
+        columns[:] = [";".join(columns)]
+        rows[:] = [[";".join(row)] for row in rows]
+
+    report = clip(join)
+    assert (report.n_rows, report.n_columns, report.mapped) == (10, 1, ())
+    assert "no columns separated by commas" in report.fault
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (None, "There is no motion file"),
+        (b"", "is empty"),
+        (b"\x89PNG\r\n", "not UTF-8"),
+        (b"a,b\0", "binary"),
+    ],
+)
+def test_nothing_to_look_at_is_an_error(tmp_path, content, message):
+    path = tmp_path / "clip.csv"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(MotionError, match=message):
+        check_file(path, ROBOT)
+
+
+def test_a_frame_rate_that_is_none_is_an_error():
+    with pytest.raises(MotionError, match="frames a second"):
+        check_file("demo", ROBOT, fps=0.0)

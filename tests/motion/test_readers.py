@@ -150,13 +150,16 @@ def test_quaternion_slightly_off_is_made_unit_in_silence(load):
     np.testing.assert_allclose(np.linalg.norm(motion.root_quat_wxyz, axis=1), 1.0, atol=1e-15)
 
 
-def test_quaternion_far_off_is_made_unit_with_a_warning(load):
+@pytest.mark.parametrize(("scale", "doubted"), [(1.05, False), (0.95, False), (2.24, True)])
+def test_quaternion_far_off_is_made_unit_with_a_warning(load, scale, doubted):
     rows = rows_of(4)
-    rows[2][4:8] = [value * 1.25 for value in rows[2][4:8]]
+    rows[1][4:8] = [value * 1.01 for value in rows[1][4:8]]
+    rows[2][4:8] = [value * scale for value in rows[2][4:8]]
     motion = load(csv(rows))
     (warning,) = motion.warnings
-    assert "1 of 4 quaternions" in warning
-    assert "line 4 was off by 0.25" in warning
+    assert "2 of 4 quaternions" in warning
+    assert f"frame 2, line 4, with the norm {scale:g}" in warning
+    assert ("no rounding error" in warning) is doubted
     np.testing.assert_allclose(np.linalg.norm(motion.root_quat_wxyz, axis=1), 1.0, atol=1e-15)
 
 
@@ -235,7 +238,9 @@ def test_joints_that_the_robot_lacks_and_that_the_file_lacks(load, robot):
 
 
 def test_no_such_file(tmp_path):
-    with pytest.raises(MotionError, match=r"no motion file .*walk.csv.*bundled motion: demo"):
+    with pytest.raises(
+        MotionError, match=r"no motion file .*walk.csv.*session file.*bundled motion: demo"
+    ):
         load_motion(tmp_path / "walk.csv")
 
 

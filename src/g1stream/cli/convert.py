@@ -20,6 +20,7 @@ from g1stream.cli.common import (
     print_json,
     value,
 )
+from g1stream.cli.motion import asked_lines
 from g1stream.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -42,6 +43,9 @@ class Convert:
 
     Needs no robot, no simulator and no DDS. Log and publish time of every message are the base time
     + frame / fps, to the nearest nanosecond. A failure leaves no file behind.
+
+    It ends with one line on standard output. Progress is shown on standard error, and only where
+    that is a terminal.
     """
 
     motion: Annotated[str, tyro.conf.Positional, value("MOTION")]
@@ -49,7 +53,9 @@ class Convert:
     out: Annotated[Maybe[Path], tyro.conf.Positional, value("MCAP")] = None
     """The file to write; not needed with --check."""
     check: Flag = False
-    """Only look at the motion file and tell what is in it; exit code 1 where something is wrong."""
+    """Only look at the motion and tell what is in it. Exit code 1 where something is wrong with its
+    content or a limit is passed, 2 where there is nothing to look at: no file, or an empty or
+    damaged one, or one of another kind. Warnings do not change it."""
     fps: Annotated[Maybe[float], value("N", "30")] = None
     """Frames per second of the motion file, which cannot say it. A wrong one plays too fast or too
     slowly: half of it, half as fast."""
@@ -107,7 +113,7 @@ class Convert:
             print(f"warning: {warning}", file=sys.stderr)
         if self.json:
             print_json(report.as_dict())
-        elif sys.stdout.isatty():
+        else:
             print(_summary(report))
         return EXIT_OK
 
@@ -142,9 +148,9 @@ class Convert:
             bar.clear()
 
     def _check(self, robot: G1) -> int:
-        from g1stream.motion.file_check import check_file
+        from g1stream.programs.check import check
 
-        report = check_file(self.motion, robot, fps=self.fps)
+        report = check(self.motion, robot, fps=self.fps)
         if self.json:
             print_json({**asdict(report), "path": str(report.path), "all_well": report.all_well})
         else:
@@ -186,20 +192,36 @@ def _frames(text: str) -> tuple[int | None, int | None]:
 
 
 def _summary(report: ConvertReport) -> str:
-    width = max(map(len, report.counts))
-    lines = [
-        f"{report.path}: {(report.end_ns - report.start_ns) / 1e9:.2f} s at {report.rate:g} Hz, "
-        f"{report.size / 1e6:.1f} MB",
-        *(f"  {topic:<{width}}  {n:>8}" for topic, n in report.counts.items()),
-    ]
-    return "\n".join(lines)
+    return (
+        f"{report.path}: {report.frames} frames at {report.rate:g} Hz, "
+        f"{(report.end_ns - report.start_ns) / 1e9:.2f} s, {report.size / 1e6:.1f} MB"
+    )
 
 
 def _findings(report: FileReport) -> str:
-    header = "named by a header" if report.has_header else "no header, taken as LAFAN1's"
+    lines = [f"{report.path}", *_content(report)]
+    if report.motion:
+        motion = report.motion
+        lines.append(
+            f"  duration        {motion.duration:.3f} s: {motion.n_frames} frames at "
+            f"{motion.fps:g} fps"
+        )
+        lines += asked_lines(motion)
+    if report.fault:
+        lines += [f"  fault           {report.fault}", f"                  {report.remedy}"]
+    return "\n".join([*lines, f"  {_verdict(report)}"])
+
+
+def _content(report: FileReport) -> list[str]:
+    """What is in the file, a line each."""
+    if report.kind == "session":
+        return ["  file            a session; its motion is the reference that was played"]
+    header = "named by a header" if report.has_header else "no header"
+    if report.mapped and not report.has_header:
+        header += ", taken as LAFAN1's"
     lines = [
-        f"{report.path}",
-        f"  file            {report.n_rows} rows, {report.n_columns} columns, {header}",
+        f"  file            {_counted(report.n_rows, 'row')}, "
+        f"{_counted(report.n_columns, 'column')}, {header}",
         f"  mapped columns  {len(report.mapped)}",
     ]
     shown = (*report.mapped[:5], None, *report.mapped[-5:])
@@ -208,29 +230,16 @@ def _findings(report: FileReport) -> str:
     lines += ["      ..." if m is None else f"    {m.column:3d} {m.joint}" for m in shown]
     lines += [f"  not in the URDF {name}" for name in report.not_in_robot]
     lines += [f"  not in the file {name}" for name in report.not_in_file]
-    if report.quat_norms:
-        low, high = report.quat_norms
-        lines.append(f"  quaternion norm {low:.6f} to {high:.6f}")
-    if report.motion:
-        motion = report.motion
-        step = motion.largest_step
-        lines += [
-            f"  duration        {motion.duration:.3f} s: {motion.n_frames} frames at "
-            f"{motion.fps:g} fps",
-            f"  largest step    {step.joint}: {step.value:.3f} rad from frame {step.frame} to "
-            f"{step.frame + 1}",
-        ]
-        lines += [
-            f"  beyond limit    {v.joint}: {v.value:.3f} rad at frame {v.frame}, limit "
-            f"{v.limit:.3f} ({v.n_frames} frames)"
-            for v in motion.limit_violations
-        ]
-        lines += [
-            f"  too fast        {v.joint}: {v.value:.1f} rad/s at {v.time:.2f} s, limit {v.limit:g}"
-            for v in motion.too_fast
-        ]
-        lines += [f"  warning         {warning}" for warning in motion.warnings]
-    if report.fault:
-        lines.append(f"  fault           {report.fault}")
-    lines.append("  all well" if report.all_well else "  something is wrong")
-    return "\n".join(lines)
+    if norms := report.quat_norms:
+        lines.append(f"  quaternion norm {norms.lowest:.6f} to {norms.highest:.6f}")
+    return lines
+
+
+def _verdict(report: FileReport) -> str:
+    if not report.all_well:
+        return "something is wrong"
+    return "well, with a warning" if report.motion and report.motion.warnings else "all well"
+
+
+def _counted(n: int, what: str) -> str:
+    return f"{n} {what}{'s' * (n != 1)}"

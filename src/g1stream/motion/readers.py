@@ -16,7 +16,7 @@ import numpy as np
 
 from g1stream.errors import MotionError
 from g1stream.motion.motion import Motion, check_fps
-from g1stream.motion.table import Table, read_table
+from g1stream.motion.table import Outline, Table, outline_table, read_table
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.rotations import wxyz_from_xyzw
 
@@ -33,6 +33,8 @@ __all__ = [
     "ROOT_COLUMNS",
     "MotionFile",
     "load_motion",
+    "motion_of",
+    "outline_file",
     "read_file",
 ]
 
@@ -47,7 +49,9 @@ _QUAT_XYZW: Final = ("QX", "QY", "QZ", "QW")
 #: All columns but the joints'.
 ROOT_COLUMNS: Final = (_FRAME, *_POSITION, *_QUAT_XYZW)
 _HEADERLESS: Final = (*_POSITION, *_QUAT_XYZW, *JOINT_NAMES)
+#: From unit norm. What is off by more is told; by more than the second, no rounding explains it.
 _NORM_TOLERANCE: Final = 1e-3
+_NORM_ROUNDING: Final = 0.1
 
 
 class MotionFile(NamedTuple):
@@ -71,6 +75,16 @@ class MotionFile(NamedTuple):
             KeyError: a column is not there.
         """
         return self.table[_QUAT_XYZW]
+
+
+def outline_file(path_or_name: str | os.PathLike[str]) -> tuple[Path, Outline]:
+    """Where a motion file is and what its first line shows, whatever is wrong in the others.
+
+    Raises:
+        MotionError: there is no such file, or it cannot be read, or is empty, or no text.
+    """
+    path = _find(path_or_name)
+    return path, outline_table(path.name, _read(path), _HEADERLESS)
 
 
 def read_file(path_or_name: str | os.PathLike[str]) -> MotionFile:
@@ -98,15 +112,19 @@ def load_motion(
 
     Returns:
         The motion with its joints in the robot's order (motor order), whatever the file's order.
-        Quaternions come out unit; one that was off by more than 1e-3 earns a warning.
+        Quaternions come out unit; those that were off by more than 1e-3 earn a warning, which
+        names the furthest off.
 
     Raises:
         MotionError: there is no such file, or it is not one of these formats, or something in it
             cannot be right; says where (file, line, column).
     """
-    rate = DEFAULT_FPS if fps is None else fps
-    check_fps(rate, _find(path_or_name).stem)
-    file = read_file(path_or_name)
+    check_fps(DEFAULT_FPS if fps is None else fps, _find(path_or_name).stem)
+    return motion_of(read_file(path_or_name), robot, fps=fps)
+
+
+def motion_of(file: MotionFile, robot: G1 | None = None, *, fps: float | None = None) -> Motion:
+    """What `load_motion` makes of a file that was read."""
     table = file.table
     joint_names = JOINT_NAMES if robot is None else robot.joint_names
     _check_columns(table, joint_names)
@@ -119,7 +137,7 @@ def load_motion(
         )
     return Motion(
         name=file.path.stem,
-        fps=rate,
+        fps=DEFAULT_FPS if fps is None else fps,
         joint_names=joint_names,
         joint_pos=table[joint_names],
         root_pos=table[_POSITION],
@@ -142,7 +160,10 @@ def _read(path: Path) -> bytes:
     except FileNotFoundError:
         bundled = ", ".join(BUNDLED_MOTIONS)
         cause = f"There is no motion file {path}."
-        remedy = f"Give the path of a CSV file, or the name of a bundled motion: {bundled}."
+        remedy = (
+            "Give the path of a CSV file or of a session file, or the name of a bundled motion: "
+            f"{bundled}."
+        )
     except IsADirectoryError:
         cause = f"{path} is a directory."
         remedy = "Give the path of one motion file in it."
@@ -210,20 +231,22 @@ def _check_frame_numbers(table: Table) -> None:
 
 def _check_norms(table: Table, quat: NDArray[np.float64]) -> tuple[str, ...]:
     """Warn of quaternions (T, 4) that are not unit; raise for one that is zero."""
-    off = np.abs(np.linalg.norm(quat, axis=1) - 1.0)
-    zero = np.flatnonzero(off == 1.0)
+    norms = np.linalg.norm(quat, axis=1)
+    off = np.abs(norms - 1.0)
+    zero = np.flatnonzero(norms == 0.0)
     if zero.size:
         raise MotionError(
             f"{table.where(int(zero[0]), 'QX')}: the quaternion QX,QY,QZ,QW is zero.",
             "Give every frame an orientation; none at all is 0,0,0,1.",
         )
-    bad = np.flatnonzero(off > _NORM_TOLERANCE)
-    if not bad.size:
+    n_bad, worst = int((off > _NORM_TOLERANCE).sum()), int(np.argmax(off))
+    if not n_bad:
         return ()
-    worst = int(np.argmax(off))
+    doubt = "; that is no rounding error: see what is wrong there"
     return (
-        f"{table.name}: {bad.size} of {len(quat)} quaternions were not unit and were normalised "
-        f"(line {table.line(worst)} was off by {off[worst]:.3g}).",
+        f"{table.name}: {n_bad} of {len(quat)} quaternions had to be normalised. "
+        f"Furthest off is frame {worst}, line {table.line(worst)}, with the norm {norms[worst]:.4g}"
+        f"{doubt if off[worst] > _NORM_ROUNDING else ''}.",
     )
 
 

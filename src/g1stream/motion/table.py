@@ -21,7 +21,24 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["Table", "read_table"]
+__all__ = ["Outline", "Table", "outline_table", "read_table"]
+
+
+@dataclass(frozen=True)
+class Outline:
+    """What a table shows before its numbers are looked at.
+
+    Attributes:
+        columns: their names in the file's order; none where nothing names them.
+        n_columns: how many values the first line has.
+        header_line: the line of the header, None if the file has none.
+        n_rows: lines below the header, to the last that is not blank.
+    """
+
+    columns: tuple[str, ...]
+    n_columns: int
+    header_line: int | None
+    n_rows: int
 
 
 @dataclass(frozen=True)
@@ -55,6 +72,25 @@ class Table:
         return f"{self.name}, line {self.line(row)}, column {place} ({column})"
 
 
+def outline_table(name: str, content: bytes, headerless: tuple[str, ...]) -> Outline:
+    """Look at the first line of a comma-separated table: a header if it holds no number.
+
+    Args:
+        name: of the file, for messages.
+        content: its bytes, UTF-8.
+        headerless: the columns of a file without a header.
+
+    Raises:
+        MotionError: the content is empty, or no text.
+    """
+    cells = tuple(cell.strip() for cell in _first_line(name, content).split(","))
+    n_lines = content.rstrip().count(b"\n") + 1
+    if any(_is_number(cell) for cell in cells):
+        names = headerless if len(cells) == len(headerless) else ()
+        return Outline(names, len(cells), None, n_lines)
+    return Outline(cells if len(cells) > 1 else (), len(cells), 1, n_lines - 1)
+
+
 def read_table(name: str, content: bytes, headerless: tuple[str, ...]) -> Table:
     """Read a comma-separated table of numbers.
 
@@ -69,18 +105,12 @@ def read_table(name: str, content: bytes, headerless: tuple[str, ...]) -> Table:
     Raises:
         MotionError: the content is no such table; says where (line, column).
     """
-    cells = [cell.strip() for cell in _first_line(name, content).split(",")]
-    if any(_is_number(cell) for cell in cells):
-        _check_headerless(name, cells, headerless)
-        header_line, columns = None, headerless
-    else:
-        header_line, columns = 1, tuple(cells)
-        _check_header(name, columns)
-    n_header_lines = header_line or 0
-    values = _read_quickly(content, len(columns), n_header_lines)
+    outline = outline_table(name, content, headerless)
+    _check_columns(name, outline, headerless)
+    values = _read_quickly(content, outline)
     if values is None:
-        values = _read_closely(name, _lines(name, content), columns, n_header_lines)
-    return Table(name, columns, header_line, values)
+        values = _read_closely(name, _lines(name, content), outline)
+    return Table(name, outline.columns, outline.header_line, values)
 
 
 def _first_line(name: str, content: bytes) -> str:
@@ -89,20 +119,19 @@ def _first_line(name: str, content: bytes) -> str:
     return _lines(name, content)[0]
 
 
-def _read_quickly(
-    content: bytes, n_columns: int, n_header_lines: int
-) -> NDArray[np.float64] | None:
+def _read_quickly(content: bytes, outline: Outline) -> NDArray[np.float64] | None:
     """The values, or None where there is anything in the file to look at more closely."""
-    n_rows = content.rstrip().count(b"\n") + 1 - n_header_lines
-    if not n_rows or not content.isascii():
+    if not outline.n_rows or not content.isascii():
         return None
+    skipped = outline.header_line or 0
     try:
         values = np.loadtxt(
-            BytesIO(content), delimiter=",", comments=None, skiprows=n_header_lines, ndmin=2
+            BytesIO(content), delimiter=",", comments=None, skiprows=skipped, ndmin=2
         )
     except ValueError:
         return None
-    whole = values.shape == (n_rows, n_columns) and bool(np.isfinite(values).all())
+    shape = (outline.n_rows, outline.n_columns)
+    whole = values.shape == shape and bool(np.isfinite(values).all())
     return values if whole else None
 
 
@@ -113,29 +142,30 @@ def _lines(name: str, content: bytes) -> list[str]:
         line = content.count(b"\n", 0, error.start) + 1
         raise MotionError(
             f"{name}, line {line}: byte {error.start} is not UTF-8 text.",
-            "Give a CSV file, saved as UTF-8.",
+            "Give a CSV file, saved as UTF-8, or a session file.",
         ) from None
     if "\0" in text:
         raise MotionError(
-            f"{name} is a binary file: byte {text.index(chr(0))} is zero.", "Give a CSV file."
+            f"{name} is a binary file: byte {text.index(chr(0))} is zero.",
+            "Give a CSV file or a session file.",
         )
     lines = text.replace("\r\n", "\n").rstrip().split("\n")
     if lines == [""]:
-        raise MotionError(f"{name} is empty.", "Give a CSV file with a line a frame.")
+        raise MotionError(
+            f"{name} is empty.", "Give a CSV file with a line a frame, or a session file."
+        )
     return lines
 
 
-def _check_headerless(name: str, cells: list[str], headerless: tuple[str, ...]) -> None:
-    if len(cells) != len(headerless):
+def _check_columns(name: str, outline: Outline, headerless: tuple[str, ...]) -> None:
+    columns = outline.columns
+    if outline.header_line is None and not columns:
         raise MotionError(
-            f"{name}, line 1: {len(cells)} values, and no header that names them.",
+            f"{name}, line 1: {outline.n_columns} values, and no header that names them.",
             f"Without a header there must be {len(headerless)} columns: {','.join(headerless[:8])} "
             "and the other joints in motor order. Otherwise put a header first.",
         )
-
-
-def _check_header(name: str, columns: tuple[str, ...]) -> None:
-    if len(columns) == 1:
+    if not columns:
         raise MotionError(
             f"{name}, line 1: there are no columns separated by commas.",
             "Give a CSV file with commas between its values.",
@@ -154,9 +184,8 @@ def _check_header(name: str, columns: tuple[str, ...]) -> None:
             )
 
 
-def _read_closely(
-    name: str, lines: list[str], columns: tuple[str, ...], n_header_lines: int
-) -> NDArray[np.float64]:
+def _read_closely(name: str, lines: list[str], outline: Outline) -> NDArray[np.float64]:
+    columns, n_header_lines = outline.columns, outline.header_line or 0
     if len(lines) == n_header_lines:
         raise MotionError(f"{name} has a header but no frames.", "Give it a line a frame.")
     rows: list[list[float]] = []

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from g1stream._version import __version__
-from g1stream.errors import ConfigError, MotionError, RecordingError
+from g1stream.errors import ConfigError, MotionError, RecordingError, RobotError
 from g1stream.programs.attachments import attach_motion
 from g1stream.recording.derived_channels import DERIVED_CHANNELS
 from g1stream.recording.encode import WORLD_FRAME
@@ -38,6 +39,8 @@ _TF, _JOINTS, _SCENE, _DESCRIPTION = (
     "/scene",
     "/robot_description",
 )
+#: Names to choose from that are shown in place of one that is none.
+_ALIKE: Final = 5
 _CHANNELS: Final = {channel.topic: channel for channel in DERIVED_CHANNELS}
 
 
@@ -79,6 +82,7 @@ class ConvertReport:
         path: the file.
         size: its bytes.
         motion: name of the motion.
+        frames: how many poses were written.
         rate: poses a second.
         start_ns, end_ns: first and last time, ns since the epoch.
         counts: messages by topic.
@@ -88,6 +92,7 @@ class ConvertReport:
     path: Path
     size: int
     motion: str
+    frames: int
     rate: float
     start_ns: int
     end_ns: int
@@ -131,6 +136,7 @@ def convert(
     """
     options = options or Conversion()
     robot = robot or G1.default()
+    _check_link(options.root_link, robot)
     motion = _load(motion, robot, fps)
     start, stop = _frame_range(motion, options.frames)
     first, last = frame_stamps(options.base_time_ns, (start, stop - 1), motion.fps).tolist()
@@ -157,6 +163,7 @@ def convert(
         path=writer.path,
         size=writer.path.stat().st_size,
         motion=motion.name,
+        frames=writer.counts[_JOINTS],
         rate=options.resample or motion.fps,
         start_ns=first,
         end_ns=last,
@@ -174,6 +181,20 @@ def _load(motion: Motion | str | Path, robot: G1, fps: float | None) -> Motion:
             "Load the motion for this robot: load_motion(path, robot).",
         )
     return motion if fps is None else replace(motion, fps=fps)
+
+
+def _check_link(name: str | None, robot: G1) -> None:
+    """Refuse a link that the robot has not, with a few names like it: it has dozens."""
+    links = robot.link_names
+    if name is None or name in links:
+        return
+    alike = [link for link in links if name and name in link] or get_close_matches(
+        name, links, n=_ALIKE, cutoff=0.0
+    )
+    raise RobotError(
+        f"The robot {robot.name!r} has no link {name!r}.",
+        f"Choose one of its {len(links)} links; most like that are {', '.join(alike[:_ALIKE])}.",
+    )
 
 
 def _frame_range(motion: Motion, frames: tuple[int | None, int | None]) -> tuple[int, int]:

@@ -5,7 +5,8 @@
     motion = g1stream.load_motion("dance.csv")
     outcome = g1stream.stream(motion, record="session.mcap")
     session = g1stream.open_session("session.mcap")
-    error = session.reference.q  # and session.measured.q, numpy arrays with both clocks beside them
+    g1stream.tracking(session).rmse  # (29,) rad; how well it went
+    session.reference.q, session.measured.q  # numpy arrays with both clocks beside them
 
 What the names stand for is loaded when it is first used, so that importing costs nothing.
 """
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from g1stream.programs.stream import stream
     from g1stream.recording.motions import load_motion
     from g1stream.recording.session import Session, open_session
+    from g1stream.report.tracking import tracking
     from g1stream.robot.model import G1
 
 __all__ = [
@@ -46,6 +48,7 @@ __all__ = [
     "replay",
     "simulate",
     "stream",
+    "tracking",
 ]
 
 _HOME = {
@@ -64,6 +67,7 @@ _HOME = {
     "replay": "programs.replay",
     "simulate": "programs.sim",
     "stream": "programs.stream",
+    "tracking": "report.tracking",
 }
 
 

@@ -118,9 +118,20 @@ def take():
 
 @pytest.fixture
 def write_session(tmp_path):
-    """Writes a session file of these streams; a command goes with each reference."""
+    """Writes a session file of these streams; a command goes with each reference.
 
-    def write(reference=None, measured=None, metadata=None, *, close=True, name="session.mcap"):
+    `derived` are messages without a body, by topic, at the times of a stream.
+    """
+
+    def write(
+        reference=None,
+        measured=None,
+        metadata=None,
+        *,
+        derived=(),
+        close=True,
+        name="session.mcap",
+    ):
         path = tmp_path / name
         writer = SessionWriter(path)
         if reference is not None:
@@ -128,6 +139,8 @@ def write_session(tmp_path):
             _write(writer, "/lowcmd", reference, _as_command)
         if measured is not None:
             _write(writer, "/lowstate", measured, _as_state)
+        for topic, stream in dict(derived).items():
+            _write(writer, topic, stream, lambda stream, i: b"")
         if close:
             writer.add_metadata(metadata or {})
             writer.close()

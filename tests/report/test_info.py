@@ -10,6 +10,7 @@ from g1stream.recording.session import LogEvent, open_session
 from g1stream.recording.writer import SessionWriter
 from g1stream.report.info import describe
 from g1stream.report.info_text import render_info
+from g1stream.report.summary import summarise
 
 METADATA = {
     "g1stream": "9.9.9",
@@ -93,6 +94,16 @@ def test_a_killed_recorder_is_told(info):
         ({"recorder": {"clock": {"steps": [{"step_ns": -2_000_000_000}]}}}, "set by -2.000 s"),
         ({"stream": {"reason": "SIGINT", "skipped_ticks": 0}}, "ended early: SIGINT"),
         ({"stream": {"reason": "", "skipped_ticks": 12}}, "skipped 12 ticks"),
+        (
+            {"stream": {"clamped_ticks": [1, 2, 3, 40, 5, *[0] * 24]}},
+            "Joint targets were held at their limits, ticks: left_knee_joint 40, "
+            "left_ankle_pitch_joint 5, left_hip_yaw_joint 3 and 2 more joints.",
+        ),
+        (
+            {"stream": {"saturated_ticks": [*[0] * 27, 8, 9]}},
+            "Feed-forward torques were held at their limits, ticks: right_wrist_yaw_joint 9, "
+            "right_wrist_pitch_joint 8.",
+        ),
     ],
 )
 def test_what_is_amiss_is_told(info, change, told):
@@ -151,3 +162,51 @@ def test_somebody_elses_session(play, write_session):
     assert found.motion is None
     assert found.settings is None
     assert "not recorded" in render_info(found)
+
+
+def _words(text):
+    return " ".join(text.split())
+
+
+def test_it_says_how_closely_the_robot_followed(play, write_session):
+    path = write_session(*play(0.04, np.linspace(-0.02, 0.05, 29)), METADATA)
+    found, summary = describe(open_session(path)), summarise(open_session(path))
+    figures = json.loads(json.dumps(found.as_dict()))["tracking"]
+    assert figures == summary.as_dict()["tracking"]
+    assert figures["delay_s"] == pytest.approx(0.04, abs=1e-4)
+    assert (figures["compared_states"], figures["compared_s"]) == (2000, pytest.approx(4.0))
+    text = _words(render_info(found))
+    assert f"all joints {figures['rmse_rad']:.4f}" in text
+    assert f"{figures['worst_joint']} " in text
+    assert "the robot is 40.0 ms behind the reference" in text
+    assert "2000 states with the reference, over 4.00 s of PLAY" in text
+
+
+def test_states_in_a_hole_of_the_reference_are_told(play, take, write_session):
+    reference, measured = play()
+    holed = take(reference, np.r_[0:900, 1050:2500])
+    text = render_info(describe(open_session(write_session(holed, measured, METADATA))))
+    assert "151 left out, in holes of the reference" in _words(text)
+
+
+def test_it_says_what_commands_carried(info):
+    told = {"reason": "", "feedforward": "dynamics", "support": "hanging"}
+    event = {"motion_time": 2.1, "kind": "velocity", "reason": "the pelvis swings"}
+    found = info(metadata=METADATA | {"stream": {**told, "feedforward_events": [event]}})
+    said = "feedforward dynamics (hanging) until 2.1 s, then velocity: the pelvis swings"
+    assert said in _words(render_info(found))
+    loop = json.loads(json.dumps(found.as_dict()))["loop"]
+    assert (loop["feedforward"], loop["support"]) == ("dynamics", "hanging")
+    assert loop["feedforward_events"] == [event]
+
+
+UNTOLD = {key: value for key, value in METADATA.items() if key != "stream"}
+
+
+def test_what_a_killed_streamers_commands_carried_is_in_the_log(play, write_session):
+    session = open_session(write_session(*play(), UNTOLD))
+    told = "feed-forward: dynamics of a robot that is held bolted"
+    session.log = [LogEvent(0, "INFO", "stream", told)]
+    found = describe(session)
+    assert "feedforward dynamics of a robot that is held bolted" in _words(render_info(found))
+    assert found.as_dict()["feedforward_log"] == [told]

@@ -77,7 +77,7 @@ def test_stats_are_json(stream):
         "rate_hz": 500.0,
         "gaps": 0,
         "longest_interval_s": 0.002,
-        "latency_us": {"p50": 60.0, "p99": 60.0, "p99_9": 60.0, "maximum": 60.0},
+        "latency_us": {"p50": 60.0, "p99": 60.0, "p99.9": 60.0, "max": 60.0},
         "clock_offset_s": 0.0,
     }
     single = message_stats(stream([0], 60_000))

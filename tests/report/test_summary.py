@@ -26,6 +26,9 @@ METADATA = {
         "worst_work_us": 400.0,
         "states": 2400,
         "clamped_ticks": [0] * 14 + [81] + [0] * 14,
+        "feedforward": "dynamics",
+        "support": "bolted",
+        "saturated_ticks": [0] * 18 + [7] + [0] * 10,
     },
     "recorder": {"counts": {}, "missing": {"/lowstate": 4, "/reference": 0}, "duration_s": 5.0},
 }
@@ -66,7 +69,7 @@ def test_rmse_by_group_as_other_readers_see_the_file(play, write_session):
     error = asked(np.array(states)[inside]) - q[inside]
 
     figures = summarise(open_session(path)).as_dict()
-    assert figures["compared_states"] == len(error) == 2000
+    assert figures["tracking"]["compared_states"] == len(error) == 2000
     for group, joints in JOINT_GROUPS.items():
         expected = np.sqrt(np.mean(error[:, list(joints)] ** 2))
         assert figures["tracking"]["rmse_rad_by_group"][group] == pytest.approx(expected, rel=1e-9)
@@ -76,7 +79,7 @@ def test_the_dict_is_json_with_everything_in_it(summary_of):
     figures = summary_of().as_dict()
     assert json.loads(json.dumps(figures, allow_nan=False)) == figures
     assert figures["motion"] == "dance"
-    assert figures["compared_s"] == pytest.approx(4.0)
+    assert figures["tracking"]["compared_s"] == pytest.approx(4.0)
     assert figures["tracking"]["delay_s"] == pytest.approx(0.04, abs=1e-4)
     assert figures["tracking"]["joints"]["left_knee_joint"]["mean_rad"] == pytest.approx(
         0.02 - 0.07 * 3 / 28, abs=2e-5
@@ -86,9 +89,13 @@ def test_the_dict_is_json_with_everything_in_it(summary_of):
         "commands": 2500,
         "rate_hz": 499.987,
         "nominal_rate_hz": 500.0,
-        "lateness_us": {"p50": 12.0, "p99": 80.0, "p99_9": 310.0, "maximum": 1234.567},
+        "lateness_us": METADATA["stream"]["lateness_us"],
         "skipped_ticks": 3,
         "clamped_ticks": {"waist_pitch_joint": 81},
+        "feedforward": "dynamics",
+        "support": "bolted",
+        "feedforward_events": [],
+        "saturated_ticks": {"left_elbow_joint": 7},
     }
     assert figures["missing"] == {"/lowstate": 4, "/reference": 0}
     assert figures["counts"] == {"/lowcmd": 2500, "/lowstate": 2599, "/reference": 2500}
@@ -112,6 +119,11 @@ def test_the_text_says_what_the_figures_are(summary_of):
     assert _lines(text, "commands") == expected
     assert _lines(text, "lateness") == "lateness p50 12 us, p99 80 us, p99.9 310 us, max 1235 us"
     assert _lines(text, "limits").endswith("waist_pitch_joint 81")
+    assert _lines(text, "torques").endswith("left_elbow_joint 7")
+    assert _lines(text, "feedforward") == "feedforward dynamics (bolted)"
+    assert (
+        _lines(text, "compared") == "compared 2000 states with the reference, over 4.00 s of PLAY"
+    )
     assert _lines(text, "/lowcmd") == "/lowcmd 2500 500.0 0 2.0 100 100 100 100"
     assert _lines(text, "missing").startswith("missing /lowstate 4, /reference 0")
     assert _lines(text, "note") is None
@@ -134,9 +146,66 @@ def test_what_was_not_recorded_is_said(summary_of):
     summary = summary_of({})
     assert (summary.motion, summary.loop, summary.missing) == (None, None, None)
     text = render(summary)
-    for name in ("motion", "ended", "commands", "lateness", "missing"):
+    for name in ("motion", "ended", "feedforward", "commands", "lateness", "missing"):
         assert _lines(text, name) == f"{name} not recorded"
     assert _lines(text, "all joints") is not None
+
+
+def test_the_file_is_named_as_it_was_given(summary_of, tmp_path):
+    assert _lines(render(summary_of()), "session") == f"session {tmp_path / 'session.mcap'}"
+
+
+def test_topics_that_are_derived_have_figures_too(play, write_session, take):
+    reference, measured = play()
+    path = write_session(reference, measured, derived={"/tf": take(reference, slice(0, 2500, 5))})
+    text = render(summarise(open_session(path)))
+    assert _lines(text, "/tf") == "/tf 500 100.0 0 10.0 100 100 100 100"
+
+
+@pytest.mark.parametrize(
+    ("frames", "reason", "ended"),
+    [
+        (121, "", "ended at the motion's end"),
+        (301, "", "ended as asked; played 4.0 of 10.0 s"),
+        (301, "SIGINT", "ended early: SIGINT; played 4.0 of 10.0 s"),
+        (31, "", "ended as asked; played 4.0 s, the motion of 1.0 s repeatedly"),
+    ],
+)
+def test_how_much_was_played(summary_of, frames, reason, ended):
+    motion = {"name": "dance", "fps": 30.0, "frames": frames}
+    stream = {**METADATA["stream"], "reason": reason}
+    summary = summary_of({**METADATA, "motion": motion, "stream": stream})
+    assert _lines(render(summary), "ended") == ended
+    figures = summary.as_dict()["ending"]
+    assert figures == {
+        "reason": reason,
+        "vanished_in": None,
+        "played_s": pytest.approx(4.0),
+        "motion_s": pytest.approx((frames - 1) / 30),
+    }
+
+
+@pytest.mark.parametrize(
+    ("events", "said"),
+    [
+        (
+            [{"motion_time": 2.13, "kind": "velocity", "reason": "the pelvis swings"}],
+            "dynamics (bolted) until 2.1 s, then velocity: the pelvis swings",
+        ),
+        (
+            [
+                {"motion_time": 2.13, "kind": "velocity", "reason": "the IMU is silent"},
+                {"motion_time": 3.0, "kind": "dynamics", "reason": ""},
+            ],
+            "dynamics (bolted) until 2.1 s, then velocity: the IMU is silent; until 3.0 s, then "
+            "dynamics",
+        ),
+    ],
+)
+def test_a_torque_that_was_given_up_is_told(summary_of, events, said):
+    summary = summary_of({"stream": {**METADATA["stream"], "feedforward_events": events}})
+    assert _lines(render(summary), "feedforward") == f"feedforward {said}"
+    assert summary.as_dict()["loop"]["feedforward_events"] == events
 
 
 def test_a_streamer_that_told_only_a_part(summary_of):
@@ -161,7 +230,6 @@ def test_a_session_without_a_robot(play, write_session):
     json.dumps(summary.as_dict(), allow_nan=False)
     text = render(summary)
     assert _lines(text, "tracking") == "tracking not recorded"
-    assert _lines(text, "compared").startswith("compared 0 states")
     assert "no messages on /lowstate." in _lines(text, "note")
 
 

@@ -68,6 +68,7 @@ class Demo(WireCommand):
         from g1stream.programs.demo import demo
         from g1stream.recording.motions import load_motion
         from g1stream.report.summary import render
+        from g1stream.report.text import line
         from g1stream.robot.model import G1
 
         config = self.resolve()
@@ -88,6 +89,6 @@ class Demo(WireCommand):
             print(summary(done.played))
         else:
             print(render(done.summary))
-            print(f"\nsession  {done.session}\npicture  {done.picture}")
+            print(f"\n{line('picture', str(done.picture))}")
             print("Open the session in Foxglove, PlotJuggler or Rerun.", file=sys.stderr)
         return exit_code(done.played)

@@ -15,7 +15,7 @@ __all__ = ["Info"]
 
 @dataclass(frozen=True, kw_only=True)
 class Info:
-    """Look into a session file: what is in it, how it came, and whether anything is amiss.
+    """Look into a session file: what is in it, how well it went, and what is amiss.
 
     Reads files of killed recorders too.
     """
@@ -27,11 +27,10 @@ class Info:
 
     def run(self) -> int:
         """Look, and return the exit code."""
-        from g1stream.recording.session import open_session
-        from g1stream.report.info import describe
+        from g1stream.report.info import describe, open_recording
         from g1stream.report.info_text import render_info
 
-        info = describe(open_session(self.file))
+        info = describe(open_recording(self.file))
         if self.json:
             print_json(info.as_dict())
         else:

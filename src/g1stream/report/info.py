@@ -1,29 +1,36 @@
-"""What is in a session file, as figures."""
+"""What is in a session file, and how well it went, as figures."""
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
-from g1stream.recording.session import STREAMS
-from g1stream.recording.streams import Reference
-from g1stream.report.messages import message_stats
-from g1stream.report.spans import phase_spans
-from g1stream.report.summary import loop_figures
+from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE
+from g1stream.errors import RecordingError
+from g1stream.recording.parts import SessionFiles
+from g1stream.recording.session import open_session
+from g1stream.report.ending import ending, phases
+from g1stream.report.health import problems
+from g1stream.report.loop import loop_figures
+from g1stream.report.messages import stats_by_topic
+from g1stream.report.metrics import track
+from g1stream.report.tracking import comparison
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from pathlib import Path
 
     from g1stream.recording.session import Session
+    from g1stream.report.ending import Ending
+    from g1stream.report.loop import LoopFigures
     from g1stream.report.messages import MessageStats
+    from g1stream.report.metrics import Tracking
     from g1stream.report.spans import Span
-    from g1stream.report.summary import LoopFigures
 
-__all__ = ["Info", "describe"]
+__all__ = ["FEEDFORWARD", "Info", "describe", "open_recording"]
 
-#: Topics whose messages come when something happens: they have no rate and no gaps.
-_EVENTS: Final = ("/log", "/robot_description", "/scene")
+FEEDFORWARD: Final = "feed-forward: "
+"""What the streamer logs of its feed-forward begins with this."""
 
 
 @dataclass(frozen=True)
@@ -38,9 +45,12 @@ class Info:
         versions: of g1stream and the packages that recorded it.
         motion: name, fps, frames and sha256 of what was played.
         phases: in the order that they came.
+        ending: how it ended.
         settings: those that were not the defaults, keyed like `stream.rate`.
         gains: (lowest, highest) of kp in Nm/rad and of kd in Nm s/rad.
-        loop: how the streamer kept its deadlines.
+        loop: what commands carried, and how the streamer kept its deadlines.
+        feedforward_log: what the streamer logged of its feed-forward, also one that was killed.
+        tracking: how closely the robot followed while the motion was played.
         counts: messages by topic.
         streams: by topic, how they came.
         missing: by topic, samples that their own numbers say were published and did not come.
@@ -59,9 +69,12 @@ class Info:
     versions: dict[str, str]
     motion: dict[str, Any] | None
     phases: list[Span]
+    ending: Ending
     settings: dict[str, Any] | None
     gains: dict[str, tuple[float, float]] | None
     loop: LoopFigures | None
+    feedforward_log: list[str]
+    tracking: Tracking | None
     counts: dict[str, int]
     streams: dict[str, MessageStats]
     missing: dict[str, int] | None
@@ -90,9 +103,12 @@ class Info:
             "phases": [
                 {"phase": span.phase.name, "duration_s": span.seconds} for span in self.phases
             ],
+            "ending": self.ending.as_dict(),
             "settings": self.settings,
             "gains": self.gains,
             "loop": self.loop and self.loop.as_dict(),
+            "feedforward_log": self.feedforward_log,
+            "tracking": self.tracking and self.tracking.as_dict(),
             "counts": self.counts,
             "streams": {topic: stats.as_dict() for topic, stats in self.streams.items()},
             "missing": self.missing,
@@ -102,6 +118,33 @@ class Info:
         }
 
 
+def open_recording(path: Path) -> Session:
+    """Open a session; of a recording that saw nobody, say that it did.
+
+    Raises:
+        RecordingError: there is no such file, or it is no session, or it is damaged.
+    """
+    try:
+        return open_session(path)
+    except RecordingError as error:
+        raise _seen_nobody(path) or error from error
+
+
+def _seen_nobody(path: Path) -> RecordingError | None:
+    """What to say of a file that `g1stream record` made and in which no essential topic is."""
+    files = SessionFiles(path)
+    topics = [topic.name for topic in (LOWCMD, LOWSTATE, REFERENCE)]
+    if "started_ns" not in files.metadata:  # not a recorder's
+        return None
+    domain, interface = files.metadata["domain"], files.metadata["interface"]
+    return RecordingError(
+        f"Nothing was recorded into {path}: while it was made, nobody published "
+        f"{', '.join(topics[:-1])} or {topics[-1]} on domain {domain} on {interface}.",
+        f"`g1stream doctor --domain {domain} --interface {interface}` shows who is there; start "
+        "the robot or the simulator, then record.",
+    )
+
+
 def describe(session: Session) -> Info:
     """Look through a session.
 
@@ -109,10 +152,11 @@ def describe(session: Session) -> Info:
         RecordingError: the file is damaged.
     """
     metadata, times = session.metadata, session.times
-    streams = {t: message_stats(stream) for t, stream in times.items() if t not in _EVENTS}
-    told = metadata.get("stream")
-    recorder = metadata.get("recorder") or {}
-    info = Info(
+    told, recorder = metadata.get("stream"), metadata.get("recorder") or {}
+    streams, loop = stats_by_topic(times), loop_figures(told) if told else None
+    spans, compared = phases(session), comparison(session)
+    ended = ending(session, spans)
+    return Info(
         files={str(path): path.stat().st_size for path in session.paths},
         complete=session.complete,
         first=min(int(stream.log_time.min()) for stream in times.values()),
@@ -122,27 +166,20 @@ def describe(session: Session) -> Info:
         interface=metadata.get("interface"),
         versions={"g1stream": metadata.get("g1stream", "?"), **metadata.get("versions", {})},
         motion=metadata.get("motion"),
-        phases=_phases(session),
+        phases=spans,
+        ending=ended,
         settings=_settings(metadata.get("config")),
         gains=_gains(metadata.get("gains")),
-        loop=loop_figures(told) if told else None,
+        loop=loop,
+        feedforward_log=[e.text for e in session.log if e.text.startswith(FEEDFORWARD)],
+        tracking=track(compared) if compared and len(compared.time) else None,
         counts=dict(sorted(session.topics.items())),
         streams=streams,
         missing=recorder.get("missing"),
         absent=recorder.get("absent", []),
         attachments={name: len(data) for name, data in session.attachments.items()},
-        problems=[],
+        problems=problems(session, ended, loop, streams),
     )
-    info.problems.extend(_problems(session, info))
-    return info
-
-
-def _phases(session: Session) -> list[Span]:
-    """By the publish times of the references."""
-    if not session.topics.get(Reference.topic):
-        return []
-    stamps = session.reference.publish_time
-    return phase_spans((stamps - stamps[0]) / 1e9, session.reference.phase)
 
 
 def _settings(config: Mapping[str, Any] | None) -> dict[str, Any] | None:
@@ -171,57 +208,3 @@ def _gains(gains: Mapping[str, list[float]] | None) -> dict[str, tuple[float, fl
     if gains is None:
         return None
     return {name: (min(values), max(values)) for name, values in gains.items()}
-
-
-def _problems(session: Session, info: Info) -> list[str]:
-    unreadable = session.unreadable_parts
-    found = [
-        f"Part {number} "
-        + (f"cannot be read: {unreadable[number]}" if number in unreadable else "is not there.")
-        for number in session.absent_parts
-    ]
-    if not (info.complete or session.absent_parts):
-        found.append("The file was not closed by its recorder; it ends with its last whole chunk.")
-    recorder = session.metadata.get("recorder")
-    if recorder is None:
-        found.append("The recorder did not get to say what it missed.")
-        recorder = {}
-    if recorder.get("stopped"):
-        found.append(f"The recorder stopped early: {recorder['stopped']}")
-    found += [
-        f"The recorder's clock was set by {step['step_ns'] / 1e9:+.3f} s."
-        for step in recorder.get("clock", {}).get("steps", [])
-    ]
-    lost = [f"{topic} {n}" for topic, n in (info.missing or {}).items() if n]
-    if lost:
-        found.append(f"Samples that never came: {', '.join(lost)}.")
-    gaps = [
-        f"{topic} {stats.gaps} (longest {(stats.longest_interval or 0.0) * 1e3:.1f} ms)"
-        for topic, stats in info.streams.items()
-        if stats.gaps and topic in STREAMS  # what is derived from them has theirs
-    ]
-    if gaps:
-        found.append(f"Gaps: {', '.join(gaps)}.")
-    found += [
-        f"The clock that stamps {topic} is {-stats.clock_offset:+.3f} s off the recorder's."
-        for topic, stats in info.streams.items()
-        if stats.clock_offset
-    ]
-    if info.loop and info.loop.skipped:
-        found.append(f"The streamer skipped {info.loop.skipped} ticks.")
-    if info.loop and info.loop.reason:
-        found.append(f"The streamer ended early: {info.loop.reason}.")
-    return found + _warnings(session)
-
-
-def _warnings(session: Session) -> list[str]:
-    """What programs warned of; what differs in its numbers only is told once, as it was last."""
-    alike: dict[str, list[str]] = {}
-    for event in session.log:
-        if event.level in {"WARNING", "ERROR", "FATAL"}:
-            text = f"{event.name}: {event.text}"
-            alike.setdefault(re.sub(r"\d+", "#", text), []).append(text)
-    return [
-        texts[0] if len(texts) == 1 else f"{texts[-1]} (the last of {len(texts)} such)"
-        for texts in alike.values()
-    ]

@@ -6,7 +6,14 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from g1stream.report.text import line, loop_lines, message_table
+from g1stream.report.info import FEEDFORWARD
+from g1stream.report.text import (
+    line,
+    loop_lines,
+    message_table,
+    tracking_lines,
+    tracking_table,
+)
 
 if TYPE_CHECKING:
     from g1stream.report.info import Info
@@ -28,15 +35,18 @@ def render_info(info: Info) -> str:
                 "phases",
                 ", ".join(f"{p.phase.name} {p.seconds:.2f} s" for p in info.phases) or _UNKNOWN,
             ),
+            line("ended", str(info.ending)),
             line("settings", _settings(info)),
-            *(loop_lines(info.loop) if info.loop else []),
+            *(loop_lines(info.loop) if info.loop else [line("feedforward", _feedforward(info))]),
             *([line("absent", ", ".join(info.absent))] if info.absent else []),
             line("attached", ", ".join(f"{n} ({_size(b)})" for n, b in info.attachments.items())),
         ],
+        tracking_table(info.tracking),
+        tracking_lines(info.tracking),
         message_table(info.counts, info.streams),
         _health(info),
     ]
-    return "\n\n".join("\n".join(lines) for lines in paragraphs)
+    return "\n\n".join("\n".join(lines) for lines in paragraphs if lines)
 
 
 def _files(info: Info) -> str:
@@ -72,6 +82,11 @@ def _settings(info: Info) -> str:
     changed = [f"{key} = {value}" for key, value in info.settings.items()]
     gains = [f"{name} {low:g} to {high:g}" for name, (low, high) in (info.gains or {}).items()]
     return "; ".join([*(changed or ["the defaults"]), *gains])
+
+
+def _feedforward(info: Info) -> str:
+    """What a streamer that did not get to count what it did had logged until then."""
+    return "; ".join(text.removeprefix(FEEDFORWARD) for text in info.feedforward_log) or _UNKNOWN
 
 
 def _health(info: Info) -> list[str]:

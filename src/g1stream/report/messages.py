@@ -8,15 +8,32 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from g1stream.recording.streams import Stream
 
-__all__ = ["GAP", "MessageStats", "Percentiles", "clock_offset", "message_stats"]
+__all__ = [
+    "GAP",
+    "PERCENTILE_NAMES",
+    "MessageStats",
+    "Percentiles",
+    "clock_offset",
+    "message_stats",
+    "stats_by_topic",
+]
 
 GAP: Final = 3.0
 """A publish interval of more than so many medians is a gap."""
 
+#: Topics whose messages come when something happens: they have no rate and no gaps.
+_EVENTS: Final = ("/log", "/robot_description", "/scene")
+
 #: If half of the messages take longer than this, ns, it is the clocks that differ.
 _SLOWEST_WIRE = 20_000_000
+
+
+PERCENTILE_NAMES: Final = ("p50", "p99", "p99.9", "max")
+"""What the figures of a `Percentiles` are called, in its order, in JSON and in text."""
 
 
 class Percentiles(NamedTuple):
@@ -26,6 +43,10 @@ class Percentiles(NamedTuple):
     p99: float
     p99_9: float
     maximum: float
+
+    def as_dict(self) -> dict[str, float]:
+        """The figures under the names that the streamer gives them, too."""
+        return dict(zip(PERCENTILE_NAMES, self, strict=True))
 
 
 @dataclass(frozen=True)
@@ -56,7 +77,7 @@ class MessageStats:
             "rate_hz": self.rate,
             "gaps": self.gaps,
             "longest_interval_s": self.longest_interval,
-            "latency_us": self.latency._asdict(),
+            "latency_us": self.latency.as_dict(),
             "clock_offset_s": self.clock_offset,
         }
 
@@ -90,3 +111,8 @@ def message_stats(stream: Stream) -> MessageStats:
         latency=Percentiles(*np.percentile(latency, (50, 99, 99.9, 100)).tolist()),
         clock_offset=clock_offset(stream) / 1e9,
     )
+
+
+def stats_by_topic(times: Mapping[str, Stream]) -> dict[str, MessageStats]:
+    """How the messages of each topic came, without those of events."""
+    return {topic: message_stats(one) for topic, one in times.items() if topic not in _EVENTS}

@@ -8,18 +8,19 @@ let pass between measuring and stamping.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
 from g1stream.control.phases import Phase
 from g1stream.report.messages import clock_offset
-from g1stream.robot.joints import JOINT_GROUPS, N_JOINTS
+from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from g1stream.recording.streams import Measured, Reference
+    from g1stream.report.angles import AskedAngles, MeasuredAngles
 
     Floats = NDArray[np.float64]
 
@@ -70,6 +71,11 @@ class Comparison(NamedTuple):
     all_times: Floats
     all_q: Floats
 
+    @property
+    def error(self) -> Floats:
+        """(N, 29) rad, reference - measured."""
+        return self.reference - self.measured
+
 
 class Delay(NamedTuple):
     """By how much the robot comes after the reference, and how well it follows apart from that.
@@ -96,6 +102,7 @@ class Tracking(NamedTuple):
         max_abs: (29,) rad, the greatest error, whichever way.
         max_abs_at: (29,) s since the motion's first frame, where that was.
         delay: None where too little moves, or no shift that is looked for fits best.
+        compared: what they come from.
     """
 
     rmse: Floats
@@ -103,9 +110,51 @@ class Tracking(NamedTuple):
     max_abs: Floats
     max_abs_at: Floats
     delay: Delay | None
+    compared: Comparison
+
+    @property
+    def error(self) -> Floats:
+        """(N, 29) rad, reference - measured at the N instants of `compared`."""
+        return self.compared.error
+
+    @property
+    def overall(self) -> float:
+        """RMSE of all joints together, rad."""
+        return pooled(self.rmse)
+
+    @property
+    def rmse_by_limb(self) -> dict[str, float]:
+        """RMSE of the joints of each limb together, rad."""
+        return by_group(self.rmse)
+
+    @property
+    def worst_joint(self) -> str:
+        """The joint of the greatest RMSE."""
+        return JOINT_NAMES[int(self.rmse.argmax())]
+
+    def as_dict(self) -> dict[str, Any]:
+        """The figures as JSON values, joints and limbs by name; units are in the keys."""
+        delay, joints = self.delay, zip(*self[:4], strict=True)
+        keys = ("rmse_rad", "mean_rad", "max_abs_rad", "max_abs_at_s")
+        return {
+            "rmse_rad": self.overall,
+            "rmse_rad_by_group": self.rmse_by_limb,
+            "worst_joint": self.worst_joint,
+            "compared_states": len(self.compared.time),
+            "compared_s": self.compared.duration,
+            "delay_s": delay and delay.seconds,
+            "rmse_rad_without_delay": delay and pooled(delay.rmse),
+            "rmse_rad_without_delay_and_mean": delay and pooled(delay.std),
+            "joints": {
+                name: dict(zip(keys, map(float, figures), strict=True))
+                for name, figures in zip(JOINT_NAMES, joints, strict=True)
+            },
+        }
 
 
-def common_times(reference: Reference, measured: Measured) -> tuple[Floats, Floats]:
+def common_times(
+    reference: Reference | AskedAngles, measured: Measured | MeasuredAngles
+) -> tuple[Floats, Floats]:
     """Publish times on the recorder's clock, (N,) and (M,), s since the first reference."""
     stamps = [stream.publish_time + clock_offset(stream) for stream in (reference, measured)]
     start = stamps[0].min()
@@ -114,7 +163,7 @@ def common_times(reference: Reference, measured: Measured) -> tuple[Floats, Floa
     return first, second
 
 
-def compare(reference: Reference, measured: Measured) -> Comparison:
+def compare(reference: Reference | AskedAngles, measured: Measured | MeasuredAngles) -> Comparison:
     """Put the reference beside each LowState that was stamped while the motion was played.
 
     The reference between two stamps h apart is taken as a straight line; that is off by at most
@@ -154,7 +203,7 @@ def track(comparison: Comparison) -> Tracking:
     """
     if not len(comparison.time):
         raise ValueError("no LowState was stamped while the motion was played")
-    error = comparison.reference - comparison.measured
+    error = comparison.error
     worst = np.abs(error).argmax(axis=0)
     return Tracking(
         rmse=_rms(error),
@@ -162,6 +211,7 @@ def track(comparison: Comparison) -> Tracking:
         max_abs=np.abs(error[worst, np.arange(N_JOINTS)]),
         max_abs_at=comparison.motion_time[worst],
         delay=_delay(comparison),
+        compared=comparison,
     )
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from g1stream.control.phases import Phase
 from g1stream.errors import RecordingError
+from g1stream.report.angles import AskedAngles, MeasuredAngles
 from g1stream.report.metrics import by_group, pooled
 from g1stream.report.scene import binned_rms, joints_to_show, make_scene
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
@@ -76,7 +77,7 @@ def draw(session: Session, path: str | Path) -> None:
     from matplotlib import style
     from matplotlib.figure import Figure
 
-    scene = make_scene(session.reference, session.measured)
+    scene = make_scene(session.stream(AskedAngles), session.stream(MeasuredAngles))
     # Without the user's own style, in which the layout might not hold.
     with style.context(["default", dict(_STYLE)]):
         figure = Figure(figsize=_INCHES, dpi=_DPI)

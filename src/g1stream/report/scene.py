@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from g1stream.recording.streams import Measured, Reference
+    from g1stream.report.angles import AskedAngles, MeasuredAngles
     from g1stream.report.metrics import Comparison, Tracking
     from g1stream.report.spans import Span
 
@@ -59,7 +60,7 @@ class Scene:
     view: tuple[float, float]
 
 
-def make_scene(reference: Reference, measured: Measured) -> Scene:
+def make_scene(reference: Reference | AskedAngles, measured: Measured | MeasuredAngles) -> Scene:
     """Put the whole of a session on the motion's own time."""
     times, state_times = common_times(reference, measured)
     compared = compare(reference, measured)
@@ -67,7 +68,7 @@ def make_scene(reference: Reference, measured: Measured) -> Scene:
     origin = playing[0] if len(playing) else times[0]
     damping = (reference.phase == Phase.DAMP)[:, None]
     phases = phase_spans(times - origin, reference.phase)
-    error = np.degrees(compared.reference - compared.measured)
+    error = np.degrees(compared.error)
     error_times = compared.time - origin
     return Scene(
         times=times - origin,

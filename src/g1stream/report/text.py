@@ -7,38 +7,50 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from g1stream.report.health import most
 from g1stream.report.messages import GAP
-from g1stream.report.metrics import by_group, pooled
+from g1stream.report.metrics import pooled
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
 
+    from g1stream.report.loop import LoopFigures
     from g1stream.report.messages import MessageStats, Percentiles
     from g1stream.report.metrics import Tracking
-    from g1stream.report.summary import LoopFigures, Summary
+    from g1stream.report.summary import Summary
 
-__all__ = ["WIDTH", "line", "loop_lines", "message_table", "render", "table"]
+__all__ = [
+    "WIDTH",
+    "line",
+    "loop_lines",
+    "message_table",
+    "render",
+    "table",
+    "tracking_lines",
+    "tracking_table",
+]
 
 WIDTH: Final = 100
 """No line is longer, as long as names of files and topics are not."""
 
 _UNKNOWN: Final = "not recorded"
-_NAME_WIDTH: Final = 11
+_NAME_WIDTH: Final = 13
+
+#: Joints that were held at a limit are named up to so many.
+_MOST_JOINTS: Final = 6
 
 
 def render(summary: Summary) -> str:
     """The summary as text without colour, lines of `WIDTH` columns at most."""
-    compared = f"{summary.states} states with the reference, over {summary.duration:.2f} s"
     paragraphs = [
         [
             line("session", summary.session),
             line("motion", summary.motion or _UNKNOWN),
-            line("ended", _ending(summary.loop)),
-            line("compared", compared),
+            line("ended", str(summary.ending)),
         ],
-        _tracking_table(summary.tracking) if summary.tracking else [],
-        [*_tracking_lines(summary.tracking), *loop_lines(summary.loop)],
+        tracking_table(summary.tracking),
+        [*tracking_lines(summary.tracking), *loop_lines(summary.loop)],
         message_table(summary.counts, summary.streams),
         [
             line("missing", _missing(summary)),
@@ -50,15 +62,12 @@ def render(summary: Summary) -> str:
     return "\n\n".join("\n".join(lines) for lines in paragraphs if lines)
 
 
-def _ending(loop: LoopFigures | None) -> str:
-    if loop is None or loop.reason is None:
-        return _UNKNOWN
-    return f"early: {loop.reason}" if loop.reason else "at the motion's end"
-
-
-def _tracking_table(tracking: Tracking) -> list[str]:
+def tracking_table(tracking: Tracking | None) -> list[str]:
+    """How closely the robot followed, a row for each limb; nothing where that is not known."""
+    if tracking is None:
+        return []
     limbs: dict[str, Sequence[int]] = {**JOINT_GROUPS, "all joints": range(N_JOINTS)}
-    figures = {**by_group(tracking.rmse), "all joints": pooled(tracking.rmse)}
+    figures = {**tracking.rmse_by_limb, "all joints": tracking.overall}
     rows = [("limb", "RMSE rad", "RMSE deg", "worst joint", "RMSE deg", "max deg", "at s")]
     for limb, joints in limbs.items():
         worst = max(joints, key=lambda joint: float(tracking.rmse[joint]))
@@ -76,27 +85,39 @@ def _tracking_table(tracking: Tracking) -> list[str]:
     return table(rows, left=(0, 3))
 
 
-def _tracking_lines(tracking: Tracking | None) -> list[str]:
+def tracking_lines(tracking: Tracking | None) -> list[str]:
+    """By how much the robot is late, and what was compared to know."""
     if tracking is None:
         return [line("tracking", _UNKNOWN)]
-    if tracking.delay is None:
-        return [line("delay", "not determined: too little moves, or no delay explains the error")]
-    seconds, rmse, std = tracking.delay
-    where = "behind" if seconds >= 0 else "ahead of"
+    compared = tracking.compared
+    left_out = f"; {compared.left_out} left out, in holes of the reference"
     return [
+        line("delay", _delay(tracking)),
         line(
-            "delay",
-            f"the robot is {abs(seconds) * 1e3:.1f} ms {where} the reference; without that, RMSE "
-            f"{pooled(rmse):.4f} rad; without each joint's mean error as well, {pooled(std):.4f}",
-        )
+            "compared",
+            f"{len(compared.time)} states with the reference, over {compared.duration:.2f} s of "
+            f"PLAY{left_out if compared.left_out else ''}",
+        ),
     ]
 
 
+def _delay(tracking: Tracking) -> str:
+    if tracking.delay is None:
+        return "not determined: too little moves, or no delay explains the error"
+    seconds, rmse, std = tracking.delay
+    where = "behind" if seconds >= 0 else "ahead of"
+    return (
+        f"the robot is {abs(seconds) * 1e3:.1f} ms {where} the reference; without that, RMSE "
+        f"{pooled(rmse):.4f} rad; without each joint's mean error as well, {pooled(std):.4f}"
+    )
+
+
 def loop_lines(loop: LoopFigures | None) -> list[str]:
-    """How the streamer kept its deadlines."""
+    """What commands carried, and how the streamer kept its deadlines."""
     if loop is None:
-        return [line(name, _UNKNOWN) for name in ("commands", "lateness")]
+        return [line(name, _UNKNOWN) for name in ("feedforward", "commands", "lateness")]
     lines = [
+        line("feedforward", _feedforward(loop)),
         line(
             "commands",
             f"{_figure(loop.commands)} at {_figure(loop.rate, '.2f')} Hz "
@@ -106,9 +127,22 @@ def loop_lines(loop: LoopFigures | None) -> list[str]:
         line("lateness", _percentiles(loop.lateness)),
     ]
     if loop.clamped:
-        held = ", ".join(f"{joint} {ticks}" for joint, ticks in loop.clamped.items())
+        held = most(loop.clamped, _MOST_JOINTS)
         lines.append(line("limits", f"ticks at which a target was held at its limit: {held}"))
+    if loop.saturated:
+        held = most(loop.saturated, _MOST_JOINTS)
+        lines.append(line("torques", f"ticks at which one was held at its limit: {held}"))
     return lines
+
+
+def _feedforward(loop: LoopFigures) -> str:
+    if loop.feedforward is None:
+        return _UNKNOWN
+    text = loop.feedforward + (f" ({loop.support})" if loop.support else "")
+    for event in loop.feedforward_events:
+        text += f" until {event['motion_time']:.1f} s, then {event['kind']}"
+        text += f": {event['reason']};" if event.get("reason") else ""
+    return text.rstrip(";")
 
 
 def message_table(counts: Mapping[str, int], streams: Mapping[str, MessageStats]) -> list[str]:
@@ -141,8 +175,7 @@ def _missing(summary: Summary) -> str:
 def _percentiles(figures: Percentiles | None) -> str:
     if figures is None:
         return _UNKNOWN
-    names = ("p50", "p99", "p99.9", "max")
-    return ", ".join(f"{n} {us:.0f} us" for n, us in zip(names, figures, strict=True))
+    return ", ".join(f"{name} {us:.0f} us" for name, us in figures.as_dict().items())
 
 
 def _figure(value: float | None, spec: str = "") -> str:

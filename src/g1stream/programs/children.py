@@ -8,6 +8,7 @@ no child outlives its parent, however the parent ended.
 from __future__ import annotations
 
 import json
+import os
 import queue
 import subprocess
 import sys
@@ -19,10 +20,11 @@ from typing import IO, TYPE_CHECKING, Any, Final
 from g1stream.errors import ConfigError, G1StreamError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
 __all__ = ["Child", "ChildError", "ParentLine"]
 
+_PIECE: Final = 1 << 16
 _NOT_FOR_PEOPLE: Final = "Leave out --attached; it is for programs that start this one."
 
 
@@ -58,7 +60,7 @@ class Child:
 
     def _read(self) -> None:
         try:
-            for line in _pipe(self._process.stdout):
+            for line in _lines(_pipe(self._process.stdout).fileno()):
                 message = _object(line)
                 if message is not None:  # else they are some library's own words
                     self._lines.put(message)
@@ -148,11 +150,9 @@ class ParentLine:
         threading.Thread(target=self._read, name="parent", daemon=True).start()
 
     def _read(self) -> None:
-        # Not sys.stdin itself: a process that ends while this thread waits would stumble over it.
         try:
-            with open(sys.stdin.fileno(), "rb", closefd=False) as lines:
-                for line in lines:
-                    self._lines.put(line)
+            for line in _lines(sys.stdin.fileno()):
+                self._lines.put(line)
         finally:
             self._lines.put(b"")
             self.gone.set()
@@ -194,7 +194,21 @@ class ParentLine:
         sys.stdout.flush()
 
 
-def _object(line: str | bytes) -> dict[str, Any] | None:
+def _lines(descriptor: int) -> Iterator[bytes]:
+    """The lines that come from a pipe; the last may lack its end.
+
+    Read from the descriptor itself: an interpreter that ends while a thread waits inside a buffered
+    file dies over the lock of that file.
+    """
+    rest = b""
+    while data := os.read(descriptor, _PIECE):
+        *whole, rest = (rest + data).split(b"\n")
+        yield from (line + b"\n" for line in whole)
+    if rest:
+        yield rest
+
+
+def _object(line: bytes) -> dict[str, Any] | None:
     """The JSON object in a line; None where it holds something else."""
     try:
         message = json.loads(line)

@@ -51,12 +51,27 @@ CASES = {
         lambda tmp: ["stream", "demo", "--interface", "nowhere0"],
         "no network interface 'nowhere0'",
     ),
-    "a domain out of range": (lambda tmp: ["stream", "demo", "--domain", 500], "domain"),
-    "a rate out of range": (lambda tmp: ["stream", "demo", "--rate", 1e6], "stream.rate"),
+    "a domain out of range": (lambda tmp: ["stream", "demo", "--domain", 500], "0 to 232"),
+    "a rate out of range": (
+        lambda tmp: ["stream", "demo", "--rate", 0],
+        "The flag --rate cannot be 0.\n       Give a number from 10 to 2000",
+    ),
+    "a rate that is no number": (
+        lambda tmp: ["stream", "demo", "--rate=abc"],
+        "The flag --rate cannot be 'abc'.\n       Give a number.",
+    ),
+    "a domain that is no number": (
+        lambda tmp: ["doctor", "--domain", "1.5"],
+        "The flag --domain cannot be '1.5'.\n       Give a whole number.",
+    ),
+    "no such feed-forward": (
+        lambda tmp: ["stream", "demo", "--feedforward", "torque"],
+        "Choose from none, velocity, dynamics.",
+    ),
     "a start beyond the end": (lambda tmp: ["stream", "demo", "--start", 99], "99"),
     "a start that is not a number": (lambda tmp: ["stream", "demo", "--start", "soon"], "soon"),
-    "no duration": (lambda tmp: ["stream", "demo", "--duration", 0], "stream.duration"),
-    "a ramp in no time": (lambda tmp: ["stream", "demo", "--ramp", 0], "stream.ramp"),
+    "no duration": (lambda tmp: ["stream", "demo", "--duration", 0], "a number above 0"),
+    "a ramp in no time": (lambda tmp: ["stream", "demo", "--ramp", 0], "from 0.2 to 60"),
     "an ear for no time": (lambda tmp: ["doctor", "--seconds", "nan"], "nan"),
     "no such flag": (lambda tmp: ["stream", "demo", "--speed", 2], "--speed"),
     "no such config": (lambda tmp: ["stream", "demo", "--config", tmp / "no.toml"], "no.toml"),
@@ -73,7 +88,30 @@ CASES = {
         lambda tmp: ["stream", "demo", "--gains", toml(tmp, "[kp]\n'*_tail' = 3")],
         "*_tail",
     ),
-    "no such support": (lambda tmp: ["sim", "--support", "balloon"], "balloon"),
+    "gains that are nowhere": (
+        lambda tmp: ["stream", "demo", "--gains", tmp / "no.toml"],
+        "The gains file",
+    ),
+    "a gain beyond any": (
+        lambda tmp: ["stream", "demo", "--gains", toml(tmp, "[kp]\n'*' = 9000.0")],
+        "kp.* does not fit",
+    ),
+    "a misspelt joint": (
+        lambda tmp: ["stream", "demo", "--gains", toml(tmp, "[kp]\nleft_kne_joint = 3.0")],
+        "Of the 29 joints, these are alike: left_knee_joint, ",
+    ),
+    "how to record nothing": (
+        lambda tmp: ["stream", "demo", "--split-size", 5],
+        "The flag --split-size says how to record, and nothing is recorded.",
+    ),
+    "force on nothing": (
+        lambda tmp: ["replay", tmp / "s.mcap", "--force"],
+        "Add --record FILE, or leave it out.",
+    ),
+    "no such support": (
+        lambda tmp: ["sim", "--support", "balloon"],
+        "Choose from bolted, hanging, follow, free.",
+    ),
     "a recording in no directory": (
         lambda tmp: ["record", tmp / "no" / "session.mcap"],
         "does not exist",
@@ -119,12 +157,21 @@ def test_a_file_with_the_name_of_a_part_is_kept_even_from_force(tmp_path, domain
     assert stranger.read_bytes() == b"precious"
 
 
+@pytest.mark.parametrize("command", ["stream demo", "record s.mcap", "sim"])
+def test_nothing_is_announced_on_an_interface_that_is_not_there(command, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    done = run(*command.split(), "--interface", "nowhere0")
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: This machine has no network interface 'nowhere0'.")
+    assert not [*tmp_path.iterdir()]
+
+
 def test_a_recorder_that_cannot_start_keeps_the_stream_from_starting(tmp_path, domain_id):
     path = tmp_path / "session.mcap"
     path.write_bytes(b"precious")
     done = run("stream", "demo", "--domain", domain_id, "--record", path)
     assert done.returncode == 2
-    assert "exists already" in done.stderr
+    assert done.stderr.startswith(f"error: The file {path} exists already.")
     assert path.read_bytes() == b"precious"
 
 

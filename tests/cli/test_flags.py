@@ -42,3 +42,9 @@ def test_beyond_this_machine_is_announced_loudly(monkeypatch, capsys, interface,
     monkeypatch.setenv("CYCLONEDDS_URI", uri)
     announce_wire(wire(interface))
     assert "WARNING" in capsys.readouterr().err
+
+
+def test_who_commands_nobody_does_not_warn_of_what_moves(monkeypatch, capsys):
+    monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
+    announce_wire(wire("eth0"), commands=False)
+    assert capsys.readouterr().err == "DDS domain 1 on eth0.\n"

@@ -12,6 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Optional, TypeAlias,
 
 import tyro
 
+from g1stream.cli.values import flag_name, out_of_range
+from g1stream.errors import ConfigError
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -75,7 +78,24 @@ class Command:
         """
         from g1stream.config import load_config  # pydantic costs more than --help may take
 
-        return load_config(self.config, self.overrides())
+        over = self.overrides()
+        try:
+            return load_config(self.config, over)
+        except ConfigError:
+            self._blame_a_flag(over)
+            raise
+
+    def _blame_a_flag(self, over: dict[str, Any]) -> None:
+        """Say so where a setting that does not fit came from a flag."""
+        from g1stream.config import load_config
+
+        for field, key in self.settings.items():
+            if key not in over:
+                continue
+            try:
+                load_config(over={key: over[key]})
+            except ConfigError as error:
+                raise out_of_range(flag_name(field), key, over[key]) from error
 
     def overrides(self) -> dict[str, Any]:
         """The flags that were given, keyed like `stream.rate`."""
@@ -106,14 +126,19 @@ class WireCommand(Command):
     """Network interface."""
 
 
-def announce_wire(config: Config) -> None:
-    """Say on standard error where on DDS this goes; loudly, where a robot may be."""
+def announce_wire(config: Config, *, commands: bool = True) -> None:
+    """Say on standard error where on DDS this goes; with a warning, where a robot may be.
+
+    Args:
+        config: where.
+        commands: whether what is published moves whoever obeys it.
+    """
     from g1stream.dds.domain import stays_here
 
     where = f"DDS domain {config.dds.domain} on {config.dds.interface}"
     if os.environ.get("CYCLONEDDS_URI"):
         where = f"DDS domain {config.dds.domain}, where CYCLONEDDS_URI says"
-    if not stays_here(config.dds.interface):
+    if commands and not stays_here(config.dds.interface):
         where = (
             f"WARNING: {where}: whatever listens there will move, a real robot too. "
             "Keep its remote at hand"

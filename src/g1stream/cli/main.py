@@ -13,6 +13,7 @@ import tyro
 
 from g1stream._version import __version__
 from g1stream.cli.common import EXIT_BAD_INPUT, EXIT_STOPPED, print_error
+from g1stream.cli.values import reading
 from g1stream.errors import G1StreamError
 
 if TYPE_CHECKING:
@@ -95,13 +96,14 @@ def _parse(arguments: Sequence[str]) -> _Command:
 
 
 def _cli(kind: Any, program: str, description: str, arguments: Sequence[str]) -> _Command:
-    command: _Command = tyro.cli(
-        kind,
-        prog=program,
-        description=description,
-        args=arguments,
-        config=(tyro.conf.OmitArgPrefixes,),
-    )
+    with reading(arguments):
+        command: _Command = tyro.cli(
+            kind,
+            prog=program,
+            description=description,
+            args=arguments,
+            config=(tyro.conf.OmitArgPrefixes,),
+        )
     return command
 
 

@@ -70,13 +70,17 @@ class Record(WireCommand):
         if self.attached:
             return self._run_attached(stopped)
         config = self.resolve()
-        announce_wire(config)
-        print(f"Recording {self.file}. Ctrl-C ends it.", file=sys.stderr)
+
+        def begun() -> None:
+            announce_wire(config, commands=False)
+            print(f"Recording {self.file}. Ctrl-C ends it.", file=sys.stderr)
+
         report = record(
             self.file,
             config,
             force=self.force,
             should_stop=lambda: bool(stopped),
+            on_ready=begun,
             on_event=_print_event,
         )
         if self.json:
@@ -123,7 +127,7 @@ def _print_event(level: int, text: str) -> None:
 def _summary(report: RecorderReport) -> str:
     name = " ".join(report.paths)
     if not report.first:
-        return f"{name}: nothing was published."
+        return f"{name}: nothing was received."
     width = max(map(len, report.counts))
     lines = [f"{name}: {report.as_dict()['duration_s']:.1f} s"]
     lines += [f"  {topic:<{width}}  {n:>8}" for topic, n in sorted(report.counts.items())]

@@ -25,6 +25,9 @@ class Replay(PlayCommand):
 
     Plays the recorded reference as `g1stream stream` plays a motion: from the measured pose, within
     the same limits, with the gains of this call. Ctrl-C damps and ends.
+
+    Exit code 0: played as asked; 1: something stopped it, or is missing from the recording; 2: bad
+    input, and nothing was sent; 128 + n: signal n ended it, so that it is 130 after Ctrl-C.
     """
 
     file: Annotated[Path, tyro.conf.Positional, value("MCAP")]
@@ -41,11 +44,11 @@ class Replay(PlayCommand):
         from g1stream.programs.replay import replay
 
         config = self.resolve()
-        announce_wire(config)
 
         with watching() as watch:
 
             def prepare(loop: StreamLoop, motion: Motion) -> None:
+                announce_wire(config)
                 on_signals(loop.request_stop)
                 watch(loop, motion)
 

@@ -23,6 +23,13 @@ if TYPE_CHECKING:
 
 __all__ = ["Sim"]
 
+_HELD = {
+    "bolted": "its pelvis bolted to the world",
+    "hanging": "hanging from an elastic band",
+    "follow": "its pelvis driven along the reference",
+    "free": "let go of when a motion begins",
+}
+
 
 @dataclass(frozen=True, kw_only=True)
 class Sim(WireCommand):
@@ -43,9 +50,9 @@ class Sim(WireCommand):
         Literal["bolted", "hanging", "follow", "free"] | None,
         value("{bolted,hanging,follow,free}", "bolted"),
     ] = None
-    """What holds the pelvis: the world, an elastic band at the torso, the reference that is
-    streamed, or, once the motion is played, nothing: who then lies on the floor is refused as
-    tilted by the next session, so start the simulation anew."""
+    """What holds the pelvis: bolted: the world; hanging: an elastic band at the torso; follow: the
+    reference that is streamed; free: nothing, once the motion begins. A robot that has fallen stays
+    on the floor, and the next stream refuses it as tilted: start the simulation anew then."""
     rate: Annotated[float | None, value("HZ", "500")] = None
     """LowState per second."""
     duration: Annotated[float | None, value("S", "until stopped")] = None
@@ -66,9 +73,15 @@ class Sim(WireCommand):
         if self.attached:
             return self._run_attached(stopped)
         config = self.resolve()
-        announce_wire(config)
-        print(f"Simulating a G1, {config.sim.support}. Ctrl-C ends it.", file=sys.stderr)
-        report = simulate(config, should_stop=lambda: bool(stopped), on_event=_print_event)
+
+        def begun() -> None:
+            announce_wire(config, commands=False)
+            held = _HELD[config.sim.support]
+            print(f"Simulating a G1, {held}. Ctrl-C ends it.", file=sys.stderr)
+
+        report = simulate(
+            config, should_stop=lambda: bool(stopped), on_event=_print_event, on_ready=begun
+        )
         if self.json:
             print_json(report.as_dict())
         else:
@@ -107,7 +120,8 @@ def _summary(report: BridgeReport) -> str:
     ]
     lines += [f"            {count} x {why}" for why, count in report.refused.most_common()]
     if report.timeouts:
-        lines.append(f"  timeouts  {report.timeouts}")
+        times = "once" if report.timeouts == 1 else f"{report.timeouts} times"
+        lines.append(f"  silence   {times} no LowCmd came any more, and the motors only damped")
     if report.behind:
         lines.append(f"  behind    {report.behind:.2f} s given up: this machine is too slow")
     return "\n".join(lines)

@@ -10,24 +10,27 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import tyro
 
 from g1stream.cli.common import (
-    EXIT_OK,
-    EXIT_STOPPED,
     Flag,
     WireCommand,
     announce_wire,
-    exit_code_of_signal,
     on_signals,
     print_json,
     value,
 )
+from g1stream.cli.played import exit_code, summary
+from g1stream.cli.values import flag_name
 from g1stream.cli.watch import watching
-from g1stream.realtime import told
+from g1stream.errors import ConfigError
 
 if TYPE_CHECKING:
+    from g1stream.config import Config
     from g1stream.control.loop import StreamLoop
     from g1stream.programs.outcome import StreamOutcome
 
 __all__ = ["PlayCommand", "Stream", "exit_code", "summary"]
+
+#: Flags that say how to record.
+_OF_RECORDING = ("force", "auto_name", "split_size", "split_duration")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,13 +92,28 @@ class PlayCommand(WireCommand):
     json: Flag = False
     """Print the summary as JSON on standard output."""
 
+    def resolve(self) -> Config:
+        """The config file, if any, with the flags over it.
+
+        Raises:
+            ConfigError: the file or a value does not fit, or a flag has no meaning.
+        """
+        if self.record is None:
+            for field in _OF_RECORDING:
+                if getattr(self, field) not in (None, False):
+                    raise ConfigError(
+                        f"The flag {flag_name(field)} says how to record, and nothing is recorded.",
+                        "Add --record FILE, or leave it out.",
+                    )
+        return super().resolve()
+
     def overrides(self) -> dict[str, Any]:
         """The flags that were given, and the gains file's tables."""
-        from g1stream.config import read_toml
+        from g1stream.cli.gains_file import read_gains
 
         over = super().overrides()
         if self.gains:
-            over |= {f"gains.{name}": table for name, table in read_toml(self.gains).items()}
+            over |= {f"gains.{name}": table for name, table in read_gains(self.gains).items()}
         return over
 
     def report(self, outcome: StreamOutcome) -> int:
@@ -112,12 +130,16 @@ class Stream(PlayCommand):
     """Play a motion on whatever robot listens: publish it as LowCmd, watch LowState.
 
     Waits for a LowState, moves to the first frame, plays, holds, damps. Ctrl-C damps and ends.
+
+    Exit code 0: played as asked; 1: something stopped it, or is missing from the recording; 2: bad
+    input, and nothing was sent; 128 + n: signal n ended it, so that it is 130 after Ctrl-C.
     """
 
     motion: Annotated[str, tyro.conf.Positional, value("MOTION")]
     """Motion file (CSV), session file, or the name of a bundled motion: demo."""
     fps: Annotated[float | None, value("N", "30")] = None
-    """Frames per second of the motion file."""
+    """Frames per second of the motion file. A session is sampled with its own rate, or with this
+    one."""
 
     def run(self) -> int:
         """Play, and return the exit code."""
@@ -129,75 +151,13 @@ class Stream(PlayCommand):
         motion = load_motion(self.motion, G1.load(config.robot), fps=self.fps)
         for warning in motion.warnings:
             print(f"warning: {warning}", file=sys.stderr)
-        announce_wire(config)
 
         with watching() as watch:
 
             def prepare(loop: StreamLoop) -> None:
+                announce_wire(config)
                 on_signals(loop.request_stop)
                 watch(loop, motion)
 
             outcome = stream(motion, config, record=self.record, force=self.force, on_loop=prepare)
         return self.report(outcome)
-
-
-def exit_code(outcome: StreamOutcome) -> int:
-    """0 for a motion played to its end, 128 + n for signal n, 1 for what else stopped it.
-
-    1 as well where it was to be recorded and something of it is not in the file.
-    """
-    reason = outcome.report.reason
-    recording = outcome.recording
-    if not reason:
-        lost = recording and (
-            recording["stopped"]
-            or recording["dropped_datagrams"]
-            or any(recording["missing"].values())
-            or any(recording["malformed"].values())
-        )
-        return EXIT_STOPPED if lost else EXIT_OK
-    return exit_code_of_signal(reason) or EXIT_STOPPED
-
-
-def summary(outcome: StreamOutcome) -> str:
-    """How it went, for people."""
-    report = outcome.report
-    lateness = report.lateness
-    ended = f"stopped: {report.reason}" if report.reason else "played to its end"
-    if not report.commands:
-        lines = [f"{outcome.motion}: no command was sent; {report.reason}."]
-        lines += [f"  {finding.cause}\n  {finding.remedy}" for finding in outcome.findings]
-        return "\n".join(lines)
-    lines = [
-        f"{outcome.motion}: {ended}",
-        f"  commands   {report.commands} at {report.rate:.2f} Hz "
-        f"({1e9 / report.period:g} asked for), {report.skipped} ticks skipped",
-        "  lateness   "
-        + ", ".join(f"p{p:g} {lateness.percentile_us(p):.0f} us" for p in (50, 99, 99.9))
-        + f", max {lateness.maximum_ns / 1000:.0f} us",
-        f"  states     {_states(outcome.wire)}",
-        f"  real time  {told(outcome.granted)}",
-    ]
-    if clamped := int(report.clamped.sum()):
-        lines.append(f"  limits     {clamped} joint targets were held at their limit")
-    if saturated := int(report.saturated.sum()):
-        lines.append(f"  torque     {saturated} feed-forward torques were held at their limit")
-    if outcome.recording:
-        lines += _recording(outcome.recording)
-    return "\n".join(lines)
-
-
-def _states(wire: dict[str, int | None]) -> str:
-    missed = wire["states_missed"]
-    lost = (
-        "how many were lost is unknown: they carry no tick" if missed is None else f"{missed} lost"
-    )
-    return f"{wire['states_received']} received, {lost}"
-
-
-def _recording(recording: dict[str, Any]) -> list[str]:
-    lines = [f"  recording  {recording['path']}"]
-    lines += [f"             missing from {t}: {n}" for t, n in recording["missing"].items() if n]
-    if recording["stopped"]:
-        lines.append(f"             it ended early: {recording['stopped']}")
-    return lines

@@ -5,14 +5,36 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
+from g1stream.robot.joints import JOINT_NAMES
+
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from g1stream.control.loop import LoopReport
     from g1stream.doctor.finding import Finding
     from g1stream.realtime import Grant
 
-__all__ = ["StreamOutcome", "loop_summary"]
+__all__ = ["Interval", "StreamOutcome", "by_joint", "loop_summary"]
 
 _PERCENTILES: Final = (50.0, 99.0, 99.9)
+
+
+@dataclass(frozen=True)
+class Interval:
+    """The part of a motion that was to be played.
+
+    Attributes:
+        start: where in the motion it begins, s.
+        length: how long it is, s; None: without end.
+        motion: how long the whole motion is, s.
+        loop: whether the motion is played again and again.
+    """
+
+    start: float
+    length: float | None
+    motion: float
+    loop: bool = False
 
 
 @dataclass(frozen=True)
@@ -25,6 +47,7 @@ class StreamOutcome:
         recording: the recorder's own summary; None where nothing was recorded.
         wire: what was lost on the wire and what was not.
         granted: what the system granted to be on time.
+        interval: what of the motion was to be played.
         findings: where no command was sent, what the wire shows of why.
     """
 
@@ -33,17 +56,19 @@ class StreamOutcome:
     recording: dict[str, Any] | None
     wire: dict[str, int | None]
     granted: list[Grant]
+    interval: Interval
     findings: list[Finding] = field(default_factory=list)
 
     def as_dict(self) -> dict[str, Any]:
         """The outcome as JSON values."""
         return {
             "motion": self.motion,
-            "loop": loop_summary(self.report),
+            "interval_s": asdict(self.interval),
             "recording": self.recording,
             "wire": self.wire,
             "realtime": [asdict(grant) for grant in self.granted],
             "findings": [finding.as_dict() for finding in self.findings],
+            "loop": loop_summary(self.report),  # last, as it ends with the longest of all
         }
 
 
@@ -59,12 +84,21 @@ def loop_summary(report: LoopReport) -> dict[str, Any]:
             **{f"p{p:g}": lateness.percentile_us(p) for p in _PERCENTILES if lateness.n},
             "max": lateness.maximum_ns / 1000.0,
         },
-        "lateness_histogram_us": lateness.sparse(),
         "skipped_ticks": report.skipped,
         "worst_work_us": report.worst_work / 1000.0,
         "states": report.states,
-        "clamped_ticks": report.clamped.tolist(),
         "feedforward": report.feedforward,
         "support": report.support or None,
+        "feedforward_events": [change._asdict() for change in report.feedforward_changes],
+        "clamped_joints": by_joint(report.clamped),
+        "saturated_joints": by_joint(report.saturated),
+        "clamped_ticks": report.clamped.tolist(),
         "saturated_ticks": report.saturated.tolist(),
+        "lateness_histogram_us": lateness.sparse(),
     }
+
+
+def by_joint(ticks: NDArray[np.int64]) -> dict[str, int]:
+    """Joint -> ticks, the joints with most first, without those that have none."""
+    counted = zip(JOINT_NAMES, ticks.tolist(), strict=True)
+    return dict(sorted(((name, n) for name, n in counted if n), key=lambda one: -one[1]))

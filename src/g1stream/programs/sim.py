@@ -52,8 +52,9 @@ def simulate(
         participant = stack.enter_context(Participant(config.dds.domain, config.dds.interface))
         view = _viewer(world, stack) if config.sim.viewer else None
         bridge = Bridge(participant, world, config.sim, SystemClock(), on_event=on_event, view=view)
-        on_event(_INFO, told(stack.enter_context(on_time(_priority(config)))))
+        granted = stack.enter_context(on_time(_priority(config)))
         on_ready()
+        on_event(_INFO, told(granted))
         end = None if config.sim.duration is None else time.monotonic() + config.sim.duration
         return bridge.run(lambda: should_stop() or (end is not None and time.monotonic() >= end))
 

@@ -24,8 +24,14 @@ from g1stream.doctor.wire import look_around
 from g1stream.errors import ConfigError, SafetyError
 from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
-from g1stream.programs.children import Child, ChildError
-from g1stream.programs.outcome import StreamOutcome, loop_summary
+from g1stream.programs.outcome import Interval, StreamOutcome, loop_summary
+from g1stream.programs.recorder_child import (
+    discard_if_empty,
+    files_beside,
+    finish_recorder,
+    refuse_path,
+    start_recorder,
+)
 from g1stream.realtime import on_time, told
 from g1stream.recording.motions import load_motion
 from g1stream.robot.dynamics import InverseDynamics
@@ -75,10 +81,13 @@ def stream(
         G1StreamError: a file, a setting or the wire does not allow it.
     """
     config = config or Config()
+    session = None if record is None else Path(record)
+    if session is not None:
+        refuse_path(session, config.record, force)
     robot = G1.load(config.robot)
     if not isinstance(motion, Motion):
         motion = load_motion(motion, robot)
-    start, play = _interval(motion, config)
+    interval = _interval(motion, config)
     gains = resolve_gains(config.gains)
     clock = SystemClock()
     with Participant(config.dds.domain, config.dds.interface) as participant:
@@ -86,16 +95,20 @@ def stream(
         # Only now, because it takes as long as others need to be discovered.
         settings = config.stream
         trajectory = Trajectory(motion, loop=settings.loop)
-        targets = Targets(trajectory, start=start, play=play, ramp=settings.ramp)
+        targets = Targets(
+            trajectory, start=interval.start, play=interval.length, ramp=settings.ramp
+        )
         if not config.safety.allow_second_writer:
             clock.sleep_until(joined + _DISCOVERY)
             _refuse_if_commanded(participant)
         link = make_link(participant)
-        loop = make_loop(config, robot, link, targets, play, gains, clock)
+        loop = make_loop(config, robot, link, targets, interval.length, gains, clock)
         if on_loop:
             on_loop(loop)
-        recorder = _start_recorder(Path(record), force, config, motion, gains) if record else None
-        recording = None
+        recorder, recording, earlier = None, None, set[Path]()
+        if session is not None:
+            earlier = files_beside(session)
+            recorder = start_recorder(session, force, config, motion, gains)
         granted: list[Grant] = []
         try:
             with on_time(config.realtime.priority, config.realtime.cpu) as granted:
@@ -104,7 +117,7 @@ def stream(
             findings = _unanswered(config, participant, link, report)
         finally:
             wire = link.counts()
-            if recorder:
+            if recorder and session is not None:
                 recorder.send(
                     {
                         "stream": {
@@ -114,8 +127,10 @@ def stream(
                         }
                     }
                 )
-                recording = _finish_recorder(recorder, Path(record or ""))
-    return StreamOutcome(motion.name, report, recording, wire, granted, findings)
+                recording = finish_recorder(recorder, session)
+    if recording is not None and not report.commands and not report.states:
+        recording["removed"] = discard_if_empty(recording, earlier)
+    return StreamOutcome(motion.name, report, recording, wire, granted, interval, findings)
 
 
 def _unanswered(
@@ -130,20 +145,6 @@ def _unanswered(
     for finding in findings:
         link.tell(ERROR, finding.cause)
     return findings
-
-
-def _finish_recorder(recorder: Child, path: Path) -> dict[str, Any]:
-    """The recorder's summary; where it died, that it did, as how the motion went still counts."""
-    try:
-        return recorder.finish()
-    except ChildError as error:
-        return {
-            "path": str(path),
-            "paths": [str(path)],
-            "stopped": error.cause,
-            "missing": {},
-            "dropped_datagrams": 0,
-        }
 
 
 def _refuse_if_commanded(participant: Participant) -> None:
@@ -213,8 +214,8 @@ def make_feedforward(config: Config, robot: G1) -> FeedForward:
     )
 
 
-def _interval(motion: Motion, config: Config) -> tuple[float, float | None]:
-    """Where to start and how much to play, s; None: without end."""
+def _interval(motion: Motion, config: Config) -> Interval:
+    """What of the motion is to be played."""
     start, duration = config.stream.start, config.stream.duration
     if start >= motion.duration:
         raise ConfigError(
@@ -223,30 +224,9 @@ def _interval(motion: Motion, config: Config) -> tuple[float, float | None]:
             "Choose an earlier --start.",
         )
     if config.stream.loop:
-        return start, duration
+        return Interval(start, duration, motion.duration, loop=True)
     rest = motion.duration - start
-    return start, rest if duration is None else min(duration, rest)
-
-
-def _start_recorder(path: Path, force: bool, config: Config, motion: Motion, gains: Gains) -> Child:
-    greeting = {
-        "config": config.model_dump(mode="json"),
-        "gains": {name: values.tolist() for name, values in gains._asdict().items()},
-        "motion": {
-            "name": motion.name,
-            "fps": motion.fps,
-            "frames": motion.n_frames,
-            "sha256": motion.sha256,
-            "source": str(motion.source) if motion.source else None,
-        },
-    }
-    recorder = Child(["record", str(path), *(["--force"] if force else [])], greeting)
-    try:
-        recorder.wait_for("ready", timeout=20.0)
-    except BaseException:
-        recorder.kill()
-        raise
-    return recorder
+    return Interval(start, rest if duration is None else min(duration, rest), motion.duration)
 
 
 def _period(config: Config) -> int:

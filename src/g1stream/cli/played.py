@@ -1,0 +1,146 @@
+"""How a motion was played, for people and as an exit code."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+from g1stream.cli.common import EXIT_OK, EXIT_STOPPED, exit_code_of_signal
+from g1stream.realtime import told
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from g1stream.control.report import LoopReport
+    from g1stream.programs.outcome import Interval, StreamOutcome
+
+__all__ = ["exit_code", "summary"]
+
+#: How many joints are named, of those that were held at a limit.
+_NAMED: Final = 3
+
+
+def exit_code(outcome: StreamOutcome) -> int:
+    """0 for a motion played as asked, 128 + n for signal n, 1 for what else stopped it.
+
+    1 as well where it was to be recorded and something of it is not in the file.
+    """
+    reason = outcome.report.reason
+    recording = outcome.recording
+    if not reason:
+        lost = recording and (
+            recording["stopped"]
+            or recording["dropped_datagrams"]
+            or any(recording["missing"].values())
+            or any(recording["malformed"].values())
+        )
+        return EXIT_STOPPED if lost else EXIT_OK
+    return exit_code_of_signal(reason) or EXIT_STOPPED
+
+
+def summary(outcome: StreamOutcome) -> str:
+    """How it went, for people."""
+    report = outcome.report
+    if not report.commands:
+        lines = [f"{outcome.motion}: no command was sent; {report.reason}."]
+        lines += [f"  {finding.cause}\n  {finding.remedy}" for finding in outcome.findings]
+        return "\n".join(lines + _recording(outcome.recording))
+    ended = f"stopped: {report.reason}" if report.reason else _played(outcome.interval)
+    lateness = report.lateness
+    lines = [
+        f"{outcome.motion}: {ended}",
+        _line(
+            "commands",
+            f"{report.commands} at {report.rate:.2f} Hz ({1e9 / report.period:g} asked for), "
+            f"{_counted(report.skipped, 'tick')} skipped",
+        ),
+        _line(
+            "lateness",
+            ", ".join(f"p{p:g} {lateness.percentile_us(p):.0f} us" for p in (50, 99, 99.9))
+            + f", max {lateness.maximum_ns / 1000:.0f} us",
+        ),
+        _line("states", _states(outcome.wire)),
+        _line("feed-forward", _carried(report)),
+        _line("real time", told(outcome.granted)),
+        *_held(outcome),
+        *_recording(outcome.recording),
+    ]
+    return "\n".join(lines)
+
+
+def _line(label: str, text: str) -> str:
+    return f"  {label:<12}  {text}"
+
+
+def _played(interval: Interval) -> str:
+    """What was played of a motion that nothing stopped."""
+    if interval.loop:
+        return f"played for {interval.length:.1f} s, again and again its {interval.motion:.1f} s"
+    at_end = interval.length is None or interval.start + interval.length >= interval.motion
+    whence = f"from {interval.start:.1f} s " if interval.start else ""
+    if at_end:
+        return f"played {whence}to its end"
+    return f"played {interval.length:.1f} of {interval.motion:.1f} s{whence and f', {whence}on'}"
+
+
+def _states(wire: Mapping[str, int | None]) -> str:
+    missed = wire["states_missed"]
+    lost = (
+        "how many were lost is unknown: they carry no tick" if missed is None else f"{missed} lost"
+    )
+    return f"{wire['states_received']} received, {lost}"
+
+
+def _carried(report: LoopReport) -> str:
+    """What commands carried beside the position, and when that changed."""
+    kind = f"{report.feedforward} ({report.support})"
+    if report.feedforward != "dynamics":
+        return report.feedforward
+    if not report.feedforward_changes:
+        return kind
+    first, *more = report.feedforward_changes
+    text = f"{kind} until {first.motion_time:.1f} s of the motion, then {first.kind}"
+    text += f": {first.reason}" if first.reason else ""
+    if more:
+        last = more[-1]
+        text += (
+            f"; {_counted(len(more), 'change')} after that, the last at {last.motion_time:.1f} s "
+            f"to {last.kind}"
+        )
+    return text
+
+
+def _held(outcome: StreamOutcome) -> list[str]:
+    from g1stream.programs.outcome import by_joint
+
+    report = outcome.report
+    return [
+        _line(label, f"{_counted(total, what)} held at the joint's limit: {_most(joints)}")
+        for label, what, joints in (
+            ("limits", "joint target", by_joint(report.clamped)),
+            ("torque", "feed-forward torque", by_joint(report.saturated)),
+        )
+        if (total := sum(joints.values()))
+    ]
+
+
+def _most(joints: Mapping[str, int]) -> str:
+    """The joints with most, and how many others there are."""
+    named = ", ".join(f"{name} {n}" for name, n in list(joints.items())[:_NAMED])
+    others = len(joints) - _NAMED
+    return f"{named} and {_counted(others, 'joint')} more" if others > 0 else named
+
+
+def _recording(recording: Mapping[str, Any] | None) -> list[str]:
+    if recording is None:
+        return []
+    if recording.get("removed"):
+        return [_line("recording", f"{recording['path']} removed: nothing was received")]
+    lines = [_line("recording", recording["path"])]
+    lines += [_line("", f"missing from {t}: {n}") for t, n in recording["missing"].items() if n]
+    if recording["stopped"]:
+        lines.append(_line("", f"it ended early: {recording['stopped']}"))
+    return lines
+
+
+def _counted(n: int, what: str) -> str:
+    return f"{n} {what}{'s' * (n != 1)}"

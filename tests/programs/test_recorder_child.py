@@ -1,0 +1,89 @@
+"""What becomes of a recording's file that the stream could not begin, or never heard anything."""
+
+from __future__ import annotations
+
+import pytest
+
+from g1stream.cli.main import main
+from g1stream.config import Config, RecordConfig
+from g1stream.dds.domain import Participant
+from g1stream.dds.raw import RawWriter
+from g1stream.dds.topics import LOWSTATE
+from g1stream.errors import RecordingError
+from g1stream.programs import stream as program
+from g1stream.programs.recorder_child import discard_if_empty, refuse_path
+from g1stream.programs.stream import stream
+
+PARTED = RecordConfig(split_size=1.0)
+
+
+@pytest.fixture
+def config(domain_id):
+    return Config.model_validate({"dds": {"domain": domain_id}, "stream": {"wait": 1.0}})
+
+
+def test_a_path_is_refused_before_anything_starts(tmp_path, monkeypatch):
+    monkeypatch.setattr(program, "Participant", lambda *_: pytest.fail("it is on DDS already"))
+    with pytest.raises(RecordingError, match=r"The directory .*no does not exist"):
+        stream("demo", record=tmp_path / "no" / "s.mcap")
+
+
+@pytest.mark.parametrize(
+    ("settings", "name", "there", "force", "refused"),
+    [
+        (RecordConfig(), "s.mcap", "s.mcap", False, True),
+        (RecordConfig(), "s.mcap", "s.mcap", True, False),
+        (RecordConfig(auto_name=True), "s.mcap", "s.mcap", False, False),
+        (PARTED, "s.mcap", "s.mcap", False, False),
+        (PARTED, "s.mcap", "s_001.mcap", False, True),
+        (PARTED, "s.mcap", "s_001.mcap", True, False),
+        (RecordConfig(), "", "s.mcap", True, True),
+    ],
+)
+def test_what_is_there_is_left_as_it_is(tmp_path, settings, name, there, force, refused):
+    (tmp_path / there).write_bytes(b"precious")
+    if refused:
+        with pytest.raises(RecordingError):
+            refuse_path(tmp_path / name, settings, force)
+    else:
+        refuse_path(tmp_path / name, settings, force)
+    assert [*tmp_path.iterdir()] == [tmp_path / there]
+    assert (tmp_path / there).read_bytes() == b"precious"
+
+
+def test_a_file_in_which_there_is_nothing_does_not_stand_in_the_way(
+    domain_id, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.setattr("g1stream.cli.stream.on_signals", lambda stop: None)
+    short, path = tmp_path / "short.toml", tmp_path / "s.mcap"
+    short.write_text("[stream]\nwait = 1.0\n")
+    command = ["stream", "demo", "--domain", str(domain_id), "--config", str(short)]
+    assert main([*command, "--record", str(path)]) == 1
+    assert f"{path} removed: nothing was received" in capsys.readouterr().out
+    assert not path.exists()
+
+
+def test_a_file_that_was_there_before_is_not_removed(config, tmp_path):
+    path = tmp_path / "s.mcap"
+    path.write_bytes(b"not so precious")
+    outcome = stream("demo", config, record=path, force=True)
+    assert outcome.recording["removed"] is False
+    assert path.exists()
+
+
+def test_what_was_received_is_kept(config, domain_id, tmp_path):
+    with Participant(domain_id, "lo") as peer:
+        RawWriter(peer, LOWSTATE)
+        outcome = stream("demo", config, record=tmp_path / "s.mcap")
+    assert outcome.recording["removed"] is True  # it said nothing
+    heard = {**outcome.recording, "counts": {"/log": 3, "/secondary_imu": 1}}
+    (tmp_path / "s.mcap").touch()
+    assert not discard_if_empty(heard, set())
+    assert (tmp_path / "s.mcap").exists()
+
+
+def test_of_a_recorder_that_died_nothing_is_known(tmp_path):
+    path = tmp_path / "s.mcap"
+    path.touch()
+    assert not discard_if_empty({"paths": [str(path)], "stopped": "it died"}, set())
+    assert path.exists()

@@ -148,7 +148,7 @@ def test_nothing_on_the_wire_is_an_exit_code_and_a_whole_file(domain_id, tmp_pat
         process.send_signal(signal.SIGINT)
         said, _ = process.communicate(timeout=20)
     assert process.returncode == 1
-    assert "nothing was published" in said
+    assert "nothing was received" in said
     with path.open("rb") as file:
         assert make_reader(file).get_summary() is not None
 

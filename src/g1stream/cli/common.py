@@ -34,6 +34,7 @@ __all__ = [
     "on_signals",
     "print_error",
     "print_json",
+    "print_warning",
     "value",
 ]
 
@@ -161,6 +162,11 @@ def exit_code_of_signal(reason: str) -> int | None:
 def print_error(error: G1StreamError) -> None:
     """Print the cause and the remedy, a line each, on standard error."""
     print(f"error: {error.cause}\n       {error.remedy}", file=sys.stderr)
+
+
+def print_warning(text: str) -> None:
+    """Print what is wrong and does no harm, on standard error."""
+    print(f"warning: {text}", file=sys.stderr)
 
 
 def print_json(values: Any) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
@@ -15,6 +14,7 @@ from g1stream.cli.common import (
     announce_wire,
     on_signals,
     print_json,
+    print_warning,
     value,
 )
 from g1stream.cli.played import exit_code, summary
@@ -150,7 +150,7 @@ class Stream(PlayCommand):
         config = self.resolve()
         motion = load_motion(self.motion, G1.load(config.robot), fps=self.fps)
         for warning in motion.warnings:
-            print(f"warning: {warning}", file=sys.stderr)
+            print_warning(warning)
 
         with watching() as watch:
 
@@ -159,5 +159,12 @@ class Stream(PlayCommand):
                 on_signals(loop.request_stop)
                 watch(loop, motion)
 
-            outcome = stream(motion, config, record=self.record, force=self.force, on_loop=prepare)
+            outcome = stream(
+                motion,
+                config,
+                record=self.record,
+                force=self.force,
+                on_loop=prepare,
+                on_warning=print_warning,
+            )
         return self.report(outcome)

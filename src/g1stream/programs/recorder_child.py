@@ -12,13 +12,13 @@ from g1stream.recording.earlier_parts import make_way
 from g1stream.recording.file_names import part_path, timestamped
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Collection, Mapping
 
     from g1stream.config import Config, RecordConfig
     from g1stream.control.gains import Gains
     from g1stream.motion.motion import Motion
 
-__all__ = ["discard_if_empty", "files_beside", "finish_recorder", "refuse_path", "start_recorder"]
+__all__ = ["RecorderChild", "discard_if_empty", "refuse_path"]
 
 #: What is in a file of which nothing was received: what the recorder and the loop say themselves.
 _OUR_OWN_WORDS: Final = frozenset({"/log", "/scene", "/robot_description"})
@@ -44,50 +44,67 @@ def refuse_path(path: Path, settings: RecordConfig, force: bool) -> None:
     path.unlink()
 
 
-def files_beside(path: Path) -> set[Path]:
-    """What is in the directory of a recording."""
-    return set(path.parent.iterdir())
+class RecorderChild:
+    """A recorder that runs beside a stream, and misses nothing that is published from now on.
 
-
-def start_recorder(path: Path, force: bool, config: Config, motion: Motion, gains: Gains) -> Child:
-    """Start a recorder, and wait until it misses nothing that is published from then on.
+    Args:
+        path: the session file.
+        force: replace a file that is there already.
+        config: all settings.
+        motion, gains: what is played, for the file's metadata.
 
     Raises:
         ChildError: it cannot record.
     """
-    greeting = {
-        "config": config.model_dump(mode="json"),
-        "gains": {name: values.tolist() for name, values in gains._asdict().items()},
-        "motion": {
-            "name": motion.name,
-            "fps": motion.fps,
-            "frames": motion.n_frames,
-            "sha256": motion.sha256,
-            "source": str(motion.source) if motion.source else None,
-        },
-    }
-    recorder = Child(["record", str(path), *(["--force"] if force else [])], greeting)
-    try:
-        recorder.wait_for("ready", timeout=20.0)
-    except BaseException:
-        recorder.kill()
-        raise
-    return recorder
 
+    def __init__(
+        self, path: Path, force: bool, config: Config, motion: Motion, gains: Gains
+    ) -> None:
+        self._path = path
+        self._earlier = set(path.parent.iterdir())
+        self._child = Child(
+            ["record", str(path), *(["--force"] if force else [])],
+            {
+                "config": config.model_dump(mode="json"),
+                "gains": {name: values.tolist() for name, values in gains._asdict().items()},
+                "motion": {
+                    "name": motion.name,
+                    "fps": motion.fps,
+                    "frames": motion.n_frames,
+                    "sha256": motion.sha256,
+                    "source": str(motion.source) if motion.source else None,
+                },
+            },
+        )
+        try:
+            self._child.wait_for("ready", timeout=20.0)
+        except BaseException:
+            self._child.kill()
+            raise
 
-def finish_recorder(recorder: Child, path: Path) -> dict[str, Any]:
-    """The recorder's summary; where it died, that it did, as how the motion went still counts."""
-    try:
-        return recorder.finish()
-    except ChildError as error:
-        return {
-            "path": str(path),
-            "paths": [str(path)],
-            "stopped": error.cause,
-            "missing": {},
-            "malformed": {},
-            "dropped_datagrams": 0,
-        }
+    def finish(self, last_words: Mapping[str, Any], *, heard: bool) -> dict[str, Any]:
+        """End it, and return its summary; where it died, that it did.
+
+        How the motion went counts all the same.
+
+        Args:
+            last_words: goes into the file's metadata.
+            heard: whether anybody was there to play to. If nobody was, a file in which there is
+                nothing is removed, lest the next recording be refused; `removed` says so.
+        """
+        self._child.send(last_words)
+        try:
+            recording = self._child.finish()
+        except ChildError as error:
+            recording = {
+                "path": str(self._path),
+                "paths": [str(self._path)],
+                "stopped": error.cause,
+                "missing": {},
+                "malformed": {},
+                "dropped_datagrams": 0,
+            }
+        return {**recording, "removed": not heard and discard_if_empty(recording, self._earlier)}
 
 
 def discard_if_empty(recording: dict[str, Any], earlier: Collection[Path]) -> bool:

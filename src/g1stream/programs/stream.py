@@ -14,7 +14,7 @@ from g1stream.control.envelope import Envelope
 from g1stream.control.feedforward import FeedForward
 from g1stream.control.gains import Gains, resolve_gains
 from g1stream.control.link import DdsLink
-from g1stream.control.loop import ERROR, INFO, StreamLoop
+from g1stream.control.loop import ERROR, INFO, WARNING, StreamLoop
 from g1stream.control.phases import Timing
 from g1stream.control.targets import Targets
 from g1stream.dds.domain import Participant, stays_here
@@ -24,14 +24,9 @@ from g1stream.doctor.wire import look_around
 from g1stream.errors import ConfigError, SafetyError
 from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
+from g1stream.programs.beyond import beyond_limits
 from g1stream.programs.outcome import Interval, StreamOutcome, loop_summary
-from g1stream.programs.recorder_child import (
-    discard_if_empty,
-    files_beside,
-    finish_recorder,
-    refuse_path,
-    start_recorder,
-)
+from g1stream.programs.recorder_child import RecorderChild, refuse_path
 from g1stream.realtime import on_time, told
 from g1stream.recording.motions import load_motion
 from g1stream.robot.dynamics import InverseDynamics
@@ -63,6 +58,7 @@ def stream(
     record: str | Path | None = None,
     force: bool = False,
     on_loop: Callable[[StreamLoop], None] | None = None,
+    on_warning: Callable[[str], None] | None = lambda text: None,
     make_link: Callable[[Participant], DdsLink] = DdsLink,
 ) -> StreamOutcome:
     """Play a motion on whatever robot listens, and return how it went.
@@ -75,6 +71,8 @@ def stream(
         record: also record the session into this file.
         force: replace a recording that is there already.
         on_loop: is given the loop before it runs, to watch it or to ask it to stop.
+        on_warning: is told, before the first command, what of the motion is beyond the limits;
+            None: it is not looked at.
         make_link: makes what stands between the loop and the wire.
 
     Raises:
@@ -82,7 +80,7 @@ def stream(
     """
     config = config or Config()
     session = None if record is None else Path(record)
-    if session is not None:
+    if session:
         refuse_path(session, config.record, force)
     robot = G1.load(config.robot)
     if not isinstance(motion, Motion):
@@ -98,6 +96,7 @@ def stream(
         targets = Targets(
             trajectory, start=interval.start, play=interval.length, ramp=settings.ramp
         )
+        warnings = beyond_limits(motion, robot, config, interval) if on_warning else []
         if not config.safety.allow_second_writer:
             clock.sleep_until(joined + _DISCOVERY)
             _refuse_if_commanded(participant)
@@ -105,32 +104,33 @@ def stream(
         loop = make_loop(config, robot, link, targets, interval.length, gains, clock)
         if on_loop:
             on_loop(loop)
-        recorder, recording, earlier = None, None, set[Path]()
-        if session is not None:
-            earlier = files_beside(session)
-            recorder = start_recorder(session, force, config, motion, gains)
+        if on_warning:
+            for warning in warnings:
+                on_warning(warning)
+        recorder = RecorderChild(session, force, config, motion, gains) if session else None
+        recording = None
         granted: list[Grant] = []
         try:
             with on_time(config.realtime.priority, config.realtime.cpu) as granted:
                 link.tell(INFO, told(granted))
+                for warning in warnings:
+                    link.tell(WARNING, warning)
                 report = loop.run()
             findings = _unanswered(config, participant, link, report)
         finally:
             wire = link.counts()
-            if recorder and session is not None:
-                recorder.send(
-                    {
-                        "stream": {
-                            **loop_summary(loop.report),
-                            "wire": wire,
-                            "realtime": [asdict(grant) for grant in granted],
-                        }
-                    }
-                )
-                recording = finish_recorder(recorder, session)
-    if recording is not None and not report.commands and not report.states:
-        recording["removed"] = discard_if_empty(recording, earlier)
+            if recorder:
+                heard = bool(loop.report.commands or loop.report.states)
+                recording = recorder.finish(_last_words(loop, wire, granted), heard=heard)
     return StreamOutcome(motion.name, report, recording, wire, granted, interval, findings)
+
+
+def _last_words(
+    loop: StreamLoop, wire: dict[str, int | None], granted: list[Grant]
+) -> dict[str, Any]:
+    """What the recorder notes of how the loop went."""
+    grants = [asdict(grant) for grant in granted]
+    return {"stream": {**loop_summary(loop.report), "wire": wire, "realtime": grants}}
 
 
 def _unanswered(

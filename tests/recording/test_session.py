@@ -9,6 +9,7 @@ from g1stream.dds.layout import members
 from g1stream.dds.topics import REFERENCE, SPORTMODESTATE
 from g1stream.errors import RecordingError
 from g1stream.recording.session import LogEvent, open_session
+from g1stream.recording.writer import SessionWriter
 
 T0 = 1_700_000_000_000_000_000
 STEP = 70_000_000
@@ -219,3 +220,35 @@ def test_an_mcap_without_messages(tmp_path):
         writer.finish()
     with pytest.raises(RecordingError, match="nor on any other topic"):
         open_session(path)
+
+
+@pytest.fixture
+def scene_only(tmp_path):
+    """A file without samples, made by whom its metadata says."""
+
+    def write(metadata):
+        writer = SessionWriter(tmp_path / "nobody.mcap")
+        writer.add_metadata(metadata)
+        writer.write("/scene", b"", 1, 1)
+        writer.close()
+        return tmp_path / "nobody.mcap"
+
+    return write
+
+
+def test_a_recording_that_saw_nobody(scene_only):
+    path = scene_only({"started_ns": 1, "domain": 171, "interface": "lo"})
+    with pytest.raises(RecordingError, match=r"recorded into .*on domain 171") as caught:
+        open_session(path)
+    assert "g1stream doctor --domain 171" in caught.value.remedy
+
+
+def test_somebody_elses_mcap_is_no_recording_of_ours(scene_only):
+    with pytest.raises(RecordingError, match="not a session of g1stream"):
+        open_session(scene_only({}))
+
+
+def test_a_session_says_what_it_is(cdr, write_session):
+    path = write_session(("/lowcmd", cdr["/lowcmd"]))
+    assert repr(open_session(path)).startswith(f"<Session {str(path)!r}: ")
+    assert f"/lowcmd {len(cdr['/lowcmd'])}" in repr(open_session(path))

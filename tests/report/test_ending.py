@@ -5,10 +5,8 @@ import json
 import pytest
 
 from g1stream.control.phases import Phase
-from g1stream.errors import RecordingError
 from g1stream.recording.session import open_session
-from g1stream.recording.writer import SessionWriter
-from g1stream.report.info import describe, open_recording
+from g1stream.report.info import describe
 from g1stream.report.info_text import render_info
 
 ITS_OWN = {"config": {}, "recorder": {"missing": {}}}
@@ -59,29 +57,3 @@ def test_a_recording_that_may_have_ended_first_accuses_nobody(cut_off, silence, 
     found = cut_off(silence, metadata)
     assert found.ending.vanished_in is None
     assert not any("vanished" in problem for problem in found.problems)
-
-
-@pytest.fixture
-def scene_only(tmp_path):
-    """A file without samples, made by whom its metadata says."""
-
-    def write(metadata):
-        writer = SessionWriter(tmp_path / "nobody.mcap")
-        writer.add_metadata(metadata)
-        writer.write("/scene", b"", 1, 1)
-        writer.close()
-        return tmp_path / "nobody.mcap"
-
-    return write
-
-
-def test_a_recording_that_saw_nobody(scene_only):
-    path = scene_only({"started_ns": 1, "domain": 171, "interface": "lo"})
-    with pytest.raises(RecordingError, match=r"recorded into .*on domain 171") as caught:
-        open_recording(path)
-    assert "g1stream doctor --domain 171" in caught.value.remedy
-
-
-def test_somebody_elses_mcap_is_no_recording_of_ours(scene_only):
-    with pytest.raises(RecordingError, match="not a session of g1stream"):
-        open_recording(scene_only({}))

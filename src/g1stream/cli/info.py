@@ -27,10 +27,11 @@ class Info:
 
     def run(self) -> int:
         """Look, and return the exit code."""
-        from g1stream.report.info import describe, open_recording
+        from g1stream.recording.session import open_session
+        from g1stream.report.info import describe
         from g1stream.report.info_text import render_info
 
-        info = describe(open_recording(self.file))
+        info = describe(open_session(self.file))
         if self.json:
             print_json(info.as_dict())
         else:

@@ -106,11 +106,12 @@ class Session:
         self.metadata: dict[str, Any] = self._files.metadata
         self._streams: dict[type[Stream], Any] = {}
         if not any(self.topics.get(topic) for topic in _ESSENTIAL):
-            raise RecordingError(
-                f"{self.path} is not a session of g1stream: it has no messages on "
-                f"{', '.join(_ESSENTIAL[:-1])} or {_ESSENTIAL[-1]}, {self._what_there_is()}.",
-                "Give a file that `g1stream record` or `g1stream stream --record` made.",
-            )
+            raise self._without_essentials()
+
+    def __repr__(self) -> str:
+        counts = ", ".join(f"{topic} {n}" for topic, n in self.topics.items() if n)
+        whole = "" if self.complete else ", not closed by its recorder"
+        return f"<Session {str(self.path)!r}: {counts}{whole}>"
 
     @cached_property
     def attachments(self) -> dict[str, bytes]:
@@ -272,6 +273,22 @@ class Session:
                 f"{self.path} has no messages on {topic}, {self._what_there_is()}.",
                 "Record while its producer runs.",
             )
+
+    def _without_essentials(self) -> RecordingError:
+        none = f"{', '.join(_ESSENTIAL[:-1])} or {_ESSENTIAL[-1]}"
+        if "started_ns" in self.metadata:  # a recorder's, that saw nobody
+            where = f"domain {self.metadata['domain']}", str(self.metadata["interface"])
+            return RecordingError(
+                f"Nothing was recorded into {self.path}: while it was made, nobody published "
+                f"{none} on {' on '.join(where)}.",
+                f"`g1stream doctor --{where[0]} --interface {where[1]}` shows who is there; start "
+                "the robot or the simulator, then record.",
+            )
+        return RecordingError(
+            f"{self.path} is not a session of g1stream: it has no messages on {none}, "
+            f"{self._what_there_is()}.",
+            "Give a file that `g1stream record` or `g1stream stream --record` made.",
+        )
 
     def _what_there_is(self) -> str:
         if not self.topics:

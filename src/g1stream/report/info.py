@@ -5,10 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
-from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE
-from g1stream.errors import RecordingError
-from g1stream.recording.parts import SessionFiles
-from g1stream.recording.session import open_session
 from g1stream.report.ending import ending, phases
 from g1stream.report.health import problems
 from g1stream.report.loop import loop_figures
@@ -18,7 +14,6 @@ from g1stream.report.tracking import comparison
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from pathlib import Path
 
     from g1stream.recording.session import Session
     from g1stream.report.ending import Ending
@@ -27,7 +22,7 @@ if TYPE_CHECKING:
     from g1stream.report.metrics import Tracking
     from g1stream.report.spans import Span
 
-__all__ = ["FEEDFORWARD", "Info", "describe", "open_recording"]
+__all__ = ["FEEDFORWARD", "Info", "describe"]
 
 FEEDFORWARD: Final = "feed-forward: "
 """What the streamer logs of its feed-forward begins with this."""
@@ -116,33 +111,6 @@ class Info:
             "attachments_bytes": self.attachments,
             "problems": self.problems,
         }
-
-
-def open_recording(path: Path) -> Session:
-    """Open a session; of a recording that saw nobody, say that it did.
-
-    Raises:
-        RecordingError: there is no such file, or it is no session, or it is damaged.
-    """
-    try:
-        return open_session(path)
-    except RecordingError as error:
-        raise _seen_nobody(path) or error from error
-
-
-def _seen_nobody(path: Path) -> RecordingError | None:
-    """What to say of a file that `g1stream record` made and in which no essential topic is."""
-    files = SessionFiles(path)
-    topics = [topic.name for topic in (LOWCMD, LOWSTATE, REFERENCE)]
-    if "started_ns" not in files.metadata:  # not a recorder's
-        return None
-    domain, interface = files.metadata["domain"], files.metadata["interface"]
-    return RecordingError(
-        f"Nothing was recorded into {path}: while it was made, nobody published "
-        f"{', '.join(topics[:-1])} or {topics[-1]} on domain {domain} on {interface}.",
-        f"`g1stream doctor --domain {domain} --interface {interface}` shows who is there; start "
-        "the robot or the simulator, then record.",
-    )
 
 
 def describe(session: Session) -> Info:

@@ -182,6 +182,11 @@ def test_help_is_there_for_every_subcommand(command):
     assert "--help" in done.stdout
 
 
+@pytest.mark.parametrize("command", ["stream", "replay"])
+def test_help_tells_the_exit_codes(command):
+    assert "130 after Ctrl-C" in " ".join(run(command, "--help").stdout.split())
+
+
 def test_help_needs_no_heavy_imports():
     heavy = ("mujoco", "scipy", "cyclonedds", "yourdfpy", "matplotlib", "mcap")
     code = (

@@ -7,7 +7,7 @@ import pytest
 from g1stream.doctor.facts import Interface, Peer, Punctuality, Qos
 from g1stream.doctor.finding import Level
 from g1stream.doctor.findings import examine
-from g1stream.doctor.peers import mismatch, recognise
+from g1stream.doctor.peers import mismatch, our_program, recognise
 from g1stream.realtime import Grant
 
 STATE = Peer("rt/lowstate", "LowState_", who="python (pid 7 on here)", participant="bridge")
@@ -47,12 +47,12 @@ CASES = {
     "wrong domain": (
         {"wire": {"writers": (), "elsewhere": ((0, "lo", "sim"),)}},
         Level.PROBLEM,
-        "in domain 0 on lo does sim",
+        "in domain 1 on lo; in domain 0 on lo, sim does",
     ),
     "wrong interface": (
         {"wire": {"writers": (), "elsewhere": ((1, "eth0", "sim"),)}},
         Level.PROBLEM,
-        "in domain 1 on eth0 does sim",
+        "; in domain 1 on eth0, sim does",
     ),
     "other type": (
         {"wire": {"writers": (Peer("rt/lowstate", "Other_", same_type=False),)}},
@@ -123,6 +123,12 @@ def test_a_domain_that_cannot_be_joined(healthy):
     assert problem.cause == "Ten others are there."
 
 
+def test_an_interface_that_is_none_is_one_problem(healthy):
+    facts = replace(healthy, interface="wlan9", wire=None, cannot_join="No such interface.")
+    (problem,) = [one for one in examine(facts) if one.level]
+    assert "no interface wlan9" in problem.cause
+
+
 def test_nobody_there_is_not_another_domain(changed):
     (problem,) = [
         one
@@ -130,7 +136,45 @@ def test_nobody_there_is_not_another_domain(changed):
         if one.level
     ]
     assert "nobody publishes rt/lowstate in domain 1 on lo" in problem.cause
+    assert "in domain 1 on lo; no other programs are there" in problem.cause
     assert "g1stream sim" in problem.remedy
+
+
+def test_where_else_nobody_is_is_said(changed):
+    looked = {"searched": ((0, "lo"), (2, "lo"), (1, "eth0"))}
+    peers = {"writers": (ARM,), "readers": (ROBOTS,), "states_matched": 0}
+    findings = examine(changed(wire=looked | peers))
+    (problem,) = [one for one in findings if one.about == "publisher"]
+    assert problem.cause.endswith(
+        "on lo, nor in domains 0, 2 on it, nor on eth0; 1 other program is there"
+    )
+
+
+def test_of_nobody_it_is_not_said_what_he_does_not_provide(changed):
+    gone = {"writers": (), "readers": (), "states_matched": 0}
+    assert "base" not in {one.about for one in examine(changed(wire=gone))}
+    mute = {"writers": (STATE,)}
+    assert "position and velocity not provided" in {
+        one.cause for one in examine(changed(wire=mute))
+    }
+
+
+@pytest.mark.parametrize(
+    ("written", "read", "program"),
+    [
+        ({"rt/lowstate", "rt/g1stream/log"}, {"rt/lowcmd"}, "g1stream sim"),
+        (
+            {"rt/lowcmd", "rt/g1stream/reference", "rt/g1stream/log"},
+            {"rt/lowstate"},
+            "g1stream stream",
+        ),
+        (set(), {"rt/lowcmd", "rt/g1stream/log", "rt/g1stream/reference"}, "g1stream record"),
+        ({"rt/lowstate"}, {"rt/lowcmd"}, ""),
+        (set(), {"rt/lowcmd"}, ""),
+    ],
+)
+def test_our_programs_are_known_by_their_topics(written, read, program):
+    assert our_program(written, read) == program
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from g1stream.dds import types
 from g1stream.dds.domain import Participant
 from g1stream.dds.messages import LowState
 from g1stream.dds.raw import RawReader, RawWriter
-from g1stream.dds.topics import LOWCMD, LOWSTATE
+from g1stream.dds.topics import LOG, LOWCMD, LOWSTATE
 from g1stream.doctor.facts import Interface, Qos
 from g1stream.doctor.wire import look_at_wire, qos_facts
 
@@ -30,6 +30,7 @@ def test_nobody(domain_id):
     assert not facts.writers
     assert not facts.state.received
     assert domain_id not in {domain for domain, _, _ in facts.elsewhere}
+    assert {(0, "lo"), (1, "lo")} <= set(facts.searched)
 
 
 def test_silent_publisher(domain_id):
@@ -94,6 +95,14 @@ def test_other_policies(domain_id):
     assert facts.states_matched == 0
     assert facts.writers[0].qos.partitions == ("lab",)
     assert facts.readers[0].qos == Qos(reliable=True, durability=1)
+
+
+def test_our_bridge_is_not_called_python(domain_id):
+    with Participant(domain_id, "lo") as peer:
+        RawWriter(peer, LOWSTATE)
+        RawWriter(peer, LOG)
+        facts = look_at_wire(domain_id, "lo", [LO], 0.5)
+    assert all(writer.who.startswith("g1stream sim (pid ") for writer in facts.writers)
 
 
 def test_the_domain_next_door(domain_id):

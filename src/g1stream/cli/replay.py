@@ -27,7 +27,7 @@ class Replay(PlayCommand):
     the same limits, with the gains of this call. Ctrl-C damps and ends.
 
     Exit code 0: played as asked; 1: something stopped it, or is missing from the recording; 2: bad
-    input, and nothing was sent; 128 + n: signal n ended it, so that it is 130 after Ctrl-C.
+    input; 128 + n: signal n ended it, so that it is 130 after Ctrl-C.
     """
 
     file: Annotated[Path, tyro.conf.Positional, value("MCAP")]

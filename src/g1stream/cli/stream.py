@@ -132,7 +132,7 @@ class Stream(PlayCommand):
     Waits for a LowState, moves to the first frame, plays, holds, damps. Ctrl-C damps and ends.
 
     Exit code 0: played as asked; 1: something stopped it, or is missing from the recording; 2: bad
-    input, and nothing was sent; 128 + n: signal n ended it, so that it is 130 after Ctrl-C.
+    input; 128 + n: signal n ended it, so that it is 130 after Ctrl-C.
     """
 
     motion: Annotated[str, tyro.conf.Positional, value("MOTION")]

@@ -160,6 +160,7 @@ class WireFacts:
             None where there is none, as the doctor has none.
         elsewhere: where else somebody publishes rt/lowstate: (domain, interface, who); looked for
             only if nobody does here.
+        searched: the places that were looked at for that, (domain, interface).
     """
 
     writers: tuple[Peer, ...] = ()
@@ -168,6 +169,7 @@ class WireFacts:
     states_matched: int = 0
     commands_matched: int | None = None
     elsewhere: tuple[tuple[int, str, str], ...] = ()
+    searched: tuple[tuple[int, str], ...] = ()
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 __all__ = ["examine"]
 
+_JOIN = "Mend that, and ask again for what is in the domain."
+
 
 def examine(facts: Facts) -> list[Finding]:
     """Everything there is to say, in the order in which to mend it."""
@@ -30,7 +32,10 @@ def examine(facts: Facts) -> list[Finding]:
     if facts.punctuality:
         found.append(examine_punctuality(facts.punctuality))
     if facts.wire is None:
-        return [*found, Finding(Level.PROBLEM, "domain", facts.cannot_join, "Mend that first.")]
+        # An interface that is none is the whole reason already.
+        known = any(one.about == "interface" and one.level is Level.PROBLEM for one in found)
+        cannot = Finding(Level.PROBLEM, "domain", facts.cannot_join, _JOIN)
+        return found if known else [*found, cannot]
     return [
         *found,
         *_presence(facts, facts.wire),
@@ -52,19 +57,26 @@ def _presence(facts: Facts, wire: WireFacts) -> Iterator[Finding]:
         yield Finding(
             Level.PROBLEM,
             "domain" if is_domain else "interface",
-            f"nobody publishes {LOWSTATE} in {here}, but in domain {domain} on {interface} does "
-            f"{who}",
+            f"nobody publishes {LOWSTATE} in {here}; in domain {domain} on {interface}, {who} does",
             f"Use --domain {domain}." if is_domain else f"Use --interface {interface}.",
         )
     if not wire.elsewhere:
         others = len({peer.participant for peer in (*wire.writers, *wire.readers)})
+        there = "1 other program is" if others == 1 else f"{others or 'no'} other programs are"
         yield Finding(
             Level.PROBLEM,
             "publisher",
-            f"nobody publishes {LOWSTATE} in {here}, nor in the domains beside it; "
-            f"{others} other programs are there",
+            f"nobody publishes {LOWSTATE} in {here}{_nor_in(facts, wire)}; {there} there",
             "Start a bridge (g1stream sim), or connect and switch on the robot.",
         )
+
+
+def _nor_in(facts: Facts, wire: WireFacts) -> str:
+    """Where else nobody does."""
+    domains = [str(domain) for domain, name in wire.searched if name == facts.interface]
+    others = [name for _, name in wire.searched if name != facts.interface]
+    text = f", nor in domains {', '.join(domains)} on it" if domains else ""
+    return text + (f", nor on {', '.join(others)}" if others else "")
 
 
 def _states(facts: Facts, wire: WireFacts) -> Iterator[Finding]:
@@ -128,7 +140,7 @@ def _base(wire: WireFacts) -> Iterator[Finding]:
     yield from misfits(writers, "SportModeState")
     if writers:
         yield Finding(Level.OK, "base", f"{SPORTMODESTATE} from {names(writers)}")
-    else:
+    elif any(peer.topic == LOWSTATE for peer in wire.writers):
         yield Finding(Level.OK, "base", "position and velocity not provided")
 
 

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     from g1stream.doctor.facts import Qos, StateFacts, WireFacts
 
-__all__ = ["LOWCMD", "LOWSTATE", "SPORTMODESTATE", "mismatch", "recognise"]
+__all__ = ["LOWCMD", "LOWSTATE", "SPORTMODESTATE", "mismatch", "our_program", "recognise"]
 
 LOWCMD: Final = "rt/lowcmd"
 LOWSTATE: Final = "rt/lowstate"
 SPORTMODESTATE: Final = "rt/sportmodestate"
 
-_OUR_LOG = "rt/g1stream/log"
+_OUR_LOG, _OUR_REFERENCE = "rt/g1stream/log", "rt/g1stream/reference"
 _ROBOT_WRITES = {"rt/lf/lowstate", "rt/odommodestate"}
 _ROBOT_READS = {"rt/arm_sdk"}
 _DURABILITIES = ("volatile", "transient local", "transient", "persistent")
@@ -36,6 +36,17 @@ def mismatch(offered: Qos, requested: Qos) -> str:
         "one has only the encoding XCDR2, the other XCDR1": requested.xcdr1 != offered.xcdr1,
     }
     return next((reason for reason, holds in reasons.items() if holds), "")
+
+
+def our_program(written: set[str], read: set[str]) -> str:
+    """Which program of ours has these topics, or "" where none of ours has."""
+    if _OUR_REFERENCE in written:
+        return "g1stream stream"
+    if _OUR_LOG in written and LOWSTATE in written:
+        return "g1stream sim"
+    if {_OUR_LOG, _OUR_REFERENCE} <= read and not written:
+        return "g1stream record"
+    return ""
 
 
 def recognise(wire: WireFacts) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import defaultdict
 from contextlib import suppress
 from dataclasses import replace
 from statistics import median
@@ -17,6 +18,7 @@ from g1stream.dds.raw import RawReader
 from g1stream.dds.ticks import TickGaps
 from g1stream.dds.topics import LOWSTATE, TOPICS
 from g1stream.doctor.facts import Peer, Qos, StateFacts, WireFacts
+from g1stream.doctor.peers import our_program
 from g1stream.errors import WireError
 
 if TYPE_CHECKING:
@@ -52,16 +54,18 @@ def look_at_wire(
         return facts
     # With a CYCLONEDDS_URI the interface is not for us to choose.
     others = [] if participant.uses_environment else interfaces
-    return replace(facts, elsewhere=tuple(_elsewhere(domain, interface, others)))
+    places = _places(domain, interface, others)
+    return replace(facts, elsewhere=tuple(_elsewhere(places)), searched=tuple(places))
 
 
 def look_around(participant: Participant, seconds: float) -> WireFacts:
     """Listen in a participant's domain for so long."""
     reader = RawReader(participant, LOWSTATE, depth=4096)
     state = _listen(reader, seconds)
+    programs = _our_programs(participant)
     return WireFacts(
-        writers=tuple(_peers(participant.writers())),
-        readers=tuple(_peers(participant.readers())),
+        writers=tuple(_peers(participant.writers(), programs)),
+        readers=tuple(_peers(participant.readers(), programs)),
         state=state,
         states_matched=reader.matched,
     )
@@ -95,20 +99,45 @@ def _listen(reader: RawReader, seconds: float) -> StateFacts:
     )
 
 
-def _elsewhere(
-    domain: int, interface: str, interfaces: Iterable[Interface]
-) -> Iterable[tuple[int, str, str]]:
-    """Where else somebody publishes LowState: domains nearby, then other interfaces."""
+def _places(domain: int, interface: str, interfaces: Iterable[Interface]) -> list[tuple[int, str]]:
+    """Where else to look: domains nearby, then other interfaces."""
     nearby = sorted({0, 1, domain - 1, domain + 1} - {domain, -1, MAX_DOMAIN + 1})
     usable = [i.name for i in interfaces if i.up and i.address and i.name != interface]
-    for place in [(other, interface) for other in nearby] + [(domain, name) for name in usable]:
+    return [(other, interface) for other in nearby] + [(domain, name) for name in usable]
+
+
+def _elsewhere(places: Iterable[tuple[int, str]]) -> Iterator[tuple[int, str, str]]:
+    """In which of these places somebody publishes LowState, and who."""
+    for place in places:
         # Where we cannot go, nobody is found; the place that was asked for is another matter.
         with suppress(WireError), Participant(*place) as participant:
             time.sleep(_LOOK_ELSEWHERE_S)
-            yield from ((*place, str(writer)) for writer in participant.writers(LOWSTATE.name))
+            writers, programs = participant.writers(), _our_programs(participant)
+            yield from (
+                (*place, _who(writer, programs))
+                for writer in writers
+                if writer.topic == LOWSTATE.name
+            )
 
 
-def _peers(endpoints: Iterable[Endpoint]) -> Iterator[Peer]:
+def _our_programs(participant: Participant) -> dict[str, str]:
+    """Which programs of ours there are, by participant; Cyclone calls them all python."""
+    written: dict[str, set[str]] = defaultdict(set)
+    read: dict[str, set[str]] = defaultdict(set)
+    for found, endpoints in ((written, participant.writers()), (read, participant.readers())):
+        for endpoint in endpoints:
+            found[endpoint.participant].add(endpoint.topic)
+    named = {one: our_program(written[one], read[one]) for one in {*written, *read}}
+    return {one: name for one, name in named.items() if name}
+
+
+def _who(endpoint: Endpoint, programs: dict[str, str]) -> str:
+    """Whose an endpoint is."""
+    program = programs.get(endpoint.participant)
+    return str(replace(endpoint, process=program) if program else endpoint)
+
+
+def _peers(endpoints: Iterable[Endpoint], programs: dict[str, str]) -> Iterator[Peer]:
     """Those of a robot's topics; discovery has topics of its own."""
     for endpoint in endpoints:
         if endpoint.topic.startswith("rt/"):
@@ -117,7 +146,7 @@ def _peers(endpoints: Iterable[Endpoint]) -> Iterator[Peer]:
                 type_name=endpoint.type_name,
                 same_type=_same_type(endpoint),
                 qos=qos_facts(endpoint.qos),
-                who=str(endpoint),
+                who=_who(endpoint, programs),
                 participant=endpoint.participant,
                 only_looks=bool(observers([endpoint])),
             )

@@ -100,6 +100,10 @@ CASES = {
         lambda tmp: ["stream", "demo", "--gains", toml(tmp, "[kp]\nleft_kne_joint = 3.0")],
         "Of the 29 joints, these are alike: left_knee_joint, ",
     ),
+    "a misspelt joint in the config": (
+        lambda tmp: ["stream", "demo", "--config", toml(tmp, "[gains.kd]\nleft_kne_joint = 3.0")],
+        "kd.'left_kne_joint' fits no joint.\n       Of the 29 joints, these are alike: left_knee",
+    ),
     "how to record nothing": (
         lambda tmp: ["stream", "demo", "--split-size", 5],
         "The flag --split-size says how to record, and nothing is recorded.",

@@ -1,4 +1,4 @@
-"""A file of servo gains, which goes over the config's."""
+"""A file of servo gains, which goes over the config's, and what is said of gains for no joint."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any, Final
 from g1stream.errors import ConfigError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
     from pathlib import Path
 
-__all__ = ["read_gains"]
+    from g1stream.config import GainsConfig
+
+__all__ = ["read_gains", "require_joints"]
 
 _FORM: Final = (
     'Write tables [kp] and [kd] of joint names or patterns, such as "*_knee_joint" = 150.0.'
@@ -43,23 +44,26 @@ def read_gains(path: Path) -> dict[str, Any]:
         raise ConfigError(
             f"In the gains file {path}, {where} does not fit: {wrong[0].lower()}{wrong[1:]}.", _FORM
         ) from error
-    for name, table in (("kp", gains.kp), ("kd", gains.kd)):
-        _require_joints(path, name, table)
+    require_joints(gains, f"the gains file {path}")
     return tables
 
 
-def _require_joints(path: Path, table: str, patterns: Iterable[str]) -> None:
+def require_joints(gains: GainsConfig, where: str) -> None:
+    """Refuse a name or pattern that fits no joint, naming those that are alike.
+
+    Raises:
+        ConfigError: one fits none.
+    """
     from g1stream.robot.joints import JOINT_NAMES
 
-    for pattern in patterns:
+    for table, pattern in [*(("kp", one) for one in gains.kp), *(("kd", one) for one in gains.kd)]:
         if any(fnmatchcase(name, pattern) for name in JOINT_NAMES):
             continue
-        alike = get_close_matches(pattern, JOINT_NAMES, _ALIKE)
-        names = f"Of the {len(JOINT_NAMES)} joints, these are alike: {', '.join(alike)}."
+        n, alike = len(JOINT_NAMES), get_close_matches(pattern, JOINT_NAMES, _ALIKE)
         raise ConfigError(
-            f"In the gains file {path}, {table}.{pattern!r} fits no joint.",
-            names
+            f"In {where}, {table}.{pattern!r} fits no joint.",
+            f"Of the {n} joints, these are alike: {', '.join(alike)}."
             if alike
-            else f"Use one of the {len(JOINT_NAMES)} joints' names, such as {JOINT_NAMES[0]}, or a "
-            "pattern, such as *_knee_joint; `g1stream motion demo --json` lists them.",
+            else f"Use one of the {n} joints' names, such as {JOINT_NAMES[0]}, or a pattern, such "
+            "as *_knee_joint.",
         )

@@ -17,6 +17,7 @@ from g1stream.cli.common import (
     print_warning,
     value,
 )
+from g1stream.cli.gains_file import read_gains, require_joints
 from g1stream.cli.played import exit_code, summary
 from g1stream.cli.values import flag_name
 from g1stream.cli.watch import watching
@@ -105,12 +106,13 @@ class PlayCommand(WireCommand):
                         f"The flag {flag_name(field)} says how to record, and nothing is recorded.",
                         "Add --record FILE, or leave it out.",
                     )
-        return super().resolve()
+        config = super().resolve()
+        # Those of a gains file are looked at where it is read.
+        require_joints(config.gains, f"[gains] of the config {self.config}")
+        return config
 
     def overrides(self) -> dict[str, Any]:
         """The flags that were given, and the gains file's tables."""
-        from g1stream.cli.gains_file import read_gains
-
         over = super().overrides()
         if self.gains:
             over |= {f"gains.{name}": table for name, table in read_gains(self.gains).items()}

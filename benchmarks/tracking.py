@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from g1stream.config import FeedForwardKind, Support
-    from g1stream.control.feedforward import ImuReading
+    from g1stream.control.measured import ImuReading
     from g1stream.dds.messages import LowState
     from g1stream.motion.motion import Motion
 

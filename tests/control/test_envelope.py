@@ -7,7 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from g1stream.config import SafetyConfig
-from g1stream.control.envelope import Envelope, Measured, tilt_of
+from g1stream.control.envelope import Envelope
+from g1stream.control.measured import Measured, tilt_of
 from g1stream.errors import ConfigError, SafetyError
 from g1stream.robot.joints import JOINT_NAMES
 

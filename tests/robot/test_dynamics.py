@@ -211,6 +211,15 @@ def test_the_accelerometer_feels_what_a_simulated_one_does(robot, inverse):
     assert felt == pytest.approx(world.data.sensor("imu_acc").data, abs=1e-8)
 
 
+def test_what_is_felt_does_not_depend_on_what_was_solved_last(inverse, moving):
+    on_its_side = BaseMotion(np.array([np.sqrt(0.5), np.sqrt(0.5), 0.0, 0.0]), np.zeros(3))
+    still = (moving.q, np.zeros(29), np.zeros(29))
+    upright = inverse.solve("bolted", *still, UPRIGHT)
+    lying = inverse.solve("bolted", *still, on_its_side)
+    assert inverse.felt(upright, UPRIGHT) == pytest.approx(GRAVITY, abs=1e-9)
+    assert inverse.felt(lying, on_its_side) == pytest.approx([0.0, 9.81, 0.0], abs=1e-9)
+
+
 def test_gravity_in_free_fall_is_not_felt(inverse, moving):
     at_rest = inverse.solve("free", moving.q, np.zeros(29), np.zeros(29), UPRIGHT)
     assert at_rest.tau == pytest.approx(np.zeros(29), abs=1e-9)

@@ -21,14 +21,13 @@ from g1stream.cli.common import (
     value,
 )
 from g1stream.errors import G1StreamError
+from g1stream.levels import WARNING
 from g1stream.realtime import stand_back
 
 if TYPE_CHECKING:
     from g1stream.recording.recorder_report import RecorderReport
 
 __all__ = ["Record"]
-
-_WARNING = 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,7 +119,7 @@ def _merged(lines: list[dict[str, Any]]) -> dict[str, Any]:
 
 def _print_event(level: int, text: str) -> None:
     """Show a warning; what else the recorder tells is for the file."""
-    if level >= _WARNING:
+    if level >= WARNING:
         print(f"record: {text}", file=sys.stderr)
 
 

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 from g1stream.dds.messages import LowCmd, Reference
 
 if TYPE_CHECKING:
-    from g1stream.control.envelope import Envelope, Measured
+    from g1stream.control.envelope import Envelope
     from g1stream.control.gains import Gains
+    from g1stream.control.measured import Measured
     from g1stream.control.phases import Phase
     from g1stream.control.target import Target
 

@@ -6,47 +6,21 @@ docs/safety.md explains every threshold.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from g1stream.control.measured import all_finite, is_unit, tilt_of
 from g1stream.errors import ConfigError, SafetyError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from g1stream.config import SafetyConfig
+    from g1stream.control.measured import Measured
     from g1stream.robot.model import G1
 
-__all__ = ["Envelope", "Measured", "tilt_of"]
-
-
-@dataclass
-class Measured:
-    """What the latest LowState says.
-
-    Attributes:
-        q, dq: (29,) rad, rad/s, motor order.
-        quat_wxyz: (4,) pelvis to world.
-        mode_machine: which robot it is.
-        received: when it came, ns of the loop's monotonic clock.
-    """
-
-    q: NDArray[np.float32]
-    dq: NDArray[np.float32]
-    quat_wxyz: NDArray[np.float32]
-    mode_machine: int
-    received: int
-
-
-def tilt_of(quat_wxyz: NDArray[np.floating]) -> float:
-    """The angle between the body's z axis and the world's, rad, of a unit quaternion (4,) wxyz.
-
-    The world's z component of the rotated z axis is 1 - 2 (x^2 + y^2).
-    """
-    x, y = float(quat_wxyz[1]), float(quat_wxyz[2])
-    return math.acos(min(1.0, max(-1.0, 1.0 - 2.0 * (x * x + y * y))))
+__all__ = ["Envelope"]
 
 
 class Envelope:
@@ -124,7 +98,7 @@ class Envelope:
             SafetyError: names the first joint of which one does.
         """
         for what, values in targets.items():
-            if not _all_finite(values):
+            if not all_finite(values):
                 joint = int(np.argmin(np.isfinite(values)))
                 raise SafetyError(
                     f"The motion asks for {what} = {values[joint]} of {self._names[joint]}.",
@@ -149,7 +123,7 @@ class Envelope:
         age = (now - state.received) / 1e9
         if age > self._config.state_timeout:
             return f"no LowState for {age:.3f} s (limit {self._config.state_timeout:g} s)"
-        if not (_all_finite(state.q) and _all_finite(state.dq)):
+        if not (all_finite(state.q) and all_finite(state.dq)):
             return "LowState holds a number that is not finite"
         return self._wrong_robot(state) or self._tilted(state) or self._too_fast(state)
 
@@ -163,9 +137,8 @@ class Envelope:
         )
 
     def _tilted(self, state: Measured) -> str:
-        norm = math.hypot(*state.quat_wxyz.tolist())
-        if not abs(norm - 1.0) < 0.05:
-            return f"the IMU's quaternion has the norm {norm:.3f}"
+        if not is_unit(state.quat_wxyz):
+            return f"the IMU's quaternion has the norm {math.hypot(*state.quat_wxyz.tolist()):.3f}"
         tilt = tilt_of(state.quat_wxyz)
         if tilt <= self._config.max_tilt:
             return ""
@@ -180,8 +153,3 @@ class Envelope:
             f"{self._names[speeds.index(speed)]} moves at {speed:.1f} rad/s "
             f"(limit {self._config.max_joint_speed:g} rad/s)"
         )
-
-
-def _all_finite(values: NDArray[np.floating]) -> bool:
-    """Whether none of a few numbers is NaN or infinite: neither disappears from a sum."""
-    return math.isfinite(sum(values.tolist()))

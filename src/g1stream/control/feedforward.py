@@ -5,15 +5,16 @@ Pure: time and measurements come in as arguments. docs/tracking.md explains the 
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Final, NamedTuple, get_args
 
 import numpy as np
 
 from g1stream.config import FeedForwardKind, Support
+from g1stream.control.measured import all_finite, is_unit
 from g1stream.control.phases import Phase
 from g1stream.control.support import ForceObserver, SupportCheck
 from g1stream.control.targets import minimum_jerk
+from g1stream.levels import INFO, WARNING
 from g1stream.robot.dynamics import BaseMotion
 from g1stream.robot.joints import N_JOINTS
 
@@ -22,12 +23,12 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from g1stream.control.measured import ImuReading
     from g1stream.control.target import Target
     from g1stream.robot.dynamics import InverseDynamics
 
-__all__ = ["Change", "FeedForward", "ImuReading"]
+__all__ = ["Change", "FeedForward"]
 
-_INFO, _WARNING = 2, 3
 _SUPPORTS: Final[tuple[Support, ...]] = get_args(Support)
 
 #: What no G1 turns at without being beyond rescue, rad/s.
@@ -36,20 +37,6 @@ _ABSURD_RATE: Final = 30.0
 _STALE: Final = 0.02
 #: The torque fades out, and in again, in this time, s.
 _FADE: Final = 0.1
-
-
-class ImuReading(NamedTuple):
-    """What the pelvis's inertial unit says.
-
-    Attributes:
-        quat_wxyz: (4,) pelvis to world.
-        gyroscope: (3,) rad/s, pelvis frame.
-        accelerometer: (3,) m/s², pelvis frame, gravity included: upward 9.81 at rest.
-    """
-
-    quat_wxyz: NDArray[np.floating]
-    gyroscope: NDArray[np.floating]
-    accelerometer: NDArray[np.floating]
 
 
 class Change(NamedTuple):
@@ -134,12 +121,12 @@ class FeedForward:
             held = self.support not in (None, "free")  # what the ground does is not in the model
             self.kind = "dynamics" if held and self._dynamics else "velocity"
         if self.kind != "dynamics":
-            return [(_INFO, f"feed-forward: {self.kind}")]
+            return [(INFO, f"feed-forward: {self.kind}")]
         if self._dynamics is None or self.support is None:
             self.kind = "velocity"
             return [
                 (
-                    _WARNING,
+                    WARNING,
                     "feed-forward: velocity only, because nobody says how the robot is held; "
                     "give --support",
                 )
@@ -148,11 +135,11 @@ class FeedForward:
         self._check = SupportCheck(self._period) if self.support != announced else None
         if self.support == "hanging":
             self._observer = ForceObserver(self._dynamics, self._period)
-        lines = [(_INFO, f"feed-forward: dynamics of a robot that is held {self.support}")]
+        lines = [(INFO, f"feed-forward: dynamics of a robot that is held {self.support}")]
         if told and announced and told != announced:
             lines.append(
                 (
-                    _WARNING,
+                    WARNING,
                     f"the bridge says that it holds the robot {announced}, not {told}: "
                     "a wrong support follows worse than none",
                 )
@@ -233,12 +220,11 @@ def _fault(imu: ImuReading, age: float) -> str:
     """What is wrong with a reading; empty where nothing is."""
     if age > _STALE:
         return f"LowState is older than {_STALE:g} s"
-    quat, rates, forces = (part.tolist() for part in imu)
-    if not all(map(math.isfinite, (*quat, *rates, *forces))):
+    if not all(map(all_finite, imu)):
         return "the IMU says a number that is not finite"
-    if abs(math.hypot(*quat) - 1.0) > 0.05:
+    if not is_unit(imu.quat_wxyz):
         return "the IMU's quaternion is not of length 1"
-    if max(map(abs, rates)) > _ABSURD_RATE:
+    if max(map(abs, imu.gyroscope.tolist())) > _ABSURD_RATE:
         return f"the IMU turns faster than {_ABSURD_RATE:g} rad/s"
     return ""
 

@@ -12,13 +12,13 @@ from itertools import islice
 from typing import TYPE_CHECKING
 
 from g1stream.control.compose import Composer
-from g1stream.control.envelope import Measured
-from g1stream.control.feedforward import ImuReading
+from g1stream.control.measured import ImuReading, Measured
 from g1stream.control.phases import Inputs, Phase, PhaseState, Timing, step
 from g1stream.control.report import LoopReport
 from g1stream.control.targets import minimum_jerk
 from g1stream.control.ticker import Ticker
 from g1stream.dds.messages import LowState
+from g1stream.levels import ERROR, INFO, WARNING
 
 if TYPE_CHECKING:
     from g1stream.clock import Clock
@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from g1stream.control.targets import Targets
 
 __all__ = ["LoopReport", "StreamLoop"]
-
-INFO, WARNING, ERROR = 2, 3, 4
 
 #: How often the loop looks for a second writer of LowCmd, ns.
 _RIVAL_PERIOD = 100_000_000

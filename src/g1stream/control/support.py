@@ -11,7 +11,7 @@ from g1stream.robot.rotations import quat_rotate
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from g1stream.control.feedforward import ImuReading
+    from g1stream.control.measured import ImuReading
     from g1stream.robot.dynamics import InverseDynamics
 
 __all__ = ["ForceObserver", "SupportCheck"]
@@ -60,10 +60,10 @@ class SupportCheck:
     """Notices that the pelvis does not turn as the assumed support lets it.
 
     The change of the gyroscope's reading over a short window is compared with what the model says.
-    A support that leaves most of the change unexplained in most windows of a second is wrong, and
-    so is one that predicts what does not happen. In simulation a right support fails in up to a
-    sixth of the windows of a dance, a wrong one in most of them within seconds; `free` told of a
-    robot that hangs is the hardest to notice.
+    A support that leaves most of the change unexplained in most of 50 windows, a second's worth, is
+    wrong, and so is one that predicts what does not happen. In simulation a right support fails in
+    up to a sixth of the windows of a dance, a wrong one in most of them within seconds; `free` told
+    of a robot that hangs is the hardest to notice.
 
     Args:
         period: s between ticks.
@@ -74,6 +74,9 @@ class SupportCheck:
 
     _WINDOW: Final = 0.02
     _SPAN: Final = 50  # windows
+    #: Over so many periods without a tick the last prediction still holds; a longer stall is left
+    #: out.
+    _GAP: Final = 3
     #: What nobody is blamed for: noise, and the play of a real mount, rad/s a window.
     _FLOOR: Final = 0.03
     #: The part of the change that a right model may leave unexplained.
@@ -83,12 +86,10 @@ class SupportCheck:
 
     def __init__(self, period: float) -> None:
         self.wrong = False
-        self._period = period
-        self._ticks = max(1, round(self._WINDOW / period))
-        self._due = -np.inf
-        self._n = 0
-        self._predicted = np.zeros(3)
-        self._began = np.zeros(3)
+        self._gap = (self._GAP + 0.5) * period
+        self._window = max(self._WINDOW, period) - period / 2.0
+        self._last, self._ang_acc = -np.inf, np.zeros(3)
+        self._begun, self._rate, self._predicted = 0.0, np.zeros(3), np.zeros(3)
         self._windows = self._failed = 0
 
     def add(
@@ -97,26 +98,26 @@ class SupportCheck:
         """Take another tick's reading and prediction.
 
         Args:
-            time: of the tick, s; a window in which ticks are missing is not judged.
+            time: of the tick, s.
             gyroscope: (3,) the measured rate, rad/s.
-            ang_acc: (3,) the predicted change of it, rad/s².
+            ang_acc: (3,) the predicted change of it from then on, rad/s².
         """
-        if abs(time - self._due) > self._period / 2.0:
-            self._begin(gyroscope)
-        elif self._n == self._ticks:
-            self._judge(gyroscope)
-            self._begin(gyroscope)
-        self._predicted += self._period * ang_acc
-        self._n += 1
-        self._due = time + self._period
+        passed = time - self._last
+        self._last = time
+        if 0.0 < passed <= self._gap:
+            self._predicted += passed * self._ang_acc
+            if time - self._begun >= self._window:
+                self._judge(gyroscope - self._rate)
+                self._begin(time, gyroscope)
+        else:
+            self._begin(time, gyroscope)
+        self._ang_acc = ang_acc
 
-    def _begin(self, gyroscope: NDArray[np.floating]) -> None:
-        self._began = gyroscope.astype(np.float64)
+    def _begin(self, time: float, gyroscope: NDArray[np.floating]) -> None:
+        self._begun, self._rate = time, gyroscope.astype(np.float64)
         self._predicted = np.zeros(3)
-        self._n = 0
 
-    def _judge(self, gyroscope: NDArray[np.floating]) -> None:
-        change = gyroscope - self._began
+    def _judge(self, change: NDArray[np.float64]) -> None:
         unexplained = float(np.linalg.norm(change - self._predicted))
         allowed = np.hypot(self._FLOOR, self._UNEXPLAINED * float(np.linalg.norm(change)))
         self._failed += unexplained > allowed

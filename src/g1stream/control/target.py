@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from g1stream.robot.joints import N_JOINTS
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -14,8 +16,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Target"]
 
-_N: Final = 29
-_NO_TORQUE: Final = np.zeros(_N)
+_N: Final = N_JOINTS
+_NO_TORQUE: Final = np.zeros(N_JOINTS)
 
 
 class _Part:

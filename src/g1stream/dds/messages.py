@@ -20,7 +20,15 @@ from g1stream.errors import WireError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["Log", "LowCmd", "LowState", "Message", "Reference", "SecondaryImu", "SportModeState"]
+__all__ = [
+    "Log",
+    "LowCmd",
+    "LowState",
+    "Message",
+    "Reference",
+    "SecondaryImu",
+    "SportModeState",
+]
 
 _N_MOTORS = 29
 

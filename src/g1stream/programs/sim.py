@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from g1stream.clock import SystemClock
 from g1stream.config import Config
 from g1stream.dds.domain import Participant
+from g1stream.levels import INFO
 from g1stream.realtime import on_time, told
 from g1stream.robot.model import G1
 from g1stream.sim.bridge import Bridge
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
 
 __all__ = ["simulate"]
 
-_INFO = 2
 #: By how much the bridge comes after the loop: it is the robot that answers, not the one in charge.
 _BELOW_LOOP = 10
 
@@ -54,7 +54,7 @@ def simulate(
         bridge = Bridge(participant, world, config.sim, SystemClock(), on_event=on_event, view=view)
         granted = stack.enter_context(on_time(_priority(config)))
         on_ready()
-        on_event(_INFO, told(granted))
+        on_event(INFO, told(granted))
         end = None if config.sim.duration is None else time.monotonic() + config.sim.duration
         return bridge.run(lambda: should_stop() or (end is not None and time.monotonic() >= end))
 

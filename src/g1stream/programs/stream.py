@@ -14,7 +14,7 @@ from g1stream.control.envelope import Envelope
 from g1stream.control.feedforward import FeedForward
 from g1stream.control.gains import Gains, resolve_gains
 from g1stream.control.link import DdsLink
-from g1stream.control.loop import ERROR, INFO, WARNING, StreamLoop
+from g1stream.control.loop import StreamLoop
 from g1stream.control.phases import Timing
 from g1stream.control.targets import Targets
 from g1stream.dds.domain import Participant, stays_here
@@ -22,6 +22,7 @@ from g1stream.dds.topics import LOWCMD
 from g1stream.doctor.misfits import unanswered
 from g1stream.doctor.wire import look_around
 from g1stream.errors import ConfigError, SafetyError
+from g1stream.levels import ERROR, INFO, WARNING
 from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.programs.beyond import beyond_limits
@@ -137,10 +138,11 @@ def _unanswered(
     config: Config, participant: Participant, link: DdsLink, report: LoopReport
 ) -> list[Finding]:
     """Why nobody was there to play to, in the doctor's words; they go into the recording too."""
-    listeners = link.listeners()
-    if report.commands or (report.states and listeners):
+    if report.commands or (report.states and link.listeners()):
         return []
-    wire = replace(look_around(participant, _LISTEN), commands_matched=listeners)
+    wire = look_around(participant, _LISTEN)
+    # Asked only now: whoever came meanwhile is among the readers, and is matched.
+    wire = replace(wire, commands_matched=link.listeners())
     findings = unanswered(config.dds.domain, config.dds.interface, wire)
     for finding in findings:
         link.tell(ERROR, finding.cause)

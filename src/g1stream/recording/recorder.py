@@ -11,6 +11,7 @@ import numpy as np
 
 from g1stream.dds.topics import TOPICS
 from g1stream.errors import RecordingError
+from g1stream.levels import ERROR, INFO, WARNING
 from g1stream.recording.channels import CHANNELS
 from g1stream.recording.clocks import DelayEstimator, StepDetector, read_clocks
 from g1stream.recording.encode import encode_log
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Recorder"]
 
-_INFO, _WARNING, _ERROR = 2, 3, 4
 
 #: A delay beyond this, either way, is told while it can still be mended.
 _FAR_NS = 20_000_000
@@ -109,7 +109,7 @@ class Recorder:
             self.report.stopped = error.cause
             # There is room for last words, if the disk is what failed.
             with suppress(RecordingError):
-                self.tell(_ERROR, error.cause)
+                self.tell(ERROR, error.cause)
         finally:
             self._receiver.stop()
         self._fill_report()
@@ -157,19 +157,19 @@ class Recorder:
     def _watch_losses(self) -> None:
         for name, number in self._losses.update(self._receiver.lost()).items():
             channel = _CHANNEL_OF.get(name, name)
-            self.tell(_WARNING, f"{number} samples of {channel} did not arrive")
+            self.tell(WARNING, f"{number} samples of {channel} did not arrive")
         if time.monotonic() >= self._next_look:
             self._next_look = time.monotonic() + _LOOK_EVERY_S
             more = dropped_datagrams() - self.report.dropped
             if more > 0:
                 self.report.dropped += more
-                self.tell(_WARNING, f"the kernel dropped {more} datagrams: the recorder was late")
+                self.tell(WARNING, f"the kernel dropped {more} datagrams: the recorder was late")
 
     def _watch_clock(self) -> None:
         step = self._steps.observe(self._clocks())
         if step:
             self.tell(
-                _WARNING,
+                WARNING,
                 f"CLOCK_REALTIME was set by {step / 1e9:+.3f} s: log times before and after do "
                 "not compare",
             )
@@ -179,7 +179,7 @@ class Recorder:
         if abs(median) < _FAR_NS:
             return
         self.tell(
-            _WARNING,
+            WARNING,
             f"{_CHANNEL_OF[name]} from {self._publishers[name]} is logged {median / 1e9:+.3f} s "
             "after it was published: the clocks differ, or this machine cannot keep up",
         )
@@ -188,7 +188,7 @@ class Recorder:
         base = self._deriver.base
         self._writer.add_metadata({"measured_tf": base.as_dict()})
         self.tell(
-            _INFO,
+            INFO,
             f"the measured robot is shown turned by {base.yaw_offset:+.3f} rad, to face as the "
             f"reference; its position is from {base.source}",
         )

@@ -29,6 +29,7 @@ from g1stream.errors import RobotError
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.motors import DAMPING, FRICTION
 from g1stream.robot.mujoco_spec import mujoco_spec
+from g1stream.robot.rotations import quat_rotate_inverse
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -41,7 +42,6 @@ if TYPE_CHECKING:
 __all__ = ["BaseMotion", "InverseDynamics", "Solution", "friction_torque"]
 
 _BASE: Final = 6
-_BASE_BODY: Final = 1
 _GRAVITY: Final = 9.81
 
 #: Dry friction has its full value from about twice this speed on, rad/s.
@@ -189,7 +189,7 @@ class InverseDynamics:
         return self._columns[:, :_BASE]
 
     def felt(self, solution: Solution, base: BaseMotion) -> Array:
-        """What the accelerometer of the pelvis's unit says to a solution just found.
+        """What the accelerometer of the pelvis's unit says to a solution.
 
         The specific force at the unit: a - g of the pelvis's origin, a' x r and w x (w x r).
 
@@ -197,11 +197,11 @@ class InverseDynamics:
             (3,) m/s², pelvis frame.
         """
         lin_acc, ang_acc, ang_vel = solution.lin_acc, solution.ang_acc, base.ang_vel
-        turn = self._data.xmat[_BASE_BODY].reshape(3, 3)
+        upward = quat_rotate_inverse(base.quat_wxyz, lin_acc + self._up)
         (x, y, z), (ax, ay, az) = self._imu_pos.tolist(), ang_acc.tolist()
         swing = np.array([ay * z - az * y, az * x - ax * z, ax * y - ay * x])
         inward = ang_vel * (ang_vel @ self._imu_pos) - self._imu_pos * (ang_vel @ ang_vel)
-        felt: Array = (lin_acc + self._up) @ turn + swing + inward
+        felt: Array = upward + swing + inward
         return felt
 
     def _carried(self, force: Array | None) -> Array:

@@ -12,6 +12,7 @@ from g1stream.dds.announcement import user_data_of_support
 from g1stream.dds.messages import Log, LowCmd, LowState, Reference, SecondaryImu, SportModeState
 from g1stream.dds.raw import RawReader, RawWriter
 from g1stream.dds.topics import LOG, LOWCMD, LOWSTATE, REFERENCE, SECONDARY_IMU, SPORTMODESTATE
+from g1stream.levels import INFO, WARNING
 from g1stream.robot.joints import N_JOINTS
 from g1stream.robot.rotations import quat_to_rpy
 from g1stream.sim.supports import Root
@@ -34,7 +35,6 @@ _TIMEOUT_KD = 3.0
 _TELL_PERIOD = 1_000_000_000
 _CATCH_UP = 50_000_000
 _VIEW_PERIOD = 20_000_000
-_WARNING, _INFO = 3, 2
 _PLAY = 2  # the phase in idl/g1stream/Reference_.idl
 
 
@@ -153,7 +153,7 @@ class Bridge:
         if late <= _CATCH_UP:
             return 0
         self.report.behind += late / 1e9
-        self._tell(_WARNING, "the simulation cannot keep up with the clock on the wall")
+        self._tell(WARNING, "the simulation cannot keep up with the clock on the wall")
         return late
 
     def _take_command(self, now: int) -> None:
@@ -163,7 +163,7 @@ class Bridge:
             refusal = self._refusal()
             if refusal:
                 self.report.refused[refusal] += 1
-                self._tell(_WARNING, f"LowCmd refused: {refusal}", now)
+                self._tell(WARNING, f"LowCmd refused: {refusal}", now)
             else:
                 self._obey(now)
         if self._obeyed_at is not None and 0 < self._timeout < now - self._obeyed_at:
@@ -172,7 +172,7 @@ class Bridge:
             self._motors = MotorCommand.off()._replace(
                 enabled=self._motors.enabled, kd=np.full(N_JOINTS, _TIMEOUT_KD)
             )
-            self._tell(_WARNING, "no LowCmd any more: the motors only damp", now)
+            self._tell(WARNING, "no LowCmd any more: the motors only damp", now)
 
     def _take_reference(self) -> None:
         sample = self._references.take_latest()
@@ -198,9 +198,9 @@ class Bridge:
         enabled = command.motor_mode == 1
         if not enabled.all():
             off = int(N_JOINTS - enabled.sum())
-            self._tell(_WARNING, f"{off} of {N_JOINTS} motors are not enabled (mode 0)", now)
+            self._tell(WARNING, f"{off} of {N_JOINTS} motors are not enabled (mode 0)", now)
         if self._obeyed_at is None:
-            self._tell(_INFO, "obeying LowCmd", now)
+            self._tell(INFO, "obeying LowCmd", now)
         self._obeyed_at = now
         self.report.commands += 1
         self._motors = MotorCommand(

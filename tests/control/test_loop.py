@@ -14,6 +14,7 @@ from g1stream.control.report import LoopReport
 from g1stream.control.target import Target
 from g1stream.control.targets import Targets
 from g1stream.motion.trajectory import Trajectory
+from g1stream.robot.dynamics import Solution
 
 MS = 1_000_000
 PERIOD = 2 * MS
@@ -77,6 +78,30 @@ def test_a_preview_crosses_into_the_next_phase(make_loop, link, preview):
     assert np.abs(np.diff(q, axis=0)).max() < 1.1 * fastest * PERIOD / 1e9
     damping = link.in_phase(Phase.DAMP)
     assert damping[0].command.q.tolist() == link.sent[-DAMP - 1].command.q.tolist()
+
+
+class Carrying:
+    """A model of the robot that always says the same torque."""
+
+    def solve(self, support, q, dq, ddq, base, *, force=None):
+        return Solution(np.full(29, 8.0), np.zeros(3), np.zeros(3))
+
+
+def test_silence_of_the_robot_fades_the_torque_out_and_its_return_in(make_loop, link):
+    """60 ms without a LowState, of which the last 40 say nothing about now: of 100 it takes."""
+    feed = FeedForward("dynamics", "bolted", dynamics=Carrying(), limit=np.full(29, 50.0), ramp=0.1)
+    silent = range(150, 180)
+    link.on_send = lambda i: setattr(link, "silent", i in silent)
+    make_loop(feedforward=feed).run()
+    torque = np.array([sent.command.tau[0] for sent in link.sent])
+    assert torque[140:160].tolist() == [8.0] * 20
+    assert torque.min(initial=8.0, where=link_plays(link)) == pytest.approx(8.0 * 0.6, abs=0.5)
+    assert 180 <= np.argmin(np.where(link_plays(link), torque, 9.0)) <= 183
+    assert torque[210:290].tolist() == [8.0] * 80
+
+
+def link_plays(link):
+    return np.array([sent.reference.phase == Phase.PLAY for sent in link.sent])
 
 
 def test_gains_hold_until_damping(make_loop, link):

@@ -20,9 +20,7 @@ class Pushing(FeedForward):
         self.torque = torque
 
     def command(self, phase, elapsed, target, imu, age):
-        target = super().command(phase, elapsed, target, imu, age)
-        target.tau[:] = self.torque
-        return target
+        return super().command(phase, elapsed, target, imu, age).but(tau=self.torque)
 
 
 @pytest.mark.parametrize("torque", [5.0, -5.0])

@@ -42,6 +42,8 @@ def test_a_row_is_a_sample_of_the_motion(trajectory):
     ):
         assert part.tolist() == of_point.tolist()
     assert not target.tau.any()
+    with pytest.raises(ValueError, match="read-only"):
+        target.q[:] = 0.0
 
 
 def test_other_values_leave_the_original_alone(target):

@@ -84,6 +84,7 @@ class Target:
                 point.root_ang_acc,
             )
         )
+        values.setflags(write=False)  # others are given the same one
         return Target(time, values)
 
     def but(self, **parts: NDArray[np.float64] | float) -> Target:

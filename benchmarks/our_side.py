@@ -174,8 +174,10 @@ def sockets_only(rate: float, seconds: float) -> dict[str, Any]:
 
     peer_id = os.fork()
     if not peer_id:
-        loop(peer, ours.getsockname(), state, seconds + 1.0)
-        os._exit(0)
+        try:
+            loop(peer, ours.getsockname(), state, seconds + 1.0)
+        finally:
+            os._exit(0)  # never on into what follows
     share = loop(ours, peer.getsockname(), command, seconds)
     os.waitpid(peer_id, 0)
     return {"cpu_percent": share}
@@ -203,12 +205,14 @@ def be_robot(participant: Participant, rate: float) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("mode", choices=["operations", "run", "robot", "floor", "sockets"])
-    parser.add_argument("--domain", type=int, default=87)
+    parser.add_argument("--domain", type=int)
     parser.add_argument("--rate", type=float, default=500.0)
     parser.add_argument("--seconds", type=float, default=10.0)
     parser.add_argument("--count", type=int, default=2000)
     parser.add_argument("--pause", type=float, default=0.0)
     args = parser.parse_args()
+    if args.domain is None and args.mode in ("operations", "run", "robot"):
+        parser.error("--domain is needed")
     if args.mode in ("floor", "sockets"):
         alone = sleep_only if args.mode == "floor" else sockets_only
         print(json.dumps(alone(args.rate, args.seconds)), flush=True)

@@ -1,0 +1,46 @@
+"""A robot that comes when a stream has just given up is not blamed for anything."""
+
+from __future__ import annotations
+
+import time
+from concurrent.futures import ThreadPoolExecutor
+from threading import Event
+
+import pytest
+
+from g1stream.config import Config
+from g1stream.dds.domain import Participant
+from g1stream.dds.messages import LowState
+from g1stream.dds.raw import RawReader, RawWriter
+from g1stream.dds.topics import LOWCMD, LOWSTATE
+from g1stream.programs import stream as program
+from g1stream.programs.stream import stream
+
+
+@pytest.fixture
+def late_bridge(domain_id, monkeypatch):
+    """It comes while the wire is listened to."""
+    stop, looks, kept = Event(), program.look_around, []
+    state = LowState().seal()
+
+    def publish(writer):
+        while not stop.wait(0.002):
+            writer.write(state, time.time_ns())
+
+    with Participant(domain_id, "lo") as bridge, ThreadPoolExecutor(1) as pool:
+
+        def look_around(participant, seconds):
+            kept.append(RawReader(bridge, LOWCMD))
+            pool.submit(publish, RawWriter(bridge, LOWSTATE))
+            return looks(participant, seconds)
+
+        monkeypatch.setattr(program, "look_around", look_around)
+        yield
+        stop.set()
+
+
+def test_its_types_are_not_to_blame(domain_id, late_bridge):
+    config = Config.model_validate({"dds": {"domain": domain_id}, "stream": {"wait": 1.0}})
+    (finding,) = stream("demo", config).findings
+    assert "a robot is in domain" in finding.cause
+    assert finding.remedy == "Play again."

@@ -32,13 +32,15 @@ def knee_at(i):
     return 0.3 + 0.001 * i
 
 
-def command(i, **changes):
+def command(i, spare=None, **changes):
     message = LowCmd()
     message.q[KNEE] = knee_at(i)
     message.kp[:] = 40.0
     message.motor_mode = changes.pop("motor_mode", 1)
     for name, value in changes.items():
         getattr(message, name)[...] = value
+    for name, value in (spare or {}).items():
+        message.view(f"motor_cmd.{name}")[29:] = value
     return message.seal()
 
 
@@ -125,6 +127,10 @@ def damaged(data):
         (command(0, mode_pr=1), "mode_pr 1"),
         (command(0, motor_mode=0), "mode 0 for the motor of left_hip_pitch_joint"),
         (damaged(command(0)), "checksum"),
+        (command(0, spare={"q": 1e30}), r"q of 1e\+30 for motor 29, which a G1 has not"),
+        (command(0, spare={"tau": [0, 0, 0, 0, 0, np.nan]}), "tau of nan for motor 34"),
+        (command(0, spare={"tau": 500.0}), "tau of 500 for motor 29"),
+        (command(0, spare={"kd": 8.0}), "kd of 8 for motor 29"),
     ],
 )
 def test_one_command_that_must_not_be_sent_refuses_them_all(write, handed, odd, told):
@@ -133,6 +139,15 @@ def test_one_command_that_must_not_be_sent_refuses_them_all(write, handed, odd, 
     with pytest.raises(SafetyError, match=told):
         replay(write(commands, PHASES), exact=True)
     assert not handed
+
+
+def test_the_mode_of_motors_that_a_g1_has_not_is_free(write, handed):
+    """Unitree's own examples enable them, or do not."""
+    message = LowCmd()
+    message.load(command(0))
+    message.payload[message.layout["motor_cmd.mode"].offsets[29:]] = 1
+    replay(write([message.seal()] * N, PHASES), exact=True)
+    assert len(handed) == 1
 
 
 def test_what_was_not_played_does_not_matter(write, handed):
@@ -249,11 +264,24 @@ def test_two_motions_in_one_session_are_not_played_through_each_other(write, han
     assert not handed
 
 
-def test_commands_that_came_in_a_burst_are_no_leap(write, handed):
-    """Of somebody who publishes when scheduled: two at once, and none for a while."""
-    ticks = np.arange(N) + np.where(np.arange(N) % 10 == 0, 0.95, 0.0)
-    exactly(write(knees(0.3 + 0.03 * np.arange(N)[:60]), ticks=ticks))
-    assert len(handed) == 1
+def test_a_leap_is_one_at_any_rate(write, handed):
+    """The robot is commanded at 500 Hz whatever was recorded."""
+    path = write(knees(0.3 + 1.9 * (np.arange(N) % 2)), ticks=np.arange(N) * 0.0999e9 / PERIOD)
+    with pytest.raises(SafetyError, match=r"leap by 1\.900 rad .* allow 0\.400"):
+        exactly(path)
+
+
+@pytest.mark.parametrize("odd", [np.nan, np.inf, 2.0])
+def test_a_motion_without_times_is_none(write, handed, monkeypatch, odd):
+    def reference_of_odd_times(i, phase):
+        message = Reference()
+        message.phase[()] = phase
+        message.motion_time[()] = odd if odd == 2.0 or i == 50 else 0.004 * i
+        return message.tobytes()
+
+    monkeypatch.setitem(globals(), "reference", reference_of_odd_times)
+    with pytest.raises(RecordingError, match="does not say when its commands are due"):
+        exactly(write(knees([0.3] * N), PHASES))
 
 
 def test_without_a_reference_no_reference_is_recommended(write, handed):

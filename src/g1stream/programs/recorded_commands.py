@@ -7,7 +7,7 @@ command is what differs from others.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from typing import TYPE_CHECKING, Any, Final
 
@@ -15,9 +15,11 @@ import numpy as np
 
 from g1stream.config import MAX_KD, MAX_KP
 from g1stream.control.envelope import Envelope
-from g1stream.control.recorded import LEAP_TIME, PackedCommands
+from g1stream.control.recorded import PackedCommands
+from g1stream.dds.layout import CDR_HEADER, Layout
 from g1stream.dds.messages import LowCmd
 from g1stream.errors import RecordingError, SafetyError
+from g1stream.programs.recorded_pace import JITTER, ROUNDING, Steps, disorder, pause
 from g1stream.recording.played import PLAY
 from g1stream.recording.samples import Samples
 from g1stream.recording.streams import Command, Reference
@@ -39,8 +41,6 @@ __all__ = ["RecordedCommands", "recorded_commands"]
 
 #: Commands that are looked at together.
 _BATCH: Final = 1024
-#: Commands are float32: a target at a limit may be beyond it by its rounding, rad.
-_ROUNDING: Final = 1e-6
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,9 @@ def recorded_commands(
         SafetyError: one of them must not be sent, or the robot would leap at it.
     """
     due = _Due(session)
-    look, steps = _Look(robot, safety), _Steps(robot)
+    look = _Look(robot, safety)
+    # The motion times of a reference are those of the ticks, however late they came.
+    steps = Steps(robot.velocity, 0.0 if due.has_reference else JITTER)
     packed, times, targets = PackedCommands(), [np.empty(0)], [np.empty((0, N_JOINTS), np.float32)]
     for stamps, data in _batches(session):
         samples = _samples(session, data)
@@ -90,15 +92,10 @@ def recorded_commands(
         if not due.has_reference:
             targets.append(q)
     all_times = np.concatenate(times)
-    if len(all_times) < 2:
-        raise RecordingError(
-            f"{session.path} has no commands that played a motion.",
-            "Give a session in which somebody held the robot with kp above 0.",
-        )
-    all_times -= due.begins(all_times)
-    odd = _disorder(all_times) or _pause(
-        np.concatenate([[0.0], all_times, [due.lasts(all_times)]]), safety.state_timeout, speed
-    )
+    begin, end = due.interval(session, all_times)
+    all_times -= begin
+    whole = np.concatenate([[0.0], all_times, [end - begin]])
+    odd = disorder(all_times) or pause(whole, safety.state_timeout, speed)
     if odd := odd or steps.leap(all_times, speed):
         raise _unsafe(session, odd)
     return RecordedCommands(all_times, packed, np.concatenate(targets))
@@ -152,13 +149,26 @@ class _Due:
         rows = np.flatnonzero(self._stamps[nearest] == stamps)
         return rows, self._times[nearest[rows]]
 
-    def begins(self, times: Floats) -> float:
-        """When the motion begins of which commands are due at these times, s."""
-        return float(self._times.min() if self.has_reference else times[0])
+    def interval(self, session: Session, times: Floats) -> tuple[float, float]:
+        """When the motion begins and ends of which commands (N,) are due at these times, s.
 
-    def lasts(self, times: Floats) -> float:
-        """When it ends, s since it began."""
-        return float(np.ptp(self._times) if self.has_reference else times[-1])
+        Raises:
+            RecordingError: there is no motion.
+        """
+        if len(times) < 2:
+            raise RecordingError(
+                f"{session.path} has no commands that played a motion.",
+                "Give a session in which somebody held the robot with kp above 0.",
+            )
+        when = self._times if self.has_reference else times
+        begin, end = float(when.min()), float(when.max())
+        if not 0.0 < end - begin < np.inf:
+            raise RecordingError(
+                f"{session.path} does not say when its commands are due: by their times, the "
+                f"motion lasts {end - begin:g} s.",
+                "Record the motion again.",
+            )
+        return begin, end
 
 
 class _Look:
@@ -178,6 +188,12 @@ class _Look:
             ("kd", "Nm s/rad", nothing, nothing + MAX_KD),
         )
         self._seen = LowCmd()
+        layout = Layout.of(LowCmd.idl_type)
+        fields = {name: layout[f"motor_cmd.{name}"] for name, *_ in self._limits}
+        #: Of the motors that only the wire has.
+        self._spare = {
+            name: replace(field, offsets=field.offsets[N_JOINTS:]) for name, field in fields.items()
+        }
 
     def at(self, samples: Samples, rows: NDArray[np.intp]) -> str:
         """What is wrong with the values of these rows of a batch, or ""."""
@@ -187,7 +203,7 @@ class _Look:
                 joint = JOINT_NAMES[int(np.argwhere(~np.isfinite(values))[0, 1])]
                 return f"has a {name} of {joint} that is not finite"
             # What lies at a limit was rounded to float32 on the wire.
-            slack = _ROUNDING * np.maximum(1.0, np.maximum(np.abs(lower), np.abs(upper)))
+            slack = ROUNDING * np.maximum(1.0, np.maximum(np.abs(lower), np.abs(upper)))
             beyond = (values < lower - slack) | (values > upper + slack)
             if beyond.any():
                 row, j = np.argwhere(beyond)[0]
@@ -213,73 +229,24 @@ class _Look:
             self._seen.load(data)
             if not self._seen.crc_matches():
                 return "has a checksum that does not fit"
-        return ""
+        return self._at_spare(commands) if commands else ""
 
+    def _at_spare(self, commands: list[bytes]) -> str:
+        """What is asked of the motors that a G1 has not, or "".
 
-class _Steps:
-    """How far joint targets move from one command to the next, by what the joints can do."""
-
-    def __init__(self, robot: G1) -> None:
-        self._velocity = robot.velocity
-        self._last: NDArray[np.float32] = np.empty((0, N_JOINTS), np.float32)
-        #: Of each step, in which time the joint that has furthest to go can make it, s; and which.
-        self._needed: list[Floats] = [np.empty(0)]
-        self._joints: list[NDArray[np.intp]] = [np.empty(0, np.intp)]
-
-    def add(self, q: NDArray[np.float32]) -> None:
-        """Go on with the targets (n, 29) of the next commands, rad."""
-        needed = np.abs(np.diff(np.concatenate([self._last, q]), axis=0)) / self._velocity
-        if len(q):
-            self._last = q[-1:]
-        if len(needed):
-            self._needed.append(needed.max(axis=1))
-            self._joints.append(needed.argmax(axis=1))
-
-    def leap(self, times: Floats, speed: float) -> str:
-        """Which of the commands due at these times (N,), s, is a leap, or "".
-
-        None is that a joint can make in the time between two commands, of which no more than
-        `LEAP_TIME` counts where the usual one is shorter; nor does less than the usual one, where
-        somebody published two commands in a burst.
+        Their mode may be 0 or 1: some publishers of Unitree's enable all that the wire has.
         """
-        between = np.diff(times) / speed
-        usual = float(np.median(between))
-        allowed = between.clip(usual, max(usual, LEAP_TIME))
-        needed = np.concatenate(self._needed)
-        beyond = np.flatnonzero(needed > 1.001 * allowed + _ROUNDING / self._velocity.min())
-        if not len(beyond):
-            return ""
-        i = int(beyond[0])
-        joint = int(np.concatenate(self._joints)[i])
-        velocity = self._velocity[joint]
-        return (
-            f"asks {JOINT_NAMES[joint]}, {times[i + 1]:.3f} s into the motion, to leap by "
-            f"{needed[i] * velocity:.3f} rad from the command before it, where its {velocity:g} "
-            f"rad/s allow {allowed[i] * velocity:.3f}"
-        )
-
-
-def _disorder(times: Floats) -> str:
-    back = np.flatnonzero(np.diff(times) < 0.0)
-    if not len(back):
+        samples = np.frombuffer(b"".join(commands), np.uint8).reshape(len(commands), -1)
+        for name, field in self._spare.items():
+            values = field.read(samples[:, len(CDR_HEADER) :])
+            odd = np.argwhere(values != 0.0)  # what is not a number, too
+            if len(odd):
+                row, j = odd[0]
+                return (
+                    f"has a {name} of {values[row, j]:g} for motor {N_JOINTS + j}, which a G1 has "
+                    "not"
+                )
         return ""
-    i = int(back[0])
-    return (
-        f"comes {times[i]:.3f} s into the motion and is followed by one of {times[i + 1]:.3f} s: "
-        "more than one motion was played, or the clock was set back"
-    )
-
-
-def _pause(times: Floats, longest: float, speed: float) -> str:
-    """Where a command would be sent for too long, because the next is missing; or ""."""
-    between = np.diff(times) / speed
-    if between.max() <= longest + 1e-9:
-        return ""
-    i = int(np.argmax(between))
-    return (
-        f"would stand for others that are missing, from {times[i]:.3f} to {times[i + 1]:.3f} s of "
-        f"the motion: played, {between[i]:.3f} s (limit {longest:g} s, safety.state_timeout)"
-    )
 
 
 def _unsafe(session: Session, what: str) -> SafetyError:

@@ -1,5 +1,8 @@
 """Recorded commands go out in place of the loop's own while the motion plays, and only then."""
 
+import tracemalloc
+from contextlib import ExitStack
+
 import numpy as np
 import pytest
 
@@ -34,6 +37,12 @@ RECORDED = [command(0.1 * number) for number in range(4)]
 OWN = command(99.0)
 
 
+def packed(commands):
+    whole = PackedCommands()
+    whole.add(commands)
+    return whole
+
+
 @pytest.fixture
 def sent(monkeypatch):
     """What reaches the wire: (command, reference, stamp)."""
@@ -45,7 +54,7 @@ def sent(monkeypatch):
 @pytest.fixture
 def link(domain_id, sent):
     with Participant(domain_id, "lo") as participant:
-        yield RecordedLink(participant, TIMES, RECORDED, VELOCITY)
+        yield RecordedLink(participant, TIMES, packed(RECORDED), VELOCITY)
 
 
 @pytest.mark.parametrize(
@@ -107,9 +116,59 @@ def test_nothing_keeps_a_robot_from_being_damped(link, sent, before):
     assert sent[-1][0] == OWN
 
 
+@pytest.fixture
+def play(domain_id, monkeypatch, bare_link, make_loop, clock):
+    """Play at 500 Hz what was recorded: all joints go up by 2 rad and down again, at full speed.
+
+    Gives when each command of PLAY went out, s, and its joint targets, rad.
+    """
+    times = np.arange(250) * 0.002
+    q = 2.0 - 20.0 * np.abs(0.1 - times.clip(max=0.2))
+    link = bare_link
+    monkeypatch.setattr(DdsLink, "send", lambda _, *sent: type(link).send(link, *sent))
+    link.silent = False
+    with ExitStack() as stack:
+        participant = stack.enter_context(Participant(domain_id, "lo"))
+        stack.enter_context(link.listening())
+        recorded = RecordedLink(participant, times, packed([command(one) for one in q]), VELOCITY)
+        link.send = recorded.send
+
+        def run(stall):
+            """The loop is not scheduled for so long, s, from 50 ms of the motion on."""
+            first_of_play = clock.now() + 302_000_000 + 100_000_000
+            clock.oversleeps[first_of_play + 50_000_000] = round(stall * 1e9)
+            report = make_loop(link=link).run()
+            sent = link.in_phase(Phase.PLAY)
+            return (
+                report,
+                np.array([one.time for one in sent]) / 1e9,
+                np.array([one.command.q[0] for one in sent]),
+            )
+
+        yield run
+
+
+def test_what_was_due_while_the_loop_stood_still_is_skipped(play):
+    """The next is where the joint can be by now, though that is more than a leap."""
+    report, times, q = play(0.04)
+    assert report.skipped == 20
+    assert not report.reason
+    steps, between = np.abs(np.diff(q)), np.diff(times)
+    assert steps.max() == pytest.approx(0.84, abs=1e-5)
+    assert steps.max() > LEAP
+    assert (steps <= 20.0 * between + 1e-5).all()
+
+
+def test_not_after_longer_than_the_state_timeout(play, bare_link):
+    report, _, q = play(0.102)
+    assert "the loop stood still" in report.reason
+    assert np.abs(np.diff(q)).max() == pytest.approx(0.04, abs=1e-5)
+    assert bare_link.in_phase(Phase.DAMP)
+
+
 def test_packed_commands_come_out_bit_for_bit():
     rng = np.random.default_rng(1)
-    given, packed = [], PackedCommands()
+    given, whole = [], PackedCommands()
     for n in (1, 7, 0, 300):
         block = []
         for i in range(n):
@@ -117,27 +176,31 @@ def test_packed_commands_come_out_bit_for_bit():
             message.q[:], message.tau[:] = rng.normal(size=(2, 29))
             message.kp[:] = 40.0 + (n == 300 and i > 150)
             block.append(message.seal())
-        packed.add(block)
+        whole.add(block)
         given += block
-    assert len(packed) == len(given) == 308
-    assert [packed[i] for i in range(len(packed))] == given
+    assert len(whole) == len(given) == 308
+    assert [whole[i] for i in range(len(whole))] == given
 
 
 def test_packed_commands_take_a_third():
-    packed = PackedCommands()
     message, rng = LowCmd(), np.random.default_rng(1)
-    for _ in range(4):
-        block = []
-        for _ in range(1024):
-            message.q[:], message.dq[:], message.tau[:] = rng.normal(size=(3, 29))
-            block.append(message.seal())
-        packed.add(block)
-    assert packed.nbytes < 0.4 * len(packed) * len(packed[0])
+    tracemalloc.start()
+    try:
+        whole = PackedCommands()
+        for _ in range(4):
+            block = []
+            for _ in range(1024):
+                message.q[:], message.dq[:], message.tau[:] = rng.normal(size=(3, 29))
+                block.append(message.seal())
+            whole.add(block)
+        block.clear()
+        taken, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert taken < 0.4 * len(whole) * len(whole[0])
 
 
 @pytest.mark.parametrize("i", [-1, 2])
 def test_no_other_command_is_packed(i):
-    packed = PackedCommands()
-    packed.add(RECORDED[:2])
     with pytest.raises(IndexError):
-        packed[i]
+        packed(RECORDED[:2])[i]

@@ -23,19 +23,23 @@ if TYPE_CHECKING:
 __all__ = ["LEAP_TIME", "PackedCommands", "RecordedLink"]
 
 LEAP_TIME: Final = 0.02
-"""A target that moves on by more than its joint can in this time leaps, s."""
+"""A target that moves on at once by more than its joint can in this time leaps, s."""
 
 
 class RecordedLink(DdsLink):
     """Publishes, while the motion is played, the recorded command nearest in time, bit for bit.
 
     Everything else goes as the loop has it: the ramp to the first pose, HOLD, DAMP, and the
-    watchdogs.
+    watchdogs. Where the loop skips ticks, so are the commands that were due meanwhile, and the next
+    may be further away than `LEAP_TIME` allows: as for any motion, safety.state_timeout bounds for
+    how long the loop may stand still. The commands were looked at beforehand, so that no joint is
+    asked to go further than it can in the time that has passed; to let go of a robot that moves
+    would be worse.
 
     Args:
         participant: whose domain to be in.
         times: (N,) when in the motion each command is due, s, rising.
-        commands: (N) LowCmds as they were on the wire, CDR header included.
+        commands: (N) LowCmds, each of which the robot can reach from the one before.
         velocity: (29,) what the joints can do, rad/s.
     """
 
@@ -43,7 +47,7 @@ class RecordedLink(DdsLink):
         self,
         participant: Participant,
         times: NDArray[np.float64],
-        commands: Sequence[bytes] | PackedCommands,
+        commands: PackedCommands,
         velocity: NDArray[np.float64],
     ) -> None:
         super().__init__(participant)
@@ -147,8 +151,3 @@ class PackedCommands:
         row = block.first.copy()
         row[block.differing] = block.values[i - self._starts[number]]
         return bytes(row)
-
-    @property
-    def nbytes(self) -> int:
-        """How much memory they take."""
-        return sum(part.nbytes for block in self._blocks for part in block)

@@ -37,6 +37,7 @@ def command(i, spare=None, **changes):
     message.q[KNEE] = knee_at(i)
     message.kp[:] = 40.0
     message.motor_mode = changes.pop("motor_mode", 1)
+    message.payload[message.layout["motor_cmd.mode"].offsets[29:]] = changes.pop("spare_mode", 0)
     for name, value in changes.items():
         getattr(message, name)[...] = value
     for name, value in (spare or {}).items():
@@ -141,12 +142,11 @@ def test_one_command_that_must_not_be_sent_refuses_them_all(write, handed, odd, 
     assert not handed
 
 
-def test_the_mode_of_motors_that_a_g1_has_not_is_free(write, handed):
-    """Unitree's own examples enable them, or do not."""
-    message = LowCmd()
-    message.load(command(0))
-    message.payload[message.layout["motor_cmd.mode"].offsets[29:]] = 1
-    replay(write([message.seal()] * N, PHASES), exact=True)
+def test_motors_that_a_g1_has_not_may_be_enabled(write, handed):
+    enabled, other = (command(0, spare_mode=mode) for mode in (1, 10))
+    replay(write([enabled] * N, PHASES), exact=True)
+    with pytest.raises(SafetyError, match="mode of 10 for motor 29"):
+        replay(write([other] * N, PHASES), exact=True)
     assert len(handed) == 1
 
 

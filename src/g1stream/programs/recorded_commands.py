@@ -189,7 +189,8 @@ class _Look:
         )
         self._seen = LowCmd()
         layout = Layout.of(LowCmd.idl_type)
-        fields = {name: layout[f"motor_cmd.{name}"] for name, *_ in self._limits}
+        names = ("mode", *(name for name, *_ in self._limits))
+        fields = {name: layout[f"motor_cmd.{name}"] for name in names}
         #: Of the motors that only the wire has.
         self._spare = {
             name: replace(field, offsets=field.offsets[N_JOINTS:]) for name, field in fields.items()
@@ -239,7 +240,8 @@ class _Look:
         samples = np.frombuffer(b"".join(commands), np.uint8).reshape(len(commands), -1)
         for name, field in self._spare.items():
             values = field.read(samples[:, len(CDR_HEADER) :])
-            odd = np.argwhere(values != 0.0)  # what is not a number, too
+            # Of numbers that are none, this is true, too.
+            odd = np.argwhere((values != 0) & ((name != "mode") | (values != 1)))
             if len(odd):
                 row, j = odd[0]
                 return (

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from g1stream.container.output import create
+from g1stream.recording.places import create
 
 
 def test_a_piece_that_fails_is_taken_back(tmp_path):
@@ -31,7 +31,7 @@ def test_a_directory_that_may_not_be_written_is_said(tmp_path, mode):
     code = (
         "import os, sys\n"
         "from pathlib import Path\n"
-        "from g1stream.container.output import create\n"
+        "from g1stream.recording.places import create\n"
         "os.getuid() or os.setuid(65534)\n"
         "create(Path(sys.argv[1]), force=False)\n"
     )

@@ -34,9 +34,11 @@ def test_a_path_is_refused_before_anything_starts(tmp_path, monkeypatch):
         (RecordConfig(), "s.mcap", "s.mcap", False, True),
         (RecordConfig(), "s.mcap", "s.mcap", True, False),
         (RecordConfig(auto_name=True), "s.mcap", "s.mcap", False, False),
-        (PARTED, "s.mcap", "s.mcap", False, False),
+        (PARTED, "s.mcap", "s.mcap", False, True),
+        (PARTED, "s.mcap", "s.mcap", True, True),
         (PARTED, "s.mcap", "s_001.mcap", False, True),
-        (PARTED, "s.mcap", "s_001.mcap", True, False),
+        (PARTED, "s.mcap", "s_001.mcap", True, True),
+        (PARTED, "s.mcap", "s_old.mcap", False, False),
         (RecordConfig(), "", "s.mcap", True, True),
     ],
 )

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import errno
+import os
+from pathlib import Path
 
 import pytest
 
 from g1stream.errors import RecordingError
 from g1stream.recording.file_names import parts_of
 from g1stream.recording.rotation import Limits, PartedWriter
+from g1stream.recording.session import open_session
+from g1stream.recording.writer import SessionWriter
 
 T0 = 1_700_000_000_000_000_000
 SECOND = 10**9
@@ -122,10 +126,122 @@ def test_numbers_that_no_recording_gets_to_are_left_alone(tmp_path):
 
 def test_a_part_that_cannot_be_removed_is_said(tmp_path, monkeypatch):
     record(tmp_path / "s.mcap", 1)
+    before = content(tmp_path)
+    unlink = Path.unlink
 
-    def denied(_):
+    def denied(path, **how):
+        if path.name not in before:
+            return unlink(path, **how)
         raise PermissionError(errno.EACCES, "Permission denied")
 
     monkeypatch.setattr("pathlib.Path.unlink", denied)
     with pytest.raises(RecordingError, match=r"s_001\.mcap cannot be removed: Permission denied"):
         record(tmp_path / "s.mcap", 1, force=True)
+    assert content(tmp_path) == before
+
+
+def test_a_session_in_one_file_would_be_opened_instead_and_is_refused_or_replaced(tmp_path):
+    path = tmp_path / "s.mcap"
+    record(path, 1, limits=None)
+    before = content(tmp_path)
+    with pytest.raises(RecordingError, match=r"s\.mcap exists already\. .*--force"):
+        record(path, 2.5)
+    assert content(tmp_path) == before
+    parts = record(path, 2.5, force=True)
+    assert len(parts) == 3
+    assert open_session(path).paths == parts == sorted(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("stranger", [nothing_of_ours, empty, Path.mkdir, os.mkfifo])
+@pytest.mark.parametrize("force", [False, True])
+def test_anything_else_that_would_be_opened_instead_is_refused(tmp_path, stranger, force):
+    path = tmp_path / "s.mcap"
+    record(path, 1)
+    stranger(path)
+    there = sorted(tmp_path.iterdir())
+    with pytest.raises(RecordingError, match=r"s\.mcap would be opened .* Move it") as caught:
+        record(path, 1, force=force)
+    assert "--force" not in caught.value.remedy
+    assert sorted(tmp_path.iterdir()) == there
+
+
+def cut(path):
+    """An MCAP that ends before anything was noted in it."""
+    with SessionWriter(path) as writer:
+        size = writer.size
+    os.truncate(path, size)
+
+
+def damaged(path):
+    cut(path)
+    # Metadata of three bytes, too few to be any.
+    path.write_bytes(path.read_bytes() + b"\x0c" + (3).to_bytes(8, "little") + b"\xff\xff\xff")
+
+
+def zeros(path):
+    path.write_bytes(bytes(4096))
+
+
+@pytest.mark.parametrize("remains", [empty, zeros, cut, damaged])
+def test_what_a_power_cut_left_of_a_part_is_missed_and_replaced(tmp_path, remains):
+    path = tmp_path / "s.mcap"
+    assert len(record(path, 3)) == 3
+    for number in ("002", "004", "005"):
+        (tmp_path / f"s_{number}.mcap").unlink(missing_ok=True)
+        remains(tmp_path / f"s_{number}.mcap")
+    session = open_session(path)
+    assert session.absent_parts == list(session.unreadable_parts) == [2, 4, 5]
+    assert record(path, 1, force=True) == sorted(tmp_path.iterdir()) == [tmp_path / "s_001.mcap"]
+
+
+@pytest.mark.parametrize("stranger", [nothing_of_ours, part_of_another_session])
+def test_what_says_that_it_is_no_part_is_neither_missed_nor_replaced(tmp_path, stranger):
+    path = tmp_path / "s.mcap"
+    parts = record(path, 2)
+    stranger(tmp_path / "s_003.mcap")
+    session = open_session(path)
+    assert session.paths == parts
+    assert session.absent_parts == []
+    with pytest.raises(RecordingError, match="Move it away"):
+        record(path, 1, force=True)
+
+
+def test_remains_with_a_gap_before_them_belong_to_nobody(tmp_path):
+    path = tmp_path / "s.mcap"
+    record(path, 2)
+    empty(tmp_path / "s_004.mcap")
+    assert open_session(path).absent_parts == []
+    with pytest.raises(RecordingError, match=r"s_004\.mcap has the name of part 4"):
+        record(path, 1, force=True)
+
+
+def test_what_may_not_be_read_is_missed_and_not_replaced(tmp_path, monkeypatch):
+    path = tmp_path / "s.mcap"
+    record(path, 2)
+    locked = tmp_path / "s_003.mcap"
+    locked.touch()
+    opened = Path.open
+
+    def denied(path, *how, **more):
+        if path == locked:
+            raise PermissionError(errno.EACCES, "Permission denied")
+        return opened(path, *how, **more)
+
+    monkeypatch.setattr("pathlib.Path.open", denied)
+    assert "Permission denied" in open_session(path).unreadable_parts[3]
+    with pytest.raises(RecordingError, match=r"s_003\.mcap has the name of part 3"):
+        record(path, 1, force=True)
+
+
+@pytest.mark.parametrize("earlier", ["parts", "whole"])
+def test_without_a_new_part_the_earlier_session_stays(tmp_path, earlier):
+    path = tmp_path / "s.mcap"
+    record(path, 2.5, limits=EACH_SECOND if earlier == "parts" else None)
+    before = content(tmp_path)
+
+    def broken(_):
+        raise RecordingError("No room.", "Make some.")
+
+    with pytest.raises(RecordingError, match="No room"):
+        PartedWriter(path, broken, EACH_SECOND, force=True)
+    assert content(tmp_path) == before

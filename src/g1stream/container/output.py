@@ -14,12 +14,10 @@ import os
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final
 
-from g1stream.errors import RecordingError
-
 if TYPE_CHECKING:
     from pathlib import Path
 
-__all__ = ["Output", "create"]
+__all__ = ["Output"]
 
 _KEEP_SIZE: Final = 1  # FALLOC_FL_KEEP_SIZE of linux/falloc.h
 _STEP: Final = 1 << 20
@@ -29,35 +27,16 @@ if _fallocate is not None:
     _fallocate.argtypes = (ctypes.c_int, ctypes.c_int, ctypes.c_int64, ctypes.c_int64)
 
 
-def create(path: Path, *, force: bool) -> Output:
-    """Make a file for a recording.
+class Output(io.FileIO):
+    """A file that grows by whole pieces, straight to the operating system.
+
+    Args:
+        path: where to.
+        mode: `x`: it must not be there yet; `w`: what is there is replaced.
 
     Raises:
-        RecordingError: there is one already and `force` is off, or none can be made there.
+        OSError: it cannot be opened.
     """
-    try:
-        if path.is_dir():
-            raise RecordingError(
-                f"{path} is a directory.", "Name a file in it, such as session.mcap."
-            )
-        return Output(path, "w" if force else "x")
-    except FileExistsError as error:
-        raise RecordingError(
-            f"The file {path} exists already.",
-            "Choose another name, give --force to replace it, or --auto-name to add the time.",
-        ) from error
-    except FileNotFoundError as error:
-        raise RecordingError(
-            f"The directory {path.parent} does not exist.", f"Make it: mkdir -p {path.parent}"
-        ) from error
-    except OSError as error:
-        raise RecordingError(
-            f"The file {path} cannot be made: {error.strerror}.", "Choose another place for it."
-        ) from error
-
-
-class Output(io.FileIO):
-    """A file that grows by whole pieces, straight to the operating system."""
 
     def __init__(self, path: Path, mode: str) -> None:
         super().__init__(path, mode)

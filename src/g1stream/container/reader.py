@@ -7,6 +7,7 @@ whole, and unpacks only the chunks in which a wanted topic has messages.
 
 from __future__ import annotations
 
+import stat
 from collections import Counter
 from contextlib import contextmanager
 from io import BytesIO
@@ -93,17 +94,21 @@ class McapFile:
 
     def _open(self) -> IO[bytes]:
         try:
+            mode = self.path.stat().st_mode
+            if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
+                # To open a pipe may take for ever, and one cannot go back in it.
+                raise RecordingError(f"{self.path} is not a file.", "Give an MCAP file.")
             file = self.path.open("rb")
         except OSError as error:
             raise RecordingError(
-                f"The recording {self.path} cannot be read: {error.strerror}.",
-                "Check the path given.",
+                f"The file {self.path} cannot be read: {error.strerror}.",
+                "Check the path and its permissions.",
             ) from error
         magic = file.read(len(MAGIC))
         if magic != MAGIC:
             file.close()
             what = "is not an MCAP file" if magic else "is empty"
-            raise RecordingError(f"{self.path} {what}.", "Give a file that g1stream recorded.")
+            raise RecordingError(f"{self.path} {what}.", "Give an MCAP file.")
         return file
 
     def _take(self, file: IO[bytes], record: Record) -> None:
@@ -172,8 +177,7 @@ class McapFile:
             yield
         except Exception as error:  # every field and each compression has an error of its own
             raise RecordingError(
-                f"The recording {self.path} is damaged: what is at byte {record.place} does not "
-                "unpack.",
+                f"The file {self.path} is damaged: what is at byte {record.place} does not unpack.",
                 "Save the rest of it with a tool such as `mcap recover`.",
             ) from error
 

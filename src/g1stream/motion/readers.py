@@ -156,6 +156,9 @@ def _find(path_or_name: str | os.PathLike[str]) -> Path:
 
 def _read(path: Path) -> bytes:
     try:
+        # Files are read more than once, and a pipe gives what is in it only once.
+        if not (path.is_file() or path.is_dir()) and path.exists():
+            raise MotionError(f"{path} is not a file.", "Save what it gives to a file; give that.")
         return path.read_bytes()
     except FileNotFoundError:
         bundled = ", ".join(BUNDLED_MOTIONS)

@@ -6,10 +6,10 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from g1stream.container.output import create
 from g1stream.programs.children import Child, ChildError
-from g1stream.recording.earlier_parts import make_way
-from g1stream.recording.file_names import part_path, timestamped
+from g1stream.recording.earlier_parts import earlier_files
+from g1stream.recording.file_names import is_there, part_path, timestamped
+from g1stream.recording.places import create
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
@@ -35,8 +35,7 @@ def refuse_path(path: Path, settings: RecordConfig, force: bool) -> None:
     if settings.auto_name:
         path = timestamped(path, time.time_ns())
     if settings.split_size is not None or settings.split_duration is not None:
-        if not force:
-            make_way(path, force=False)
+        earlier_files(path, force=force)
         path = part_path(path, 1)
     if force and path.is_file():
         return
@@ -61,7 +60,7 @@ class RecorderChild:
         self, path: Path, force: bool, config: Config, motion: Motion, gains: Gains
     ) -> None:
         self._path = path
-        self._earlier = set(path.parent.iterdir())
+        self._earlier = _beside(path)
         self._child = Child(
             ["record", str(path), *(["--force"] if force else [])],
             {
@@ -124,3 +123,11 @@ def discard_if_empty(recording: dict[str, Any], earlier: Collection[Path]) -> bo
     for file in files:
         file.unlink(missing_ok=True)
     return True
+
+
+def _beside(path: Path) -> set[Path]:
+    """The files in a directory, as far as one may look."""
+    try:
+        return set(path.parent.iterdir())
+    except OSError:
+        return {path} if is_there(path) else set()

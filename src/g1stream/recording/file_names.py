@@ -10,7 +10,9 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Final
 
-__all__ = ["part_number", "part_path", "parts_named", "parts_of", "timestamped"]
+from g1stream.errors import RecordingError
+
+__all__ = ["is_there", "part_number", "part_path", "parts_named", "parts_of", "timestamped"]
 
 _PART: Final = re.compile(r"(?P<stem>.+)_(?P<number>[0-9]{3}|[1-9][0-9]{3,})")
 
@@ -41,10 +43,13 @@ def part_number(path: Path) -> int | None:
 def parts_named(path: Path) -> dict[int, Path]:
     """By number, in order, what is named like a part of the session of a path.
 
-    Whether it is one is not looked at: see `g1stream.recording.parts`.
+    Whether it is one is not looked at: see `g1stream.recording.candidates`.
+
+    Raises:
+        RecordingError: the directory may not be read.
     """
     found = {}
-    for file in path.parent.iterdir() if path.parent.is_dir() else ():
+    for file in _listed(path.parent):
         number = part_number(file)
         if number is not None and file == part_path(path, number):
             found[number] = file
@@ -56,10 +61,34 @@ def parts_of(path: str | Path) -> list[Path]:
 
     A file that is no part is its own and only one. Whether files belong together is said by the
     `session_id` in their metadata, which is not looked at here.
+
+    Raises:
+        RecordingError: the directory would have to be read and may not be.
     """
     path = Path(path)
     match = _PART.fullmatch(path.stem)
-    if match and path.exists():
+    there = is_there(path)
+    if match and there:
         found = [*parts_named(path.with_name(match["stem"] + path.suffix)).values()]
         return found if path in found else [path]
-    return [path] if path.exists() else [*parts_named(path).values()] or [path]
+    return [path] if there else [*parts_named(path).values()] or [path]
+
+
+def is_there(path: Path) -> bool:
+    """Whether a file is there, as far as one may look."""
+    try:
+        return path.exists()
+    except OSError:
+        return False
+
+
+def _listed(directory: Path) -> list[Path]:
+    try:
+        return [*directory.iterdir()]
+    except (FileNotFoundError, NotADirectoryError):
+        return []
+    except OSError as error:
+        raise RecordingError(
+            f"The directory {directory} cannot be read: {error.strerror}.",
+            "Parts of the session are looked for in it: see to its permissions.",
+        ) from error

@@ -15,6 +15,7 @@ from g1stream.container.chunked_file import ChunkedFile
 from g1stream.container.messages import Rows
 from g1stream.errors import RecordingError
 from g1stream.recording.metadata import METADATA_NAME, metadata_to_strings
+from g1stream.recording.places import check_free
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -54,7 +55,7 @@ class OfflineWriter:
         self.path = Path(path)
         self.counts: dict[str, int] = {}
         self._force = force
-        _check_free(self.path, force)
+        check_free(self.path, force=force)
         self._part = self.path.with_name(f".{self.path.name}.{os.getpid()}.part")
         with self._os_errors():
             self._stream = self._part.open("wb")
@@ -136,7 +137,7 @@ class OfflineWriter:
     def _finish(self) -> None:
         self._file.finish()
         self._stream.close()
-        _check_free(self.path, self._force)
+        check_free(self.path, force=self._force)
         self._part.replace(self.path.resolve())
 
     @contextmanager
@@ -148,20 +149,3 @@ class OfflineWriter:
                 f"The file {self.path} cannot be written: {error.strerror}.",
                 "Make room, or choose another place for it.",
             ) from error
-
-
-def _check_free(path: Path, force: bool) -> None:
-    """Raise RecordingError unless a file may be put there."""
-    if path.is_dir():
-        raise RecordingError(f"{path} is a directory.", "Name a file in it, such as motion.mcap.")
-    if not path.parent.is_dir():
-        raise RecordingError(
-            f"The directory {path.parent} does not exist.", f"Make it: mkdir -p {path.parent}"
-        )
-    if path.exists() and not path.is_file():
-        raise RecordingError(f"{path} is not a file.", "Name a file, such as motion.mcap.")
-    if path.exists() and not force:
-        raise RecordingError(
-            f"The file {path} exists already.",
-            "Choose another name, or give --force to replace it.",
-        )

@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING
 
-from g1stream.container.reader import McapFile
+from g1stream.container.magic import is_mcap
 from g1stream.errors import RecordingError
-from g1stream.recording.file_names import part_number, parts_of
-from g1stream.recording.metadata import session_metadata
+from g1stream.recording.candidates import look_at, parts_among, remains_among
+from g1stream.recording.file_names import parts_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
     from g1stream.container.messages import Messages
+    from g1stream.recording.candidates import Candidate
 
 __all__ = ["SessionFiles"]
-
-#: What a recorder notes when it ends: behind it no part can follow.
-_LAST_WORDS: Final = "recorder"
 
 
 class SessionFiles:
@@ -43,18 +41,21 @@ class SessionFiles:
     """
 
     def __init__(self, path: Path) -> None:
-        files, broken = _read(path)
-        self._files, metadata = _belonging(files, path)
+        given, found = _look_around(path)
+        others = parts_among(found, given.session)
+        parts = [one for one in found if one is given or one in others]
+        self._files = [one.file for one in parts if one.file is not None]
         self.paths = [file.path for file in self._files]
-        numbers = {one.get("part", 1) for one in metadata}
-        missing = set(range(1, max(numbers))) - numbers
-        if _goes_on(metadata):
-            missing |= _directly_behind(max(numbers), broken)
+        numbers = {one.part or 1 for one in parts}
+        missing = {*range(1, max(numbers))} - numbers
+        missing |= {one.number for one in remains_among(found, parts) if one.number} - numbers
         self.absent = sorted(missing)
-        self.unreadable = {number: broken[number] for number in self.absent if number in broken}
+        self.unreadable = {
+            one.number: one.reason for one in found if one.number in missing and one.reason
+        }
         self.complete = not self.absent and all(file.complete for file in self._files)
         self.counts: Counter[str] = sum((file.counts for file in self._files), Counter())
-        self.metadata = {key: value for one in metadata for key, value in one.items()}
+        self.metadata = {key: value for one in parts for key, value in one.about.items()}
 
     def batches(self, topics: set[str]) -> Iterator[tuple[str, Messages]]:
         """The messages of some topics, one batch per channel and chunk, in the order of the files.
@@ -74,57 +75,19 @@ class SessionFiles:
         return {one.name: one.data for file in self._files for one in file.attachments()}
 
 
-def _read(path: Path) -> tuple[list[McapFile], dict[int, str]]:
-    """What is named like the parts that a file belongs to, oldest first.
+def _look_around(path: Path) -> tuple[Candidate, list[Candidate]]:
+    """The file that was asked for, and all that is named like the parts that it belongs to.
 
-    Others may be named like its parts without being any, nor recordings at all.
-
-    Returns:
-        The files, and by the number in its name why another cannot be read.
+    Of a name that parts are called after, the first of them is the one that was asked for.
 
     Raises:
-        RecordingError: the file asked for, or the first of the name asked for, cannot be read.
+        RecordingError: the file asked for cannot be read.
     """
-    parts = parts_of(path)
-    wanted = path if path in parts else parts[0]
-    found = {part: McapFile(part) if part == wanted else _try(part) for part in parts}
-    files = [one for one in found.values() if isinstance(one, McapFile)]
-    return files, {
-        number: reason
-        for part, reason in found.items()
-        if isinstance(reason, str) and (number := part_number(part)) is not None
-    }
-
-
-def _try(path: Path) -> McapFile | str:
-    """A file, or why it cannot be read."""
-    try:
-        return McapFile(path)
-    except RecordingError as error:
-        return error.cause
-
-
-def _belonging(files: list[McapFile], path: Path) -> tuple[list[McapFile], list[dict[str, Any]]]:
-    """Those of some files that belong to the session of one of them, and their metadata."""
-    metadata = [session_metadata(file) for file in files]
-    given = next((i for i, file in enumerate(files) if file.path == path), 0)
-    session_id = metadata[given].get("session_id")
-    ours = [
-        i
-        for i, one in enumerate(metadata)
-        if i == given or (session_id is not None and one.get("session_id") == session_id)
-    ]
-    return [files[i] for i in ours], [metadata[i] for i in ours]
-
-
-def _goes_on(metadata: list[dict[str, Any]]) -> bool:
-    """Whether there may be a part behind the last of those that have this metadata."""
-    return "part" in metadata[-1] and _LAST_WORDS not in metadata[-1]
-
-
-def _directly_behind(last: int, broken: dict[int, str]) -> set[int]:
-    """Numbers that go on without a gap behind the last."""
-    found: set[int] = set()
-    while last + len(found) + 1 in broken:
-        found.add(last + len(found) + 1)
-    return found
+    paths = parts_of(path)
+    found = [look_at(one) for one in paths]
+    given = found[paths.index(path) if path in paths else 0]
+    if given.error is not None:
+        if not given.locked and given.path.is_file() and not is_mcap(given.path):
+            raise RecordingError(given.error.cause, "Give a file that g1stream recorded.")
+        raise given.error
+    return given, found

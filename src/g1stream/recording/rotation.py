@@ -6,6 +6,7 @@ Each part carries the attachments and the metadata, and in it `session_id`, whic
 
 from __future__ import annotations
 
+import os
 import uuid
 from contextlib import suppress
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from g1stream.errors import RecordingError
-from g1stream.recording.earlier_parts import make_way
+from g1stream.recording.earlier_parts import earlier_files, remove
 from g1stream.recording.file_names import part_path
 from g1stream.recording.writer import SessionWriter
 
@@ -50,8 +51,8 @@ class PartedWriter:
         path: the session file; the parts are named after it.
         preface: is given the writer of each new part, to say what every part must carry.
         limits: of a part.
-        force: replace the file that is there already, or the parts of one earlier session; nothing
-            else that has the name of a part.
+        force: replace the file that is there already, or, in parts, one earlier session once the
+            first new part is begun; nothing else that has the name of a part.
 
     Attributes:
         session_id: the same in all parts.
@@ -78,9 +79,12 @@ class PartedWriter:
         self._preface = preface
         self._limits = limits or Limits()
         self._part_start: int | None = None
-        if self._limits.any:
-            make_way(self._path, force=force)
-        self._writer = self._next_part(force=force and not self._limits.any)
+        if not self._limits.any:
+            self._writer = self._next_part(force=force)
+        elif old := earlier_files(self._path, force=force):
+            self._writer = self._part_instead_of(old)
+        else:
+            self._writer = self._next_part()
 
     def __enter__(self) -> PartedWriter:
         return self
@@ -139,13 +143,37 @@ class PartedWriter:
 
     def _next_part(self, *, force: bool = False) -> SessionWriter:
         number = len(self.paths) + 1
-        parted = self._limits.any
-        path = part_path(self._path, number) if parted else self._path
+        path = part_path(self._path, number) if self._limits.any else self._path
+        writer = self._begin(path, number, force=force)
+        self.paths.append(path)
+        return writer
+
+    def _part_instead_of(self, old: list[Path]) -> SessionWriter:
+        """The first part, which is begun under another name while the old files are there."""
+        path = part_path(self._path, 1)
+        aside = path.with_name(f".{path.name}.{os.getpid()}.part")
+        writer: SessionWriter | None = None
+        try:
+            writer = self._begin(aside, 1, force=True)
+            remove(old)
+            writer.rename(path)
+        except BaseException:
+            if writer is not None:
+                with suppress(RecordingError):
+                    writer.close()
+            with suppress(OSError):
+                aside.unlink()
+            raise
+        self.paths.append(path)
+        return writer
+
+    def _begin(self, path: Path, number: int, *, force: bool) -> SessionWriter:
+        """A file with what every part carries."""
         counts = dict(self.counts)
         writer = SessionWriter(path, force=force, counts=self.counts)
         try:
             about: dict[str, Any] = {"session_id": self.session_id}
-            writer.add_metadata(about | {"part": number} if parted else about)
+            writer.add_metadata(about | {"part": number} if self._limits.any else about)
             self._preface(writer)
             writer.flush()
         except BaseException:
@@ -156,6 +184,5 @@ class PartedWriter:
                 self.counts.clear()
                 self.counts.update(counts)
             raise
-        self.paths.append(path)
         self._preface_size = writer.size
         return writer

@@ -18,10 +18,10 @@ from g1stream._version import __version__
 from g1stream.container.chunked_file import ChunkedFile
 from g1stream.container.messages import message_records
 from g1stream.container.open_chunks import OpenChunks
-from g1stream.container.output import create
 from g1stream.errors import RecordingError
 from g1stream.recording.channels import CHANNELS
 from g1stream.recording.metadata import METADATA_NAME, metadata_to_strings
+from g1stream.recording.places import create
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -167,6 +167,15 @@ class SessionWriter:
         """
         with self._whole_or_not():
             self._mcap.add_metadata(METADATA_NAME, metadata_to_strings(values))
+
+    def rename(self, path: Path) -> None:
+        """Give the file another name, beside its own; what has that name is replaced.
+
+        Raises:
+            RecordingError: it cannot have it.
+        """
+        with self._whole_or_not():
+            self.path = self.path.rename(path)
 
     def flush_if_due(self, now_ns: int) -> None:
         """Close the chunks that time has run out for, when no message comes to do it.

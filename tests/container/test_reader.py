@@ -120,3 +120,9 @@ def test_an_index_that_lies_is_noticed(tmp_path):
         else:
             assert (T0, T0, found[0][2]) == found[0]
     assert broken
+
+
+def test_a_pipe_is_refused_and_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(RecordingError, match="pipe is not a file"):
+        McapFile(tmp_path / "pipe")

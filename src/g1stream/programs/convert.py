@@ -211,10 +211,17 @@ def _frame_range(motion: Motion, frames: tuple[int | None, int | None]) -> tuple
 
 def _check_not_a_source(out: Path, motion: Motion, robot: G1) -> None:
     for source in (motion.source, Path(robot.source)):
-        if source and source.exists() and out.exists() and out.samefile(source):
+        if source and _is_same(out, source):
             raise RecordingError(
                 f"{out} is what is converted.", "Name another file to write, such as motion.mcap."
             )
+
+
+def _is_same(path: Path, other: Path) -> bool:
+    try:
+        return path.samefile(other)
+    except OSError:  # one of them is not there, or may not be looked at
+        return False
 
 
 def _poses(motion: Motion, options: Conversion, start: int, stop: int) -> Iterator[Poses]:

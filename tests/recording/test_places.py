@@ -85,7 +85,7 @@ def test_what_is_there_is_refused_with_the_way_out(tmp_path, allowed):
         allowed(path, force=False)
     with pytest.raises(RecordingError, match="is a directory"):
         allowed(tmp_path, force=True)
-    with pytest.raises(RecordingError, match="does not exist. Make it: mkdir -p"):
+    with pytest.raises(RecordingError, match=r"does not exist\. Make it: mkdir -p"):
         allowed(tmp_path / "nowhere" / "s.mcap", force=True)
     with pytest.raises(RecordingError, match="cannot be made: Not a directory"):
         allowed(path / "s.mcap", force=True)

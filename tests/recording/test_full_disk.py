@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import subprocess
+import sys
 from contextlib import contextmanager
 
 import numpy as np
@@ -97,3 +98,31 @@ def test_room_claimed_and_not_used_is_given_back(tmp_path):
     with SessionWriter(path) as writer:
         fill(writer, 1)
     assert path.stat().st_blocks * 512 < path.stat().st_size + 2**16
+
+
+SECOND_TOPIC_FULL = """
+import resource, sys
+import numpy as np
+from g1stream.errors import RecordingError
+from g1stream.recording.writer import SessionWriter
+resource.setrlimit(resource.RLIMIT_FSIZE, (500_000, 500_000))
+noise = np.random.default_rng(3).integers(0, 256, (400, 2096), dtype=np.uint8)
+times = np.arange(400) * 1000
+with SessionWriter(sys.argv[1]) as writer:
+    writer.write_batch("/lowstate", noise[:50], times[:50], times[:50])
+    writer.write_batch("/lowcmd", noise, times, times)
+    writer.write_batch("/log", noise[:20], times[:20], times[:20])
+    try:
+        writer.flush()
+    except RecordingError:
+        print(writer.counts)
+"""
+
+
+def test_the_chunk_of_one_topic_outlives_that_of_the_next_that_does_not_fit(tmp_path):
+    path = tmp_path / "session.mcap"
+    command = [sys.executable, "-c", SECOND_TOPIC_FULL, str(path)]
+    result = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert result.stdout == "{'/lowstate': 50, '/lowcmd': 0, '/log': 0}\n"
+    assert stamps(path) == [1000 * i for i in range(50)]
+    assert stamps(path, "/lowcmd") == stamps(path, "/log") == []

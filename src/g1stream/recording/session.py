@@ -66,8 +66,7 @@ def open_session(path: str | os.PathLike[str]) -> Session:
     """Open a session file, also one whose recorder was killed.
 
     Args:
-        path: of the file, or of one of the parts that a recorder split it into: those that lie
-            beside it are read as one. So are those that are named after a path with no file.
+        path: of the file, of one of the parts it was split into, or what those are called after.
 
     Raises:
         RecordingError: there is no such file, or it is no session, or it is damaged.
@@ -86,11 +85,9 @@ class Session:
     Attributes:
         path: as given.
         paths: of the file or its parts, oldest first.
-        absent_parts: numbers of parts, counted from 1, that should be there and are not, or that
-            cannot be read.
+        absent_parts: numbers, from 1, of parts that should be there and are not or cannot be read.
         unreadable_parts: of the latter, the reason, a sentence, by number.
-        complete: whether everything is there and was closed properly; a part that was not ends with
-            its last whole chunk.
+        complete: whether everything is there and was closed properly.
         topics: number of messages by topic.
         metadata: what the recorder noted about the session.
     """

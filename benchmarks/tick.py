@@ -1,0 +1,112 @@
+"""What each part of a tick takes of the CPU, without the wire.
+
+    python benchmarks/tick.py [--count 2000] [--json]
+
+Each part is measured back to back, and after a pause of 2 ms, as in a loop at 500 Hz, when the
+caches hold other things. "Sleep" is the clock's wait for the next deadline itself.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+import sides
+from g1stream.clock import SystemClock
+from g1stream.config import Config
+from g1stream.control.compose import Composer
+from g1stream.control.envelope import Envelope
+from g1stream.control.feedforward import FeedForward
+from g1stream.control.gains import resolve_gains
+from g1stream.control.measured import ImuReading, Measured
+from g1stream.control.phases import Phase
+from g1stream.control.targets import Targets
+from g1stream.motion.readers import load_motion
+from g1stream.motion.trajectory import Trajectory
+from g1stream.robot.dynamics import InverseDynamics
+from g1stream.robot.model import G1
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+PERIOD = 0.002
+PAUSE = 0.002
+
+
+def parts() -> dict[str, Callable[[int], object]]:
+    """Name -> one part of tick k."""
+    robot, config = G1.default(), Config()
+    targets = Targets(Trajectory(load_motion("demo", robot)), start=0.0, play=None, ramp=1.0)
+    envelope, limit = Envelope(robot, config.safety), np.full(29, 100.0)
+    composer = Composer(envelope, resolve_gains(config.gains), 3.0)
+    still = np.zeros(29, np.float32)
+    measured = Measured(still, still, np.array([1, 0, 0, 0], np.float32), 5, 0)
+    imu = ImuReading(measured.quat_wxyz, *np.array([[0, 0, 0], [0, 0, 9.81]], np.float32))
+    composer.begin(measured)
+    target = targets.at(Phase.PLAY, 0.0)
+
+    def torque(support: str) -> Callable[[int], object]:
+        feed = FeedForward("dynamics", dynamics=InverseDynamics(robot), limit=limit, ramp=1.0)
+        feed.begin(support)
+        return lambda k: feed.command(Phase.PLAY, k * PERIOD, target, imu, 0.001)
+
+    return {
+        "check the state": lambda k: envelope.verdict(k, measured),
+        "sample the motion": lambda k: targets.at(Phase.PLAY, k * PERIOD % 10.0),
+        "torque, bolted": torque("bolted"),
+        "torque, hanging": torque("hanging"),
+        "compose and seal": lambda k: composer.compose(target, target, Phase.PLAY, k, 1.0),
+    }
+
+
+def measure(count: int) -> dict[str, dict[str, float]]:
+    """CPU of this thread by part and circumstance, us."""
+    found: dict[str, dict[str, float]] = {}
+    for name, part in parts().items():
+        costs = {}
+        for circumstance, pause in (("back_to_back", 0.0), ("after_a_pause", PAUSE)):
+            spent = 0
+            for k in range(count):
+                if pause:
+                    time.sleep(pause)
+                start = time.thread_time_ns()
+                part(k)
+                spent += time.thread_time_ns() - start
+            costs[circumstance] = spent / count / 1000.0
+        found[name] = costs
+    found["sleep"] = {"after_a_pause": sleep_cost(count)}
+    return found
+
+
+def sleep_cost(count: int) -> float:
+    """CPU of waiting for a deadline, us: falling asleep, waking up, and the rest awake."""
+    clock = SystemClock()
+    due, start = clock.now(), time.thread_time_ns()
+    for _ in range(count):
+        due += round(PAUSE * 1e9)
+        clock.sleep_until(due)
+    return (time.thread_time_ns() - start) / count / 1000.0
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--count", type=int, default=2000)
+    parser.add_argument("--json", action="store_true")
+    args = parser.parse_args()
+    found = measure(args.count)
+    if args.json:
+        print(json.dumps(found, indent=2))
+        return
+    print(f"{'CPU of a tick, us':<20}{'back to back':>14}{'after a pause':>15}")
+    for name, costs in found.items():
+        hot, cold = costs.get("back_to_back"), costs["after_a_pause"]
+        print(f"{name:<20}{'' if hot is None else f'{hot:.1f}':>14}{cold:15.1f}")
+    print(sides.load())
+
+
+if __name__ == "__main__":
+    main()

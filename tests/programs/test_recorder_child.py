@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from g1stream.cli.main import main
@@ -65,12 +67,35 @@ def test_a_file_in_which_there_is_nothing_does_not_stand_in_the_way(
     assert not path.exists()
 
 
+@pytest.mark.parametrize("force", [False, True])
+def test_a_name_that_no_file_can_have_is_refused_in_a_sentence(tmp_path, force):
+    with pytest.raises(RecordingError, match="cannot be made: File name too long"):
+        refuse_path(tmp_path / ("n" * 300), RecordConfig(), force)
+    with pytest.raises(RecordingError, match="is a directory"):
+        refuse_path(tmp_path, RecordConfig(), force)
+
+
+def test_a_device_can_be_recorded_onto_by_force():
+    refuse_path(Path("/dev/null"), RecordConfig(), True)
+    assert Path("/dev/null").is_char_device()
+    with pytest.raises(RecordingError, match="exists already"):
+        refuse_path(Path("/dev/null"), RecordConfig(), False)
+
+
+def test_a_link_that_leads_nowhere_stays(tmp_path):
+    link = tmp_path / "s.mcap"
+    link.symlink_to(tmp_path / "elsewhere.mcap")
+    refuse_path(link, RecordConfig(), True)
+    assert link.is_symlink()
+    assert not link.exists()
+
+
 def test_a_file_that_was_there_before_is_not_removed(config, tmp_path):
     path = tmp_path / "s.mcap"
     path.write_bytes(b"not so precious")
     outcome = stream("demo", config, record=path, force=True)
     assert outcome.recording["removed"] is False
-    assert path.exists()
+    assert path.read_bytes()[:5] == b"\x89MCAP"  # it was to be replaced, and has been
 
 
 def test_what_was_received_is_kept(config, domain_id, tmp_path):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 from g1stream.programs.children import Child, ChildError
 from g1stream.recording.earlier_parts import earlier_files
 from g1stream.recording.file_names import is_there, part_path, timestamped
-from g1stream.recording.places import create
+from g1stream.recording.places import try_out
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
@@ -25,9 +25,7 @@ _OUR_OWN_WORDS: Final = frozenset({"/log", "/scene", "/robot_description"})
 
 
 def refuse_path(path: Path, settings: RecordConfig, force: bool) -> None:
-    """Refuse a path at which no recording can be made, by making a file there and removing it.
-
-    What is there already is left as it is.
+    """Refuse a path at which no recording can be made; what is there is left as it is.
 
     Raises:
         RecordingError: there is a file already and `force` is off, or none can be made there.
@@ -37,10 +35,7 @@ def refuse_path(path: Path, settings: RecordConfig, force: bool) -> None:
     if settings.split_size is not None or settings.split_duration is not None:
         earlier_files(path, force=force)
         path = part_path(path, 1)
-    if force and path.is_file():
-        return
-    create(path, force=False).close()
-    path.unlink()
+    try_out(path, force=force)
 
 
 class RecorderChild:
@@ -120,8 +115,11 @@ def discard_if_empty(recording: dict[str, Any], earlier: Collection[Path]) -> bo
     files = [Path(path) for path in recording["paths"]]
     if received or any(file in earlier for file in files):
         return False
-    for file in files:
-        file.unlink(missing_ok=True)
+    try:
+        for file in files:
+            file.unlink(missing_ok=True)
+    except OSError:  # how the run went is told all the same
+        return False
     return True
 
 

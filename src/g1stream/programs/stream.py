@@ -21,7 +21,7 @@ from g1stream.dds.domain import Participant, stays_here
 from g1stream.dds.topics import LOWCMD
 from g1stream.doctor.misfits import unanswered
 from g1stream.doctor.wire import look_around
-from g1stream.errors import ConfigError, SafetyError
+from g1stream.errors import ConfigError, SafetyError, WireError
 from g1stream.levels import ERROR, INFO, WARNING
 from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
@@ -140,9 +140,14 @@ def _unanswered(
     """Why nobody was there to play to, in the doctor's words; they go into the recording too."""
     if report.commands or (report.states and link.listeners()):
         return []
-    wire = look_around(participant, _LISTEN)
-    # Asked only now: whoever came meanwhile is among the readers, and is matched.
-    wire = replace(wire, commands_matched=link.listeners())
+    try:
+        wire = look_around(participant, _LISTEN)
+    except WireError:  # how the run went is told all the same
+        return []
+    # The loop has listened for longer. Readers are counted only now: whoever came meanwhile is
+    # among them, and is matched.
+    state = replace(wire.state, received=wire.state.received or report.states)
+    wire = replace(wire, state=state, commands_matched=link.listeners())
     findings = unanswered(config.dds.domain, config.dds.interface, wire)
     for finding in findings:
         link.tell(ERROR, finding.cause)

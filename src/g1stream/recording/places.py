@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-__all__ = ["check_free", "create"]
+__all__ = ["check_free", "create", "try_out"]
 
 _REPLACE: Final = "Choose another name, or give --force to replace it."
 _REPLACE_OR_TIME: Final = (
@@ -31,6 +31,22 @@ def create(path: Path, *, force: bool) -> Output:
         if path.is_dir():
             raise IsADirectoryError
         return Output(path, "w" if force else "x")
+
+
+def try_out(path: Path, *, force: bool) -> None:
+    """See whether `create` would succeed, and leave everything as it is.
+
+    Raises:
+        RecordingError: there is one already and `force` is off, or none can be made there.
+    """
+    with _refusing(path, _REPLACE_OR_TIME):
+        if path.is_dir():
+            raise IsADirectoryError
+        if force and path.exists():
+            path.open("r+b", buffering=0).close()
+        elif not (force and path.is_symlink()):  # one that leads nowhere yet
+            Output(path, "x").close()
+            path.unlink()
 
 
 def check_free(path: Path, *, force: bool) -> None:

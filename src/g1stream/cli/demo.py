@@ -13,6 +13,7 @@ from g1stream.cli.common import (
     announce_wire,
     on_signals,
     print_json,
+    print_warning,
     value,
 )
 from g1stream.cli.stream import exit_code, summary
@@ -40,7 +41,7 @@ class Demo(WireCommand):
     }
 
     motion: Annotated[str, value("MOTION", "demo, a bundled motion")] = "demo"
-    """Motion file (CSV), or the name of a bundled motion."""
+    """Motion file (CSV), session file, or the name of a bundled motion."""
     out: Annotated[Path, value("DIR", "demo-out")] = Path("demo-out")
     """Where session.mcap and tracking.png go."""
     force: Flag = False
@@ -73,15 +74,24 @@ class Demo(WireCommand):
 
         config = self.resolve()
         motion = load_motion(self.motion, G1.load(config.robot))
-        announce_wire(config)
+        for warning in motion.warnings:
+            print_warning(warning)
 
         with watching() as watch:
 
             def prepare(loop: StreamLoop) -> None:
+                announce_wire(config)
                 on_signals(loop.request_stop)
                 watch(loop, motion)
 
-            done = demo(motion, self.out, config, force=self.force, on_loop=prepare)
+            done = demo(
+                motion,
+                self.out,
+                config,
+                force=self.force,
+                on_loop=prepare,
+                on_warning=print_warning,
+            )
         if self.json:
             figures = done.summary.as_dict() if done.summary else None
             print_json({**done.played.as_dict(), "summary": figures})

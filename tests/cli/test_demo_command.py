@@ -1,0 +1,67 @@
+"""A demo of a motion of the user's own tells what `stream` tells of it."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from dataclasses import replace
+from types import SimpleNamespace
+
+import pytest
+
+from g1stream.cli.demo import Demo
+from g1stream.errors import RecordingError
+from g1stream.programs import demo as program
+from g1stream.recording.motions import load_motion
+
+OF_THE_READER = "Row 7 has a quaternion of length 0.9."
+OF_THE_LIMITS = "mine asks left_knee_joint for 9.00 rad."
+
+
+@pytest.fixture
+def told(monkeypatch):
+    """What happens on the way, in order; nothing is simulated or played."""
+    heard = []
+
+    class Bridge:
+        def __init__(self, *_):
+            pass
+
+        def wait_for(self, *_, **__):
+            heard.append("bridge")
+
+        def finish(self):
+            pass
+
+        def kill(self):
+            pass
+
+    def stream(motion, config, *, on_loop, on_warning, **_):
+        on_loop(SimpleNamespace(request_stop=None))
+        on_warning(OF_THE_LIMITS)
+        return SimpleNamespace(recording=None, report=SimpleNamespace(commands=0))
+
+    mine = replace(load_motion("demo"), warnings=(OF_THE_READER,))
+    monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
+    monkeypatch.setattr(program, "_check_nobody_simulates", lambda _: None)
+    monkeypatch.setattr(program, "Child", Bridge)
+    monkeypatch.setattr(program, "stream", stream)
+    monkeypatch.setattr("g1stream.recording.motions.load_motion", lambda *_, **__: mine)
+    monkeypatch.setattr("g1stream.cli.demo.on_signals", lambda _: None)
+    monkeypatch.setattr("g1stream.cli.demo.announce_wire", lambda _: heard.append("wire"))
+    monkeypatch.setattr("g1stream.cli.demo.print_warning", heard.append)
+    monkeypatch.setattr("g1stream.cli.demo.watching", lambda: nullcontext(lambda *_: None))
+    monkeypatch.setattr("g1stream.cli.demo.summary", lambda _: "")
+    monkeypatch.setattr("g1stream.cli.demo.exit_code", lambda _: 0)
+    return heard
+
+
+def test_all_that_is_wrong_with_the_motion_is_told(tmp_path, told):
+    assert Demo(motion="mine.csv", out=tmp_path).run() == 0
+    assert told == [OF_THE_READER, "bridge", "wire", OF_THE_LIMITS]
+
+
+def test_no_wire_is_announced_where_a_check_ends_it(tmp_path, told):
+    (tmp_path / "session.mcap").touch()
+    with pytest.raises(RecordingError):
+        Demo(motion="mine.csv", out=tmp_path).run()
+    assert told == [OF_THE_READER]

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
+
+import pytest
+
 from g1stream.config import RealtimeConfig
+from g1stream.programs import punctuality
 from g1stream.programs.punctuality import try_waking, wake
 
 MS = 1_000_000
@@ -57,3 +62,16 @@ def test_this_machine_can_be_tried():
     found = try_waking(RealtimeConfig(priority=0), 500.0, seconds=0.05)
     assert found.deadlines >= 25
     assert found.worst_ns >= found.usual_ns
+
+
+@pytest.mark.parametrize(("loops", "own"), [(50, 49), (1, 0), (0, 0)])
+def test_a_loop_that_runs_meanwhile_comes_first(monkeypatch, loops, own):
+    asked = []
+
+    def on_time(*rights):
+        asked.append(rights)
+        return nullcontext()
+
+    monkeypatch.setattr(punctuality, "on_time", on_time)
+    try_waking(RealtimeConfig(priority=loops, cpu=3), 500.0, seconds=0.01)
+    assert asked == [(own, 3)]

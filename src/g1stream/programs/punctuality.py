@@ -22,13 +22,16 @@ TRIAL: Final = 0.5
 def try_waking(realtime: RealtimeConfig, rate: float, seconds: float = TRIAL) -> Punctuality:
     """Ask to be woken at absolute deadlines with the rights the loop gets, and do nothing else.
 
+    The priority is one below the loop's: a loop that runs meanwhile, maybe on the same isolated
+    CPU, comes first, and the trial delays no command of it.
+
     Args:
         realtime: what the loop asks of the system.
         rate: deadlines per second, Hz.
         seconds: for how long.
     """
     clock = SystemClock()
-    with on_time(realtime.priority, realtime.cpu):
+    with on_time(max(0, realtime.priority - 1), realtime.cpu):
         return wake(clock, round(1e9 / rate), round(seconds * rate))
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from g1stream.config import Config
+from g1stream.control.loop import StreamLoop
 from g1stream.motion.motion import Motion
 from g1stream.programs.beyond import beyond_limits
 from g1stream.programs.outcome import Interval
@@ -62,7 +63,14 @@ def test_the_worst_joint_is_named_with_its_figures(wild, robot):
 
 @pytest.mark.parametrize(
     ("start", "length", "loop", "n"),
-    [(0.0, 2.0, False, 0), (2.5, 1.0, False, 2), (3.99, None, False, 0), (0.0, 2.0, True, 2)],
+    [
+        (0.0, 2.0, False, 0),
+        (2.5, 1.0, False, 2),
+        (3.99, None, False, 0),
+        (0.0, 2.0, True, 0),
+        (3.5, 2.0, True, 0),
+        (3.5, None, True, 2),
+    ],
 )
 def test_only_what_is_played_counts(wild, robot, start, length, loop, n):
     assert len(told(wild, robot, start, length, loop)) == n
@@ -70,15 +78,32 @@ def test_only_what_is_played_counts(wild, robot, start, length, loop, n):
 
 def test_times_are_those_of_the_whole_motion(wild, robot):
     assert "at 3.00 s" in told(wild, robot, start=2.5)[0]
+    assert "at 3.00 s" in told(wild, robot, start=3.5, loop=True)[0]
 
 
-def test_the_stream_tells_it_before_the_first_command(wild, domain_id):
+def test_the_way_back_of_a_loop_counts(still, robot):
+    """Out of a last frame within the limit, but fast, it goes beyond before it turns back."""
+    knee = robot.joint_names.index(KNEE)
+    angles = still.joint_pos.copy()
+    done = np.arange(121) / 120
+    angles[:, knee] = robot.upper[knee] - Config().safety.position_margin - 2.5 * (1.0 - done**4)
+    rising = replace(still, name="rising", joint_pos=angles)
+    assert told(rising, robot) == []
+    assert told(rising, robot, length=4.0, loop=True) == []
+    (further,) = told(rising, robot, loop=True)
+    assert f"rising asks {KNEE} for " in further
+    assert " rad on the way back to its first frame, and its limit is " in further
+
+
+def test_the_stream_tells_it_before_the_first_command(wild, domain_id, monkeypatch):
     config = Config.model_validate({"dds": {"domain": domain_id}, "stream": {"wait": 1.0}})
-    loops, warnings = [], []
+    events = []
+    run = StreamLoop.run
 
-    def warn(text):
-        assert not loops[0].report.commands
-        warnings.append(text)
+    def running(loop):
+        events.append("runs")
+        return run(loop)
 
-    stream(wild, config, on_loop=loops.append, on_warning=warn)
-    assert len(warnings) == 2
+    monkeypatch.setattr(StreamLoop, "run", running)
+    stream(wild, config, on_warning=lambda text: events.append(text.split()[0]))
+    assert events == ["wild", "wild", "runs"]

@@ -37,7 +37,7 @@ def reading(arguments: Sequence[str]) -> Iterator[None]:
     """Read numbers and choices by rules of our own, for the length of a `with`.
 
     Raises:
-        ConfigError: a value that is none; names its flag.
+        ConfigError: a value that is none; names its flag where only one was given that value.
     """
     registry = ConstructorRegistry()
     registry.primitive_rule(_rule)
@@ -45,8 +45,9 @@ def reading(arguments: Sequence[str]) -> Iterator[None]:
         with registry:
             yield
     except _UnreadableError as error:
-        flag = _flag_before(error.text, arguments)
-        raise ConfigError(f"The flag {flag} cannot be {error.text!r}.", error.remedy) from None
+        flag = _flag_of(error.text, arguments)
+        what = f"The flag {flag} cannot be" if flag else "A flag has a value that it cannot have:"
+        raise ConfigError(f"{what} {error.text!r}.", error.remedy) from None
 
 
 def out_of_range(flag: str, key: str, value: Any) -> ConfigError:
@@ -86,15 +87,17 @@ def _range(setting: dict[str, Any]) -> str:
     return what
 
 
-def _flag_before(text: str, arguments: Sequence[str]) -> str:
-    """The flag that a text was given to; a text that stands alone is named instead."""
+def _flag_of(text: str, arguments: Sequence[str]) -> str | None:
+    """The flag that a text was given to, or None where it could be another's, or nobody's."""
+    given = []
     for before, argument in zip(["", *arguments], arguments, strict=False):
         flag, equals, value = argument.partition("=")
-        if equals and value == text and flag.startswith("--"):
-            return flag
-        if argument == text and before.startswith("--"):
-            return before
-    return "before it"
+        if argument == text:
+            given.append(before)
+        elif equals and value == text:
+            given.append(flag)
+    (flag,) = given if len(given) == 1 else ("",)
+    return flag if flag.startswith("--") and "=" not in flag else None
 
 
 def _rule(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:

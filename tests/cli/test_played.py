@@ -33,6 +33,7 @@ def outcome(interval=None, recording=None, **counted):
         (Interval(0.0, 6.0, 131.5), "walk: played 6.0 of 131.5 s"),
         (Interval(2.0, 6.0, 131.5), "walk: played 6.0 of 131.5 s, from 2.0 s on"),
         (Interval(2.0, 129.5, 131.5), "walk: played from 2.0 s to its end"),
+        (Interval(1.1, 5.3 - 1.1, 5.3), "walk: played from 1.1 s to its end"),  # 5.299999999999999
         (Interval(0.0, 300.0, 131.5, loop=True), "played for 300.0 s, again and again"),
     ],
 )
@@ -95,3 +96,19 @@ def test_a_recording_that_lacks_something_is_a_failure():
     assert exit_code(outcome(recording=whole)) == 0
     assert exit_code(outcome(recording={**whole, "missing": {"/lowstate": 1}})) == 1
     assert exit_code(outcome(reason="SIGTERM")) == 143
+
+
+@pytest.mark.parametrize(
+    ("lack", "told"),
+    [
+        ({"missing": {"/lowstate": 3}}, "missing from /lowstate: 3"),
+        ({"malformed": {"/lowstate": 2}}, "malformed on /lowstate: 2"),
+        ({"dropped_datagrams": 1}, "1 datagram came that the kernel had no room for"),
+        ({"stopped": "the disk is full"}, "it ended early: the disk is full"),
+    ],
+)
+def test_no_failure_is_without_its_reason(lack, told):
+    done = outcome(recording={**SAID, "dropped_datagrams": 0, **lack})
+    assert exit_code(done) == 1
+    assert told in summary(done)
+    assert exit_code(outcome(recording={**SAID, "dropped_datagrams": 0})) == 0

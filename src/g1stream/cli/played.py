@@ -17,6 +17,8 @@ __all__ = ["exit_code", "summary"]
 
 #: How many joints are named, of those that were held at a limit.
 _NAMED: Final = 3
+#: Less than this of a motion is nothing left of it, s.
+_ROUNDING: Final = 1e-6
 
 
 def exit_code(outcome: StreamOutcome) -> int:
@@ -27,13 +29,7 @@ def exit_code(outcome: StreamOutcome) -> int:
     reason = outcome.report.reason
     recording = outcome.recording
     if not reason:
-        lost = recording and (
-            recording["stopped"]
-            or recording["dropped_datagrams"]
-            or any(recording["missing"].values())
-            or any(recording["malformed"].values())
-        )
-        return EXIT_STOPPED if lost else EXIT_OK
+        return EXIT_STOPPED if recording and _lacks(recording) else EXIT_OK
     return exit_code_of_signal(reason) or EXIT_STOPPED
 
 
@@ -75,7 +71,8 @@ def _played(interval: Interval) -> str:
     """What was played of a motion that nothing stopped."""
     if interval.loop:
         return f"played for {interval.length:.1f} s, again and again its {interval.motion:.1f} s"
-    at_end = interval.length is None or interval.start + interval.length >= interval.motion
+    left = 0.0 if interval.length is None else interval.motion - interval.start - interval.length
+    at_end = left < _ROUNDING
     whence = f"from {interval.start:.1f} s " if interval.start else ""
     if at_end:
         return f"played {whence}to its end"
@@ -135,11 +132,21 @@ def _recording(recording: Mapping[str, Any] | None) -> list[str]:
         return []
     if recording.get("removed"):
         return [_line("recording", f"{recording['path']} removed: nothing was received")]
-    lines = [_line("recording", recording["path"])]
-    lines += [_line("", f"missing from {t}: {n}") for t, n in recording["missing"].items() if n]
+    return [
+        _line("recording", recording["path"]),
+        *(_line("", lack) for lack in _lacks(recording)),
+    ]
+
+
+def _lacks(recording: Mapping[str, Any]) -> list[str]:
+    """What a recording has not in it that it ought to have."""
+    lacks = [f"missing from {topic}: {n}" for topic, n in recording["missing"].items() if n]
+    lacks += [f"malformed on {topic}: {n}" for topic, n in recording["malformed"].items() if n]
+    if dropped := recording["dropped_datagrams"]:
+        lacks.append(f"{_counted(dropped, 'datagram')} came that the kernel had no room for")
     if recording["stopped"]:
-        lines.append(_line("", f"it ended early: {recording['stopped']}"))
-    return lines
+        lacks.append(f"it ended early: {recording['stopped']}")
+    return lacks
 
 
 def _counted(n: int, what: str) -> str:

@@ -82,6 +82,11 @@ def _recorder(recorder: Mapping[str, Any], *, told: bool) -> list[str]:
     lost = [f"{topic} {n}" for topic, n in (recorder.get("missing") or {}).items() if n]
     if lost:
         found.append(f"Samples that never came: {', '.join(lost)}.")
+    odd = [f"{topic} {n}" for topic, n in (recorder.get("malformed") or {}).items() if n]
+    if odd:
+        found.append(f"Samples that were not of their topic's type: {', '.join(odd)}.")
+    if dropped := recorder.get("dropped_datagrams"):
+        found.append(f"The kernel had no room for {dropped} datagrams that came.")
     return found
 
 

@@ -182,7 +182,31 @@ def test_how_much_was_played(summary_of, frames, reason, ended):
         "vanished_in": None,
         "played_s": pytest.approx(4.0),
         "motion_s": pytest.approx((frames - 1) / 30),
+        "start_s": 0.0,
     }
+
+
+@pytest.mark.parametrize(
+    ("start", "ended"),
+    [
+        (6.0, "ended at the motion's end; played from 6.0 s to its end"),
+        (2.0, "ended as asked; played 4.0 of 10.0 s, from 2.0 s on"),
+        (8.0, "ended as asked; played 4.0 s, the motion of 10.0 s repeatedly"),
+    ],
+)
+def test_where_it_was_to_begin_counts(summary_of, start, ended):
+    motion = {"name": "dance", "fps": 30.0, "frames": 301}
+    config = {"stream": {"start": start}}
+    summary = summary_of({**METADATA, "motion": motion, "config": config})
+    assert _lines(render(summary), "ended") == ended
+    assert summary.as_dict()["ending"]["start_s"] == start
+
+
+@pytest.mark.parametrize("odd", ["dance", 7, ["dance"], None])
+def test_a_motion_of_somebody_elses_kind_is_as_good_as_none(summary_of, odd):
+    summary = summary_of({"motion": odd, "config": odd})
+    assert summary.motion is None
+    assert summary.ending.motion is None
 
 
 @pytest.mark.parametrize(

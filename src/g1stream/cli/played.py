@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from g1stream.cli.common import EXIT_OK, EXIT_STOPPED, exit_code_of_signal
 from g1stream.realtime import told
+from g1stream.report.phrases import played
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -17,8 +18,6 @@ __all__ = ["exit_code", "summary"]
 
 #: How many joints are named, of those that were held at a limit.
 _NAMED: Final = 3
-#: Less than this of a motion is nothing left of it, s.
-_ROUNDING: Final = 1e-6
 
 
 def exit_code(outcome: StreamOutcome) -> int:
@@ -71,12 +70,8 @@ def _played(interval: Interval) -> str:
     """What was played of a motion that nothing stopped."""
     if interval.loop:
         return f"played for {interval.length:.1f} s, again and again its {interval.motion:.1f} s"
-    left = 0.0 if interval.length is None else interval.motion - interval.start - interval.length
-    at_end = left < _ROUNDING
-    whence = f"from {interval.start:.1f} s " if interval.start else ""
-    if at_end:
-        return f"played {whence}to its end"
-    return f"played {interval.length:.1f} of {interval.motion:.1f} s{whence and f', {whence}on'}"
+    length = interval.motion - interval.start if interval.length is None else interval.length
+    return played(interval.start, length, interval.motion)
 
 
 def _states(wire: Mapping[str, int | None]) -> str:

@@ -7,21 +7,19 @@ from typing import TYPE_CHECKING, Any, Final
 
 from g1stream.control.phases import Phase
 from g1stream.report.angles import AskedAngles
+from g1stream.report.phrases import is_whole, played
 from g1stream.report.spans import phase_spans
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from g1stream.recording.session import Session
     from g1stream.report.spans import Span
 
-__all__ = ["Ending", "ending", "phases"]
+__all__ = ["Ending", "ending", "part", "phases"]
 
 #: A recording that goes on for so long, ns, after the last reference has not merely ended first.
 _SILENCE: Final = 500_000_000
-
-#: Played to within this of the motion's duration, s, it was played to its end.
-_WHOLE: Final = 0.1
 
 
 @dataclass(frozen=True)
@@ -34,12 +32,14 @@ class Ending:
             None where it did not.
         played: for how long PLAY lasted, s.
         motion: how long the motion lasts, s.
+        start: where in the motion it was to begin, s.
     """
 
     reason: str | None
     vanished_in: Phase | None
     played: float | None
     motion: float | None
+    start: float = 0.0
 
     def as_dict(self) -> dict[str, Any]:
         """The ending as JSON values."""
@@ -48,6 +48,7 @@ class Ending:
             "vanished_in": self.vanished_in and self.vanished_in.name,
             "played_s": self.played,
             "motion_s": self.motion,
+            "start_s": self.start,
         }
 
     def __str__(self) -> str:
@@ -65,14 +66,14 @@ class Ending:
     def _whole(self) -> bool:
         if self.played is None or self.motion is None:
             return True
-        return abs(self.played - self.motion) <= _WHOLE
+        return is_whole(self.start, self.played, self.motion)
 
     def _how_much(self) -> str:
-        if self._whole or self.played is None or self.motion is None:
+        if self.played is None or self.motion is None or (self._whole and not self.start):
             return ""
-        if self.played > self.motion:
+        if self.played > self.motion - self.start and not self._whole:
             return f"; played {self.played:.1f} s, the motion of {self.motion:.1f} s repeatedly"
-        return f"; played {self.played:.1f} of {self.motion:.1f} s"
+        return f"; {played(self.start, self.played, self.motion)}"
 
 
 def ending(session: Session, spans: Sequence[Span]) -> Ending:
@@ -82,14 +83,21 @@ def ending(session: Session, spans: Sequence[Span]) -> Ending:
         session: whose last words count, and who was still heard after its last reference.
         spans: its phases.
     """
-    told, motion = session.metadata.get("stream") or {}, session.metadata.get("motion") or {}
+    told, motion = session.metadata.get("stream") or {}, part(session.metadata, "motion")
     frames, fps = motion.get("frames"), motion.get("fps")
     return Ending(
         reason=told.get("reason"),
         vanished_in=_vanished_in(session, spans),
         played=sum(s.seconds for s in spans if s.phase is Phase.PLAY) if spans else None,
         motion=(frames - 1) / fps if frames and fps else None,
+        start=part(part(session.metadata, "config"), "stream").get("start") or 0.0,
     )
+
+
+def part(metadata: Mapping[str, Any], key: str) -> dict[str, Any]:
+    """The values under a key; none where there is something else, as anybody's file may have."""
+    values = metadata.get(key)
+    return values if isinstance(values, dict) else {}
 
 
 def phases(session: Session) -> list[Span]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from g1stream.recording.session import STREAMS
-from g1stream.report.ending import ending, phases
+from g1stream.report.ending import ending, part, phases
 from g1stream.report.loop import loop_figures
 from g1stream.report.messages import stats_by_topic
 from g1stream.report.metrics import track
@@ -75,7 +75,7 @@ def summarise(session: Session) -> Summary:
     metadata, stats, compared = session.metadata, stats_by_topic(session.times), comparison(session)
     return Summary(
         session=str(session.path),
-        motion=(metadata.get("motion") or {}).get("name"),
+        motion=part(metadata, "motion").get("name"),
         ending=ending(session, phases(session)),
         tracking=track(compared) if compared and len(compared.time) else None,
         loop=loop_figures(metadata["stream"]) if metadata.get("stream") else None,

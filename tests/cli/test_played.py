@@ -74,7 +74,7 @@ def test_joints_that_were_held_are_named():
     done = outcome(clamped=clamped)
     assert (
         "27 joint targets held at the joint's limit: left_knee_joint 20, waist_yaw_joint 4, "
-        "right_hip_roll_joint 2 and 1 joint more" in summary(done)
+        "right_hip_roll_joint 2 and 1 more joint" in summary(done)
     )
     loop = done.as_dict()["loop"]
     assert loop["clamped_ticks"][KNEE] == loop["clamped_joints"]["left_knee_joint"] == 20

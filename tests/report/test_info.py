@@ -193,7 +193,9 @@ def test_it_says_what_commands_carried(info):
     told = {"reason": "", "feedforward": "dynamics", "support": "hanging"}
     event = {"motion_time": 2.1, "kind": "velocity", "reason": "the pelvis swings"}
     found = info(metadata=METADATA | {"stream": {**told, "feedforward_events": [event]}})
-    said = "feedforward dynamics (hanging) until 2.1 s, then velocity: the pelvis swings"
+    said = (
+        "feedforward dynamics (hanging) until 2.1 s of the motion, then velocity: the pelvis swings"
+    )
     assert said in _words(render_info(found))
     loop = json.loads(json.dumps(found.as_dict()))["loop"]
     assert (loop["feedforward"], loop["support"]) == ("dynamics", "hanging")

@@ -214,15 +214,21 @@ def test_a_motion_of_somebody_elses_kind_is_as_good_as_none(summary_of, odd):
     [
         (
             [{"motion_time": 2.13, "kind": "velocity", "reason": "the pelvis swings"}],
-            "dynamics (bolted) until 2.1 s, then velocity: the pelvis swings",
+            "dynamics (bolted) until 2.1 s of the motion, then velocity: the pelvis swings",
         ),
         (
             [
                 {"motion_time": 2.13, "kind": "velocity", "reason": "the IMU is silent"},
                 {"motion_time": 3.0, "kind": "dynamics", "reason": ""},
             ],
-            "dynamics (bolted) until 2.1 s, then velocity: the IMU is silent; until 3.0 s, then "
-            "dynamics",
+            "dynamics (bolted) until 2.1 s of the motion, then velocity: the IMU is silent; "
+            "1 change after that, the last at 3.0 s to dynamics",
+        ),
+        ([{"kind": "velocity"}], "dynamics (bolted) until ? s of the motion, then velocity"),
+        (
+            [{"motion_time": 1.0}, {}],
+            "dynamics (bolted) until 1.0 s of the motion, then ?; 1 change after that, the last "
+            "at ? s to ?",
         ),
     ],
 )
@@ -230,6 +236,11 @@ def test_a_torque_that_was_given_up_is_told(summary_of, events, said):
     summary = summary_of({"stream": {**METADATA["stream"], "feedforward_events": events}})
     assert _lines(render(summary), "feedforward") == f"feedforward {said}"
     assert summary.as_dict()["loop"]["feedforward_events"] == events
+
+
+def test_velocity_alone_has_no_support_to_name(summary_of):
+    summary = summary_of({"stream": {**METADATA["stream"], "feedforward": "velocity"}})
+    assert _lines(render(summary), "feedforward") == "feedforward velocity"
 
 
 def test_a_streamer_that_told_only_a_part(summary_of):

@@ -22,6 +22,7 @@ from g1stream.cli.common import (
 )
 from g1stream.cli.motion import asked_lines
 from g1stream.errors import ConfigError
+from g1stream.report.phrases import counted
 
 if TYPE_CHECKING:
     from g1stream.motion.file_check import FileReport
@@ -220,8 +221,8 @@ def _content(report: FileReport) -> list[str]:
     if report.mapped and not report.has_header:
         header += ", taken as LAFAN1's"
     lines = [
-        f"  file            {_counted(report.n_rows, 'row')}, "
-        f"{_counted(report.n_columns, 'column')}, {header}",
+        f"  file            {counted(report.n_rows, 'row')}, "
+        f"{counted(report.n_columns, 'column')}, {header}",
         f"  mapped columns  {len(report.mapped)}",
     ]
     shown = (*report.mapped[:5], None, *report.mapped[-5:])
@@ -239,7 +240,3 @@ def _verdict(report: FileReport) -> str:
     if not report.all_well:
         return "something is wrong"
     return "well, with a warning" if report.motion and report.motion.warnings else "all well"
-
-
-def _counted(n: int, what: str) -> str:
-    return f"{n} {what}{'s' * (n != 1)}"

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from g1stream.cli.common import EXIT_OK, EXIT_STOPPED, exit_code_of_signal
 from g1stream.realtime import told
-from g1stream.report.phrases import played
+from g1stream.report.phrases import carried, counted, most, played
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -15,9 +15,6 @@ if TYPE_CHECKING:
     from g1stream.programs.outcome import Interval, StreamOutcome
 
 __all__ = ["exit_code", "summary"]
-
-#: How many joints are named, of those that were held at a limit.
-_NAMED: Final = 3
 
 
 def exit_code(outcome: StreamOutcome) -> int:
@@ -46,7 +43,7 @@ def summary(outcome: StreamOutcome) -> str:
         _line(
             "commands",
             f"{report.commands} at {report.rate:.2f} Hz ({1e9 / report.period:g} asked for), "
-            f"{_counted(report.skipped, 'tick')} skipped",
+            f"{counted(report.skipped, 'tick')} skipped",
         ),
         _line(
             "lateness",
@@ -83,43 +80,22 @@ def _states(wire: Mapping[str, int | None]) -> str:
 
 
 def _carried(report: LoopReport) -> str:
-    """What commands carried beside the position, and when that changed."""
-    kind = f"{report.feedforward} ({report.support})"
-    if report.feedforward != "dynamics":
-        return report.feedforward
-    if not report.feedforward_changes:
-        return kind
-    first, *more = report.feedforward_changes
-    text = f"{kind} until {first.motion_time:.1f} s of the motion, then {first.kind}"
-    text += f": {first.reason}" if first.reason else ""
-    if more:
-        last = more[-1]
-        text += (
-            f"; {_counted(len(more), 'change')} after that, the last at {last.motion_time:.1f} s "
-            f"to {last.kind}"
-        )
-    return text
+    changes = [change._asdict() for change in report.feedforward_changes]
+    return carried(report.feedforward, report.support, changes)
 
 
 def _held(outcome: StreamOutcome) -> list[str]:
-    from g1stream.programs.outcome import by_joint
+    from g1stream.robot.joints import by_joint
 
     report = outcome.report
     return [
-        _line(label, f"{_counted(total, what)} held at the joint's limit: {_most(joints)}")
+        _line(label, f"{counted(total, what)} held at the joint's limit: {most(joints)}")
         for label, what, joints in (
-            ("limits", "joint target", by_joint(report.clamped)),
-            ("torque", "feed-forward torque", by_joint(report.saturated)),
+            ("limits", "joint target", by_joint(report.clamped.tolist())),
+            ("torque", "feed-forward torque", by_joint(report.saturated.tolist())),
         )
         if (total := sum(joints.values()))
     ]
-
-
-def _most(joints: Mapping[str, int]) -> str:
-    """The joints with most, and how many others there are."""
-    named = ", ".join(f"{name} {n}" for name, n in list(joints.items())[:_NAMED])
-    others = len(joints) - _NAMED
-    return f"{named} and {_counted(others, 'joint')} more" if others > 0 else named
 
 
 def _recording(recording: Mapping[str, Any] | None) -> list[str]:
@@ -138,11 +114,7 @@ def _lacks(recording: Mapping[str, Any]) -> list[str]:
     lacks = [f"missing from {topic}: {n}" for topic, n in recording["missing"].items() if n]
     lacks += [f"malformed on {topic}: {n}" for topic, n in recording["malformed"].items() if n]
     if dropped := recording["dropped_datagrams"]:
-        lacks.append(f"{_counted(dropped, 'datagram')} came that the kernel had no room for")
+        lacks.append(f"{counted(dropped, 'datagram')} came that the kernel had no room for")
     if recording["stopped"]:
         lacks.append(f"it ended early: {recording['stopped']}")
     return lacks
-
-
-def _counted(n: int, what: str) -> str:
-    return f"{n} {what}{'s' * (n != 1)}"

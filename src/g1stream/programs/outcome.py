@@ -5,17 +5,14 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
-from g1stream.robot.joints import JOINT_NAMES
+from g1stream.robot.joints import by_joint
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from g1stream.control.loop import LoopReport
     from g1stream.doctor.finding import Finding
     from g1stream.realtime import Grant
 
-__all__ = ["Interval", "StreamOutcome", "by_joint", "loop_summary"]
+__all__ = ["Interval", "StreamOutcome", "loop_summary"]
 
 _PERCENTILES: Final = (50.0, 99.0, 99.9)
 
@@ -90,15 +87,9 @@ def loop_summary(report: LoopReport) -> dict[str, Any]:
         "feedforward": report.feedforward,
         "support": report.support or None,
         "feedforward_events": [change._asdict() for change in report.feedforward_changes],
-        "clamped_joints": by_joint(report.clamped),
-        "saturated_joints": by_joint(report.saturated),
+        "clamped_joints": by_joint(report.clamped.tolist()),
+        "saturated_joints": by_joint(report.saturated.tolist()),
         "clamped_ticks": report.clamped.tolist(),
         "saturated_ticks": report.saturated.tolist(),
         "lateness_histogram_us": lateness.sparse(),
     }
-
-
-def by_joint(ticks: NDArray[np.int64]) -> dict[str, int]:
-    """Joint -> ticks, the joints with most first, without those that have none."""
-    counted = zip(JOINT_NAMES, ticks.tolist(), strict=True)
-    return dict(sorted(((name, n) for name, n in counted if n), key=lambda one: -one[1]))

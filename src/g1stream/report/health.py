@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from g1stream.recording.session import STREAMS
+from g1stream.report.phrases import most
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -15,10 +16,7 @@ if TYPE_CHECKING:
     from g1stream.report.loop import LoopFigures
     from g1stream.report.messages import MessageStats
 
-__all__ = ["most", "problems"]
-
-#: Of many joints those with most are named.
-_NAMED: Final = 3
+__all__ = ["problems"]
 
 
 def problems(
@@ -41,13 +39,6 @@ def problems(
         *(_loop(loop) if loop else []),
         *_warnings(session),
     ]
-
-
-def most(ticks: Mapping[str, int], n: int = _NAMED) -> str:
-    """The first joints and their ticks, and how many joints more there are."""
-    named = [f"{joint} {count}" for joint, count in list(ticks.items())[:n]]
-    left = len(ticks) - n
-    return ", ".join(named) + (f" and {left} more joint{'s' * (left > 1)}" if left > 0 else "")
 
 
 def _vanished(ending: Ending) -> list[str]:

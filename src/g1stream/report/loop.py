@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from g1stream.report.messages import PERCENTILE_NAMES, Percentiles
-from g1stream.robot.joints import JOINT_NAMES
+from g1stream.robot.joints import by_joint
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -72,17 +72,13 @@ def loop_figures(told: Mapping[str, Any]) -> LoopFigures:
         nominal_rate=told.get("nominal_rate_hz"),
         lateness=Percentiles(*map(lateness.get, PERCENTILE_NAMES)) if known else None,
         skipped=told.get("skipped_ticks"),
-        clamped=_by_joint(told.get("clamped_ticks")),
+        clamped=_held(told.get("clamped_ticks")),
         feedforward=told.get("feedforward") or None,
         support=told.get("support") or None,
         feedforward_events=told.get("feedforward_events") or [],
-        saturated=_by_joint(told.get("saturated_ticks")),
+        saturated=_held(told.get("saturated_ticks")),
     )
 
 
-def _by_joint(ticks: Sequence[int] | None) -> dict[str, int] | None:
-    """Joint -> ticks, the joints with most first, without those that had none."""
-    if ticks is None:
-        return None
-    held = [(name, n) for name, n in zip(JOINT_NAMES, ticks, strict=True) if n]
-    return dict(sorted(held, key=lambda one: -one[1]))
+def _held(ticks: Sequence[int] | None) -> dict[str, int] | None:
+    return None if ticks is None else by_joint(ticks)

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from g1stream.report.health import most
 from g1stream.report.messages import GAP
 from g1stream.report.metrics import pooled
+from g1stream.report.phrases import carried, most
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
 
 if TYPE_CHECKING:
@@ -138,11 +138,7 @@ def loop_lines(loop: LoopFigures | None) -> list[str]:
 def _feedforward(loop: LoopFigures) -> str:
     if loop.feedforward is None:
         return _UNKNOWN
-    text = loop.feedforward + (f" ({loop.support})" if loop.support else "")
-    for event in loop.feedforward_events:
-        text += f" until {event['motion_time']:.1f} s, then {event['kind']}"
-        text += f": {event['reason']};" if event.get("reason") else ""
-    return text.rstrip(";")
+    return carried(loop.feedforward, loop.support, loop.feedforward_events)
 
 
 def message_table(counts: Mapping[str, int], streams: Mapping[str, MessageStats]) -> list[str]:

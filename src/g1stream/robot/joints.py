@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["EXAMPLE_KD", "EXAMPLE_KP", "JOINT_GROUPS", "JOINT_NAMES", "N_JOINTS"]
+__all__ = ["EXAMPLE_KD", "EXAMPLE_KP", "JOINT_GROUPS", "JOINT_NAMES", "N_JOINTS", "by_joint"]
 
 _LEG: Final = ("hip_pitch", "hip_roll", "hip_yaw", "knee", "ankle_pitch", "ankle_roll")
 _WAIST: Final = ("waist_yaw", "waist_roll", "waist_pitch")
@@ -48,6 +48,12 @@ JOINT_GROUPS: Final[Mapping[str, tuple[int, ...]]] = MappingProxyType(
     }
 )
 """Limb name to the motor indices of that limb; together the groups hold each joint once."""
+
+
+def by_joint(ticks: Sequence[int]) -> dict[str, int]:
+    """Joint -> ticks, of (29,), the joints with most first, without those that have none."""
+    counted = [(name, n) for name, n in zip(JOINT_NAMES, ticks, strict=True) if n]
+    return dict(sorted(counted, key=lambda one: -one[1]))
 
 
 def _gains(

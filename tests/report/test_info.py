@@ -78,6 +78,16 @@ def test_json_says_the_same(info):
     assert values["problems"] == []
 
 
+@pytest.mark.parametrize(
+    ("noted", "told"),
+    [("dance", "motion not recorded"), ({"name": "dance"}, "motion dance, ? frames at ? fps")],
+)
+def test_a_motion_of_somebody_elses_kind_is_told_as_far_as_known(info, noted, told):
+    found = info(metadata=METADATA | {"motion": noted, "config": "none"})
+    assert found.settings is None
+    assert told in _words(render_info(found))
+
+
 def test_a_killed_recorder_is_told(info):
     found = info(close=False)
     assert not found.complete

@@ -1,8 +1,10 @@
 """When a session was in which phase."""
 
 import numpy as np
+import pytest
 
 from g1stream.control.phases import Phase
+from g1stream.errors import RecordingError
 from g1stream.report.spans import Span, phase_spans
 
 
@@ -26,3 +28,8 @@ def test_a_number_that_falls_is_a_change_too():
 
 def test_nothing_published():
     assert phase_spans(np.empty(0), np.empty(0, np.uint8)) == []
+
+
+def test_a_phase_that_is_not_known_is_named():
+    with pytest.raises(RecordingError, match="in phase 99, which is none of those known here"):
+        phase_spans(np.arange(2.0), np.array([Phase.PLAY, 99], np.uint8))

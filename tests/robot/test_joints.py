@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP, JOINT_GROUPS, JOINT_NAMES, N_JOINTS
+from g1stream.robot.joints import (
+    EXAMPLE_KD,
+    EXAMPLE_KP,
+    JOINT_GROUPS,
+    JOINT_NAMES,
+    N_JOINTS,
+    by_joint,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -59,3 +66,11 @@ def test_constants_cannot_be_changed() -> None:
             gains[0] = 1.0
     with pytest.raises(TypeError):
         JOINT_GROUPS["tail"] = ()  # type: ignore[index]
+
+
+def test_ticks_by_joint_begin_with_most_and_leave_out_none() -> None:
+    ticks = [0] * N_JOINTS
+    ticks[3], ticks[12] = 2, 7
+    assert list(by_joint(ticks).items()) == [("waist_yaw_joint", 7), ("left_knee_joint", 2)]
+    with pytest.raises(ValueError, match="shorter"):
+        by_joint(ticks[:-1])

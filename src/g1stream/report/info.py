@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
-from g1stream.report.ending import ending, phases
+from g1stream.report.ending import ending, part, phases
 from g1stream.report.health import problems
 from g1stream.report.loop import loop_figures
 from g1stream.report.messages import stats_by_topic
@@ -133,7 +133,7 @@ def describe(session: Session) -> Info:
         domain=metadata.get("domain"),
         interface=metadata.get("interface"),
         versions={"g1stream": metadata.get("g1stream", "?"), **metadata.get("versions", {})},
-        motion=metadata.get("motion"),
+        motion=part(metadata, "motion") or None,
         phases=spans,
         ending=ended,
         settings=_settings(metadata.get("config")),
@@ -150,8 +150,8 @@ def describe(session: Session) -> Info:
     )
 
 
-def _settings(config: Mapping[str, Any] | None) -> dict[str, Any] | None:
-    if config is None:
+def _settings(config: Any) -> dict[str, Any] | None:
+    if not isinstance(config, dict):
         return None
     from g1stream.config import Config
 

@@ -69,10 +69,9 @@ def _recorded(info: Info) -> str:
 def _motion(info: Info) -> str:
     if not info.motion:
         return _UNKNOWN
-    sha256 = info.motion.get("sha256")
-    return (
-        f"{info.motion['name']}, {info.motion['frames']} frames at {info.motion['fps']:g} fps"
-        + (f", sha256 {sha256[:12]}" if sha256 else "")
+    name, frames, fps, sha256 = map(info.motion.get, ("name", "frames", "fps", "sha256"))
+    return f"{name or '?'}, {frames or '?'} frames at {f'{fps:g}' if fps else '?'} fps" + (
+        f", sha256 {sha256[:12]}" if sha256 else ""
     )
 
 

@@ -15,9 +15,9 @@ __all__ = ["carried", "counted", "is_whole", "most", "played"]
 #: Of many joints those with most are named.
 _NAMED: Final = 3
 
-#: Played to within this of what was left of the motion, s, it was played to its end: figures are
-#: told to a tenth.
-_WHOLE: Final = 0.05
+#: Played to within this of what was left of the motion, s, it was played to its end: that is a tick
+#: at the lowest rate, and the last digit of what is told.
+_WHOLE: Final = 0.1
 
 
 def is_whole(start: float, length: float, motion: float) -> bool:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from g1stream.control.phases import Phase
+from g1stream.errors import RecordingError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -33,12 +34,27 @@ def phase_spans(times: NDArray[np.float64], phases: NDArray[np.uint8]) -> list[S
     Args:
         times: (N,) when references were published, s.
         phases: (N,) the phase of each.
+
+    Raises:
+        RecordingError: a number is no phase's.
     """
     if not len(times):
         return []
     starts = np.concatenate([[0], np.flatnonzero(np.diff(phases)) + 1])
     ends = np.concatenate([starts[1:], [len(times) - 1]])
     return [
-        Span(Phase(int(phases[start])), float(times[start]), float(times[end]))
+        Span(_phase(int(phases[start])), float(times[start]), float(times[end]))
         for start, end in zip(starts, ends, strict=True)
     ]
+
+
+def _phase(number: int) -> Phase:
+    try:
+        return Phase(number)
+    except ValueError as error:
+        raise RecordingError(
+            f"A reference is in phase {number}, which is none of those known here: "
+            f"{', '.join(f'{phase.value} {phase.name}' for phase in Phase)}.",
+            "Open it with the version of g1stream that recorded it; if that is this one, the file "
+            "is damaged.",
+        ) from error

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from g1stream.errors import MotionError
 from g1stream.motion.streamed import STREAM_RATE, HeldJoint, JointSpeed, measure_streamed
 from g1stream.robot.joints import JOINT_GROUPS
 
@@ -158,11 +157,7 @@ def check_motion(
     Raises:
         MotionError: the motion's joints are not the robot's, in the robot's order.
     """
-    if motion.joint_names != robot.joint_names:
-        raise MotionError(
-            f"The joints of the motion {motion.name} are not those of the robot {robot.name}.",
-            "Load the motion for this robot: load_motion(path, robot).",
-        )
+    motion.require_joints_of(robot)
     fastest_streamed, held = measure_streamed(motion, robot, rate, position_margin)
     return MotionReport(
         name=motion.name,

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
+    from g1stream.robot.model import G1
+
 __all__ = ["Motion"]
 
 
@@ -117,6 +119,18 @@ class Motion:
                 "Give it numbers only.",
             )
         return values
+
+    def require_joints_of(self, robot: G1) -> None:
+        """Refuse a robot that has other joints, or these in another order.
+
+        Raises:
+            MotionError: the motion's joints are not the robot's.
+        """
+        if self.joint_names != robot.joint_names:
+            raise MotionError(
+                f"The joints of the motion {self.name} are not those of the robot {robot.name}.",
+                "Load the motion for this robot: load_motion(path, robot).",
+            )
 
 
 def check_fps(fps: float, name: str) -> None:

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from g1stream.errors import MotionError
 from g1stream.motion.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -64,11 +63,7 @@ def beyond_limits(motion: Motion, robot: G1, config: Config, interval: Interval)
     Raises:
         MotionError: the motion's joints are not the robot's, in the robot's order.
     """
-    if motion.joint_names != robot.joint_names:
-        raise MotionError(
-            f"The joints of the motion {motion.name} are not those of the robot {robot.name}.",
-            "Load the motion for this robot: load_motion(path, robot).",
-        )
+    motion.require_joints_of(robot)
     margin = config.safety.position_margin
     lower, upper = robot.lower + margin, robot.upper - margin
     trajectory = Trajectory(motion, loop=interval.loop)

@@ -175,11 +175,7 @@ def convert(
 def _load(motion: Motion | str | Path, robot: G1, fps: float | None) -> Motion:
     if isinstance(motion, str | Path):
         return load_motion(motion, robot, fps=fps)
-    if motion.joint_names != robot.joint_names:
-        raise MotionError(
-            f"The joints of the motion {motion.name} are not those of the robot {robot.name}.",
-            "Load the motion for this robot: load_motion(path, robot).",
-        )
+    motion.require_joints_of(robot)
     return motion if fps is None else replace(motion, fps=fps)
 
 

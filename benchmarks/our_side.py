@@ -25,8 +25,8 @@ import numpy as np
 from g1stream.clock import SystemClock
 from g1stream.control.ticker import Lateness, Ticker
 from g1stream.dds.domain import Participant
+from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import LowCmd, LowState
-from g1stream.dds.raw import RawReader, RawWriter
 from g1stream.dds.topics import LOWCMD, LOWSTATE
 from g1stream.realtime import on_time
 

@@ -21,7 +21,7 @@ from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
 
 from g1stream.errors import RecordingError
-from g1stream.recording.session import open_session
+from g1stream.session.session import open_session
 
 TICKS = os.sysconf("SC_CLK_TCK")
 

@@ -16,8 +16,8 @@ import numpy as np
 
 from g1stream.clock import SystemClock
 from g1stream.dds.domain import Participant
+from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.messages import LowCmd, LowState, Reference
-from g1stream.dds.raw import RawWriter
 from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE
 
 TABLE = 4096

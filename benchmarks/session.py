@@ -29,8 +29,8 @@ TOPIC = "/lowstate"
 
 def lengthen(source: Path, target: Path, minutes: float) -> None:
     """Write a session of so many minutes by repeating the messages of another."""
-    from g1stream.recording.session import open_session
-    from g1stream.recording.writer import SessionWriter
+    from g1stream.session.session import open_session
+    from g1stream.session.writer import SessionWriter
 
     session = open_session(source)
     times = session.times
@@ -57,7 +57,7 @@ def lengthen(source: Path, target: Path, minutes: float) -> None:
 
 def ours(path: Path) -> dict[str, float]:
     """Open a session and take the joint angles as an array."""
-    from g1stream.recording.session import open_session
+    from g1stream.session.session import open_session
 
     begun = time.perf_counter()
     session = open_session(path)

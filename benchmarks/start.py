@@ -15,7 +15,7 @@ from statistics import median
 import sides
 from g1stream.dds.announcement import OBSERVER
 from g1stream.dds.domain import Participant
-from g1stream.dds.raw import RawReader
+from g1stream.dds.endpoints import RawReader
 from g1stream.dds.topics import LOWCMD
 
 

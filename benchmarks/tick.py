@@ -18,17 +18,17 @@ import numpy as np
 import sides
 from g1stream.clock import SystemClock
 from g1stream.config import Config
-from g1stream.control.compose import Composer
-from g1stream.control.envelope import Envelope
+from g1stream.control.commands import Composer
 from g1stream.control.feedforward import FeedForward
 from g1stream.control.gains import resolve_gains
 from g1stream.control.measured import ImuReading, Measured
-from g1stream.control.phases import Phase
+from g1stream.control.safety import Envelope
 from g1stream.control.targets import Targets
 from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.dynamics import InverseDynamics
 from g1stream.robot.model import G1
+from g1stream.types import Phase
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -25,34 +25,35 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from g1stream.analysis.summary import summarise
 from g1stream.config import Config, load_config
-from g1stream.control.envelope import Envelope
 from g1stream.control.feedforward import FeedForward
 from g1stream.control.gains import Gains
 from g1stream.control.loop import StreamLoop
-from g1stream.control.phases import Phase, Timing
+from g1stream.control.phases import Timing
+from g1stream.control.safety import Envelope
 from g1stream.control.target import Target
 from g1stream.control.targets import Targets
 from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
-from g1stream.programs.children import Child
+from g1stream.programs.child_process import Child
 from g1stream.programs.stream import stream
-from g1stream.recording.session import open_session
-from g1stream.report.summary import summarise
 from g1stream.robot.dynamics import InverseDynamics
 from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP, JOINT_NAMES
 from g1stream.robot.model import G1
 from g1stream.robot.motors import TORQUE_LIMIT
+from g1stream.session.session import open_session
 from g1stream.sim.lockstep import Lockstep
 from g1stream.sim.world import World, WorldState
+from g1stream.types import Phase
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from g1stream.config import FeedForwardKind, Support
     from g1stream.control.measured import ImuReading
     from g1stream.dds.messages import LowState
     from g1stream.motion.motion import Motion
+    from g1stream.types import FeedForwardKind, Support
 
 CLIP = Path(__file__).parents[2] / "shared" / "lafan1" / "joints_labeled.csv"
 SUPPORTS: tuple[Support, ...] = ("bolted", "hanging", "follow")

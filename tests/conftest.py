@@ -13,7 +13,10 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
+
+from g1stream.dds.layout import members
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -117,3 +120,34 @@ def golden() -> dict[str, list[dict[str, Any]]]:
     for name in ("wire.json", "sdk_samples.json"):
         samples |= json.loads((data / name).read_text())
     return samples
+
+
+def _filled(element: Any, rng: np.random.Generator) -> Any:
+    if isinstance(element, str):
+        if element.startswith("float"):
+            return float(np.float32(rng.normal()))
+        limits = np.iinfo("uint8" if element == "byte" else element)
+        return int(rng.integers(limits.min, limits.max, endpoint=True, dtype=limits.dtype))
+    values = {}
+    for name, (inner, length) in members(element).items():
+        made = [_filled(inner, rng) for _ in range(length or 1)]
+        values[name] = made[0] if length is None else made
+    return element(**values)
+
+
+@pytest.fixture
+def make_sample():
+    """Makes instances of cyclonedds' classes with every field set to something of its own."""
+    rng = np.random.default_rng(11)
+    return lambda topic: _filled(topic.message.idl_type, rng)
+
+
+@pytest.fixture
+def on_the_wire():
+    """The bytes of an instance of cyclonedds' classes as they are on the wire: padded to words."""
+
+    def encode(sample):
+        data = sample.serialize()
+        return data + bytes(-len(data) % 4)
+
+    return encode

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 from g1stream._version import __version__
 
 if TYPE_CHECKING:
+    from g1stream.analysis.tracking import tracking
     from g1stream.config import Config, load_config
     from g1stream.errors import G1StreamError
     from g1stream.motion.motion import Motion
@@ -26,10 +27,9 @@ if TYPE_CHECKING:
     from g1stream.programs.replay import replay
     from g1stream.programs.sim import simulate
     from g1stream.programs.stream import stream
-    from g1stream.recording.motions import load_motion
-    from g1stream.recording.session import Session, open_session
-    from g1stream.report.tracking import tracking
     from g1stream.robot.model import G1
+    from g1stream.session.motions import load_motion
+    from g1stream.session.session import Session, open_session
 
 __all__ = [
     "G1",
@@ -57,17 +57,17 @@ _HOME = {
     "G1": "robot.model",
     "G1StreamError": "errors",
     "Motion": "motion.motion",
-    "Session": "recording.session",
+    "Session": "session.session",
     "Trajectory": "motion.trajectory",
     "convert": "programs.convert",
     "load_config": "config",
-    "load_motion": "recording.motions",
-    "open_session": "recording.session",
+    "load_motion": "session.motions",
+    "open_session": "session.session",
     "record": "programs.record",
     "replay": "programs.replay",
     "simulate": "programs.sim",
     "stream": "programs.stream",
-    "tracking": "report.tracking",
+    "tracking": "analysis.tracking",
 }
 
 

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from g1stream.errors import ConfigError
+from g1stream.types import FeedForwardKind, Support
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -27,20 +28,15 @@ if TYPE_CHECKING:
 __all__ = [
     "Config",
     "DdsConfig",
-    "FeedForwardKind",
     "GainsConfig",
     "RealtimeConfig",
     "RecordConfig",
     "SafetyConfig",
     "SimConfig",
     "StreamConfig",
-    "Support",
     "load_config",
     "read_toml",
 ]
-
-Support = Literal["bolted", "hanging", "follow", "free"]
-FeedForwardKind = Literal["none", "velocity", "dynamics"]
 
 Seconds = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]

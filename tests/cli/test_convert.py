@@ -14,9 +14,9 @@ from pathlib import Path
 
 import pytest
 
-from g1stream.control.phases import Phase
 from g1stream.dds.messages import Reference
-from g1stream.recording.writer import SessionWriter
+from g1stream.session.writer import SessionWriter
+from g1stream.types import Phase
 
 DEMO = Path(__file__).parents[2] / "src" / "g1stream" / "motion" / "demo.csv"
 COMMAND = [sys.executable, "-m", "g1stream", "convert"]

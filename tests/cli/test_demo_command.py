@@ -11,7 +11,7 @@ import pytest
 from g1stream.cli.demo import Demo
 from g1stream.errors import RecordingError
 from g1stream.programs import demo as program
-from g1stream.recording.motions import load_motion
+from g1stream.session.motions import load_motion
 
 OF_THE_READER = "Row 7 has a quaternion of length 0.9."
 OF_THE_LIMITS = "mine asks left_knee_joint for 9.00 rad."
@@ -45,7 +45,7 @@ def told(monkeypatch):
     monkeypatch.setattr(program, "_check_nobody_simulates", lambda _: None)
     monkeypatch.setattr(program, "Child", Bridge)
     monkeypatch.setattr(program, "stream", stream)
-    monkeypatch.setattr("g1stream.recording.motions.load_motion", lambda *_, **__: mine)
+    monkeypatch.setattr("g1stream.session.motions.load_motion", lambda *_, **__: mine)
     monkeypatch.setattr("g1stream.cli.demo.on_signals", lambda _: None)
     monkeypatch.setattr("g1stream.cli.demo.announce_wire", lambda _: heard.append("wire"))
     monkeypatch.setattr("g1stream.cli.demo.print_warning", heard.append)

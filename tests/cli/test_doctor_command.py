@@ -4,7 +4,7 @@ import json
 
 from g1stream.cli.main import main
 from g1stream.dds.domain import Participant
-from g1stream.dds.raw import RawWriter
+from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.topics import LOWSTATE
 
 

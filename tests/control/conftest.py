@@ -10,16 +10,17 @@ import numpy as np
 import pytest
 
 from g1stream.config import SafetyConfig
-from g1stream.control.envelope import Envelope
 from g1stream.control.gains import Gains
 from g1stream.control.loop import StreamLoop
-from g1stream.control.phases import Phase, Timing
+from g1stream.control.phases import Timing
+from g1stream.control.safety import Envelope
 from g1stream.control.targets import Targets
 from g1stream.dds.messages import LowCmd, LowState, Reference
 from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.model import G1
+from g1stream.types import Phase
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from g1stream.config import SafetyConfig
-from g1stream.control.envelope import Envelope
 from g1stream.control.feedforward import FeedForward
 from g1stream.control.gains import Gains
 from g1stream.control.loop import StreamLoop
 from g1stream.control.measured import ImuReading
-from g1stream.control.phases import Phase, Timing
+from g1stream.control.phases import Timing
+from g1stream.control.safety import Envelope
 from g1stream.control.support import ForceObserver, SupportCheck
 from g1stream.control.target import Target
 from g1stream.control.targets import Targets, minimum_jerk
@@ -21,6 +21,7 @@ from g1stream.robot.dynamics import InverseDynamics, Solution
 from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP
 from g1stream.sim.lockstep import Lockstep
 from g1stream.sim.world import World
+from g1stream.types import Phase
 
 WARNING = 3
 NOW = 0.002

@@ -9,8 +9,8 @@ import pytest
 from g1stream.control.link import DdsLink
 from g1stream.dds.announcement import user_data_of_support
 from g1stream.dds.domain import Participant
+from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import Log, LowCmd, LowState, Reference
-from g1stream.dds.raw import RawReader, RawWriter
 from g1stream.dds.topics import LOG, LOWCMD, LOWSTATE, REFERENCE
 
 STAMP = 1_700_000_000_123_456_789

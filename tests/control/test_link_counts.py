@@ -4,8 +4,8 @@ import pytest
 
 from g1stream.control.link import DdsLink
 from g1stream.dds.domain import Participant
+from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.messages import LowState
-from g1stream.dds.raw import RawWriter
 from g1stream.dds.topics import LOWSTATE
 
 

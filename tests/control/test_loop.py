@@ -9,12 +9,12 @@ import pytest
 
 from g1stream.config import SafetyConfig
 from g1stream.control.feedforward import FeedForward
-from g1stream.control.phases import Phase
 from g1stream.control.report import LoopReport
 from g1stream.control.target import Target
 from g1stream.control.targets import Targets
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.dynamics import Solution
+from g1stream.types import Phase
 
 MS = 1_000_000
 PERIOD = 2 * MS

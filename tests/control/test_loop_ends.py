@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from g1stream.config import SafetyConfig
-from g1stream.control.phases import Phase
 from g1stream.control.targets import Targets
 from g1stream.errors import SafetyError
+from g1stream.types import Phase
 
 MS = 1_000_000
 PERIOD = 2 * MS

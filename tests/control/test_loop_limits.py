@@ -5,8 +5,8 @@ import pytest
 
 from g1stream.config import SafetyConfig
 from g1stream.control.feedforward import FeedForward
-from g1stream.control.phases import Phase
 from g1stream.dds.messages import LowState
+from g1stream.types import Phase
 
 PERIOD = 2_000_000
 MARGIN = 0.25

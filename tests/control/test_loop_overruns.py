@@ -2,7 +2,7 @@
 
 from itertools import pairwise
 
-from g1stream.control.phases import Phase
+from g1stream.types import Phase
 
 MS = 1_000_000
 PERIOD = 2 * MS

@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from g1stream.control.phases import Inputs, Phase, PhaseState, Timing, step
+from g1stream.control.phases import Inputs, PhaseState, Timing, step
+from g1stream.types import Phase
 
 WAIT, RAMP, PLAY, HOLD, DAMP, DONE = Phase
 TIMING = Timing(wait=1000, ramp=300, play=5000, hold=200, damp=500)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from g1stream.control.phases import Phase
 from g1stream.control.targets import Targets, coast, minimum_jerk
 from g1stream.motion.trajectory import Trajectory
+from g1stream.types import Phase
 
 STEP = 1e-5
 

@@ -192,7 +192,7 @@ PEER = """
 import sys
 import time
 from g1stream.dds.domain import Participant
-from g1stream.dds.raw import RawReader, RawWriter
+from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.topics import LOWCMD, TOPICS
 
 with Participant(int(sys.argv[1]), "lo") as participant:

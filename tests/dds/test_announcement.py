@@ -5,7 +5,7 @@ import pytest
 from g1stream.control.link import DdsLink
 from g1stream.dds.announcement import support_announced, user_data_of_support
 from g1stream.dds.domain import Participant
-from g1stream.dds.raw import RawWriter
+from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.topics import LOWSTATE
 
 

@@ -10,8 +10,8 @@ import pytest
 from cyclonedds.core import Entity
 
 from g1stream.dds.domain import Endpoint, Participant, interfaces, is_loopback
+from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import LowCmd
-from g1stream.dds.raw import RawReader, RawWriter
 from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE, TOPICS
 from g1stream.errors import WireError
 

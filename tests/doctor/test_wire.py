@@ -15,8 +15,8 @@ from cyclonedds.topic import Topic
 
 from g1stream.dds import types
 from g1stream.dds.domain import Participant
+from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import LowState
-from g1stream.dds.raw import RawReader, RawWriter
 from g1stream.dds.topics import LOG, LOWCMD, LOWSTATE
 from g1stream.doctor.facts import Interface, Qos
 from g1stream.doctor.wire import look_at_wire, qos_facts

@@ -5,8 +5,8 @@ import pytest
 from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
 
 from g1stream.dds.domain import Participant
+from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import LowCmd, LowState
-from g1stream.dds.raw import RawReader, RawWriter
 from g1stream.dds.topics import LOWCMD, LOWSTATE
 
 N_MOTORS = 29

@@ -18,12 +18,12 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from g1stream.control.phases import Phase
 from g1stream.dds.domain import Participant
+from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.messages import LowCmd, LowState
-from g1stream.dds.raw import RawWriter
 from g1stream.dds.topics import LOWSTATE
-from g1stream.recording.session import open_session
+from g1stream.session.session import open_session
+from g1stream.types import Phase
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -10,8 +10,8 @@ from cyclonedds.idl import make_idl_struct
 from cyclonedds.idl.types import uint32
 
 from g1stream.dds.domain import Participant
+from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import Message
-from g1stream.dds.raw import RawReader, RawWriter
 from g1stream.dds.topics import LOWCMD, LOWSTATE, SECONDARY_IMU, SPORTMODESTATE, Topic
 
 TOPICS = {

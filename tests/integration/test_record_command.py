@@ -15,10 +15,10 @@ import pytest
 from mcap.reader import make_reader
 
 from g1stream.dds.domain import Participant
+from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.messages import LowState
-from g1stream.dds.raw import RawWriter
 from g1stream.dds.topics import LOWSTATE
-from g1stream.recording.session import open_session
+from g1stream.session.session import open_session
 
 PROGRAM = [sys.executable, "-m", "g1stream"]
 

@@ -12,15 +12,15 @@ import pytest
 from mcap.reader import make_reader
 
 from g1stream.dds.domain import Participant
+from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.messages import LowState, Reference
-from g1stream.dds.raw import RawWriter
 from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE
-from g1stream.recording.clocks import ClockReading, read_clocks
-from g1stream.recording.derive import Deriver
-from g1stream.recording.recorder import Recorder
-from g1stream.recording.rotation import PartedWriter
-from g1stream.recording.session import open_session
+from g1stream.foxglove.derive import Deriver
+from g1stream.recorder.clocks import ClockReading, read_clocks
+from g1stream.recorder.recorder import Recorder
 from g1stream.robot.model import G1
+from g1stream.session.rotation import PartedWriter
+from g1stream.session.session import open_session
 
 S = 1_000_000_000
 

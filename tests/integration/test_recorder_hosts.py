@@ -11,14 +11,14 @@ import time
 
 import pytest
 
-from g1stream.recording.session import open_session
+from g1stream.session.session import open_session
 
 AHEAD_S = 3
 ROBOT = f"""
 import sys, time
 from g1stream.dds.domain import Participant
 from g1stream.dds.messages import LowState
-from g1stream.dds.raw import RawWriter
+from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.topics import LOWSTATE
 with Participant(int(sys.argv[1]), sys.argv[2]) as participant:
     writer, state = RawWriter(participant, LOWSTATE, 100), LowState()

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from g1stream.control.phases import Phase
-from g1stream.recording.session import open_session
+from g1stream.session.session import open_session
+from g1stream.types import Phase
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from g1stream.recording.session import Session
+    from g1stream.session.session import Session
 
 PATIENT = Path(__file__).parents[1] / "data" / "patient.toml"
 PLAY = 2.0

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from g1stream.config import Config
-from g1stream.control.envelope import Envelope
+from g1stream.control.safety import Envelope
 from g1stream.motion.check import check_motion
 from g1stream.motion.readers import load_motion
 from g1stream.motion.streamed import STREAM_RATE

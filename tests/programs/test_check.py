@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import pytest
 
-from g1stream.control.phases import Phase
 from g1stream.dds.messages import Reference
 from g1stream.errors import MotionError, RecordingError
 from g1stream.motion.file_check import check_file
 from g1stream.programs.check import check
-from g1stream.recording.writer import SessionWriter
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import G1
+from g1stream.session.writer import SessionWriter
+from g1stream.types import Phase
 
 T0 = 1_700_000_000_000_000_000
 KNEE = JOINT_NAMES.index("left_knee_joint")

@@ -7,14 +7,14 @@ import threading
 import pytest
 
 from g1stream.config import Config
-from g1stream.container.reader import McapFile
 from g1stream.dds.domain import Participant
+from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.messages import LowState
-from g1stream.dds.raw import RawWriter
 from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE
 from g1stream.errors import ConfigError, WireError
 from g1stream.programs import record as program
 from g1stream.robot.model import G1
+from g1stream.session.mcap_reader import McapFile
 
 SESSION = {"motion": {"name": "walk"}}
 

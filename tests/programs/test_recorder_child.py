@@ -9,7 +9,7 @@ import pytest
 from g1stream.cli.main import main
 from g1stream.config import Config, RecordConfig
 from g1stream.dds.domain import Participant
-from g1stream.dds.raw import RawWriter
+from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.topics import LOWSTATE
 from g1stream.errors import RecordingError
 from g1stream.programs import stream as program

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 
 from g1stream.config import Config
-from g1stream.control.phases import Phase
 from g1stream.dds.messages import LowCmd, Reference
 from g1stream.errors import ConfigError, RecordingError, SafetyError
 from g1stream.programs import replay as program
 from g1stream.programs.replay import replay
-from g1stream.recording.session import Session
-from g1stream.recording.writer import SessionWriter
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import G1
+from g1stream.session.session import Session
+from g1stream.session.writer import SessionWriter
+from g1stream.types import Phase
 
 T0 = 1_700_000_000_000_000_000
 PERIOD = 4_000_000
@@ -293,7 +293,7 @@ def test_without_a_reference_no_reference_is_recommended(write, handed):
 def test_commands_are_read_a_batch_at_a_time(write, handed, monkeypatch):
     """None of the arrays of all of them is made, which take four times what is kept."""
     monkeypatch.delattr(Session, "command")
-    monkeypatch.setattr("g1stream.programs.recorded_commands._BATCH", 7)
+    monkeypatch.setattr("g1stream.replay.commands._BATCH", 7)
     commands = [command(i) for i in range(N)]
     exactly(write(commands, PHASES))
     sent = handed[0][1]["make_link"].keywords["commands"]

@@ -18,7 +18,7 @@ from g1stream.cli.main import main
 from g1stream.config import Config
 from g1stream.dds import types
 from g1stream.dds.domain import Participant
-from g1stream.dds.raw import RawWriter
+from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.topics import LOWCMD, LOWSTATE
 from g1stream.programs.stream import stream
 

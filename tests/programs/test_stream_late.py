@@ -10,8 +10,8 @@ import pytest
 
 from g1stream.config import Config
 from g1stream.dds.domain import Participant
+from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import LowState
-from g1stream.dds.raw import RawReader, RawWriter
 from g1stream.dds.topics import LOWCMD, LOWSTATE
 from g1stream.programs import stream as program
 from g1stream.programs.stream import stream

@@ -11,8 +11,8 @@ import pytest
 from g1stream.clock import SystemClock
 from g1stream.config import SimConfig
 from g1stream.dds.domain import Participant
+from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import Log, LowCmd, LowState, SecondaryImu, SportModeState
-from g1stream.dds.raw import RawReader, RawWriter
 from g1stream.dds.topics import LOG, LOWCMD, LOWSTATE, SECONDARY_IMU, SPORTMODESTATE
 from g1stream.robot.model import G1
 from g1stream.sim.bridge import MODE_MACHINE_29, Bridge

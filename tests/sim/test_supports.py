@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from g1stream.config import Support
     from g1stream.robot.model import G1
     from g1stream.sim.world import MotorCommand
+    from g1stream.types import Support
 
 
 GRAVITY = 9.81

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from g1stream.analysis.formatting import counted
 from g1stream.cli.common import (
     EXIT_OK,
     EXIT_STOPPED,
@@ -22,7 +23,6 @@ from g1stream.cli.common import (
 )
 from g1stream.cli.motion import asked_lines
 from g1stream.errors import ConfigError
-from g1stream.report.phrases import counted
 
 if TYPE_CHECKING:
     from g1stream.motion.file_check import FileReport
@@ -120,7 +120,7 @@ class Convert:
 
     def _convert(self, robot: G1, out: Path, stopped_by: list[str]) -> ConvertReport:
         from g1stream.programs.convert import Conversion, convert
-        from g1stream.recording.stamps import parse_time
+        from g1stream.session.timestamps import parse_time
 
         options = Conversion(
             base_time_ns=parse_time(self.base_time),

@@ -16,8 +16,8 @@ from g1stream.cli.common import (
     print_warning,
     value,
 )
+from g1stream.cli.progress import watching
 from g1stream.cli.stream import exit_code, summary
-from g1stream.cli.watch import watching
 
 if TYPE_CHECKING:
     from g1stream.control.loop import StreamLoop
@@ -66,11 +66,11 @@ class Demo(WireCommand):
 
     def run(self) -> int:
         """Do it, and return the exit code."""
+        from g1stream.analysis.summary import render
+        from g1stream.analysis.text import line
         from g1stream.programs.demo import demo
-        from g1stream.recording.motions import load_motion
-        from g1stream.report.summary import render
-        from g1stream.report.text import line
         from g1stream.robot.model import G1
+        from g1stream.session.motions import load_motion
 
         config = self.resolve()
         motion = load_motion(self.motion, G1.load(config.robot))

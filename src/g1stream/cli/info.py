@@ -27,9 +27,9 @@ class Info:
 
     def run(self) -> int:
         """Look, and return the exit code."""
-        from g1stream.recording.session import open_session
-        from g1stream.report.info import describe
-        from g1stream.report.info_text import render_info
+        from g1stream.analysis.info import describe
+        from g1stream.analysis.info_text import render_info
+        from g1stream.session.session import open_session
 
         info = describe(open_session(self.file))
         if self.json:

@@ -35,8 +35,8 @@ class Inspect(Command):
     def run(self) -> int:
         """Look, and return the exit code."""
         from g1stream.motion.check import check_motion
-        from g1stream.recording.motions import load_motion
         from g1stream.robot.model import G1
+        from g1stream.session.motions import load_motion
 
         config = self.resolve()
         robot = G1.load(config.robot)

@@ -21,11 +21,11 @@ from g1stream.cli.common import (
     value,
 )
 from g1stream.errors import G1StreamError
-from g1stream.levels import WARNING
 from g1stream.realtime import stand_back
+from g1stream.types import WARNING
 
 if TYPE_CHECKING:
-    from g1stream.recording.recorder_report import RecorderReport
+    from g1stream.recorder.recorder_report import RecorderReport
 
 __all__ = ["Record"]
 
@@ -90,7 +90,7 @@ class Record(WireCommand):
 
     def _run_attached(self, stopped: list[str]) -> int:
         from g1stream.config import load_config
-        from g1stream.programs.children import ParentLine
+        from g1stream.programs.child_process import ParentLine
         from g1stream.programs.record import record
 
         parent = ParentLine()

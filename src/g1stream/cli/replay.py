@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from g1stream.cli.common import Flag, announce_wire, on_signals, print_warning, value
+from g1stream.cli.progress import watching
 from g1stream.cli.stream import PlayCommand
-from g1stream.cli.watch import watching
 
 if TYPE_CHECKING:
     from g1stream.control.loop import StreamLoop

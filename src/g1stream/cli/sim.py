@@ -90,7 +90,7 @@ class Sim(WireCommand):
 
     def _run_attached(self, stopped: list[str]) -> int:
         from g1stream.config import load_config
-        from g1stream.programs.children import ParentLine
+        from g1stream.programs.child_process import ParentLine
         from g1stream.programs.sim import simulate
 
         parent = ParentLine()

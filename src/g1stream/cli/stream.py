@@ -18,9 +18,9 @@ from g1stream.cli.common import (
     value,
 )
 from g1stream.cli.gains_file import read_gains, require_joints
-from g1stream.cli.played import exit_code, summary
+from g1stream.cli.progress import watching
+from g1stream.cli.stream_summary import exit_code, summary
 from g1stream.cli.values import flag_name
-from g1stream.cli.watch import watching
 from g1stream.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -146,8 +146,8 @@ class Stream(PlayCommand):
     def run(self) -> int:
         """Play, and return the exit code."""
         from g1stream.programs.stream import stream
-        from g1stream.recording.motions import load_motion
         from g1stream.robot.model import G1
+        from g1stream.session.motions import load_motion
 
         config = self.resolve()
         motion = load_motion(self.motion, G1.load(config.robot), fps=self.fps)

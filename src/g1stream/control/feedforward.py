@@ -9,14 +9,12 @@ from typing import TYPE_CHECKING, Final, NamedTuple, get_args
 
 import numpy as np
 
-from g1stream.config import FeedForwardKind, Support
 from g1stream.control.measured import all_finite, is_unit
-from g1stream.control.phases import Phase
 from g1stream.control.support import ForceObserver, SupportCheck
 from g1stream.control.targets import minimum_jerk
-from g1stream.levels import INFO, WARNING
 from g1stream.robot.dynamics import BaseMotion
 from g1stream.robot.joints import N_JOINTS
+from g1stream.types import INFO, WARNING, FeedForwardKind, Phase, Support
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

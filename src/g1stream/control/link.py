@@ -6,9 +6,9 @@ import time
 from typing import TYPE_CHECKING, Final, Protocol
 
 from g1stream.dds.announcement import OBSERVER, observers, support_announced
+from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.layout import CDR_HEADER, Layout
 from g1stream.dds.messages import Log
-from g1stream.dds.raw import RawReader, RawWriter
 from g1stream.dds.ticks import TickGaps
 from g1stream.dds.topics import LOG, LOWCMD, LOWSTATE, REFERENCE
 

@@ -11,21 +11,21 @@ from dataclasses import replace
 from itertools import islice
 from typing import TYPE_CHECKING
 
-from g1stream.control.compose import Composer
+from g1stream.control.commands import Composer
 from g1stream.control.measured import ImuReading, Measured
-from g1stream.control.phases import Inputs, Phase, PhaseState, Timing, step
+from g1stream.control.phases import Inputs, PhaseState, Timing, step
 from g1stream.control.report import LoopReport
 from g1stream.control.targets import minimum_jerk
 from g1stream.control.ticker import Ticker
 from g1stream.dds.messages import LowState
-from g1stream.levels import ERROR, INFO, WARNING
+from g1stream.types import ERROR, INFO, WARNING, Phase
 
 if TYPE_CHECKING:
     from g1stream.clock import Clock
-    from g1stream.control.envelope import Envelope
     from g1stream.control.feedforward import FeedForward
     from g1stream.control.gains import Gains
     from g1stream.control.link import Link
+    from g1stream.control.safety import Envelope
     from g1stream.control.target import Target
     from g1stream.control.targets import Targets
 

@@ -11,24 +11,10 @@ DAMP. Time comes in as an argument, in integer nanoseconds of one monotonic cloc
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from enum import IntEnum
 
-__all__ = ["Inputs", "Phase", "PhaseState", "Timing", "step"]
+from g1stream.types import Phase
 
-
-class Phase(IntEnum):
-    """Where a session is; the numbers are those on the wire (idl/g1stream/Reference_.idl)."""
-
-    WAIT = 0
-    """for a LowState, and for somebody who reads LowCmd"""
-    RAMP = 1
-    """from the measured pose to the motion's first frame"""
-    PLAY = 2
-    HOLD = 3
-    """at the motion's last frame"""
-    DAMP = 4
-    """no position servo, only damping"""
-    DONE = 5
+__all__ = ["Inputs", "PhaseState", "Timing", "step"]
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from g1stream.control.phases import Phase
 from g1stream.control.target import Target
 from g1stream.robot.rotations import quat_from_axis_angle, quat_mul
+from g1stream.types import Phase
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

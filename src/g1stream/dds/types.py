@@ -1,7 +1,7 @@
 """The types on the wire, as cyclonedds classes; idl/ is their source, kept in step by a test.
 
 They exist to give topics their names and type information, and to derive the fixed layouts from.
-No sample is ever built from them: see `g1stream.dds.raw`.
+No sample is ever built from them: see `g1stream.dds.endpoints`.
 """
 
 from typing import Any, Final

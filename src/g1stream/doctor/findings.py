@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from g1stream.doctor.finding import Finding, Level
-from g1stream.doctor.host_findings import examine_host, examine_interface, examine_punctuality
-from g1stream.doctor.misfits import (
+from g1stream.doctor.endpoint_mismatches import (
     command_misfits,
     misfits,
     names,
@@ -14,6 +12,8 @@ from g1stream.doctor.misfits import (
     silence,
     state_misfits,
 )
+from g1stream.doctor.finding import Finding, Level
+from g1stream.doctor.host_findings import examine_host, examine_interface, examine_punctuality
 from g1stream.doctor.peers import LOWCMD, LOWSTATE, SPORTMODESTATE, recognise
 
 if TYPE_CHECKING:

@@ -13,8 +13,8 @@ from cyclonedds.core import Policy
 
 from g1stream.dds.announcement import observers
 from g1stream.dds.domain import MAX_DOMAIN, Participant
+from g1stream.dds.endpoints import RawReader
 from g1stream.dds.messages import LowState
-from g1stream.dds.raw import RawReader
 from g1stream.dds.ticks import TickGaps
 from g1stream.dds.topics import LOWSTATE, TOPICS
 from g1stream.doctor.facts import Peer, Qos, StateFacts, WireFacts

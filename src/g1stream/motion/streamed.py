@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from g1stream.motion.resample import resample
+from g1stream.types import Floats
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
     from g1stream.motion.motion import Motion
     from g1stream.robot.model import G1
 
-    Floats = NDArray[np.float64]
 
 __all__ = ["STREAM_RATE", "HeldJoint", "JointSpeed", "measure_streamed"]
 

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from g1stream.motion.seam import seam_frames
+from g1stream.motion.loop_seam import seam_frames
 from g1stream.robot.rotations import xyzw_from_wxyz
 
 if TYPE_CHECKING:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from g1stream.container.magic import is_mcap
 from g1stream.motion.file_check import check_file, check_session
+from g1stream.session.magic import is_mcap
 
 if TYPE_CHECKING:
     from g1stream.motion.file_check import FileReport
@@ -29,6 +29,6 @@ def check(motion: str | Path, robot: G1, *, fps: float | None = None) -> FileRep
     """
     if not is_mcap(Path(motion)):
         return check_file(motion, robot, fps=fps)
-    from g1stream.recording.motions import load_motion  # brings the reader
+    from g1stream.session.motions import load_motion  # brings the reader
 
     return check_session(motion, load_motion(motion, robot, fps=fps), robot)

@@ -11,22 +11,22 @@ import numpy as np
 
 from g1stream._version import __version__
 from g1stream.errors import ConfigError, MotionError, RecordingError, RobotError
-from g1stream.programs.attachments import attach_motion
-from g1stream.recording.derived_channels import DERIVED_CHANNELS
-from g1stream.recording.encode import WORLD_FRAME
-from g1stream.recording.motions import load_motion
-from g1stream.recording.offline import OfflineWriter
-from g1stream.recording.poses import PoseEncoder, Poses
-from g1stream.recording.scene import encode_robot_description, encode_scene
-from g1stream.recording.stamps import frame_stamps
+from g1stream.foxglove.encoders import WORLD_FRAME
+from g1stream.foxglove.poses import PoseEncoder, Poses
+from g1stream.foxglove.scene import encode_robot_description, encode_scene
 from g1stream.robot.model import G1
 from g1stream.robot.visuals import missing_meshes
+from g1stream.session.attachments import attach_motion
+from g1stream.session.derived_channels import DERIVED_CHANNELS
+from g1stream.session.motions import load_motion
+from g1stream.session.offline import OfflineWriter
+from g1stream.session.timestamps import frame_stamps
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from g1stream.container.compression import Compression
     from g1stream.motion.motion import Motion
+    from g1stream.session.compression import Compression
 
 __all__ = ["Conversion", "ConvertReport", "convert"]
 

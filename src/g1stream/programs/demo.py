@@ -11,16 +11,16 @@ from g1stream.config import Config
 from g1stream.dds.domain import Participant, is_loopback, stays_here
 from g1stream.dds.topics import LOWSTATE
 from g1stream.errors import ConfigError, RecordingError, WireError
-from g1stream.programs.children import Child
+from g1stream.programs.child_process import Child
 from g1stream.programs.stream import stream
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from g1stream.analysis.summary import Summary
     from g1stream.control.loop import StreamLoop
     from g1stream.motion.motion import Motion
     from g1stream.programs.outcome import StreamOutcome
-    from g1stream.report.summary import Summary
 
 __all__ = ["DemoOutcome", "demo"]
 
@@ -66,9 +66,9 @@ def demo(
         RecordingError: a file is there already and `force` is off, or none can be made there.
         G1StreamError: another setting or the wire does not allow it.
     """
-    from g1stream.recording.session import open_session
-    from g1stream.report.picture import draw
-    from g1stream.report.summary import summarise
+    from g1stream.analysis.plots import draw
+    from g1stream.analysis.summary import summarise
+    from g1stream.session.session import open_session
 
     config = config or Config()
     _check_stays_here(config.dds.interface)

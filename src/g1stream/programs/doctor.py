@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 from g1stream.doctor.facts import Facts
 from g1stream.doctor.findings import examine
 from g1stream.doctor.host import look_at_host
+from g1stream.doctor.wakeup_latency import try_waking
 from g1stream.doctor.wire import look_at_wire
 from g1stream.errors import WireError
-from g1stream.programs.punctuality import try_waking
 
 if TYPE_CHECKING:
     from g1stream.config import Config

@@ -10,28 +10,12 @@ from g1stream.robot.joints import by_joint
 if TYPE_CHECKING:
     from g1stream.control.loop import LoopReport
     from g1stream.doctor.finding import Finding
+    from g1stream.motion.limit_warnings import Interval
     from g1stream.realtime import Grant
 
-__all__ = ["Interval", "StreamOutcome", "loop_summary"]
+__all__ = ["StreamOutcome", "loop_summary"]
 
 _PERCENTILES: Final = (50.0, 99.0, 99.9)
-
-
-@dataclass(frozen=True)
-class Interval:
-    """The part of a motion that was to be played.
-
-    Attributes:
-        start: where in the motion it begins, s.
-        length: how long it is, s; None: without end.
-        motion: how long the whole motion is, s.
-        loop: whether the motion is played again and again.
-    """
-
-    start: float
-    length: float | None
-    motion: float
-    loop: bool = False
 
 
 @dataclass(frozen=True)

@@ -13,21 +13,21 @@ from g1stream.config import Config
 from g1stream.dds.domain import Participant
 from g1stream.dds.topics import LOWCMD, REFERENCE
 from g1stream.errors import RecordingError, WireError
-from g1stream.programs.attachments import attach_motion
-from g1stream.recording.derive import Deriver
-from g1stream.recording.encode import MEASURED_PREFIX
-from g1stream.recording.file_names import timestamped
-from g1stream.recording.recorder import Recorder
-from g1stream.recording.rotation import Limits, PartedWriter
-from g1stream.recording.scene import encode_robot_description, encode_scene
+from g1stream.foxglove.derive import Deriver
+from g1stream.foxglove.encoders import MEASURED_PREFIX
+from g1stream.foxglove.scene import encode_robot_description, encode_scene
+from g1stream.recorder.recorder import Recorder
 from g1stream.robot.model import G1
+from g1stream.session.attachments import attach_motion
+from g1stream.session.file_names import timestamped
+from g1stream.session.rotation import Limits, PartedWriter
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from g1stream.config import RecordConfig
-    from g1stream.recording.recorder_report import RecorderReport
-    from g1stream.recording.writer import SessionWriter
+    from g1stream.recorder.recorder_report import RecorderReport
+    from g1stream.session.writer import SessionWriter
 
 __all__ = ["record"]
 

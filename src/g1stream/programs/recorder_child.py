@@ -6,10 +6,10 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from g1stream.programs.children import Child, ChildError
-from g1stream.recording.earlier_parts import earlier_files
-from g1stream.recording.file_names import is_there, part_path, timestamped
-from g1stream.recording.places import try_out
+from g1stream.programs.child_process import Child, ChildError
+from g1stream.session.earlier_parts import earlier_files
+from g1stream.session.file_names import is_there, part_path, timestamped
+from g1stream.session.output_path import try_out
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping

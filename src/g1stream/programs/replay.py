@@ -10,14 +10,14 @@ import numpy as np
 
 from g1stream.config import Config
 from g1stream.control.link import DdsLink
-from g1stream.control.recorded import RecordedLink
 from g1stream.errors import ConfigError
-from g1stream.programs.recorded_commands import recorded_commands
 from g1stream.programs.stream import stream
-from g1stream.recording.played import commanded_motion
-from g1stream.recording.session import Session, open_session
-from g1stream.recording.streams import Reference
+from g1stream.replay.commands import recorded_commands
+from g1stream.replay.recorded_link import RecordedLink
 from g1stream.robot.model import G1
+from g1stream.session.session import Session, open_session
+from g1stream.session.session_to_motion import commanded_motion
+from g1stream.session.streams import Reference
 
 if TYPE_CHECKING:
     from collections.abc import Callable

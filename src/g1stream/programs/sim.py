@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 from g1stream.clock import SystemClock
 from g1stream.config import Config
 from g1stream.dds.domain import Participant
-from g1stream.levels import INFO
 from g1stream.realtime import on_time, told
 from g1stream.robot.model import G1
 from g1stream.sim.bridge import Bridge
 from g1stream.sim.world import World
+from g1stream.types import INFO
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -10,29 +10,29 @@ import numpy as np
 
 from g1stream.clock import SystemClock
 from g1stream.config import Config
-from g1stream.control.envelope import Envelope
 from g1stream.control.feedforward import FeedForward
 from g1stream.control.gains import Gains, resolve_gains
 from g1stream.control.link import DdsLink
 from g1stream.control.loop import StreamLoop
 from g1stream.control.phases import Timing
+from g1stream.control.safety import Envelope
 from g1stream.control.targets import Targets
 from g1stream.dds.domain import Participant, stays_here
 from g1stream.dds.topics import LOWCMD
-from g1stream.doctor.misfits import unanswered
+from g1stream.doctor.endpoint_mismatches import unanswered
 from g1stream.doctor.wire import look_around
 from g1stream.errors import ConfigError, SafetyError, WireError
-from g1stream.levels import ERROR, INFO, WARNING
+from g1stream.motion.limit_warnings import Interval, beyond_limits
 from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
-from g1stream.programs.beyond import beyond_limits
-from g1stream.programs.outcome import Interval, StreamOutcome, loop_summary
+from g1stream.programs.outcome import StreamOutcome, loop_summary
 from g1stream.programs.recorder_child import RecorderChild, refuse_path
 from g1stream.realtime import on_time, told
-from g1stream.recording.motions import load_motion
 from g1stream.robot.dynamics import InverseDynamics
 from g1stream.robot.model import G1
 from g1stream.robot.motors import TORQUE_LIMIT
+from g1stream.session.motions import load_motion
+from g1stream.types import ERROR, INFO, WARNING
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -30,14 +30,14 @@ from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.motors import DAMPING, FRICTION
 from g1stream.robot.mujoco_spec import mujoco_spec
 from g1stream.robot.rotations import quat_rotate_inverse
+from g1stream.types import Floats
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from g1stream.config import Support
     from g1stream.robot.model import G1
+    from g1stream.types import Support
 
-    Array = NDArray[np.float64]
 
 __all__ = ["BaseMotion", "InverseDynamics", "Solution", "friction_torque"]
 
@@ -58,10 +58,10 @@ class BaseMotion(NamedTuple):
         ang_acc: (3,) rad/s², time derivative of `ang_vel`; for `follow` only.
     """
 
-    quat_wxyz: Array
-    ang_vel: Array
-    lin_acc: Array = np.zeros(3)
-    ang_acc: Array = np.zeros(3)
+    quat_wxyz: Floats
+    ang_vel: Floats
+    lin_acc: Floats = np.zeros(3)
+    ang_acc: Floats = np.zeros(3)
 
 
 class Solution(NamedTuple):
@@ -73,9 +73,9 @@ class Solution(NamedTuple):
         ang_acc: (3,) rad/s², pelvis frame.
     """
 
-    tau: Array
-    lin_acc: Array
-    ang_acc: Array
+    tau: Floats
+    lin_acc: Floats
+    ang_acc: Floats
 
 
 class InverseDynamics:
@@ -129,12 +129,12 @@ class InverseDynamics:
     def solve(
         self,
         support: Support,
-        q: Array,
-        dq: Array,
-        ddq: Array,
+        q: Floats,
+        dq: Floats,
+        ddq: Floats,
         base: BaseMotion,
         *,
-        force: Array | None = None,
+        force: Floats | None = None,
     ) -> Solution:
         """The torques of a movement.
 
@@ -160,7 +160,7 @@ class InverseDynamics:
         base_acc = acc[:_BASE].copy()
         return Solution(total[v] + friction_torque(dq), base_acc[:3], base_acc[3:])
 
-    def _place(self, q: Array, dq: Array, base: BaseMotion) -> None:
+    def _place(self, q: Floats, dq: Floats, base: BaseMotion) -> None:
         """Compute what depends on a state; the base stays at the origin, which is as good."""
         mujoco, model, data = self._mujoco, self._model, self._data
         self._qpos[3:7] = base.quat_wxyz
@@ -171,24 +171,24 @@ class InverseDynamics:
         mujoco.mj_comPos(model, data)
         mujoco.mj_comVel(model, data)
 
-    def _inverse(self) -> Array:
+    def _inverse(self) -> Floats:
         """The generalised force (35,) of the state and acceleration at hand, nothing holding it."""
         result = np.empty(self._model.nv)
         self._mujoco.mj_rne(self._model, self._data, 1, result)
         result += self._armature * self._acc  # of which the recursion knows nothing
         return result
 
-    def _outer(self, support: Support, force: Array | None) -> Array | float:
+    def _outer(self, support: Support, force: Floats | None) -> Floats | float:
         return self._carried(force) if support == "hanging" else 0.0
 
-    def _base_inertia(self) -> Array:
+    def _base_inertia(self) -> Floats:
         """The first six rows and columns of M (6, 6)."""
         self._mujoco.mj_makeM(self._model, self._data)
         for unit, column in zip(self._units, self._columns, strict=True):
             self._mujoco.mj_mulM(self._model, self._data, column, unit)
         return self._columns[:, :_BASE]
 
-    def felt(self, solution: Solution, base: BaseMotion) -> Array:
+    def felt(self, solution: Solution, base: BaseMotion) -> Floats:
         """What the accelerometer of the pelvis's unit says to a solution.
 
         The specific force at the unit: a - g of the pelvis's origin, a' x r and w x (w x r).
@@ -201,36 +201,36 @@ class InverseDynamics:
         (x, y, z), (ax, ay, az) = self._imu_pos.tolist(), ang_acc.tolist()
         swing = np.array([ay * z - az * y, az * x - ax * z, ax * y - ay * x])
         inward = ang_vel * (ang_vel @ self._imu_pos) - self._imu_pos * (ang_vel @ ang_vel)
-        felt: Array = upward + swing + inward
+        felt: Floats = upward + swing + inward
         return felt
 
-    def _carried(self, force: Array | None) -> Array:
+    def _carried(self, force: Floats | None) -> Floats:
         """The generalised force (35,) of what carries the robot, at the carrier's mass centre."""
         bodies, share = self._rigid_part
         centre = share @ self._data.xipos[bodies]
         self._mujoco.mj_jac(self._model, self._data, self._jacobian, None, centre, bodies[0])
         if force is None:
             force = self.mass * self._up
-        carried: Array = force @ self._jacobian
+        carried: Floats = force @ self._jacobian
         return carried
 
 
-def friction_torque(dq: Array) -> Array:
+def friction_torque(dq: Floats) -> Floats:
     """What the joints' damping and dry friction take from the motors at speeds dq (29,), N·m.
 
     Dry friction is smoothed through a standstill, where its direction is unknown.
     """
-    torque: Array = DAMPING * dq + FRICTION * np.tanh(dq / _STICTION_SPEED)
+    torque: Floats = DAMPING * dq + FRICTION * np.tanh(dq / _STICTION_SPEED)
     return torque
 
 
-def _rigid_part(model: Any, link: str) -> tuple[NDArray[np.intp], Array]:
+def _rigid_part(model: Any, link: str) -> tuple[NDArray[np.intp], Floats]:
     """The bodies (B,) that are fixed to a link, itself included, and their shares (B,) of mass."""
     bodies = np.flatnonzero(model.body_weldid == model.body_weldid[model.body(link).id])
     return bodies, model.body_mass[bodies] / model.body_mass[bodies].sum()
 
 
-def _imu_pos(robot: G1) -> Array:
+def _imu_pos(robot: G1) -> Floats:
     """Of the link `imu_in_pelvis`, where it is fixed to the base; the base's origin otherwise."""
     names = robot.link_names
     link = names.index("imu_in_pelvis") if "imu_in_pelvis" in names else 0

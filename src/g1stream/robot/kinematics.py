@@ -7,13 +7,11 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from g1stream.robot.rotations import quat_mul, quat_rotate
+from g1stream.types import Floats
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from g1stream.robot.model import G1
 
-    Array = NDArray[np.float64]
 
 __all__ = ["LinkPoses", "forward_kinematics", "local_transforms"]
 
@@ -26,12 +24,12 @@ class LinkPoses(NamedTuple):
         quat_wxyz: (T, L, 4) unit quaternions.
     """
 
-    pos: Array
-    quat_wxyz: Array
+    pos: Floats
+    quat_wxyz: Floats
 
 
 def local_transforms(
-    robot: G1, joint_pos: Array, root_pos: Array, root_quat_wxyz: Array
+    robot: G1, joint_pos: Floats, root_pos: Floats, root_quat_wxyz: Floats
 ) -> LinkPoses:
     """Each link's pose relative to its parent link; the root's relative to the world.
 
@@ -66,7 +64,7 @@ def local_transforms(
 
 
 def forward_kinematics(
-    robot: G1, joint_pos: Array, root_pos: Array, root_quat_wxyz: Array
+    robot: G1, joint_pos: Floats, root_pos: Floats, root_quat_wxyz: Floats
 ) -> LinkPoses:
     """Each link's pose in the world.
 

@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+from g1stream.types import Floats
 
-    Array = NDArray[np.float64]
+if TYPE_CHECKING:
+    pass
+
 
 __all__ = [
     "quat_angle",
@@ -34,7 +35,7 @@ __all__ = [
 ]
 
 
-def _bilinear(table: list[list[int]], n: int) -> Array:
+def _bilinear(table: list[list[int]], n: int) -> Floats:
     """The (n*n, n) matrix of a product whose basis elements i, j give sign * element |t| - 1."""
     matrix = np.zeros((n, n, n))
     for i, row in enumerate(table):
@@ -50,51 +51,51 @@ _HAMILTON: Final = _bilinear([[1, 2, 3, 4], [2, -1, 4, -3], [3, -4, -1, 2], [4, 
 _CROSS: Final = _bilinear([[0, 3, -2], [-3, 0, 1], [2, -1, 0]], 3)
 
 
-def _product(a: Array, b: Array, matrix: Array) -> Array:
+def _product(a: Floats, b: Floats, matrix: Floats) -> Floats:
     outer = a[..., :, None] * b[..., None, :]
     n_pairs, n = matrix.shape
-    result: Array = (outer.reshape(-1, n_pairs) @ matrix).reshape(*outer.shape[:-2], n)
+    result: Floats = (outer.reshape(-1, n_pairs) @ matrix).reshape(*outer.shape[:-2], n)
     return result
 
 
-def quat_mul(a: Array, b: Array) -> Array:
+def quat_mul(a: Floats, b: Floats) -> Floats:
     """Hamilton product (..., 4): the rotation that does `b` first and then `a`."""
     return _product(a, b, _HAMILTON)
 
 
-def quat_conj(quat: Array) -> Array:
+def quat_conj(quat: Floats) -> Floats:
     """Conjugate (..., 4), the inverse of a unit quaternion."""
-    conjugate: Array = quat * np.array([1.0, -1.0, -1.0, -1.0])
+    conjugate: Floats = quat * np.array([1.0, -1.0, -1.0, -1.0])
     return conjugate
 
 
-def quat_normalize(quat: Array) -> Array:
+def quat_normalize(quat: Floats) -> Floats:
     """The unit quaternion (..., 4) of the same direction; a zero one gives NaN."""
-    result: Array = quat / np.linalg.norm(quat, axis=-1, keepdims=True)
+    result: Floats = quat / np.linalg.norm(quat, axis=-1, keepdims=True)
     return result
 
 
-def quat_rotate(quat: Array, vector: Array) -> Array:
+def quat_rotate(quat: Floats, vector: Floats) -> Floats:
     """Vectors (..., 3) turned by unit quaternions (..., 4): from body to parent frame."""
     axis = quat[..., 1:]
     twice = 2.0 * _product(axis, vector, _CROSS)
-    turned: Array = vector + quat[..., :1] * twice + _product(axis, twice, _CROSS)
+    turned: Floats = vector + quat[..., :1] * twice + _product(axis, twice, _CROSS)
     return turned
 
 
-def quat_rotate_inverse(quat: Array, vector: Array) -> Array:
+def quat_rotate_inverse(quat: Floats, vector: Floats) -> Floats:
     """Vectors (..., 3) turned back by unit quaternions (..., 4): from parent to body frame."""
     return quat_rotate(quat_conj(quat), vector)
 
 
-def quat_from_axis_angle(axis: Array, angle: Array) -> Array:
+def quat_from_axis_angle(axis: Floats, angle: Floats) -> Floats:
     """Quaternion (..., 4) of a turn by `angle` (...) rad about the unit vector `axis` (..., 3)."""
     half = np.asarray(angle)[..., None] / 2
     vector = np.sin(half) * axis
     return np.concatenate([np.broadcast_to(np.cos(half), (*vector.shape[:-1], 1)), vector], axis=-1)
 
 
-def quat_from_rpy(rpy: Array) -> Array:
+def quat_from_rpy(rpy: Floats) -> Floats:
     """Quaternion (..., 4) of roll, pitch, yaw (..., 3) rad: turns about the fixed x, y, z axes.
 
     This is the convention of URDF's `rpy` and of LowState's `imu_state.rpy`.
@@ -112,7 +113,7 @@ def quat_from_rpy(rpy: Array) -> Array:
     )
 
 
-def quat_to_rpy(quat: Array) -> Array:
+def quat_to_rpy(quat: Floats) -> Floats:
     """Roll, pitch, yaw (..., 3) rad of unit quaternions (..., 4), as `quat_from_rpy` takes them.
 
     Pitch lies in [-pi/2, pi/2]. At its ends only the sum or the difference of roll and yaw is
@@ -123,24 +124,24 @@ def quat_to_rpy(quat: Array) -> Array:
     half_sum, half_difference = np.arctan2(x + z, w - y), np.arctan2(x - z, w + y)
     pitch = 2 * np.arctan2(np.hypot(x - z, w + y), np.hypot(x + z, w - y)) - np.pi / 2
     rpy = np.stack([half_sum + half_difference, pitch, half_sum - half_difference], axis=-1)
-    wrapped: Array = rpy - 2 * np.pi * np.round(rpy / (2 * np.pi))
+    wrapped: Floats = rpy - 2 * np.pi * np.round(rpy / (2 * np.pi))
     return wrapped
 
 
-def yaw_of(quat: Array) -> Array:
+def yaw_of(quat: Floats) -> Floats:
     """Heading (...) rad in (-pi, pi]: the direction of the body's x axis seen from above."""
     w, x, y, z = np.moveaxis(quat, -1, 0)
-    heading: Array = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    heading: Floats = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
     return heading
 
 
-def quat_to_matrix(quat: Array) -> Array:
+def quat_to_matrix(quat: Floats) -> Floats:
     """Rotation matrices (..., 3, 3) of unit quaternions (..., 4)."""
     columns = [quat_rotate(quat, axis) for axis in np.eye(3)]
     return np.stack(columns, axis=-1)
 
 
-def quat_from_matrix(matrix: Array) -> Array:
+def quat_from_matrix(matrix: Floats) -> Floats:
     """Unit quaternions (..., 4), w >= 0, of rotation matrices (..., 3, 3).
 
     The products 4 q_i q_j are linear in the matrix, which gives four multiples of the quaternion,
@@ -160,21 +161,21 @@ def quat_from_matrix(matrix: Array) -> Array:
     return quat_normalize(np.where(row[..., :1] < 0, -row, row))
 
 
-def quat_angle(a: Array, b: Array) -> Array:
+def quat_angle(a: Floats, b: Floats) -> Floats:
     """Angle (...) rad in [0, pi] of the turn between two unit quaternions (..., 4).
 
     From both the sine and the cosine of the half angle, so that small angles keep their digits.
     """
     turn = quat_mul(quat_conj(a), b)
-    angle: Array = 2 * np.arctan2(np.linalg.norm(turn[..., 1:], axis=-1), np.abs(turn[..., 0]))
+    angle: Floats = 2 * np.arctan2(np.linalg.norm(turn[..., 1:], axis=-1), np.abs(turn[..., 0]))
     return angle
 
 
-def wxyz_from_xyzw(quat_xyzw: Array) -> Array:
+def wxyz_from_xyzw(quat_xyzw: Floats) -> Floats:
     """Reorder quaternions (..., 4) from xyzw (files, Foxglove, ROS, scipy) to wxyz."""
     return np.roll(quat_xyzw, 1, axis=-1)
 
 
-def xyzw_from_wxyz(quat_wxyz: Array) -> Array:
+def xyzw_from_wxyz(quat_wxyz: Floats) -> Floats:
     """Reorder quaternions (..., 4) from wxyz to xyzw (files, Foxglove, ROS, scipy)."""
     return np.roll(quat_wxyz, -1, axis=-1)

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from g1stream.dds.announcement import user_data_of_support
+from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import Log, LowCmd, LowState, Reference, SecondaryImu, SportModeState
-from g1stream.dds.raw import RawReader, RawWriter
 from g1stream.dds.topics import LOG, LOWCMD, LOWSTATE, REFERENCE, SECONDARY_IMU, SPORTMODESTATE
-from g1stream.levels import INFO, WARNING
 from g1stream.robot.joints import N_JOINTS
 from g1stream.robot.rotations import quat_to_rpy
 from g1stream.sim.supports import Root
 from g1stream.sim.world import MotorCommand
+from g1stream.types import INFO, WARNING, Phase
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -35,7 +35,6 @@ _TIMEOUT_KD = 3.0
 _TELL_PERIOD = 1_000_000_000
 _CATCH_UP = 50_000_000
 _VIEW_PERIOD = 20_000_000
-_PLAY = 2  # the phase in idl/g1stream/Reference_.idl
 
 
 @dataclass
@@ -256,7 +255,7 @@ def root_of(reference: Reference) -> Root:
         reference.root_quat_wxyz,
         reference.root_lin_vel,
         reference.root_ang_vel,
-        playing=int(reference.phase) >= _PLAY,
+        playing=int(reference.phase) >= Phase.PLAY,
     )
 
 

@@ -14,8 +14,8 @@ from g1stream.sim.world import MotorCommand
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from g1stream.config import Support
     from g1stream.sim.world import World, WorldState
+    from g1stream.types import Support
 
 __all__ = ["Lockstep"]
 

@@ -20,9 +20,9 @@ from g1stream.sim.supports import find_support
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-    from g1stream.config import Support
     from g1stream.robot.model import G1
     from g1stream.sim.supports import Root
+    from g1stream.types import Support
 
 __all__ = ["Imu", "MotorCommand", "World", "WorldState"]
 

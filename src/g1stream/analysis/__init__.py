@@ -1,0 +1,1 @@
+"""How well a session went: tracking, timing, summary and plots."""

@@ -1,0 +1,1 @@
+"""What viewers get: protobuf messages, transforms and scenes made from samples."""

@@ -1,0 +1,1 @@
+"""From DDS into a session file."""

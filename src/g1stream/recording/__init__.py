@@ -1,1 +1,0 @@
-"""Session files: what is in them, how they are written and read."""

@@ -1,0 +1,1 @@
+"""Recorded commands, sent again bit for bit."""

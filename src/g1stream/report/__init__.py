@@ -1,1 +1,0 @@
-"""How well a session went: metrics, a summary and a picture."""

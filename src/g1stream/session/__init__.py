@@ -1,0 +1,1 @@
+"""Session files: the MCAP format, and how they are written and read."""

@@ -1,0 +1,178 @@
+"""Tracking figures against errors known in closed form, and against scipy."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.interpolate import make_interp_spline
+
+from g1stream.analysis.metrics import by_group, common_times, compare, pooled, track
+from g1stream.robot.joints import JOINT_GROUPS
+from g1stream.types import Phase
+
+#: How far a straight line between references is from the fastest sine here, rad: h^2/8 max|ddq|.
+STRAIGHT = 0.002**2 / 8 * 0.6 * (2 * np.pi * 1.25) ** 2
+
+
+def test_the_rmse_of_a_robot_that_is_late(play, motion):
+    delay = 0.04
+    tracking = track(compare(*play(delay)))
+    # sin(a) - sin(a - wd) = 2 sin(wd/2) cos(a - wd/2), whose RMS over a period is sqrt(2) sin(wd/2)
+    expected = np.sqrt(2) * motion.amplitude * np.sin(motion.omega * delay / 2)
+    np.testing.assert_allclose(tracking.rmse, expected, atol=STRAIGHT)
+    np.testing.assert_allclose(tracking.mean, 0.0, atol=STRAIGHT)
+    largest = 2 * motion.amplitude * np.sin(motion.omega * delay / 2)
+    np.testing.assert_allclose(tracking.max_abs, largest, rtol=1e-4, atol=STRAIGHT)
+
+
+def test_the_rmse_of_a_robot_that_sags(play):
+    sag = np.linspace(-0.2, 0.1, 29)
+    tracking = track(compare(*play(offset=-sag)))
+    np.testing.assert_allclose(tracking.mean, sag, atol=STRAIGHT)
+    np.testing.assert_allclose(tracking.rmse, np.abs(sag), atol=STRAIGHT)
+    assert tracking.delay.seconds == pytest.approx(0.0, abs=1e-5)
+
+
+@pytest.mark.parametrize("delay", [-0.0113, 0.0, 0.0021, 0.0377, 0.1204])
+def test_the_delay_is_found_beside_a_sag(play, delay):
+    sag = np.linspace(-0.2, 0.1, 29)
+    # 3.3 s are no whole number of periods, so that the joints' means differ from place to place.
+    phases = ((Phase.RAMP, 0.5), (Phase.PLAY, 3.3), (Phase.HOLD, 0.3))
+    tracking = track(compare(*play(delay, -sag, phases)))
+    assert tracking.delay.seconds == pytest.approx(delay, abs=1e-4)
+    np.testing.assert_allclose(tracking.delay.rmse, np.abs(sag), atol=3e-4)
+    np.testing.assert_allclose(tracking.delay.std, 0.0, atol=3e-4)
+
+
+def test_a_smaller_answer_is_not_a_delay(play):
+    reference, measured = play(0.03)
+    tracking = track(compare(reference, replace(measured, q=0.7 * measured.q)))
+    assert tracking.delay.seconds == pytest.approx(0.03, abs=1e-4)
+    reference_rms = np.sqrt(np.mean(np.square(compare(reference, measured).reference), axis=0))
+    np.testing.assert_allclose(tracking.delay.rmse, 0.3 * reference_rms, atol=3e-4)
+
+
+def test_where_the_largest_error_is(play):
+    reference, measured = play()
+    q = measured.q.copy()
+    state = np.flatnonzero(measured.publish_time > reference.publish_time[0] + 2_000_000_000)[0]
+    q[state, 7] -= 0.9
+    tracking = track(compare(reference, replace(measured, q=q)))
+    assert tracking.max_abs[7] == pytest.approx(0.9, abs=STRAIGHT)
+    # RAMP lasts 0.5 s; the state is the first after 2 s.
+    assert tracking.max_abs_at[7] == pytest.approx(1.5007, abs=1e-6)
+
+
+def test_only_what_was_played_counts(play):
+    reference, measured = play()
+    seconds = (measured.publish_time - reference.publish_time[0]) / 1e9 - 0.5
+    q = np.where(((seconds < 0) | (seconds > 4))[:, None], 9.0, measured.q)
+    comparison = compare(reference, replace(measured, q=q))
+    assert track(comparison).max_abs.max() < STRAIGHT
+    assert len(comparison.time) == 2000
+    assert comparison.duration == pytest.approx(4.0)
+    assert comparison.left_out == 0
+
+
+def test_the_reference_at_a_state_is_scipys(play, take):
+    rng = np.random.default_rng(3)
+    reference, measured = play()
+    reference = take(reference, np.sort(rng.choice(len(reference), 2000, replace=False)))
+    comparison = compare(reference, measured)
+    times, _ = common_times(reference, measured)
+    expected = make_interp_spline(times, reference.q, k=1)(comparison.time)
+    np.testing.assert_allclose(comparison.reference, expected, atol=1e-12)
+    motion_time = make_interp_spline(times, reference.motion_time, k=1)(comparison.time)
+    np.testing.assert_allclose(comparison.motion_time, motion_time, atol=1e-12)
+
+
+def test_states_in_a_hole_of_the_reference_are_left_out(play, take):
+    reference, measured = play(0.04)
+    at = (reference.publish_time - reference.publish_time[0]) / 1e9
+    hole = (at > 2.0) & (at < 2.3)
+    with_hole = compare(take(reference, ~hole), measured)
+    whole = compare(reference, measured)
+    assert with_hole.left_out == len(whole.time) - len(with_hole.time) == 150
+    assert with_hole.duration == pytest.approx(whole.duration - 0.3)
+    kept = np.isin(whole.time, with_hole.time)
+    np.testing.assert_array_equal(with_hole.measured, whole.measured[kept])
+    np.testing.assert_allclose(with_hole.reference, whole.reference[kept], atol=1e-12)
+
+
+def test_a_short_stall_of_the_reference_is_compared(play, take):
+    reference, measured = play(0.04)
+    at = (reference.publish_time - reference.publish_time[0]) / 1e9
+    comparison = compare(take(reference, (at < 2.0) | (at > 2.05)), measured)
+    assert comparison.left_out == 0
+    assert len(comparison.time) == 2000
+
+
+def test_the_order_of_the_file_does_not_matter(play, take):
+    rng = np.random.default_rng(5)
+    reference, measured = play(0.04)
+    shuffled = [take(stream, rng.permutation(len(stream))) for stream in (reference, measured)]
+    straight, other = track(compare(reference, measured)), track(compare(*shuffled))
+    np.testing.assert_allclose(other.rmse, straight.rmse, atol=1e-12)
+    assert other.delay.seconds == pytest.approx(straight.delay.seconds, abs=1e-9)
+
+
+def test_a_robot_with_a_clock_of_its_own(play):
+    reference, measured = play(0.04)
+    robot = replace(measured, publish_time=measured.publish_time + 3_200_000_000)
+    tracking, straight = track(compare(reference, robot)), track(compare(reference, measured))
+    # Its clock is set right up to the 0.1 ms that each message takes.
+    assert tracking.delay.seconds == pytest.approx(straight.delay.seconds + 1e-4, abs=1e-6)
+    np.testing.assert_allclose(tracking.rmse, straight.rmse, rtol=5e-3)
+
+
+def test_a_recorder_that_came_late_still_finds_the_delay(play, take):
+    reference, measured = play(0.06)
+    late = reference.publish_time[0] + 4_000_000_000
+    reference, measured = (take(s, s.publish_time > late) for s in (reference, measured))
+    comparison = compare(reference, measured)
+    assert len(comparison.time) == 249
+    assert track(comparison).delay.seconds == pytest.approx(0.06, abs=1e-4)
+
+
+@pytest.mark.parametrize("delay", [-0.05, 0.3])
+def test_a_delay_that_is_not_looked_for_is_not_made_up(play, delay):
+    assert track(compare(*play(delay))).delay is None
+
+
+def test_a_robot_that_stands_still_has_no_delay(play):
+    reference, measured = play()
+    tracking = track(compare(reference, replace(measured, q=np.zeros_like(measured.q))))
+    assert tracking.delay is None
+    assert tracking.rmse[28] == pytest.approx(0.6 / np.sqrt(2), rel=1e-3)
+
+
+def test_a_session_without_play(play):
+    reference, measured = play()
+    ramp_only = replace(reference, phase=np.full_like(reference.phase, Phase.RAMP))
+    comparison = compare(ramp_only, measured)
+    assert comparison.time.shape == (0,)
+    assert comparison.reference.shape == comparison.measured.shape == (0, 29)
+    with pytest.raises(ValueError, match="while the motion was played"):
+        track(comparison)
+
+
+def test_states_that_all_came_before_the_reference(play, take):
+    reference, measured = play()
+    comparison = compare(reference, take(measured, slice(0, 20)))
+    assert len(comparison.time) == comparison.left_out == 0
+
+
+def test_a_single_reference(play, take):
+    reference, measured = play()
+    playing = np.flatnonzero(reference.phase == Phase.PLAY)[:1]
+    assert len(compare(take(reference, playing), measured).time) == 0
+
+
+def test_a_group_is_all_its_joints_errors_together(play):
+    comparison = compare(*play(0.04, np.linspace(-0.2, 0.1, 29)))
+    tracking = track(comparison)
+    error = comparison.reference - comparison.measured
+    for group, joints in JOINT_GROUPS.items():
+        expected = np.sqrt(np.mean(error[:, list(joints)] ** 2))
+        assert by_group(tracking.rmse)[group] == pytest.approx(expected, rel=1e-12)
+    assert pooled(tracking.rmse) == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-12)

@@ -1,0 +1,141 @@
+"""The picture is a file, whole or not there, and shows what it should."""
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from matplotlib.image import imread
+
+from g1stream.analysis.plots import draw
+from g1stream.errors import RecordingError
+from g1stream.session.session import open_session
+
+METADATA = {"motion": {"name": "dance"}, "stream": {"reason": "SIGINT"}}
+
+
+@pytest.fixture
+def session(play, write_session):
+    sag = np.zeros(29)
+    sag[1] = 0.3
+    return open_session(write_session(*play(0.04, sag), METADATA))
+
+
+@pytest.fixture
+def figures(monkeypatch):
+    """The figures that are saved from now on."""
+    saved = []
+    save = Figure.savefig
+
+    def remember(figure, *args, **how):
+        saved.append(figure)
+        return save(figure, *args, **how)
+
+    monkeypatch.setattr(Figure, "savefig", remember)
+    return saved
+
+
+def _words(figure):
+    titles = [axes.get_title(loc) for axes in figure.axes for loc in ("left", "right")]
+    return [text.get_text() for text in figure.texts] + titles
+
+
+def test_it_is_a_png_of_its_size_with_every_limbs_colour(session, tmp_path):
+    draw(session, tmp_path / "tracking.png")
+    pixels = imread(tmp_path / "tracking.png")
+    assert pixels.shape[:2] == (1000, 1600)
+    colours = {tuple(c) for c in np.round(pixels[..., :3] * 255).astype(int).reshape(-1, 3)}
+    for colour in ("#0072b2", "#56b4e9", "#009e73", "#d55e00", "#cc79a7", "#ffffff"):
+        assert tuple(bytes.fromhex(colour[1:])) in colours
+    assert [path.name for path in tmp_path.glob("tracking*")] == ["tracking.png"]
+
+
+def test_what_it_says(session, figures, tmp_path):
+    draw(session, tmp_path / "tracking.png")
+    words = " | ".join(_words(figures[0]))
+    for what in (
+        "dance",
+        "session.mcap",
+        "tracking delay 40.0 ms",
+        "2000 states compared over 4.0 s",
+        "ended early: SIGINT",
+        "left_ankle_roll",
+        "right_wrist_yaw",
+        "left_hip_roll, worst of the others",
+        "RMS error of each limb",
+        "RMSE of each joint",
+    ):
+        assert what in words
+
+
+def test_the_lines_are_the_sessions(session, figures, tmp_path):
+    draw(session, tmp_path / "tracking.png")
+    panel = next(a for a in figures[0].axes if a.get_title("left").startswith("left_hip_roll"))
+    measured, reference = (np.asarray(line.get_ydata()) for line in panel.get_lines())
+    stamps, state_stamps = session.reference.publish_time, session.measured.publish_time
+    shown = (state_stamps >= stamps[0]) & (state_stamps <= stamps[-1])
+    np.testing.assert_allclose(measured, np.degrees(session.measured.q[shown, 1]), atol=1e-9)
+    # The last 0.2 s are DAMP, where no angle is asked for.
+    asked = np.degrees(session.reference.q[:-100, 1])
+    np.testing.assert_allclose(reference[:-100], asked, atol=1e-9)
+    assert np.isnan(reference[-100:]).all()
+
+
+def test_all_texts_are_inside_and_apart(session, figures, tmp_path):
+    draw(session, tmp_path / "tracking.png")
+    figure = figures[0]
+    boxes = [text.get_window_extent() for text in figure.texts]
+    boxes.append(figure.legends[0].get_window_extent())
+    for axes in figure.axes:
+        boxes += [t.get_window_extent() for t in (axes.title, axes._right_title) if t.get_text()]
+    for i, box in enumerate(boxes):
+        assert 0 <= box.x0 < box.x1 <= 1600
+        assert 0 <= box.y0 < box.y1 <= 1000
+        assert not any(box.overlaps(other) for other in boxes[:i])
+
+
+def test_the_users_style_neither_shows_nor_changes(session, figures, tmp_path):
+    with mpl.rc_context({"axes.facecolor": "black", "font.size": 30}):
+        draw(session, tmp_path / "tracking.png")
+        assert mpl.rcParams["axes.facecolor"] == "black"
+    assert figures[0].axes[0].get_facecolor() == (1.0, 1.0, 1.0, 1.0)
+
+
+def test_it_replaces_an_older_one(session, tmp_path):
+    path = tmp_path / "tracking.png"
+    path.write_text("older")
+    draw(session, path)
+    assert imread(path).shape[:2] == (1000, 1600)
+
+
+def test_no_half_picture_is_left(session, tmp_path, monkeypatch):
+    path = tmp_path / "tracking.png"
+    path.write_text("older")
+
+    def fail(figure, part, **how):
+        part.write_text("half")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Figure, "savefig", fail)
+    with pytest.raises(RecordingError, match=r"tracking\.png cannot be written: No space left"):
+        draw(session, path)
+    assert path.read_text() == "older"
+    assert [found.name for found in tmp_path.glob("tracking*")] == ["tracking.png"]
+
+
+def test_a_directory_that_is_not_there(session, tmp_path):
+    with pytest.raises(RecordingError, match="cannot be written: No such file or directory"):
+        draw(session, tmp_path / "nowhere" / "tracking.png")
+
+
+def test_a_session_that_ended_before_play(play, take, write_session, figures, tmp_path):
+    streams = [take(stream, slice(0, 200)) for stream in play()]
+    draw(open_session(write_session(*streams)), tmp_path / "tracking.png")
+    assert "nothing to compare" in " ".join(_words(figures[0]))
+    assert imread(tmp_path / "tracking.png").shape[:2] == (1000, 1600)
+
+
+def test_a_session_without_a_robot(play, write_session, tmp_path):
+    session = open_session(write_session(reference=play().reference))
+    with pytest.raises(RecordingError, match="no messages on /lowstate"):
+        draw(session, tmp_path / "tracking.png")
+    assert not (tmp_path / "tracking.png").exists()

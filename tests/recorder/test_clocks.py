@@ -1,0 +1,68 @@
+"""Clocks that are set and clocks that differ, told from readings made up."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from g1stream.recorder.clocks import ClockReading, DelayEstimator, StepDetector, read_clocks
+
+T0 = 1_700_000_000_000_000_000
+MS = 1_000_000
+S = 1000 * MS
+
+
+def steps_of(offsets, period=50 * MS):
+    detector = StepDetector()
+    found = [
+        detector.observe(ClockReading(T0 + i * period + offset, i * period))
+        for i, offset in enumerate(offsets)
+    ]
+    return detector, found
+
+
+def test_clocks_that_run_alike_do_not_step():
+    detector, found = steps_of([0] * 100)
+    assert not any(found)
+    assert detector.as_dict() == {"realtime_minus_monotonic_ns": [T0, T0], "steps": []}
+
+
+@pytest.mark.parametrize("step", [3600 * S, -3600 * S, 5 * MS, -5 * MS])
+def test_a_clock_that_is_set_is_noticed_once_with_its_size(step):
+    detector, found = steps_of([0] * 10 + [step] * 10)
+    assert found == [0] * 10 + [step] + [0] * 9
+    assert detector.steps == [(T0 + 10 * 50 * MS + step, step)]
+
+
+def test_a_clock_that_is_slewed_does_not_step_but_what_it_gained_is_kept():
+    slewed = 500 * np.arange(0, 20_000, 50)  # NTP's most: 500 ppm
+    detector, found = steps_of(slewed.tolist())
+    assert not any(found)
+    assert detector.last - detector.first == slewed[-1]
+
+
+def test_this_machines_clocks_are_read_together():
+    detector = StepDetector()
+    assert detector.observe(read_clocks()) == 0
+    assert abs(detector.observe(read_clocks())) < 50 * MS
+
+
+def test_the_delay_is_the_median_not_the_tail():
+    published = T0 + np.arange(5000) * MS
+    delays = np.full(5000, 3 * MS)
+    delays[::10] = 400 * MS
+    delay = DelayEstimator()
+    for part in np.array_split(np.arange(5000), 100):
+        delay.observe(published[part] + delays[part], published[part])
+    assert delay.median() == 3 * MS
+    assert delay.seconds == 4
+
+
+def test_a_publisher_whose_clock_is_ahead_has_a_negative_delay():
+    delay = DelayEstimator()
+    delay.observe(np.array([T0]), np.array([T0 + 7 * S]))
+    assert delay.median() == -7 * S
+
+
+def test_nothing_received_has_no_delay():
+    assert DelayEstimator().median() is None

@@ -1,0 +1,100 @@
+"""The schemas of the channels, read by the decoders that other people's tools are made of."""
+
+from types import SimpleNamespace
+
+import pytest
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from google.protobuf.descriptor_pool import DescriptorPool
+from mcap.records import Schema
+from mcap.well_known import MessageEncoding, SchemaEncoding
+from mcap_ros2.decoder import DecoderFactory
+
+from g1stream.dds.layout import leaves
+from g1stream.session.channels import CHANNELS
+
+WIRE = [channel for channel in CHANNELS.values() if channel.source is not None]
+PROTOBUF = [c for c in CHANNELS.values() if c.schema_encoding == SchemaEncoding.Protobuf]
+
+
+def ros2_decoder(channel):
+    schema = Schema(
+        id=1,
+        name=channel.schema_name,
+        encoding=channel.schema_encoding,
+        data=channel.build_schema(),
+    )
+    return DecoderFactory().decoder_for(channel.message_encoding, schema)
+
+
+def as_golden(value):
+    """A decoded message in the form of wire.json: motors are lists in the order of their fields."""
+    if isinstance(value, SimpleNamespace):
+        return {name: as_golden(getattr(value, name)) for name in value.__slots__}
+    if isinstance(value, (list, tuple)) or hasattr(value, "typecode"):
+        items = [as_golden(item) for item in value]
+        return [list(i.values()) if isinstance(i, dict) else i for i in items]
+    return list(value) if isinstance(value, bytes) else value
+
+
+@pytest.mark.parametrize("kind", ["lowcmd", "lowstate", "sportmodestate", "secondary_imu"])
+def test_ros2_decoders_read_the_bytes_of_the_official_sdk(kind, golden):
+    decode = ros2_decoder(CHANNELS[f"/{kind}"])
+    for sample in golden[kind]:
+        decoded = as_golden(decode(bytes.fromhex(sample["cdr"])))
+        assert decoded == {name: value for name, value in sample.items() if name != "cdr"}
+
+
+def flat(message):
+    """The figures of a cyclonedds sample or a decoded message, in the order of the fields."""
+    if isinstance(message, (int, float)):
+        return [message]
+    names = getattr(message, "__slots__", None) or getattr(message, "__dict__", None)
+    items = message if names is None else [getattr(message, name) for name in names]
+    return [figure for item in items for figure in flat(item)]
+
+
+@pytest.mark.parametrize("channel", WIRE, ids=lambda c: c.topic)
+def test_ros2_decoders_read_what_cyclonedds_serialises(channel, make_sample):
+    sent = make_sample(channel.source)
+    decoded = ros2_decoder(channel)(sent.serialize())
+    assert flat(decoded) == flat(sent)
+    assert len(flat(decoded)) == sum(1 for _ in leaves(type(sent)))
+
+
+@pytest.mark.parametrize("channel", CHANNELS.values(), ids=lambda c: c.topic)
+def test_encodings_are_mcaps_well_known_ones(channel):
+    pair = (channel.schema_encoding, channel.message_encoding)
+    if channel.schema_name.startswith("foxglove."):
+        assert pair == (SchemaEncoding.Protobuf, MessageEncoding.Protobuf)
+    else:
+        assert pair == (SchemaEncoding.ROS2, MessageEncoding.CDR)
+    assert channel.description
+
+
+def test_wire_channels_are_named_as_ros_names_them():
+    assert {c.source.name: (c.topic, c.schema_name) for c in WIRE} == {
+        "rt/lowcmd": ("/lowcmd", "unitree_hg/msg/LowCmd"),
+        "rt/lowstate": ("/lowstate", "unitree_hg/msg/LowState"),
+        "rt/sportmodestate": ("/sportmodestate", "unitree_go/msg/SportModeState"),
+        "rt/secondary_imu": ("/secondary_imu", "unitree_hg/msg/IMUState"),
+        "rt/g1stream/reference": ("/reference", "g1stream/msg/Reference"),
+    }
+
+
+@pytest.mark.parametrize("channel", PROTOBUF, ids=lambda c: c.topic)
+def test_protobuf_schemas_stand_alone(channel):
+    pool = DescriptorPool()
+    for file in FileDescriptorSet.FromString(channel.build_schema()).file:
+        pool.Add(file)
+    assert pool.FindMessageTypeByName(channel.schema_name).fields
+
+
+def test_a_nested_type_is_defined_once_and_after_the_line_that_ends_the_text_before():
+    text = CHANNELS["/lowstate"].build_schema().decode()
+    assert text.split("=" * 80 + "\n")[1:] == [
+        "MSG: unitree_hg/IMUState\nfloat32[4] quaternion\nfloat32[3] gyroscope\n"
+        "float32[3] accelerometer\nfloat32[3] rpy\nint16 temperature\n",
+        "MSG: unitree_hg/MotorState\nuint8 mode\nfloat32 q\nfloat32 dq\nfloat32 ddq\n"
+        "float32 tau_est\nint16[2] temperature\nfloat32 vol\nuint32[2] sensor\n"
+        "uint32 motorstate\nuint32[4] reserve\n",
+    ]

@@ -1,0 +1,128 @@
+"""A file system that fills up, the real thing: a small tmpfs."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from g1stream.errors import RecordingError
+from g1stream.session.writer import SessionWriter
+
+MS = 1_000_000
+SIZE = 3 * 2**20
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A directory that holds 3 MiB."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", f"size={SIZE}", "none", str(place)]
+    done = subprocess.run(mount, capture_output=True, text=True, check=False)
+    if done.returncode:
+        pytest.skip(f"no small file system can be mounted here: {done.stderr.strip()}")
+    yield place
+    subprocess.run(["umount", str(place)], check=True)
+
+
+def fill(writer, seconds):
+    """500 messages a second of 2 kB that do not compress."""
+    noise = np.random.default_rng(3).integers(0, 256, (500, 2096), dtype=np.uint8)
+    for second in range(seconds):
+        times = (second * 1000 + 2 * np.arange(500)) * MS
+        writer.write_batch("/lowstate", noise, times, times)
+
+
+def stamps(path, topic="/lowstate"):
+    with path.open("rb") as file:
+        found = make_reader(file, validate_crcs=True).iter_messages(topics=[topic])
+        return [message.log_time for _, _, message in found]
+
+
+@contextmanager
+def filled(path):
+    """A writer whose disk has just filled up."""
+    with SessionWriter(path) as writer:
+        with pytest.raises(RecordingError, match="No space left on device"):
+            fill(writer, 10)
+        yield writer
+
+
+def test_a_full_disk_leaves_a_whole_file_with_its_index(small_disk):
+    with filled(small_disk / "s.mcap") as writer:
+        taken = writer.counts["/lowstate"]
+    times = stamps(small_disk / "s.mcap")
+    assert times == [2 * MS * i for i in range(taken)]
+    assert taken * 2096 > SIZE / 3
+
+
+def test_there_is_room_for_last_words(small_disk):
+    with filled(small_disk / "s.mcap") as writer:
+        writer.write("/log", b"the disk is full", 10**12, 10**12)
+        writer.add_metadata({"recorder": {"stopped": "the disk is full"}})
+    with (small_disk / "s.mcap").open("rb") as file:
+        reader = make_reader(file)
+        assert [m.name for m in reader.iter_metadata()] == ["g1stream"]
+        assert reader.get_summary().statistics.message_count == len(
+            stamps(small_disk / "s.mcap")
+        ) + len(stamps(small_disk / "s.mcap", "/log"))
+    assert stamps(small_disk / "s.mcap", "/log") == [10**12]
+
+
+def test_a_disk_filled_by_somebody_else_still_leaves_what_was_whole(small_disk):
+    with SessionWriter(small_disk / "s.mcap") as writer:
+        fill(writer, 1)
+        with (small_disk / "other").open("wb", buffering=0) as other:
+            while other.write(bytes(4096)) == 4096:
+                if other.tell() > SIZE - 4096 * 2 - (small_disk / "s.mcap").stat().st_blocks * 512:
+                    break
+        with pytest.raises(RecordingError, match="No space left"):
+            fill(writer, 10)
+        kept = writer.counts["/lowstate"]
+    assert len(stamps(small_disk / "s.mcap")) == kept
+
+
+def test_a_disk_without_any_room_is_said_at_once(small_disk):
+    (small_disk / "other").write_bytes(bytes(SIZE - 4096))
+    with pytest.raises(RecordingError, match=r"cannot be (made|written any more): No space left"):
+        SessionWriter(small_disk / "s.mcap").attach("a.urdf", "text/xml", bytes(8192), 0)
+
+
+def test_room_claimed_and_not_used_is_given_back(tmp_path):
+    path = tmp_path / "s.mcap"
+    with SessionWriter(path) as writer:
+        fill(writer, 1)
+    assert path.stat().st_blocks * 512 < path.stat().st_size + 2**16
+
+
+SECOND_TOPIC_FULL = """
+import resource, sys
+import numpy as np
+from g1stream.errors import RecordingError
+from g1stream.session.writer import SessionWriter
+resource.setrlimit(resource.RLIMIT_FSIZE, (500_000, 500_000))
+noise = np.random.default_rng(3).integers(0, 256, (400, 2096), dtype=np.uint8)
+times = np.arange(400) * 1000
+with SessionWriter(sys.argv[1]) as writer:
+    writer.write_batch("/lowstate", noise[:50], times[:50], times[:50])
+    writer.write_batch("/lowcmd", noise, times, times)
+    writer.write_batch("/log", noise[:20], times[:20], times[:20])
+    try:
+        writer.flush()
+    except RecordingError:
+        print(writer.counts)
+"""
+
+
+def test_the_chunk_of_one_topic_outlives_that_of_the_next_that_does_not_fit(tmp_path):
+    path = tmp_path / "session.mcap"
+    command = [sys.executable, "-c", SECOND_TOPIC_FULL, str(path)]
+    result = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert result.stdout == "{'/lowstate': 50, '/lowcmd': 0, '/log': 0}\n"
+    assert stamps(path) == [1000 * i for i in range(50)]
+    assert stamps(path, "/lowcmd") == stamps(path, "/log") == []

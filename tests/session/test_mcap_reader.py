@@ -1,0 +1,128 @@
+"""Files of every kind, against the stock reader and writer."""
+
+import os
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, IndexType, Writer
+
+from g1stream.errors import RecordingError
+from g1stream.session.mcap_reader import McapFile
+
+T0 = 1_700_000_000_000_000_000
+TOPICS = ("/a", "/b", "/never")
+
+
+def write(path, *, finish=True, n=400, **settings):
+    """Messages of two topics, of lengths of their own, in many small chunks."""
+    rng = np.random.default_rng(5)
+    with path.open("wb") as file:
+        writer = Writer(file, chunk_size=2000, **settings)
+        writer.start()
+        channels = [writer.register_channel(topic, "none", 0) for topic in TOPICS]
+        for i in range(n):
+            data = rng.bytes(int(rng.integers(0, 90)))
+            writer.add_message(channels[i % 3 == 0], T0 + i, data, T0 - 7 * i, i)
+        if finish:
+            writer.finish()
+        else:
+            writer.flush()
+    return path
+
+
+def stock(path, topic):
+    with path.open("rb") as file:
+        return [
+            (message.log_time, message.publish_time, message.data)
+            for _, _, message in make_reader(file).iter_messages(topics=[topic])
+        ]
+
+
+def ours(file, topic):
+    found = []
+    for name, messages in file.batches({topic}):
+        assert name == topic
+        found += zip(
+            messages.log_times.tolist(), messages.publish_times.tolist(), messages.data, strict=True
+        )
+    return found
+
+
+@pytest.mark.parametrize("compression", list(CompressionType))
+@pytest.mark.parametrize("index", [IndexType.ALL, IndexType.NONE])
+def test_messages_are_those_of_the_stock_reader(tmp_path, compression, index):
+    path = write(tmp_path / "f.mcap", compression=compression, index_types=index)
+    file = McapFile(path)
+    assert file.complete
+    for topic in TOPICS:
+        assert ours(file, topic) == stock(path, topic)
+        assert file.counts[topic] == len(stock(path, topic))
+
+
+@pytest.mark.parametrize("index", [IndexType.ALL, IndexType.NONE])
+def test_a_file_cut_anywhere_counts_what_it_yields(tmp_path, index):
+    path = write(tmp_path / "f.mcap", index_types=index)
+    whole = {topic: stock(path, topic) for topic in TOPICS}
+    size = path.stat().st_size
+    lengths = []
+    for cut in np.linspace(size - 9, 8, 120, dtype=int):
+        os.truncate(path, cut)
+        file = McapFile(path)
+        assert not file.complete
+        for topic in TOPICS:
+            found = ours(file, topic)
+            assert found == whole[topic][: len(found)]
+            assert file.counts[topic] == len(found)
+        lengths.append(sum(file.counts.values()))
+    assert lengths == sorted(lengths, reverse=True)
+    assert lengths[-1] == 0
+    assert len(set(lengths)) > 8
+
+
+def test_only_chunks_with_a_wanted_topic_are_unpacked(tmp_path):
+    path = tmp_path / "f.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        for topic in ("/a", "/b"):
+            channel = writer.register_channel(topic, "none", 0)
+            for i in range(50):
+                writer.add_message(channel, T0 + i, bytes(100), T0 + i)
+            writer.flush()
+        writer.finish()
+    content = bytearray(path.read_bytes())
+    place = content.index(b"zstd", content.index(b"zstd") + 4) + 30
+    content[place] ^= 0xFF  # within the second chunk
+    path.write_bytes(content)
+    damaged = McapFile(path)
+    assert ours(damaged, "/a") == [(T0 + i, T0 + i, bytes(100)) for i in range(50)]
+    with pytest.raises(RecordingError, match="does not unpack"):
+        ours(damaged, "/b")
+
+
+def test_an_index_that_lies_is_noticed(tmp_path):
+    path = write(tmp_path / "f.mcap", n=20, compression=CompressionType.NONE)
+    content = path.read_bytes()
+    # The log time of the first message of /b stands once in the message and once in the index.
+    entry = T0.to_bytes(8, "little")
+    in_index = content.index(entry, content.index(entry, content.index(entry) + 8) + 8)
+    assert content[in_index : in_index + 8] == entry
+    broken = 0
+    for place in range(in_index + 8, in_index + 16):
+        flipped = bytearray(content)
+        flipped[place] ^= 0x11
+        path.write_bytes(flipped)
+        try:
+            found = ours(McapFile(path), "/b")
+        except RecordingError:
+            broken += 1
+        else:
+            assert (T0, T0, found[0][2]) == found[0]
+    assert broken
+
+
+def test_a_pipe_is_refused_and_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(RecordingError, match="pipe is not a file"):
+        McapFile(tmp_path / "pipe")

@@ -1,0 +1,254 @@
+"""A session as arrays, against the figures that the samples were made of."""
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import Writer
+
+from g1stream.dds.layout import members
+from g1stream.dds.topics import REFERENCE, SPORTMODESTATE
+from g1stream.errors import RecordingError
+from g1stream.session.session import LogEvent, open_session
+from g1stream.session.writer import SessionWriter
+
+T0 = 1_700_000_000_000_000_000
+STEP = 70_000_000
+DELAY = 123_456
+
+
+@pytest.fixture
+def cdr(golden):
+    kinds = ("lowcmd", "lowstate")
+    return {f"/{kind}": [bytes.fromhex(g["cdr"]) for g in golden[kind]] for kind in kinds}
+
+
+def test_measured_is_what_the_official_sdk_serialised(golden, cdr, write_session):
+    measured = open_session(write_session(("/lowstate", cdr["/lowstate"]))).measured
+    states = golden["lowstate"]
+    # In the field order of the IDL: mode, q, dq, ddq, tau_est, ...
+    motors = np.array([[m[:5] for m in s["motor_state"][:29]] for s in states], dtype=np.float64)
+    for i, values in enumerate((measured.q, measured.dq, measured.ddq, measured.tau), start=1):
+        assert values.dtype == np.float64
+        np.testing.assert_array_equal(values, motors[:, :, i])
+    for name, field in (
+        ("imu_quat_wxyz", "quaternion"),
+        ("gyroscope", "gyroscope"),
+        ("accelerometer", "accelerometer"),
+    ):
+        expected = [s["imu_state"][field] for s in states]
+        np.testing.assert_array_equal(getattr(measured, name), expected)
+    assert measured.tick.tolist() == [s["tick"] for s in states]
+
+
+def test_commands_are_what_the_official_sdk_serialised(golden, cdr, write_session):
+    command = open_session(write_session(("/lowcmd", cdr["/lowcmd"]))).command
+    motors = np.array([[m[:6] for m in c["motor_cmd"][:29]] for c in golden["lowcmd"]])
+    for i, name in enumerate(("mode", "q", "dq", "tau", "kp", "kd")):
+        np.testing.assert_array_equal(getattr(command, name), motors[:, :, i])
+
+
+def test_the_reference_is_what_cyclonedds_serialised(make_sample, write_session):
+    sent = [make_sample(REFERENCE) for _ in range(9)]
+    reference = open_session(write_session(("/reference", [s.serialize() for s in sent]))).reference
+    assert len(reference) == 9
+    for name in members(REFERENCE.message.idl_type):
+        np.testing.assert_array_equal(getattr(reference, name), [getattr(s, name) for s in sent])
+
+
+def test_the_base_is_there_where_somebody_knew_it(cdr, make_sample, write_session):
+    sent = [make_sample(SPORTMODESTATE) for _ in range(3)]
+    session = open_session(
+        write_session(
+            ("/lowstate", cdr["/lowstate"]), ("/sportmodestate", [s.serialize() for s in sent])
+        )
+    )
+    np.testing.assert_array_equal(session.base.position, [s.position for s in sent])
+    np.testing.assert_array_equal(session.base.velocity, [s.velocity for s in sent])
+    without = write_session(("/lowstate", cdr["/lowstate"]), name="robot.mcap")
+    assert open_session(without).base is None
+
+
+def test_the_two_clocks_are_kept_apart(cdr, write_session):
+    measured = open_session(write_session(("/lowstate", cdr["/lowstate"]))).measured
+    publish_times = T0 + STEP * np.arange(6)
+    np.testing.assert_array_equal(measured.publish_time, publish_times)
+    np.testing.assert_array_equal(measured.log_time, publish_times + DELAY)
+
+
+def test_what_surrounds_the_samples(cdr, write_session):
+    session = open_session(write_session(*cdr.items()))
+    assert session.complete
+    assert session.topics == {"/lowcmd": 6, "/lowstate": 6, "/log": 1}
+    assert session.metadata == {"domain": 1, "versions": {"g1stream": "0.1.0"}, "at_end": True}
+    assert session.attachments == {"motion.csv": b"Frame,X\n"}
+    assert session.log == [LogEvent(T0, "WARNING", "stream", "late by 3 ms")]
+
+
+def test_arrays_are_read_only(cdr, write_session):
+    measured = open_session(write_session(("/lowstate", cdr["/lowstate"]))).measured
+    with pytest.raises(ValueError, match="read-only"):
+        measured.q[0, 0] = 1.0
+
+
+def test_a_file_never_closed_is_read_to_its_end(cdr, write_session):
+    whole = open_session(write_session(*cdr.items()))
+    killed = open_session(write_session(*cdr.items(), name="killed.mcap", close=False))
+    assert not killed.complete
+    assert killed.topics == whole.topics
+    assert killed.metadata["at_end"] is False
+    assert killed.attachments == whole.attachments
+    assert killed.log == whole.log
+    np.testing.assert_array_equal(killed.measured.q, whole.measured.q)
+    np.testing.assert_array_equal(killed.command.kp, whole.command.kp)
+
+
+def test_a_file_cut_anywhere_is_a_beginning_of_itself(cdr, write_session, tmp_path):
+    path = write_session(("/lowstate", cdr["/lowstate"] * 5))
+    content, whole = path.read_bytes(), open_session(path).measured
+    cut_path = tmp_path / "cut.mcap"
+    lengths = []
+    for cut in np.linspace(8, len(content) - 1, 150, dtype=int):
+        cut_path.write_bytes(content[:cut])
+        try:
+            measured = open_session(cut_path).measured
+        except RecordingError:  # cut before the first whole chunk
+            lengths.append(0)
+            continue
+        lengths.append(len(measured))
+        np.testing.assert_array_equal(measured.q, whole.q[: len(measured)])
+        np.testing.assert_array_equal(measured.log_time, whole.log_time[: len(measured)])
+    assert lengths == sorted(lengths)
+    assert lengths[0] == 0
+    assert lengths[-1] == len(whole)
+    assert len(set(lengths)) == 9  # 30 samples, 4 in a quarter of a second, and none
+
+
+def test_a_tail_of_zeros_as_a_power_cut_leaves_it_is_passed_over(cdr, write_session):
+    path = write_session(*cdr.items(), close=False)
+    path.write_bytes(path.read_bytes() + bytes(4096))
+    assert len(open_session(path).measured) == 6
+
+
+def test_counts_agree_with_the_stock_reader(cdr, write_session):
+    path = write_session(*cdr.items())
+    with path.open("rb") as file:
+        messages = [channel.topic for _, channel, _ in make_reader(file).iter_messages()]
+    assert open_session(path).topics == {topic: messages.count(topic) for topic in messages}
+
+
+def test_a_damaged_chunk_is_said_with_its_place(cdr, write_session):
+    path = write_session(("/lowstate", cdr["/lowstate"]))
+    content = bytearray(path.read_bytes())
+    place = content.index(b"zstd") + 40
+    content[place] ^= 0xFF
+    path.write_bytes(content)
+    with pytest.raises(RecordingError, match=r"damaged: what is at byte \d+ does not unpack"):
+        _ = open_session(path).measured
+
+
+def test_whatever_byte_is_wrong_there_is_no_traceback(cdr, write_session, tmp_path):
+    content = write_session(*cdr.items()).read_bytes()
+    path = tmp_path / "flipped.mcap"
+    rng = np.random.default_rng(8)
+    failed = 0
+    for place in rng.choice(len(content), 300, replace=False):
+        flipped = bytearray(content)
+        flipped[place] ^= 1 << rng.integers(8)
+        path.write_bytes(flipped)
+        try:
+            session = open_session(path)
+            _ = session.attachments, session.log, session.measured, session.command
+        except RecordingError:
+            failed += 1
+    assert failed > 100
+
+
+def test_a_missing_topic_is_named_beside_those_there_are(cdr, write_session):
+    session = open_session(write_session(("/lowcmd", cdr["/lowcmd"])))
+    with pytest.raises(RecordingError, match=r"no messages on /lowstate, only on /log, /lowcmd\."):
+        _ = session.measured
+
+
+def test_samples_of_another_layout_are_refused(cdr, write_session):
+    path = write_session(("/lowstate", [cdr["/lowstate"][0][:-4]]))
+    with pytest.raises(RecordingError, match=r"on /lowstate a sample has 2088 bytes.* has 2092"):
+        _ = open_session(path).measured
+
+
+def test_no_file(tmp_path):
+    with pytest.raises(RecordingError, match=r"nowhere\.mcap cannot be read: No such file"):
+        open_session(tmp_path / "nowhere.mcap")
+
+
+def test_a_directory(tmp_path):
+    with pytest.raises(RecordingError, match="cannot be read: Is a directory"):
+        open_session(tmp_path)
+
+
+def test_an_empty_file(tmp_path):
+    path = tmp_path / "empty.mcap"
+    path.touch()
+    with pytest.raises(RecordingError, match=r"empty\.mcap is empty"):
+        open_session(path)
+
+
+def test_another_kind_of_file(tmp_path):
+    path = tmp_path / "motion.csv"
+    path.write_text("Frame,X,Y,Z\n")
+    with pytest.raises(RecordingError, match=r"motion\.csv is not an MCAP file"):
+        open_session(path)
+
+
+def test_somebody_elses_mcap(tmp_path):
+    path = tmp_path / "other.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        channel = writer.register_channel("/camera", "json", 0)
+        writer.add_message(channel, T0, b"{}", T0)
+        writer.finish()
+    what = r"no messages on /reference, /lowcmd or /lowstate, only on /camera\."
+    with pytest.raises(RecordingError, match=what):
+        open_session(path)
+
+
+def test_an_mcap_without_messages(tmp_path):
+    path = tmp_path / "nothing.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        writer.finish()
+    with pytest.raises(RecordingError, match="nor on any other topic"):
+        open_session(path)
+
+
+@pytest.fixture
+def scene_only(tmp_path):
+    """A file without samples, made by whom its metadata says."""
+
+    def write(metadata):
+        writer = SessionWriter(tmp_path / "nobody.mcap")
+        writer.add_metadata(metadata)
+        writer.write("/scene", b"", 1, 1)
+        writer.close()
+        return tmp_path / "nobody.mcap"
+
+    return write
+
+
+def test_a_recording_that_saw_nobody(scene_only):
+    path = scene_only({"started_ns": 1, "domain": 171, "interface": "lo"})
+    with pytest.raises(RecordingError, match=r"recorded into .*on domain 171") as caught:
+        open_session(path)
+    assert "g1stream doctor --domain 171" in caught.value.remedy
+
+
+def test_somebody_elses_mcap_is_no_recording_of_ours(scene_only):
+    with pytest.raises(RecordingError, match="not a session of g1stream"):
+        open_session(scene_only({}))
+
+
+def test_a_session_says_what_it_is(cdr, write_session):
+    path = write_session(("/lowcmd", cdr["/lowcmd"]))
+    assert repr(open_session(path)).startswith(f"<Session {str(path)!r}: ")
+    assert f"/lowcmd {len(cdr['/lowcmd'])}" in repr(open_session(path))

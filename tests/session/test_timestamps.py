@@ -1,0 +1,100 @@
+"""Stamps against exact fractions, and times as people write them against datetime."""
+
+from datetime import datetime, timedelta, timezone
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from g1stream.errors import ConfigError
+from g1stream.session.timestamps import frame_stamps, parse_time
+
+T0 = 1_700_000_000_000_000_000
+
+
+def test_a_frame_at_30_fps_is_at_the_nearest_nanosecond():
+    assert frame_stamps(T0, range(4), 30.0).tolist() == [
+        T0,
+        T0 + 33_333_333,
+        T0 + 66_666_667,
+        T0 + 100_000_000,
+    ]
+
+
+@given(
+    st.integers(0, 10**18),
+    st.integers(0, 10**8),
+    st.fractions(min_value=1, max_value=2000, max_denominator=1000),
+)
+def test_every_stamp_is_within_half_a_nanosecond_of_the_exact_time(base, frame, fps):
+    (stamp,) = frame_stamps(base, [frame], float(fps)).tolist()
+    exact = base + frame * 10**9 / Fraction(repr(float(fps)))
+    assert abs(stamp - exact) <= Fraction(1, 2)
+
+
+def test_nothing_adds_up_over_a_day_of_frames():
+    frames = 24 * 3600 * 30
+    assert frame_stamps(0, [frames], 30.0).tolist() == [24 * 3600 * 10**9]
+    assert frame_stamps(0, [2997 * 36], 29.97).tolist() == [3600 * 10**9]
+
+
+def test_stamps_are_int64():
+    assert frame_stamps(0, range(3), 50.0).dtype == np.int64
+
+
+def test_a_motion_that_ends_after_64_bits_is_refused():
+    with pytest.raises(ConfigError, match="2262"):
+        frame_stamps(2**63 - 10, range(3), 30.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("0", 0),
+        ("1700000000000000001", 1_700_000_000_000_000_001),
+        ("1970-01-01T00:00Z", 0),
+        ("1970-01-01 00:00:01z", 10**9),
+        ("2026-03-01T12:00:00.123456789Z", 1_772_366_400_123_456_789),
+        ("2026-03-01T12:00:00.5Z", 1_772_366_400_500_000_000),
+        ("2026-03-01T13:30:00+0130", 1_772_366_400_000_000_000),
+        ("2026-03-01T09:00:00-03:00", 1_772_366_400_000_000_000),
+    ],
+)
+def test_times_people_write(text, expected):
+    assert parse_time(text) == expected
+
+
+@given(
+    st.datetimes(datetime(1970, 1, 2), datetime(2261, 1, 1)),
+    st.integers(-14 * 60, 14 * 60),
+)
+def test_iso_times_are_what_datetime_takes_them_for(moment, offset_minutes):
+    zoned = moment.replace(tzinfo=timezone(timedelta(minutes=offset_minutes)))
+    since = zoned - datetime(1970, 1, 1, tzinfo=timezone.utc)
+    expected = since // timedelta(microseconds=1) * 1000
+    assert parse_time(zoned.isoformat()) == expected
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("2026-03-01T12:00:00", "has no zone"),
+        ("yesterday", "is not a time"),
+        ("2026-13-01T12:00Z", "is not a time"),
+        ("2026-03-01", "is not a time"),
+        ("1.5", "is not a time"),
+        ("", "is not a time"),
+        ("2026-03-01T12:00:00+99:99", "is not a time"),
+        ("2026-03-01T12:00:00+24:00", "is not a time"),
+        pytest.param("9" * 5000, "is not a time", id="5000 digits"),
+        ("-1", "before 1970"),
+        ("1969-12-31T23:59:59Z", "before 1970"),
+        ("9223372036854775808", "after 2262"),
+        ("3000-01-01T00:00Z", "after 2262"),
+    ],
+)
+def test_times_that_cannot_be_used_say_why(text, message):
+    with pytest.raises(ConfigError, match=message):
+        parse_time(text)

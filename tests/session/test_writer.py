@@ -1,0 +1,274 @@
+"""What the writer leaves on disk, read with the stock mcap reader and other people's decoders."""
+
+import signal
+import struct
+import subprocess
+import sys
+from collections import Counter, defaultdict
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.exceptions import EndOfFile
+from mcap.reader import make_reader
+from mcap.records import Chunk, DataEnd, Message
+from mcap.stream_reader import StreamReader
+from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoders
+from mcap_ros2.decoder import DecoderFactory as Ros2Decoders
+
+from g1stream.errors import RecordingError
+from g1stream.foxglove.templates import JointStatesTemplate
+from g1stream.session.metadata import metadata_from_strings
+from g1stream.session.writer import SessionWriter
+
+T0 = 1_700_000_000_000_000_000
+MS = 1_000_000
+
+
+@pytest.fixture
+def lowstates(golden):
+    return [bytes.fromhex(sample["cdr"]) for sample in golden["lowstate"]]
+
+
+def read_all(path):
+    """Every message in file order, by the stock reader."""
+    with path.open("rb") as file:
+        return list(make_reader(file).iter_messages(log_time_order=False))
+
+
+def test_stock_readers_decode_both_kinds_of_channel(tmp_path, golden, lowstates):
+    path = tmp_path / "session.mcap"
+    rows = JointStatesTemplate(["a", "b"], ("position",)).encode([T0, T0 + 1], [[1, 2], [3, 4]])
+    with SessionWriter(path) as writer:
+        writer.write("/lowstate", lowstates[1], T0 + 5, T0)
+        writer.write_batch("/measured/joint_states", rows, [T0 + 5, T0 + 6], [T0, T0 + 1])
+    with path.open("rb") as file:
+        reader = make_reader(
+            file, validate_crcs=True, decoder_factories=[ProtobufDecoders(), Ros2Decoders()]
+        )
+        decoded = defaultdict(list)
+        for _, channel, _, message in reader.iter_decoded_messages():
+            assert channel.metadata["description"]
+            decoded[channel.topic].append(message)
+    assert decoded["/lowstate"][0].tick == golden["lowstate"][1]["tick"]
+    positions = [[j.position for j in m.joints] for m in decoded["/measured/joint_states"]]
+    assert positions == [[1, 2], [3, 4]]
+
+
+def test_bytes_and_both_times_come_back_as_they_went_in(tmp_path, lowstates):
+    path = tmp_path / "session.mcap"
+    sent = [(data, T0 + 70 * i * MS, T0 + 70 * i * MS - 1234) for i, data in enumerate(lowstates)]
+    with SessionWriter(path) as writer:
+        for data, log_time, publish_time in sent:
+            writer.write("/lowstate", data, log_time, publish_time)
+    read = [(m.data, m.log_time, m.publish_time) for _, _, m in read_all(path)]
+    assert read == sent
+
+
+def test_sequence_numbers_count_each_topic_from_one(tmp_path):
+    path = tmp_path / "session.mcap"
+    with SessionWriter(path) as writer:
+        for i in range(5):
+            writer.write("/lowstate", b"a", T0 + i, T0)
+            writer.write_batch("/lowcmd", [b"b", b"c"], [T0 + i, T0 + i], [T0, T0])
+        assert writer.counts == {"/lowstate": 5, "/lowcmd": 10}
+    sequences = defaultdict(list)
+    for _, channel, message in read_all(path):
+        sequences[channel.topic].append(message.sequence)
+    assert sequences == {"/lowstate": [*range(1, 6)], "/lowcmd": [*range(1, 11)]}
+
+
+def test_topics_of_one_type_share_its_schema(tmp_path):
+    path = tmp_path / "session.mcap"
+    with SessionWriter(path) as writer:
+        for topic in ("/reference/joint_states", "/measured/joint_states"):
+            writer.write(topic, b"", T0, T0)
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert [schema.name for schema in summary.schemas.values()] == ["foxglove.JointStates"]
+    assert len(summary.channels) == 2
+
+
+def chunk_spans(path):
+    with path.open("rb") as file:
+        chunks = [r for r in StreamReader(file, emit_chunks=True).records if isinstance(r, Chunk)]
+    return [c.message_end_time - c.message_start_time for c in chunks]
+
+
+def test_no_chunk_spans_more_than_its_time(tmp_path):
+    path = tmp_path / "session.mcap"
+    times = T0 + 2 * MS * np.arange(1000)
+    with SessionWriter(path, chunk_ns=250 * MS) as writer:
+        writer.write_batch("/lowstate", [b"x"] * 1000, times, times)
+    assert chunk_spans(path) == [248 * MS] * 8
+
+
+def test_a_clock_set_back_does_not_keep_a_chunk_open(tmp_path):
+    path = tmp_path / "session.mcap"
+    times = np.concatenate((T0 + 2 * MS * np.arange(10), T0 - 10**12 + 2 * MS * np.arange(10)))
+    with SessionWriter(path) as writer:
+        writer.write_batch("/lowstate", [b"x"] * 20, times, times)
+    assert chunk_spans(path) == [18 * MS, 18 * MS]
+
+
+def test_a_quiet_topic_is_on_disk_once_its_time_has_run_out(tmp_path):
+    path = tmp_path / "session.mcap"
+    with SessionWriter(path) as writer:
+        writer.write("/log", b"x", T0, T0)
+        writer.flush_if_due(T0 + 249 * MS)
+        assert readable(path) == []
+        writer.flush_if_due(T0 + 250 * MS)
+        assert readable(path) == [T0]
+
+
+def readable(path):
+    """Log times of what the stock reader finds in a file that was never closed."""
+    times = []
+    with path.open("rb") as file, suppress(EndOfFile, struct.error):
+        for record in StreamReader(file, validate_crcs=True).records:
+            assert not isinstance(record, DataEnd), "the file was closed"
+            times += [record.log_time] if isinstance(record, Message) else []
+    return times
+
+
+KILLED = """
+import sys
+from g1stream.session.writer import SessionWriter
+writer = SessionWriter(sys.argv[1])
+writer.add_metadata({"host": "here"})
+for i in range(10**6):
+    writer.write("/lowstate", bytes(2096), i * 2_000_000, i * 2_000_000)
+    print(i * 2_000_000, flush=True)
+"""
+
+
+def test_a_killed_recorder_loses_less_than_its_chunk(tmp_path):
+    path = tmp_path / "session.mcap"
+    command = [sys.executable, "-c", KILLED, str(path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        for _ in range(1130):
+            written = int(process.stdout.readline())
+        process.send_signal(signal.SIGKILL)
+        process.stdout.read()
+    times = readable(path)
+    assert times == list(range(0, len(times) * 2 * MS, 2 * MS))
+    assert times[-1] > written - 250 * MS
+
+
+def test_metadata_and_attachments(tmp_path):
+    path = tmp_path / "session.mcap"
+    with SessionWriter(path) as writer:
+        writer.add_metadata({"domain": 1, "gains": {"kp": np.array([60.0, 40.0])}})
+        writer.attach("g1.urdf", "application/xml", b"<robot/>", T0)
+        writer.write("/lowstate", b"x", T0, T0)
+        writer.add_metadata({"gaps": []})
+    with path.open("rb") as file:
+        records = list(make_reader(file).iter_metadata())
+    with path.open("rb") as file:
+        (attachment,) = make_reader(file).iter_attachments()
+    assert [record.name for record in records] == ["g1stream", "g1stream"]
+    assert metadata_from_strings(records[0].metadata) == {"domain": 1, "gains": {"kp": [60, 40]}}
+    assert metadata_from_strings(records[1].metadata) == {"gaps": []}
+    assert (attachment.name, attachment.data) == ("g1.urdf", b"<robot/>")
+    assert (attachment.log_time, attachment.media_type) == (T0, "application/xml")
+
+
+def test_an_exception_still_leaves_a_whole_file(tmp_path):
+    path = tmp_path / "session.mcap"
+
+    def record():
+        with SessionWriter(path) as writer:
+            writer.write("/lowstate", b"x", T0, T0)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        record()
+    assert len(read_all(path)) == 1
+
+
+def test_closing_twice_is_closing_once(tmp_path):
+    path = tmp_path / "session.mcap"
+    with SessionWriter(path) as writer:
+        writer.close()
+        size = path.stat().st_size
+    assert path.stat().st_size == size
+
+
+def test_a_file_is_replaced_only_when_forced(tmp_path):
+    path = tmp_path / "session.mcap"
+    path.write_bytes(b"precious")
+    with pytest.raises(RecordingError, match=r"session\.mcap exists already\. .*--force"):
+        SessionWriter(path)
+    assert path.read_bytes() == b"precious"
+    with SessionWriter(path, force=True) as writer:
+        writer.write("/lowstate", b"x", T0, T0)
+    assert len(read_all(path)) == 1
+
+
+def test_a_missing_directory_is_named_with_its_remedy(tmp_path):
+    with pytest.raises(
+        RecordingError, match=r"nowhere does not exist\. Make it: mkdir -p .*nowhere"
+    ):
+        SessionWriter(tmp_path / "nowhere" / "session.mcap")
+
+
+def test_a_directory_is_no_file(tmp_path):
+    with pytest.raises(RecordingError, match=r"is a directory\. Name a file in it"):
+        SessionWriter(tmp_path, force=True)
+
+
+def test_a_place_where_nothing_can_be_made(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(RecordingError, match="cannot be made: Not a directory"):
+        SessionWriter(tmp_path / "file" / "session.mcap")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_full_disk_is_said():
+    with pytest.raises(RecordingError, match="cannot be written any more: No space left"):
+        SessionWriter("/dev/full", force=True)
+
+
+FULL = """
+import resource, sys
+import numpy as np
+from g1stream.errors import RecordingError
+from g1stream.session.writer import SessionWriter
+resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, 1_000_000))
+noise = np.random.default_rng(3).integers(0, 256, (1000, 2096), dtype=np.uint8)
+times = np.arange(1000) * 2_000_000
+with SessionWriter(sys.argv[1]) as writer:
+    try:
+        writer.write_batch("/lowstate", noise, times, times)
+    except RecordingError as error:
+        print(error.cause)
+"""
+
+
+def test_a_disk_that_fills_up_keeps_what_is_on_it(tmp_path):
+    path = tmp_path / "session.mcap"
+    command = [sys.executable, "-c", FULL, str(path)]
+    result = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert result.stdout == f"The recording {path} cannot be written any more: File too large.\n"
+    # Whole, index and all: the half chunk was taken back to make room for it.
+    assert [m.log_time for _, _, m in read_all(path)] == list(range(0, 3 * 250 * MS, 2 * MS))
+
+
+def test_lengths_that_differ_are_refused(tmp_path):
+    with (
+        SessionWriter(tmp_path / "session.mcap") as writer,
+        pytest.raises(ValueError, match="2 payloads with 2 log times and 1 publish"),
+    ):
+        writer.write_batch("/lowstate", [b"a", b"b"], [T0, T0], [T0])
+
+
+def test_channels_are_there_only_once_used(tmp_path):
+    path = tmp_path / "session.mcap"
+    with SessionWriter(path) as writer:
+        for i in range(3):
+            writer.write("/lowcmd", b"x", T0 + i, T0)
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    topics = Counter(channel.topic for channel in summary.channels.values())
+    assert topics == {"/lowcmd": 1}

@@ -3,12 +3,13 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 
-.PHONY: demo test lint lock clean
+.PHONY: demo test test-fast lint lock clean
 .DEFAULT_GOAL := help
 
 help:
 	@echo "make demo   install, then play the bundled motion on the bridge and record it (demo-out/)"
 	@echo "make test   install, then run the whole test suite"
+	@echo "make test-fast   the tests that need no DDS and no integration, in a minute"
 	@echo "make lint   ruff, mypy --strict, import contracts"
 	@echo "make lock   resolve constraints.txt anew"
 	@echo "make clean  remove the virtual environment and caches"
@@ -29,6 +30,9 @@ demo: $(VENV)/.run
 
 test: $(VENV)/.dev
 	$(BIN)/python -m pytest
+
+test-fast: $(VENV)/.dev
+	$(BIN)/python -m pytest -n auto -m "not dds and not slow"
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .

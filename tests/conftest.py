@@ -151,3 +151,15 @@ def on_the_wire():
         return data + bytes(-len(data) % 4)
 
     return encode
+
+
+_DDS_FIXTURES = {"domain_id", "module_domain_id", "domain_zero"}
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark what goes over DDS `dds`, and the integration tests `slow`."""
+    for item in items:
+        if _DDS_FIXTURES & set(getattr(item, "fixturenames", ())):
+            item.add_marker(pytest.mark.dds)
+        if "integration" in item.path.parts:
+            item.add_marker(pytest.mark.slow)

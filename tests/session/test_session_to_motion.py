@@ -8,7 +8,6 @@ from g1stream.errors import MotionError, RecordingError
 from g1stream.motion.readers import load_motion as load_motion_file
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.rotations import quat_angle
-from g1stream.session import session_to_motion as played
 from g1stream.session.motions import load_motion
 from g1stream.session.session import open_session
 from g1stream.session.writer import SessionWriter
@@ -111,7 +110,3 @@ def test_a_rate_that_is_none(write_played):
         session.motion(fps=0)
     with pytest.raises(MotionError, match="1 frame"):
         session.motion(fps=1)
-
-
-def test_play_is_the_number_that_the_phases_have():
-    assert played.PLAY == Phase.PLAY

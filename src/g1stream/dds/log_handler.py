@@ -1,0 +1,45 @@
+"""The logging handler that publishes events on rt/g1stream/log."""
+
+from __future__ import annotations
+
+import logging
+from typing import TYPE_CHECKING, Final
+
+from g1stream.dds.endpoints import RawWriter
+from g1stream.dds.messages import Log
+from g1stream.dds.topics import LOG
+from g1stream.types import ERROR, INFO, WARNING
+
+if TYPE_CHECKING:
+    from g1stream.dds.domain import Participant
+
+__all__ = ["DdsLogHandler"]
+
+_LEVELS: Final = ((logging.ERROR, ERROR), (logging.WARNING, WARNING))
+
+
+class DdsLogHandler(logging.Handler):
+    """Publishes log records as `Log`, stamped with the time at which they were logged.
+
+    It leaves the topic with its participant, so records must be handled before that closes.
+
+    Args:
+        participant: to publish from.
+        name: of the program, such as `stream`; published with every event.
+    """
+
+    def __init__(self, participant: Participant, name: str) -> None:
+        super().__init__(logging.INFO)
+        self._writer = RawWriter(participant, LOG, depth=100)
+        self._message = Log()
+        self._message.name = name
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Publish one record; a text too long for the message is cut."""
+        try:
+            level = next((wire for at, wire in _LEVELS if record.levelno >= at), INFO)
+            self._message.level[()] = level
+            self._message.text = record.getMessage()
+            self._writer.write(self._message.tobytes(), int(record.created * 1e9))
+        except Exception:  # a handler must not raise where somebody logs
+            self.handleError(record)

@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     import os
     from collections.abc import Iterable, Iterator
 
-    from g1stream.session.message_records import Messages
     from g1stream.session.records import Record
+    from g1stream.session.source import Messages
 
 __all__ = ["McapFile"]
 

@@ -12,6 +12,7 @@ import numpy as np
 from mcap.opcode import Opcode
 
 from g1stream.session.records import RECORD_HEAD, records_in
+from g1stream.session.source import Messages
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     Payloads = Sequence[bytes] | NDArray[np.uint8]
 
 __all__ = [
-    "Messages",
     "Rows",
     "interleaved",
     "message_places",
@@ -54,19 +54,6 @@ class Rows(NamedTuple):
     channel: int
     data: NDArray[np.uint8]
     sequence: int
-
-
-class Messages(NamedTuple):
-    """Messages of one channel, in the order of the file.
-
-    Attributes:
-        log_times, publish_times: (N,) int64, of each message, ns since the epoch.
-        data: (N) of each message.
-    """
-
-    log_times: NDArray[np.int64]
-    publish_times: NDArray[np.int64]
-    data: list[bytes]
 
 
 def message_records(

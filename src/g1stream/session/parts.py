@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from g1stream.session.candidates import Candidate
-    from g1stream.session.message_records import Messages
+    from g1stream.session.source import Messages
 
 __all__ = ["SessionFiles"]
 
@@ -27,12 +27,13 @@ class SessionFiles:
         path: of the file, or of one of its parts.
 
     Attributes:
+        path: as given.
         paths: of the files, oldest first.
-        absent: numbers of parts, counted from 1, that should be there and are not, or that cannot
+        absent_parts: numbers of parts, from 1, that should be there and are not, or that cannot
             be read.
-        unreadable: of the latter, the reason, a sentence, by number.
+        unreadable_parts: of the latter, the reason, a sentence, by number.
         complete: whether everything is there and was closed properly.
-        counts: messages of each topic.
+        topics: messages of each topic.
         metadata: what the recorder noted; what it noted later replaces what it noted earlier.
 
     Raises:
@@ -44,17 +45,21 @@ class SessionFiles:
         given, found = _look_around(path)
         others = parts_among(found, given.session)
         parts = [one for one in found if one is given or one in others]
+        self.path = path
         self._files = [one.file for one in parts if one.file is not None]
         self.paths = [file.path for file in self._files]
         numbers = {one.part or 1 for one in parts}
         missing = {*range(1, max(numbers))} - numbers
         missing |= {one.number for one in remains_among(found, parts) if one.number} - numbers
-        self.absent = sorted(missing)
-        self.unreadable = {
-            one.number: one.reason for one in found if one.number in missing and one.reason
+        self.absent_parts = sorted(missing)
+        self.unreadable_parts = {
+            one.number: one.reason
+            for one in found
+            if one.number and one.number in missing and one.reason
         }
-        self.complete = not self.absent and all(file.complete for file in self._files)
-        self.counts: Counter[str] = sum((file.counts for file in self._files), Counter())
+        self.complete = not self.absent_parts and all(file.complete for file in self._files)
+        counts: Counter[str] = sum((file.counts for file in self._files), Counter())
+        self.topics = dict(counts)
         self.metadata = {key: value for one in parts for key, value in one.about.items()}
 
     def batches(self, topics: set[str]) -> Iterator[tuple[str, Messages]]:

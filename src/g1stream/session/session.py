@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from g1stream.motion.motion import Motion
-    from g1stream.session.message_records import Messages
+    from g1stream.session.source import Messages, SessionSource
 
 __all__ = [
     "STREAMS",
@@ -71,7 +71,7 @@ def open_session(path: str | os.PathLike[str]) -> Session:
     Raises:
         RecordingError: there is no such file, or it is no session, or it is damaged.
     """
-    return Session(path)
+    return Session(SessionFiles(Path(path)))
 
 
 class Session:
@@ -80,27 +80,27 @@ class Session:
     The samples of a topic are read when they are first asked for, and kept.
 
     Args:
-        path: of the file, or of one of its parts: then all that lie beside it are read as one.
+        source: what it is read from; `open_session` gives the files on disk.
 
     Attributes:
-        path: as given.
-        paths: of the file or its parts, oldest first.
-        absent_parts: numbers, from 1, of parts that should be there and are not or cannot be read.
+        path: of the file or directory; of a session in memory only a name.
+        paths: of the file or its parts, oldest first; empty in memory.
+        absent_parts: numbers of parts that should be there and are not or cannot be read.
         unreadable_parts: of the latter, the reason, a sentence, by number.
         complete: whether everything is there and was closed properly.
         topics: number of messages by topic.
         metadata: what the recorder noted about the session.
     """
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
-        self.path = Path(path)
-        self._files = SessionFiles(self.path)
-        self.paths = self._files.paths
-        self.absent_parts = self._files.absent
-        self.unreadable_parts = self._files.unreadable
-        self.complete = self._files.complete
-        self.topics: dict[str, int] = dict(self._files.counts)
-        self.metadata: dict[str, Any] = self._files.metadata
+    def __init__(self, source: SessionSource) -> None:
+        self._source = source
+        self.path = source.path
+        self.paths = source.paths
+        self.absent_parts = source.absent_parts
+        self.unreadable_parts = source.unreadable_parts
+        self.complete = source.complete
+        self.topics = source.topics
+        self.metadata = source.metadata
         self._streams: dict[type[Stream], Any] = {}
         if not any(self.topics.get(topic) for topic in _ESSENTIAL):
             raise self._without_essentials()
@@ -113,7 +113,7 @@ class Session:
     @cached_property
     def attachments(self) -> dict[str, bytes]:
         """The attached files by name."""
-        return self._files.attachments()
+        return self._source.attachments()
 
     @property
     def reference(self) -> Reference:
@@ -156,7 +156,7 @@ class Session:
     def log(self) -> list[LogEvent]:
         """The events of the session, in the order of the file."""
         return [
-            log_event(data) for _, batch in self._files.batches({"/log"}) for data in batch.data
+            log_event(data) for _, batch in self._source.batches({"/log"}) for data in batch.data
         ]
 
     @cached_property
@@ -176,7 +176,7 @@ class Session:
             RecordingError: the topic is not in this session, or the file is damaged.
         """
         self._require(topic)
-        for _, batch in self._files.batches({topic}):
+        for _, batch in self._source.batches({topic}):
             times = batch.log_times.tolist(), batch.publish_times.tolist()
             yield from map(Message, *times, batch.data)
 
@@ -247,7 +247,7 @@ class Session:
     ) -> dict[str, dict[str, NDArray[Any]]]:
         """By topic and attribute, what all messages of some topics have; read in one pass."""
         parts: dict[str, dict[str, list[NDArray[Any]]]] = {topic: {} for topic in decoders}
-        for topic, messages in self._files.batches(set(decoders)):
+        for topic, messages in self._source.batches(set(decoders)):
             times = {"log_time": messages.log_times, "publish_time": messages.publish_times}
             for attribute, values in (times | decoders[topic](messages)).items():
                 parts[topic].setdefault(attribute, []).append(values)

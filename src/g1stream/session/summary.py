@@ -1,0 +1,448 @@
+"""The summary of a session: what `stream`, `record`, `demo` and `info` print, and `--json` dumps.
+
+The stream writes its `StreamSummary` and the recorder its `RecorderSummary` into the metadata of
+the session file, and the same classes read them back. Field names are those of the JSON; units are
+part of them. None stands for what is not known.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, TypeVar
+
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainSerializer,
+    ValidationError,
+    computed_field,
+)
+
+from g1stream.realtime import Grant
+from g1stream.types import FeedForwardKind, Phase, Support
+
+__all__ = [
+    "ClockStep",
+    "FeedForwardChange",
+    "JointTracking",
+    "MeasuredTf",
+    "MessageStats",
+    "MotionInfo",
+    "Percentiles",
+    "PhaseInterval",
+    "RecorderSummary",
+    "SessionInfo",
+    "StreamSummary",
+    "Summary",
+    "Termination",
+    "TopicDelay",
+    "TrackingSummary",
+    "read_record",
+]
+
+Int = Annotated[int, Field(ge=-(2**63), lt=2**63)]
+PhaseName = Annotated[
+    Phase,
+    BeforeValidator(
+        lambda value: Phase.__members__.get(value) if isinstance(value, str) else value
+    ),
+    PlainSerializer(lambda phase: phase.name, return_type=str, when_used="json"),
+]
+"""A phase, in JSON by its name."""
+
+
+class _Record(BaseModel):
+    # A file of another version may have more fields, or fewer.
+    model_config = ConfigDict(extra="ignore", allow_inf_nan=False, validate_default=False)
+
+
+RecordT = TypeVar("RecordT", bound=BaseModel)
+
+
+def read_record(
+    kind: type[RecordT], values: Any, where: str = ""
+) -> tuple[RecordT | None, list[str]]:
+    """A record from the metadata of a session file, whoever wrote it.
+
+    Args:
+        kind: the class of the record; all its fields have defaults.
+        values: as they are in the file; None where there are none.
+        where: the key that they are under, for the sentences.
+
+    Returns:
+        The record without the fields whose values are not valid, None where there is no record at
+        all; and a sentence for each value that was left out.
+    """
+    if values is None:
+        return None, []
+    if not isinstance(values, dict):
+        return None, [f"The metadata {where or 'record'} is not a table: {values!r:.60}."]
+    try:
+        return kind.model_validate(values), []
+    except ValidationError as error:
+        wrong = list(dict.fromkeys(one["loc"][0] for one in error.errors()))
+    record, more = read_record(kind, {k: v for k, v in values.items() if k not in wrong}, where)
+    keys = [f"{where}.{name}" if where else name for name in wrong]
+    problems = [
+        f"The metadata {k} is not valid: {values[w]!r:.60}."
+        for k, w in zip(keys, wrong, strict=True)
+    ]
+    return record, problems + more
+
+
+class Percentiles(_Record):
+    """Of a latency or lateness; the field that it is in names the unit."""
+
+    p50: float
+    p99: float
+    p99_9: float
+    max: float
+
+
+class MotionInfo(_Record):
+    """The motion that was played.
+
+    Attributes:
+        name: of the motion.
+        fps: frames per second of its file.
+        frames: how many.
+        sha256: of its file.
+        source: path of its file.
+    """
+
+    name: str | None = None
+    fps: Annotated[float, Field(gt=0)] | None = None
+    frames: Int | None = None
+    sha256: str | None = None
+    source: str | None = None
+
+    @property
+    def duration_s(self) -> float | None:
+        """From the first frame to the last, s."""
+        return (self.frames - 1) / self.fps if self.frames and self.fps else None
+
+
+class SessionInfo(_Record):
+    """What is known of a session before its first sample: the file's metadata as it begins.
+
+    Attributes:
+        g1stream: version that recorded it.
+        versions: of the packages that it used.
+        host, domain, interface: where it was recorded.
+        motion: what is played.
+        gains: kp in Nm/rad and kd in Nm s/rad, 29 each, motor order.
+        config: all settings of the streamer.
+    """
+
+    g1stream: str | None = None
+    versions: dict[str, str] = {}
+    host: str | None = None
+    domain: Int | None = None
+    interface: str | None = None
+    motion: MotionInfo | None = None
+    gains: dict[str, list[float]] | None = None
+    config: dict[str, Any] | None = None
+
+
+class FeedForwardChange(_Record):
+    """The feed-forward torque was switched off, or on again.
+
+    Attributes:
+        motion_time_s: when in the motion.
+        kind: of feed-forward from then on.
+        reason: why; empty where the reason to do without is gone.
+    """
+
+    motion_time_s: float
+    kind: FeedForwardKind
+    reason: str = ""
+
+
+class StreamSummary(_Record):
+    """What the stream counted.
+
+    Attributes:
+        reason: why it ended early; empty when it ended as asked.
+        start_s: where in the motion it was to begin.
+        commands: LowCmds written.
+        rate_hz, nominal_rate_hz: LowCmds per second, achieved and asked for.
+        lateness_us: of each write against its deadline.
+        skipped_ticks: left out because they were a whole period late or more.
+        worst_work_us: longest time from a write to the end of the tick's computation.
+        clamped_ticks: joint -> ticks at which its target was held at its limit, most first.
+        saturated_ticks: joint -> ticks at which its feed-forward torque was held at its limit.
+        feedforward: what commands carried beside the position when RAMP began.
+        support: how the robot was taken to be held.
+        feedforward_changes: when the torque was switched off and on again, in order.
+        states_used: LowStates that were the newest at a tick.
+        states_received: all of them.
+        states_lost: LowStates that did not arrive, by the ticks of those that did; None where the
+            publisher does not count.
+        dds_lost: LowStates that DDS itself reports as lost.
+        states_malformed: samples on the topic that were no LowState.
+        state_restarts: how often the ticks of LowState began anew.
+        commands_dropped: LowCmds that could not be written at once.
+        realtime: what was asked of the system to be on time, and what it granted.
+        findings: where no command was sent, what DDS shows of why, and what to do.
+        lateness_histogram_us: lower edge of a 1 us bin -> ticks.
+    """
+
+    reason: str | None = None
+    start_s: float | None = None
+    commands: Int | None = None
+    rate_hz: float | None = None
+    nominal_rate_hz: float | None = None
+    lateness_us: Percentiles | None = None
+    skipped_ticks: Int | None = None
+    worst_work_us: float | None = None
+    clamped_ticks: dict[str, Int] | None = None
+    saturated_ticks: dict[str, Int] | None = None
+    feedforward: FeedForwardKind | None = None
+    support: Support | None = None
+    feedforward_changes: list[FeedForwardChange] = []
+    states_used: Int | None = None
+    states_received: Int | None = None
+    states_lost: Int | None = None
+    dds_lost: Int | None = None
+    states_malformed: Int | None = None
+    state_restarts: Int | None = None
+    commands_dropped: Int | None = None
+    realtime: list[Grant] = []
+    findings: list[str] = []
+    lateness_histogram_us: dict[Int, Int] | None = None  # last, as it is long
+
+
+class ClockStep(_Record):
+    """CLOCK_REALTIME was set by `step_ns` when, after that, it was `at_ns`."""
+
+    at_ns: Int | None = None
+    step_ns: Int
+
+
+class TopicDelay(_Record):
+    """How long the messages of a topic took.
+
+    Attributes:
+        hosts: of the publishers.
+        median_ns: of log minus publish time.
+        clock_offset_estimate_ns: where a publisher is on another host, that median as the offset
+            between the clocks, transit included.
+    """
+
+    hosts: list[str] = []
+    median_ns: Int | None = None
+    clock_offset_estimate_ns: Int | None = None
+
+
+class MeasuredTf(_Record):
+    """How the measured robot was placed in the world of the reference.
+
+    Attributes:
+        yaw_offset_rad: what was added to the measured yaw; None where no attitude was known.
+        position_from: sportmodestate, reference or none.
+    """
+
+    yaw_offset_rad: float | None = None
+    position_from: str | None = None
+
+
+class RecorderSummary(_Record):
+    """What a recording holds, and what it lacks; topics are those of the file.
+
+    Attributes:
+        paths: the files.
+        removed: whether they were removed, because nothing was received.
+        first_ns, last_ns: log times of the first and the last sample, since the epoch.
+        counts: messages by topic.
+        absent: topics of DDS that nobody published.
+        lost: by topic, samples known to be lost.
+        malformed: by topic, samples that were not of its type and are not in the file.
+        dropped_datagrams: received by the kernel, and discarded because its buffer was full; of
+            which topic is not known.
+        stopped: why the recording ended before it was told to; empty when it did not.
+        realtime_minus_monotonic_ns: the two clocks of this host, at the first and last reading.
+        clock_steps: when CLOCK_REALTIME was set, and by how much.
+        delays: by topic.
+        measured_tf: how the measured robot was placed.
+    """
+
+    paths: list[str] = []
+    removed: bool = False
+    first_ns: Int | None = None
+    last_ns: Int | None = None
+    counts: dict[str, Int] = {}
+    absent: list[str] = []
+    lost: dict[str, Int] = {}
+    malformed: dict[str, Int] = {}
+    dropped_datagrams: Int = 0
+    stopped: str = ""
+    realtime_minus_monotonic_ns: tuple[Int, Int] | None = None
+    clock_steps: list[ClockStep] = []
+    delays: dict[str, TopicDelay] = {}
+    measured_tf: MeasuredTf | None = None
+
+    @property
+    def complete(self) -> bool:
+        """Whether, as far as is known, everything published until the end is in the file."""
+        lacking = (self.dropped_datagrams, *self.lost.values(), *self.malformed.values())
+        return not self.stopped and not any(lacking)
+
+    @property
+    def duration_s(self) -> float | None:
+        """From the first sample to the last, s; None without a sample."""
+        if self.first_ns is None or self.last_ns is None:
+            return None
+        return (self.last_ns - self.first_ns) / 1e9
+
+
+class PhaseInterval(_Record):
+    """A phase from start to end, s since the first reference."""
+
+    phase: PhaseName
+    start_s: float
+    end_s: float
+
+    @property
+    def duration_s(self) -> float:
+        """How long it lasted, s."""
+        return self.end_s - self.start_s
+
+
+class Termination(_Record):
+    """How a session ended.
+
+    Attributes:
+        reason: why the stream ended early; empty when it ended as asked.
+        undamped_in: the phase in which the stream process ended without DAMP; None where it did
+            not.
+        played_s: how long PLAY lasted.
+        motion_s: how long the motion is.
+        start_s: where in the motion PLAY was to begin.
+    """
+
+    reason: str | None = None
+    undamped_in: PhaseName | None = None
+    played_s: float | None = None
+    motion_s: float | None = None
+    start_s: float = 0.0
+
+
+class MessageStats(_Record):
+    """The messages of a topic; for those that the recorder derives, only their number.
+
+    Attributes:
+        count: messages in the file.
+        lost: samples known to be lost.
+        rate_hz: messages per second from the first to the last publish time.
+        gaps: publish intervals of more than 3 medians.
+        longest_interval_s: between two publish times.
+        latency_us: log time - publish time; where the two clocks differ, that is in it.
+        clock_offset_s: what must be added to publish times to be on the recorder's clock; 0 where
+            the clocks agree as far as can be seen.
+    """
+
+    count: Int
+    lost: Int | None = None
+    rate_hz: float | None = None
+    gaps: Int | None = None
+    longest_interval_s: float | None = None
+    latency_us: Percentiles | None = None
+    clock_offset_s: float | None = None
+
+
+class JointTracking(_Record):
+    """The tracking error of a joint, reference - measured.
+
+    Attributes:
+        rmse_rad: root mean square.
+        mean_rad: mean, such as the sag under gravity.
+        max_abs_rad: the greatest error, either way.
+        max_abs_at_s: when that was, since the motion's first frame.
+    """
+
+    rmse_rad: float
+    mean_rad: float
+    max_abs_rad: float
+    max_abs_at_s: float
+
+
+class TrackingSummary(_Record):
+    """How closely the robot followed the reference in PLAY.
+
+    Attributes:
+        rmse_rad: of all joints together.
+        rmse_by_limb_rad: of the joints of each limb together.
+        worst_joint: the one of the greatest RMSE.
+        compared_states: LowStates that were compared with the reference.
+        excluded_states: LowStates in PLAY that lie in a gap of the reference.
+        compared_s: length of PLAY, gaps left out.
+        delay_s: by which the robot is behind the reference; None where that cannot be determined.
+        rmse_without_delay_rad: RMSE with the reference that much later.
+        rmse_without_delay_and_mean_rad: the same without each joint's mean error.
+        joints: by name.
+    """
+
+    rmse_rad: float
+    rmse_by_limb_rad: dict[str, float]
+    worst_joint: str
+    compared_states: Int
+    excluded_states: Int
+    compared_s: float
+    delay_s: float | None
+    rmse_without_delay_rad: float | None
+    rmse_without_delay_and_mean_rad: float | None
+    joints: dict[str, JointTracking]
+
+
+class Summary(_Record):
+    """What is in a session and how well it went.
+
+    Attributes:
+        files_bytes: path of each file -> size, oldest first.
+        complete: whether all files are there and were closed properly.
+        first_ns, last_ns: log times of the first and the last message, since the epoch.
+        host, domain, interface: where it was recorded, or streamed.
+        versions: of g1stream and the packages that it used.
+        motion: what was played.
+        settings: those that are not the defaults, keyed like `stream.rate`.
+        gains: lowest and highest kp in Nm/rad and kd in Nm s/rad.
+        phases: in order.
+        termination: how it ended.
+        stream: what the stream counted.
+        feedforward_log: what was logged of feed-forward, also by a stream that was killed.
+        recorder: what the recorder counted.
+        tracking: how closely the robot followed.
+        topics: the messages of each topic.
+        attachments_bytes: name -> size.
+        problems: what is wrong, a sentence each, the most important first.
+    """
+
+    files_bytes: dict[str, Int] = {}
+    complete: bool | None = None
+    first_ns: Int | None = None
+    last_ns: Int | None = None
+    host: str | None = None
+    domain: Int | None = None
+    interface: str | None = None
+    versions: dict[str, str] = {}
+    motion: MotionInfo | None = None
+    settings: dict[str, Any] | None = None
+    gains: dict[str, tuple[float, float]] | None = None
+    phases: list[PhaseInterval] = []
+    termination: Termination = Termination()
+    stream: StreamSummary | None = None
+    feedforward_log: list[str] = []
+    recorder: RecorderSummary | None = None
+    tracking: TrackingSummary | None = None
+    topics: dict[str, MessageStats] = {}
+    attachments_bytes: dict[str, Int] = {}
+    problems: list[str] = []
+
+    @computed_field  # type: ignore[prop-decorator]
+    @property
+    def duration_s(self) -> float | None:
+        """From the first message to the last, s."""
+        if self.first_ns is None or self.last_ns is None:
+            return None
+        return (self.last_ns - self.first_ns) / 1e9

@@ -1,4 +1,4 @@
-"""A machine on which all is well, and our bridge on the wire."""
+"""Facts of a machine without problems, with our bridge in the domain."""
 
 from dataclasses import replace
 
@@ -9,14 +9,14 @@ from g1stream.doctor.facts import (
     HostFacts,
     Interface,
     Peer,
-    Punctuality,
     Qos,
     StateFacts,
+    WakeupLatency,
     WireFacts,
 )
 from g1stream.realtime import Grant
 
-BRIDGE = {"who": "python (pid 7 on here)", "participant": "bridge"}
+BRIDGE = {"owner": "python (pid 7 on here)", "participant": "bridge"}
 
 
 @pytest.fixture
@@ -52,13 +52,13 @@ def healthy() -> Facts:
         state=state,
         states_matched=1,
     )
-    punctual = Punctuality(500.0, 250, missed=0, usual_ns=5_000, worst_ns=90_000)
-    return Facts(1, "lo", (0, 5), host, wire, punctuality=punctual)
+    latency = WakeupLatency(500.0, 250, missed=0, median_ns=5_000, worst_ns=90_000)
+    return Facts(1, "lo", (0, 5), host, wire, wakeup_latency=latency)
 
 
 @pytest.fixture
 def changed(healthy):
-    """The healthy facts, but for some of the host's, the wire's or the LowStates'."""
+    """The healthy facts with some values of the host, the wire or the LowStates replaced."""
 
     def change(host=None, wire=None, state=None, **other):
         new_host = replace(healthy.host, **(host or {}))

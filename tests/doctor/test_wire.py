@@ -19,14 +19,14 @@ from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import LowState
 from g1stream.dds.topics import LOG, LOWCMD, LOWSTATE
 from g1stream.doctor.facts import Interface, Qos
-from g1stream.doctor.wire import look_at_wire, qos_facts
+from g1stream.doctor.wire import inspect_domain, qos_facts
 
 SHOWS_TYPES = not version("cyclonedds").startswith("0.10.")
 LO = Interface("lo", loopback=True)
 
 
 def test_nobody(domain_id):
-    facts = look_at_wire(domain_id, "lo", [LO], 0.2)
+    facts = inspect_domain(domain_id, "lo", [LO], 0.2)
     assert not facts.writers
     assert not facts.state.received
     assert domain_id not in {domain for domain, _, _ in facts.elsewhere}
@@ -37,7 +37,7 @@ def test_silent_publisher(domain_id):
     with Participant(domain_id, "lo") as peer:
         RawWriter(peer, LOWSTATE)
         RawReader(peer, LOWCMD)
-        facts = look_at_wire(domain_id, "lo", [LO], 0.5)
+        facts = inspect_domain(domain_id, "lo", [LO], 0.5)
     assert facts.states_matched == 1
     assert facts.state.received == 0
     (writer,) = facts.writers
@@ -62,7 +62,7 @@ def test_what_is_published(domain_id):
 
         thread = threading.Thread(target=publish)
         thread.start()
-        facts = look_at_wire(domain_id, "lo", [LO], 1.0)
+        facts = inspect_domain(domain_id, "lo", [LO], 1.0)
         thread.join()
     said = facts.state
     assert (said.received, said.tick_step, said.missed) == (4, 2, 2)
@@ -75,7 +75,7 @@ def test_another_type(domain_id):
     other = make_idl_struct("LowState_", "unitree_hg.msg.dds_.LowState_", {"crc": uint32})
     with Participant(domain_id, "lo") as peer:
         writer = DataWriter(peer.entity, Topic(peer.entity, LOWSTATE.name, other))
-        facts = look_at_wire(domain_id, "lo", [LO], 0.5)
+        facts = inspect_domain(domain_id, "lo", [LO], 0.5)
         del writer
     # Cyclone 0.10.2 does not show the types that others announce.
     (writer,) = facts.writers
@@ -90,7 +90,7 @@ def test_other_policies(domain_id):
         topic = Topic(peer.entity, LOWCMD.name, types.LowCmd_)
         durable = CycloneQos(Policy.Reliability.Reliable(0), Policy.Durability.TransientLocal)
         reader = DataReader(peer.entity, topic, durable)
-        facts = look_at_wire(domain_id, "lo", [LO], 0.5)
+        facts = inspect_domain(domain_id, "lo", [LO], 0.5)
         del writer, reader
     assert facts.states_matched == 0
     assert facts.writers[0].qos.partitions == ("lab",)
@@ -101,14 +101,14 @@ def test_our_bridge_is_not_called_python(domain_id):
     with Participant(domain_id, "lo") as peer:
         RawWriter(peer, LOWSTATE)
         RawWriter(peer, LOG)
-        facts = look_at_wire(domain_id, "lo", [LO], 0.5)
-    assert all(writer.who.startswith("g1stream sim (pid ") for writer in facts.writers)
+        facts = inspect_domain(domain_id, "lo", [LO], 0.5)
+    assert all(writer.owner.startswith("g1stream sim (pid ") for writer in facts.writers)
 
 
 def test_the_domain_next_door(domain_id):
     with Participant(domain_id, "lo") as peer:
         RawWriter(peer, LOWSTATE)
-        facts = look_at_wire(domain_id - 1, "lo", [LO], 0.2)
+        facts = inspect_domain(domain_id - 1, "lo", [LO], 0.2)
     assert (domain_id, "lo") in {place[:2] for place in facts.elsewhere}
 
 

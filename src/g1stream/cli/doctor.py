@@ -10,7 +10,7 @@ from g1stream.cli.common import Flag, WireCommand, print_json, value
 from g1stream.errors import ConfigError
 
 if TYPE_CHECKING:
-    from g1stream.doctor.finding import Finding
+    from g1stream.doctor.facts import Finding
 
 __all__ = ["Doctor"]
 
@@ -37,7 +37,7 @@ class Doctor(WireCommand):
             )
         findings = diagnose(self.resolve(), self.seconds)
         if self.json:
-            print_json([one.as_dict() for one in findings])
+            print_json([one.model_dump(mode="json") for one in findings])
         else:
             print("\n".join(map(_text, findings)))
         return max(one.level for one in findings)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import os
 import socket
 from dataclasses import dataclass, field
+from enum import IntFlag
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
@@ -28,7 +29,15 @@ from g1stream.errors import WireError
 if TYPE_CHECKING:
     from types import TracebackType
 
-__all__ = ["Endpoint", "Participant", "interfaces", "is_loopback"]
+__all__ = [
+    "Endpoint",
+    "InterfaceFlags",
+    "Participant",
+    "interface_flags",
+    "interfaces",
+    "is_loopback",
+    "stays_here",
+]
 
 #: Beyond this the ports that a domain id stands for leave the range of ports (RTPS 2.5, 9.6.2).
 MAX_DOMAIN: Final = 232
@@ -55,12 +64,25 @@ def interfaces() -> list[str]:
     return [name for _, name in socket.if_nameindex()]
 
 
+class InterfaceFlags(IntFlag):
+    """The kernel's flags of a network interface, IFF_* in netdevice(7)."""
+
+    UP = 0x1
+    LOOPBACK = 0x8
+    MULTICAST = 0x1000
+
+
+def interface_flags(interface: str) -> InterfaceFlags:
+    """The kernel's flags of an interface; where they cannot be read, `lo` is the loopback."""
+    try:
+        return InterfaceFlags(int(Path("/sys/class/net", interface, "flags").read_text(), 16))
+    except OSError:
+        return InterfaceFlags.LOOPBACK if interface == "lo" else InterfaceFlags(0)
+
+
 def is_loopback(interface: str) -> bool:
-    """Whether an interface is the loopback, by the kernel's own flag."""
-    flags = Path("/sys/class/net", interface, "flags")
-    if not flags.exists():
-        return interface == "lo"
-    return bool(int(flags.read_text(), 16) & 0x8)  # IFF_LOOPBACK, netdevice(7)
+    """Whether an interface is the loopback."""
+    return InterfaceFlags.LOOPBACK in interface_flags(interface)
 
 
 def stays_here(interface: str) -> bool:

@@ -1,1 +1,1 @@
-"""What is wrong with the wire or this machine: facts are gathered first, then judged purely."""
+"""Diagnosis of DDS and of this machine: facts are gathered first, then evaluated purely."""

@@ -1,23 +1,79 @@
-"""What the doctor knows: plain values, so that every judgement can be tested without a wire."""
+"""The doctor's records: facts that it gathers, and findings that it derives from them.
+
+They are plain values, so that every rule can be tested without DDS.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from enum import IntEnum
 
-if TYPE_CHECKING:
-    from g1stream.realtime import Grant
+from pydantic import BaseModel, ConfigDict, field_serializer
+
+from g1stream.realtime import Grant
 
 __all__ = [
     "Facts",
+    "Finding",
     "HostFacts",
     "Interface",
+    "Level",
     "Peer",
-    "Punctuality",
     "Qos",
     "StateFacts",
+    "WakeupLatency",
     "WireFacts",
+    "ok",
+    "problem",
+    "warning",
 ]
+
+
+class Level(IntEnum):
+    """Severity of a finding; the highest one is the exit code."""
+
+    OK = 0
+    WARNING = 1
+    PROBLEM = 2
+
+
+class Finding(BaseModel):
+    """The result of one check.
+
+    Attributes:
+        level: severity; its lower-case name in JSON.
+        about: what was checked, in a word or two.
+        cause: what was found.
+        remedy: what to do about it; empty where there is nothing to do.
+        figures: measured values, by name and unit.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    level: Level
+    about: str
+    cause: str
+    remedy: str = ""
+    figures: dict[str, int | float] = {}
+
+    @field_serializer("level")
+    def _level_name(self, level: Level) -> str:
+        return level.name.lower()
+
+
+def ok(about: str, cause: str) -> Finding:
+    """A finding without a problem."""
+    return Finding(level=Level.OK, about=about, cause=cause)
+
+
+def warning(about: str, cause: str, remedy: str) -> Finding:
+    """A finding that may degrade a session."""
+    return Finding(level=Level.WARNING, about=about, cause=cause, remedy=remedy)
+
+
+def problem(about: str, cause: str, remedy: str) -> Finding:
+    """A finding that prevents a session."""
+    return Finding(level=Level.PROBLEM, about=about, cause=cause, remedy=remedy)
 
 
 @dataclass(frozen=True)
@@ -47,7 +103,7 @@ class HostFacts:
         cyclonedds: the version of the Python package.
         rmem_max: the largest receive buffer of a socket, bytes; None where it cannot be read.
         clock_source: the kernel's; empty where it cannot be read.
-        grants: what the system grants a loop that must be on time.
+        grants: what the system grants a real-time thread.
     """
 
     interfaces: tuple[Interface, ...]
@@ -59,34 +115,34 @@ class HostFacts:
 
 
 @dataclass(frozen=True)
-class Punctuality:
-    """How punctually a thread with the loop's rights was woken when nothing else was asked of it.
+class WakeupLatency:
+    """How late the kernel wakes a thread that has the loop's rights and does nothing else.
 
     Attributes:
         rate: deadlines per second, Hz.
         deadlines: how many there were.
-        missed: how many had passed by a whole period or more when the thread ran.
-        usual_ns, worst_ns: how late it ran, the median and the most, ns.
+        missed: at how many the thread ran a whole period late or more.
+        median_ns, worst_ns: latency, ns.
     """
 
     rate: float
     deadlines: int
     missed: int
-    usual_ns: int
+    median_ns: int
     worst_ns: int
 
 
 @dataclass(frozen=True)
 class Qos:
-    """The policies by which DDS decides whether a writer and a reader fit; times in ns.
+    """The QoS policies that decide whether a writer and a reader match; times in ns.
 
     Attributes:
-        reliable: guaranteed delivery is offered, or asked for.
+        reliable: reliable delivery is offered, or requested.
         durability: 0 volatile, 1 transient local, 2 transient, 3 persistent.
         deadline: the longest time between two samples.
-        exclusive: whether only the strongest writer is heard.
+        exclusive: exclusive ownership.
         partitions: names of the partitions; empty: the default one.
-        xcdr1: whether plain CDR is written, or can be read.
+        xcdr1: plain CDR is written, or can be read.
     """
 
     reliable: bool = False
@@ -99,40 +155,40 @@ class Qos:
 
 @dataclass(frozen=True)
 class Peer:
-    """A writer or reader that somebody else has on a topic.
+    """A writer or reader of another participant.
 
     Attributes:
         topic, type_name: as announced.
         same_type: whether its type is that of g1stream; None where it does not announce one.
         qos: its policies.
-        who: its process, or its participant.
+        owner: its process, or its participant.
         participant: the GUID of its participant.
-        only_looks: it says that it does not obey what it reads.
+        observer: it announces that it does not act on what it reads, as our recorder does.
     """
 
     topic: str
     type_name: str
     same_type: bool | None = True
     qos: Qos = field(default_factory=Qos)
-    who: str = "somebody"
+    owner: str = "an unnamed participant"
     participant: str = ""
-    only_looks: bool = False
+    observer: bool = False
 
 
 @dataclass(frozen=True)
 class StateFacts:
-    """The LowStates that came while the doctor listened.
+    """The LowStates that were received while the doctor listened.
 
     Attributes:
         seconds: for how long it listened.
-        received: how many came.
-        malformed: how many came that were no LowState.
-        ages_ms: from its publish time to its reception, the median and the longest.
-        tick_step: the tick's usual step, ms; None where it stands still.
-        missed: how many did not come, by their ticks; None where they cannot tell.
-        crc_right, crc_zero: how many carried their own checksum, and how many none.
+        received: how many LowStates were received.
+        malformed: samples that were not one LowState.
+        ages_ms: reception minus publish time, the median and the longest.
+        tick_step: the usual step of the tick, ms; None where it is constant.
+        missed: samples lost, by their ticks; None where the ticks cannot tell.
+        crc_right, crc_zero: how many had a correct CRC, and how many had 0.
         mode_machine: of the last.
-        has_rpy, has_motor_modes: whether the last had any of these.
+        has_rpy, has_motor_modes: whether the last had any of these set.
     """
 
     seconds: float
@@ -150,17 +206,17 @@ class StateFacts:
 
 @dataclass(frozen=True)
 class WireFacts:
-    """Who and what is in the domain.
+    """The endpoints and samples in a DDS domain.
 
     Attributes:
-        writers, readers: everybody else's, on any topic.
-        state: what came on rt/lowstate.
-        states_matched: how many writers of rt/lowstate are matched with our reader.
-        commands_matched: how many obedient readers of rt/lowcmd are matched with a writer of ours;
-            None where there is none, as the doctor has none.
-        elsewhere: where else somebody publishes rt/lowstate: (domain, interface, who); looked for
-            only if nobody does here.
-        searched: the places that were looked at for that, (domain, interface).
+        writers, readers: of other participants, on any topic.
+        state: what was received on rt/lowstate.
+        states_matched: how many writers of rt/lowstate match our reader.
+        commands_matched: how many subscribers of rt/lowcmd that are no observers match a writer of
+            ours; None where we have no writer, as the doctor.
+        elsewhere: other places where rt/lowstate is published, (domain, interface, owner); looked
+            for only if it is not published here.
+        searched: the places that were searched for it, (domain, interface).
     """
 
     writers: tuple[Peer, ...] = ()
@@ -174,21 +230,21 @@ class WireFacts:
 
 @dataclass(frozen=True)
 class Facts:
-    """All of it.
+    """Everything the doctor knows.
 
     Attributes:
-        domain, interface: where the doctor looked.
-        robots: values of mode_machine that may be commanded.
+        domain, interface: where it looked.
+        allowed_robots: values of mode_machine that may be commanded.
         host: this machine.
         wire: the domain; None where it could not be joined.
-        cannot_join: why not.
-        punctuality: how a trial of this machine's deadlines went; None where there was none.
+        join_error: why it could not be joined.
+        wakeup_latency: of a thread on this machine; None where it was not measured.
     """
 
     domain: int
     interface: str
-    robots: tuple[int, ...]
+    allowed_robots: tuple[int, ...]
     host: HostFacts
     wire: WireFacts | None
-    cannot_join: str = ""
-    punctuality: Punctuality | None = None
+    join_error: str = ""
+    wakeup_latency: WakeupLatency | None = None

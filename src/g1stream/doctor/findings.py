@@ -1,78 +1,165 @@
-"""From facts to findings, each with its cause and its remedy; pure."""
+"""The doctor's rules: from facts to findings; pure."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
-from g1stream.doctor.endpoint_mismatches import (
-    command_misfits,
-    misfits,
-    names,
-    obedient,
-    silence,
-    state_misfits,
+from g1stream.dds.topics import LOWCMD, LOWSTATE, SPORTMODESTATE
+from g1stream.doctor.facts import Facts, Finding, Level, ok, problem, warning
+from g1stream.doctor.matching import (
+    command_mismatches,
+    command_subscribers,
+    identify_publisher,
+    owners,
+    silent_publisher,
+    state_mismatches,
+    writer_mismatches,
 )
-from g1stream.doctor.finding import Finding, Level
-from g1stream.doctor.host_findings import examine_host, examine_interface, examine_punctuality
-from g1stream.doctor.peers import LOWCMD, LOWSTATE, SPORTMODESTATE, recognise
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from g1stream.doctor.facts import Facts, StateFacts, WireFacts
+    from g1stream.doctor.facts import HostFacts, StateFacts, WakeupLatency, WireFacts
 
-__all__ = ["examine"]
+__all__ = ["evaluate"]
 
-_JOIN = "Mend that, and ask again for what is in the domain."
+#: Room for a hundred LowStates, with the kernel's overhead of each.
+_ENOUGH_BUFFER: Final = 1 << 20
+_SLOW_CLOCKS: Final = ("hpet", "acpi_pm", "jiffies", "refined-jiffies")
+_START_ROBOT: Final = "Start a bridge (g1stream sim), or connect and switch on the robot."
 
 
-def examine(facts: Facts) -> list[Finding]:
-    """Everything there is to say, in the order in which to mend it."""
-    found = [*examine_interface(facts), *examine_host(facts.host)]
-    if facts.punctuality:
-        found.append(examine_punctuality(facts.punctuality))
+def evaluate(facts: Facts) -> list[Finding]:
+    """All findings, in the order in which to fix them."""
+    found = [*_interface(facts), *_host(facts.host)]
+    if facts.wakeup_latency:
+        found.append(_wakeup(facts.wakeup_latency))
     if facts.wire is None:
-        # An interface that is none is the whole reason already.
-        known = any(one.about == "interface" and one.level is Level.PROBLEM for one in found)
-        cannot = Finding(Level.PROBLEM, "domain", facts.cannot_join, _JOIN)
-        return found if known else [*found, cannot]
+        # An unusable interface is the whole reason already.
+        if not any(one.about == "interface" and one.level is Level.PROBLEM for one in found):
+            remedy = "Fix that, then run the doctor again to see the domain."
+            found.append(problem("domain", facts.join_error, remedy))
+        return found
     return [
         *found,
-        *_presence(facts, facts.wire),
+        *_publishers(facts, facts.wire),
         *_states(facts, facts.wire),
         *_base(facts.wire),
         *_commands(facts.wire),
     ]
 
 
-def _presence(facts: Facts, wire: WireFacts) -> Iterator[Finding]:
-    here = f"domain {facts.domain} on {facts.interface}"
-    writers = [peer for peer in wire.writers if peer.topic == LOWSTATE]
+def _interface(facts: Facts) -> Iterator[Finding]:
+    """Whether DDS can work on the interface."""
+    host, about = facts.host, "interface"
+    if host.uri:
+        yield warning(
+            about,
+            f"CYCLONEDDS_URI is set and selects the interface, not {facts.interface}: {host.uri}",
+            "Unset it, unless this is intended.",
+        )
+    found = next((one for one in host.interfaces if one.name == facts.interface), None)
+    if found is None:
+        names = ", ".join(one.name for one in host.interfaces)
+        cause = f"this machine has no interface {facts.interface}"
+        yield problem(about, cause, f"Choose --interface from {names}.")
+    elif not found.up:
+        remedy = f"Bring it up: ip link set {found.name} up."
+        yield problem(about, f"{found.name} is down", remedy)
+    elif not found.address:
+        remedy = "Assign one; Unitree's robots are in 192.168.123.0/24."
+        yield problem(about, f"{found.name} has no IPv4 address", remedy)
+    elif not found.multicast and not found.loopback:
+        remedy = f"Enable it: ip link set {found.name} multicast on."
+        yield problem(about, f"{found.name} has no multicast, which DDS discovery needs", remedy)
+    else:
+        multicast = "multicast" if found.multicast else "no multicast; discovery by address"
+        yield ok(about, f"{found.name} is up, {found.address}, {multicast}")
+
+
+def _host(host: HostFacts) -> Iterator[Finding]:
+    """Whether this machine is fit for real-time work."""
+    if host.cyclonedds.split(".")[0] == "11" or host.cyclonedds.startswith("0.10."):
+        yield ok("cyclonedds", host.cyclonedds)
+    else:
+        cause = f"{host.cyclonedds} is not tested with Unitree's SDK and simulators"
+        yield warning("cyclonedds", cause, "Install 0.10.2, the version of the SDK, or 11.")
+    if host.rmem_max is not None and host.rmem_max < _ENOUGH_BUFFER:
+        yield warning(
+            "sockets",
+            f"the kernel limits receive buffers to {host.rmem_max // 1024} KiB: a burst overflows",
+            "Run: sysctl -w net.core.rmem_max=4194304",
+        )
+    elif host.rmem_max is not None:
+        yield ok("sockets", f"receive buffers up to {host.rmem_max // 1024} KiB")
+    if host.clock_source in _SLOW_CLOCKS:
+        yield warning(
+            "clock",
+            f"the clock source is {host.clock_source}: reading the time takes microseconds",
+            "See why the kernel does not trust tsc: dmesg | grep -i tsc",
+        )
+    elif host.clock_source:
+        yield ok("clock", f"source {host.clock_source}")
+    for grant in host.grants:
+        cause = f"{grant.what}: {grant.detail}"
+        if grant.granted:
+            yield ok("real time", cause)
+        else:
+            cost = f"; without it, {grant.cost}" if grant.cost else ""
+            yield warning("real time", cause + cost, grant.remedy)
+
+
+def _wakeup(latency: WakeupLatency) -> Finding:
+    """Whether this machine wakes a thread at its deadlines."""
+    at, worst = f"at {latency.rate:g} Hz", f"{latency.worst_ns / 1e6:.2f} ms late at most"
+    if latency.missed:
+        finding = warning(
+            "wake-up",
+            f"{latency.missed} of {latency.deadlines} deadlines {at} missed by a whole period, "
+            f"{worst}: other load or a hypervisor stops the programs of this machine",
+            "End other load and fix the real-time warnings; if it remains, use a machine that is "
+            "not virtual, or expect skipped ticks.",
+        )
+    else:
+        finding = ok("wake-up", f"{latency.deadlines} deadlines {at}, none missed, {worst}")
+    figures = {
+        "rate_hz": latency.rate,
+        "deadlines": latency.deadlines,
+        "missed_deadlines": latency.missed,
+        "median_lateness_us": latency.median_ns / 1000.0,
+        "worst_lateness_us": latency.worst_ns / 1000.0,
+    }
+    return finding.model_copy(update={"figures": figures})
+
+
+def _publishers(facts: Facts, wire: WireFacts) -> Iterator[Finding]:
+    """Who publishes LowState, here or elsewhere."""
+    here = f"in domain {facts.domain} on {facts.interface}"
+    writers = [peer for peer in wire.writers if peer.topic == LOWSTATE.name]
     if writers:
-        yield from state_misfits(wire)
-        yield Finding(Level.OK, "publisher", f"{recognise(wire)}: {names(writers)}")
+        yield from state_mismatches(wire)
+        yield ok("publisher", f"{identify_publisher(wire)}: {owners(writers)}")
         return
-    for domain, interface, who in wire.elsewhere:
-        is_domain = domain != facts.domain
-        yield Finding(
-            Level.PROBLEM,
-            "domain" if is_domain else "interface",
-            f"nobody publishes {LOWSTATE} in {here}; in domain {domain} on {interface}, {who} does",
-            f"Use --domain {domain}." if is_domain else f"Use --interface {interface}.",
+    for domain, interface, owner in wire.elsewhere:
+        other_domain = domain != facts.domain
+        yield problem(
+            "domain" if other_domain else "interface",
+            f"no publisher on {LOWSTATE.name} {here}; {owner} publishes it in domain {domain} on "
+            f"{interface}",
+            f"Use --domain {domain}." if other_domain else f"Use --interface {interface}.",
         )
     if not wire.elsewhere:
         others = len({peer.participant for peer in (*wire.writers, *wire.readers)})
-        there = "1 other program is" if others == 1 else f"{others or 'no'} other programs are"
-        yield Finding(
-            Level.PROBLEM,
+        yield problem(
             "publisher",
-            f"nobody publishes {LOWSTATE} in {here}{_nor_in(facts, wire)}; {there} there",
-            "Start a bridge (g1stream sim), or connect and switch on the robot.",
+            f"no publisher on {LOWSTATE.name} {here}{_searched(facts, wire)}; "
+            f"other programs in this domain: {others}",
+            _START_ROBOT,
         )
 
 
-def _nor_in(facts: Facts, wire: WireFacts) -> str:
-    """Where else nobody does."""
+def _searched(facts: Facts, wire: WireFacts) -> str:
+    """The other places without a publisher."""
     domains = [str(domain) for domain, name in wire.searched if name == facts.interface]
     others = [name for _, name in wire.searched if name != facts.interface]
     text = f", nor in domains {', '.join(domains)} on it" if domains else ""
@@ -80,88 +167,84 @@ def _nor_in(facts: Facts, wire: WireFacts) -> str:
 
 
 def _states(facts: Facts, wire: WireFacts) -> Iterator[Finding]:
-    state, about = wire.state, "LowState"
+    """What is received on rt/lowstate."""
+    state = wire.state
     if not wire.states_matched:
         return
     if not state.received:
-        yield from silence(wire)
+        yield from silent_publisher(wire)
         return
-    rate, (age, oldest) = state.received / state.seconds, state.ages_ms
-    text = f"{rate:.0f} a second, {age:.2f} ms old on arrival, {oldest:.2f} ms at most"
+    age, oldest = state.ages_ms
+    rate = state.received / state.seconds
+    text = f"{rate:.0f} Hz, received {age:.2f} ms after publication, {oldest:.2f} ms at most"
     if abs(age) > 1000.0:
-        yield Finding(
-            Level.WARNING,
-            about,
+        yield warning(
+            "LowState",
             f"{text}: the publisher's clock and this one differ",
             "Set both by NTP or PTP, or do not compare publish times with log times.",
         )
     else:
-        yield Finding(Level.OK, about, text)
-    yield from _contents(facts, state)
-
-
-def _contents(facts: Facts, state: StateFacts) -> Iterator[Finding]:
-    if state.tick_step is None:
-        yield Finding(Level.OK, "tick", "not provided: lost samples cannot be counted")
-    elif state.missed:
-        yield Finding(
-            Level.WARNING,
-            "tick",
-            f"{state.missed} LowStates did not arrive in {state.seconds:.1f} s",
-            "See to the load of both machines, the network, and the receive buffers.",
-        )
+        yield ok("LowState", text)
+    yield from _tick_and_crc(state)
+    if state.mode_machine in facts.allowed_robots:
+        text = "not provided" if state.mode_machine == 0 else f"{state.mode_machine}, 29 joints"
+        yield ok("mode_machine", text)
     else:
-        yield Finding(Level.OK, "tick", f"steps of {state.tick_step} ms, none missing")
-    if state.crc_zero == state.received:
-        yield Finding(Level.OK, "checksum", "not provided")
-    elif state.crc_right < state.received:
-        yield Finding(
-            Level.PROBLEM,
-            "checksum",
-            f"{state.received - state.crc_right} of {state.received} LowStates carry a wrong one",
-            "Make the publisher compute Unitree's, over the C struct.",
-        )
-    else:
-        yield Finding(Level.OK, "checksum", "right")
-    if state.mode_machine in facts.robots:
-        what = "not provided" if state.mode_machine == 0 else f"{state.mode_machine}, 29 joints"
-        yield Finding(Level.OK, "mode_machine", what)
-    else:
-        yield Finding(
-            Level.PROBLEM,
+        yield problem(
             "mode_machine",
-            f"{state.mode_machine}: not a robot with the 29 joints of the motions",
+            f"{state.mode_machine}: not a G1 with 29 joints",
             "Use a 29-joint G1 (5), or allow it in the config: safety.mode_machine.",
         )
 
 
+def _tick_and_crc(state: StateFacts) -> Iterator[Finding]:
+    if state.tick_step is None:
+        yield ok("tick", "not provided: lost samples cannot be counted")
+    elif state.missed:
+        yield warning(
+            "tick",
+            f"{state.missed} LowStates were lost in {state.seconds:.1f} s",
+            "Check the load of both machines, the network, and the receive buffers.",
+        )
+    else:
+        yield ok("tick", f"steps of {state.tick_step} ms, none missing")
+    if state.crc_zero == state.received:
+        yield ok("CRC", "not provided")
+    elif state.crc_right < state.received:
+        yield problem(
+            "CRC",
+            f"{state.received - state.crc_right} of {state.received} LowStates have a wrong CRC",
+            "Make the publisher compute Unitree's CRC, over the C struct.",
+        )
+    else:
+        yield ok("CRC", "correct")
+
+
 def _base(wire: WireFacts) -> Iterator[Finding]:
-    writers = [peer for peer in wire.writers if peer.topic == SPORTMODESTATE]
-    yield from misfits(writers, "SportModeState")
+    """Whether the position of the pelvis is published."""
+    writers = [peer for peer in wire.writers if peer.topic == SPORTMODESTATE.name]
+    yield from writer_mismatches(writers, "SportModeState")
     if writers:
-        yield Finding(Level.OK, "base", f"{SPORTMODESTATE} from {names(writers)}")
-    elif any(peer.topic == LOWSTATE for peer in wire.writers):
-        yield Finding(Level.OK, "base", "position and velocity not provided")
+        yield ok("base", f"{SPORTMODESTATE.name} from {owners(writers)}")
+    elif any(peer.topic == LOWSTATE.name for peer in wire.writers):
+        yield ok("base", "position and velocity not provided")
 
 
 def _commands(wire: WireFacts) -> Iterator[Finding]:
-    readers = obedient(wire)
-    writers = [peer for peer in wire.writers if peer.topic == LOWCMD]
-    apart = command_misfits(wire)
-    yield from apart
-    if not readers and any(peer.topic == LOWSTATE for peer in wire.writers):
-        yield Finding(
-            Level.PROBLEM,
-            "LowCmd",
-            f"nobody reads {LOWCMD}: commands would move nothing",
-            "Start a bridge (g1stream sim), or connect and switch on the robot.",
-        )
-    elif readers and not apart:
-        yield Finding(Level.OK, "LowCmd", f"read by {names(readers)}")
+    """Who reads and writes LowCmd."""
+    readers = command_subscribers(wire)
+    mismatches = command_mismatches(wire)
+    yield from mismatches
+    if not readers and any(peer.topic == LOWSTATE.name for peer in wire.writers):
+        cause = f"no subscriber on {LOWCMD.name}: commands would move nothing"
+        yield problem("LowCmd", cause, _START_ROBOT)
+    elif readers and not mismatches:
+        yield ok("LowCmd", f"subscriber: {owners(readers)}")
+    writers = [peer for peer in wire.writers if peer.topic == LOWCMD.name]
     if writers:
-        yield Finding(
-            Level.WARNING,
+        yield warning(
             "LowCmd",
-            f"written already, by {names(writers)}: g1stream stream will refuse to start",
+            f"another publisher on {LOWCMD.name}, {owners(writers)}: g1stream stream will refuse "
+            "to start",
             "End it before you stream.",
         )

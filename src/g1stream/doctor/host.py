@@ -1,4 +1,4 @@
-"""Facts about this machine."""
+"""Facts about this machine, and how late it wakes a thread."""
 
 from __future__ import annotations
 
@@ -10,25 +10,28 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from g1stream.doctor.facts import HostFacts, Interface
+from g1stream.clock import SystemClock
+from g1stream.control.ticker import Lateness, Ticker
+from g1stream.dds.domain import InterfaceFlags, interface_flags, interfaces
+from g1stream.doctor.facts import HostFacts, Interface, WakeupLatency
 from g1stream.realtime import on_time
 
 if TYPE_CHECKING:
+    from g1stream.clock import Clock
     from g1stream.config import RealtimeConfig
 
-__all__ = ["look_at_host"]
+__all__ = ["inspect_host", "measure_wakeup_latency", "wakeup_latency"]
 
-_IFF_UP, _IFF_LOOPBACK, _IFF_MULTICAST = 0x1, 0x8, 0x1000  # netdevice(7)
 _SIOCGIFADDR: Final = 0x8915  # <linux/sockios.h>
 
 
-def look_at_host(config: RealtimeConfig) -> HostFacts:
-    """What this machine is like; asks the system for real-time rights, and gives them back."""
+def inspect_host(config: RealtimeConfig) -> HostFacts:
+    """Gather facts about this machine; requests real-time rights, and gives them back."""
     with on_time(config.priority, config.cpu) as grants:
         granted = tuple(grants)
     buffer = _read("/proc/sys/net/core/rmem_max")
     return HostFacts(
-        interfaces=tuple(_interface(name) for _, name in socket.if_nameindex()),
+        interfaces=tuple(map(_interface, interfaces())),
         uri=os.environ.get("CYCLONEDDS_URI", ""),
         cyclonedds=version("cyclonedds"),
         rmem_max=int(buffer) if buffer else None,
@@ -37,13 +40,49 @@ def look_at_host(config: RealtimeConfig) -> HostFacts:
     )
 
 
+def measure_wakeup_latency(
+    realtime: RealtimeConfig, rate: float, seconds: float = 0.5
+) -> WakeupLatency:
+    """Sleep until absolute deadlines with the rights that the loop gets, and do nothing else.
+
+    The priority is one below the loop's: a loop that runs meanwhile, maybe on the same isolated
+    CPU, comes first, and no command of it is delayed.
+
+    Args:
+        realtime: what the loop requests of the system.
+        rate: deadlines per second, Hz.
+        seconds: for how long; a machine that stops for longer makes it so much longer.
+    """
+    with on_time(max(0, realtime.priority - 1), realtime.cpu):
+        return wakeup_latency(SystemClock(), round(1e9 / rate), round(seconds * rate))
+
+
+def wakeup_latency(clock: Clock, period: int, deadlines: int) -> WakeupLatency:
+    """Let a clock wake this thread at so many deadlines, `period` ns apart."""
+    ticker = Ticker(clock, period, clock.now() + period)
+    lateness, passed = Lateness(), 0
+    for k, _ in ticker:
+        # Of the deadline that was slept for, not of the one that replaced it.
+        lateness.add(clock.now() - (ticker.start + passed * period))
+        passed = k + 1
+        if passed >= deadlines:
+            break
+    return WakeupLatency(
+        rate=1e9 / period,
+        deadlines=passed,
+        missed=ticker.skipped,
+        median_ns=round(lateness.percentile_us(50.0) * 1000.0),
+        worst_ns=lateness.maximum_ns,
+    )
+
+
 def _interface(name: str) -> Interface:
-    flags = int(_read(f"/sys/class/net/{name}/flags") or "0", 16)
+    flags = interface_flags(name)
     return Interface(
         name,
-        up=bool(flags & _IFF_UP),
-        loopback=bool(flags & _IFF_LOOPBACK),
-        multicast=bool(flags & _IFF_MULTICAST),
+        up=InterfaceFlags.UP in flags,
+        loopback=InterfaceFlags.LOOPBACK in flags,
+        multicast=InterfaceFlags.MULTICAST in flags,
         address=_address(name),
     )
 

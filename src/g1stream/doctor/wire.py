@@ -1,4 +1,4 @@
-"""Facts about a DDS domain. Only ever listens: a writer of LowCmd would stop whoever plays."""
+"""Facts about a DDS domain. Only listens: a writer of LowCmd would stop whoever streams."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from g1stream.dds.messages import LowState
 from g1stream.dds.ticks import TickGaps
 from g1stream.dds.topics import LOWSTATE, TOPICS
 from g1stream.doctor.facts import Peer, Qos, StateFacts, WireFacts
-from g1stream.doctor.peers import our_program
+from g1stream.doctor.matching import identify_program
 from g1stream.errors import WireError
 
 if TYPE_CHECKING:
@@ -27,11 +27,11 @@ if TYPE_CHECKING:
     from g1stream.dds.domain import Endpoint
     from g1stream.doctor.facts import Interface
 
-__all__ = ["look_around", "look_at_wire", "qos_facts"]
+__all__ = ["inspect_domain", "inspect_participant", "qos_facts"]
 
 _POLL_S = 0.001
-#: How long discovery may take with somebody whose announcements come every few seconds, s.
-_LOOK_ELSEWHERE_S = 0.6
+#: How long discovery of the participants in another domain may take, s.
+_DISCOVERY_S = 0.6
 _DURABILITIES = (
     Policy.Durability.Volatile,
     Policy.Durability.TransientLocal,
@@ -40,29 +40,29 @@ _DURABILITIES = (
 )
 
 
-def look_at_wire(
+def inspect_domain(
     domain: int, interface: str, interfaces: Iterable[Interface], seconds: float
 ) -> WireFacts:
-    """Listen in a domain, and where nobody publishes LowState, in others nearby.
+    """Listen in a domain and, where LowState is not published, in others nearby.
 
     Raises:
         WireError: the domain cannot be joined on the interface.
     """
     with Participant(domain, interface) as participant:
-        facts = look_around(participant, seconds)
+        facts = inspect_participant(participant, seconds)
     if any(writer.topic == LOWSTATE.name for writer in facts.writers):
         return facts
-    # With a CYCLONEDDS_URI the interface is not for us to choose.
+    # With a CYCLONEDDS_URI we cannot choose the interface.
     others = [] if participant.uses_environment else interfaces
-    places = _places(domain, interface, others)
-    return replace(facts, elsewhere=tuple(_elsewhere(places)), searched=tuple(places))
+    places = _nearby(domain, interface, others)
+    return replace(facts, elsewhere=tuple(_publishers(places)), searched=tuple(places))
 
 
-def look_around(participant: Participant, seconds: float) -> WireFacts:
-    """Listen in a participant's domain for so long."""
+def inspect_participant(participant: Participant, seconds: float) -> WireFacts:
+    """Listen in a participant's domain for some seconds."""
     reader = RawReader(participant, LOWSTATE, depth=4096)
     state = _listen(reader, seconds)
-    programs = _our_programs(participant)
+    programs = _programs(participant)
     return WireFacts(
         writers=tuple(_peers(participant.writers(), programs)),
         readers=tuple(_peers(participant.readers(), programs)),
@@ -99,46 +99,46 @@ def _listen(reader: RawReader, seconds: float) -> StateFacts:
     )
 
 
-def _places(domain: int, interface: str, interfaces: Iterable[Interface]) -> list[tuple[int, str]]:
-    """Where else to look: domains nearby, then other interfaces."""
+def _nearby(domain: int, interface: str, interfaces: Iterable[Interface]) -> list[tuple[int, str]]:
+    """Other places to search: domains nearby, then other interfaces."""
     nearby = sorted({0, 1, domain - 1, domain + 1} - {domain, -1, MAX_DOMAIN + 1})
     usable = [i.name for i in interfaces if i.up and i.address and i.name != interface]
     return [(other, interface) for other in nearby] + [(domain, name) for name in usable]
 
 
-def _elsewhere(places: Iterable[tuple[int, str]]) -> Iterator[tuple[int, str, str]]:
-    """In which of these places somebody publishes LowState, and who."""
+def _publishers(places: Iterable[tuple[int, str]]) -> Iterator[tuple[int, str, str]]:
+    """In which of these places LowState is published, and by whom."""
     for place in places:
-        # Where we cannot go, nobody is found; the place that was asked for is another matter.
+        # A place that cannot be joined has no publisher that we could reach.
         with suppress(WireError), Participant(*place) as participant:
-            time.sleep(_LOOK_ELSEWHERE_S)
-            writers, programs = participant.writers(), _our_programs(participant)
+            time.sleep(_DISCOVERY_S)
+            writers, programs = participant.writers(), _programs(participant)
             yield from (
-                (*place, _who(writer, programs))
+                (*place, _owner(writer, programs))
                 for writer in writers
                 if writer.topic == LOWSTATE.name
             )
 
 
-def _our_programs(participant: Participant) -> dict[str, str]:
-    """Which programs of ours there are, by participant; Cyclone calls them all python."""
+def _programs(participant: Participant) -> dict[str, str]:
+    """Which programs of ours there are, by participant; their process name is only `python`."""
     written: dict[str, set[str]] = defaultdict(set)
     read: dict[str, set[str]] = defaultdict(set)
     for found, endpoints in ((written, participant.writers()), (read, participant.readers())):
         for endpoint in endpoints:
             found[endpoint.participant].add(endpoint.topic)
-    named = {one: our_program(written[one], read[one]) for one in {*written, *read}}
+    named = {one: identify_program(written[one], read[one]) for one in {*written, *read}}
     return {one: name for one, name in named.items() if name}
 
 
-def _who(endpoint: Endpoint, programs: dict[str, str]) -> str:
-    """Whose an endpoint is."""
+def _owner(endpoint: Endpoint, programs: dict[str, str]) -> str:
+    """The process or participant that an endpoint belongs to."""
     program = programs.get(endpoint.participant)
     return str(replace(endpoint, process=program) if program else endpoint)
 
 
 def _peers(endpoints: Iterable[Endpoint], programs: dict[str, str]) -> Iterator[Peer]:
-    """Those of a robot's topics; discovery has topics of its own."""
+    """The endpoints on a robot's topics, without those of discovery itself."""
     for endpoint in endpoints:
         if endpoint.topic.startswith("rt/"):
             yield Peer(
@@ -146,9 +146,9 @@ def _peers(endpoints: Iterable[Endpoint], programs: dict[str, str]) -> Iterator[
                 type_name=endpoint.type_name,
                 same_type=_same_type(endpoint),
                 qos=qos_facts(endpoint.qos),
-                who=_who(endpoint, programs),
+                owner=_owner(endpoint, programs),
                 participant=endpoint.participant,
-                only_looks=bool(observers([endpoint])),
+                observer=bool(observers([endpoint])),
             )
 
 
@@ -161,7 +161,7 @@ def _same_type(endpoint: Endpoint) -> bool | None:
 
 
 def qos_facts(qos: Any) -> Qos:
-    """The policies that matter of a Cyclone `Qos`; what it does not name has DDS's default."""
+    """The policies of a Cyclone `Qos` that matter here; DDS's defaults for those not set."""
     values = vars(Qos()).copy()
     for policy in qos or ():
         if isinstance(policy, Policy.Reliability.Reliable):

@@ -9,7 +9,7 @@ from g1stream.robot.joints import by_joint
 
 if TYPE_CHECKING:
     from g1stream.control.loop import LoopReport
-    from g1stream.doctor.finding import Finding
+    from g1stream.doctor.facts import Finding
     from g1stream.motion.limit_warnings import Interval
     from g1stream.realtime import Grant
 
@@ -29,7 +29,7 @@ class StreamOutcome:
         wire: what was lost on the wire and what was not.
         granted: what the system granted to be on time.
         interval: what of the motion was to be played.
-        findings: where no command was sent, what the wire shows of why.
+        findings: where no command was sent, the reasons as far as they can be seen.
     """
 
     motion: str
@@ -48,7 +48,7 @@ class StreamOutcome:
             "recording": self.recording,
             "wire": self.wire,
             "realtime": [asdict(grant) for grant in self.granted],
-            "findings": [finding.as_dict() for finding in self.findings],
+            "findings": [finding.model_dump(mode="json") for finding in self.findings],
             "loop": loop_summary(self.report),  # last, as it ends with the longest of all
         }
 

@@ -19,8 +19,8 @@ from g1stream.control.safety import Envelope
 from g1stream.control.targets import Targets
 from g1stream.dds.domain import Participant, stays_here
 from g1stream.dds.topics import LOWCMD
-from g1stream.doctor.endpoint_mismatches import unanswered
-from g1stream.doctor.wire import look_around
+from g1stream.doctor.matching import explain_no_robot
+from g1stream.doctor.wire import inspect_participant
 from g1stream.errors import ConfigError, SafetyError, WireError
 from g1stream.motion.limit_warnings import Interval, beyond_limits
 from g1stream.motion.motion import Motion
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
     from g1stream.clock import Clock
     from g1stream.control.loop import LoopReport
-    from g1stream.doctor.finding import Finding
+    from g1stream.doctor.facts import Finding
     from g1stream.realtime import Grant
 
 __all__ = ["StreamOutcome", "stream"]
@@ -141,14 +141,14 @@ def _unanswered(
     if report.commands or (report.states and link.listeners()):
         return []
     try:
-        wire = look_around(participant, _LISTEN)
+        wire = inspect_participant(participant, _LISTEN)
     except WireError:  # how the run went is told all the same
         return []
     # The loop has listened for longer. Readers are counted only now: whoever came meanwhile is
     # among them, and is matched.
     state = replace(wire.state, received=wire.state.received or report.states)
     wire = replace(wire, state=state, commands_matched=link.listeners())
-    findings = unanswered(config.dds.domain, config.dds.interface, wire)
+    findings = explain_no_robot(config.dds.domain, config.dds.interface, wire)
     for finding in findings:
         link.tell(ERROR, finding.cause)
     return findings

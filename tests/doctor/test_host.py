@@ -1,0 +1,83 @@
+"""The wake-up latency, measured on a clock of known lateness."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+
+import pytest
+
+from g1stream.config import RealtimeConfig
+from g1stream.doctor import host
+from g1stream.doctor.host import inspect_host, measure_wakeup_latency, wakeup_latency
+
+MS = 1_000_000
+PERIOD = 2 * MS
+
+
+class LateClock:
+    """Comes late to the k-th deadline that it is asked for."""
+
+    def __init__(self, late: dict[int, int]) -> None:
+        self.time, self.asked, self.late = 5 * MS, 0, late
+
+    def now(self) -> int:
+        return self.time
+
+    def stamp(self) -> int:
+        return self.time
+
+    def sleep_until(self, deadline: int) -> None:
+        self.time = max(self.time, deadline) + self.late.get(self.asked, 0)
+        self.asked += 1
+
+
+def test_a_clock_without_latency():
+    found = wakeup_latency(LateClock({}), PERIOD, 250)
+    assert (found.rate, found.deadlines, found.missed, found.worst_ns) == (500.0, 250, 0, 0)
+
+
+def test_latency_below_a_period_misses_no_deadline():
+    found = wakeup_latency(LateClock({9: PERIOD - 1}), PERIOD, 250)
+    assert (found.missed, found.worst_ns) == (0, PERIOD - 1)
+    assert found.median_ns <= 1000  # to the microsecond
+
+
+def test_a_stall_misses_every_deadline_in_it():
+    found = wakeup_latency(LateClock({9: 7 * MS}), PERIOD, 250)
+    assert (found.deadlines, found.missed, found.worst_ns) == (250, 3, 7 * MS)
+
+
+def test_latency_of_a_stall_counts_from_the_deadline_slept_for():
+    found = wakeup_latency(LateClock({9: PERIOD, 20: 3 * PERIOD + 1}), PERIOD, 250)
+    assert (found.missed, found.worst_ns) == (4, 3 * PERIOD + 1)
+
+
+def test_a_stall_beyond_the_last_deadline_ends_the_measurement():
+    found = wakeup_latency(LateClock({9: 10_000 * MS}), PERIOD, 250)
+    assert found.deadlines == 5010
+    assert found.missed == 5000
+
+
+def test_this_machine():
+    facts = inspect_host(RealtimeConfig(priority=0))
+    assert next(one for one in facts.interfaces if one.name == "lo").loopback
+    assert {grant.what for grant in facts.grants} >= {"SCHED_FIFO", "memory", "affinity"}
+
+
+def test_measured_on_this_machine():
+    found = measure_wakeup_latency(RealtimeConfig(priority=0), 500.0, seconds=0.05)
+    assert found.deadlines >= 25
+    assert found.worst_ns >= found.median_ns
+
+
+@pytest.mark.parametrize(("loop", "own"), [(50, 49), (1, 0), (0, 0)])
+def test_priority_is_below_that_of_a_loop(monkeypatch, loop, own):
+    requested = []
+
+    def on_time(*rights):
+        requested.append(rights)
+        return nullcontext()
+
+    monkeypatch.setattr(host, "on_time", on_time)
+    measure_wakeup_latency(RealtimeConfig(priority=loop, cpu=3), 500.0, seconds=0.01)
+    assert requested == [(own, 3)]

@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 import yourdfpy
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
-from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from scipy.spatial.transform import Rotation
 
-from g1stream.foxglove.encoders import MEASURED_PREFIX, JointStatesEncoder, TfEncoder, encode_log
-from g1stream.robot.joints import JOINT_NAMES
+from g1stream.foxglove.encoders import MEASURED_PREFIX, TransformsEncoder, encode_log
 from g1stream.robot.model import G1
 
 T0 = 1_700_000_000_000_000_000
@@ -54,7 +52,7 @@ def urdf(robot):
 @pytest.mark.parametrize("prefix", ["", MEASURED_PREFIX])
 def test_a_viewer_finds_every_link_where_yourdfpy_has_it(robot, urdf, frames, prefix):
     stamps, joint_pos, root_pos, root_quat = frames
-    rows = TfEncoder(robot, prefix).encode(stamps, joint_pos, root_pos, root_quat)
+    rows = TransformsEncoder(robot, prefix).encode(stamps, joint_pos, root_pos, root_quat)
     for t in range(5):
         urdf.update_cfg(dict(zip(robot.joint_names, joint_pos[t], strict=True)))
         root = np.eye(4)
@@ -69,7 +67,7 @@ def test_a_viewer_finds_every_link_where_yourdfpy_has_it(robot, urdf, frames, pr
 
 def test_transforms_follow_the_tree_of_the_urdf_and_carry_their_stamp(robot, frames):
     stamps, *pose = frames
-    rows = TfEncoder(robot).encode(stamps, *pose)
+    rows = TransformsEncoder(robot).encode(stamps, *pose)
     message = FrameTransforms.FromString(rows[3].tobytes())
     parents = {t.child_frame_id: t.parent_frame_id for t in message.transforms}
     assert parents["pelvis"] == "world"
@@ -82,23 +80,10 @@ def test_the_robots_share_nothing_but_the_world(robot, frames):
     stamps, *pose = frames
     names = []
     for prefix in ("", MEASURED_PREFIX):
-        row = TfEncoder(robot, prefix).encode(stamps, *pose)[0]
+        row = TransformsEncoder(robot, prefix).encode(stamps, *pose)[0]
         message = FrameTransforms.FromString(row.tobytes())
         names.append({f for t in message.transforms for f in (t.child_frame_id, t.parent_frame_id)})
     assert names[0] & names[1] == {"world"}
-
-
-def test_joint_states_are_in_motor_order(robot):
-    rng = np.random.default_rng(6)
-    q, dq, ddq, tau = rng.normal(size=(4, 3, 29))
-    rows = JointStatesEncoder(robot).encode([T0, T0 + 1, T0 + 2], q, dq, ddq, tau)
-    message = JointStates.FromString(rows[1].tobytes())
-    assert message.timestamp.ToNanoseconds() == T0 + 1
-    assert tuple(joint.name for joint in message.joints) == JOINT_NAMES
-    np.testing.assert_array_equal([joint.position for joint in message.joints], q[1])
-    np.testing.assert_array_equal([joint.velocity for joint in message.joints], dq[1])
-    np.testing.assert_array_equal([joint.acceleration for joint in message.joints], ddq[1])
-    np.testing.assert_array_equal([joint.effort for joint in message.joints], tau[1])
 
 
 def test_a_log_line():

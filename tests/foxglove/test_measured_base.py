@@ -27,7 +27,7 @@ def same(quats, rotations):
 @pytest.mark.parametrize("power_on_yaw", [0.0, 1.0, -3.0])
 def test_the_measured_robot_faces_as_the_reference_at_the_start(power_on_yaw):
     base = MeasuredBase()
-    base.see_references(TIMES, np.zeros((5, 3)), wxyz(spin([0.5] * 5, 0, 0)))
+    base.add_references(TIMES, np.zeros((5, 3)), wxyz(spin([0.5] * 5, 0, 0)))
     true_yaws = 0.5 + 0.1 * np.arange(5)
     _, quats = base.poses(TIMES, wxyz(spin(true_yaws + power_on_yaw)))
     same(quats, spin(true_yaws))
@@ -36,9 +36,9 @@ def test_the_measured_robot_faces_as_the_reference_at_the_start(power_on_yaw):
 
 def test_the_yaw_is_turned_once_and_stays():
     base = MeasuredBase()
-    base.see_references(TIMES, np.zeros((5, 3)), wxyz(spin([1.0] * 5)))
+    base.add_references(TIMES, np.zeros((5, 3)), wxyz(spin([1.0] * 5)))
     base.poses(TIMES[:1], wxyz(spin([0.0])))
-    base.see_references(TIMES + 50_000_000, np.zeros((5, 3)), wxyz(spin([2.0] * 5)))
+    base.add_references(TIMES + 50_000_000, np.zeros((5, 3)), wxyz(spin([2.0] * 5)))
     _, quats = base.poses(TIMES + 50_000_000, wxyz(spin([0.3] * 5)))
     same(quats, spin([1.3] * 5))
 
@@ -55,7 +55,7 @@ def test_without_a_reference_the_imu_is_shown_as_it_is():
 def test_the_references_position_stands_in_where_nobody_measures_it():
     base = MeasuredBase()
     path = np.stack([np.linspace(0, 1, 5), np.zeros(5), np.full(5, 0.8)], axis=-1)
-    base.see_references(TIMES, path, wxyz(spin([0.0] * 5)))
+    base.add_references(TIMES, path, wxyz(spin([0.0] * 5)))
     positions, _ = base.poses(TIMES + 5_000_000, wxyz(spin([0.0] * 5)))
     np.testing.assert_allclose(positions[:4, 0], np.linspace(0, 1, 5)[:4] + 0.125)
     np.testing.assert_allclose(positions[4], path[4])
@@ -64,9 +64,9 @@ def test_the_references_position_stands_in_where_nobody_measures_it():
 
 def test_a_measured_position_turns_with_the_yaw_about_the_start():
     base = MeasuredBase()
-    base.see_references(TIMES, np.full((5, 3), 9.0), wxyz(spin([np.pi / 2] * 5, 0, 0)))
+    base.add_references(TIMES, np.full((5, 3), 9.0), wxyz(spin([np.pi / 2] * 5, 0, 0)))
     walked = np.stack([2.0 + np.arange(5), np.full(5, 3.0), np.full(5, 0.8)], axis=-1)
-    base.see_positions(TIMES, walked)
+    base.add_positions(TIMES, walked)
     positions, _ = base.poses(TIMES, wxyz(spin([0.0] * 5, 0, 0)))
     # It walks where it looks: along x by its own account, along y in the reference's world.
     np.testing.assert_allclose(positions[:, 0], 2.0, atol=1e-12)
@@ -78,7 +78,7 @@ def test_a_measured_position_turns_with_the_yaw_about_the_start():
 @pytest.mark.parametrize("bad", [0.0, np.nan, 3.0])
 def test_the_yaw_is_turned_at_the_first_state_that_has_an_attitude(bad):
     base = MeasuredBase()
-    base.see_references(TIMES, np.zeros((5, 3)), wxyz(spin([0.5] * 5)))
+    base.add_references(TIMES, np.zeros((5, 3)), wxyz(spin([0.5] * 5)))
     imu = wxyz(spin([0.2] * 5))
     imu[:3] = np.full(4, bad)
     base.poses(TIMES[:2], imu[:2])

@@ -15,7 +15,7 @@ from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.messages import LowState, Reference
 from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE
-from g1stream.foxglove.derive import Deriver
+from g1stream.foxglove.pipeline import MessagePipeline
 from g1stream.recorder.clocks import ClockReading, read_clocks
 from g1stream.recorder.recorder import Recorder
 from g1stream.robot.model import G1
@@ -64,7 +64,7 @@ def recording(domain_id, path, **options):
         Participant(domain_id, "lo") as participant,
         PartedWriter(path, lambda writer: None) as writer,
     ):
-        recorder = Recorder(participant, writer, Deriver(G1.load(), 100.0), 0.1, **options)
+        recorder = Recorder(participant, writer, MessagePipeline(G1.load(), 100.0), 0.1, **options)
         thread = threading.Thread(target=recorder.run, args=(stop.is_set,))
         thread.start()
         try:

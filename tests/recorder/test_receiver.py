@@ -11,7 +11,7 @@ from g1stream.dds.endpoints import RawReader, RawSample, RawWriter
 from g1stream.dds.messages import LowState
 from g1stream.dds.topics import LOWSTATE
 from g1stream.errors import RecordingError
-from g1stream.foxglove.derive import Deriver
+from g1stream.foxglove.pipeline import MessagePipeline
 from g1stream.recorder.receiver import Receiver
 from g1stream.recorder.recorder import Recorder
 from g1stream.robot.model import G1
@@ -29,7 +29,7 @@ def participant(domain_id):
 @pytest.fixture
 def recorder(participant, tmp_path):
     with PartedWriter(tmp_path / "s.mcap", lambda writer: None) as writer:
-        yield Recorder(participant, writer, Deriver(G1.load(), 100.0), 0.1)
+        yield Recorder(participant, writer, MessagePipeline(G1.load(), 100.0), 0.1)
 
 
 @pytest.fixture

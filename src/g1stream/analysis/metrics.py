@@ -8,13 +8,14 @@ let pass between measuring and stamping.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from g1stream.analysis.message_stats import clock_offset
+from g1stream.foxglove.tracking_error import MAX_GAP_NS, neighbours
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
-from g1stream.types import Floats, Phase
+from g1stream.types import Floats, Ints, Phase
 
 if TYPE_CHECKING:
     from g1stream.analysis.angles import AskedAngles, MeasuredAngles
@@ -31,9 +32,6 @@ __all__ = [
     "pooled",
     "track",
 ]
-
-MAX_HOLE: Final = 0.1
-"""References further apart than this, s, say nothing of the time between them."""
 
 SHORTEST_DELAY, LONGEST_DELAY = -0.02, 0.2
 """Between these a tracking delay is looked for, s; positive: the robot comes after."""
@@ -153,11 +151,16 @@ def common_times(
     reference: Reference | AskedAngles, measured: Measured | MeasuredAngles
 ) -> tuple[Floats, Floats]:
     """Publish times on the recorder's clock, (N,) and (M,), s since the first reference."""
-    stamps = [stream.publish_time + clock_offset(stream) for stream in (reference, measured)]
+    stamps = _times_ns(reference, measured)
     start = stamps[0].min()
     # Nanoseconds since the epoch need more digits than a float has; the differences do not.
     first, second = ((ns - start).astype(np.float64) / 1e9 for ns in stamps)
     return first, second
+
+
+def _times_ns(*streams: Reference | AskedAngles | Measured | MeasuredAngles) -> list[Ints]:
+    """Publish times on the recorder's clock, ns since the epoch."""
+    return [stream.publish_time + clock_offset(stream) for stream in streams]
 
 
 def compare(reference: Reference | AskedAngles, measured: Measured | MeasuredAngles) -> Comparison:
@@ -167,27 +170,23 @@ def compare(reference: Reference | AskedAngles, measured: Measured | MeasuredAng
     h^2 / 8 times the joint's acceleration: 0.1 mrad for 200 rad/s^2 at 500 Hz. It is where the
     reference was published, so a command that came late counts as late.
     """
-    times, state_times = common_times(reference, measured)
-    order = np.argsort(times, kind="stable")
-    times, q = times[order], reference.q[order]
-    played = reference.phase[order][:-1] == Phase.PLAY
-    intervals = np.diff(times)
-    known = played & (intervals <= MAX_HOLE)
-
-    state_order = np.argsort(state_times, kind="stable")
-    state_times = state_times[state_order]
-    interval = np.searchsorted(times, state_times, side="right") - 1
-    inside = np.flatnonzero((interval >= 0) & (interval < len(intervals)))
-    compared = inside[known[interval[inside]]]
-    at = state_times[compared]
+    times, state_times = _times_ns(reference, measured)
+    order, state_order = np.argsort(times, kind="stable"), np.argsort(state_times, kind="stable")
+    times, q, phase = times[order], reference.q[order], reference.phase[order]
+    around = neighbours(times, state_times[state_order])
+    around = around.where(phase[around.before] == Phase.PLAY)
+    compared = around.where(around.gap <= MAX_GAP_NS)
+    gaps = np.diff(times)[phase[:-1] == Phase.PLAY]
+    seconds = (times - times[0]) / 1e9
+    at = state_order[compared.instants]
     return Comparison(
-        time=at,
-        motion_time=np.interp(at, times, reference.motion_time[order]),
-        reference=_at(at, times, q),
-        measured=measured.q[state_order[compared]],
-        left_out=int(played[interval[inside]].sum()) - len(compared),
-        duration=float(intervals[known].sum()),
-        all_times=times,
+        time=(state_times[at] - times[0]) / 1e9,
+        motion_time=compared.interpolate(reference.motion_time[order][:, np.newaxis])[:, 0],
+        reference=compared.interpolate(q),
+        measured=measured.q[at],
+        left_out=len(around.gap) - len(compared.gap),
+        duration=float(gaps[gaps <= MAX_GAP_NS].sum() / 1e9),
+        all_times=seconds,
         all_q=q,
     )
 

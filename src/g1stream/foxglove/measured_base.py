@@ -1,58 +1,53 @@
-"""Where the measured pelvis is, put together from what there is."""
+"""The pose of the measured pelvis, from the IMU and from whatever tells its position."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from g1stream.robot.rotations import quat_from_axis_angle, quat_mul, quat_rotate, yaw_of
 from g1stream.types import Floats, Ints
 
-if TYPE_CHECKING:
-    pass
-
-
 __all__ = ["MeasuredBase", "PositionSource"]
 
 PositionSource = Literal["sportmodestate", "reference", "none"]
 
 _UP = np.array([0.0, 0.0, 1.0])
-#: An attitude further from a unit quaternion is no attitude: an IMU that is not ready sends zeros.
-_UNIT_WITHIN = 0.1
+#: A quaternion's norm may differ this much from 1: an IMU that is not ready sends zeros.
+_NORM_TOLERANCE = 0.1
 
 
 class MeasuredBase:
     """The pose of the measured pelvis in the world of the reference.
 
-    An IMU counts yaw from where it was switched on. So the measured yaw is turned to that of the
-    reference at the first state with an attitude after the first reference, once, and stays turned.
-    The position is
-    SportModeState's where there is one, turned likewise about where it was then; else the
-    reference's; else the origin.
+    An IMU measures yaw from where it was switched on. So the measured yaw is aligned with that of
+    the reference once, at the first state with a valid attitude after the first reference. The
+    position is SportModeState's where there is one, rotated by the same yaw about where it was
+    then; else the reference's; else the origin.
 
     Attributes:
         yaw_offset: what is added to the measured yaw, rad; None before it is known.
-        source: where the position comes from.
+        source: what the position comes from.
     """
 
     def __init__(self) -> None:
         self.yaw_offset: float | None = None
         self.source: PositionSource = "none"
         self._start: Floats | None = None
-        self._wanted_yaw: float | None = None
+        self._reference_yaw: float | None = None
         self._times: Ints = np.zeros(1, dtype=np.int64)
         self._positions: Floats = np.zeros((1, 3))
 
-    def see_references(self, times: Ints, positions: Floats, quats_wxyz: Floats) -> None:
+    def add_references(self, times: Ints, positions: Floats, quats_wxyz: Floats) -> None:
         """Take in references: (T,) ns, (T, 3) m in the world, (T, 4)."""
-        if self._wanted_yaw is None:
-            self._wanted_yaw = float(yaw_of(quats_wxyz[0]))
+        if self._reference_yaw is None:
+            self._reference_yaw = float(yaw_of(quats_wxyz[0]))
         if self.source != "sportmodestate":
             self.source = "reference"
             self._extend(times, positions)
 
-    def see_positions(self, times: Ints, positions: Floats) -> None:
+    def add_positions(self, times: Ints, positions: Floats) -> None:
         """Take in positions of the pelvis: (T,) ns, (T, 3) m in the world."""
         if self.source != "sportmodestate":
             self.source = "sportmodestate"
@@ -70,10 +65,10 @@ class MeasuredBase:
         positions = np.stack(
             [np.interp(times, self._times, axis) for axis in self._positions.T], axis=-1
         )
-        usable = np.abs(np.linalg.norm(imu_quats_wxyz, axis=-1) - 1.0) <= _UNIT_WITHIN
-        if usable.any() and self.yaw_offset is None and self._wanted_yaw is not None:
+        usable = np.abs(np.linalg.norm(imu_quats_wxyz, axis=-1) - 1.0) <= _NORM_TOLERANCE
+        if usable.any() and self.yaw_offset is None and self._reference_yaw is not None:
             first = int(usable.argmax())
-            turn = self._wanted_yaw - float(yaw_of(imu_quats_wxyz[first]))
+            turn = self._reference_yaw - float(yaw_of(imu_quats_wxyz[first]))
             self.yaw_offset = float(np.angle(np.exp(1j * turn)))
             self._start = positions[first]
         if self.yaw_offset is None or self._start is None:
@@ -84,10 +79,10 @@ class MeasuredBase:
         return positions, quat_mul(turned, imu_quats_wxyz)
 
     def as_dict(self) -> dict[str, Any]:
-        """How the pose was made, as JSON values."""
+        """The alignment, as JSON values."""
         return {"yaw_offset_rad": self.yaw_offset, "position_from": self.source}
 
     def _extend(self, times: Ints, positions: Floats) -> None:
-        """Go on from the last position known."""
+        """Replace all but the last known position."""
         self._times = np.append(self._times[-1:], times)
         self._positions = np.concatenate([self._positions[-1:], positions])

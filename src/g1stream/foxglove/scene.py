@@ -1,4 +1,4 @@
-"""The robot to be looked at: its shapes as a Foxglove scene, and its URDF as ROS knows it."""
+"""What viewers draw of the robot: a Foxglove scene of its shapes, and its URDF as ROS sends it."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
+from g1stream.dds.layout import CDR_HEADER
 from g1stream.errors import RobotError
 from g1stream.robot.visuals import find_mesh, read_visuals
 
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
 
 __all__ = ["encode_robot_description", "encode_scene"]
 
-_CDR_HEADER: Final = b"\x00\x01\x00\x00"
 _MEDIA_TYPES: Final = {
     ".stl": "model/stl",
     ".dae": "model/vnd.collada+xml",
@@ -29,13 +29,13 @@ _MEDIA_TYPES: Final = {
 }
 
 
-def encode_scene(stamp_ns: int, robot: G1, opacities: Mapping[str, float]) -> bytes:
+def encode_scene(timestamp_ns: int, robot: G1, opacities: Mapping[str, float]) -> bytes:
     """A foxglove.SceneUpdate with the shapes of a robot, locked to the frames of its links.
 
-    Meshes go in whole where their files are found, and by name where they are not.
+    Meshes whose files are found are embedded; others are referred to by name.
 
     Args:
-        stamp_ns: ns since the epoch.
+        timestamp_ns: ns since the epoch.
         robot: whose URDF says what it looks like.
         opacities: for each robot to show, the prefix of its frames and how opaque it is, 0 to 1.
 
@@ -51,16 +51,16 @@ def encode_scene(stamp_ns: int, robot: G1, opacities: Mapping[str, float]) -> by
             frame = prefix + visual.link
             if frame not in entities:
                 entities[frame] = update.entities.add(id=frame, frame_id=frame, frame_locked=True)
-                entities[frame].timestamp.FromNanoseconds(stamp_ns)
+                entities[frame].timestamp.FromNanoseconds(timestamp_ns)
             _add(entities[frame], visual, opacity, models)
     data: bytes = update.SerializeToString()
     return data
 
 
 def encode_robot_description(robot: G1) -> bytes:
-    """The URDF as a std_msgs/msg/String in CDR: its length with the closing zero, then its text."""
+    """The URDF as a std_msgs/msg/String in CDR: length including the final zero, then text."""
     text = robot.urdf.encode() + b"\0"
-    return _CDR_HEADER + struct.pack("<I", len(text)) + text
+    return CDR_HEADER + struct.pack("<I", len(text)) + text
 
 
 def _add(
@@ -74,21 +74,21 @@ def _add(
     elif visual.kind == "cylinder":
         shape = entity.cylinders.add(bottom_scale=1.0, top_scale=1.0)
     else:
-        # A viewer can make a mesh translucent only by painting it over, in one colour.
-        paint = visual.coloured or opacity < 1.0
-        shape = entity.models.add(override_color=paint, **models[visual.mesh])
+        # Viewers make a mesh translucent only by overriding its colours with one.
+        override = visual.coloured or opacity < 1.0
+        shape = entity.models.add(override_color=override, **models[visual.mesh])
     extent = shape.scale if visual.kind == "mesh" else shape.size
     extent.x, extent.y, extent.z = visual.size
     pose, colour = shape.pose, shape.color
     pose.position.x, pose.position.y, pose.position.z = visual.pos
-    turn = pose.orientation
-    turn.w, turn.x, turn.y, turn.z = visual.quat_wxyz
+    q = pose.orientation
+    q.w, q.x, q.y, q.z = visual.quat_wxyz
     colour.r, colour.g, colour.b, alpha = visual.rgba
     colour.a = alpha * opacity
 
 
 def _model(robot: G1, name: str) -> dict[str, Any]:
-    """A mesh's content where its file is found, else its name, for the viewer to find."""
+    """A mesh's content where its file is found, else its name for the viewer to look up."""
     path = find_mesh(robot, name)
     if path is None:
         return {"url": name}

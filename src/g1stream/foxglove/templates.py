@@ -1,12 +1,12 @@
-"""Foxglove's protobuf messages by patching: one serialised template, a whole batch of copies.
+"""Encodes a batch of Foxglove's protobuf messages at once, by patching a serialised template.
 
 Messages of one channel differ only in their numbers. So one message is serialised by the official
-class, with marks where the numbers go; the marks are looked up once, and from then on a batch is
-encoded by copying the template and writing the numbers over the marks, all in numpy.
+class with placeholders for the numbers; a batch is encoded by copying these bytes and writing the
+numbers over the placeholders, in numpy.
 
-That needs fields of fixed width. Doubles are (8 bytes). The two varints of a timestamp are not, so
-both are padded to five bytes, which the protobuf encoding allows for and every decoder accepts.
-Five bytes hold 35 bits: all the seconds that 63 bits of nanoseconds can express.
+That needs fields of fixed width. Doubles have 8 bytes. The two varints of a timestamp are padded to
+five bytes, which the protobuf encoding allows and every decoder accepts. Five bytes hold 35 bits:
+all the seconds that 63 bits of nanoseconds can express.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ __all__ = ["FrameTransformsTemplate", "JointStatesTemplate"]
 
 _NS_PER_S: Final = 1_000_000_000
 
-# Both marks contain 0xFF, which no UTF-8 text does: a frame name can never be taken for one.
-_STAMP_SECONDS_MARK: Final = 2**35 - 1
-_STAMP_NANOS_MARK: Final = _NS_PER_S - 1
-_DOUBLE_MARK: Final = struct.Struct("<2sI2s")
+# Every placeholder contains 0xFF, which no UTF-8 text does: no frame name can be taken for one.
+_SECONDS_PLACEHOLDER: Final = 2**35 - 1
+_NANOS_PLACEHOLDER: Final = _NS_PER_S - 1
+_DOUBLE_PLACEHOLDER: Final = struct.Struct("<2sI2s")
 
 _SECONDS_TAG: Final = 0x08
 _NANOS_TAG: Final = 0x10
-_STAMP_SIZE: Final = 12
+_TIMESTAMP_SIZE: Final = 12
 
 
 class FrameTransformsTemplate:
@@ -51,8 +51,8 @@ class FrameTransformsTemplate:
         message = FrameTransforms()
         for link, (parent, child) in enumerate(zip(parent_frames, child_frames, strict=True)):
             transform = message.transforms.add(parent_frame_id=parent, child_frame_id=child)
-            _mark_stamp(transform.timestamp)
-            x, y, z, qw, qx, qy, qz = (_double_mark(7 * link + i) for i in range(7))
+            _set_placeholder(transform.timestamp)
+            x, y, z, qw, qx, qy, qz = (_double_placeholder(7 * link + i) for i in range(7))
             transform.translation.x, transform.translation.y, transform.translation.z = x, y, z
             transform.rotation.w, transform.rotation.x = qw, qx
             transform.rotation.y, transform.rotation.z = qy, qz
@@ -60,12 +60,12 @@ class FrameTransformsTemplate:
         self._template = _Template(message, 7 * self._n_links, self._n_links)
 
     def encode(
-        self, stamps_ns: ArrayLike, translations: ArrayLike, quats_wxyz: ArrayLike
+        self, times_ns: ArrayLike, translations: ArrayLike, quats_wxyz: ArrayLike
     ) -> NDArray[np.uint8]:
-        """One serialised message per stamp.
+        """One serialised message per time.
 
         Args:
-            stamps_ns: (T,) int64, ns since the epoch, not negative.
+            times_ns: (T,) int64, ns since the epoch, not negative.
             translations: (T, L, 3) of each link's frame in its parent's, m.
             quats_wxyz: (T, L, 4) likewise, unit, wxyz.
 
@@ -73,14 +73,14 @@ class FrameTransformsTemplate:
             (T, size) uint8; each row is one message.
 
         Raises:
-            ValueError: the shapes do not fit each other or the links, or a stamp is negative.
+            ValueError: the shapes do not fit each other or the links, or a time is negative.
         """
         positions = np.asarray(translations, dtype=np.float64)
         quats = np.asarray(quats_wxyz, dtype=np.float64)
         n_frames = len(positions)
         _require_shape("translations", positions, (n_frames, self._n_links, 3))
         _require_shape("quats_wxyz", quats, (n_frames, self._n_links, 4))
-        return self._template.fill(stamps_ns, np.concatenate((positions, quats), axis=2))
+        return self._template.fill(times_ns, np.concatenate((positions, quats), axis=2))
 
 
 class JointStatesTemplate:
@@ -94,59 +94,59 @@ class JointStatesTemplate:
 
     def __init__(self, joint_names: Sequence[str], fields: Sequence[str]) -> None:
         message = JointStates()
-        _mark_stamp(message.timestamp)
+        _set_placeholder(message.timestamp)
         for joint, name in enumerate(joint_names):
             state = message.joints.add(name=name)
             for i, field in enumerate(fields):
-                setattr(state, field, _double_mark(joint * len(fields) + i))
+                setattr(state, field, _double_placeholder(joint * len(fields) + i))
         self._n_joints, self._fields = len(joint_names), tuple(fields)
-        self._template = _Template(message, self._n_joints * len(fields), n_stamps=1)
+        self._template = _Template(message, self._n_joints * len(fields), n_times=1)
 
-    def encode(self, stamps_ns: ArrayLike, *columns: ArrayLike) -> NDArray[np.uint8]:
-        """One serialised message per stamp.
+    def encode(self, times_ns: ArrayLike, *columns: ArrayLike) -> NDArray[np.uint8]:
+        """One serialised message per time.
 
         Args:
-            stamps_ns: (T,) int64, ns since the epoch, not negative.
+            times_ns: (T,) int64, ns since the epoch, not negative.
             columns: (T, J) each, one per field, in the order given at construction.
 
         Returns:
             (T, size) uint8; each row is one message.
 
         Raises:
-            ValueError: columns are missing or do not fit the joints, or a stamp is negative.
+            ValueError: columns are missing or do not fit the joints, or a time is negative.
         """
         if len(columns) != len(self._fields):
             raise ValueError(f"{len(columns)} columns for the fields {', '.join(self._fields)}")
         values = np.stack([np.asarray(c, dtype=np.float64) for c in columns], axis=-1)
         _require_shape("columns", values, (len(values), self._n_joints, len(self._fields)))
-        return self._template.fill(stamps_ns, values)
+        return self._template.fill(times_ns, values)
 
 
 class _Template:
     """One serialised message, and where its doubles and its timestamps are."""
 
-    def __init__(self, message: Message, n_doubles: int, n_stamps: int) -> None:
+    def __init__(self, message: Message, n_doubles: int, n_times: int) -> None:
         data: bytes = message.SerializeToString()
         self._bytes = np.frombuffer(data, dtype=np.uint8)
         self._doubles = np.concatenate(
-            [_find(data, _double_mark_bytes(i), 1) for i in range(n_doubles)]
+            [_find(data, _double_placeholder_bytes(i), 1) for i in range(n_doubles)]
         )
-        stamp_mark = _stamp_bytes(
-            np.array([_STAMP_SECONDS_MARK]), np.array([_STAMP_NANOS_MARK])
+        timestamp_placeholder = _timestamp_bytes(
+            np.array([_SECONDS_PLACEHOLDER]), np.array([_NANOS_PLACEHOLDER])
         ).tobytes()
-        self._stamps = _find(data, stamp_mark, n_stamps)
+        self._timestamps = _find(data, timestamp_placeholder, n_times)
 
-    def fill(self, stamps_ns: ArrayLike, values: NDArray[np.float64]) -> NDArray[np.uint8]:
-        """(T, size) copies of the message, each with its stamp and its row of (T, ...) doubles."""
-        stamps = np.asarray(stamps_ns, dtype=np.int64)
-        _require_shape("stamps_ns", stamps, (len(values),))
-        if np.any(stamps < 0):
-            raise ValueError(f"a stamp is negative: {stamps.min()} ns")
+    def fill(self, times_ns: ArrayLike, values: NDArray[np.float64]) -> NDArray[np.uint8]:
+        """(T, size) copies of the message, each with its time and its row of (T, ...) doubles."""
+        times = np.asarray(times_ns, dtype=np.int64)
+        _require_shape("times_ns", times, (len(values),))
+        if np.any(times < 0):
+            raise ValueError(f"a time is negative: {times.min()} ns")
         rows = np.empty((len(values), len(self._bytes)), dtype=np.uint8)
         rows[:] = self._bytes
         _windows(rows, "<f8")[:, self._doubles] = values.reshape(len(values), len(self._doubles))
-        packed = _stamp_bytes(*np.divmod(stamps, _NS_PER_S)).view(f"V{_STAMP_SIZE}")
-        _windows(rows, f"V{_STAMP_SIZE}")[:, self._stamps] = packed
+        packed = _timestamp_bytes(*np.divmod(times, _NS_PER_S)).view(f"V{_TIMESTAMP_SIZE}")
+        _windows(rows, f"V{_TIMESTAMP_SIZE}")[:, self._timestamps] = packed
         return rows
 
 
@@ -159,9 +159,9 @@ def _windows(rows: NDArray[np.uint8], dtype: str) -> NDArray[Any]:
     return windows
 
 
-def _stamp_bytes(seconds: NDArray[np.int64], nanos: NDArray[np.int64]) -> NDArray[np.uint8]:
+def _timestamp_bytes(seconds: NDArray[np.int64], nanos: NDArray[np.int64]) -> NDArray[np.uint8]:
     """(T, 12): the body of a google.protobuf.Timestamp, both varints padded to five bytes."""
-    packed = np.empty((len(seconds), _STAMP_SIZE), dtype=np.uint8)
+    packed = np.empty((len(seconds), _TIMESTAMP_SIZE), dtype=np.uint8)
     for start, tag, numbers in ((0, _SECONDS_TAG, seconds), (6, _NANOS_TAG, nanos)):
         packed[:, start] = tag
         for i in range(5):
@@ -170,28 +170,28 @@ def _stamp_bytes(seconds: NDArray[np.int64], nanos: NDArray[np.int64]) -> NDArra
     return packed
 
 
-def _mark_stamp(timestamp: Timestamp) -> None:
-    timestamp.seconds, timestamp.nanos = _STAMP_SECONDS_MARK, _STAMP_NANOS_MARK
+def _set_placeholder(timestamp: Timestamp) -> None:
+    timestamp.seconds, timestamp.nanos = _SECONDS_PLACEHOLDER, _NANOS_PLACEHOLDER
 
 
-def _double_mark_bytes(index: int) -> bytes:
-    return _DOUBLE_MARK.pack(b"\xff\xfe", index, b"\xe0\x7f")
+def _double_placeholder_bytes(index: int) -> bytes:
+    return _DOUBLE_PLACEHOLDER.pack(b"\xff\xfe", index, b"\xe0\x7f")
 
 
-def _double_mark(index: int) -> float:
-    (mark,) = struct.unpack("<d", _double_mark_bytes(index))
-    return float(mark)
+def _double_placeholder(index: int) -> float:
+    (placeholder,) = struct.unpack("<d", _double_placeholder_bytes(index))
+    return float(placeholder)
 
 
-def _find(data: bytes, mark: bytes, count: int) -> NDArray[np.intp]:
-    """The offsets of a mark; there are `count`, or the mark is not one."""
+def _find(data: bytes, placeholder: bytes, count: int) -> NDArray[np.intp]:
+    """The offsets of a placeholder, `count` of them."""
     offsets = []
-    place = data.find(mark)
-    while place >= 0:
-        offsets.append(place)
-        place = data.find(mark, place + len(mark))
+    offset = data.find(placeholder)
+    while offset >= 0:
+        offsets.append(offset)
+        offset = data.find(placeholder, offset + len(placeholder))
     if len(offsets) != count:
-        raise ValueError(f"{len(offsets)} of {count} marks found in the serialised message")
+        raise ValueError(f"{len(offsets)} of {count} placeholders found in the serialised message")
     return np.array(offsets, dtype=np.intp)
 
 

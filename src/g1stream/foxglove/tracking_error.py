@@ -1,26 +1,71 @@
-"""The tracking error: reference minus measured, at the moment of each measured state."""
+"""The tracking error: reference minus measured, at the publish time of each measured state.
+
+The reference between two samples is taken as a straight line. Between samples further apart than
+`MAX_GAP_NS` nothing is known of it, and states there have no error.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from g1stream.foxglove.templates import JointStatesTemplate
 from g1stream.types import Floats, Ints
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from g1stream.robot.model import G1
+__all__ = ["MAX_GAP_NS", "Neighbours", "Track", "TrackingError", "neighbours"]
+
+MAX_GAP_NS: Final = 100_000_000
+"""References further apart than this say nothing of the time between them."""
+
+#: How long a state waits for the reference that follows it, ns.
+_MAX_WAIT_NS: Final = 1_000_000_000
 
 
-__all__ = ["Track", "TrackingError"]
+class Neighbours(NamedTuple):
+    """The samples around K instants; an instant equal to a sample's time has it on both sides.
 
-#: Between references further apart than this nothing is known of the motion.
-_WIDEST_GAP: Final = 100_000_000
-#: How long a state waits for the reference behind it.
-_PATIENCE: Final = 1_000_000_000
+    Attributes:
+        instants: (K,) which of the instants asked for.
+        before, after: (K,) indices of the samples.
+        gap: (K,) ns between the two.
+        weight: (K,) of the later one, 0 to 1.
+    """
+
+    instants: NDArray[np.intp]
+    before: NDArray[np.intp]
+    after: NDArray[np.intp]
+    gap: Ints
+    weight: Floats
+
+    def where(self, mask: NDArray[np.bool_]) -> Neighbours:
+        """Some of the instants, by a mask (K,)."""
+        return Neighbours._make(values[mask] for values in self)
+
+    def interpolate(self, values: NDArray[Any]) -> Floats:
+        """(K, J) the samples' values (R, J) at the instants, linearly interpolated."""
+        earlier = values[self.before]
+        between: Floats = earlier + self.weight[:, np.newaxis] * (values[self.after] - earlier)
+        return between
+
+
+def neighbours(times: Ints, instants: Ints) -> Neighbours:
+    """Find the samples around each instant; instants before the first and after the last drop out.
+
+    Args:
+        times: (R,) ns, not decreasing.
+        instants: (N,) ns, in any order.
+    """
+    after = np.searchsorted(times, instants)
+    exact = np.append(times, -1)[after] == instants
+    before = np.where(exact, after, after - 1)
+    inside = np.flatnonzero((before >= 0) & (after < len(times)))
+    before, after = before[inside], after[inside]
+    gap = times[after] - times[before]
+    weight = (instants[inside] - times[before]) / np.maximum(gap, 1)
+    return Neighbours(inside, before, after, gap, weight)
 
 
 class Track(NamedTuple):
@@ -33,35 +78,26 @@ class Track(NamedTuple):
 
     def where(self, index: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Track:
         """Some of the times."""
-        return Track(
-            self.publish_times[index], self.log_times[index], self.q[index], self.dq[index]
-        )
+        return Track._make(values[index] for values in self)
 
     def then(self, other: Track) -> Track:
-        """Both, one behind the other."""
-        return Track(
-            np.concatenate([self.publish_times, other.publish_times]),
-            np.concatenate([self.log_times, other.log_times]),
-            np.concatenate([self.q, other.q]),
-            np.concatenate([self.dq, other.dq]),
-        )
+        """Both, one after the other."""
+        return Track._make(np.concatenate(pair) for pair in zip(self, other, strict=True))
 
 
 class TrackingError:
-    """Makes a foxglove.JointStates of each state's tracking error: position and velocity.
+    """Computes the tracking error of states and references that come in batches.
 
-    The reference is interpolated, linearly, between the two that were published before and after
-    the state; so an error is known when the later of the two has come, and its log time is when the
-    last of what it is made of was received.
+    An error is known when the reference after its state has come; its log time is when the last of
+    what it is made of was received.
 
     Args:
-        robot: whose joints.
+        n_joints: how many joints there are.
     """
 
-    def __init__(self, robot: G1) -> None:
-        self._template = JointStatesTemplate(robot.joint_names, ("position", "velocity"))
-        self._references = _nothing(len(robot.joint_names))
-        self._states = _nothing(len(robot.joint_names))
+    def __init__(self, n_joints: int) -> None:
+        times, joints = np.empty(0, dtype=np.int64), np.empty((0, n_joints))
+        self._references = self._states = Track(times, times, joints, joints)
 
     def add_references(self, references: Track) -> None:
         """Take in references."""
@@ -73,46 +109,26 @@ class TrackingError:
         """Take in measured states."""
         self._states = self._states.then(states)
 
-    def take(self) -> tuple[NDArray[np.uint8], Ints, Ints]:
-        """What is known by now: payloads (T, size), log times (T,) and publish times (T,), ns."""
-        known = self._states.publish_times <= self._references.publish_times[-1:].max(initial=-1)
-        errors = _errors(self._references, self._states.where(known))
-        self._states = _recent(self._states.where(~known))
+    def take(self) -> Track:
+        """The errors that became known: q (rad) and dq (rad/s) are reference minus measured."""
+        references, states = self._references, self._states
+        known = states.publish_times <= references.publish_times[-1:].max(initial=-1)
+        self._states = _recent(states.where(~known))
         # Kept though no state waits: one published before them may be handed over after them.
-        self._references = _recent(self._references)
-        payloads = self._template.encode(errors.publish_times, errors.q, errors.dq)
-        return payloads, errors.log_times, errors.publish_times
-
-
-def _errors(references: Track, states: Track) -> Track:
-    """Reference minus measured at those states that lie between two references."""
-    times = references.publish_times
-    after = np.searchsorted(times, states.publish_times)
-    exact = np.zeros(len(after), dtype=bool)
-    if len(times):
-        exact = times[np.minimum(after, len(times) - 1)] == states.publish_times
-    before = np.where(exact, after, after - 1)
-    inside = before >= 0
-    states, before, after = states.where(inside), before[inside], after[inside]
-    span = times[after] - times[before]
-    near = span <= _WIDEST_GAP
-    states, before, after, span = states.where(near), before[near], after[near], span[near]
-    part = ((states.publish_times - times[before]) / np.maximum(span, 1))[:, np.newaxis]
-    earlier, later = references.where(before), references.where(after)
-    return Track(
-        states.publish_times,
-        np.maximum(states.log_times, later.log_times),
-        earlier.q + part * (later.q - earlier.q) - states.q,
-        earlier.dq + part * (later.dq - earlier.dq) - states.dq,
-    )
+        self._references = _recent(references)
+        states = states.where(known)
+        around = neighbours(references.publish_times, states.publish_times)
+        around = around.where(around.gap <= MAX_GAP_NS)
+        states = states.where(around.instants)
+        return Track(
+            states.publish_times,
+            np.maximum(states.log_times, references.log_times[around.after]),
+            around.interpolate(references.q) - states.q,
+            around.interpolate(references.dq) - states.dq,
+        )
 
 
 def _recent(track: Track) -> Track:
     """Without what is much older than the newest."""
     newest = track.publish_times.max(initial=0)
-    return track.where(track.publish_times >= newest - _PATIENCE)
-
-
-def _nothing(n_joints: int) -> Track:
-    times, joints = np.empty(0, dtype=np.int64), np.empty((0, n_joints))
-    return Track(times, times, joints, joints)
+    return track.where(track.publish_times >= newest - _MAX_WAIT_NS)

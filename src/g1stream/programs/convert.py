@@ -11,9 +11,9 @@ import numpy as np
 
 from g1stream._version import __version__
 from g1stream.errors import ConfigError, MotionError, RecordingError, RobotError
-from g1stream.foxglove.encoders import WORLD_FRAME
-from g1stream.foxglove.poses import PoseEncoder, Poses
+from g1stream.foxglove.encoders import WORLD_FRAME, TransformsEncoder
 from g1stream.foxglove.scene import encode_robot_description, encode_scene
+from g1stream.foxglove.templates import JointStatesTemplate
 from g1stream.robot.model import G1
 from g1stream.robot.visuals import missing_meshes
 from g1stream.session.attachments import attach_motion
@@ -23,7 +23,7 @@ from g1stream.session.offline import OfflineWriter
 from g1stream.session.timestamps import frame_stamps
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
     from g1stream.motion.motion import Motion
     from g1stream.session.compression import Compression
@@ -39,6 +39,9 @@ _TF, _JOINTS, _SCENE, _DESCRIPTION = (
     "/scene",
     "/robot_description",
 )
+_RESAMPLED_FIELDS: Final = ("position", "velocity", "acceleration")
+#: Position and quaternion, wxyz.
+_WORLD_ORIGIN: Final = (np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
 #: Names to choose from that are shown in place of one that is none.
 _ALIKE: Final = 5
 _CHANNELS: Final = {channel.topic: channel for channel in DERIVED_CHANNELS}
@@ -140,25 +143,22 @@ def convert(
     motion = _load(motion, robot, fps)
     start, stop = _frame_range(motion, options.frames)
     first, last = frame_stamps(options.base_time_ns, (start, stop - 1), motion.fps).tolist()
-    encoder = PoseEncoder(
-        robot,
-        link=options.root_link,
-        floating=options.floating_root,
-        rates=options.resample is not None,
-        world=options.world_frame,
-        flat=options.flat,
+    transforms = TransformsEncoder(
+        robot, root_link=options.root_link, world=options.world_frame, flat=options.flat
     )
+    fields = ("position",) if options.resample is None else _RESAMPLED_FIELDS
+    joint_states = JointStatesTemplate(robot.joint_names, fields)
     _check_not_a_source(Path(out), motion, robot)
     with OfflineWriter(out, force=options.force, compression=options.compression) as writer:
-        _write_preface(writer, motion, robot, options, first)
-        for poses in _poses(motion, options, start, stop):
-            for part in poses.cut(_CHUNK):
-                messages = {
-                    options.topic: encoder.transforms(part),
-                    _JOINTS: encoder.joint_states(part),
-                }
-                writer.write(messages, part.stamps_ns)
-                on_progress((int(part.stamps_ns[-1]) - first) / max(1, last - first))
+        _write_file_header(writer, motion, robot, options, first)
+        for times, joint_pos, root_pos, root_quat, *rates in _poses(motion, options, start, stop):
+            root = (root_pos, root_quat) if options.floating_root else _WORLD_ORIGIN
+            messages = {
+                options.topic: transforms.encode(times, joint_pos, *root),
+                _JOINTS: joint_states.encode(times, joint_pos, *rates),
+            }
+            writer.write(messages, times)
+            on_progress((int(times[-1]) - first) / max(1, last - first))
     return ConvertReport(
         path=writer.path,
         size=writer.path.stat().st_size,
@@ -209,7 +209,8 @@ def _check_not_a_source(out: Path, motion: Motion, robot: G1) -> None:
     for source in (motion.source, Path(robot.source)):
         if source and _is_same(out, source):
             raise RecordingError(
-                f"{out} is what is converted.", "Name another file to write, such as motion.mcap."
+                f"The output path {out} is the input file.",
+                "Choose another output path, such as motion.mcap.",
             )
 
 
@@ -220,30 +221,39 @@ def _is_same(path: Path, other: Path) -> bool:
         return False
 
 
-def _poses(motion: Motion, options: Conversion, start: int, stop: int) -> Iterator[Poses]:
-    """The poses to write, in order: a motion's frames, or samples of the spline through them."""
+def _poses(motion: Motion, options: Conversion, start: int, stop: int) -> Iterator[tuple[Any, ...]]:
+    """The poses to write, `_CHUNK` rows at a time: frames, or samples of the spline through them.
+
+    Yields:
+        times (T,) ns, joint_pos (T, 29), root_pos (T, 3), root_quat_wxyz (T, 4) and, where they
+        are resampled, joint_vel and joint_acc (T, 29).
+    """
     base, rate = options.base_time_ns, options.resample
+    parts: Iterable[tuple[Any, ...]]
     if rate is None:
-        frames = slice(start, stop)
-        yield Poses(
-            frame_stamps(base, range(start, stop), motion.fps),
-            motion.joint_pos[frames],
-            motion.root_pos[frames],
-            motion.root_quat_wxyz[frames],
+        times, rows = frame_stamps(base, range(start, stop), motion.fps), slice(start, stop)
+        pose = (motion.joint_pos[rows], motion.root_pos[rows], motion.root_quat_wxyz[rows])
+        parts = [(times, *pose)]
+    else:
+        from g1stream.motion.resample import resample  # brings scipy
+
+        parts = (
+            (
+                frame_stamps(base, numbers, rate),
+                *(point.joint_pos, point.root_pos, point.root_quat_wxyz),
+                *(point.joint_vel, point.joint_acc),
+            )
+            for numbers, point in resample(motion, rate, start, stop)
         )
-        return
-    from g1stream.motion.resample import resample  # brings scipy
-
-    for numbers, p in resample(motion, rate, start, stop):
-        stamps = frame_stamps(base, numbers, rate)
-        rates = (p.joint_vel, p.joint_acc)
-        yield Poses(stamps, p.joint_pos, p.root_pos, p.root_quat_wxyz, rates)
+    for part in parts:
+        for first in range(0, len(part[0]), _CHUNK):
+            yield tuple(array[first : first + _CHUNK] for array in part)
 
 
-def _write_preface(
+def _write_file_header(
     writer: OfflineWriter, motion: Motion, robot: G1, options: Conversion, first: int
 ) -> None:
-    """Write what is there once: channels, metadata, attachments, the robot's looks and URDF."""
+    """Write what a file has once: channels, metadata, attachments, the scene and the URDF."""
     writer.add_channel(replace(_CHANNELS[_TF], topic=_free_topic(options.topic)))
     for topic in (_JOINTS, _SCENE, _DESCRIPTION):
         writer.add_channel(_CHANNELS[topic])

@@ -13,8 +13,8 @@ from g1stream.config import Config
 from g1stream.dds.domain import Participant
 from g1stream.dds.topics import LOWCMD, REFERENCE
 from g1stream.errors import RecordingError, WireError
-from g1stream.foxglove.derive import Deriver
 from g1stream.foxglove.encoders import MEASURED_PREFIX
+from g1stream.foxglove.pipeline import MessagePipeline
 from g1stream.foxglove.scene import encode_robot_description, encode_scene
 from g1stream.recorder.recorder import Recorder
 from g1stream.robot.model import G1
@@ -72,7 +72,9 @@ def record(
     settings = config.record
     robot = G1.load(config.robot)
     path = timestamped(path, time.time_ns()) if settings.auto_name else Path(path)
-    deriver = Deriver(robot, settings.tf_rate)  # may refuse the robot: before there is a file
+    pipeline = MessagePipeline(
+        robot, settings.tf_rate
+    )  # may refuse the robot: before there is a file
     about = _about(config, session or {})
 
     def preface(writer: SessionWriter) -> None:
@@ -84,7 +86,7 @@ def record(
         Participant(config.dds.domain, config.dds.interface) as participant,
         PartedWriter(path, preface, _limits(settings), force=force) as writer,
     ):
-        recorder = Recorder(participant, writer, deriver, settings.batch, on_event=on_event)
+        recorder = Recorder(participant, writer, pipeline, settings.batch, on_event=on_event)
 
         def on_started() -> None:
             if not session or _wait_for_streamer(recorder, should_stop):

@@ -12,18 +12,18 @@ import numpy as np
 from g1stream.dds.topics import TOPICS
 from g1stream.errors import RecordingError
 from g1stream.foxglove.encoders import encode_log
+from g1stream.foxglove.pipeline import CHANNEL_OF
 from g1stream.recorder.clocks import DelayEstimator, StepDetector, read_clocks
 from g1stream.recorder.losses import Losses, dropped_datagrams
 from g1stream.recorder.receiver import Receiver
 from g1stream.recorder.recorder_report import Publishers, RecorderReport
-from g1stream.session.channels import CHANNELS
 from g1stream.types import ERROR, INFO, WARNING
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from g1stream.dds.domain import Participant
-    from g1stream.foxglove.derive import Deriver
+    from g1stream.foxglove.pipeline import MessagePipeline
     from g1stream.recorder.clocks import ClockReading
     from g1stream.session.rotation import PartedWriter
     from g1stream.session.samples import Batch
@@ -37,8 +37,6 @@ _FAR_NS = 20_000_000
 #: Between two looks at what the kernel dropped, s.
 _LOOK_EVERY_S = 1.0
 
-_CHANNEL_OF = {c.source.name: c.topic for c in CHANNELS.values() if c.source is not None}
-
 
 class Recorder:
     """Records what is on the wire.
@@ -46,7 +44,7 @@ class Recorder:
     Args:
         participant: whose domain to listen in.
         writer: the session file.
-        deriver: makes what follows from the samples.
+        pipeline: makes the file's messages.
         batch: how often samples are handed on, s.
         on_event: is told what is worth telling, (level, text); it goes into /log as well.
         clocks: reads this machine's clocks.
@@ -56,7 +54,7 @@ class Recorder:
         self,
         participant: Participant,
         writer: PartedWriter,
-        deriver: Deriver,
+        pipeline: MessagePipeline,
         batch: float,
         *,
         on_event: Callable[[int, str], None] = lambda level, text: None,
@@ -68,7 +66,7 @@ class Recorder:
         self._on_event = on_event
         self._clocks = clocks
         self._receiver = Receiver(participant, TOPICS)
-        self._deriver = deriver
+        self._pipeline = pipeline
         self._losses = Losses()
         self._steps = StepDetector()
         self._delays: dict[str, DelayEstimator] = defaultdict(DelayEstimator)
@@ -131,15 +129,12 @@ class Recorder:
         batches = self._receiver.drain()
         for name, batch in batches.items():
             self.report.see(batch.log_times)
-            if name in _CHANNEL_OF:
-                self._writer.write_batch(
-                    _CHANNEL_OF[name], batch.data, batch.log_times, batch.publish_times
-                )
+            if name in CHANNEL_OF:
                 self._watch(name, batch)
-        aligned = self._deriver.base.yaw_offset
-        for made in self._deriver.derive(batches):
-            self._writer.write_batch(*made)
-        if aligned is None and self._deriver.base.yaw_offset is not None:
+        aligned = self._pipeline.base.yaw_offset
+        for messages in self._pipeline.encode(batches):
+            self._writer.write_batch(*messages)
+        if aligned is None and self._pipeline.base.yaw_offset is not None:
             self._tell_alignment()
         self._watch_losses()
         self._watch_clock()
@@ -156,7 +151,7 @@ class Recorder:
 
     def _watch_losses(self) -> None:
         for name, number in self._losses.update(self._receiver.lost()).items():
-            channel = _CHANNEL_OF.get(name, name)
+            channel = CHANNEL_OF.get(name, name)
             self.tell(WARNING, f"{number} samples of {channel} did not arrive")
         if time.monotonic() >= self._next_look:
             self._next_look = time.monotonic() + _LOOK_EVERY_S
@@ -180,12 +175,12 @@ class Recorder:
             return
         self.tell(
             WARNING,
-            f"{_CHANNEL_OF[name]} from {self._publishers[name]} is logged {median / 1e9:+.3f} s "
+            f"{CHANNEL_OF[name]} from {self._publishers[name]} is logged {median / 1e9:+.3f} s "
             "after it was published: the clocks differ, or this machine cannot keep up",
         )
 
     def _tell_alignment(self) -> None:
-        base = self._deriver.base
+        base = self._pipeline.base
         self._writer.add_metadata({"measured_tf": base.as_dict()})
         self.tell(
             INFO,
@@ -196,18 +191,18 @@ class Recorder:
     def _fill_report(self) -> None:
         report = self.report
         report.counts = {topic: n for topic, n in self._writer.counts.items() if n}
-        report.absent = [t for t in _CHANNEL_OF.values() if t not in report.counts]
+        report.absent = [t for t in CHANNEL_OF.values() if t not in report.counts]
         self._losses.finish()
         self._losses.update(self._receiver.lost())
         report.missing = {
-            _CHANNEL_OF[name]: n for name, n in self._losses.missing.items() if name in _CHANNEL_OF
+            CHANNEL_OF[name]: n for name, n in self._losses.missing.items() if name in CHANNEL_OF
         }
         report.malformed = {
-            _CHANNEL_OF.get(name, name): n for name, n in self._receiver.malformed().items() if n
+            CHANNEL_OF.get(name, name): n for name, n in self._receiver.malformed().items() if n
         }
         report.clock = self._steps.as_dict()
-        report.measured_tf = self._deriver.base.as_dict()
+        report.measured_tf = self._pipeline.base.as_dict()
         report.paths = [str(path) for path in self._writer.paths]
         for name, delay in self._delays.items():
             publishers = self._publishers.get(name) or Publishers.of(self._participant, name)
-            report.add_delay(_CHANNEL_OF[name], publishers, delay.median())
+            report.add_delay(CHANNEL_OF[name], publishers, delay.median())

@@ -19,7 +19,7 @@ from g1stream.session.file_names import part_path
 from g1stream.session.writer import SessionWriter
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
     from numpy.typing import ArrayLike, NDArray
 
@@ -99,7 +99,7 @@ class PartedWriter:
     def write_batch(
         self,
         topic: str,
-        payloads: list[bytes] | NDArray[Any],
+        payloads: Sequence[bytes] | NDArray[Any],
         log_times: ArrayLike,
         publish_times: ArrayLike,
     ) -> None:

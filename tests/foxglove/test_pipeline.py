@@ -1,0 +1,84 @@
+"""Batches of wire samples in, messages of the file out, with no DDS participant."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
+from foxglove_schemas_protobuf.Log_pb2 import Log as LogLine
+
+from g1stream.dds.messages import Log, LowState, Reference
+from g1stream.dds.topics import LOG, LOWSTATE, REFERENCE
+from g1stream.foxglove.pipeline import Decimator, MessagePipeline
+from g1stream.robot.model import G1
+from g1stream.session.samples import Batch
+
+T0 = 1_700_000_000_000_000_000
+
+
+def batch(message, times, **fields):
+    """One sample per time with these fields, received 50 us after it was published."""
+    for name, value in fields.items():
+        if isinstance(value, str):
+            setattr(message, name, value)
+        else:
+            getattr(message, name)[...] = value
+    return Batch([message.tobytes()] * len(times), [t + 50_000 for t in times], list(times))
+
+
+def test_batches_become_the_samples_and_what_is_derived_from_them():
+    pipeline = MessagePipeline(G1.default(), tf_rate=100.0)
+    times = [T0 + 2_000_000 * i for i in range(50)]
+    upright = np.array([1.0, 0.0, 0.0, 0.0])
+    batches = {
+        REFERENCE.name: batch(Reference(), times, q=0.5, dq=0.25, root_quat_wxyz=upright),
+        LOWSTATE.name: batch(LowState(), times, q=0.25, tau_est=3.0, quaternion=upright),
+        LOG.name: batch(Log(), times[:1], level=3, name="stream", text="late"),
+    }
+    made = {messages.topic: messages for messages in pipeline.encode(batches)}
+    assert {topic: len(messages.payloads) for topic, messages in made.items()} == {
+        "/reference": 50,
+        "/lowstate": 50,
+        "/reference/joint_states": 50,
+        "/measured/joint_states": 50,
+        "/tf": 10,
+        "/measured/tf": 10,
+        "/log": 1,
+        "/tracking_error/joint_states": 50,
+    }
+    assert list(made["/lowstate"].payloads) == batches[LOWSTATE.name].data
+    for messages in made.values():
+        assert set(messages.log_times - messages.publish_times) == {50_000}
+    error = JointStates.FromString(bytes(made["/tracking_error/joint_states"].payloads[7]))
+    assert [joint.position for joint in error.joints] == [0.25] * 29
+    assert {joint.velocity for joint in error.joints} == {0.25}
+    measured = JointStates.FromString(bytes(made["/measured/joint_states"].payloads[7]))
+    assert {(joint.position, joint.effort) for joint in measured.joints} == {(0.25, 3.0)}
+    assert tuple(joint.name for joint in measured.joints) == G1.default().joint_names
+    transforms = FrameTransforms.FromString(bytes(made["/measured/tf"].payloads[1])).transforms
+    assert transforms[0].timestamp.ToNanoseconds() == times[5]
+    assert transforms[0].child_frame_id == "measured/pelvis"
+    line = LogLine.FromString(made["/log"].payloads[0])
+    assert (line.level, line.name, line.message) == (3, "stream", "late")
+    assert pipeline.encode({}) == []
+
+
+@pytest.mark.parametrize(("rate", "wanted", "kept"), [(500, 100, 100), (1000, 100, 100)])
+def test_a_fast_source_is_thinned_evenly(rate, wanted, kept):
+    stamps = 1_700_000_000_000_000_000 + np.arange(rate) * (1_000_000_000 // rate)
+    decimator = Decimator(wanted)
+    picked = np.concatenate([part[decimator.pick(part)] for part in np.array_split(stamps, 20)])
+    assert len(picked) == kept
+    assert set(np.diff(picked)) == {1_000_000_000 // wanted}
+
+
+def test_a_slow_source_passes_whole():
+    stamps = np.arange(30) * 33_333_333
+    assert len(Decimator(100).pick(stamps)) == 30
+
+
+def test_an_empty_batch_picks_nothing():
+    decimator = Decimator(100)
+    assert len(decimator.pick(np.array([], dtype=np.int64))) == 0
+    assert len(decimator.pick(np.array([5, 6]))) == 1

@@ -6,7 +6,6 @@ whole number of periods and the states divide it evenly, so that means over PLAY
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -107,11 +106,23 @@ def play(motion):
 
 
 @pytest.fixture
+def change():
+    """Makes a stream with other values in some columns."""
+
+    def make(stream, **columns):
+        names = ("log_time", "publish_time", *stream.wire_fields())
+        return type(stream)(**{name: getattr(stream, name) for name in names} | columns)
+
+    return make
+
+
+@pytest.fixture
 def take():
-    """Picks samples of a stream by a mask or by indices."""
+    """Picks samples of a stream by a mask or by indices, into a stream of its own."""
 
     def pick(stream, which):
-        return replace(stream, **{name: values[which] for name, values in vars(stream).items()})
+        names = ("log_time", "publish_time", *stream.wire_fields())
+        return type(stream)(**{name: getattr(stream, name)[which] for name in names})
 
     return pick
 

@@ -18,7 +18,7 @@ def test_the_examples_run(play, write_session, monkeypatch, tmp_path):
     names: dict[str, object] = {}
     assert len(BLOCKS) == 6
     for block in BLOCKS:
-        if "to_pandas" in block and not HAS_TABLES:
+        if "to_dataframe" in block and not HAS_TABLES:
             continue
         exec(block, names)
     assert names["motion_name"] == {"name": "dance"}

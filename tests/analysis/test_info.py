@@ -41,7 +41,7 @@ def test_a_session_in_which_all_is_well(info):
     assert found.complete
     assert [span.phase.name for span in found.phases] == ["RAMP", "PLAY", "HOLD", "DAMP"]
     np.testing.assert_allclose(
-        [span.seconds for span in found.phases], [0.5, 4.0, 0.3, 0.198], atol=1e-9
+        [span.duration_s for span in found.phases], [0.5, 4.0, 0.3, 0.198], atol=1e-9
     )
     assert found.settings == {"stream.rate": 250.0, "dds.domain": 3}
     assert found.gains == {"kp": (40.0, 100.0), "kd": (1.0, 2.0)}

@@ -1,7 +1,5 @@
 """Tracking figures against errors known in closed form, and against scipy."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.interpolate import make_interp_spline
@@ -44,30 +42,30 @@ def test_the_delay_is_found_beside_a_sag(play, delay):
     np.testing.assert_allclose(tracking.delay.std, 0.0, atol=3e-4)
 
 
-def test_a_smaller_answer_is_not_a_delay(play):
+def test_a_smaller_answer_is_not_a_delay(play, change):
     reference, measured = play(0.03)
-    tracking = track(compare(reference, replace(measured, q=0.7 * measured.q)))
+    tracking = track(compare(reference, change(measured, q=0.7 * measured.q)))
     assert tracking.delay.seconds == pytest.approx(0.03, abs=1e-4)
     reference_rms = np.sqrt(np.mean(np.square(compare(reference, measured).reference), axis=0))
     np.testing.assert_allclose(tracking.delay.rmse, 0.3 * reference_rms, atol=3e-4)
 
 
-def test_where_the_largest_error_is(play):
+def test_where_the_largest_error_is(play, change):
     reference, measured = play()
     q = measured.q.copy()
     state = np.flatnonzero(measured.publish_time > reference.publish_time[0] + 2_000_000_000)[0]
     q[state, 7] -= 0.9
-    tracking = track(compare(reference, replace(measured, q=q)))
+    tracking = track(compare(reference, change(measured, q=q)))
     assert tracking.max_abs[7] == pytest.approx(0.9, abs=STRAIGHT)
     # RAMP lasts 0.5 s; the state is the first after 2 s.
     assert tracking.max_abs_at[7] == pytest.approx(1.5007, abs=1e-6)
 
 
-def test_only_what_was_played_counts(play):
+def test_only_what_was_played_counts(play, change):
     reference, measured = play()
     seconds = (measured.publish_time - reference.publish_time[0]) / 1e9 - 0.5
     q = np.where(((seconds < 0) | (seconds > 4))[:, None], 9.0, measured.q)
-    comparison = compare(reference, replace(measured, q=q))
+    comparison = compare(reference, change(measured, q=q))
     assert track(comparison).max_abs.max() < STRAIGHT
     assert len(comparison.time) == 2000
     assert comparison.duration == pytest.approx(4.0)
@@ -116,9 +114,9 @@ def test_the_order_of_the_file_does_not_matter(play, take):
     assert other.delay.seconds == pytest.approx(straight.delay.seconds, abs=1e-9)
 
 
-def test_a_robot_with_a_clock_of_its_own(play):
+def test_a_robot_with_a_clock_of_its_own(play, change):
     reference, measured = play(0.04)
-    robot = replace(measured, publish_time=measured.publish_time + 3_200_000_000)
+    robot = change(measured, publish_time=measured.publish_time + 3_200_000_000)
     tracking, straight = track(compare(reference, robot)), track(compare(reference, measured))
     # Its clock is set right up to the 0.1 ms that each message takes.
     assert tracking.delay.seconds == pytest.approx(straight.delay.seconds + 1e-4, abs=1e-6)
@@ -139,16 +137,16 @@ def test_a_delay_that_is_not_looked_for_is_not_made_up(play, delay):
     assert track(compare(*play(delay))).delay is None
 
 
-def test_a_robot_that_stands_still_has_no_delay(play):
+def test_a_robot_that_stands_still_has_no_delay(play, change):
     reference, measured = play()
-    tracking = track(compare(reference, replace(measured, q=np.zeros_like(measured.q))))
+    tracking = track(compare(reference, change(measured, q=np.zeros_like(measured.q))))
     assert tracking.delay is None
     assert tracking.rmse[28] == pytest.approx(0.6 / np.sqrt(2), rel=1e-3)
 
 
-def test_a_session_without_play(play):
+def test_a_session_without_play(play, change):
     reference, measured = play()
-    ramp_only = replace(reference, phase=np.full_like(reference.phase, Phase.RAMP))
+    ramp_only = change(reference, phase=np.full_like(reference.phase, Phase.RAMP))
     comparison = compare(ramp_only, measured)
     assert comparison.time.shape == (0,)
     assert comparison.reference.shape == comparison.measured.shape == (0, 29)

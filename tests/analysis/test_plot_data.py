@@ -1,7 +1,5 @@
 """What the picture shows, before it is drawn."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -23,9 +21,9 @@ def test_times_are_the_motions_and_angles_degrees(play, motion):
 def test_phases_follow_each_other(play):
     scene = make_scene(*play())
     assert [span.phase.name for span in scene.phases] == ["RAMP", "PLAY", "HOLD", "DAMP"]
-    starts = [span.start for span in scene.phases]
+    starts = [span.start_s for span in scene.phases]
     assert starts == pytest.approx([-0.5, 0.0, 4.0, 4.3], abs=1e-9)
-    assert [span.end for span in scene.phases[:-1]] == starts[1:]
+    assert [span.end_s for span in scene.phases[:-1]] == starts[1:]
 
 
 def test_damping_asks_for_no_angle(play):
@@ -48,17 +46,17 @@ def test_the_busiest_joint_of_each_limb_and_the_worst_of_the_others(play):
 
 def test_a_short_session_is_shown_whole(play):
     scene = make_scene(*play())
-    assert scene.view == (scene.phases[0].start, scene.phases[-1].end)
+    assert scene.view == (scene.phases[0].start_s, scene.phases[-1].end_s)
 
 
 @pytest.mark.parametrize(
     ("worst_at", "start"), [(1.0, -0.5), (23.0, 13.0), (39.5, 40.0 - LONGEST_VIEW)]
 )
-def test_a_long_session_is_shown_around_its_greatest_error(play, worst_at, start):
+def test_a_long_session_is_shown_around_its_greatest_error(play, worst_at, start, change):
     reference, measured = play(phases=((Phase.RAMP, 0.5), (Phase.PLAY, 40.002)))
     q = measured.q.copy()
     q[np.searchsorted(make_scene(reference, measured).state_times, worst_at), 11] += 2.0
-    view = make_scene(reference, replace(measured, q=q)).view
+    view = make_scene(reference, change(measured, q=q)).view
     assert view == pytest.approx((start, start + LONGEST_VIEW), abs=0.005)
 
 
@@ -86,11 +84,9 @@ def test_one_state_is_one_bin():
     assert rms == pytest.approx(np.sqrt([12.5]))
 
 
-def test_a_session_without_play(play):
+def test_a_session_without_play(play, change):
     reference, measured = play()
-    scene = make_scene(
-        replace(reference, phase=np.full_like(reference.phase, Phase.RAMP)), measured
-    )
+    scene = make_scene(change(reference, phase=np.full_like(reference.phase, Phase.RAMP)), measured)
     assert scene.tracking is None
     assert scene.times[0] == 0.0
     busiest, others = joints_to_show(scene)

@@ -5,7 +5,8 @@ import pytest
 
 from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE, SECONDARY_IMU, SPORTMODESTATE
 from g1stream.errors import RecordingError
-from g1stream.session.session import STREAMS, open_session
+from g1stream.session.session import open_session
+from g1stream.session.streams import STREAMS
 
 T0 = 1_700_000_000_000_000_000
 STEP = 70_000_000
@@ -51,11 +52,12 @@ def test_every_topic_has_its_times(sent, write_session):
 def test_a_stream_is_read_once_and_alone(sent, write_session):
     path = write_session(*sent.items())
     session = open_session(path)
-    measured = session.measured
+    q = session.measured.q
     path.unlink()
-    assert session.measured is measured
+    assert session.measured.q is q
+    assert session.measured.dq.shape == (17, 29)
     with pytest.raises(RecordingError, match="cannot be read"):
-        _ = session.command
+        _ = session.command.q
 
 
 def test_the_imu_in_the_torso(make_sample, on_the_wire, write_session, sent):

@@ -8,7 +8,8 @@ import pytest
 from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE, SECONDARY_IMU, SPORTMODESTATE
 from g1stream.errors import RecordingError
 from g1stream.robot.joints import JOINT_NAMES
-from g1stream.session.session import STREAMS, open_session
+from g1stream.session.session import open_session
+from g1stream.session.streams import STREAMS
 
 pandas = pytest.importorskip("pandas", reason="the extra `export` is not installed")
 parquet = pytest.importorskip("pyarrow.parquet", reason="the extra `export` is not installed")
@@ -27,7 +28,7 @@ def session(make_sample, on_the_wire, write_session):
 
 
 def test_a_column_for_each_joint(session):
-    table = session.to_pandas("/lowstate")
+    table = session.to_dataframe("/lowstate")
     for i, joint in enumerate(JOINT_NAMES):
         np.testing.assert_array_equal(table[f"q.{joint}"], session.measured.q[:, i])
     for i, axis in enumerate("wxyz"):
@@ -39,7 +40,7 @@ def test_a_column_for_each_joint(session):
 
 
 def test_times_are_exact_and_in_utc(session):
-    table = session.to_pandas("/reference")
+    table = session.to_dataframe("/reference")
     assert str(table.index.tz) == "UTC"
     np.testing.assert_array_equal(table.index.as_unit("ns").asi8, session.reference.publish_time)
     logged = table["log_time"].dt.as_unit("ns").astype("int64")
@@ -49,7 +50,7 @@ def test_times_are_exact_and_in_utc(session):
 @pytest.mark.parametrize("topic", STREAMS)
 def test_nothing_is_left_out(session, topic):
     kind = STREAMS[topic]
-    table = session.to_pandas(topic)
+    table = session.to_dataframe(topic)
     stream = session.stream(kind)
     width = sum(np.atleast_2d(getattr(stream, name).T).shape[0] for name in kind.wire_fields())
     assert table.shape == (8, width + 1)
@@ -76,7 +77,7 @@ def test_parquet_reads_back_with_pyarrow(session, tmp_path):
 
 def test_a_topic_without_a_table(session):
     with pytest.raises(RecordingError, match="/tf cannot be had as a table"):
-        session.to_pandas("/tf")
+        session.to_dataframe("/tf")
 
 
 def test_a_directory_that_cannot_be_made(session, tmp_path):

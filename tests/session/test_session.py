@@ -143,7 +143,7 @@ def test_a_damaged_chunk_is_said_with_its_place(cdr, write_session):
     content[place] ^= 0xFF
     path.write_bytes(content)
     with pytest.raises(RecordingError, match=r"damaged: what is at byte \d+ does not unpack"):
-        _ = open_session(path).measured
+        _ = open_session(path).measured.q
 
 
 def test_whatever_byte_is_wrong_there_is_no_traceback(cdr, write_session, tmp_path):
@@ -157,7 +157,7 @@ def test_whatever_byte_is_wrong_there_is_no_traceback(cdr, write_session, tmp_pa
         path.write_bytes(flipped)
         try:
             session = open_session(path)
-            _ = session.attachments, session.log, session.measured, session.command
+            _ = session.attachments, session.log, session.measured.q, session.command.q
         except RecordingError:
             failed += 1
     assert failed > 100
@@ -172,7 +172,7 @@ def test_a_missing_topic_is_named_beside_those_there_are(cdr, write_session):
 def test_samples_of_another_layout_are_refused(cdr, write_session):
     path = write_session(("/lowstate", [cdr["/lowstate"][0][:-4]]))
     with pytest.raises(RecordingError, match=r"on /lowstate a sample has 2088 bytes.* has 2092"):
-        _ = open_session(path).measured
+        _ = open_session(path).measured.q
 
 
 def test_no_file(tmp_path):

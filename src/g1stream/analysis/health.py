@@ -6,7 +6,7 @@ import re
 from typing import TYPE_CHECKING, Any
 
 from g1stream.analysis.formatting import most
-from g1stream.session.session import STREAMS
+from g1stream.session.streams import STREAMS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

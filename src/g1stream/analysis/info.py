@@ -9,7 +9,7 @@ from g1stream.analysis.health import problems
 from g1stream.analysis.loop import loop_figures
 from g1stream.analysis.message_stats import stats_by_topic
 from g1stream.analysis.metrics import track
-from g1stream.analysis.termination import ending, part, phases
+from g1stream.analysis.termination import ending, part
 from g1stream.analysis.tracking import comparison
 
 if TYPE_CHECKING:
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from g1stream.analysis.loop import LoopFigures
     from g1stream.analysis.message_stats import MessageStats
     from g1stream.analysis.metrics import Tracking
-    from g1stream.analysis.phase_intervals import Span
     from g1stream.analysis.termination import Ending
     from g1stream.session.session import Session
+    from g1stream.session.summary import PhaseInterval
 
 __all__ = ["FEEDFORWARD", "Info", "describe"]
 
@@ -63,7 +63,7 @@ class Info:
     interface: str | None
     versions: dict[str, str]
     motion: dict[str, Any] | None
-    phases: list[Span]
+    phases: list[PhaseInterval]
     ending: Ending
     settings: dict[str, Any] | None
     gains: dict[str, tuple[float, float]] | None
@@ -96,7 +96,7 @@ class Info:
             "versions": self.versions,
             "motion": self.motion,
             "phases": [
-                {"phase": span.phase.name, "duration_s": span.seconds} for span in self.phases
+                {"phase": span.phase.name, "duration_s": span.duration_s} for span in self.phases
             ],
             "ending": self.ending.as_dict(),
             "settings": self.settings,
@@ -122,7 +122,7 @@ def describe(session: Session) -> Info:
     metadata, times = session.metadata, session.times
     told, recorder = metadata.get("stream"), metadata.get("recorder") or {}
     streams, loop = stats_by_topic(times), loop_figures(told) if told else None
-    spans, compared = phases(session), comparison(session)
+    spans, compared = session.phases, comparison(session)
     ended = ending(session, spans)
     return Info(
         files={str(path): path.stat().st_size for path in session.paths},

@@ -33,7 +33,7 @@ def render_info(info: Info) -> str:
             line("motion", _motion(info)),
             line(
                 "phases",
-                ", ".join(f"{p.phase.name} {p.seconds:.2f} s" for p in info.phases) or _UNKNOWN,
+                ", ".join(f"{p.phase.name} {p.duration_s:.2f} s" for p in info.phases) or _UNKNOWN,
             ),
             line("ended", str(info.ending)),
             line("settings", _settings(info)),

@@ -17,7 +17,6 @@ __all__ = [
     "PERCENTILE_NAMES",
     "MessageStats",
     "Percentiles",
-    "clock_offset",
     "message_stats",
     "stats_by_topic",
 ]
@@ -27,9 +26,6 @@ GAP: Final = 3.0
 
 #: Topics whose messages come when something happens: they have no rate and no gaps.
 _EVENTS: Final = ("/log", "/robot_description", "/scene")
-
-#: If half of the messages take longer than this, ns, it is the clocks that differ.
-_SLOWEST_WIRE = 20_000_000
 
 
 PERCENTILE_NAMES: Final = ("p50", "p99", "p99.9", "max")
@@ -82,17 +78,6 @@ class MessageStats:
         }
 
 
-def clock_offset(stream: Stream) -> int:
-    """What must be added to a stream's stamps to be on the recorder's clock, ns.
-
-    No message arrives before it is sent, and few take longer than 20 ms: if half of them seem to,
-    producer and recorder have clocks that differ. The median of log time - publish time is then
-    taken for the difference; it is too large by the usual latency, which nobody can tell from it.
-    """
-    median = int(np.median(stream.log_time - stream.publish_time))
-    return 0 if 0 <= median <= _SLOWEST_WIRE else median
-
-
 def message_stats(stream: Stream) -> MessageStats:
     """How the messages of a topic came.
 
@@ -109,7 +94,7 @@ def message_stats(stream: Stream) -> MessageStats:
         gaps=int(np.sum(intervals > GAP * np.median(intervals))) if len(intervals) else 0,
         longest_interval=float(intervals.max()) if len(intervals) else None,
         latency=Percentiles(*np.percentile(latency, (50, 99, 99.9, 100)).tolist()),
-        clock_offset=clock_offset(stream) / 1e9,
+        clock_offset=stream.clock_offset / 1e9,
     )
 
 

@@ -12,13 +12,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from g1stream.analysis.message_stats import clock_offset
 from g1stream.foxglove.tracking_error import MAX_GAP_NS, neighbours
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
 from g1stream.types import Floats, Ints, Phase
 
 if TYPE_CHECKING:
-    from g1stream.analysis.angles import AskedAngles, MeasuredAngles
     from g1stream.session.streams import Measured, Reference
 
 
@@ -147,9 +145,7 @@ class Tracking(NamedTuple):
         }
 
 
-def common_times(
-    reference: Reference | AskedAngles, measured: Measured | MeasuredAngles
-) -> tuple[Floats, Floats]:
+def common_times(reference: Reference, measured: Measured) -> tuple[Floats, Floats]:
     """Publish times on the recorder's clock, (N,) and (M,), s since the first reference."""
     stamps = _times_ns(reference, measured)
     start = stamps[0].min()
@@ -158,12 +154,12 @@ def common_times(
     return first, second
 
 
-def _times_ns(*streams: Reference | AskedAngles | Measured | MeasuredAngles) -> list[Ints]:
+def _times_ns(*streams: Reference | Measured) -> list[Ints]:
     """Publish times on the recorder's clock, ns since the epoch."""
-    return [stream.publish_time + clock_offset(stream) for stream in streams]
+    return [stream.publish_time + stream.clock_offset for stream in streams]
 
 
-def compare(reference: Reference | AskedAngles, measured: Measured | MeasuredAngles) -> Comparison:
+def compare(reference: Reference, measured: Measured) -> Comparison:
     """Put the reference beside each LowState that was stamped while the motion was played.
 
     The reference between two stamps h apart is taken as a straight line; that is off by at most

@@ -8,15 +8,13 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from g1stream.analysis.metrics import common_times, compare, track
-from g1stream.analysis.phase_intervals import phase_spans
 from g1stream.robot.joints import JOINT_GROUPS, N_JOINTS
 from g1stream.types import Floats, Phase
 
 if TYPE_CHECKING:
-    from g1stream.analysis.angles import AskedAngles, MeasuredAngles
     from g1stream.analysis.metrics import Comparison, Tracking
-    from g1stream.analysis.phase_intervals import Span
     from g1stream.session.streams import Measured, Reference
+    from g1stream.session.summary import PhaseInterval
 
 
 __all__ = ["LONGEST_VIEW", "Scene", "binned_rms", "joints_to_show", "make_scene"]
@@ -49,7 +47,7 @@ class Scene:
     asked: Floats
     state_times: Floats
     measured: Floats
-    phases: list[Span]
+    phases: list[PhaseInterval]
     compared: Comparison
     tracking: Tracking | None
     error_times: Floats
@@ -57,14 +55,14 @@ class Scene:
     view: tuple[float, float]
 
 
-def make_scene(reference: Reference | AskedAngles, measured: Measured | MeasuredAngles) -> Scene:
+def make_scene(reference: Reference, measured: Measured) -> Scene:
     """Put the whole of a session on the motion's own time."""
     times, state_times = common_times(reference, measured)
     compared = compare(reference, measured)
     playing = times[reference.phase == Phase.PLAY]
     origin = playing[0] if len(playing) else times[0]
     damping = (reference.phase == Phase.DAMP)[:, None]
-    phases = phase_spans(times - origin, reference.phase)
+    phases = reference.phases
     error = np.degrees(compared.error)
     error_times = compared.time - origin
     return Scene(
@@ -77,7 +75,7 @@ def make_scene(reference: Reference | AskedAngles, measured: Measured | Measured
         tracking=track(compared) if len(compared.time) else None,
         error_times=error_times,
         error=error,
-        view=_view(phases[0].start, phases[-1].end, error_times, error),
+        view=_view(phases[0].start_s, phases[-1].end_s, error_times, error),
     )
 
 

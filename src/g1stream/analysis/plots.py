@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from g1stream.analysis.angles import AskedAngles, MeasuredAngles
 from g1stream.analysis.metrics import by_group, pooled
 from g1stream.analysis.plot_data import binned_rms, joints_to_show, make_scene
 from g1stream.errors import RecordingError
@@ -16,7 +15,7 @@ from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
 from g1stream.types import Phase
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -67,7 +66,7 @@ _STYLE: Final[Mapping[str, Any]] = {
 
 
 def draw(session: Session, path: str | Path) -> None:
-    """Draw the joints that move most, the error over time and each joint's RMSE, into a PNG.
+    """Write the figure of a session to a PNG.
 
     The file appears when it is whole; one that is there already is replaced.
 
@@ -75,15 +74,43 @@ def draw(session: Session, path: str | Path) -> None:
         RecordingError: the session lacks references or states, or the picture cannot be written.
     """
     from matplotlib import style
+
+    with style.context(["default", dict(_STYLE)]):
+        _save(plot(session), Path(path))
+
+
+def plot(session: Session, joints: Sequence[str] | None = None) -> Figure:
+    """The joints that move most, the error over time and each joint's RMSE.
+
+    Args:
+        session: with reference and state.
+        joints: names of up to six joints to show instead of those that move most.
+
+    Raises:
+        RecordingError: the session lacks references or states, or there is no such joint.
+    """
+    from matplotlib import style
     from matplotlib.figure import Figure
 
-    scene = make_scene(session.stream(AskedAngles), session.stream(MeasuredAngles))
+    scene = make_scene(
+        session.reference.read("motion_time", "phase", "q"), session.measured.read("q")
+    )
     # Without the user's own style, in which the layout might not hold.
     with style.context(["default", dict(_STYLE)]):
         figure = Figure(figsize=_INCHES, dpi=_DPI)
         _draw_head(figure, scene, session)
-        _draw_panels(figure, scene)
-        _save(figure, Path(path))
+        _draw_panels(figure, scene, None if joints is None else _indices(joints))
+    return figure
+
+
+def _indices(joints: Sequence[str]) -> list[int]:
+    unknown = [name for name in joints if name not in JOINT_NAMES]
+    if unknown or not 0 < len(joints) <= 6:
+        raise RecordingError(
+            f"There is no joint {unknown[0]!r}." if unknown else f"{len(joints)} joints to plot.",
+            f"Choose one to six of {', '.join(JOINT_NAMES)}.",
+        )
+    return [JOINT_NAMES.index(name) for name in joints]
 
 
 def _draw_head(figure: Figure, scene: Scene, session: Session) -> None:
@@ -113,11 +140,11 @@ def _figures(scene: Scene) -> list[str]:
     ]
 
 
-def _draw_panels(figure: Figure, scene: Scene) -> None:
+def _draw_panels(figure: Figure, scene: Scene, joints: list[int] | None) -> None:
     cells = figure.add_gridspec(
         3, 3, left=0.045, right=0.985, top=0.885, bottom=0.055, wspace=0.16, hspace=0.34
     )
-    busiest, others = joints_to_show(scene)
+    busiest, others = joints_to_show(scene) if joints is None else (joints, [])
     for i, joint in enumerate([*busiest, *others]):
         axes = figure.add_subplot(cells[divmod(i, 3)])
         _draw_joint(axes, scene, joint)
@@ -145,7 +172,7 @@ def _draw_joint(axes: Axes, scene: Scene, joint: int) -> None:
 
 
 def _draw_error(axes: Axes, scene: Scene) -> None:
-    first, last = scene.phases[0].start, scene.phases[-1].end
+    first, last = scene.phases[0].start_s, scene.phases[-1].end_s
     axes.set_title("RMS error of each limb", weight="bold")
     axes.set_ylabel("deg")
     _shade_phases(axes, scene)
@@ -183,17 +210,19 @@ def _draw_bars(axes: Axes, tracking: Tracking) -> None:
 
 
 def _shade_phases(axes: Axes, scene: Scene) -> None:
-    for phase, start, end in scene.phases:
-        if phase in _SHADES:
-            axes.axvspan(start, end, color=_SHADES[phase], linewidth=0)
+    for one in scene.phases:
+        if one.phase in _SHADES:
+            axes.axvspan(one.start_s, one.end_s, color=_SHADES[one.phase], linewidth=0)
 
 
 def _name_phases(axes: Axes, scene: Scene) -> None:
-    narrow = _NARROW * (scene.phases[-1].end - scene.phases[0].start)
-    for phase, start, end in scene.phases:
-        if end - start > narrow:
-            place = ((start + end) / 2.0, 1.0)
-            _annotate(axes, phase.name, place, -4, xycoords=axes.get_xaxis_transform(), va="top")
+    narrow = _NARROW * (scene.phases[-1].end_s - scene.phases[0].start_s)
+    for one in scene.phases:
+        if one.duration_s > narrow:
+            place = ((one.start_s + one.end_s) / 2.0, 1.0)
+            _annotate(
+                axes, one.phase.name, place, -4, xycoords=axes.get_xaxis_transform(), va="top"
+            )
 
 
 def _set_times(axes: Axes, first: float, last: float) -> None:

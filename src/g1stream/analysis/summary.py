@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 from g1stream.analysis.loop import loop_figures
 from g1stream.analysis.message_stats import stats_by_topic
 from g1stream.analysis.metrics import track
-from g1stream.analysis.termination import ending, part, phases
+from g1stream.analysis.termination import ending, part
 from g1stream.analysis.text import render
 from g1stream.analysis.tracking import comparison, nothing_compared
-from g1stream.session.session import STREAMS
+from g1stream.session.streams import STREAMS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -76,7 +76,7 @@ def summarise(session: Session) -> Summary:
     return Summary(
         session=str(session.path),
         motion=part(metadata, "motion").get("name"),
-        ending=ending(session, phases(session)),
+        ending=ending(session, session.phases),
         tracking=track(compared) if compared and len(compared.time) else None,
         loop=loop_figures(metadata["stream"]) if metadata.get("stream") else None,
         counts={topic: n for topic, n in sorted(session.topics.items()) if n},

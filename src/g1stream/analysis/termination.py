@@ -5,18 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
-from g1stream.analysis.angles import AskedAngles
 from g1stream.analysis.formatting import is_whole, played
-from g1stream.analysis.phase_intervals import phase_spans
 from g1stream.types import Phase
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from g1stream.analysis.phase_intervals import Span
     from g1stream.session.session import Session
+    from g1stream.session.summary import PhaseInterval
 
-__all__ = ["Ending", "ending", "part", "phases"]
+__all__ = ["Ending", "ending", "part"]
 
 #: A recording that goes on for so long, ns, after the last reference has not merely ended first.
 _SILENCE: Final = 500_000_000
@@ -76,7 +74,7 @@ class Ending:
         return f"; {played(self.start, self.played, self.motion)}"
 
 
-def ending(session: Session, spans: Sequence[Span]) -> Ending:
+def ending(session: Session, spans: Sequence[PhaseInterval]) -> Ending:
     """How a session ended.
 
     Args:
@@ -88,7 +86,7 @@ def ending(session: Session, spans: Sequence[Span]) -> Ending:
     return Ending(
         reason=told.get("reason"),
         vanished_in=_vanished_in(session, spans),
-        played=sum(s.seconds for s in spans if s.phase is Phase.PLAY) if spans else None,
+        played=sum(s.duration_s for s in spans if s.phase is Phase.PLAY) if spans else None,
         motion=(frames - 1) / fps if frames and fps else None,
         start=part(part(session.metadata, "config"), "stream").get("start") or 0.0,
     )
@@ -100,15 +98,7 @@ def part(metadata: Mapping[str, Any], key: str) -> dict[str, Any]:
     return values if isinstance(values, dict) else {}
 
 
-def phases(session: Session) -> list[Span]:
-    """The phases of a session, by the publish times of its references."""
-    if not session.topics.get(AskedAngles.topic):
-        return []
-    asked = session.stream(AskedAngles)
-    return phase_spans((asked.publish_time - asked.publish_time[0]) / 1e9, asked.phase)
-
-
-def _vanished_in(session: Session, spans: Sequence[Span]) -> Phase | None:
+def _vanished_in(session: Session, spans: Sequence[PhaseInterval]) -> Phase | None:
     """The last phase, if the references stopped in it and not because the recording did."""
     if not spans or spans[-1].phase >= Phase.DAMP or session.metadata.get("stream"):
         return None
@@ -116,5 +106,5 @@ def _vanished_in(session: Session, spans: Sequence[Span]) -> Phase | None:
     # A streamer's own recorder ends after it, and is told how it went.
     outlived = "config" in session.metadata and recorder and not recorder.get("stopped")
     end = max(int(stream.log_time[-1]) for stream in session.times.values())
-    silence = end - int(session.stream(AskedAngles).log_time[-1])
+    silence = end - int(session.reference.log_time[-1])
     return spans[-1].phase if outlived or silence > _SILENCE else None

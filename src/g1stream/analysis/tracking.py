@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from g1stream.analysis.angles import AskedAngles, MeasuredAngles
 from g1stream.analysis.metrics import compare, track
 from g1stream.errors import RecordingError
+from g1stream.session.streams import Measured, Reference
 
 if TYPE_CHECKING:
     from g1stream.analysis.metrics import Comparison, Tracking
@@ -53,7 +53,7 @@ def comparison(session: Session) -> Comparison | None:
     """
     if _absent(session):
         return None
-    return compare(session.stream(AskedAngles), session.stream(MeasuredAngles))
+    return compare(session.reference.read("motion_time", "phase", "q"), session.measured.read("q"))
 
 
 def nothing_compared(session: Session, compared: Comparison | None) -> str:
@@ -64,4 +64,4 @@ def nothing_compared(session: Session, compared: Comparison | None) -> str:
 
 
 def _absent(session: Session) -> list[str]:
-    return [t for t in (AskedAngles.topic, MeasuredAngles.topic) if not session.topics.get(t)]
+    return [t for t in (Reference.topic, Measured.topic) if not session.topics.get(t)]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from g1stream.errors import RecordingError
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
-from g1stream.session.session import STREAMS
+from g1stream.session.streams import STREAMS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -19,17 +19,17 @@ if TYPE_CHECKING:
 
     from g1stream.session.session import Session
 
-__all__ = ["to_pandas", "to_parquet"]
+__all__ = ["to_dataframe", "to_parquet"]
 
 _AXES: Final = {3: ("x", "y", "z"), 4: ("w", "x", "y", "z")}
 
 
-def to_pandas(session: Session, topic: str) -> pandas.DataFrame:
+def to_dataframe(session: Session, topic: str) -> pandas.DataFrame:
     """The samples of a topic as a table.
 
     Args:
         session: to take them from.
-        topic: one of `g1stream.session.session.STREAMS`, such as `/lowstate`.
+        topic: one of `g1stream.session.streams.STREAMS`, such as `/lowstate`.
 
     Returns:
         A row for each sample, indexed by `publish_time`; `log_time` is a column. Both are in UTC,
@@ -75,7 +75,7 @@ def to_parquet(session: Session, directory: Path) -> list[Path]:
     for topic in STREAMS:
         if not session.topics.get(topic):
             continue
-        table = to_pandas(session, topic)
+        table = to_dataframe(session, topic)
         path = directory / f"{topic.strip('/')}.parquet"
         unfinished = path.with_suffix(".parquet.part")
         try:

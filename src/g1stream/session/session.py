@@ -1,8 +1,9 @@
-"""A session file, or the parts of one, as numpy arrays."""
+"""A session, from a file, a directory of files or memory, as numpy arrays."""
 
 from __future__ import annotations
 
 from functools import cached_property
+from itertools import compress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
@@ -13,35 +14,23 @@ from g1stream.session.events import LogEvent, log_event
 from g1stream.session.parts import SessionFiles
 from g1stream.session.samples import Samples
 from g1stream.session.streams import Base, Command, Measured, Reference, Stream, TorsoImu
+from g1stream.types import Phase
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     import pandas
+    from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
+    from g1stream.analysis.metrics import Tracking
     from g1stream.motion.motion import Motion
     from g1stream.session.source import Messages, SessionSource
+    from g1stream.session.summary import PhaseInterval
+    from g1stream.types import Floats
 
-__all__ = [
-    "STREAMS",
-    "Base",
-    "Command",
-    "LogEvent",
-    "Measured",
-    "Message",
-    "Reference",
-    "Session",
-    "Stream",
-    "TorsoImu",
-    "open_session",
-]
-
-STREAMS: Final[dict[str, type[Stream]]] = {
-    kind.topic: kind for kind in (Reference, Command, Measured, Base, TorsoImu)
-}
-"""By topic, the samples of the wire that can be had as arrays."""
+__all__ = ["LogEvent", "Message", "Session", "open_session"]
 
 _ESSENTIAL: Final = (Reference.topic, Command.topic, Measured.topic)
 
@@ -54,7 +43,7 @@ class Message(NamedTuple):
     Attributes:
         log_time: when the recorder received it, ns since the epoch.
         publish_time: when its producer published it, ns since the epoch.
-        data: its bytes; of a topic of the wire exactly those that were on it, CDR header included.
+        data: its bytes; of a DDS topic exactly those of the sample, CDR header included.
     """
 
     log_time: int
@@ -75,9 +64,9 @@ def open_session(path: str | os.PathLike[str]) -> Session:
 
 
 class Session:
-    """A session file, or several that are the parts of one.
+    """The samples, events, metadata and attachments of one run.
 
-    The samples of a topic are read when they are first asked for, and kept.
+    Columns of a topic are read when they are first used, and kept.
 
     Args:
         source: what it is read from; `open_session` gives the files on disk.
@@ -88,8 +77,8 @@ class Session:
         absent_parts: numbers of parts that should be there and are not or cannot be read.
         unreadable_parts: of the latter, the reason, a sentence, by number.
         complete: whether everything is there and was closed properly.
-        topics: number of messages by topic.
-        metadata: what the recorder noted about the session.
+        topics: number of messages by topic, in the whole session.
+        metadata: what the stream and the recorder noted about the session.
     """
 
     def __init__(self, source: SessionSource) -> None:
@@ -106,51 +95,70 @@ class Session:
             raise self._without_essentials()
 
     def __repr__(self) -> str:
-        counts = ", ".join(f"{topic} {n}" for topic, n in self.topics.items() if n)
+        counts = ", ".join(f"{topic} {n}" for topic, n in sorted(self.topics.items()) if n)
         whole = "" if self.complete else ", not closed by its recorder"
         return f"<Session {str(self.path)!r}: {counts}{whole}>"
-
-    @cached_property
-    def attachments(self) -> dict[str, bytes]:
-        """The attached files by name."""
-        return self._source.attachments()
 
     @property
     def reference(self) -> Reference:
         """What the motion asked for.
 
         Raises:
-            RecordingError: nobody published it in this session, or the file is damaged.
+            RecordingError: it was not published in this session.
         """
         return self.stream(Reference)
 
     @property
     def command(self) -> Command:
-        """What the motors were told.
+        """What the motors were commanded.
 
         Raises:
-            RecordingError: nobody commanded in this session, or the file is damaged.
+            RecordingError: no commands were published in this session.
         """
         return self.stream(Command)
 
     @property
     def measured(self) -> Measured:
-        """What the robot reported.
+        """What the robot measured.
 
         Raises:
-            RecordingError: no robot was there in this session, or the file is damaged.
+            RecordingError: no robot published its state in this session.
         """
         return self.stream(Measured)
 
     @property
     def base(self) -> Base | None:
-        """Where the pelvis was; None where nobody knew, as on a real robot."""
+        """Where the pelvis was; None where it was not published, as by a real robot."""
         return self.stream(Base) if self.topics.get(Base.topic) else None
 
     @property
     def torso_imu(self) -> TorsoImu | None:
-        """What the IMU in the torso reported; None where nobody published it."""
+        """What the IMU in the torso measured; None where it was not published."""
         return self.stream(TorsoImu) if self.topics.get(TorsoImu.topic) else None
+
+    def stream(self, kind: type[StreamT]) -> StreamT:
+        """The samples of a DDS topic.
+
+        Args:
+            kind: one of the values of `STREAMS`.
+
+        Raises:
+            RecordingError: the topic is not in this session.
+        """
+        if kind not in self._streams:
+            self._streams[kind] = self._make_stream(kind)
+        stream: StreamT = self._streams[kind]
+        return stream
+
+    def _make_stream(self, kind: type[StreamT]) -> StreamT:
+        self._require(kind.topic)
+        stream = kind(lambda names: self._read(kind, names), lambda: stream.since(self.start_ns))
+        return stream
+
+    @cached_property
+    def attachments(self) -> dict[str, bytes]:
+        """The attached files by name."""
+        return self._source.attachments()
 
     @cached_property
     def log(self) -> list[LogEvent]:
@@ -161,13 +169,20 @@ class Session:
 
     @cached_property
     def times(self) -> dict[str, Stream]:
-        """By topic, only the times of its messages; of all topics, so it takes a while to read.
+        """By topic, the times of its messages; of all topics, so it takes a while to read.
 
         Raises:
             RecordingError: the file is damaged.
         """
-        columns = self._columns({topic: lambda _: {} for topic, n in self.topics.items() if n})
-        return {topic: Stream(**columns[topic]) for topic in sorted(columns)}
+        return self._times([topic for topic, n in sorted(self.topics.items()) if n])
+
+    def _times(self, topics: Sequence[str]) -> dict[str, Stream]:
+        def stream(columns: Mapping[str, NDArray[Any]]) -> Stream:
+            made = Stream(lambda _: columns, lambda: made.since(self.start_ns))
+            return made
+
+        columns = self._columns({topic: lambda _: {} for topic in topics})
+        return {topic: stream(columns[topic]) for topic in topics}
 
     def messages(self, topic: str) -> Iterator[Message]:
         """The messages of any topic, one after the other, in the order of the file.
@@ -181,18 +196,96 @@ class Session:
             yield from map(Message, *times, batch.data)
 
     def replay_bytes(self, topic: str = Command.topic) -> Iterator[bytes]:
-        """The samples of a topic of the wire, bit for bit as they were on it, in their order.
+        """The samples of a DDS topic, bit for bit as they were published, in order.
 
         Raises:
             RecordingError: the topic is not in this session, or the file is damaged.
         """
         return (message.data for message in self.messages(topic))
 
+    @cached_property
+    def start_ns(self) -> int:
+        """Time 0 of the motion's clock, ns since the epoch on the recorder's clock.
+
+        That is when the motion's first frame was published; where nothing was played, the first
+        sample of the reference, or else of the commands or the state.
+        """
+        kinds = Reference, Command, Measured
+        return self.stream(next(k for k in kinds if self.topics.get(k.topic))).start_ns
+
+    @property
+    def phases(self) -> list[PhaseInterval]:
+        """The phases in order, in s on the motion's clock: its first frame is at 0.
+
+        Each lasts until the next one begins, the last until the last sample of the reference.
+        Empty where there is no reference.
+
+        Raises:
+            RecordingError: a number stands for no phase, or the file is damaged.
+        """
+        return self.reference.phases if self.topics.get(Reference.topic) else []
+
+    def sel(self, phase: str | Phase | None = None, time: slice | None = None) -> Session:
+        """The part of the session in a phase, in a time range, or in both.
+
+        Streams, times, messages and the log are restricted to it, by publish time; `topics`,
+        metadata and attachments are those of the whole session.
+
+        Args:
+            phase: such as `"PLAY"`.
+            time: s on the motion's clock, such as `slice(2.0, 5.0)`, both included.
+
+        Raises:
+            RecordingError: there is no phase of this name.
+        """
+        ranges = [(-np.inf, np.inf)]
+        if phase is not None:
+            name = phase.name if isinstance(phase, Phase) else phase.upper()
+            if name not in Phase.__members__:
+                raise RecordingError(
+                    f"There is no phase {phase!r}.", f"Choose from {', '.join(Phase.__members__)}."
+                )
+            phases = self.phases
+            ends = [*(one.end_s for one in phases[:-1]), np.inf]
+            ranges = [
+                (one.start_s, end)
+                for one, end in zip(phases, ends, strict=False)
+                if one.phase is Phase[name]
+            ]
+        if time is not None:
+            first = -np.inf if time.start is None else time.start
+            last_time = np.inf if time.stop is None else np.nextafter(time.stop, np.inf)
+            ranges = [(max(a, first), min(b, last_time)) for a, b in ranges]
+        return _Selection(self, ranges)
+
+    def tracking(self) -> Tracking:
+        """How closely the robot followed the reference in PLAY.
+
+        Raises:
+            RecordingError: there is nothing to compare, or the file is damaged.
+        """
+        from g1stream.analysis.tracking import tracking
+
+        return tracking(self)
+
+    def plot(self, joints: Sequence[str] | None = None) -> Figure:
+        """Reference and measurement of some joints, and the errors of all, as one figure.
+
+        Args:
+            joints: names of up to six joints to show instead of those that move most.
+
+        Raises:
+            RecordingError: reference or state were not recorded, or there is no such joint.
+        """
+        from g1stream.analysis.plots import plot
+
+        return plot(self, joints)
+
     def motion(self, fps: float | None = None) -> Motion:
         """The motion that was played, as the reference has it.
 
         Args:
-            fps: frames a second; the rate of the reference if None.
+            fps: frames per second; the rate of the reference if None.
 
         Raises:
             RecordingError: no motion was played in this session, or the file is damaged.
@@ -202,11 +295,11 @@ class Session:
 
         return played_motion(self.reference, self.path, fps)
 
-    def to_pandas(self, topic: str) -> pandas.DataFrame:
-        """The samples of a topic as a table; see `g1stream.session.export.to_pandas`."""
-        from g1stream.session.export import to_pandas
+    def to_dataframe(self, topic: str) -> pandas.DataFrame:
+        """The samples of a topic as a table; see `g1stream.session.export.to_dataframe`."""
+        from g1stream.session.export import to_dataframe
 
-        return to_pandas(self, topic)
+        return to_dataframe(self, topic)
 
     def to_parquet(self, directory: str | Path) -> list[Path]:
         """Every topic as a Parquet file; see `g1stream.session.export.to_parquet`."""
@@ -214,22 +307,12 @@ class Session:
 
         return to_parquet(self, Path(directory))
 
-    def stream(self, kind: type[StreamT]) -> StreamT:
-        """The samples of a topic of the wire as arrays; kept once they are read.
+    def _read(self, kind: type[Stream], names: list[str]) -> Mapping[str, NDArray[Any]]:
+        paths = {name: path for name, path in kind.wire_fields().items() if name in names}
 
-        Args:
-            kind: one of `STREAMS`.
-
-        Raises:
-            RecordingError: the topic is not in this session, or the file is damaged.
-        """
-        if kind not in self._streams:
-            self._streams[kind] = self._read(kind)
-        stream: StreamT = self._streams[kind]
-        return stream
-
-    def _read(self, kind: type[StreamT]) -> StreamT:
         def decode(messages: Messages) -> dict[str, NDArray[Any]]:
+            if not paths:
+                return {}
             try:
                 samples = Samples(kind.source, messages.data)
             except ValueError as error:
@@ -237,10 +320,9 @@ class Session:
                     f"{self.path} does not fit this version of g1stream: on {kind.topic} {error}.",
                     "Read it with the version that recorded it.",
                 ) from error
-            return {attribute: samples[path] for attribute, path in kind.wire_fields().items()}
+            return {name: samples[path] for name, path in paths.items()}
 
-        self._require(kind.topic)
-        return kind(**self._columns({kind.topic: decode})[kind.topic])
+        return self._columns({kind.topic: decode})[kind.topic]
 
     def _columns(
         self, decoders: Mapping[str, Callable[[Messages], dict[str, NDArray[Any]]]]
@@ -268,7 +350,7 @@ class Session:
         if not self.topics.get(topic):
             raise RecordingError(
                 f"{self.path} has no messages on {topic}, {self._what_there_is()}.",
-                "Record while its producer runs.",
+                "Record while its publisher runs.",
             )
 
     def _without_essentials(self) -> RecordingError:
@@ -291,6 +373,39 @@ class Session:
         if not self.topics:
             return "nor on any other topic"
         return "only on " + ", ".join(sorted(self.topics))
+
+
+class _Selection(Session):
+    """A session restricted to ranges of time (from, to), s on the motion's clock, `to` excluded."""
+
+    def __init__(self, whole: Session, ranges: list[tuple[float, float]]) -> None:
+        super().__init__(whole._source)
+        self._whole, self._ranges = whole, ranges
+        self.start_ns = whole.start_ns
+
+    def _inside(self, times: Floats) -> NDArray[np.bool_]:
+        inside = np.zeros(len(times), dtype=bool)
+        for first, end in self._ranges:
+            inside |= (times >= first) & (times < end)
+        return inside
+
+    def _make_stream(self, kind: type[StreamT]) -> StreamT:
+        stream = self._whole.stream(kind)
+        return stream[self._inside(stream.time)]
+
+    @cached_property
+    def times(self) -> dict[str, Stream]:
+        return {topic: one[self._inside(one.time)] for topic, one in self._whole.times.items()}
+
+    @cached_property
+    def log(self) -> list[LogEvent]:
+        seconds = np.array([event.time - self.start_ns for event in self._whole.log]) / 1e9
+        return list(compress(self._whole.log, self._inside(seconds)))
+
+    def messages(self, topic: str) -> Iterator[Message]:
+        self._require(topic)
+        times = self._whole._times([topic])[topic].time
+        return compress(self._whole.messages(topic), self._inside(times))
 
 
 def _joined(parts: list[NDArray[Any]]) -> NDArray[Any]:

@@ -2,30 +2,49 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, ClassVar
+from collections.abc import Callable, Mapping
+from functools import cached_property
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeVar
+
+import numpy as np
 
 from g1stream.dds import topics
-from g1stream.types import Floats, Ints
+from g1stream.errors import RecordingError
+from g1stream.session.summary import PhaseInterval
+from g1stream.types import Floats, Ints, Phase
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     from g1stream.dds.topics import Topic
 
+__all__ = ["STREAMS", "Base", "Command", "Measured", "Reference", "Stream", "TorsoImu"]
 
-__all__ = ["Base", "Command", "Measured", "Reference", "Stream", "TorsoImu"]
+_TIMES: Final = ("log_time", "publish_time")
+
+#: If half of the messages take longer than this, ns, it is the clocks that differ.
+_SLOWEST_WIRE: Final = 20_000_000
+
+Columns = Mapping[str, "NDArray[Any]"]
+StreamT = TypeVar("StreamT", bound="Stream")
 
 
-@dataclass(frozen=True, eq=False)
 class Stream:
     """N samples of one topic, oldest first; all arrays are read-only.
 
-    By itself it is only the times of the messages of some topic. Subclasses say where their samples
-    come from: the `topic` in the file, the `source` on the wire, and in `paths` the field of an
-    attribute that has another name there.
+    Columns are read from the file when they are first used: the two times alone, any other column
+    together with all that are not read yet. `read` reads only those that it names. An index, slice
+    or boolean mask gives a stream of these samples: `session.measured[mask]`.
+
+    A stream of this class has only the times of the messages of some topic. Subclasses say where
+    their samples come from: the `topic` in the file, the `source` on the wire, and in `paths` the
+    IDL field of a column that has another name there.
+
+    Args:
+        load: reads columns by name; without it there are only the `columns` given.
+        time: computes `time`.
+        columns: those that are known already.
 
     Attributes:
         log_time: (N,) int64, when the recorder received each, ns since the epoch.
@@ -34,23 +53,101 @@ class Stream:
 
     topic: ClassVar[str]
     source: ClassVar[Topic]
-    paths: ClassVar[Mapping[str, str]] = {}
+    paths: ClassVar[Mapping[str, str]] = MappingProxyType({})
 
     log_time: Ints
     publish_time: Ints
+    _load: Callable[[list[str]], Columns] | None
+    _time: Callable[[], Floats] | None
+
+    def __init__(
+        self,
+        load: Callable[[list[str]], Columns] | None = None,
+        time: Callable[[], Floats] | None = None,
+        **columns: NDArray[Any],
+    ) -> None:
+        self.__dict__.update(columns, _load=load, _time=time)
+
+    @classmethod
+    def wire_fields(cls) -> dict[str, str]:
+        """Column -> path in the IDL, of all that comes from the samples themselves."""
+        names = () if cls is Stream else cls.__annotations__
+        return {name: cls.paths.get(name, name) for name in names}
+
+    def read(self: StreamT, *columns: str) -> StreamT:
+        """Read columns of a file in one pass, all if none are named; the stream itself.
+
+        Raises:
+            RecordingError: the file is damaged.
+        """
+        wanted = dict.fromkeys((*_TIMES, *(columns or self.wire_fields())))
+        missing = [name for name in wanted if name not in self.__dict__]
+        if missing:
+            if self._load is None:
+                raise AttributeError(f"{type(self).__name__} has no {', '.join(missing)}")
+            self.__dict__.update(self._load(missing))
+        return self
+
+    if not TYPE_CHECKING:  # so that a type checker knows the columns, and no others
+
+        def __getattr__(self, name: str) -> Any:
+            if name not in _TIMES and name not in self.wire_fields():
+                raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+            return vars(self.read(*_TIMES) if name in _TIMES else self.read())[name]
 
     def __len__(self) -> int:
         return len(self.log_time)
 
-    @classmethod
-    def wire_fields(cls) -> dict[str, str]:
-        """Attribute -> path in the IDL, of all that comes from the samples themselves."""
-        times = {field.name for field in fields(Stream)}
-        names = [field.name for field in fields(cls) if field.name not in times]
-        return {name: cls.paths.get(name, name) for name in names}
+    def __getitem__(
+        self: StreamT, index: slice | NDArray[np.bool_] | NDArray[np.integer[Any]]
+    ) -> StreamT:
+        """The samples of a slice, a boolean mask (N,), or indices."""
+
+        def load(names: list[str]) -> Columns:
+            self.read(*names)
+            return {name: _read_only(getattr(self, name)[index]) for name in names}
+
+        return type(self)(load, lambda: _read_only(self.time[index]))
+
+    def __repr__(self) -> str:
+        columns = ", ".join(self.wire_fields())
+        return f"<{type(self).__name__}: {len(self)} samples of {columns or 'a topic'}>"
+
+    @cached_property
+    def time(self) -> Floats:
+        """(N,) s, publish times on the motion's clock: its first frame is at 0."""
+        return self._time() if self._time else self.since(self.start_ns)
+
+    @property
+    def start_ns(self) -> int:
+        """When the first sample was published, ns since the epoch on the recorder's clock."""
+        return int(self.publish_time.min()) + self.clock_offset
+
+    def since(self, start_ns: int) -> Floats:
+        """(N,) s, publish times on the recorder's clock since a time on it."""
+        # Nanoseconds since the epoch need more digits than a float has; the differences do not.
+        return _read_only((self.publish_time + (self.clock_offset - start_ns)) / 1e9)
+
+    @property
+    def clock_offset(self) -> int:
+        """What must be added to publish times to be on the recorder's clock, ns.
+
+        No message arrives before it is sent, and few take longer than 20 ms: if half of them seem
+        to, producer and recorder have clocks that differ. The median of log_time - publish_time is
+        then taken for the difference; it is too large by the usual latency, which nobody can tell
+        from it.
+        """
+        if not len(self):
+            return 0
+        median = int(np.median(self.log_time - self.publish_time))
+        return 0 if 0 <= median <= _SLOWEST_WIRE else median
 
 
-@dataclass(frozen=True, eq=False)
+def _read_only(values: NDArray[Any]) -> NDArray[Any]:
+    values.setflags(write=False)
+    return values
+
+
 class Reference(Stream):
     """What the motion asked for at each tick.
 
@@ -80,8 +177,50 @@ class Reference(Stream):
     root_lin_vel: Floats
     root_ang_vel: Floats
 
+    @property
+    def start_ns(self) -> int:
+        """When the motion's first frame was published, or else the first sample, in ns.
 
-@dataclass(frozen=True, eq=False)
+        Since the epoch, on the recorder's clock.
+        """
+        playing = self.read("phase").phase == Phase.PLAY
+        first = self.publish_time[playing] if playing.any() else self.publish_time
+        return int(first.min()) + self.clock_offset
+
+    @property
+    def phases(self) -> list[PhaseInterval]:
+        """The phases in order, s on the motion's clock.
+
+        Each lasts until the next one begins, the last until the last sample.
+
+        Raises:
+            RecordingError: a number stands for no phase.
+        """
+        numbers, times = self.read("phase").phase, self.time
+        if not len(times):
+            return []
+        starts = np.concatenate([[0], np.flatnonzero(np.diff(numbers)) + 1])
+        ends = np.concatenate([starts[1:], [-1]])
+        return [
+            PhaseInterval(
+                phase=_phase(int(numbers[start])),
+                start_s=float(times[start]),
+                end_s=float(times[end]),
+            )
+            for start, end in zip(starts, ends, strict=True)
+        ]
+
+
+def _phase(number: int) -> Phase:
+    try:
+        return Phase(number)
+    except ValueError as error:
+        raise RecordingError(
+            f"The recorded reference has the unknown phase {number}.",
+            "Read it with the version of g1stream that recorded it.",
+        ) from error
+
+
 class Command(Stream):
     """What the motors were told.
 
@@ -93,7 +232,9 @@ class Command(Stream):
 
     topic = "/lowcmd"
     source = topics.LOWCMD
-    paths: ClassVar = {name: f"motor_cmd.{name}" for name in ("mode", "q", "dq", "tau", "kp", "kd")}
+    paths = MappingProxyType(
+        {name: f"motor_cmd.{name}" for name in ("mode", "q", "dq", "tau", "kp", "kd")}
+    )
 
     mode: NDArray[np.uint8]
     q: Floats
@@ -103,7 +244,6 @@ class Command(Stream):
     kd: Floats
 
 
-@dataclass(frozen=True, eq=False)
 class Measured(Stream):
     """What the robot reported.
 
@@ -117,15 +257,17 @@ class Measured(Stream):
 
     topic = "/lowstate"
     source = topics.LOWSTATE
-    paths: ClassVar = {
-        "q": "motor_state.q",
-        "dq": "motor_state.dq",
-        "ddq": "motor_state.ddq",
-        "tau": "motor_state.tau_est",
-        "imu_quat_wxyz": "imu_state.quaternion",
-        "gyroscope": "imu_state.gyroscope",
-        "accelerometer": "imu_state.accelerometer",
-    }
+    paths = MappingProxyType(
+        {
+            "q": "motor_state.q",
+            "dq": "motor_state.dq",
+            "ddq": "motor_state.ddq",
+            "tau": "motor_state.tau_est",
+            "imu_quat_wxyz": "imu_state.quaternion",
+            "gyroscope": "imu_state.gyroscope",
+            "accelerometer": "imu_state.accelerometer",
+        }
+    )
 
     tick: NDArray[np.uint32]
     q: Floats
@@ -137,7 +279,6 @@ class Measured(Stream):
     accelerometer: Floats
 
 
-@dataclass(frozen=True, eq=False)
 class Base(Stream):
     """Where the pelvis was, as far as somebody knew.
 
@@ -153,7 +294,6 @@ class Base(Stream):
     velocity: Floats
 
 
-@dataclass(frozen=True, eq=False)
 class TorsoImu(Stream):
     """What the inertial unit in the torso reported.
 
@@ -165,8 +305,14 @@ class TorsoImu(Stream):
 
     topic = "/secondary_imu"
     source = topics.SECONDARY_IMU
-    paths: ClassVar = {"imu_quat_wxyz": "quaternion"}
+    paths = MappingProxyType({"imu_quat_wxyz": "quaternion"})
 
     imu_quat_wxyz: Floats
     gyroscope: Floats
     accelerometer: Floats
+
+
+STREAMS: Final[Mapping[str, type[Stream]]] = {
+    kind.topic: kind for kind in (Reference, Command, Measured, Base, TorsoImu)
+}
+"""The kind of stream of each topic that has one."""

@@ -297,7 +297,7 @@ class RecorderSummary(_Record):
 
 
 class PhaseInterval(_Record):
-    """A phase from start to end, s since the first reference."""
+    """A phase from start to end, s on the motion's clock: its first frame is at 0."""
 
     phase: PhaseName
     start_s: float

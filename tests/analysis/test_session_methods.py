@@ -1,0 +1,91 @@
+"""What a session is asked in a notebook: phases, parts of it, tracking, and the figure."""
+
+import numpy as np
+import pytest
+
+import g1stream
+from g1stream.errors import RecordingError
+from g1stream.robot.joints import JOINT_NAMES
+from g1stream.types import Phase
+
+LATE = 0.02
+
+
+@pytest.fixture
+def session(play, write_session):
+    reference, measured = play(LATE)
+    return g1stream.open_session(
+        write_session(reference, measured, derived={"/tf": reference[::5]})
+    )
+
+
+def test_phases_are_on_the_motions_clock(session):
+    assert [one.phase for one in session.phases] == [
+        Phase.RAMP,
+        Phase.PLAY,
+        Phase.HOLD,
+        Phase.DAMP,
+    ]
+    np.testing.assert_allclose([one.start_s for one in session.phases], [-0.5, 0.0, 4.0, 4.3])
+
+
+def test_a_phase_selects_the_samples_published_in_it(session):
+    play = session.sel(phase="PLAY")
+    whole = session.reference
+    np.testing.assert_array_equal(play.reference.q, whole.q[whole.phase == Phase.PLAY])
+    assert [one.phase for one in play.phases] == [Phase.PLAY]
+    assert len(play.command) == len(play.reference) == 2000
+    inside = (session.measured.time >= 0.0) & (session.measured.time < 4.0)
+    np.testing.assert_array_equal(play.measured.q, session.measured.q[inside])
+    np.testing.assert_array_equal(play.measured.time, session.measured.time[inside])
+
+
+def test_the_phases_share_out_all_samples(session):
+    parts = [session.sel(phase) for phase in ("RAMP", Phase.PLAY, "hold", "DAMP")]
+    joined = np.concatenate([part.reference.publish_time for part in parts])
+    np.testing.assert_array_equal(joined, session.reference.publish_time)
+    assert len(session.sel("WAIT").reference) == 0
+
+
+def test_a_time_range_includes_both_ends(session):
+    part = session.sel(time=slice(1.0, 2.0))
+    np.testing.assert_allclose(part.reference.time[[0, -1]], [1.0, 2.0])
+    assert len(part.reference) == 501
+    assert len(part.sel(time=slice(1.9, None)).reference) == 51
+    assert len(session.sel("PLAY", time=slice(3.9, 10.0)).reference) == 50
+
+
+def test_messages_times_and_the_log_are_selected_too(session):
+    part = session.sel(time=slice(1.0, 2.0))
+    stamps = [message.publish_time for message in part.messages("/tf")]
+    np.testing.assert_array_equal(stamps, part.times["/tf"].publish_time)
+    assert len(stamps) == 101
+    assert list(part.replay_bytes()) == list(session.replay_bytes())[750:1251]
+    assert part.log == []
+
+
+def test_tracking_of_a_part(session):
+    whole, part = session.tracking(), session.sel(time=slice(1.0, 2.0)).tracking()
+    assert whole.delay.seconds == pytest.approx(LATE, abs=1e-4)
+    inside = (whole.compared.motion_time >= 1.0) & (whole.compared.motion_time <= 2.0)
+    np.testing.assert_allclose(part.error, whole.error[inside], atol=1e-9)
+
+
+def test_an_unknown_phase_is_named_beside_those_there_are(session):
+    with pytest.raises(RecordingError) as error:
+        session.sel("JUMP")
+    assert "JUMP" in error.value.cause
+    assert "PLAY" in error.value.remedy
+
+
+def test_the_figure_shows_the_joints_asked_for(session):
+    names = ["left_knee_joint", "waist_yaw_joint"]
+    shown = [axes.get_title(loc="left") for axes in session.plot(joints=names).axes]
+    assert shown[:2] == ["left_knee", "waist_yaw"]
+    assert len(session.plot().axes) == len(shown) + 4
+
+
+@pytest.mark.parametrize("joints", [["left_tail_joint"], [], JOINT_NAMES[:7]])
+def test_joints_that_cannot_be_plotted(session, joints):
+    with pytest.raises(RecordingError):
+        session.plot(joints=joints)

@@ -1,0 +1,113 @@
+"""The samples of a topic as arrays: what is read, and parts of it."""
+
+import numpy as np
+import pytest
+
+from g1stream.errors import RecordingError
+from g1stream.session.streams import Measured, Reference, Stream
+from g1stream.types import Phase
+
+T0 = 1_700_000_000_000_000_000
+N = 5
+
+
+@pytest.fixture
+def reads():
+    """The names of the columns that were asked for, one list for each pass over the file."""
+    return []
+
+
+@pytest.fixture
+def measured(reads):
+    whole = {
+        name: np.arange(N) for name in ("log_time", "publish_time", *Measured.wire_fields())
+    } | {"q": np.arange(N * 29.0).reshape(N, 29)}
+
+    def load(names):
+        reads.append(names)
+        return {name: whole[name] for name in names}
+
+    return Measured(load)
+
+
+def reference(phases, latency=0):
+    times = T0 + 100_000_000 * np.arange(len(phases))
+    phase = np.array(phases, np.uint8)
+    return Reference(log_time=times + latency, publish_time=times, phase=phase)
+
+
+def test_the_first_column_reads_all_in_one_pass(measured, reads):
+    assert measured.q.shape == (N, 29)
+    assert measured.gyroscope is measured.gyroscope
+    assert reads == [["log_time", "publish_time", *Measured.wire_fields()]]
+
+
+def test_times_are_read_alone(measured, reads):
+    assert len(measured) == N
+    assert reads == [["log_time", "publish_time"]]
+
+
+def test_named_columns_are_read_once(measured, reads):
+    assert measured.read("q") is measured
+    assert measured.read("q", "log_time").q is measured.q
+    assert reads == [["log_time", "publish_time", "q"]]
+
+
+def test_what_is_no_column_is_an_attribute_error(measured, reads):
+    assert not hasattr(measured, "qd")
+    assert reads == []
+
+
+def test_a_stream_in_memory_has_only_what_it_was_given():
+    stream = Stream(log_time=np.arange(3), publish_time=np.arange(3))
+    assert len(stream) == 3
+    with pytest.raises(AttributeError, match="q"):
+        _ = Measured(log_time=np.arange(3), publish_time=np.arange(3)).q
+
+
+@pytest.mark.parametrize(
+    "index", [slice(1, 4), np.array([True, False, True, False, False]), np.array([4, 0])]
+)
+def test_parts_of_a_stream(measured, index):
+    part = measured[index]
+    assert type(part) is Measured
+    for name in ("log_time", "q", "gyroscope"):
+        np.testing.assert_array_equal(getattr(part, name), getattr(measured, name)[index])
+        with pytest.raises(ValueError, match="read-only"):
+            getattr(part, name)[0] = 0
+    np.testing.assert_array_equal(part.time, measured.time[index])
+
+
+def test_a_part_reads_no_more_columns_than_it_needs(measured, reads):
+    _ = measured[1:].read("q").q
+    assert reads == [["log_time", "publish_time", "q"]]
+
+
+def test_time_is_0_at_the_first_frame_that_was_played():
+    stream = reference([Phase.RAMP, Phase.RAMP, Phase.PLAY, Phase.PLAY])
+    np.testing.assert_allclose(stream.time, [-0.2, -0.1, 0.0, 0.1])
+    np.testing.assert_allclose(reference([Phase.RAMP, Phase.RAMP]).time, [0.0, 0.1])
+
+
+def test_time_is_on_the_recorders_clock():
+    stream = reference([Phase.PLAY] * 3, latency=3_200_000_000)
+    assert stream.start_ns == T0 + 3_200_000_000
+    np.testing.assert_allclose(stream.time, [0.0, 0.1, 0.2])
+
+
+def test_a_phase_lasts_until_the_next_one_begins():
+    # DAMP to RAMP is a difference of unsigned numbers.
+    phases = reference([Phase.DAMP, Phase.RAMP, Phase.RAMP, Phase.PLAY, Phase.DAMP]).phases
+    assert [one.phase for one in phases] == [Phase.DAMP, Phase.RAMP, Phase.PLAY, Phase.DAMP]
+    np.testing.assert_allclose([one.start_s for one in phases], [-0.3, -0.2, 0.0, 0.1])
+    assert [one.end_s for one in phases] == [*(one.start_s for one in phases[1:]), phases[-1].end_s]
+    assert phases[1].duration_s == pytest.approx(0.2)
+
+
+def test_a_number_that_stands_for_no_phase_is_named():
+    with pytest.raises(RecordingError, match="99"):
+        _ = reference([Phase.PLAY, 99]).phases
+
+
+def test_no_samples_have_no_phases():
+    assert reference([Phase.PLAY])[:0].phases == []

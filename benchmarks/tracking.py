@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from g1stream.analysis.summary import summarise
-from g1stream.config import Config, load_config
+from g1stream.config import Config, SimConfig, load_config
 from g1stream.control.feedforward import FeedForward
 from g1stream.control.gains import Gains
 from g1stream.control.loop import StreamLoop
@@ -34,6 +34,7 @@ from g1stream.control.phases import Timing
 from g1stream.control.safety import Envelope
 from g1stream.control.target import Target
 from g1stream.control.targets import Targets
+from g1stream.dds.topics import LOWSTATE
 from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.programs.child_process import Child
@@ -44,7 +45,8 @@ from g1stream.robot.model import G1
 from g1stream.robot.motors import TORQUE_LIMIT
 from g1stream.session.session import open_session
 from g1stream.sim.lockstep import Lockstep
-from g1stream.sim.world import World, WorldState
+from g1stream.sim.robot import SimulatedRobot
+from g1stream.sim.world import World
 from g1stream.types import Phase
 
 if TYPE_CHECKING:
@@ -52,6 +54,7 @@ if TYPE_CHECKING:
 
     from g1stream.control.measured import ImuReading
     from g1stream.dds.messages import LowState
+    from g1stream.dds.topics import Topic
     from g1stream.motion.motion import Motion
     from g1stream.types import FeedForwardKind, Support
 
@@ -138,9 +141,10 @@ def in_lockstep(
     trajectory = Trajectory(motion)
     states: list[tuple[float, NDArray[np.float64]]] = []
 
-    def look(now: int, state: WorldState) -> None:
-        if loop.state.phase is Phase.PLAY and now >= loop.state.since:
-            states.append(((now - loop.state.since) / 1e9, state.q))
+    def look(topic: Topic, data: bytes, stamp: int) -> None:
+        played = link.now() - loop.state.since
+        if topic is LOWSTATE and loop.state.phase is Phase.PLAY and played >= 0:
+            states.append((played / 1e9, world.state().q))
 
     def distort(state: LowState) -> None:
         for values, deviation in (
@@ -151,7 +155,9 @@ def in_lockstep(
         ):
             values[:] = rng.normal(values, deviation)
 
-    link = Lockstep(World(robot, support), support, on_state=look, distort=distort)
+    world = World(robot, support)
+    simulated = SimulatedRobot(world, SimConfig(), noise=distort)
+    link = Lockstep(simulated, support, on_sample=look)
     period = round(1e9 / motion.fps) if nearest else 2_000_000
     feed = Timed(
         kind,

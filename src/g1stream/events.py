@@ -35,10 +35,9 @@ def handled_by(*handlers: logging.Handler) -> Iterator[None]:
     """
     records: SimpleQueue[logging.LogRecord] = SimpleQueue()
     queue = QueueHandler(records)
-    listener = QueueListener(
-        records, *handlers, *logging.getLogger().handlers, respect_handler_level=True
-    )
-    propagate = _LOGGER.propagate
+    propagate = _LOGGER.propagate  # False within another `with`, which serves the root's handlers
+    root = logging.getLogger().handlers if propagate else ()
+    listener = QueueListener(records, *handlers, *root, respect_handler_level=True)
     _LOGGER.addHandler(queue)
     _LOGGER.propagate = False
     listener.start()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from g1stream.config import SafetyConfig
+from g1stream.config import SafetyConfig, SimConfig
 from g1stream.control.feedforward import FeedForward
 from g1stream.control.gains import Gains
 from g1stream.control.loop import StreamLoop
@@ -15,11 +15,13 @@ from g1stream.control.safety import Envelope
 from g1stream.control.support import ForceObserver, SupportCheck
 from g1stream.control.target import Target
 from g1stream.control.targets import Targets, minimum_jerk
+from g1stream.dds.topics import LOWSTATE
 from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.dynamics import InverseDynamics, Solution
 from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP
 from g1stream.sim.lockstep import Lockstep
+from g1stream.sim.robot import SimulatedRobot
 from g1stream.sim.world import World
 from g1stream.types import Phase
 
@@ -278,14 +280,16 @@ def test_what_the_bridge_says_of_itself_is_not_doubted(model, target, imu):
 def play(robot, support, told, seconds=4.0, *, kind="dynamics", announced=True):
     """Play a piece of the demo in lockstep; gives the RMSE while it played, and the loop."""
     trajectory = Trajectory(load_motion("demo", robot))
-    errors = []
+    errors, world = [], World(robot, support)
 
-    def look(time, state):
-        if loop.state.phase is Phase.PLAY and time >= loop.state.since:
-            played = (time - loop.state.since) / 1e9
-            errors.append(trajectory.sample(played).joint_pos - state.q)
+    def look(topic, data, stamp):
+        if topic is LOWSTATE and loop.state.phase is Phase.PLAY:
+            played = (link.now() - loop.state.since) / 1e9
+            if played >= 0.0:
+                errors.append(trajectory.sample(played).joint_pos - world.state().q)
 
-    link = Lockstep(World(robot, support), support if announced else None, on_state=look)
+    simulated = SimulatedRobot(world, SimConfig())
+    link = Lockstep(simulated, support if announced else None, on_sample=look)
     ns = [round(s * 1e9) for s in (1.0, 1.0, seconds, 0.1, 0.5)]
     feed = FeedForward(
         kind,

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 import sys
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from g1stream.cli.common import (
@@ -17,9 +18,10 @@ from g1stream.cli.common import (
     value,
 )
 from g1stream.errors import G1StreamError
+from g1stream.events import handled_by
 
 if TYPE_CHECKING:
-    from g1stream.sim.bridge import BridgeReport
+    from g1stream.sim.robot import SimReport
 
 __all__ = ["Sim"]
 
@@ -79,11 +81,10 @@ class Sim(WireCommand):
             held = _HELD[config.sim.support]
             print(f"Simulating a G1, {held}. Ctrl-C ends it.", file=sys.stderr)
 
-        report = simulate(
-            config, should_stop=lambda: bool(stopped), on_event=_print_event, on_ready=begun
-        )
+        with handled_by(_console()):
+            report = simulate(config, should_stop=lambda: bool(stopped), on_ready=begun)
         if self.json:
-            print_json(report.as_dict())
+            print_json(asdict(report))
         else:
             print(_summary(report))
         return EXIT_OK
@@ -95,33 +96,35 @@ class Sim(WireCommand):
 
         parent = ParentLine()
         try:
-            report = simulate(
-                load_config(over=parent.greeting()["config"]),
-                should_stop=lambda: bool(stopped) or parent.gone.is_set(),
-                on_event=_print_event,
-                on_ready=lambda: parent.say("ready"),
-            )
+            with handled_by(_console()):
+                report = simulate(
+                    load_config(over=parent.greeting()["config"]),
+                    should_stop=lambda: bool(stopped) or parent.gone.is_set(),
+                    on_ready=lambda: parent.say("ready"),
+                )
         except G1StreamError as error:
             parent.say("error", cause=error.cause, remedy=error.remedy)
             return EXIT_BAD_INPUT
-        parent.say("done", **report.as_dict())
+        parent.say("done", **asdict(report))
         return EXIT_OK
 
 
-def _print_event(level: int, text: str) -> None:
-    print(f"sim: {text}", file=sys.stderr)
+def _console() -> logging.Handler:
+    handler = logging.StreamHandler()
+    handler.setFormatter(logging.Formatter("sim: %(message)s"))
+    return handler
 
 
-def _summary(report: BridgeReport) -> str:
+def _summary(report: SimReport) -> str:
     lines = [
         f"simulated {report.simulated:.1f} s in {report.elapsed:.1f} s",
         f"  states    {report.states} published",
         f"  commands  {report.commands} obeyed, {sum(report.refused.values())} refused",
     ]
-    lines += [f"            {count} x {why}" for why, count in report.refused.most_common()]
+    lines += [f"            {count} x {why}" for why, count in report.refused.items()]
     if report.timeouts:
         times = "once" if report.timeouts == 1 else f"{report.timeouts} times"
-        lines.append(f"  silence   {times} no LowCmd came any more, and the motors only damped")
+        lines.append(f"  timeout   {times} no LowCmd came any more, and the motors only damped")
     if report.behind:
-        lines.append(f"  behind    {report.behind:.2f} s given up: this machine is too slow")
+        lines.append(f"  behind    {report.behind:.2f} s skipped: this machine is too slow")
     return "\n".join(lines)

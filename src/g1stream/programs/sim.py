@@ -1,7 +1,8 @@
-"""Run the MuJoCo bridge."""
+"""Run the MuJoCo bridge: a simulated G1 on DDS."""
 
 from __future__ import annotations
 
+import logging
 import math
 import os
 import time
@@ -11,20 +12,24 @@ from typing import TYPE_CHECKING
 from g1stream.clock import SystemClock
 from g1stream.config import Config
 from g1stream.dds.domain import Participant
+from g1stream.dds.log_handler import DdsLogHandler
+from g1stream.events import handled_by
 from g1stream.realtime import on_time, told
 from g1stream.robot.model import G1
 from g1stream.sim.bridge import Bridge
+from g1stream.sim.robot import SimulatedRobot
 from g1stream.sim.world import World
-from g1stream.types import INFO
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from g1stream.sim.bridge import BridgeReport
+    from g1stream.sim.robot import SimReport
 
-__all__ = ["simulate"]
+__all__ = ["physics_timestep", "simulate"]
 
-#: By how much the bridge comes after the loop: it is the robot that answers, not the one in charge.
+_LOGGER = logging.getLogger(__name__)
+
+#: By how much its priority is below that of the loop, which must not wait for the bridge.
 _BELOW_LOOP = 10
 
 
@@ -32,35 +37,36 @@ def simulate(
     config: Config | None = None,
     *,
     should_stop: Callable[[], bool] = lambda: False,
-    on_event: Callable[[int, str], None] = lambda level, text: None,
     on_ready: Callable[[], None] = lambda: None,
-) -> BridgeReport:
-    """Be a simulated G1 on DDS until told to stop or for `config.sim.duration`.
+) -> SimReport:
+    """Run a simulated G1 on DDS until told to stop or for `config.sim.duration`.
 
     Args:
         config: all settings; the defaults if left out.
         should_stop: asked at every LowState.
-        on_event: is told what is worth telling, (level, text).
-        on_ready: called when the robot is about to be there.
+        on_ready: called when the robot is about to appear on DDS.
 
     Raises:
         G1StreamError: a setting or the wire does not allow it.
     """
     config = config or Config()
-    world = World(G1.load(config.robot), config.sim.support, timestep=_timestep(config.sim.rate))
+    settings = config.sim
+    world = World(G1.load(config.robot), settings.support, timestep=physics_timestep(settings.rate))
     with ExitStack() as stack:
         participant = stack.enter_context(Participant(config.dds.domain, config.dds.interface))
-        view = _viewer(world, stack) if config.sim.viewer else None
-        bridge = Bridge(participant, world, config.sim, SystemClock(), on_event=on_event, view=view)
+        stack.enter_context(handled_by(DdsLogHandler(participant, "sim")))
+        view = _viewer(world, stack) if settings.viewer else None
+        robot = SimulatedRobot(world, settings)
+        bridge = Bridge(participant, robot, settings.support, SystemClock(), view=view)
         granted = stack.enter_context(on_time(_priority(config)))
         on_ready()
-        on_event(INFO, told(granted))
-        end = None if config.sim.duration is None else time.monotonic() + config.sim.duration
+        _LOGGER.info(told(granted))
+        end = None if settings.duration is None else time.monotonic() + settings.duration
         return bridge.run(lambda: should_stop() or (end is not None and time.monotonic() >= end))
 
 
 def _priority(config: Config) -> int:
-    """Of SCHED_FIFO: below the loop's, and none where the bridge could keep all else from running.
+    """Of SCHED_FIFO: below the loop's, and 0 where the bridge could block everything else.
 
     With one CPU, a simulation that is too slow for it would; with a viewer, it would wait for the
     thread that draws.
@@ -77,7 +83,7 @@ def _cpus() -> int:
     return os.cpu_count() or 1
 
 
-def _timestep(rate: float) -> float:
+def physics_timestep(rate: float) -> float:
     """The largest physics step of a millisecond or less that divides the period of LowState."""
     return 1.0 / (rate * math.ceil(1000.0 / rate))
 

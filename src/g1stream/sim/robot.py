@@ -1,0 +1,198 @@
+"""A simulated robot that exchanges the real one's messages; no DDS and no clock of its own."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from g1stream.dds.messages import LowCmd, LowState, Reference, SecondaryImu, SportModeState
+from g1stream.robot.joints import N_JOINTS
+from g1stream.robot.rotations import quat_to_rpy
+from g1stream.sim.supports import Root
+from g1stream.sim.world import MotorCommand
+from g1stream.types import Phase
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from g1stream.config import SimConfig
+    from g1stream.sim.world import Imu, World
+
+__all__ = ["MODE_MACHINE_29", "Published", "SimReport", "SimulatedRobot"]
+
+_LOGGER = logging.getLogger(__name__)
+
+MODE_MACHINE_29: Final = 5
+"""The mode_machine of a G1 with 29 joints, in its LowState and in every LowCmd for it."""
+
+_TIMEOUT_KD: Final = 3.0  # Nm s/rad
+_LOG_PERIOD: Final = 1_000_000_000  # ns
+
+
+@dataclass
+class SimReport:
+    """What a simulated robot counted.
+
+    Attributes:
+        states: LowStates published.
+        commands: LowCmds accepted, of those that were the newest at a tick.
+        refused: reason -> LowCmds refused for it.
+        timeouts: how often LowCmds stopped coming.
+        simulated: s of simulated time.
+        elapsed: s of wall time.
+        behind: s of wall time that the simulation skipped, because it could not keep up.
+    """
+
+    states: int = 0
+    commands: int = 0
+    refused: dict[str, int] = field(default_factory=dict)
+    timeouts: int = 0
+    simulated: float = 0.0
+    elapsed: float = 0.0
+    behind: float = 0.0
+
+
+class Published(NamedTuple):
+    """What the robot publishes at one instant, CDR header included."""
+
+    low_state: bytes
+    sport_mode_state: bytes
+    secondary_imu: bytes
+
+
+class SimulatedRobot:
+    """A simulated G1 behind its messages.
+
+    It accepts a LowCmd as strictly as the robot does: the CRC must be right, `mode_machine` must be
+    its own, ankles and waist must be commanded as pitch and roll, values must be finite, and only
+    motors that are enabled move. Without a LowCmd for `command_timeout` its motors only damp.
+
+    Args:
+        world: its physics.
+        config: rate of LowState and command timeout.
+        noise: may change a LowState before it is published, as sensor noise does.
+
+    Attributes:
+        period: ns between two LowStates.
+        report: what it counted.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        config: SimConfig,
+        *,
+        noise: Callable[[LowState], None] = lambda state: None,
+    ) -> None:
+        self.period = round(1e9 / config.rate)
+        self.report = SimReport()
+        self._world = world
+        self._noise = noise
+        self._steps = max(1, round(self.period / 1e9 / world.timestep))
+        self._timeout = round(config.command_timeout * 1e9)
+        self._low_cmd, self._reference, self._low_state = LowCmd(), Reference(), LowState()
+        self._sport_mode_state, self._secondary_imu = SportModeState(), SecondaryImu()
+        self._motors = MotorCommand.off()
+        self._accepted_at: int | None = None
+        self._logged_at: dict[str, int] = {}
+
+    def publish(self) -> Published:
+        """The samples of what is measured now."""
+        state, message = self._world.state(), self._low_state
+        message.tick[()] = round(state.time * 1000)
+        message.mode_machine[()] = MODE_MACHINE_29
+        message.motor_mode = self._motors.enabled.astype(np.uint8)
+        message.q[:], message.dq[:], message.ddq[:] = state.q, state.dq, state.ddq
+        message.tau_est[:] = state.tau_est
+        _fill_imu(message, state.imu)
+        _fill_imu(self._secondary_imu, state.torso_imu)
+        sport = self._sport_mode_state
+        sport.sec[()], sport.nanosec[()] = divmod(round(state.time * 1e9), 1_000_000_000)
+        sport.position[:], sport.velocity[:] = state.base_pos, state.base_lin_vel
+        sport.quaternion[:] = state.imu.quat_wxyz
+        self._noise(message)
+        self.report.states += 1
+        return Published(message.seal(), sport.tobytes(), self._secondary_imu.tobytes())
+
+    def receive_command(self, data: bytes, now: int) -> None:
+        """Take a LowCmd that was received at `now`, ns."""
+        self._low_cmd.load(data)
+        refusal = self._refusal()
+        if refusal:
+            self.report.refused[refusal] = self.report.refused.get(refusal, 0) + 1
+            self.log(logging.WARNING, f"LowCmd refused: {refusal}", now)
+        else:
+            self._accept(now)
+
+    def receive_reference(self, data: bytes) -> None:
+        """Take a Reference; values that are not finite end the simulation."""
+        reference = self._reference
+        reference.load(data)
+        self._world.lead(
+            Root(
+                reference.root_pos,
+                reference.root_quat_wxyz,
+                reference.root_lin_vel,
+                reference.root_ang_vel,
+                playing=int(reference.phase) >= Phase.PLAY,
+            )
+        )
+
+    def step(self, now: int) -> None:
+        """Simulate one period from `now`, ns.
+
+        Raises:
+            SimError: the state can no longer be integrated.
+        """
+        if self._accepted_at is not None and 0 < self._timeout < now - self._accepted_at:
+            self._accepted_at = None
+            self.report.timeouts += 1
+            self._motors = MotorCommand.off()._replace(
+                enabled=self._motors.enabled, kd=np.full(N_JOINTS, _TIMEOUT_KD)
+            )
+            self.log(logging.WARNING, "LowCmd timeout: the motors only damp", now)
+        for _ in range(self._steps):
+            self._world.step(self._motors)
+        self.report.simulated = float(self._world.data.time)
+
+    def log(self, level: int, text: str, now: int) -> None:
+        """Log an event at `now`, ns; the same text at most once a second."""
+        if now - self._logged_at.get(text, -_LOG_PERIOD) >= _LOG_PERIOD:
+            self._logged_at[text] = now
+            _LOGGER.log(level, text)
+
+    def _refusal(self) -> str:
+        command = self._low_cmd
+        if not command.crc_matches():
+            return "its CRC is wrong"
+        if int(command.mode_pr) != 0:
+            return f"mode_pr is {int(command.mode_pr)}, only 0 (pitch and roll) is simulated"
+        if int(command.mode_machine) != MODE_MACHINE_29:
+            return f"mode_machine is {int(command.mode_machine)} instead of {MODE_MACHINE_29}"
+        values = (command.q, command.dq, command.tau, command.kp, command.kd)
+        if not all(np.isfinite(one).all() for one in values):
+            return "a value is not finite"
+        return ""
+
+    def _accept(self, now: int) -> None:
+        command = self._low_cmd
+        enabled = command.motor_mode == 1
+        if not enabled.all():
+            off = int(N_JOINTS - enabled.sum())
+            self.log(logging.WARNING, f"{off} of {N_JOINTS} motors are not enabled (mode 0)", now)
+        if self._accepted_at is None:
+            self.log(logging.INFO, "LowCmd accepted", now)
+        self._accepted_at = now
+        self.report.commands += 1
+        values = (command.q, command.dq, command.tau, command.kp, command.kd)
+        self._motors = MotorCommand(enabled, *(one.copy() for one in values))
+
+
+def _fill_imu(message: LowState | SecondaryImu, imu: Imu) -> None:
+    message.quaternion[:] = imu.quat_wxyz
+    message.gyroscope[:] = imu.gyroscope
+    message.accelerometer[:] = imu.accelerometer
+    message.rpy[:] = quat_to_rpy(imu.quat_wxyz)

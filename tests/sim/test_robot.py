@@ -1,0 +1,155 @@
+"""The simulated robot behind its messages: what it publishes, accepts and refuses."""
+
+from __future__ import annotations
+
+import logging
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from g1stream.config import SimConfig
+from g1stream.dds.messages import LowCmd, LowState, SecondaryImu, SportModeState
+from g1stream.sim.robot import MODE_MACHINE_29, SimulatedRobot
+from g1stream.sim.world import World
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from g1stream.robot.model import G1
+
+KNEE = 3
+PERIOD = 2_000_000
+
+
+@pytest.fixture
+def world(robot: G1) -> World:
+    return World(robot)
+
+
+@pytest.fixture
+def simulated(world: World) -> SimulatedRobot:
+    return SimulatedRobot(world, SimConfig())
+
+
+def run(simulated: SimulatedRobot, ticks: range, data: bytes | None = None) -> None:
+    """Simulate, with the same LowCmd at every tick."""
+    for tick in ticks:
+        if data is not None:
+            simulated.receive_command(data, tick * PERIOD)
+        simulated.step(tick * PERIOD)
+
+
+def test_low_state_has_tick_crc_attitude_and_mode(simulated):
+    ticks, state = [], LowState()
+    for tick in range(20):
+        state.load(simulated.publish().low_state)
+        assert state.crc_matches()
+        ticks.append(int(state.tick))
+        run(simulated, range(tick, tick + 1))
+    assert np.unique(np.diff(ticks)).tolist() == [2]
+    assert int(state.mode_machine) == MODE_MACHINE_29
+    assert state.quaternion == pytest.approx([1, 0, 0, 0], abs=1e-6)
+    assert state.accelerometer == pytest.approx([0, 0, 9.81], abs=1e-3)
+    assert simulated.report.states == 20
+
+
+def test_base_and_torso(simulated, world):
+    run(simulated, range(19))
+    published = simulated.publish()
+    sport, torso = SportModeState(), SecondaryImu()
+    sport.load(published.sport_mode_state)
+    torso.load(published.secondary_imu)
+    assert sport.position == pytest.approx(world.state().base_pos, abs=1e-6)
+    assert int(sport.nanosec) == 38_000_000
+    assert np.linalg.norm(torso.quaternion) == pytest.approx(1.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("rate", [100, 300, 500, 1000])
+def test_simulated_time_is_a_multiple_of_the_period(robot, rate):
+    from g1stream.programs.sim import physics_timestep
+
+    world = World(robot, timestep=physics_timestep(rate))
+    simulated = SimulatedRobot(world, SimConfig(rate=rate))
+    run(simulated, range(30))
+    assert simulated.report.simulated == pytest.approx(30 / rate)
+
+
+def test_noise_is_in_what_is_published_only(world):
+    def noise(state: LowState) -> None:
+        state.q[:] = 0.25
+
+    simulated = SimulatedRobot(world, SimConfig(), noise=noise)
+    state = LowState()
+    state.load(simulated.publish().low_state)
+    assert state.q.tolist() == [0.25] * 29
+    assert state.crc_matches()
+    assert not world.state().q.any()
+
+
+def good_command() -> LowCmd:
+    command = LowCmd()
+    command.motor_mode = 1
+    command.mode_machine[()] = MODE_MACHINE_29
+    command.kp[:], command.kd[:] = 60.0, 2.0
+    command.q[KNEE] = 0.5
+    return command
+
+
+def test_a_valid_command_moves_the_joint(simulated, world, caplog):
+    caplog.set_level(logging.INFO)
+    run(simulated, range(400), good_command().seal())
+    assert world.state().q[KNEE] == pytest.approx(0.5, abs=0.2)
+    assert simulated.report.commands == 400
+    assert not simulated.report.refused
+    assert [record.levelname for record in caplog.records] == ["INFO"]
+
+
+def altered(change: Callable[[LowCmd], None], *, sealed: bool = True) -> bytes:
+    command = good_command()
+    command.seal()
+    change(command)
+    return command.seal() if sealed else command.tobytes()
+
+
+def set_q(value: float) -> Callable[[LowCmd], None]:
+    return lambda command: command.q.__setitem__(KNEE, value)
+
+
+REFUSED = {
+    "CRC": lambda: altered(set_q(1.0), sealed=False),
+    "mode_pr": lambda: altered(lambda command: command.mode_pr.__setitem__((), 1)),
+    "mode_machine": lambda: altered(lambda command: command.mode_machine.__setitem__((), 4)),
+    "not finite": lambda: altered(set_q(float("nan"))),
+}
+
+
+@pytest.mark.parametrize("reason", REFUSED)
+def test_an_invalid_command_is_refused_and_logged(simulated, world, caplog, reason):
+    run(simulated, range(501), REFUSED[reason]())
+    assert simulated.report.commands == 0
+    ((refusal, count),) = simulated.report.refused.items()
+    assert reason in refusal
+    assert count == 501
+    assert world.state().q[KNEE] == pytest.approx(0.0, abs=0.1)
+    assert len(caplog.records) == 2  # once a second, not at every command
+    assert all(record.levelno == logging.WARNING for record in caplog.records)
+
+
+def test_disabled_motors_give_no_torque(simulated, world, caplog):
+    command = good_command()
+    command.motor_mode = 0
+    run(simulated, range(100), command.seal())
+    assert not world.state().tau_est.any()
+    assert "29 of 29" in caplog.records[0].message
+
+
+def test_without_commands_the_motors_only_damp(world, caplog):
+    simulated = SimulatedRobot(world, SimConfig(command_timeout=0.1))
+    run(simulated, range(150), good_command().seal())
+    run(simulated, range(150, 300))
+    state = world.state()
+    assert simulated.report.timeouts == 1
+    assert caplog.records[-1].levelno == logging.WARNING
+    # Gravity alone moves it now: the motor resists speed and nothing else.
+    assert state.tau_est[KNEE] == pytest.approx(-3.0 * state.dq[KNEE], abs=0.3)

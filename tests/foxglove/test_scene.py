@@ -12,7 +12,7 @@ from g1stream.foxglove.encoders import MEASURED_PREFIX
 from g1stream.foxglove.scene import _model, encode_robot_description, encode_scene
 from g1stream.robot.model import G1
 from g1stream.robot.visuals import read_visuals
-from g1stream.session.channels import CHANNELS
+from g1stream.session.format import CHANNELS
 
 T0 = 1_700_000_000_000_000_000
 

@@ -13,11 +13,10 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
 from g1stream.errors import RecordingError
-from g1stream.session.derived_channels import DERIVED_CHANNELS
+from g1stream.session.format import CHANNELS
 from g1stream.session.offline import OfflineWriter
 
 T0 = 1_700_000_000_000_000_000
-CHANNELS = {channel.topic: channel for channel in DERIVED_CHANNELS}
 TOPICS = ("/tf", "/reference/joint_states")
 
 
@@ -200,13 +199,13 @@ FULL = """
 import resource, signal, sys
 import numpy as np
 from g1stream.errors import RecordingError
-from g1stream.session.derived_channels import DERIVED_CHANNELS
+from g1stream.session.format import CHANNELS
 from g1stream.session.offline import OfflineWriter
 resource.setrlimit(resource.RLIMIT_FSIZE, (500_000, 500_000))
 noise = np.random.default_rng(3).integers(0, 256, (500, 2000), dtype=np.uint8)
 try:
     with OfflineWriter(sys.argv[1]) as writer:
-        writer.add_channel(DERIVED_CHANNELS[0])
+        writer.add_channel(CHANNELS["/tf"])
         writer.write({"/tf": noise}, np.arange(500))
 except RecordingError as error:
     print(error.cause)

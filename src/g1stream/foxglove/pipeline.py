@@ -12,7 +12,7 @@ from g1stream.foxglove.encoders import MEASURED_PREFIX, TransformsEncoder, encod
 from g1stream.foxglove.measured_base import MeasuredBase
 from g1stream.foxglove.templates import JointStatesTemplate
 from g1stream.foxglove.tracking_error import Track, TrackingError
-from g1stream.session.channels import CHANNELS
+from g1stream.session.format import CHANNELS
 from g1stream.session.samples import Samples
 from g1stream.types import Ints
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 __all__ = ["CHANNEL_OF", "Decimator", "MessagePipeline", "Messages"]
 
-CHANNEL_OF: Final = {c.source.name: c.topic for c in CHANNELS.values() if c.source is not None}
+CHANNEL_OF: Final = {c.dds_topic: c.topic for c in CHANNELS.values() if c.dds_topic}
 """The topic in the file that holds a DDS topic's samples byte for byte, by the DDS topic's name."""
 
 

@@ -17,7 +17,7 @@ from g1stream.foxglove.templates import JointStatesTemplate
 from g1stream.robot.model import G1
 from g1stream.robot.visuals import missing_meshes
 from g1stream.session.attachments import attach_motion
-from g1stream.session.derived_channels import DERIVED_CHANNELS
+from g1stream.session.format import CHANNELS
 from g1stream.session.motions import load_motion
 from g1stream.session.offline import OfflineWriter
 from g1stream.session.timestamps import frame_stamps
@@ -44,7 +44,6 @@ _RESAMPLED_FIELDS: Final = ("position", "velocity", "acceleration")
 _WORLD_ORIGIN: Final = (np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
 #: Names to choose from that are shown in place of one that is none.
 _ALIKE: Final = 5
-_CHANNELS: Final = {channel.topic: channel for channel in DERIVED_CHANNELS}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -254,9 +253,9 @@ def _write_file_header(
     writer: OfflineWriter, motion: Motion, robot: G1, options: Conversion, first: int
 ) -> None:
     """Write what a file has once: channels, metadata, attachments, the scene and the URDF."""
-    writer.add_channel(replace(_CHANNELS[_TF], topic=_free_topic(options.topic)))
+    writer.add_channel(replace(CHANNELS[_TF], topic=_free_topic(options.topic)))
     for topic in (_JOINTS, _SCENE, _DESCRIPTION):
-        writer.add_channel(_CHANNELS[topic])
+        writer.add_channel(CHANNELS[topic])
     writer.add_metadata(_metadata(motion, robot, options))
     writer.attach("robot.urdf", "application/xml", robot.urdf.encode(), first)
     attach_motion(writer, motion.source, first)

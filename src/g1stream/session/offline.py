@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from g1stream.session.compression import Compression
-    from g1stream.session.derived_channels import Channel
+    from g1stream.session.format import Channel
 
 __all__ = ["OfflineWriter"]
 

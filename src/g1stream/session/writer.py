@@ -16,8 +16,8 @@ import numpy as np
 
 from g1stream._version import __version__
 from g1stream.errors import RecordingError
-from g1stream.session.channels import CHANNELS
 from g1stream.session.chunked_file import ChunkedFile
+from g1stream.session.format import CHANNELS
 from g1stream.session.message_records import message_records
 from g1stream.session.metadata import METADATA_NAME, metadata_to_strings
 from g1stream.session.open_chunks import OpenChunks
@@ -96,7 +96,7 @@ class SessionWriter:
         """Add one message; its sequence number counts the topic's messages from 1.
 
         Args:
-            topic: one of `g1stream.session.channels.CHANNELS`.
+            topic: one of `g1stream.session.format.CHANNELS`.
             data: the message in the encoding of its channel.
             log_time: when it was received, ns since the epoch.
             publish_time: when its producer published it, ns since the epoch.
@@ -116,7 +116,7 @@ class SessionWriter:
         """Add messages of one topic, oldest first.
 
         Args:
-            topic: one of `g1stream.session.channels.CHANNELS`.
+            topic: one of `g1stream.session.format.CHANNELS`.
             payloads: (T,) messages, or (T, size) uint8 with one in each row.
             log_times: (T,) when they were received, ns since the epoch.
             publish_times: (T,) when their producer published them, ns since the epoch.

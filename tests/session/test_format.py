@@ -10,9 +10,11 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap_ros2.decoder import DecoderFactory
 
 from g1stream.dds.layout import leaves
-from g1stream.session.channels import CHANNELS
+from g1stream.dds.topics import TOPICS
+from g1stream.session.format import CHANNELS
 
-WIRE = [channel for channel in CHANNELS.values() if channel.source is not None]
+WIRE = [channel for channel in CHANNELS.values() if channel.dds_topic]
+TOPIC = {topic.name: topic for topic in TOPICS}
 PROTOBUF = [c for c in CHANNELS.values() if c.schema_encoding == SchemaEncoding.Protobuf]
 
 
@@ -55,7 +57,7 @@ def flat(message):
 
 @pytest.mark.parametrize("channel", WIRE, ids=lambda c: c.topic)
 def test_ros2_decoders_read_what_cyclonedds_serialises(channel, make_sample):
-    sent = make_sample(channel.source)
+    sent = make_sample(TOPIC[channel.dds_topic])
     decoded = ros2_decoder(channel)(sent.serialize())
     assert flat(decoded) == flat(sent)
     assert len(flat(decoded)) == sum(1 for _ in leaves(type(sent)))
@@ -72,7 +74,7 @@ def test_encodings_are_mcaps_well_known_ones(channel):
 
 
 def test_wire_channels_are_named_as_ros_names_them():
-    assert {c.source.name: (c.topic, c.schema_name) for c in WIRE} == {
+    assert {c.dds_topic: (c.topic, c.schema_name) for c in WIRE} == {
         "rt/lowcmd": ("/lowcmd", "unitree_hg/msg/LowCmd"),
         "rt/lowstate": ("/lowstate", "unitree_hg/msg/LowState"),
         "rt/sportmodestate": ("/sportmodestate", "unitree_go/msg/SportModeState"),

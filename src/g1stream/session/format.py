@@ -1,0 +1,160 @@
+"""Which channels a session file has: what each is for, its schema and its encoding.
+
+The samples of DDS are kept as the bytes that they were, CDR, with ROS 2 message text as schema:
+ROS 2 has the same plain CDR on the wire. Beside them are messages derived from them that viewers
+know. Nothing here loads DDS until the schema of one of its types is built, as `convert` needs none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final
+
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+
+from g1stream.dds.layout import members
+
+if TYPE_CHECKING:
+    from google.protobuf.message import Message
+
+__all__ = ["CHANNELS", "Channel"]
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One channel of a session file.
+
+    Attributes:
+        topic: its name in the file.
+        schema_name: such as `foxglove.Log` or `unitree_hg/msg/LowCmd`.
+        schema_encoding, message_encoding: MCAP's well-known names.
+        description: one line, for people who look into the file.
+        build_schema: makes the schema's data.
+        dds_topic: whose samples it holds, bit for bit; None for derived channels.
+    """
+
+    topic: str
+    schema_name: str
+    schema_encoding: str
+    message_encoding: str
+    description: str
+    build_schema: Callable[[], bytes] = field(repr=False)
+    dds_topic: str | None = None
+
+
+def _foxglove(topic: str, message_class: type[Message], description: str) -> Channel:
+    name = message_class.DESCRIPTOR.full_name
+    build = partial(_protobuf_schema, message_class)
+    return Channel(topic, name, "protobuf", "protobuf", description, build)
+
+
+def _ros(
+    topic: str, name: str, description: str, build: Callable[[], bytes], dds_topic: str | None
+) -> Channel:
+    return Channel(topic, name, "ros2msg", "cdr", description, build, dds_topic)
+
+
+def _dds(topic: str, dds_topic: str, name: str, description: str) -> Channel:
+    return _ros(topic, name, description, partial(_ros2_schema, dds_topic), dds_topic)
+
+
+def _protobuf_schema(message_class: type[Message]) -> bytes:
+    """A serialised FileDescriptorSet of a message and all that it imports, the imported first."""
+    files: dict[str, Any] = {}
+
+    def collect(file: Any) -> None:
+        if file.name not in files:
+            for imported in file.dependencies:
+                collect(imported)
+            files[file.name] = file
+
+    collect(message_class.DESCRIPTOR.file)
+    collected = FileDescriptorSet()
+    for file in files.values():
+        file.CopyToProto(collected.file.add())
+    schema: bytes = collected.SerializeToString()
+    return schema
+
+
+def _ros2_schema(dds_topic: str) -> bytes:
+    """The type of a DDS topic as ROS 2 message text, followed by the types inside it."""
+    from g1stream.dds.topics import TOPICS
+
+    idl_type = next(topic.message.idl_type for topic in TOPICS if topic.name == dds_topic)
+    nested = (
+        f"{'=' * 80}\nMSG: {_ros2_type(struct)}\n{_ros2_fields(struct)}"
+        for struct in _nested_structs(idl_type)
+    )
+    return (_ros2_fields(idl_type) + "".join(nested)).encode()
+
+
+def _ros2_fields(idl_type: Any) -> str:
+    lines = []
+    for name, (element, length) in members(idl_type).items():
+        size = "" if length is None else f"[{length}]"
+        lines.append(f"{_ros2_type(element)}{size} {name}\n")
+    return "".join(lines)
+
+
+def _ros2_type(element: Any) -> str:
+    """Such as `uint8`, or `unitree_hg/IMUState` for `unitree_hg.msg.dds_.IMUState_`."""
+    if isinstance(element, str):
+        return "uint8" if element == "byte" else element
+    parts = element.__idl_typename__.split(".")
+    return f"{parts[0]}/{parts[-1].removesuffix('_')}"
+
+
+def _nested_structs(idl_type: Any) -> list[Any]:
+    """The struct types inside a type, each once, in the order of their use."""
+    found: dict[str, Any] = {}
+    for element, _ in members(idl_type).values():
+        if not isinstance(element, str):
+            for struct in (element, *_nested_structs(element)):
+                found.setdefault(struct.__idl_typename__, struct)
+    return list(found.values())
+
+
+_ALL: Final = (
+    _foxglove("/tf", FrameTransforms, "reference pose of every link, from world down the tree"),
+    _foxglove("/measured/tf", FrameTransforms, "measured pose of every link, frames measured/*"),
+    _foxglove("/reference/joint_states", JointStates, "joints of the reference"),
+    _foxglove("/measured/joint_states", JointStates, "joints as the motors report them"),
+    _foxglove(
+        "/tracking_error/joint_states", JointStates, "reference minus measured, at each LowState"
+    ),
+    _foxglove("/log", Log, "phase changes, safety events, gaps and overruns"),
+    _foxglove("/scene", SceneUpdate, "the robot's shapes, each locked to the frame of its link"),
+    # In ROS's own message, as that is what viewers look for under this topic.
+    _ros(
+        "/robot_description",
+        "std_msgs/msg/String",
+        "the robot's URDF",
+        lambda: b"string data\n",
+        None,
+    ),
+    _dds("/lowcmd", "rt/lowcmd", "unitree_hg/msg/LowCmd", "commands to the motors"),
+    _dds("/lowstate", "rt/lowstate", "unitree_hg/msg/LowState", "state of motors and IMU"),
+    _dds(
+        "/sportmodestate",
+        "rt/sportmodestate",
+        "unitree_go/msg/SportModeState",
+        "base as the simulator knows it",
+    ),
+    _dds("/secondary_imu", "rt/secondary_imu", "unitree_hg/msg/IMUState", "IMU in the torso"),
+    _dds(
+        "/reference",
+        "rt/g1stream/reference",
+        "g1stream/msg/Reference",
+        "target of the motion, with the publish time of its LowCmd",
+    ),
+)
+
+CHANNELS: Final[Mapping[str, Channel]] = MappingProxyType({one.topic: one for one in _ALL})
+"""Every channel a session file can have, by its topic."""

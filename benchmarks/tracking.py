@@ -205,9 +205,9 @@ def over_dds(
         "sim.support": support,
     }
     config = safety(load_config(None, over))
-    sim = Child(["sim"], {"config": config.model_dump(mode="json")})
+    sim = Child("sim", config)
     try:
-        sim.wait_for("ready", timeout=20.0)
+        sim.wait_until_ready()
         with tempfile.TemporaryDirectory() as directory:
             path = Path(directory, "session.mcap")
             stream(motion, config, record=path)

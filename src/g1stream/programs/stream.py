@@ -130,11 +130,11 @@ def stream(
             wire = link.counts()
             if recorder:
                 heard = bool(loop.report.commands or loop.report.states)
-                recording = recorder.finish(_last_words(loop, wire, granted), heard=heard)
+                recording = recorder.finish(_final_metadata(loop, wire, granted), heard=heard)
     return StreamOutcome(motion.name, report, recording, wire, granted, interval, findings)
 
 
-def _last_words(
+def _final_metadata(
     loop: StreamLoop, wire: dict[str, int | None], granted: list[Grant]
 ) -> dict[str, Any]:
     """What the recorder notes of how the loop went."""

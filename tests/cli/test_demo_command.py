@@ -26,7 +26,7 @@ def told(monkeypatch):
         def __init__(self, *_):
             pass
 
-        def wait_until_ready(self):
+        def wait_for(self, *_, **__):
             heard.append("bridge")
 
         def finish(self):

@@ -1,42 +1,59 @@
-"""The logging handler that publishes events on rt/g1stream/log."""
+"""Logging handlers that publish events as samples of rt/g1stream/log."""
 
 from __future__ import annotations
 
 import logging
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.messages import Log
 from g1stream.dds.topics import LOG
-from g1stream.events import severity
+from g1stream.types import ERROR, INFO, WARNING
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from g1stream.dds.domain import Participant
 
-__all__ = ["DdsLogHandler"]
+__all__ = ["DdsLogHandler", "LogHandler"]
+
+_LEVELS: Final = ((logging.ERROR, ERROR), (logging.WARNING, WARNING))
 
 
-class DdsLogHandler(logging.Handler):
+class LogHandler(logging.Handler):
     """Publishes log records as `Log`, stamped with the time at which they were logged.
 
-    It leaves the topic with its participant, so records must be handled before that closes.
-
     Args:
-        participant: to publish from.
         name: of the program, such as `stream`; published with every event.
+        publish: takes the sample and its publish time, ns since the epoch.
     """
 
-    def __init__(self, participant: Participant, name: str) -> None:
+    def __init__(self, name: str, publish: Callable[[bytes, int], object]) -> None:
         super().__init__(logging.INFO)
-        self._writer = RawWriter(participant, LOG, depth=100)
+        self._publish = publish
         self._message = Log()
         self._message.name = name
 
     def emit(self, record: logging.LogRecord) -> None:
         """Publish one record; a text too long for the message is cut."""
         try:
-            self._message.level[()] = severity(record)
+            level = next((wire for at, wire in _LEVELS if record.levelno >= at), INFO)
+            self._message.level[()] = level
             self._message.text = record.getMessage()
-            self._writer.write(self._message.tobytes(), int(record.created * 1e9))
+            self._publish(self._message.tobytes(), int(record.created * 1e9))
         except Exception:  # a handler must not raise where somebody logs
             self.handleError(record)
+
+
+class DdsLogHandler(LogHandler):
+    """Publishes log records on DDS.
+
+    It leaves the topic with its participant, so records must be handled before that closes.
+
+    Args:
+        participant: to publish from.
+        name: of the program, such as `stream`.
+    """
+
+    def __init__(self, participant: Participant, name: str) -> None:
+        super().__init__(name, RawWriter(participant, LOG, depth=100).write)

@@ -22,7 +22,7 @@ from g1stream.dds.topics import LOWCMD
 from g1stream.doctor.matching import explain_no_robot
 from g1stream.doctor.wire import inspect_participant
 from g1stream.errors import ConfigError, SafetyError, WireError
-from g1stream.motion.limits import Interval, measure_limits
+from g1stream.motion.limit_warnings import Interval, beyond_limits
 from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.programs.outcome import StreamOutcome, loop_summary
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from g1stream.doctor.facts import Finding
     from g1stream.realtime import Grant
 
-__all__ = ["StreamOutcome", "stream"]
+__all__ = ["StreamOutcome", "make_loop", "played_interval", "stream"]
 
 #: For how long others are looked for before we show ourselves as a writer of LowCmd, ns.
 _DISCOVERY = 300_000_000
@@ -86,7 +86,7 @@ def stream(
     robot = G1.load(config.robot)
     if not isinstance(motion, Motion):
         motion = load_motion(motion, robot)
-    interval = _interval(motion, config)
+    interval = played_interval(motion, config)
     gains = resolve_gains(config.gains)
     clock = SystemClock()
     with Participant(config.dds.domain, config.dds.interface) as participant:
@@ -97,15 +97,7 @@ def stream(
         targets = Targets(
             trajectory, start=interval.start, play=interval.length, ramp=settings.ramp
         )
-        warnings: tuple[str, ...] = ()
-        if on_warning:
-            warnings = measure_limits(
-                trajectory,
-                robot,
-                interval,
-                rate=settings.rate,
-                position_margin=config.safety.position_margin,
-            ).warnings
+        warnings = beyond_limits(motion, robot, config, interval) if on_warning else []
         if not config.safety.allow_second_writer:
             clock.sleep_until(joined + _DISCOVERY)
             _refuse_if_commanded(participant)
@@ -130,11 +122,11 @@ def stream(
             wire = link.counts()
             if recorder:
                 heard = bool(loop.report.commands or loop.report.states)
-                recording = recorder.finish(_final_metadata(loop, wire, granted), heard=heard)
+                recording = recorder.finish(_last_words(loop, wire, granted), heard=heard)
     return StreamOutcome(motion.name, report, recording, wire, granted, interval, findings)
 
 
-def _final_metadata(
+def _last_words(
     loop: StreamLoop, wire: dict[str, int | None], granted: list[Grant]
 ) -> dict[str, Any]:
     """What the recorder notes of how the loop went."""
@@ -180,6 +172,8 @@ def make_loop(
     play: float | None,
     gains: Gains,
     clock: Clock,
+    *,
+    settle: int = _SETTLE,
 ) -> StreamLoop:
     """The loop of a config, not yet running; `play` is how much of the motion is played, s."""
     settings, safety = config.stream, config.safety
@@ -199,7 +193,7 @@ def make_loop(
         gains,
         period=_period(config),
         damp_kd=settings.damp_kd,
-        settle=_SETTLE,
+        settle=settle,
         allow_rivals=safety.allow_second_writer,
         feedforward=make_feedforward(config, robot),
     )
@@ -229,7 +223,7 @@ def make_feedforward(config: Config, robot: G1) -> FeedForward:
     )
 
 
-def _interval(motion: Motion, config: Config) -> Interval:
+def played_interval(motion: Motion, config: Config) -> Interval:
     """What of the motion is to be played."""
     start, duration = config.stream.start, config.stream.duration
     if start >= motion.duration:

@@ -5,6 +5,7 @@ A run gives the same bytes every time, as fast as the computer can.
 
 from __future__ import annotations
 
+import logging
 from typing import TYPE_CHECKING, Final
 
 from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE, SECONDARY_IMU, SPORTMODESTATE
@@ -109,4 +110,5 @@ class Lockstep:
         return self._now
 
     def tell(self, level: int, text: str) -> None:
-        """Events stay with the loop."""
+        """Log an event of the loop: level 2 info, 3 warning, 4 error."""
+        logging.getLogger("g1stream.control").log(level * 10, text)

@@ -1,0 +1,196 @@
+"""Play a motion on a simulated robot in lockstep: without DDS, a second process or a wall clock."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections import defaultdict
+from contextlib import contextmanager
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Any, Final
+
+from g1stream._version import __version__
+from g1stream.config import Config
+from g1stream.control.gains import resolve_gains
+from g1stream.control.targets import Targets
+from g1stream.dds.log_handler import LogHandler
+from g1stream.dds.topics import LOG
+from g1stream.errors import ConfigError
+from g1stream.foxglove.encoders import MEASURED_PREFIX
+from g1stream.foxglove.pipeline import MessagePipeline
+from g1stream.foxglove.scene import encode_robot_description, encode_scene
+from g1stream.motion.motion import Motion
+from g1stream.motion.trajectory import Trajectory
+from g1stream.programs.outcome import loop_summary
+from g1stream.programs.record import GHOST
+from g1stream.programs.sim import physics_timestep
+from g1stream.programs.stream import make_loop, played_interval
+from g1stream.robot.model import G1
+from g1stream.session.attachments import attach_motion
+from g1stream.session.motions import load_motion
+from g1stream.session.samples import Batch
+from g1stream.session.session import Session
+from g1stream.session.source import MemorySource
+from g1stream.sim.lockstep import EPOCH, Lockstep
+from g1stream.sim.robot import SimulatedRobot
+from g1stream.sim.world import World
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+    from g1stream.control.gains import Gains
+    from g1stream.control.loop import StreamLoop
+    from g1stream.dds.messages import LowState
+    from g1stream.dds.topics import Topic
+    from g1stream.types import FeedForwardKind, Support
+
+__all__ = ["LATENCY", "rollout"]
+
+LATENCY: Final = 100_000
+"""Log time minus publish time of every message of a rollout, ns: about that of DDS on loopback."""
+
+
+def rollout(
+    motion: Motion | str | Path,
+    *,
+    support: Support | None = None,
+    feedforward: FeedForwardKind | None = None,
+    config: Config | None = None,
+    seconds: float | None = None,
+    announced: Support | None = None,
+    noise: Callable[[LowState], None] = lambda state: None,
+) -> Session:
+    """Play a motion on a simulated robot, faster than real time, and return the session.
+
+    The loop, its safety and its feed-forward are those of `stream`, the robot is that of the
+    bridge. Both advance in lockstep: the robot's ticks are half a period after the loop's, and take
+    no time. So the same arguments give the same messages, byte for byte.
+
+    Publish times are simulated time since 2000-01-01 00:00 UTC (`g1stream.sim.lockstep.EPOCH`); log
+    times are `LATENCY`, 0.1 ms, later.
+
+    Args:
+        motion: a motion, a motion file, or the name of a bundled motion.
+        support: how the pelvis is held; `config.sim.support`, bolted by default, if None.
+        feedforward: what commands carry beside the position; if None `config.stream.feedforward`,
+            by default dynamics, and velocity for support "free".
+        config: all settings; the defaults if None. `dds` and `realtime` have no effect.
+        seconds: how much of the motion to play; `config.stream.duration` if None.
+        announced: how the simulated robot announces that it is held, where that shall be wrong.
+        noise: may change each LowState before it is published, as the noise of sensors does.
+
+    Returns:
+        The session in memory, with all channels of a recorded one; `save` writes it into a file.
+
+    Raises:
+        G1StreamError: a file or a setting is not valid, or the robot cannot be simulated.
+    """
+    config = _resolve(config or Config(), support, feedforward, seconds)
+    robot = G1.load(config.robot)
+    if not isinstance(motion, Motion):
+        motion = load_motion(motion, robot)
+    interval = played_interval(motion, config)
+    settings, gains = config.stream, resolve_gains(config.gains)
+    pipeline = MessagePipeline(robot, config.record.tf_rate)
+    world = World(robot, config.sim.support, timestep=physics_timestep(config.sim.rate))
+    simulated = SimulatedRobot(world, config.sim, noise=noise)
+    batches: dict[str, Batch] = defaultdict(Batch)
+
+    def on_sample(topic: Topic, data: bytes, stamp: int) -> None:
+        batch = batches[topic.name]
+        batch.data.append(data)
+        batch.publish_times.append(stamp)
+        batch.log_times.append(stamp + LATENCY)
+
+    link = Lockstep(simulated, announced or config.sim.support, on_sample=on_sample)
+    targets = Targets(
+        Trajectory(motion, loop=settings.loop),
+        start=interval.start,
+        play=interval.length,
+        ramp=settings.ramp,
+    )
+    loop = make_loop(config, robot, link, targets, interval.length, gains, link, settle=0)
+    with _log_to(lambda data, _: on_sample(LOG, data, link.stamp())):
+        loop.run()
+    source = MemorySource(f"rollout of {motion.name}")
+    _write_header(source, config, robot, motion, gains)
+    for messages in pipeline.encode(batches):
+        source.write_batch(*messages)
+    measured_tf = pipeline.base.as_dict()
+    source.add_metadata({"stream": _stream_metadata(loop), "measured_tf": measured_tf})
+    return Session(source)
+
+
+def _resolve(
+    config: Config,
+    support: Support | None,
+    feedforward: FeedForwardKind | None,
+    seconds: float | None,
+) -> Config:
+    """The config with the arguments of a rollout over its values."""
+    support = support or config.sim.support
+    default: FeedForwardKind = "velocity" if support == "free" else "dynamics"
+    values = config.model_dump()
+    values["sim"]["support"] = support
+    values["stream"]["feedforward"] = feedforward or config.stream.feedforward or default
+    if seconds is not None:
+        values["stream"]["duration"] = float(seconds)
+    if values["stream"]["loop"] and values["stream"]["duration"] is None:
+        raise ConfigError(
+            "A rollout of a motion that loops would not end: stream.loop is true.",
+            "Give `seconds`, or stream.duration.",
+        )
+    return Config.model_validate(values)
+
+
+@contextmanager
+def _log_to(publish: Callable[[bytes, int], object]) -> Iterator[None]:
+    """Publish what this thread logs meanwhile, as the stream's and the bridge's events."""
+    thread = threading.get_ident()
+    stream, sim = LogHandler("stream", publish), LogHandler("sim", publish)
+    stream.addFilter(
+        lambda record: record.thread == thread and not record.name.startswith("g1stream.sim")
+    )
+    sim.addFilter(lambda record: record.thread == thread and record.name.startswith("g1stream.sim"))
+    logger = logging.getLogger("g1stream")
+    logger.addHandler(stream)
+    logger.addHandler(sim)
+    try:
+        yield
+    finally:
+        logger.removeHandler(stream)
+        logger.removeHandler(sim)
+
+
+def _write_header(
+    source: MemorySource, config: Config, robot: G1, motion: Motion, gains: Gains
+) -> None:
+    packages = ("mujoco", "numpy")
+    source.add_metadata(
+        {
+            "g1stream": __version__,
+            "versions": {name: version(name) for name in packages},
+            "started_ns": EPOCH,
+            "log_clock": f"simulated; log times are publish times + {LATENCY} ns",
+            "config": config.model_dump(mode="json"),
+            "gains": {name: values.tolist() for name, values in gains._asdict().items()},
+            "motion": {
+                "name": motion.name,
+                "fps": motion.fps,
+                "frames": motion.n_frames,
+                "sha256": motion.sha256,
+                "source": str(motion.source) if motion.source else None,
+            },
+        }
+    )
+    source.attach("robot.urdf", "application/xml", robot.urdf.encode(), EPOCH)
+    source.attach("config.json", "application/json", config.model_dump_json().encode(), EPOCH)
+    attach_motion(source, motion.source, EPOCH)
+    scene = encode_scene(EPOCH, robot, {"": GHOST, MEASURED_PREFIX: 1.0})
+    source.write("/scene", scene, EPOCH, EPOCH)
+    source.write("/robot_description", encode_robot_description(robot), EPOCH, EPOCH)
+
+
+def _stream_metadata(loop: StreamLoop) -> dict[str, Any]:
+    return {**loop_summary(loop.report), "wire": {}, "realtime": []}

@@ -1,0 +1,112 @@
+"""A motion played in lockstep: deterministic, in simulated time, a session like a recorded one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from g1stream.config import Config
+from g1stream.errors import ConfigError
+from g1stream.programs.rollout import LATENCY, rollout
+from g1stream.session.session import Session
+from g1stream.sim.lockstep import EPOCH
+from g1stream.types import Phase
+
+SHORT = {"ramp": 1.0, "hold": 0.1, "damp": 0.5}
+
+
+def config(**values):
+    return Config.model_validate({"stream": SHORT} | values)
+
+
+@pytest.fixture(scope="module")
+def session() -> Session:
+    return rollout("demo", seconds=2.0, config=config())
+
+
+def test_it_is_the_same_byte_for_byte(session):
+    again = rollout("demo", seconds=2.0, config=config())
+    assert again.topics == session.topics
+    assert again.metadata == session.metadata
+    for topic in session.topics:
+        assert list(again.messages(topic)) == list(session.messages(topic))
+
+
+def test_times_are_simulated(session):
+    reference, state = session.reference, session.measured
+    first = int(reference.publish_time[0])
+    assert EPOCH <= first < EPOCH + 1_000_000_000
+    assert np.unique(np.diff(reference.publish_time)).tolist() == [2_000_000]
+    assert np.unique(np.diff(state.publish_time)).tolist() == [2_000_000]
+    assert {(t - first) % 2_000_000 for t in state.publish_time.tolist()} == {1_000_000}
+    for topic in ("/lowcmd", "/lowstate", "/reference", "/sportmodestate", "/log", "/tf"):
+        assert {m.log_time - m.publish_time for m in session.messages(topic)} == {LATENCY}
+    assert session.command.publish_time.tolist() == reference.publish_time.tolist()
+
+
+def test_every_phase_and_channel_is_there(session):
+    durations = {one.phase: one.duration_s for one in session.phases}
+    assert durations[Phase.RAMP] == pytest.approx(1.0)
+    assert durations[Phase.PLAY] == pytest.approx(2.0)
+    assert durations[Phase.DAMP] == pytest.approx(0.5, abs=0.003)
+    assert set(session.topics) == {
+        *("/lowcmd", "/lowstate", "/reference", "/sportmodestate", "/secondary_imu"),
+        *("/tf", "/measured/tf", "/reference/joint_states", "/measured/joint_states"),
+        *("/tracking_error/joint_states", "/log", "/scene", "/robot_description"),
+    }
+    assert session.attachments.keys() >= {"robot.urdf", "config.json"}
+    assert session.metadata["motion"]["name"] == "demo"
+    assert session.metadata["stream"]["reason"] == ""
+
+
+def test_events_of_loop_and_bridge(session):
+    names = {event.name for event in session.log}
+    assert names == {"stream", "sim"}
+    assert "RAMP -> PLAY" in {event.text for event in session.log}
+
+
+@pytest.mark.parametrize("support", ["bolted", "hanging", "follow"])
+def test_feed_forward_tracks_ten_times_as_closely_as_none(support):
+    options = {"support": support, "seconds": 2.0, "config": config()}
+    rmse = {
+        kind: rollout("demo", feedforward=kind, **options).tracking().overall
+        for kind in ("dynamics", "velocity")
+    }
+    assert rmse["dynamics"] < rmse["velocity"] / 10
+
+
+def test_a_wrong_announcement_is_noticed_by_nobody(session):
+    """The loop believes the bridge; the torques are then those of another support."""
+    wrong = rollout("demo", seconds=2.0, announced="hanging", config=config())
+    assert wrong.metadata["stream"]["support"] == "hanging"
+    assert wrong.tracking().overall > 10 * session.tracking().overall
+
+
+def test_noise_is_measured(session):
+    rng = np.random.default_rng(3)
+
+    def noise(state):
+        state.q[:] = rng.normal(state.q, 0.01)
+
+    noisy = rollout("demo", seconds=0.5, config=config(), noise=noise)
+    q = noisy.sel("PLAY").measured.q
+    assert np.std(q - session.sel("PLAY").measured.q[: len(q)]) == pytest.approx(0.01, rel=0.1)
+
+
+def test_gains_have_an_effect():
+    soft = config(gains={"kp": {"*": 10.0}})
+    assert rollout("demo", seconds=0.5, config=soft).command.kp.max() == 10.0
+
+
+@pytest.mark.parametrize(
+    ("settings", "named"),
+    [({"stream": {"loop": True}}, "stream.loop"), ({"stream": {"start": 1e4}}, "10000 s")],
+)
+def test_settings_that_cannot_be_played(settings, named):
+    with pytest.raises(ConfigError, match=named):
+        rollout("demo", config=Config.model_validate(settings))
+
+
+def test_a_loop_plays_as_long_as_asked():
+    looped = rollout("demo", seconds=0.5, config=config(stream=SHORT | {"loop": True}))
+    assert {one.phase: one.duration_s for one in looped.phases}[Phase.PLAY] == pytest.approx(0.5)

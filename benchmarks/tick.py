@@ -24,10 +24,10 @@ from g1stream.control.gains import resolve_gains
 from g1stream.control.measured import ImuReading, Measured
 from g1stream.control.safety import Envelope
 from g1stream.control.targets import Targets
-from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.dynamics import InverseDynamics
 from g1stream.robot.model import G1
+from g1stream.session.motions import load_motion
 from g1stream.types import Phase
 
 if TYPE_CHECKING:

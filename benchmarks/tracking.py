@@ -35,7 +35,6 @@ from g1stream.control.safety import Envelope
 from g1stream.control.target import Target
 from g1stream.control.targets import Targets
 from g1stream.dds.topics import LOWSTATE
-from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.programs.child_process import Child
 from g1stream.programs.stream import stream
@@ -43,6 +42,7 @@ from g1stream.robot.dynamics import InverseDynamics
 from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP, JOINT_NAMES
 from g1stream.robot.model import G1
 from g1stream.robot.motors import TORQUE_LIMIT
+from g1stream.session.motions import load_motion
 from g1stream.session.session import open_session
 from g1stream.sim.lockstep import Lockstep
 from g1stream.sim.robot import SimulatedRobot
@@ -205,9 +205,9 @@ def over_dds(
         "sim.support": support,
     }
     config = safety(load_config(None, over))
-    sim = Child(["sim"], {"config": config.model_dump(mode="json")})
+    sim = Child("sim", config)
     try:
-        sim.wait_for("ready", timeout=20.0)
+        sim.wait_until_ready()
         with tempfile.TemporaryDirectory() as directory:
             path = Path(directory, "session.mcap")
             stream(motion, config, record=path)

@@ -107,8 +107,8 @@ def test_one_cpu_is_chosen():
         assert not by_name(grants)["affinity"].granted
 
 
-def test_standing_back_is_for_the_whole_process():
-    """In a process of its own: giving way cannot be taken back."""
-    script = "import os; from g1stream.realtime import stand_back; stand_back(); print(os.nice(0))"
+def test_the_priority_of_the_whole_process_is_lowered():
+    """In a process of its own: it cannot be raised again."""
+    script = "import os, g1stream.realtime as r; r.lower_priority(); print(os.nice(0))"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, check=True)
     assert int(done.stdout) == min(19, os.nice(0) + 5)

@@ -21,25 +21,28 @@ if TYPE_CHECKING:
     from g1stream.config import Config, load_config
     from g1stream.errors import G1StreamError
     from g1stream.motion.motion import Motion
-    from g1stream.motion.trajectory import Trajectory
+    from g1stream.motion.trajectory import Trajectory, TrajectoryPoint
     from g1stream.programs.convert import Conversion, convert
     from g1stream.programs.record import record
     from g1stream.programs.replay import replay
     from g1stream.programs.rollout import rollout
     from g1stream.programs.sim import simulate
     from g1stream.programs.stream import stream
+    from g1stream.robot.joints import JOINT_NAMES
     from g1stream.robot.model import G1
     from g1stream.session.motions import load_motion
     from g1stream.session.session import Session, open_session
 
 __all__ = [
     "G1",
+    "JOINT_NAMES",
     "Config",
     "Conversion",
     "G1StreamError",
     "Motion",
     "Session",
     "Trajectory",
+    "TrajectoryPoint",
     "__version__",
     "convert",
     "load_config",
@@ -58,9 +61,11 @@ _HOME = {
     "Conversion": "programs.convert",
     "G1": "robot.model",
     "G1StreamError": "errors",
+    "JOINT_NAMES": "robot.joints",
     "Motion": "motion.motion",
     "Session": "session.session",
     "Trajectory": "motion.trajectory",
+    "TrajectoryPoint": "motion.trajectory",
     "convert": "programs.convert",
     "load_config": "config",
     "load_motion": "session.motions",

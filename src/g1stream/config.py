@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from g1stream.errors import ConfigError
-from g1stream.types import FeedForwardKind, Support
+from g1stream.types import STREAM_RATE, FeedForwardKind, Support
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -61,7 +61,7 @@ class DdsConfig(_Table):
 class StreamConfig(_Table):
     """How a motion is played."""
 
-    rate: float = Field(500.0, ge=10.0, le=2000.0, description="LowCmd per second, Hz")
+    rate: float = Field(STREAM_RATE, ge=10.0, le=2000.0, description="LowCmd per second, Hz")
     wait: float = Field(
         10.0,
         ge=1.0,

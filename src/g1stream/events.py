@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["handled_by"]
+__all__ = ["console_handler", "handled_by", "severity"]
 
 _LOGGER = logging.getLogger("g1stream")
 _LOGGER.addHandler(logging.NullHandler())
@@ -47,3 +47,16 @@ def handled_by(*handlers: logging.Handler) -> Iterator[None]:
         _LOGGER.removeHandler(queue)
         _LOGGER.propagate = propagate
         listener.stop()
+
+
+def console_handler(program: str, level: int = logging.WARNING) -> logging.Handler:
+    """A handler that prints events of this level and above on standard error."""
+    handler = logging.StreamHandler()
+    handler.setLevel(level)
+    handler.setFormatter(logging.Formatter(f"{program}: %(message)s"))
+    return handler
+
+
+def severity(record: logging.LogRecord) -> int:
+    """A record's level as foxglove.Log and the Log on the wire number it: 1 debug to 5 fatal."""
+    return min(max(record.levelno // 10, 1), 5)

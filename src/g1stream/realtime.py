@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["DEFAULT_PRIORITY", "Grant", "on_time", "stand_back", "told"]
+__all__ = ["DEFAULT_PRIORITY", "Grant", "lower_priority", "on_time", "told"]
 
 #: In the middle of 1 to 99: above programs, below the kernel's own threads that serve interrupts.
 DEFAULT_PRIORITY: Final = 50
@@ -101,8 +101,8 @@ def _linux_thread(priority: int, cpu: int | None) -> Iterator[list[Grant]]:
         _libc().munlockall()
 
 
-def stand_back() -> None:
-    """Let the calling process give way to those that must be on time."""
+def lower_priority() -> None:
+    """Lower this process's priority below those that must be on time."""
     os.nice(_BACKGROUND_NICE)
 
 

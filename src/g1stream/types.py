@@ -9,7 +9,17 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-__all__ = ["ERROR", "INFO", "WARNING", "FeedForwardKind", "Floats", "Ints", "Phase", "Support"]
+__all__ = [
+    "ERROR",
+    "INFO",
+    "STREAM_RATE",
+    "WARNING",
+    "FeedForwardKind",
+    "Floats",
+    "Ints",
+    "Phase",
+    "Support",
+]
 
 Floats: TypeAlias = "NDArray[np.float64]"
 Ints: TypeAlias = "NDArray[np.int64]"
@@ -18,6 +28,9 @@ Support = Literal["bolted", "hanging", "follow", "free"]
 """How the pelvis is held."""
 FeedForwardKind = Literal["none", "velocity", "dynamics"]
 """What a command carries beside the position: nothing, velocity, or velocity and torque."""
+
+STREAM_RATE: Final = 500.0
+"""LowCmds per second unless `stream.rate` is set, Hz."""
 
 INFO: Final = 2
 """Severity of an event, as foxglove.Log and the Log on the wire number it."""

@@ -79,7 +79,7 @@ def test_check_finds_what_is_wrong(tmp_path):
     assert "not in the URDF left_kneee_joint" in done.stdout
     assert "not in the file left_knee_joint" in done.stdout
     as_json = json.loads(run("--check", path, "--json").stdout)
-    assert as_json["all_well"] is False
+    assert as_json["passed"] is False
     assert as_json["not_in_file"] == ["left_knee_joint"]
 
 
@@ -104,7 +104,7 @@ def test_check_of_a_session(tmp_path):
     assert "a session" in done.stdout
     assert "100 frames at 500 fps" in done.stdout
     as_json = json.loads(run("--check", path, "--json").stdout)
-    assert (as_json["kind"], as_json["all_well"]) == ("session", True)
+    assert (as_json["kind"], as_json["passed"]) == ("session", True)
     assert as_json["motion"]["fastest"]["value"] == 0.0
 
 
@@ -126,7 +126,7 @@ def test_a_warning_changes_no_exit_code(tmp_path, out):
     check, converted = run("--check", path), run(path, out)
     for done, told in ((check, check.stdout), (converted, converted.stderr)):
         assert done.returncode == 0
-        assert "frame 7, line 9, with the norm 2.24" in told
+        assert "frame 7, line 9" in told
     assert check.stdout.endswith("  well, with a warning\n")
 
 
@@ -140,7 +140,7 @@ CASES = {
     "no such motion": (lambda tmp: [tmp / "nowhere.csv", tmp / "a.mcap"], "nowhere.csv"),
     "an unknown joint": (
         lambda tmp: [spoiled(tmp, "left_knee_joint", "knee"), tmp / "a.mcap"],
-        "lacks joints that the robot has: left_knee_joint",
+        "missing columns: left_knee_joint",
     ),
     "a word for a number": (
         lambda tmp: [spoiled(tmp, "\n0,", "\n0,x"), tmp / "a.mcap"],
@@ -149,7 +149,7 @@ CASES = {
     "no output": (lambda tmp: ["demo"], "no file to write to"),
     "no directory": (lambda tmp: ["demo", tmp / "nowhere" / "a.mcap"], "mkdir -p"),
     "a file that is there": (lambda tmp: ["demo", spoiled(tmp, "", "")], "exists already"),
-    "no frame rate": (lambda tmp: ["demo", tmp / "a.mcap", "--fps", "0"], "frames a second"),
+    "no frame rate": (lambda tmp: ["demo", tmp / "a.mcap", "--fps", "0"], "frames per second"),
     "a time without a zone": (
         lambda tmp: ["demo", tmp / "a.mcap", "--base-time", "2026-03-01T12:00:00"],
         "has no zone",

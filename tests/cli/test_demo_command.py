@@ -26,7 +26,7 @@ def told(monkeypatch):
         def __init__(self, *_):
             pass
 
-        def wait_for(self, *_, **__):
+        def wait_until_ready(self):
             heard.append("bridge")
 
         def finish(self):

@@ -37,9 +37,9 @@ def leaping(tmp_path):
 
 def test_the_speed_it_says_is_the_one_that_is_streamed():
     told = json.loads(run("demo", "--json").stdout)
-    streamed = max(speed["value"] for speed in told["fastest_streamed"])
+    streamed = max(speed["value"] for speed in told["streamed"]["speeds"])
     assert set(told["fastest"]) == {"joint", "time", "value", "limit"}
-    assert told["rate"] == 500.0
+    assert told["streamed"]["rate"] == 500.0
     assert streamed > told["fastest"]["value"]
     text = run("demo").stdout
     fastest = next(line for line in text.splitlines() if line.startswith("  fastest"))
@@ -52,11 +52,11 @@ def test_the_speed_it_says_is_the_one_that_is_streamed():
 def test_targets_that_would_be_held_are_told_and_no_fault(leaping):
     done = run(leaping)
     told = json.loads(run(leaping, "--json").stdout)
-    (held,) = told["held"]
+    (held,) = told["streamed"]["held"]
     assert held["joint"] == "left_wrist_roll_joint"
     assert told["n_held"] == held["n_targets"] > 0
     assert told["within_limits"] is True
-    assert f"held at limit   {held['n_targets']} joint targets at 500 Hz" in done.stdout
+    assert f"{held['n_targets']} joint targets at 500 Hz are held" in done.stdout
     assert "all kept" not in done.stdout
     assert done.returncode == 0
 
@@ -65,8 +65,8 @@ def test_targets_are_held_at_the_limits_of_the_settings(leaping, tmp_path):
     path = tmp_path / "config.toml"
     path.write_text("[stream]\nrate = 50.0\n[safety]\nposition_margin = 0.1\n")
     told = json.loads(run(leaping, "--config", path, "--json").stdout)
-    wrist = next(j for j in told["held"] if j["joint"] == "left_wrist_roll_joint")
-    assert (told["rate"], told["position_margin"]) == (50.0, 0.1)
+    wrist = next(j for j in told["streamed"]["held"] if j["joint"] == "left_wrist_roll_joint")
+    assert (told["streamed"]["rate"], told["streamed"]["position_margin"]) == (50.0, 0.1)
     assert wrist["limit"] == pytest.approx(1.972222 - 0.1, abs=1e-5)
     assert wrist["n_targets"] > 500  # most of 14 s at 50 Hz
 

@@ -8,7 +8,7 @@ import pytest
 from g1stream.cli.stream_summary import exit_code, summary
 from g1stream.control.feedforward import Change
 from g1stream.control.report import LoopReport
-from g1stream.motion.limit_warnings import Interval
+from g1stream.motion.limits import Interval
 from g1stream.programs.outcome import StreamOutcome
 
 KNEE = 3

@@ -14,12 +14,13 @@ from g1stream.control.phases import Timing
 from g1stream.control.safety import Envelope
 from g1stream.control.support import ForceObserver, SupportCheck
 from g1stream.control.target import Target
-from g1stream.control.targets import Targets, minimum_jerk
+from g1stream.control.targets import Targets
 from g1stream.dds.topics import LOWSTATE
-from g1stream.motion.readers import load_motion
+from g1stream.motion.blend import minimum_jerk
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.dynamics import InverseDynamics, Solution
 from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP
+from g1stream.session.motions import load_motion
 from g1stream.sim.lockstep import Lockstep
 from g1stream.sim.robot import SimulatedRobot
 from g1stream.sim.world import World

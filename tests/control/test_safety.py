@@ -79,13 +79,15 @@ def test_a_ramp_from_beyond_a_limit_is_let_in_with_the_ramp(make_envelope, robot
 def test_targets_beyond_a_limit_are_held_and_counted(make_envelope, robot):
     envelope = make_envelope(position_margin=0.1)
     q = (robot.lower + robot.upper) / 2
-    q[3] = robot.upper[3] - 0.1 + 1e-9
-    q[4] = robot.lower[4] + 0.1 - 1e-9
+    q[3] = robot.upper[3] - 0.1 + 1e-5
+    q[4] = robot.lower[4] + 0.1 - 1e-5
+    q[5] = robot.upper[5] - 0.1 + 1e-9  # a rounding error: held as well, but not counted
     for _ in range(3):
         limited = envelope.limit(q)
         assert limited[3] == robot.upper[3] - 0.1
         assert limited[4] == robot.lower[4] + 0.1
-    assert np.delete(limited, [3, 4]).tolist() == np.delete(q, [3, 4]).tolist()
+        assert limited[5] == robot.upper[5] - 0.1
+    assert np.delete(limited, [3, 4, 5]).tolist() == np.delete(q, [3, 4, 5]).tolist()
     assert envelope.clamped.tolist() == [3 if i in (3, 4) else 0 for i in range(29)]
 
 

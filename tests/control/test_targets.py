@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from g1stream.control.targets import Targets, coast, minimum_jerk
+from g1stream.control.targets import Targets
 from g1stream.motion.trajectory import Trajectory
 from g1stream.types import Phase
 
@@ -31,27 +31,6 @@ def same_pose(one, other):
     )
 
 
-def test_minimum_jerk_starts_and_ends_at_rest():
-    assert minimum_jerk(0.0) == (0.0, 0.0, 0.0)
-    assert minimum_jerk(1.0) == (1.0, 0.0, 0.0)
-    assert minimum_jerk(-0.5) == minimum_jerk(0.0)
-    assert minimum_jerk(1.5) == minimum_jerk(1.0)
-    assert minimum_jerk(0.5) == (0.5, 1.875, 0.0)
-
-
-@pytest.mark.parametrize("s", np.linspace(0.01, 0.99, 15))
-def test_minimum_jerk_derivatives_are_finite_differences(s):
-    before, here, after = (np.array(minimum_jerk(s + d)) for d in (-STEP, 0.0, STEP))
-    difference = (after - before) / (2 * STEP)
-    assert here[1] == pytest.approx(difference[0], abs=1e-8)
-    assert here[2] == pytest.approx(difference[1], abs=1e-7)
-
-
-def test_minimum_jerk_goes_one_way_only():
-    progress = [minimum_jerk(s)[0] for s in np.linspace(0.0, 1.0, 101)]
-    assert np.all(np.diff(progress) > 0)
-
-
 def test_ramp_leads_from_the_measured_pose_to_the_first_frame(targets, trajectory):
     first = targets.at(Phase.RAMP, 0.0)
     assert first.q.tolist() == np.linspace(-0.4, 0.4, 29).tolist()
@@ -60,19 +39,6 @@ def test_ramp_leads_from_the_measured_pose_to_the_first_frame(targets, trajector
     assert last.q == pytest.approx(trajectory.sample(0.1).joint_pos, abs=1e-15)
     assert last.dq == pytest.approx(trajectory.sample(0.1).joint_vel, abs=1e-15)
     assert same_pose(targets.at(Phase.RAMP, 2.5), last)
-
-
-def test_coasting_starts_with_unit_velocity_and_ends_where_it_started():
-    assert coast(0.0, 0.2) == (0.0, 1.0, 0.0)
-    assert coast(0.2, 0.2) == coast(7.0, 0.2) == (0.0, 0.0, 0.0)
-
-
-@pytest.mark.parametrize("seconds", np.linspace(0.01, 0.19, 7))
-def test_coasting_derivatives_are_finite_differences(seconds):
-    before, here, after = (np.array(coast(seconds + d, 0.2)) for d in (-STEP, 0.0, STEP))
-    difference = (after - before) / (2 * STEP)
-    assert here[1] == pytest.approx(difference[0], abs=1e-6)
-    assert here[2] == pytest.approx(difference[1], abs=1e-4)
 
 
 def test_no_velocity_leaps_from_ramp_to_play_to_hold_to_rest(targets):

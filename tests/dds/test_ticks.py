@@ -22,8 +22,9 @@ def counted(ticks):
         ([2**32 - 4, 2**32 - 2, 0, 2, 6], 1),
         ([0, 2, 4, 4, 6], 0),
         ([0, 2, 5, 7, 9], 0),
+        ([0, 2, 4, 4_000_000, 4_000_002], 0),
     ],
-    ids=["whole", "gap", "gaps at both ends", "by one", "wraps", "repeated", "jitter of rounding"],
+    ids=["whole", "gap", "gaps at both ends", "by one", "wraps", "repeated", "jitter", "jump"],
 )
 def test_missed(ticks, missed):
     gaps = counted(ticks)

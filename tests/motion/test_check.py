@@ -1,14 +1,17 @@
+"""Reports about motions and about the files they are in."""
+
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from g1stream.errors import MotionError
-from g1stream.motion.check import check_motion
-from g1stream.motion.readers import load_motion
+from g1stream.motion.check import MappedColumn, NormRange, check_file, check_motion
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
+from g1stream.session.motions import load_motion
 
 KNEE = JOINT_NAMES.index("left_knee_joint")
 
@@ -25,11 +28,11 @@ def with_joint(motion, joint, values):
     return replace(motion, joint_pos=joint_pos)
 
 
-def test_nothing_to_complain_about(still, robot):
+def test_a_motion_at_rest(still, robot):
     report = check_motion(still, robot)
     assert report.within_limits
     assert report.limit_violations == ()
-    assert report.too_fast == ()
+    assert report.streamed.too_fast == ()
     assert (report.n_frames, report.fps, report.duration) == (31, 30.0, 1.0)
     assert report.fastest.value == 0.0
     assert {group.group for group in report.groups} == set(JOINT_GROUPS)
@@ -52,7 +55,7 @@ def test_position_limits_on_both_sides(still, robot):
 
 
 @pytest.mark.parametrize(("beyond", "within"), [(0.0, True), (5e-7, True), (2e-6, False)])
-def test_at_the_limit_is_within_as_far_as_six_decimals_tell(still, robot, beyond, within):
+def test_six_decimals_of_a_limit_are_within_it(still, robot, beyond, within):
     values = np.full(31, robot.upper[KNEE] + beyond)
     assert check_motion(with_joint(still, KNEE, values), robot).within_limits is within
 
@@ -77,7 +80,7 @@ def test_faster_between_frames_than_the_limit(still, robot):
     assert robot.velocity[KNEE] < 30.0
     values = np.where(np.arange(31) < 16, 0.2, 1.2)
     report = check_motion(with_joint(still, KNEE, values), robot)
-    (knee,) = report.too_fast
+    (knee,) = report.streamed.too_fast
     assert knee.joint == "left_knee_joint"
     assert knee.value > 30.0
     assert 15 / 30 <= knee.time <= 16 / 30
@@ -98,7 +101,7 @@ def test_root_travel(make_motion, robot):
 
 def test_motion_of_another_robot(still, robot):
     other = replace(still, joint_names=JOINT_NAMES[::-1])
-    with pytest.raises(MotionError, match="joints of the motion made are not those of the robot"):
+    with pytest.raises(MotionError, match=f"made.*{robot.name}"):
         check_motion(other, robot)
 
 
@@ -123,3 +126,168 @@ def test_the_same_clip_as_lafan1_distributes_it(real_clip, robot, tmp_path):
     for name in ("joint_pos", "root_pos", "root_quat_wxyz"):
         np.testing.assert_array_equal(getattr(labelled, name), getattr(distributed, name))
     assert distributed.joint_names == labelled.joint_names
+
+
+@pytest.fixture
+def clip(tmp_path, robot):
+    """Checks ten frames of the demo after a change to columns and rows."""
+    header, *lines = Path(load_motion("demo").source).read_text().splitlines()[:11]
+    columns, rows = header.split(","), [line.split(",") for line in lines]
+
+    def check(change=lambda columns, rows: None):
+        change(columns, rows)
+        path = tmp_path / "clip.csv"
+        path.write_text("\n".join(",".join(row) for row in [columns, *rows]))
+        return check_file(path, robot)
+
+    return check
+
+
+def test_a_file_without_faults(clip):
+    report = clip()
+    assert report.passed
+    assert (report.n_rows, report.n_columns, report.has_header) == (10, 37, True)
+    assert [m.joint for m in report.mapped] == list(JOINT_NAMES)
+    assert [m.column for m in report.mapped] == list(range(9, 38))
+    assert (report.not_in_robot, report.not_in_file, report.fault) == ((), (), "")
+    assert report.motion.duration == pytest.approx(9 / 30)
+    assert report.quat_norms == NormRange(
+        pytest.approx(1.0, abs=1e-5), pytest.approx(1.0, abs=1e-5)
+    )
+
+
+def test_a_bundled_motion_by_its_name(robot):
+    assert check_file("demo", robot).passed
+
+
+def test_the_frame_rate_is_as_given(robot):
+    motion = check_file("demo", robot, fps=15.0).motion
+    assert motion.duration == pytest.approx(2 * check_file("demo", robot).motion.duration)
+
+
+def test_a_joint_that_the_robot_lacks_and_one_that_the_file_lacks(clip):
+    def rename(columns, rows):
+        columns[columns.index("left_knee_joint")] = "left_kneee_joint"
+
+    report = clip(rename)
+    assert not report.passed
+    assert report.not_in_robot == ("left_kneee_joint",)
+    assert report.not_in_file == ("left_knee_joint",)
+    assert len(report.mapped) == 28
+    assert "left_kneee_joint" in report.fault
+    assert report.motion is None
+    assert report.quat_norms is not None
+
+
+def test_a_file_without_a_header(tmp_path, robot):
+    lines = Path(load_motion("demo").source).read_text().splitlines()[1:]
+    path = tmp_path / "lafan.csv"
+    path.write_text("\n".join(line.split(",", 1)[1] for line in lines))
+    report = check_file(path, robot)
+    assert report.passed
+    assert not report.has_header
+    assert report.mapped[0] == MappedColumn(8, JOINT_NAMES[0])
+
+
+def test_no_quaternions(clip):
+    def rename(columns, rows):
+        columns[columns.index("QW")] = "W"
+
+    report = clip(rename)
+    assert report.quat_norms is None
+    assert "QW" in report.fault
+
+
+def test_quaternions_that_are_not_unit_are_a_warning_and_no_fault(clip):
+    def scale(columns, rows):
+        for name in ("QX", "QY", "QZ", "QW"):
+            rows[3][columns.index(name)] = str(2.24 * float(rows[3][columns.index(name)]))
+
+    report = clip(scale)
+    assert report.quat_norms.highest == pytest.approx(2.24, abs=1e-4)
+    (warning,) = report.motion.warnings
+    assert "frame 3, line 5" in warning
+    assert report.passed
+
+
+def test_limits_and_the_largest_step_are_found_with_their_frames(clip):
+    def bend(columns, rows):
+        rows[6][columns.index("left_knee_joint")] = "3.5"
+
+    report = clip(bend)
+    (violation,) = report.motion.limit_violations
+    assert (violation.joint, violation.frame, violation.value) == ("left_knee_joint", 6, 3.5)
+    assert report.motion.largest_step.joint == "left_knee_joint"
+    assert report.motion.largest_step.frame in (5, 6)
+    assert not report.passed
+
+
+def word(columns, rows):
+    rows[2][4] = "half"
+
+
+def nan(columns, rows):
+    rows[2][4] = "nan"
+
+
+def short(columns, rows):
+    del rows[2][30:]
+
+
+@pytest.mark.parametrize(
+    ("change", "fault"),
+    [
+        (word, "line 4, column 5 (QX): 'half'"),
+        (nan, "line 4, column 5 (QX): 'nan'"),
+        (short, "line 4: 30 values in 37 columns"),
+    ],
+)
+def test_with_a_bad_row_the_rest_is_reported(clip, change, fault):
+    report = clip(change)
+    assert fault in report.fault
+    assert report.remedy
+    assert (report.n_rows, report.n_columns, report.has_header) == (10, 37, True)
+    assert [m.joint for m in report.mapped] == list(JOINT_NAMES)
+    assert (report.motion, report.quat_norms) == (None, None)
+    assert not report.passed
+
+
+def test_columns_without_names(tmp_path, robot):
+    path = tmp_path / "narrow.csv"
+    path.write_text("1,2,3\n4,5,6\n")
+    report = check_file(path, robot)
+    assert (report.n_rows, report.n_columns, report.has_header) == (2, 3, False)
+    assert (report.mapped, report.not_in_robot, report.not_in_file) == ((), (), ())
+    assert "3 values" in report.fault
+
+
+def test_no_columns_at_all(clip):
+    def join(columns, rows):
+        columns[:] = [";".join(columns)]
+        rows[:] = [[";".join(row)] for row in rows]
+
+    report = clip(join)
+    assert (report.n_rows, report.n_columns, report.mapped) == (10, 1, ())
+    assert "commas" in report.fault
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (None, "clip.csv"),
+        (b"", "empty"),
+        (b"\x89PNG\r\n", "UTF-8"),
+        (b"a,b\0", "binary"),
+    ],
+)
+def test_files_without_a_report(tmp_path, robot, content, message):
+    path = tmp_path / "clip.csv"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(MotionError, match=message):
+        check_file(path, robot)
+
+
+def test_frame_rate_zero_is_an_error(robot):
+    with pytest.raises(MotionError, match="frames per second"):
+        check_file("demo", robot, fps=0.0)

@@ -9,10 +9,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from g1stream.motion.check import check_motion
-from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1
+from g1stream.session.motions import load_motion
 
 TOOL = Path(__file__).parents[2] / "tools" / "make_demo_motion.py"
 #: Under the ankle roll frame of a G1 there are 35 mm of foot.
@@ -47,7 +47,7 @@ def test_is_of_a_length_to_watch(demo):
 def test_stays_well_within_the_robots_limits(demo, robot):
     assert (demo.joint_pos >= 0.9 * robot.lower).all()
     assert (demo.joint_pos <= 0.9 * robot.upper).all()
-    fastest = check_motion(demo, robot).fastest_streamed[0]
+    fastest = check_motion(demo, robot).streamed.speeds[0]
     assert fastest.value < 0.9 * fastest.limit
 
 

@@ -21,11 +21,11 @@ from g1stream.cli.common import (
     print_json,
     value,
 )
-from g1stream.cli.motion import asked_lines
+from g1stream.cli.motion import joint_lines
 from g1stream.errors import ConfigError
 
 if TYPE_CHECKING:
-    from g1stream.motion.file_check import FileReport
+    from g1stream.motion.check import FileReport
     from g1stream.programs.convert import ConvertReport
     from g1stream.robot.model import G1
 
@@ -149,14 +149,14 @@ class Convert:
             bar.clear()
 
     def _check(self, robot: G1) -> int:
-        from g1stream.programs.check import check
+        from g1stream.session.motions import check_motion_file
 
-        report = check(self.motion, robot, fps=self.fps)
+        report = check_motion_file(self.motion, robot, fps=self.fps)
         if self.json:
-            print_json({**asdict(report), "path": str(report.path), "all_well": report.all_well})
+            print_json({**asdict(report), "path": str(report.path), "passed": report.passed})
         else:
             print(_findings(report))
-        return EXIT_OK if report.all_well else EXIT_STOPPED
+        return EXIT_OK if report.passed else EXIT_STOPPED
 
 
 class _Bar:
@@ -207,7 +207,7 @@ def _findings(report: FileReport) -> str:
             f"  duration        {motion.duration:.3f} s: {motion.n_frames} frames at "
             f"{motion.fps:g} fps"
         )
-        lines += asked_lines(motion)
+        lines += joint_lines(motion)
     if report.fault:
         lines += [f"  fault           {report.fault}", f"                  {report.remedy}"]
     return "\n".join([*lines, f"  {_verdict(report)}"])
@@ -237,6 +237,6 @@ def _content(report: FileReport) -> list[str]:
 
 
 def _verdict(report: FileReport) -> str:
-    if not report.all_well:
+    if not report.passed:
         return "something is wrong"
     return "well, with a warning" if report.motion and report.motion.warnings else "all well"

@@ -12,16 +12,16 @@ from g1stream.cli.common import EXIT_OK, EXIT_STOPPED, Command, Flag, print_json
 if TYPE_CHECKING:
     from g1stream.motion.check import MotionReport
 
-__all__ = ["Inspect", "asked_lines"]
+__all__ = ["Inspect", "joint_lines"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Inspect(Command):
-    """Look at a motion file: frames, duration, joints, limits, fastest joint.
+    """Check a motion file: frames, duration, joints, limits, fastest joint.
 
-    Exit code 1 where a frame is beyond a joint's position limits, or the spline through the frames
-    beyond its speed limit; 2 where the file is no motion. Warnings do not change it, nor do joint
-    targets between frames that would be held at a limit: they are safe.
+    Exit code 1 where a frame is beyond a joint's position limits or the spline through the frames
+    beyond its speed limit; 2 where the file is not a motion. Warnings do not change it, nor do
+    joint targets between frames that would be held at a position limit: they are safe.
     """
 
     motion: Annotated[str, tyro.conf.Positional, value("MOTION")]
@@ -30,10 +30,10 @@ class Inspect(Command):
     """Frames per second of the motion file. A session is sampled with its own rate, or with this
     one."""
     json: Flag = False
-    """Print the findings as JSON."""
+    """Print the report as JSON."""
 
     def run(self) -> int:
-        """Look, and return the exit code."""
+        """Print the report, and return the exit code."""
         from g1stream.motion.check import check_motion
         from g1stream.robot.model import G1
         from g1stream.session.motions import load_motion
@@ -49,7 +49,11 @@ class Inspect(Command):
         )
         if self.json:
             print_json(
-                {**asdict(report), "n_held": report.n_held, "within_limits": report.within_limits}
+                {
+                    **asdict(report),
+                    "n_held": report.streamed.n_held,
+                    "within_limits": report.within_limits,
+                }
             )
         else:
             print(_text(report))
@@ -64,47 +68,31 @@ def _text(report: MotionReport) -> str:
         f"  root            travels {root.path:.2f} m along the ground, ending "
         f"{root.displacement:.2f} m from its start; height {root.lowest:.2f} to "
         f"{root.highest:.2f} m",
-        f"  joints          {len(report.fastest_streamed)}",
+        f"  joints          {len(report.streamed.speeds)}",
     ]
     lines += [f"    {g.group:<12}  {g.lowest:6.2f} to {g.highest:5.2f} rad" for g in report.groups]
-    lines += asked_lines(report)
-    if report.within_limits and not report.held:
+    lines += joint_lines(report)
+    if report.within_limits and not report.streamed.held:
         lines.append("  limits          all kept")
     return "\n".join(lines)
 
 
-def asked_lines(report: MotionReport) -> list[str]:
-    """What a motion asks of the joints, and what of it is too much; a line each."""
-    asked = max(report.fastest_streamed, key=lambda speed: speed.value)
-    frames, step = report.fastest, report.largest_step
+def joint_lines(report: MotionReport) -> list[str]:
+    """What a motion asks of the joints, and where that passes a limit; a line each."""
+    streamed, frames, step = report.streamed, report.fastest, report.largest_step
+    fastest = max(streamed.speeds, key=lambda speed: speed.value)
     lines = [
-        f"  fastest         {asked.joint}, {asked.value:.1f} rad/s at {asked.time:.2f} s, as "
-        f"streamed at {report.rate:g} Hz (limit {asked.limit:g})",
+        f"  fastest         {fastest.joint}, {fastest.value:.1f} rad/s at {fastest.time:.2f} s, as "
+        f"streamed at {streamed.rate:g} Hz (limit {fastest.limit:g})",
         f"  of the frames   {frames.joint}, {frames.value:.1f} rad/s at {frames.time:.2f} s, "
         "by central differences",
         f"  largest step    {step.joint}, {step.value:.3f} rad from frame {step.frame} to "
         f"{step.frame + 1}",
     ]
     lines += [
-        f"  beyond limit    {v.joint}: {v.value:.3f} rad at frame {v.frame}, limit {v.limit:.3f} "
+        f"  frames beyond   {v.joint}: {v.value:.3f} rad at frame {v.frame}, limit {v.limit:.3f} "
         f"({v.n_frames} frames)"
         for v in report.limit_violations
     ]
-    lines += [
-        f"  too fast        {v.joint}: {v.value:.1f} rad/s at {v.time:.2f} s, limit {v.limit:g}"
-        for v in report.too_fast
-    ]
-    return lines + _held_lines(report) + [f"  warning         {text}" for text in report.warnings]
-
-
-def _held_lines(report: MotionReport) -> list[str]:
-    """How many joint targets the stream would hold at a limit, and where it is furthest out."""
-    if not report.held:
-        return []
-    worst, margin = report.held[0], report.position_margin
-    narrowed = f", {margin:g} rad within the joint's own" if margin else ""
-    return [
-        f"  held at limit   {report.n_held} joint targets at {report.rate:g} Hz; furthest out "
-        f"{worst.joint}: {worst.value:.3f} rad at {worst.time:.2f} s, limit {worst.limit:.3f}"
-        f"{narrowed}"
-    ]
+    warnings = (*streamed.warnings, *report.warnings)
+    return lines + [f"  warning         {text}" for text in warnings]

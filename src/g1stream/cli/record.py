@@ -5,12 +5,11 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import tyro
 
 from g1stream.cli.common import (
-    EXIT_BAD_INPUT,
     EXIT_OK,
     EXIT_STOPPED,
     Flag,
@@ -20,9 +19,8 @@ from g1stream.cli.common import (
     print_json,
     value,
 )
-from g1stream.errors import G1StreamError
-from g1stream.realtime import stand_back
-from g1stream.types import WARNING
+from g1stream.events import console_handler, handled_by
+from g1stream.realtime import lower_priority
 
 if TYPE_CHECKING:
     from g1stream.recorder.recorder_report import RecorderReport
@@ -56,71 +54,33 @@ class Record(WireCommand):
     """Go on in a new file after so long."""
     json: Flag = False
     """Print the summary as JSON on standard output."""
-    attached: Flag = False
-    """For programs: speak JSON lines, and end when standard input does."""
 
     def run(self) -> int:
         """Record, and return the exit code."""
         from g1stream.programs.record import record
 
-        stand_back()
+        lower_priority()
         stopped: list[str] = []
         on_signals(stopped.append)
-        if self.attached:
-            return self._run_attached(stopped)
         config = self.resolve()
 
         def begun() -> None:
             announce_wire(config, commands=False)
             print(f"Recording {self.file}. Ctrl-C ends it.", file=sys.stderr)
 
-        report = record(
-            self.file,
-            config,
-            force=self.force,
-            should_stop=lambda: bool(stopped),
-            on_ready=begun,
-            on_event=_print_event,
-        )
+        with handled_by(console_handler("record")):
+            report = record(
+                self.file,
+                config,
+                force=self.force,
+                should_stop=lambda: bool(stopped),
+                on_ready=begun,
+            )
         if self.json:
             print_json(report.as_dict())
         else:
             print(_summary(report))
         return EXIT_OK if report.whole and report.first else EXIT_STOPPED
-
-    def _run_attached(self, stopped: list[str]) -> int:
-        from g1stream.config import load_config
-        from g1stream.programs.child_process import ParentLine
-        from g1stream.programs.record import record
-
-        parent = ParentLine()
-        try:
-            session = parent.greeting()
-            report = record(
-                self.file,
-                load_config(over=session["config"]),
-                force=self.force,
-                session=session,
-                should_stop=lambda: bool(stopped) or parent.gone.is_set(),
-                on_ready=lambda: parent.say("ready"),
-                on_event=_print_event,
-                last_words=lambda: _merged(parent.received()),
-            )
-        except G1StreamError as error:
-            parent.say("error", cause=error.cause, remedy=error.remedy)
-            return EXIT_BAD_INPUT
-        parent.say("done", path=" ".join(report.paths), **report.as_dict())
-        return EXIT_OK
-
-
-def _merged(lines: list[dict[str, Any]]) -> dict[str, Any]:
-    return {key: value for line in lines for key, value in line.items()}
-
-
-def _print_event(level: int, text: str) -> None:
-    """Show a warning; what else the recorder tells is for the file."""
-    if level >= WARNING:
-        print(f"record: {text}", file=sys.stderr)
 
 
 def _summary(report: RecorderReport) -> str:

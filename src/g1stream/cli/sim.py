@@ -8,7 +8,6 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from g1stream.cli.common import (
-    EXIT_BAD_INPUT,
     EXIT_OK,
     Flag,
     WireCommand,
@@ -17,8 +16,7 @@ from g1stream.cli.common import (
     print_json,
     value,
 )
-from g1stream.errors import G1StreamError
-from g1stream.events import handled_by
+from g1stream.events import console_handler, handled_by
 
 if TYPE_CHECKING:
     from g1stream.sim.robot import SimReport
@@ -63,8 +61,6 @@ class Sim(WireCommand):
     """Open MuJoCo's viewer."""
     json: Flag = False
     """Print the summary as JSON on standard output."""
-    attached: Flag = False
-    """For programs: speak JSON lines, and end when standard input does."""
 
     def run(self) -> int:
         """Simulate, and return the exit code."""
@@ -72,8 +68,6 @@ class Sim(WireCommand):
 
         stopped: list[str] = []
         on_signals(stopped.append)
-        if self.attached:
-            return self._run_attached(stopped)
         config = self.resolve()
 
         def begun() -> None:
@@ -81,38 +75,13 @@ class Sim(WireCommand):
             held = _HELD[config.sim.support]
             print(f"Simulating a G1, {held}. Ctrl-C ends it.", file=sys.stderr)
 
-        with handled_by(_console()):
+        with handled_by(console_handler("sim", logging.INFO)):
             report = simulate(config, should_stop=lambda: bool(stopped), on_ready=begun)
         if self.json:
             print_json(asdict(report))
         else:
             print(_summary(report))
         return EXIT_OK
-
-    def _run_attached(self, stopped: list[str]) -> int:
-        from g1stream.config import load_config
-        from g1stream.programs.child_process import ParentLine
-        from g1stream.programs.sim import simulate
-
-        parent = ParentLine()
-        try:
-            with handled_by(_console()):
-                report = simulate(
-                    load_config(over=parent.greeting()["config"]),
-                    should_stop=lambda: bool(stopped) or parent.gone.is_set(),
-                    on_ready=lambda: parent.say("ready"),
-                )
-        except G1StreamError as error:
-            parent.say("error", cause=error.cause, remedy=error.remedy)
-            return EXIT_BAD_INPUT
-        parent.say("done", **asdict(report))
-        return EXIT_OK
-
-
-def _console() -> logging.Handler:
-    handler = logging.StreamHandler()
-    handler.setFormatter(logging.Formatter("sim: %(message)s"))
-    return handler
 
 
 def _summary(report: SimReport) -> str:

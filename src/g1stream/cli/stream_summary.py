@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from g1stream.control.report import LoopReport
-    from g1stream.motion.limit_warnings import Interval
+    from g1stream.motion.limits import Interval
     from g1stream.programs.outcome import StreamOutcome
 
 __all__ = ["exit_code", "summary"]

@@ -11,7 +11,7 @@ import numpy as np
 
 from g1stream.control.measured import all_finite, is_unit
 from g1stream.control.support import ForceObserver, SupportCheck
-from g1stream.control.targets import minimum_jerk
+from g1stream.motion.blend import minimum_jerk
 from g1stream.robot.dynamics import BaseMotion
 from g1stream.robot.joints import N_JOINTS
 from g1stream.types import INFO, WARNING, FeedForwardKind, Phase, Support

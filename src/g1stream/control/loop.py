@@ -15,9 +15,9 @@ from g1stream.control.commands import Composer
 from g1stream.control.measured import ImuReading, Measured
 from g1stream.control.phases import Inputs, PhaseState, Timing, step
 from g1stream.control.report import LoopReport
-from g1stream.control.targets import minimum_jerk
 from g1stream.control.ticker import Ticker
 from g1stream.dds.messages import LowState
+from g1stream.motion.blend import minimum_jerk
 from g1stream.types import ERROR, INFO, WARNING, Phase
 
 if TYPE_CHECKING:

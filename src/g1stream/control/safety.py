@@ -12,6 +12,7 @@ import numpy as np
 
 from g1stream.control.measured import all_finite, is_unit, tilt_of
 from g1stream.errors import ConfigError, SafetyError
+from g1stream.motion.limits import POSITION_TOLERANCE
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -27,7 +28,8 @@ class Envelope:
     """Keeps commands within the joint limits, and judges measurements.
 
     Attributes:
-        clamped: (29,) int64, at how many ticks each joint's target was held at its limit.
+        clamped: (29,) int64, at how many ticks each joint's target was held at its limit. As in
+            `measure_limits`, less than `POSITION_TOLERANCE` beyond it is held too, but not counted.
 
     Raises:
         ConfigError: the margin leaves nothing of a joint's range.
@@ -69,10 +71,9 @@ class Envelope:
             lower = np.minimum(lower, begun + ramped * (lower - begun))
             upper = np.maximum(upper, begun + ramped * (upper - begun))
         limited: NDArray[np.float64] = np.minimum(np.maximum(q, lower), upper)
-        held = limited != q
-        if not np.count_nonzero(held):
+        if not np.count_nonzero(limited != q):
             return q
-        self.clamped += held
+        self.clamped += np.abs(limited - q) > POSITION_TOLERANCE
         return limited
 
     @staticmethod

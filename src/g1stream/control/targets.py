@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from g1stream.control.target import Target
+from g1stream.motion.blend import COAST, coast, minimum_jerk
 from g1stream.robot.rotations import quat_from_axis_angle, quat_mul
 from g1stream.types import Phase
 
@@ -15,40 +16,7 @@ if TYPE_CHECKING:
 
     from g1stream.motion.trajectory import Trajectory
 
-__all__ = ["Targets", "coast", "minimum_jerk"]
-
-#: Seconds in which the motion's first velocity is run up to, and its last one dies away.
-_COAST: Final = 0.2
-
-
-def minimum_jerk(s: float) -> tuple[float, float, float]:
-    """Progress, its rate and its acceleration at the fraction `s` of a minimum-jerk move.
-
-    The fifth-order polynomial 10 s^3 - 15 s^4 + 6 s^5 that starts and ends at rest with no
-    acceleration: T. Flash and N. Hogan, "The coordination of arm movements", 1985.
-    """
-    s = min(1.0, max(0.0, s))
-    progress = s**3 * (10.0 + s * (-15.0 + 6.0 * s))
-    rate = 30.0 * s**2 * (1.0 - s) ** 2
-    acceleration = 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s)
-    return progress, rate, acceleration
-
-
-def coast(seconds: float, length: float) -> tuple[float, float, float]:
-    """How far something of unit velocity has come, its velocity and its acceleration, braking.
-
-    The fifth-order polynomial that starts with velocity 1 and without acceleration, and ends with
-    neither, where it started: x - 6 x^3 + 8 x^4 - 3 x^5 of x = t / T, times T.
-
-    Args:
-        seconds: since it began to brake.
-        length: how long it takes, s; after that it rests.
-    """
-    x = min(1.0, seconds / length)
-    way = length * x * (1.0 - x) ** 3 * (1.0 + 3.0 * x)
-    rate = 1.0 + x * x * (-18.0 + x * (32.0 - 15.0 * x))
-    acceleration = x * (-36.0 + x * (96.0 - 60.0 * x)) / length
-    return way, rate, acceleration
+__all__ = ["Targets"]
 
 
 class Targets:
@@ -92,7 +60,7 @@ class Targets:
         elif phase is Phase.RAMP:
             self._last = self._ramping(elapsed)
         elif phase is Phase.HOLD:
-            self._last = _coasting(self._playing(self._play or 0.0), *coast(elapsed, _COAST))
+            self._last = _coasting(self._playing(self._play or 0.0), *coast(elapsed, COAST))
         else:
             self._last = self._last.at_rest()
         return self._last
@@ -108,7 +76,7 @@ class Targets:
         if self._from is None:
             raise RuntimeError("the ramp has no pose to start from: call begin() first")
         left = max(0.0, self._ramp - elapsed)
-        way, rate, acceleration = coast(left, min(_COAST, self._ramp))  # braking, run backwards
+        way, rate, acceleration = coast(left, min(COAST, self._ramp))  # braking, run backwards
         goal = _coasting(self._first, -way, rate, -acceleration)
         progress, speed, change = minimum_jerk(elapsed / self._ramp)
         distance = self._first.q - self._from

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import logging
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.messages import Log
 from g1stream.dds.topics import LOG
-from g1stream.types import ERROR, INFO, WARNING
+from g1stream.events import severity
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from g1stream.dds.domain import Participant
 
 __all__ = ["DdsLogHandler", "LogHandler"]
-
-_LEVELS: Final = ((logging.ERROR, ERROR), (logging.WARNING, WARNING))
 
 
 class LogHandler(logging.Handler):
@@ -37,8 +35,7 @@ class LogHandler(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         """Publish one record; a text too long for the message is cut."""
         try:
-            level = next((wire for at, wire in _LEVELS if record.levelno >= at), INFO)
-            self._message.level[()] = level
+            self._message.level[()] = severity(record)
             self._message.text = record.getMessage()
             self._publish(self._message.tobytes(), int(record.created * 1e9))
         except Exception:  # a handler must not raise where somebody logs

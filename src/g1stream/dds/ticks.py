@@ -7,6 +7,8 @@ from collections import Counter
 __all__ = ["TickGaps"]
 
 _WRAP = 2**32
+#: A step of more samples than this is no loss: the publisher started anew.
+_MAX_LOST = 10_000
 
 
 class TickGaps:
@@ -50,4 +52,5 @@ class TickGaps:
         usual = self.step
         if usual is None:
             return None
-        return sum(count * (step // usual - 1) for step, count in self._steps.items() if step)
+        lost = ((step // usual - 1, count) for step, count in self._steps.items() if step)
+        return sum(number * count for number, count in lost if number < _MAX_LOST)

@@ -1,46 +1,54 @@
-"""What a motion asks of a robot: its size, its limits, its speed."""
+"""The report about a motion, and about the file it is in."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from g1stream.motion.streamed import STREAM_RATE, HeldJoint, JointSpeed, measure_streamed
+from g1stream.errors import MotionError
+from g1stream.motion.csv import ROOT_COLUMNS
+from g1stream.motion.files import open_motion_file
+from g1stream.motion.limits import POSITION_TOLERANCE, JointSpeed, LimitReport, measure_limits
+from g1stream.motion.motion import check_fps
+from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.joints import JOINT_GROUPS
+from g1stream.types import STREAM_RATE
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    import os
 
+    from g1stream.motion.csv import CsvFile
     from g1stream.motion.motion import Motion
     from g1stream.robot.model import G1
+    from g1stream.types import Floats
 
 __all__ = [
+    "FileReport",
     "GroupRange",
-    "HeldJoint",
-    "JointSpeed",
     "JointStep",
     "LimitViolation",
+    "MappedColumn",
     "MotionReport",
+    "NormRange",
     "RootTravel",
+    "check_file",
     "check_motion",
 ]
-
-#: Files have six decimals, so an angle at a limit may be written this far beyond it.
-_ROUNDING: Final = 1e-6
 
 
 @dataclass(frozen=True)
 class LimitViolation:
-    """A joint beyond its position limit: the worst frame of that joint on that side.
+    """A joint beyond one of its position limits in the frames of a motion.
 
     Attributes:
         joint: its name.
-        frame: where it is furthest out.
+        frame: where it is furthest beyond.
         value: rad, there.
-        limit: rad, the one that is passed.
-        n_frames: in how many frames it is beyond that limit.
+        limit: rad, the limit that it passes.
+        n_frames: how many frames are beyond that limit.
     """
 
     joint: str
@@ -52,7 +60,7 @@ class LimitViolation:
 
 @dataclass(frozen=True)
 class JointStep:
-    """How far a joint goes from a frame to the next: `value` rad, after `frame`."""
+    """How far a joint moves from one frame to the next: `value` rad, after `frame`."""
 
     joint: str
     frame: int
@@ -64,10 +72,10 @@ class RootTravel:
     """Where the root goes.
 
     Attributes:
-        path: m, length of its way over the ground.
-        displacement: m, from where it begins to where it ends, over the ground.
-        lowest: m, its least height.
-        highest: m, its greatest height.
+        path: m, length of its path over the ground.
+        displacement: m, from its start to its end over the ground.
+        lowest: m, its lowest height.
+        highest: m, its highest height.
     """
 
     path: float
@@ -78,7 +86,7 @@ class RootTravel:
 
 @dataclass(frozen=True)
 class GroupRange:
-    """The least and the greatest angle, rad, that any joint of a group takes."""
+    """The lowest and the highest angle, rad, of the joints of a limb."""
 
     group: str
     lowest: float
@@ -87,22 +95,17 @@ class GroupRange:
 
 @dataclass(frozen=True)
 class MotionReport:
-    """What `check_motion` found.
+    """A motion's size and what it asks of the robot.
 
     Attributes:
         name: of the motion.
-        n_frames: how many.
-        fps: frames a second.
+        n_frames: how many frames it has.
+        fps: frames per second.
         duration: s.
-        limit_violations: joints beyond their position limits, the furthest out first.
-        fastest: of the joint velocities at the frames (central differences, as most tools compute
-            them), the greatest.
-        rate: targets a second with which the next two are measured, Hz.
-        position_margin: rad, by which position limits are narrowed for `held`.
-        fastest_streamed: the greatest speed of each joint that the spline through the frames asks
-            for, largest share of its limit first.
-        held: joints that the spline asks beyond a limit, the furthest out first. It overshoots
-            between frames, so that there may be some where every frame is within.
+        limit_violations: joints whose frames are beyond a position limit, furthest first.
+        fastest: the highest joint velocity at the frames, by central differences as most tools
+            compute it.
+        streamed: what the spline through the frames asks of the joints when it is streamed.
         largest_step: between two neighbouring frames.
         root: where the root goes.
         groups: range of angles by limb.
@@ -115,32 +118,118 @@ class MotionReport:
     duration: float
     limit_violations: tuple[LimitViolation, ...]
     fastest: JointSpeed
-    rate: float
-    position_margin: float
-    fastest_streamed: tuple[JointSpeed, ...]
-    held: tuple[HeldJoint, ...]
+    streamed: LimitReport
     largest_step: JointStep
     root: RootTravel
     groups: tuple[GroupRange, ...]
     warnings: tuple[str, ...]
 
     @property
-    def too_fast(self) -> tuple[JointSpeed, ...]:
-        """Joints that are asked to move faster than their limit, the worst first."""
-        return tuple(speed for speed in self.fastest_streamed if speed.value > speed.limit)
-
-    @property
-    def n_held(self) -> int:
-        """How many joint targets would be held at a limit."""
-        return sum(joint.n_targets for joint in self.held)
-
-    @property
     def within_limits(self) -> bool:
-        """Whether every frame is within the position limits, and all that is asked for in speed.
+        """Whether every frame keeps the position limits and the spline the speed limits.
 
-        Targets that are held between frames are not counted against a motion: they are safe.
+        Targets that are held at a position limit between frames do not count: they are safe.
         """
-        return not self.limit_violations and not self.too_fast
+        return not self.limit_violations and not self.streamed.too_fast
+
+
+@dataclass(frozen=True)
+class MappedColumn:
+    """A column of the file, counted from 1, and the robot's joint in it."""
+
+    column: int
+    joint: str
+
+
+@dataclass(frozen=True)
+class NormRange:
+    """The lowest and the highest norm of the root's quaternions in the file."""
+
+    lowest: float
+    highest: float
+
+
+@dataclass(frozen=True)
+class FileReport:
+    """What is in a motion file or a session file.
+
+    Attributes:
+        path: of the file.
+        kind: a table of numbers; or a session, of which only `motion` and `fault` are known.
+        n_rows: lines below the header.
+        n_columns: columns of the first line.
+        has_header: whether the first line names them; 36 columns without a header are LAFAN1's.
+        mapped: the columns of the robot's joints, in the order of the file.
+        not_in_robot: joints of the file that the robot does not have.
+        not_in_file: joints of the robot that the file does not have.
+        quat_norms: None where the file has no readable quaternions.
+        motion: None where the file is not a motion of this robot.
+        fault: why it is not, in a sentence; empty where it is.
+        remedy: what to do about the fault, in a sentence.
+    """
+
+    path: Path
+    kind: Literal["table", "session"] = "table"
+    n_rows: int = 0
+    n_columns: int = 0
+    has_header: bool = False
+    mapped: tuple[MappedColumn, ...] = ()
+    not_in_robot: tuple[str, ...] = ()
+    not_in_file: tuple[str, ...] = ()
+    quat_norms: NormRange | None = None
+    motion: MotionReport | None = None
+    fault: str = ""
+    remedy: str = ""
+
+    @property
+    def passed(self) -> bool:
+        """Whether this is a motion of the robot, within its limits. Warnings do not count."""
+        return bool(self.motion and self.motion.within_limits)
+
+
+def check_file(
+    path_or_name: str | os.PathLike[str], robot: G1, *, fps: float | None = None
+) -> FileReport:
+    """Check a motion file, or a bundled motion by its name.
+
+    Args:
+        path_or_name: which file.
+        robot: whose joints and limits.
+        fps: frames per second of the file; the format's default if None.
+
+    Raises:
+        MotionError: no report is possible: there is no such file, it cannot be read, is empty or is
+            not text; or `fps` is not a frame rate. A fault in the content is part of the report.
+    """
+    file = open_motion_file(path_or_name)
+    if fps is not None:
+        check_fps(fps, file.path.stem)
+    motion, fault = None, None
+    try:
+        motion = check_motion(file.motion(robot, fps=fps), robot)
+    except MotionError as error:
+        fault = error
+    joints = {
+        name: column
+        for column, name in enumerate(file.columns, start=1)
+        if name and name not in ROOT_COLUMNS
+    }
+    known = [name for name in joints if name in robot.joint_names]
+    return FileReport(
+        path=file.path,
+        n_rows=file.n_rows,
+        n_columns=file.n_columns,
+        has_header=file.has_header,
+        mapped=tuple(MappedColumn(joints[name], name) for name in known),
+        not_in_robot=tuple(name for name in joints if name not in robot.joint_names),
+        not_in_file=tuple(
+            name for name in robot.joint_names if file.columns and name not in joints
+        ),
+        quat_norms=_norms(file),
+        motion=motion,
+        fault=fault.cause if fault else "",
+        remedy=fault.remedy if fault else "",
+    )
 
 
 def check_motion(
@@ -149,16 +238,16 @@ def check_motion(
     """Measure a motion against the robot's limits.
 
     Args:
-        motion: what is asked.
-        robot: of whom.
-        rate: joint targets a second when it is streamed, Hz.
+        motion: which.
+        robot: whose limits.
+        rate: joint targets per second when it is streamed, Hz.
         position_margin: rad, kept from position limits when it is streamed.
 
     Raises:
-        MotionError: the motion's joints are not the robot's, in the robot's order.
+        MotionError: the motion's joints are not the robot's, in motor order.
     """
     motion.require_joints_of(robot)
-    fastest_streamed, held = measure_streamed(motion, robot, rate, position_margin)
+    streamed = measure_limits(Trajectory(motion), robot, rate=rate, position_margin=position_margin)
     return MotionReport(
         name=motion.name,
         n_frames=motion.n_frames,
@@ -166,14 +255,16 @@ def check_motion(
         duration=motion.duration,
         limit_violations=_limit_violations(motion, robot),
         fastest=_fastest(motion, robot),
-        rate=rate,
-        position_margin=position_margin,
-        fastest_streamed=fastest_streamed,
-        held=held,
+        streamed=streamed,
         largest_step=_largest_step(motion),
         root=_root_travel(motion.root_pos),
         groups=tuple(
-            _group_range(name, motion.joint_pos[:, joints]) for name, joints in JOINT_GROUPS.items()
+            GroupRange(
+                name,
+                float(motion.joint_pos[:, joints].min()),
+                float(motion.joint_pos[:, joints].max()),
+            )
+            for name, joints in JOINT_GROUPS.items()
         ),
         warnings=motion.warnings,
     )
@@ -185,14 +276,14 @@ def _limit_violations(motion: Motion, robot: G1) -> tuple[LimitViolation, ...]:
         (robot.lower, robot.lower - motion.joint_pos),
         (robot.upper, motion.joint_pos - robot.upper),
     ):
-        for joint in np.flatnonzero(excess.max(axis=0) > _ROUNDING):
+        for joint in np.flatnonzero(excess.max(axis=0) > POSITION_TOLERANCE):
             frame = int(excess[:, joint].argmax())
             violation = LimitViolation(
                 motion.joint_names[joint],
                 frame,
                 float(motion.joint_pos[frame, joint]),
                 float(limit[joint]),
-                int((excess[:, joint] > _ROUNDING).sum()),
+                int((excess[:, joint] > POSITION_TOLERANCE).sum()),
             )
             found.append(violation)
     return tuple(sorted(found, key=lambda v: -abs(v.value - v.limit)))
@@ -215,7 +306,7 @@ def _largest_step(motion: Motion) -> JointStep:
     return JointStep(motion.joint_names[joint], frame, float(steps[frame, joint]))
 
 
-def _root_travel(root_pos: NDArray[np.float64]) -> RootTravel:
+def _root_travel(root_pos: Floats) -> RootTravel:
     ground, height = root_pos[:, :2], root_pos[:, 2]
     return RootTravel(
         path=float(np.linalg.norm(np.diff(ground, axis=0), axis=1).sum()),
@@ -225,10 +316,17 @@ def _root_travel(root_pos: NDArray[np.float64]) -> RootTravel:
     )
 
 
-def _group_range(name: str, angles: NDArray[np.float64]) -> GroupRange:
-    return GroupRange(name, float(angles.min()), float(angles.max()))
+def _norms(file: CsvFile) -> NormRange | None:
+    try:
+        quat = file.quat_xyzw
+    except MotionError:  # a fault of the table, which the report already has
+        return None
+    if quat is None:
+        return None
+    norms = np.linalg.norm(quat, axis=1)
+    return NormRange(float(norms.min()), float(norms.max()))
 
 
-def _argmax(values: NDArray[np.float64]) -> tuple[int, int]:
+def _argmax(values: Floats) -> tuple[int, int]:
     row, column = np.unravel_index(int(values.argmax()), values.shape)
     return int(row), int(column)

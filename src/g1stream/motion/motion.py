@@ -1,40 +1,45 @@
-"""What a motion file says: one pose of the whole robot per frame, at a constant frame rate."""
+"""A motion: one pose of the whole robot per frame, at a constant frame rate."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from g1stream.errors import MotionError
+from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    import os
+    from collections.abc import Sequence
 
-    from numpy.typing import ArrayLike, NDArray
+    from matplotlib.figure import Figure
+    from numpy.typing import ArrayLike
 
     from g1stream.robot.model import G1
+    from g1stream.types import Floats
 
-__all__ = ["Motion"]
+__all__ = ["Motion", "check_fps"]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Motion:
-    """Poses of the robot at `fps` frames a second. The arrays are read-only float64 copies.
+    """Poses of the robot at `fps` frames per second. The arrays are read-only float64 copies.
 
     Attributes:
-        name: what people call it: the file's name without its ending.
-        fps: frames a second, above 0.
-        joint_names: one for each column of `joint_pos`; from `load_motion` they are the 29 motor
-            names in motor order.
-        joint_pos: (T, len(joint_names)) joint angles in rad, T >= 2.
+        name: of the motion; that of the file without its suffix.
+        fps: frames per second, above 0.
+        joint_names: one for each column of `joint_pos`; from `load_motion` and `from_arrays` the 29
+            joints in motor order.
+        joint_pos: (T, len(joint_names)) joint angles, rad, T >= 2.
         root_pos: (T, 3) position of the pelvis in the world frame, m.
-        root_quat_wxyz: (T, 4) orientation of the pelvis in the world frame. Whatever is given is
-            made unit, and sign-continuous: of q and -q, the one nearer to the frame before.
+        root_quat_wxyz: (T, 4) orientation of the pelvis in the world frame, unit, w first. Its sign
+            is continuous: of q and -q, the one nearer to the previous frame.
         source: the file it came from, if any.
         sha256: of the whole source file, in hex, also where this is only a part of it.
-        warnings: what a reader put right in the source, a sentence each.
+        warnings: what a reader corrected, a sentence each.
 
     Raises:
         MotionError: the shapes do not fit together, there is only one frame, a value is not finite,
@@ -44,36 +49,91 @@ class Motion:
     name: str
     fps: float
     joint_names: tuple[str, ...]
-    joint_pos: NDArray[np.float64]
-    root_pos: NDArray[np.float64]
-    root_quat_wxyz: NDArray[np.float64]
+    joint_pos: Floats
+    root_pos: Floats
+    root_quat_wxyz: Floats
     source: Path | None = None
     sha256: str | None = None
     warnings: tuple[str, ...] = ()
 
+    @classmethod
+    def from_arrays(
+        cls,
+        joint_pos: ArrayLike,
+        root_pos: ArrayLike | None = None,
+        root_quat_wxyz: ArrayLike | None = None,
+        *,
+        fps: float,
+        joint_names: Sequence[str] | None = None,
+        name: str = "motion",
+    ) -> Motion:
+        """A motion of the 29 joints, from arrays.
+
+        Args:
+            joint_pos: (T, 29) joint angles, rad, T >= 2.
+            root_pos: (T, 3) position of the pelvis in the world frame, m; the origin if None.
+            root_quat_wxyz: (T, 4) orientation of the pelvis in the world frame, w first; no
+                rotation if None. Quaternions of any length above 0 are normalised.
+            fps: frames per second.
+            joint_names: the joint in each column of `joint_pos`, in any order; motor order
+                (`g1stream.JOINT_NAMES`) if None.
+            name: of the motion, for messages and recordings.
+
+        Returns:
+            The motion, its joints in motor order.
+
+        Raises:
+            MotionError: a shape does not fit, a value is not finite, a quaternion is zero, `fps` is
+                not positive, or the names are not those of the 29 joints.
+        """
+        angles = np.asarray(joint_pos, dtype=np.float64)
+        if joint_names is not None:
+            _check_joint_names(name, joint_names)
+            if angles.ndim == 2 and angles.shape[1] == len(joint_names):
+                angles = angles[:, [list(joint_names).index(joint) for joint in JOINT_NAMES]]
+        n_frames = len(np.atleast_1d(angles))
+        if root_pos is None:
+            root_pos = np.zeros((n_frames, 3))
+        if root_quat_wxyz is None:
+            root_quat_wxyz = np.tile([1.0, 0.0, 0.0, 0.0], (n_frames, 1))
+        return cls(name, fps, JOINT_NAMES, angles, np.asarray(root_pos), np.asarray(root_quat_wxyz))
+
     def __post_init__(self) -> None:
         check_fps(self.fps, self.name)
-        n_frames = len(self.joint_pos)
+        n_frames = len(np.atleast_1d(self.joint_pos))
         if n_frames < 2:
             raise MotionError(
                 f"The motion {self.name} has {n_frames} frame{'s' * (n_frames != 1)}.",
-                "Give it two frames or more: with fewer there is nothing to move between.",
+                "Give it two frames or more.",
             )
         joint_pos = self._array("joint_pos", (n_frames, len(self.joint_names)))
         root_pos = self._array("root_pos", (n_frames, 3))
         quat = self._array("root_quat_wxyz", (n_frames, 4))
-        norms = np.linalg.norm(quat, axis=1)
+        norms = np.linalg.norm(quat, axis=1, keepdims=True)
         if not norms.all():
             raise MotionError(
                 f"The motion {self.name} has a zero quaternion in frame {int(np.argmin(norms))}.",
-                "Give every frame an orientation; none at all is 1, 0, 0, 0 (wxyz).",
+                "Give every frame an orientation; without rotation it is 1, 0, 0, 0 (wxyz).",
             )
+        # Those that are unit already stay as they are, to the last bit, so that a saved motion is
+        # read back exactly.
+        quat = np.where(np.abs(norms - 1.0) <= 4.0 * np.finfo(float).eps, quat, quat / norms)
         set_field = object.__setattr__
         set_field(self, "fps", float(self.fps))
         set_field(self, "joint_names", tuple(self.joint_names))
-        set_field(self, "joint_pos", _frozen(joint_pos))
-        set_field(self, "root_pos", _frozen(root_pos))
-        set_field(self, "root_quat_wxyz", _frozen(_sign_continuous(quat / norms[:, np.newaxis])))
+        for field, values in (
+            ("joint_pos", joint_pos),
+            ("root_pos", root_pos),
+            ("root_quat_wxyz", _sign_continuous(quat)),
+        ):
+            values.setflags(write=False)
+            set_field(self, field, values)
+
+    def __repr__(self) -> str:
+        return (
+            f"Motion(name={self.name!r}, fps={self.fps:g}, n_frames={self.n_frames}, "
+            f"duration={self.duration:.2f} s, joints={len(self.joint_names)})"
+        )
 
     @property
     def n_frames(self) -> int:
@@ -95,7 +155,7 @@ class Motion:
             raise MotionError(
                 f"Frames {start} to {stop} are not a part of {self.name}, which has "
                 f"{self.n_frames} frames.",
-                f"Ask for at least two frames between 0 and {self.n_frames}.",
+                f"Give a start and a stop, two frames or more apart, from 0 to {self.n_frames}.",
             )
         part = slice(start, stop)
         return replace(
@@ -105,20 +165,97 @@ class Motion:
             root_quat_wxyz=self.root_quat_wxyz[part],
         )
 
-    def _array(self, field: str, shape: tuple[int, int]) -> NDArray[np.float64]:
-        values = np.array(getattr(self, field), dtype=np.float64)
-        if values.shape != shape:
+    def resample(self, fps: float) -> Motion:
+        """The motion at another frame rate: the spline of `Trajectory` at the times i / fps.
+
+        It starts at the first frame and ends at or less than 1 / fps before the last one.
+
+        Args:
+            fps: frames per second of the result.
+
+        Raises:
+            MotionError: `fps` is not positive, or leaves fewer than two frames.
+        """
+        from g1stream.motion.trajectory import resample
+
+        points = [point for _, point in resample(self, fps, 0, self.n_frames)]
+        return replace(
+            self,
+            fps=fps,
+            joint_pos=np.concatenate([point.joint_pos for point in points]),
+            root_pos=np.concatenate([point.root_pos for point in points]),
+            root_quat_wxyz=np.concatenate([point.root_quat_wxyz for point in points]),
+        )
+
+    def plot(self, joints: Sequence[str] | None = None) -> Figure:
+        """Draw joint angles over time.
+
+        Args:
+            joints: names of the joints to draw, in one diagram; if None all joints, in a diagram
+                per limb.
+
+        Returns:
+            A matplotlib figure, time in s and angles in rad; its `savefig` writes a file.
+
+        Raises:
+            MotionError: the motion does not have one of the joints.
+        """
+        from matplotlib.figure import Figure
+
+        unknown = [joint for joint in joints or () if joint not in self.joint_names]
+        if unknown:
             raise MotionError(
-                f"The motion {self.name} has {field} of shape {values.shape}.",
-                f"Give it {shape}: a row for each frame.",
+                f"The motion {self.name} has no joint {', '.join(unknown)}.",
+                f"Its joints are {', '.join(self.joint_names)}.",
             )
-        if not np.isfinite(values).all():
-            frame = int(np.argwhere(~np.isfinite(values))[0, 0])
+        panels = {"": list(joints)} if joints else _joints_by_limb(self.joint_names)
+        figure = Figure(figsize=(9.0, 1.0 + 2.4 * len(panels)), layout="constrained")
+        figure.suptitle(self.name)
+        times = np.arange(self.n_frames) / self.fps
+        axes = figure.subplots(len(panels), sharex=True, squeeze=False)[:, 0]
+        for axis, (limb, names) in zip(axes, panels.items(), strict=True):
+            for joint in names:
+                axis.plot(times, self.joint_pos[:, self.joint_names.index(joint)], label=joint)
+            axis.set(title=limb, ylabel="angle (rad)")
+            axis.grid(alpha=0.3)
+            axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize="small")
+        axes[-1].set_xlabel("time (s)")
+        return figure
+
+    def save(self, path: str | os.PathLike[str], *, force: bool = False) -> None:
+        """Write a CSV file that `load_motion` reads back to the last bit.
+
+        The file has a header and 37 columns: frame number, root position (m), root quaternion
+        (xyzw) and the joints (rad). It has no frame rate: give `load_motion` the `fps` of the
+        motion if it is not 30.
+
+        Args:
+            path: of the file, ending in .csv.
+            force: replace a file that exists.
+
+        Raises:
+            MotionError: the file exists, its name does not end in .csv, or it cannot be written.
+        """
+        from g1stream.motion.csv import to_csv
+
+        path = Path(path)
+        if path.suffix.lower() != ".csv":
             raise MotionError(
-                f"The motion {self.name} has a value that is not finite in {field}, frame {frame}.",
-                "Give it numbers only.",
+                f"A motion cannot be saved as {path.name}.", "Give a file name that ends in .csv."
             )
-        return values
+        text = to_csv(self)
+        try:
+            with path.open("w" if force else "x", encoding="utf-8") as file:
+                file.write(text)
+        except FileExistsError:
+            raise MotionError(
+                f"The file {path} exists.", "Give another name, or force=True to replace it."
+            ) from None
+        except OSError as error:
+            raise MotionError(
+                f"The file {path} cannot be written: {error.strerror}.",
+                "Give a path in a directory that you may write to.",
+            ) from error
 
     def require_joints_of(self, robot: G1) -> None:
         """Refuse a robot that has other joints, or these in another order.
@@ -132,24 +269,54 @@ class Motion:
                 "Load the motion for this robot: load_motion(path, robot).",
             )
 
+    def _array(self, field: str, shape: tuple[int, int]) -> Floats:
+        values = np.array(getattr(self, field), dtype=np.float64, order="C")
+        if values.shape != shape:
+            raise MotionError(
+                f"The motion {self.name} has {field} of shape {values.shape}.",
+                f"Give it shape {shape}, a row per frame.",
+            )
+        if not np.isfinite(values).all():
+            frame = int(np.argwhere(~np.isfinite(values))[0, 0])
+            raise MotionError(
+                f"The motion {self.name} has a value that is not finite in {field}, frame {frame}.",
+                "Give it finite numbers only.",
+            )
+        return values
+
 
 def check_fps(fps: float, name: str) -> None:
     """Raise MotionError unless `fps` is a frame rate: finite and above 0."""
     if not (np.isfinite(fps) and fps > 0):
         raise MotionError(
-            f"The motion {name} cannot have {fps} frames a second.",
+            f"The motion {name} cannot have {fps} frames per second.",
             "Give a frame rate above 0, such as 30.",
         )
 
 
-def _sign_continuous(quat: NDArray[np.float64]) -> NDArray[np.float64]:
+def _check_joint_names(name: str, joint_names: Sequence[str]) -> None:
+    missing = [joint for joint in JOINT_NAMES if joint not in joint_names]
+    if missing or len(joint_names) != len(JOINT_NAMES):
+        wrong = [joint for joint in joint_names if joint not in JOINT_NAMES]
+        raise MotionError(
+            f"The joint names of the motion {name} are not those of the 29 joints: "
+            f"{len(joint_names)} names, missing {', '.join(missing) or 'none'}, unknown "
+            f"{', '.join(wrong) or 'none'}.",
+            "Name each of the joints in g1stream.JOINT_NAMES once.",
+        )
+
+
+def _joints_by_limb(joint_names: tuple[str, ...]) -> dict[str, list[str]]:
+    limbs = {
+        limb.replace("_", " "): [JOINT_NAMES[i] for i in joints if JOINT_NAMES[i] in joint_names]
+        for limb, joints in JOINT_GROUPS.items()
+    }
+    known = {limb: names for limb, names in limbs.items() if names}
+    return known or {"": list(joint_names)}
+
+
+def _sign_continuous(quat: Floats) -> Floats:
     """Flip quaternions (T, 4) so that each has a non-negative dot product with the one before."""
     flips = np.einsum("ij,ij->i", quat[1:], quat[:-1]) < 0
     signs = np.where(np.logical_xor.accumulate(flips), -1.0, 1.0)
     return np.concatenate([quat[:1], quat[1:] * signs[:, np.newaxis]])
-
-
-def _frozen(values: ArrayLike) -> NDArray[np.float64]:
-    array = np.ascontiguousarray(values, dtype=np.float64)
-    array.setflags(write=False)
-    return array

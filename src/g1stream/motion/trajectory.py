@@ -1,37 +1,44 @@
-"""A motion as a smooth function of time.
+"""A motion as a smooth function of time, and a motion at another frame rate.
 
 Joints and root position are natural cubic splines through the frames; the root's orientation is
 scipy's `RotationSpline`, whose rotation vector from each frame to the next is a cubic in time.
 Position, velocity and acceleration are continuous (C2).
 
-A natural spline, because of all curves through the frames it bends least, and it begins and ends
-without acceleration: its end velocities are those of the first and last frames themselves, with no
-extrapolated curvature (not-a-knot) and no detour to make them zero (clamped). A motion that starts
-at rest stays so, and one cut out of a movement starts with that movement's velocity.
+Natural boundary conditions: of all curves through the frames this one has the least curvature, and
+it starts and ends without acceleration. Its end velocities are those of the first and last frames,
+neither extrapolated (not-a-knot) nor forced to zero (clamped): a motion that starts at rest stays
+at rest, and a clip cut out of a movement starts with the velocity of that movement.
 
-Everything is one array of cubic coefficients, so that a sample is one small matrix product.
+All coefficients are in one array, so that a sample is one small matrix product.
 """
 
 from __future__ import annotations
 
-from math import factorial
+from fractions import Fraction
+from math import ceil, factorial, floor
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from g1stream.motion.loop_seam import seam_frames
+from g1stream.errors import MotionError
+from g1stream.motion.blend import seam_frames
 from g1stream.robot.rotations import xyzw_from_wxyz
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+    from collections.abc import Iterator
+
+    from numpy.typing import ArrayLike
 
     from g1stream.motion.motion import Motion
+    from g1stream.types import Floats
 
-__all__ = ["Trajectory", "TrajectoryPoint"]
+__all__ = ["Trajectory", "TrajectoryPoint", "resample"]
 
-#: Frames of the neighbouring rounds that a looping spline is fitted through. The pull of a knot on
-#: a cubic spline fades by a factor of 3.7 a frame: after 32, nothing is left in float64.
-_WRAP: Final = 32
+#: Frames on either side that a part of a spline is fitted through as well: the influence of a frame
+#: falls by a factor of 3.7 per frame, and beyond 32 nothing is left of it in float64.
+_REACH: Final = 32
+#: Frames that are resampled at once, so that memory does not grow with the motion's length.
+_PIECE: Final = 256
 
 # The exponential map of rotations and its derivatives need functions such as (1 - cos a) / a**2.
 # As power series in a**2 they have no special case at 0; the angle between two frames is at most
@@ -55,40 +62,40 @@ class TrajectoryPoint(NamedTuple):
         root_pos: (3,) pelvis in the world frame, m.
         root_lin_vel: (3,) in the world frame, m/s.
         root_lin_acc: (3,) in the world frame, m/s^2, without gravity.
-        root_quat_wxyz: (4,) pelvis in the world frame, unit; its sign is continuous, but for where
-            a loop that has turned the root once around begins again.
+        root_quat_wxyz: (4,) pelvis in the world frame, unit. Its sign is continuous, except where a
+            loop starts again that has turned the root once around.
         root_ang_vel: (3,) in the pelvis frame (as a gyroscope measures it), rad/s.
         root_ang_acc: (3,) time derivative of `root_ang_vel`, in the pelvis frame, rad/s^2.
     """
 
-    joint_pos: NDArray[np.float64]
-    joint_vel: NDArray[np.float64]
-    joint_acc: NDArray[np.float64]
-    root_pos: NDArray[np.float64]
-    root_lin_vel: NDArray[np.float64]
-    root_lin_acc: NDArray[np.float64]
-    root_quat_wxyz: NDArray[np.float64]
-    root_ang_vel: NDArray[np.float64]
-    root_ang_acc: NDArray[np.float64]
+    joint_pos: Floats
+    joint_vel: Floats
+    joint_acc: Floats
+    root_pos: Floats
+    root_lin_vel: Floats
+    root_lin_acc: Floats
+    root_quat_wxyz: Floats
+    root_ang_vel: Floats
+    root_ang_acc: Floats
 
 
 class Trajectory:
     """A motion that can be sampled at any time, in seconds from frame 0.
 
-    Before the first frame and after the last it rests there: that frame's position, no velocity, no
-    acceleration. With `loop` it has no end: after the last frame comes a seam of its own making
-    (see `seam.py`) that leads back to frame 0, C2 too, and then the motion again.
+    Before the first frame and after the last it rests: the position of that frame, no velocity, no
+    acceleration. With `loop` it repeats without end: after the last frame a seam (see
+    `blend.seam_frames`) leads back to frame 0, also C2.
 
     Args:
         motion: the frames to go through.
-        loop: whether to repeat it for ever.
+        loop: whether to repeat it.
 
     Attributes:
         motion: as given.
         loop: as given.
-        duration: seconds from frame 0 to the last frame.
-        period: seconds from frame 0 to the next frame 0 when looping: `duration` and the seam;
-            otherwise the same as `duration`.
+        duration: s, from frame 0 to the last frame.
+        period: s, from frame 0 to the next frame 0 of a loop: `duration` and the seam; without a
+            loop the same as `duration`.
     """
 
     def __init__(self, motion: Motion, *, loop: bool = False) -> None:
@@ -99,7 +106,7 @@ class Trajectory:
         quat = np.asarray(motion.root_quat_wxyz)
         n_wrap = 0
         if loop:
-            n_wrap = _WRAP
+            n_wrap = _REACH
             linear, quat = seam_frames(linear, quat, motion.fps)
             around = np.arange(-n_wrap, len(linear) + n_wrap + 1) % len(linear)
             linear, quat = linear[around], quat[around]
@@ -112,7 +119,7 @@ class Trajectory:
         self.period = self._n_segments / motion.fps
 
     def sample(self, t: float) -> TrajectoryPoint:
-        """The reference at time `t`, s. Some 20 us: fit for a control loop."""
+        """The reference at time `t`, s. Takes some 20 us, for use in a control loop."""
         inside = t >= 0 if self.loop else 0 <= t <= self.period
         t = t % self.period if self.loop and inside else min(max(t, 0.0), self.period)
         k = min(int(t * self.motion.fps), self._n_segments - 1)
@@ -130,30 +137,16 @@ class Trajectory:
         return self._point(value, *map(np.array, rotation))
 
     def sample_many(self, times: ArrayLike) -> TrajectoryPoint:
-        """The reference at many times (N,), s: each array of the result has a row for each."""
+        """The reference at times (N,), s: each array of the result has a row per time."""
         t = np.asarray(times, dtype=np.float64)
         inside = t >= 0 if self.loop else (t >= 0) & (t <= self.period)
         t = np.where(inside & self.loop, t % self.period, np.clip(t, 0.0, self.period))
         k = np.minimum((t * self.motion.fps).astype(np.intp), self._n_segments - 1)
         s = t - k / self.motion.fps
-        one, zero = np.ones_like(s), np.zeros_like(s)
-        basis = np.stack(
-            [
-                s * s * s,
-                s * s,
-                s,
-                one,
-                3.0 * s * s,
-                2.0 * s,
-                one,
-                zero,
-                6.0 * s,
-                2.0 * one,
-                zero,
-                zero,
-            ],
-            axis=-1,
-        ).reshape(-1, 3, 4)
+        basis = np.zeros((len(s), 3, 4))
+        basis[:, 0] = np.stack([s * s * s, s * s, s, np.ones_like(s)], axis=-1)
+        basis[:, 1, :3] = np.stack([3.0 * s * s, 2.0 * s, np.ones_like(s)], axis=-1)
+        basis[:, 2, :2] = np.stack([6.0 * s, np.full_like(s, 2.0)], axis=-1)
         basis[~inside, 1:] = 0.0
         value = np.moveaxis(basis @ self._coefficients[k], 0, 1)
         rotation = _rotation_state(self._quats[k].T, *np.moveaxis(value[..., -3:], -1, 1))
@@ -161,10 +154,10 @@ class Trajectory:
 
     def _point(
         self,
-        value: NDArray[np.float64],
-        quat: NDArray[np.float64],
-        ang_vel: NDArray[np.float64],
-        ang_acc: NDArray[np.float64],
+        value: Floats,
+        quat: Floats,
+        ang_vel: Floats,
+        ang_acc: Floats,
     ) -> TrajectoryPoint:
         joints, root = value[..., : self._n_joints], value[..., self._n_joints : -3]
         return TrajectoryPoint(
@@ -172,11 +165,56 @@ class Trajectory:
         )
 
 
-def _fit(linear: NDArray[np.float64], quat: NDArray[np.float64], fps: float) -> NDArray[np.float64]:
+def resample(
+    motion: Motion, rate: float, start: int, stop: int
+) -> Iterator[tuple[range, TrajectoryPoint]]:
+    """Sample the spline through a motion's frames at the times i / rate, a piece at a time.
+
+    Args:
+        motion: what to sample; frame k is at the time k / fps.
+        rate: samples per second, Hz.
+        start: the first frame of the part to sample.
+        stop: one after its last frame.
+
+    Yields:
+        Sample numbers i, in order, and the samples, a row each. A part of a motion has the numbers
+        and samples that it has in the whole.
+
+    Raises:
+        MotionError: there is no sample in this part of the motion, or the rate is not above 0.
+    """
+    if not (np.isfinite(rate) and rate > 0):
+        raise MotionError(
+            f"The motion {motion.name} cannot be sampled at {rate} Hz.",
+            "Give a rate above 0, such as 100.",
+        )
+    samples_per_frame = Fraction(repr(float(rate))) / Fraction(repr(float(motion.fps)))
+    last = stop - 1
+    end = floor(last * samples_per_frame) + 1
+    if ceil(start * samples_per_frame) >= end:
+        raise MotionError(
+            f"At {rate:g} Hz there is no sample between the frames {start} and {last} of "
+            f"{motion.name}.",
+            "Give a higher rate, or more frames.",
+        )
+    for first in range(start, last, _PIECE):
+        behind = min(first + _PIECE, last)
+        upper = end if behind == last else ceil(behind * samples_per_frame)
+        numbers = range(ceil(first * samples_per_frame), upper)
+        if not numbers:
+            continue
+        lowest = max(0, first - _REACH)
+        trajectory = Trajectory(motion.frames(lowest, min(motion.n_frames, behind + _REACH + 1)))
+        times = np.arange(numbers.start, numbers.stop) / rate - lowest / motion.fps
+        # Rounding must not put the last sample behind the end, where the trajectory rests.
+        yield numbers, trajectory.sample_many(np.minimum(times, trajectory.duration))
+
+
+def _fit(linear: Floats, quat: Floats, fps: float) -> Floats:
     """Cubics between frames: linear (T, D), quat wxyz (T, 4) -> coefficients (T - 1, 4, D + 3).
 
-    The highest power comes first. The last three columns are the rotation vector from the segment's
-    first frame, in that frame's axes.
+    The highest power is first. The last three columns are the rotation vector from the first frame
+    of the segment, in the axes of that frame.
     """
     from scipy.interpolate import CubicSpline
     from scipy.spatial.transform import Rotation, RotationSpline
@@ -185,7 +223,7 @@ def _fit(linear: NDArray[np.float64], quat: NDArray[np.float64], fps: float) -> 
     splines = CubicSpline(times, linear, bc_type="natural").c
     rotations = Rotation.from_quat(xyzw_from_wxyz(quat))
     rotation_vectors = RotationSpline(times, rotations).interpolator.c
-    powers_first: NDArray[np.float64] = np.concatenate([splines, rotation_vectors], axis=-1)
+    powers_first: Floats = np.concatenate([splines, rotation_vectors], axis=-1)
     return np.moveaxis(powers_first, 0, 1)
 
 

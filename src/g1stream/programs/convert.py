@@ -234,7 +234,7 @@ def _poses(motion: Motion, options: Conversion, start: int, stop: int) -> Iterat
         pose = (motion.joint_pos[rows], motion.root_pos[rows], motion.root_quat_wxyz[rows])
         parts = [(times, *pose)]
     else:
-        from g1stream.motion.resample import resample  # brings scipy
+        from g1stream.motion.trajectory import resample  # brings scipy
 
         parts = (
             (

@@ -78,9 +78,9 @@ def demo(
         _check_absent(*([] if named_anew else [session_path]), picture_path)
     _make_directory(out)
     _check_nobody_simulates(config)
-    sim = Child(["sim"], {"config": config.model_dump(mode="json")})
+    sim = Child("sim", config)
     try:
-        sim.wait_for("ready", timeout=20.0)
+        sim.wait_until_ready()
         played = stream(
             motion,
             config,

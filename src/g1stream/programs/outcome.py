@@ -10,7 +10,7 @@ from g1stream.robot.joints import by_joint
 if TYPE_CHECKING:
     from g1stream.control.loop import LoopReport
     from g1stream.doctor.facts import Finding
-    from g1stream.motion.limit_warnings import Interval
+    from g1stream.motion.limits import Interval
     from g1stream.realtime import Grant
 
 __all__ = ["StreamOutcome", "loop_summary"]

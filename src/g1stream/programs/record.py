@@ -13,9 +13,12 @@ from g1stream.config import Config
 from g1stream.dds.domain import Participant
 from g1stream.dds.topics import LOWCMD, REFERENCE
 from g1stream.errors import RecordingError, WireError
+from g1stream.events import console_handler, handled_by
 from g1stream.foxglove.encoders import MEASURED_PREFIX
 from g1stream.foxglove.pipeline import MessagePipeline
 from g1stream.foxglove.scene import encode_robot_description, encode_scene
+from g1stream.programs.child_process import run_child
+from g1stream.realtime import lower_priority
 from g1stream.recorder.recorder import Recorder
 from g1stream.robot.model import G1
 from g1stream.session.attachments import attach_motion
@@ -26,6 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from g1stream.config import RecordConfig
+    from g1stream.programs.child_process import Parent
     from g1stream.recorder.recorder_report import RecorderReport
     from g1stream.session.writer import SessionWriter
 
@@ -46,10 +50,11 @@ def record(
     session: Mapping[str, Any] | None = None,
     should_stop: Callable[[], bool] = lambda: False,
     on_ready: Callable[[], None] = lambda: None,
-    on_event: Callable[[int, str], None] = lambda level, text: None,
-    last_words: Callable[[], Mapping[str, Any]] = dict,
+    final_metadata: Callable[[], Mapping[str, Any]] = dict,
 ) -> RecorderReport:
     """Record until told to stop, or until the disk is full.
+
+    What happens meanwhile is logged, below `g1stream.recorder`, and written into /log of the file.
 
     Args:
         path: the session file; its directory must exist.
@@ -59,8 +64,7 @@ def record(
             it is matched with the streamer before it calls `on_ready`.
         should_stop: asked a few times a second.
         on_ready: called when nothing that is published from then on can be missed.
-        on_event: is told what is worth telling while it happens, (level, text).
-        last_words: more metadata, asked for when told to stop.
+        final_metadata: more metadata, asked for when told to stop.
 
     Returns:
         What the recording holds; `stopped` says why it ended early, if it did.
@@ -77,16 +81,16 @@ def record(
     )  # may refuse the robot: before there is a file
     about = _about(config, session or {})
 
-    def preface(writer: SessionWriter) -> None:
+    def write_file_header(writer: SessionWriter) -> None:
         writer.add_metadata(about)
         _attach(writer, robot, config, session or {})
         _write_robot(writer, robot)
 
     with (
         Participant(config.dds.domain, config.dds.interface) as participant,
-        PartedWriter(path, preface, _limits(settings), force=force) as writer,
+        PartedWriter(path, write_file_header, _limits(settings), force=force) as writer,
     ):
-        recorder = Recorder(participant, writer, pipeline, settings.batch, on_event=on_event)
+        recorder = Recorder(participant, writer, pipeline, settings.batch)
 
         def on_started() -> None:
             if not session or _wait_for_streamer(recorder, should_stop):
@@ -94,9 +98,9 @@ def record(
 
         report = recorder.run(should_stop, on_started=on_started)
         if session:
-            # A disk that is full does not end the streamer, and its last words are worth having.
+            # A full disk does not end the stream; its summary is still to come.
             _wait_until(should_stop)
-        _close(writer, report, last_words())
+        _close(writer, report, final_metadata())
     return report
 
 
@@ -113,10 +117,10 @@ def _wait_until(should_stop: Callable[[], bool]) -> None:
         time.sleep(_LOOK_EVERY)
 
 
-def _close(writer: PartedWriter, report: RecorderReport, last_words: Mapping[str, Any]) -> None:
+def _close(writer: PartedWriter, report: RecorderReport, final_metadata: Mapping[str, Any]) -> None:
     """Write the last metadata and the index; a disk that is full may not have room for them."""
     try:
-        values = {**last_words, "recorder": report.as_dict(), "measured_tf": report.measured_tf}
+        values = {**final_metadata, "recorder": report.as_dict(), "measured_tf": report.measured_tf}
         writer.add_metadata(values)
         writer.close()
     except RecordingError as error:
@@ -133,9 +137,9 @@ def _wait_for_streamer(recorder: Recorder, should_stop: Callable[[], bool]) -> b
             return True
         if time.monotonic() >= end:
             raise WireError(
-                f"Nobody that publishes {' or '.join(absent)} was found in {_MATCH_TIMEOUT:g} s.",
-                "Check with `g1stream doctor` that the recorder and the streamer hear each other "
-                "on this domain and interface.",
+                f"No publisher of {' or '.join(absent)} was found within {_MATCH_TIMEOUT:g} s.",
+                "Check with `g1stream doctor` that the recorder and the stream see each other on "
+                "this domain and interface.",
             )
         time.sleep(0.01)
     return False
@@ -173,3 +177,20 @@ def _write_robot(writer: SessionWriter, robot: G1) -> None:
     scene = encode_scene(now, robot, {"": GHOST, MEASURED_PREFIX: 1.0})
     writer.write("/scene", scene, now, now)
     writer.write("/robot_description", encode_robot_description(robot), now, now)
+
+
+def _run_child(parent: Parent) -> dict[str, Any]:
+    """Record for a stream: the startup message has arguments of `record`."""
+    lower_priority()
+    with handled_by(console_handler("record")):
+        report = record(
+            **parent.startup_message,
+            should_stop=parent.done.is_set,
+            on_ready=parent.ready,
+            final_metadata=lambda: parent.final_message or {},
+        )
+    return {**report.as_dict(), "path": " ".join(report.paths)}
+
+
+if __name__ == "__main__":
+    run_child(_run_child)

@@ -56,39 +56,37 @@ class RecorderChild:
     ) -> None:
         self._path = path
         self._earlier = _beside(path)
-        self._child = Child(
-            ["record", str(path), *(["--force"] if force else [])],
-            {
-                "config": config.model_dump(mode="json"),
-                "gains": {name: values.tolist() for name, values in gains._asdict().items()},
-                "motion": {
-                    "name": motion.name,
-                    "fps": motion.fps,
-                    "frames": motion.n_frames,
-                    "sha256": motion.sha256,
-                    "source": str(motion.source) if motion.source else None,
-                },
+        session = {
+            "config": config.model_dump(mode="json"),
+            "gains": {name: values.tolist() for name, values in gains._asdict().items()},
+            "motion": {
+                "name": motion.name,
+                "fps": motion.fps,
+                "frames": motion.n_frames,
+                "sha256": motion.sha256,
+                "source": str(motion.source) if motion.source else None,
             },
-        )
+        }
+        arguments = {"path": path, "config": config, "force": force, "session": session}
+        self._child = Child("record", arguments)
         try:
-            self._child.wait_for("ready", timeout=20.0)
+            self._child.wait_until_ready()
         except BaseException:
             self._child.kill()
             raise
 
-    def finish(self, last_words: Mapping[str, Any], *, heard: bool) -> dict[str, Any]:
+    def finish(self, final_metadata: Mapping[str, Any], *, heard: bool) -> dict[str, Any]:
         """End it, and return its summary; where it died, that it did.
 
         How the motion went counts all the same.
 
         Args:
-            last_words: goes into the file's metadata.
+            final_metadata: goes into the file's metadata.
             heard: whether anybody was there to play to. If nobody was, a file in which there is
                 nothing is removed, lest the next recording be refused; `removed` says so.
         """
-        self._child.send(last_words)
         try:
-            recording = self._child.finish()
+            recording = self._child.finish(final_metadata)
         except ChildError as error:
             recording = {
                 "path": str(self._path),

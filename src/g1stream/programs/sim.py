@@ -13,7 +13,8 @@ from g1stream.clock import SystemClock
 from g1stream.config import Config
 from g1stream.dds.domain import Participant
 from g1stream.dds.log_handler import DdsLogHandler
-from g1stream.events import handled_by
+from g1stream.events import console_handler, handled_by
+from g1stream.programs.child_process import run_child
 from g1stream.realtime import on_time, told
 from g1stream.robot.model import G1
 from g1stream.sim.bridge import Bridge
@@ -23,6 +24,7 @@ from g1stream.sim.world import World
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from g1stream.programs.child_process import Parent
     from g1stream.sim.robot import SimReport
 
 __all__ = ["physics_timestep", "simulate"]
@@ -65,6 +67,14 @@ def simulate(
         return bridge.run(lambda: should_stop() or (end is not None and time.monotonic() >= end))
 
 
+def _run_child(parent: Parent) -> SimReport:
+    """Simulate for a parent: the startup message is the config."""
+    with handled_by(console_handler("sim", logging.INFO)):
+        return simulate(
+            parent.startup_message, should_stop=parent.done.is_set, on_ready=parent.ready
+        )
+
+
 def _priority(config: Config) -> int:
     """Of SCHED_FIFO: below the loop's, and 0 where the bridge could block everything else.
 
@@ -98,3 +108,7 @@ def _viewer(world: World, stack: ExitStack) -> Callable[[], bool]:
         return bool(window.is_running())
 
     return view
+
+
+if __name__ == "__main__":
+    run_child(_run_child)

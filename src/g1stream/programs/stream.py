@@ -22,7 +22,7 @@ from g1stream.dds.topics import LOWCMD
 from g1stream.doctor.matching import explain_no_robot
 from g1stream.doctor.wire import inspect_participant
 from g1stream.errors import ConfigError, SafetyError, WireError
-from g1stream.motion.limit_warnings import Interval, beyond_limits
+from g1stream.motion.limits import Interval, measure_limits
 from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.programs.outcome import StreamOutcome, loop_summary
@@ -97,7 +97,15 @@ def stream(
         targets = Targets(
             trajectory, start=interval.start, play=interval.length, ramp=settings.ramp
         )
-        warnings = beyond_limits(motion, robot, config, interval) if on_warning else []
+        warnings: tuple[str, ...] = ()
+        if on_warning:
+            warnings = measure_limits(
+                trajectory,
+                robot,
+                interval,
+                rate=settings.rate,
+                position_margin=config.safety.position_margin,
+            ).warnings
         if not config.safety.allow_second_writer:
             clock.sleep_until(joined + _DISCOVERY)
             _refuse_if_commanded(participant)
@@ -122,11 +130,11 @@ def stream(
             wire = link.counts()
             if recorder:
                 heard = bool(loop.report.commands or loop.report.states)
-                recording = recorder.finish(_last_words(loop, wire, granted), heard=heard)
+                recording = recorder.finish(_final_metadata(loop, wire, granted), heard=heard)
     return StreamOutcome(motion.name, report, recording, wire, granted, interval, findings)
 
 
-def _last_words(
+def _final_metadata(
     loop: StreamLoop, wire: dict[str, int | None], granted: list[Grant]
 ) -> dict[str, Any]:
     """What the recorder notes of how the loop went."""

@@ -1,107 +1,71 @@
-"""Counts the samples that were published and did not come.
+"""Counts samples that were published and did not arrive.
 
-The witnesses: what the reader itself knows, the numbers that some messages carry, the stamp that a
-Reference shares with its LowCmd, and the kernel, which counts the datagrams that it had to drop
-because nobody fetched them. A best-effort reader is not told by DDS what it missed on the way.
+A best-effort reader is not told by DDS what was lost on the way. So there are four sources: what
+the reader itself knows, the ticks that some messages carry, the publish time that a Reference
+shares with its LowCmd, and how many datagrams the kernel discarded because a buffer was full.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
 from contextlib import suppress
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-import numpy as np
-
+from g1stream.dds.ticks import TickGaps
 from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE
 from g1stream.session.samples import Samples
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from numpy.typing import NDArray
-
     from g1stream.session.samples import Batch
 
-__all__ = ["Counter", "Losses", "Partners", "dropped_datagrams"]
+__all__ = ["Losses", "MissingCommands", "dropped_datagrams"]
 
-#: A number that leaps further was not lost on the way: its publisher was started anew.
-_JUMP: Final = 10_000
-#: Steps to have seen before it is known by how much a number grows.
-_ENOUGH: Final = 8
-#: How long a Reference's LowCmd may be on its way, ns.
-_PATIENCE: Final = 1_000_000_000
-#: At the end of a recording, how far a Reference may be ahead of its LowCmd, ns.
-_ON_ITS_WAY: Final = 20_000_000
+#: How long the LowCmd of a Reference is waited for, ns.
+_MAX_WAIT_NS: Final = 1_000_000_000
+#: At the end of a recording, by how much a Reference may arrive before its LowCmd, ns.
+_LAST_WAIT_NS: Final = 20_000_000
 
-#: The field that numbers the samples. LowState's is 0 for ever on one of the simulators; then
-#: nothing can be known from it.
-_NUMBERED: Final = {topic.name: (topic, "tick") for topic in (REFERENCE, LOWSTATE)}
+_TOPICS_WITH_TICKS: Final = {topic.name: topic for topic in (REFERENCE, LOWSTATE)}
 
 
-@dataclass
-class Counter:
-    """Finds holes in the number that each sample of one writer carries.
-
-    Attributes:
-        step: by how much the number grows from one sample to the next; 0 until it is known.
-    """
-
-    step: int = 0
-    _last: int | None = None
-    _early: list[NDArray[np.int64]] = field(default_factory=list)
-
-    def count(self, numbers: NDArray[np.int64]) -> int:
-        """How many samples are missing between the (T,) numbers, and before them."""
-        steps = np.diff(numbers if self._last is None else np.append(self._last, numbers))
-        self._last = int(numbers[-1])
-        if not self.step:
-            self._early.append(steps)
-            steps = np.concatenate(self._early)
-            forward = steps[steps > 0]
-            if forward.size < _ENOUGH:
-                return 0
-            self.step = int(np.median(forward))
-            self._early.clear()
-        missed = steps // self.step - 1
-        return int(missed[(missed > 0) & (missed < _JUMP)].sum())
-
-
-class Partners:
-    """Finds References whose LowCmd, of the very same stamp, did not come."""
+class MissingCommands:
+    """Counts References whose LowCmd, which has the same publish time, did not arrive."""
 
     def __init__(self) -> None:
+        self.count = 0
         self._commands: set[int] = set()
         self._references: set[int] = set()
         self._newest = 0
 
-    def add_commands(self, stamps: Iterable[int]) -> None:
+    def add_commands(self, publish_times: Iterable[int]) -> None:
         """Take in the publish times of LowCmds, ns."""
-        self._commands.update(stamps)
+        self._commands.update(publish_times)
 
-    def add_references(self, stamps: Sequence[int]) -> int:
-        """Take in the publish times of References, ns; how many more LowCmds are missing."""
-        self._references.update(stamps)
-        self._newest = stamps[-1]
+    def add_references(self, publish_times: Sequence[int]) -> None:
+        """Take in the publish times of References, ns, oldest first."""
+        self._references.update(publish_times)
+        self._newest = publish_times[-1]
+        self._settle(self._newest - _MAX_WAIT_NS)
+
+    def finish(self) -> None:
+        """Count, after the last sample, the References that still wait."""
+        self._settle(self._newest - _LAST_WAIT_NS)
+
+    def _settle(self, before: int) -> None:
+        """Drop pairs, and count References before this time that have no LowCmd."""
         pairs = self._references & self._commands
         self._references -= pairs
-        self._commands -= pairs
-        old = stamps[-1] - _PATIENCE
-        alone = {stamp for stamp in self._references if stamp < old}
+        self._commands = {time for time in self._commands - pairs if time >= before}
+        alone = {time for time in self._references if time < before}
         self._references -= alone
-        self._commands = {stamp for stamp in self._commands if stamp >= old}
-        return len(alone)
-
-    def finish(self) -> int:
-        """At the end, how many more LowCmds are missing; the last few may just not be here yet."""
-        due = self._newest - _ON_ITS_WAY
-        return sum(stamp < due for stamp in self._references)
+        self.count += len(alone)
 
 
 def dropped_datagrams() -> int:
-    """How many datagrams the kernel dropped for want of room in this process's sockets."""
+    """How many datagrams the kernel discarded because a socket buffer of this process was full."""
     inodes = set()
     for descriptor in Path("/proc/self/fd").glob("*"):
         with suppress(OSError):  # closed in the meantime
@@ -115,51 +79,47 @@ def dropped_datagrams() -> int:
 
 
 class Losses:
-    """What is known to be missing, by DDS topic.
+    """Samples known to be lost, by DDS topic.
 
     Attributes:
-        missing: samples, by topic name.
+        lost: samples, by topic name.
     """
 
     def __init__(self) -> None:
-        self.missing: dict[str, int] = {}
-        self._counters: dict[tuple[str, int], Counter] = defaultdict(Counter)
-        self._by_number: dict[str, int] = defaultdict(int)
-        self._partners = Partners()
+        self.lost: dict[str, int] = {}
+        self._ticks: dict[str, dict[int, TickGaps]] = defaultdict(lambda: defaultdict(TickGaps))
+        self._commands = MissingCommands()
 
-    def look(self, name: str, batch: Batch) -> None:
-        """Look through a batch, oldest sample first, the numbers of each writer by themselves."""
+    def add(self, name: str, batch: Batch) -> None:
+        """Take in samples of a topic, oldest first; every writer has ticks of its own."""
         if name == LOWCMD.name:
-            self._partners.add_commands(batch.publish_times)
+            self._commands.add_commands(batch.publish_times)
         if name == REFERENCE.name:
-            missed = self._partners.add_references(batch.publish_times)
-            self._by_number[LOWCMD.name] += missed
-        if name not in _NUMBERED:
-            return
-        topic, path = _NUMBERED[name]
-        numbers = Samples(topic, batch.data)[path].astype(np.int64)
-        writers = np.array(batch.writers)
-        for writer in np.unique(writers):
-            missed = self._counters[name, int(writer)].count(numbers[writers == writer])
-            self._by_number[name] += missed
+            self._commands.add_references(batch.publish_times)
+        if topic := _TOPICS_WITH_TICKS.get(name):
+            ticks = Samples(topic, batch.data)["tick"].tolist()
+            for writer, tick in zip(batch.writers, ticks, strict=True):
+                self._ticks[name][writer].add(tick)
 
     def finish(self) -> None:
-        """Count, after the last batch, what has waited for its partner in vain."""
-        self._by_number[LOWCMD.name] += self._partners.finish()
+        """Count, after the last batch, the LowCmds that were still waited for."""
+        self._commands.finish()
 
-    def update(self, lost: Mapping[str, int]) -> dict[str, int]:
-        """Join what the witnesses say.
+    def update(self, lost_by_reader: Mapping[str, int]) -> dict[str, int]:
+        """Combine all sources.
 
         Args:
-            lost: samples that the readers know to be lost so far, by topic name.
+            lost_by_reader: samples that the readers know to be lost so far, by topic name.
 
         Returns:
-            How many more are missing than at the last update, where any are.
+            How many more are lost than at the last update, where any are.
         """
-        news = {}
-        for name, by_reader in lost.items():
-            missing = max(by_reader, self._by_number[name])
-            if missing > self.missing.get(name, 0):
-                news[name] = missing - self.missing.get(name, 0)
-            self.missing[name] = missing
-        return news
+        more = {}
+        for name, by_reader in lost_by_reader.items():
+            by_ticks = sum(ticks.missed or 0 for ticks in self._ticks[name].values())
+            by_reference = self._commands.count if name == LOWCMD.name else 0
+            before = self.lost.get(name, 0)
+            self.lost[name] = max(before, by_reader, by_ticks, by_reference)
+            if self.lost[name] > before:
+                more[name] = self.lost[name] - before
+        return more

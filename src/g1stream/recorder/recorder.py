@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
+import logging
 import time
-from collections import defaultdict
+from collections import defaultdict, deque
 from contextlib import suppress
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from g1stream.dds.topics import TOPICS
 from g1stream.errors import RecordingError
+from g1stream.events import severity
 from g1stream.foxglove.encoders import encode_log
 from g1stream.foxglove.pipeline import CHANNEL_OF
 from g1stream.recorder.clocks import DelayEstimator, StepDetector, read_clocks
 from g1stream.recorder.losses import Losses, dropped_datagrams
 from g1stream.recorder.receiver import Receiver
 from g1stream.recorder.recorder_report import Publishers, RecorderReport
-from g1stream.types import ERROR, INFO, WARNING
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -30,23 +31,40 @@ if TYPE_CHECKING:
 
 __all__ = ["Recorder"]
 
+_LOGGER = logging.getLogger(__name__)
 
-#: A delay beyond this, either way, is told while it can still be mended.
-_FAR_NS = 20_000_000
+#: A median delay beyond this, either way, is logged while it can still be corrected.
+_MAX_DELAY_NS: Final = 20_000_000
+#: Between two readings of the kernel's count of discarded datagrams, s.
+_DROPS_PERIOD: Final = 1.0
 
-#: Between two looks at what the kernel dropped, s.
-_LOOK_EVERY_S = 1.0
+
+class _EventBuffer(logging.Handler):
+    """Keeps the recorder's own log records until they are written into the file.
+
+    They may be logged in any thread; only the recorder's writes the file.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(logging.INFO)
+        self._records: deque[logging.LogRecord] = deque()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self._records.append(record)
+
+    def pop_events(self) -> list[logging.LogRecord]:
+        """The records since the last call, oldest first."""
+        return [self._records.popleft() for _ in range(len(self._records))]
 
 
 class Recorder:
-    """Records what is on the wire.
+    """Records what is on the wire, and what it logs itself, below `g1stream.recorder`.
 
     Args:
         participant: whose domain to listen in.
         writer: the session file.
         pipeline: makes the file's messages.
-        batch: how often samples are handed on, s.
-        on_event: is told what is worth telling, (level, text); it goes into /log as well.
+        batch: how often samples are written, s.
         clocks: reads this machine's clocks.
     """
 
@@ -57,21 +75,20 @@ class Recorder:
         pipeline: MessagePipeline,
         batch: float,
         *,
-        on_event: Callable[[int, str], None] = lambda level, text: None,
         clocks: Callable[[], ClockReading] = read_clocks,
     ) -> None:
         self._participant = participant
         self._writer = writer
         self._batch_s = batch
-        self._on_event = on_event
         self._clocks = clocks
         self._receiver = Receiver(participant, TOPICS)
         self._pipeline = pipeline
+        self._events = _EventBuffer()
         self._losses = Losses()
         self._steps = StepDetector()
         self._delays: dict[str, DelayEstimator] = defaultdict(DelayEstimator)
         self._publishers: dict[str, Publishers] = {}
-        self._next_look = 0.0
+        self._drops_due = 0.0
         self.report = RecorderReport()
 
     def matched(self) -> dict[str, int]:
@@ -86,13 +103,15 @@ class Recorder:
     ) -> RecorderReport:
         """Record until told to stop, or until nothing can be received or written any more.
 
-        The latter is no exception: the report says so, and the file is in order.
+        The latter raises nothing: the report says why, and the file is complete until then.
 
         Args:
-            should_stop: asked a few times a second.
-            linger: go on for so long afterwards, for what is still on its way, s.
+            should_stop: asked at every batch.
+            linger: how long to go on afterwards, for samples still in transit, s.
             on_started: called when samples are being received; may take its time, or raise.
         """
+        room = logging.getLogger("g1stream.recorder")
+        room.addHandler(self._events)
         self._receiver.start()
         try:
             on_started()
@@ -100,92 +119,84 @@ class Recorder:
                 time.sleep(self._batch_s)
                 self._write_batches()
             time.sleep(linger)
-            # Once more after the last samples, to hear whether they were the last by accident.
+            # Twice: a receiver that failed says so once all its samples have been drained.
             for _ in range(2):
                 self._write_batches()
         except RecordingError as error:
             self.report.stopped = error.cause
-            # There is room for last words, if the disk is what failed.
+            _LOGGER.error(error.cause)
+            # If the disk is full, the writer has kept room for this.
             with suppress(RecordingError):
-                self.tell(ERROR, error.cause)
+                self._write_events()
         finally:
             self._receiver.stop()
+            room.removeHandler(self._events)
         self._fill_report()
         return self.report
-
-    def tell(self, level: int, text: str) -> None:
-        """Add an event of the recorder's own to /log.
-
-        Args:
-            level: 2 info, 3 warning, 4 error.
-            text: what happened.
-        """
-        self._on_event(level, text)
-        happened = time.time_ns()
-        line = encode_log(happened, level, "record", text)
-        self._writer.write("/log", line, time.time_ns(), happened)
 
     def _write_batches(self) -> None:
         batches = self._receiver.drain()
         for name, batch in batches.items():
             self.report.see(batch.log_times)
             if name in CHANNEL_OF:
-                self._watch(name, batch)
-        aligned = self._pipeline.base.yaw_offset
+                self._losses.add(name, batch)
+                self._check_delay(name, batch)
+        aligned = self._pipeline.base.yaw_offset is not None
         for messages in self._pipeline.encode(batches):
             self._writer.write_batch(*messages)
-        if aligned is None and self._pipeline.base.yaw_offset is not None:
-            self._tell_alignment()
-        self._watch_losses()
-        self._watch_clock()
+        if not aligned and self._pipeline.base.yaw_offset is not None:
+            self._note_alignment()
+        self._check_losses()
+        self._check_clock()
+        self._write_events()
         self._writer.flush_if_due(time.time_ns())
 
-    def _watch(self, name: str, batch: Batch) -> None:
-        """Look after numbers, delays and publishers of a topic."""
-        self._losses.look(name, batch)
+    def _write_events(self) -> None:
+        for record in self._events.pop_events():
+            logged = int(record.created * 1e9)
+            line = encode_log(logged, severity(record), "record", record.getMessage())
+            self._writer.write("/log", line, time.time_ns(), logged)
+
+    def _check_delay(self, name: str, batch: Batch) -> None:
         delay = self._delays[name]
         delay.observe(np.array(batch.log_times), np.array(batch.publish_times))
-        if name not in self._publishers and delay.seconds:
-            self._publishers[name] = Publishers.of(self._participant, name)
-            self._tell_distance(name)
+        if name in self._publishers or not delay.seconds:
+            return
+        self._publishers[name] = Publishers.of(self._participant, name)
+        median = delay.median() or 0
+        if abs(median) > _MAX_DELAY_NS:
+            _LOGGER.warning(
+                "%s from %s is received %+.3f s after its publish time: "
+                "the clocks differ, or this machine is too slow",
+                CHANNEL_OF[name],
+                self._publishers[name],
+                median / 1e9,
+            )
 
-    def _watch_losses(self) -> None:
+    def _check_losses(self) -> None:
         for name, number in self._losses.update(self._receiver.lost()).items():
-            channel = CHANNEL_OF.get(name, name)
-            self.tell(WARNING, f"{number} samples of {channel} did not arrive")
-        if time.monotonic() >= self._next_look:
-            self._next_look = time.monotonic() + _LOOK_EVERY_S
+            _LOGGER.warning("%d samples of %s were lost", number, CHANNEL_OF.get(name, name))
+        if time.monotonic() >= self._drops_due:
+            self._drops_due = time.monotonic() + _DROPS_PERIOD
             more = dropped_datagrams() - self.report.dropped
             if more > 0:
                 self.report.dropped += more
-                self.tell(WARNING, f"the kernel dropped {more} datagrams: the recorder was late")
+                _LOGGER.warning("%d datagrams were dropped: the socket buffer was full", more)
 
-    def _watch_clock(self) -> None:
-        step = self._steps.observe(self._clocks())
-        if step:
-            self.tell(
-                WARNING,
-                f"CLOCK_REALTIME was set by {step / 1e9:+.3f} s: log times before and after do "
-                "not compare",
+    def _check_clock(self) -> None:
+        if step := self._steps.observe(self._clocks()):
+            _LOGGER.warning(
+                "CLOCK_REALTIME was set by %+.3f s: log times before and after are not comparable",
+                step / 1e9,
             )
 
-    def _tell_distance(self, name: str) -> None:
-        median = self._delays[name].median() or 0
-        if abs(median) < _FAR_NS:
-            return
-        self.tell(
-            WARNING,
-            f"{CHANNEL_OF[name]} from {self._publishers[name]} is logged {median / 1e9:+.3f} s "
-            "after it was published: the clocks differ, or this machine cannot keep up",
-        )
-
-    def _tell_alignment(self) -> None:
+    def _note_alignment(self) -> None:
         base = self._pipeline.base
         self._writer.add_metadata({"measured_tf": base.as_dict()})
-        self.tell(
-            INFO,
-            f"the measured robot is shown turned by {base.yaw_offset:+.3f} rad, to face as the "
-            f"reference; its position is from {base.source}",
+        _LOGGER.info(
+            "the measured yaw is aligned with the reference by %+.3f rad; position from %s",
+            base.yaw_offset,
+            base.source,
         )
 
     def _fill_report(self) -> None:
@@ -195,7 +206,7 @@ class Recorder:
         self._losses.finish()
         self._losses.update(self._receiver.lost())
         report.missing = {
-            CHANNEL_OF[name]: n for name, n in self._losses.missing.items() if name in CHANNEL_OF
+            CHANNEL_OF[name]: n for name, n in self._losses.lost.items() if name in CHANNEL_OF
         }
         report.malformed = {
             CHANNEL_OF.get(name, name): n for name, n in self._receiver.malformed().items() if n

@@ -1,21 +1,26 @@
+"""Minimum jerk and coasting against finite differences, and the seam of a loop."""
+
 from __future__ import annotations
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from g1stream.motion.blend import coast, minimum_jerk
 from g1stream.motion.trajectory import Trajectory
+
+STEP = 1e-5
 
 
 @pytest.fixture
-def from_rest_to_rest(make_motion):
+def at_rest_at_both_ends(make_motion):
     """Two joints, a metre forward and a quarter turn, still at both ends."""
     x = np.concatenate([np.zeros(20), np.linspace(0, 1, 60), np.ones(20)])[:, None]
     quat = Rotation.from_rotvec(x * [0.0, 0.0, np.pi / 2]).as_quat(scalar_first=True)
     return make_motion(x * [1.2, -0.4], x * [1.0, 0.0, 0.0], quat)
 
 
-def test_repeats_for_ever(wild_motion):
+def test_a_loop_repeats(wild_motion):
     trajectory = Trajectory(wild_motion, loop=True)
     times = np.linspace(0.0, trajectory.period, 300, endpoint=False)
     first, third = (
@@ -41,8 +46,8 @@ def test_inside_the_motion_only_its_end_differs_from_the_motion_played_once(wild
     np.testing.assert_allclose(loop.joint_vel, once.joint_vel, rtol=0, atol=1e-5)
 
 
-def test_between_rests_the_seam_goes_straight_back(from_rest_to_rest):
-    trajectory = Trajectory(from_rest_to_rest, loop=True)
+def test_between_rests_the_seam_goes_straight_back(at_rest_at_both_ends):
+    trajectory = Trajectory(at_rest_at_both_ends, loop=True)
     seam = np.linspace(trajectory.duration, trajectory.period, 400)
     point = trajectory.sample_many(seam)
     way = 1.2 - point.joint_pos[:, 0]
@@ -55,8 +60,8 @@ def test_between_rests_the_seam_goes_straight_back(from_rest_to_rest):
     np.testing.assert_allclose(yaw / (np.pi / 2), point.root_pos[:, 0], atol=1e-4)
 
 
-def test_the_seam_is_as_slow_as_it_says(from_rest_to_rest):
-    trajectory = Trajectory(from_rest_to_rest, loop=True)
+def test_the_seam_keeps_its_peak_speed(at_rest_at_both_ends):
+    trajectory = Trajectory(at_rest_at_both_ends, loop=True)
     seam = np.linspace(trajectory.duration, trajectory.period, 1000)
     point = trajectory.sample_many(seam)
     fastest = np.abs(point.root_ang_vel).max()
@@ -74,7 +79,7 @@ def test_a_motion_that_ends_where_it_began_gets_the_shortest_seam(make_motion):
 
 
 @pytest.mark.parametrize("end", ["last", "first"])
-def test_an_end_in_full_motion_overshoots_no_further_than_it_says(make_motion, end):
+def test_an_end_in_motion_overshoots_by_a_fifth_of_its_coast(make_motion, end):
     """What moves at 2 rad/s coasts on by a fifth of 0.2 s of its way, and no more."""
     ramp = np.concatenate([np.zeros(30), np.arange(1, 31) / 30 * 2.0])
     if end == "first":
@@ -102,3 +107,44 @@ def test_before_it_starts_it_rests_at_frame_0(wild_motion):
     point = Trajectory(wild_motion, loop=True).sample(-0.1)
     np.testing.assert_allclose(point.joint_pos, wild_motion.joint_pos[0], atol=1e-12)
     assert not point.joint_vel.any()
+
+
+def test_minimum_jerk_starts_and_ends_at_rest():
+    assert minimum_jerk(0.0) == (0.0, 0.0, 0.0)
+    assert minimum_jerk(1.0) == (1.0, 0.0, 0.0)
+    assert minimum_jerk(-0.5) == minimum_jerk(0.0)
+    assert minimum_jerk(1.5) == minimum_jerk(1.0)
+    assert minimum_jerk(0.5) == (0.5, 1.875, 0.0)
+
+
+@pytest.mark.parametrize("s", np.linspace(0.01, 0.99, 15))
+def test_minimum_jerk_derivatives_are_finite_differences(s):
+    before, here, after = (np.array(minimum_jerk(s + d)) for d in (-STEP, 0.0, STEP))
+    difference = (after - before) / (2 * STEP)
+    assert here[1] == pytest.approx(difference[0], abs=1e-8)
+    assert here[2] == pytest.approx(difference[1], abs=1e-7)
+
+
+def test_minimum_jerk_goes_one_way_only():
+    progress = [minimum_jerk(s)[0] for s in np.linspace(0.0, 1.0, 101)]
+    assert np.all(np.diff(progress) > 0)
+
+
+def test_coasting_starts_with_unit_velocity_and_ends_where_it_started():
+    assert coast(0.0, 0.2) == (0.0, 1.0, 0.0)
+    assert coast(0.2, 0.2) == coast(7.0, 0.2) == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("seconds", np.linspace(0.01, 0.19, 7))
+def test_coasting_derivatives_are_finite_differences(seconds):
+    before, here, after = (np.array(coast(seconds + d, 0.2)) for d in (-STEP, 0.0, STEP))
+    difference = (after - before) / (2 * STEP)
+    assert here[1] == pytest.approx(difference[0], abs=1e-6)
+    assert here[2] == pytest.approx(difference[1], abs=1e-4)
+
+
+@pytest.mark.parametrize("polynomial", [minimum_jerk, lambda x: coast(x, 0.2)])
+def test_numbers_and_arrays_give_the_same(polynomial):
+    values = np.linspace(-0.1, 1.1, 25)
+    numbers = [polynomial(value) for value in values.tolist()]
+    np.testing.assert_allclose(np.transpose(polynomial(values)), numbers, atol=1e-14)

@@ -1,0 +1,311 @@
+"""Motion files in CSV: a row of root pose and joint angles per frame, in metres and radians.
+
+There are two layouts, told apart by the first line:
+
+- Foxglove: a header and 37 columns, `Frame,X,Y,Z,QX,QY,QZ,QW` and the 29 joints, in any order;
+- LAFAN1 as distributed for the G1: no header and 36 columns, position, quaternion and the joints in
+  motor order.
+
+Quaternions are in xyzw order. Neither layout has a frame rate.
+
+numpy parses the numbers. It says little about what it refuses, so that a file with a fault is then
+searched cell by cell for the first one.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from functools import cached_property
+from io import StringIO
+from math import isfinite
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from g1stream.errors import MotionError
+from g1stream.motion.motion import Motion
+from g1stream.robot.joints import JOINT_NAMES
+from g1stream.robot.rotations import wxyz_from_xyzw, xyzw_from_wxyz
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from g1stream.robot.model import G1
+    from g1stream.types import Floats
+
+__all__ = ["DEFAULT_FPS", "ROOT_COLUMNS", "CsvFile", "to_csv"]
+
+DEFAULT_FPS: Final = 30.0
+"""Frames per second of LAFAN1, assumed for both layouts unless told otherwise."""
+
+_FRAME: Final = "Frame"
+_POSITION: Final = ("X", "Y", "Z")
+_QUAT_XYZW: Final = ("QX", "QY", "QZ", "QW")
+ROOT_COLUMNS: Final = (_FRAME, *_POSITION, *_QUAT_XYZW)
+"""The columns of the Foxglove layout before those of the joints."""
+_LAFAN1: Final = (*_POSITION, *_QUAT_XYZW, *JOINT_NAMES)
+
+#: Quaternion norms that differ from 1 by more than this give a warning; by more than the second
+#: they are no rounding error.
+_NORM_TOLERANCE: Final = 1e-3
+_NORM_ROUNDING: Final = 0.1
+
+
+class CsvFile:
+    """A CSV motion file: its layout, and on request its numbers.
+
+    Args:
+        path: where it is, for messages.
+        content: its bytes, UTF-8. A byte order mark, any line ends, spaces around cells and blank
+            lines at the end are accepted.
+
+    Raises:
+        MotionError: it is empty or not text. Anything else wrong in it is an error only when
+            `values` or `motion` is asked for.
+
+    Attributes:
+        path: as given.
+        sha256: of the content, in hex.
+        has_header: whether the first line names the columns.
+        columns: their names in the order of the file; those of LAFAN1 where 36 columns have no
+            header, none where the names are unknown.
+        n_columns: values in the first line.
+        n_rows: lines below the header.
+    """
+
+    def __init__(self, path: Path, content: bytes) -> None:
+        self.path = path
+        self.sha256 = hashlib.sha256(content).hexdigest()
+        self._text = self._decode(content)
+        first = [cell.strip() for cell in self._text.split("\n", 1)[0].split(",")]
+        self.n_columns = len(first)
+        self.has_header = not any(map(_is_number, first))
+        self.columns: tuple[str, ...] = ()
+        if not self.has_header and self.n_columns == len(_LAFAN1):
+            self.columns = _LAFAN1
+        elif self.has_header and self.n_columns > 1:
+            self.columns = tuple(first)
+        self.n_rows = self._text.count("\n") + 1 - self.has_header
+
+    @cached_property
+    def values(self) -> Floats:
+        """The numbers (n_rows, n_columns), all finite.
+
+        Raises:
+            MotionError: it is not a table of numbers in named columns; names line and column.
+        """
+        self._check_header()
+        if not self.n_rows:
+            raise self._error("there is a header but no frame", "Give it a line per frame.")
+        try:
+            text = StringIO(self._text)
+            values = np.loadtxt(
+                text, delimiter=",", comments=None, skiprows=int(self.has_header), ndmin=2
+            )
+        except ValueError:
+            raise self._first_fault() from None
+        if values.shape != (self.n_rows, self.n_columns) or not np.isfinite(values).all():
+            raise self._first_fault()
+        return values
+
+    @property
+    def quat_xyzw(self) -> Floats | None:
+        """Root orientations (n_rows, 4) as they stand in the file; None without such columns."""
+        if not set(_QUAT_XYZW) <= set(self.columns):
+            return None
+        return self._take(_QUAT_XYZW)
+
+    def motion(self, robot: G1 | None = None, *, fps: float | None = None) -> Motion:
+        """The motion in the file, its joints in motor order.
+
+        Args:
+            robot: whose joints it must have; the 29-dof G1 if None.
+            fps: frames per second, `DEFAULT_FPS` if None.
+
+        Raises:
+            MotionError: a column or a value is missing, unknown or wrong; names line and column.
+        """
+        joint_names = JOINT_NAMES if robot is None else robot.joint_names
+        self._check_header()
+        self._check_columns(joint_names)
+        self._check_frame_numbers()
+        quat = self._take(_QUAT_XYZW)
+        return Motion(
+            name=self.path.stem,
+            fps=DEFAULT_FPS if fps is None else fps,
+            joint_names=joint_names,
+            joint_pos=self._take(joint_names),
+            root_pos=self._take(_POSITION),
+            root_quat_wxyz=wxyz_from_xyzw(quat),
+            source=self.path,
+            sha256=self.sha256,
+            warnings=self._check_norms(np.linalg.norm(quat, axis=1)),
+        )
+
+    def _take(self, columns: Sequence[str]) -> Floats:
+        return self.values.take([self.columns.index(name) for name in columns], axis=1)
+
+    def _error(
+        self, cause: str, remedy: str, *, line: int | None = None, column: int | None = None
+    ) -> MotionError:
+        """The error at a line, counted from 1, and a column, counted from 0."""
+        where = self.path.name
+        if line is not None:
+            where += f", line {line}"
+        if column is not None:
+            where += f", column {column + 1}"
+            where += f" ({self.columns[column]})" if self.columns[column] else ""
+        return MotionError(f"{where}: {cause}.", remedy)
+
+    def _line(self, row: int) -> int:
+        """The line, counted from 1, of a row of the values."""
+        return row + 1 + self.has_header
+
+    def _decode(self, content: bytes) -> str:
+        try:
+            text = content.decode("utf-8-sig")
+        except UnicodeDecodeError as error:
+            line = content.count(b"\n", 0, error.start) + 1
+            raise self._error(
+                f"byte {error.start} is not UTF-8 text",
+                "Give a CSV file, saved as UTF-8, or a session file.",
+                line=line,
+            ) from None
+        if "\0" in text:
+            raise self._error(
+                f"byte {text.index(chr(0))} of this binary file is zero",
+                "Give a CSV file or a session file.",
+            )
+        text = text.replace("\r\n", "\n").replace("\r", "\n").rstrip()
+        if not text:
+            raise self._error(
+                "the file is empty", "Give a CSV file with a line per frame, or a session file."
+            )
+        return text
+
+    def _check_header(self) -> None:
+        """Every column has a name of its own."""
+        if not self.columns and self.has_header:
+            raise self._error(
+                "there are no columns separated by commas",
+                "Give a CSV file with commas between its values.",
+                line=1,
+            )
+        if not self.columns:
+            raise self._error(
+                f"{self.n_columns} values and no header that names them",
+                f"Put a header first, or use the {len(_LAFAN1)} columns of LAFAN1: "
+                f"{','.join(_LAFAN1[:8])} and the other joints in motor order.",
+                line=1,
+            )
+        for column, name in enumerate(self.columns):
+            if not name:
+                raise self._error(
+                    "the header has an empty name",
+                    "Name every column, and end no line with a comma.",
+                    line=1,
+                    column=column,
+                )
+            if name in self.columns[:column]:
+                raise self._error(
+                    "another column has the same name",
+                    "Give each column a name of its own.",
+                    line=1,
+                    column=column,
+                )
+
+    def _first_fault(self) -> MotionError:
+        """The error about the first cell or line that is not what it should be."""
+        lines = self._text.split("\n")
+        for number, line in enumerate(lines[self.has_header :], start=1 + self.has_header):
+            cells = line.split(",")
+            if not line.strip():
+                return self._error("the line is blank", "Remove it.", line=number)
+            if len(cells) != self.n_columns:
+                return self._error(
+                    f"{len(cells)} values in {self.n_columns} columns",
+                    "Give every line one value per column.",
+                    line=number,
+                )
+            for column, cell in enumerate(cells):
+                if not _is_number(cell):
+                    return self._error(
+                        f"{cell.strip()!r} is not a finite number",
+                        "Write a decimal number there, such as -0.25.",
+                        line=number,
+                        column=column,
+                    )
+        return self._error("numpy cannot read it as numbers", "Give a plain CSV file.")
+
+    def _check_columns(self, joint_names: tuple[str, ...]) -> None:
+        """The columns are those of the layout and the joints of the robot."""
+        wanted = (*(ROOT_COLUMNS if self.has_header else ()), *joint_names)
+        missing = [name for name in wanted if name not in self.columns]
+        unknown = [
+            name for name in self.columns if name not in ROOT_COLUMNS and name not in joint_names
+        ]
+        if missing or unknown:
+            faults = [f"missing columns: {', '.join(missing)}"] if missing else []
+            faults += [f"columns that are no joint: {', '.join(unknown)}"] if unknown else []
+            raise self._error(
+                "; ".join(faults),
+                f"Name the columns {','.join(ROOT_COLUMNS)} and the {len(joint_names)} joints of "
+                "the robot's URDF, in any order; or use the 36 columns of LAFAN1 and no header.",
+                line=1 if self.has_header else None,
+            )
+
+    def _check_frame_numbers(self) -> None:
+        """Frame numbers are whole and rise by one. The first may be any, as in a clip."""
+        if _FRAME not in self.columns:
+            return
+        numbers = self._take([_FRAME])[:, 0]
+        wrong = np.flatnonzero((np.diff(numbers) != 1) | (numbers[1:] != np.rint(numbers[1:])))
+        if wrong.size:
+            row = int(wrong[0]) + 1
+            raise self._error(
+                f"frame {numbers[row]:.12g} follows frame {numbers[row - 1]:.12g}",
+                "Number the frames 0, 1, 2 and so on, one per line.",
+                line=self._line(row),
+                column=self.columns.index(_FRAME),
+            )
+
+    def _check_norms(self, norms: Floats) -> tuple[str, ...]:
+        """A warning about quaternion norms (T,) that are not 1; an error for one that is 0."""
+        off = np.abs(norms - 1.0)
+        worst = int(np.argmax(off))
+        if not norms.all():
+            row = int(np.argmin(norms))
+            raise self._error(
+                "the quaternion QX,QY,QZ,QW is zero",
+                "Give every frame an orientation; without rotation it is 0,0,0,1.",
+                line=self._line(row),
+                column=self.columns.index("QX"),
+            )
+        if off[worst] <= _NORM_TOLERANCE:
+            return ()
+        doubt = "; that is no rounding error, check the file" if off[worst] > _NORM_ROUNDING else ""
+        return (
+            f"{self.path.name}: {int((off > _NORM_TOLERANCE).sum())} of {len(norms)} quaternions "
+            f"were not unit and have been normalised. Furthest off is frame {worst}, line "
+            f"{self._line(worst)}, with norm {norms[worst]:.4g}{doubt}.",
+        )
+
+
+def to_csv(motion: Motion) -> str:
+    """The Foxglove layout of a motion, every number with all its digits."""
+    table = [motion.root_pos, xyzw_from_wxyz(motion.root_quat_wxyz), motion.joint_pos]
+    rows = np.concatenate(table, axis=1).tolist()
+    lines = [",".join((*ROOT_COLUMNS, *motion.joint_names))]
+    lines += [f"{frame}," + ",".join(map(repr, row)) for frame, row in enumerate(rows)]
+    return "\n".join(lines) + "\n"
+
+
+def _is_number(cell: str) -> bool:
+    """Whether a cell holds a finite decimal number."""
+    if "_" in cell or not cell.isascii():
+        return False
+    try:
+        return isfinite(float(cell))
+    except ValueError:
+        return False

@@ -1,0 +1,38 @@
+"""Motion files are found by path or by the name of a bundled motion."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+from g1stream.errors import MotionError
+from g1stream.motion.files import BUNDLED_MOTIONS, open_motion_file
+
+
+@pytest.mark.parametrize("name", BUNDLED_MOTIONS)
+def test_bundled_motions_by_name(name):
+    motion = open_motion_file(name).motion()
+    assert motion.name == name
+    assert motion.source.name == f"{name}.csv"
+    assert motion.warnings == ()
+
+
+def test_a_missing_file_is_named_with_the_choices(tmp_path):
+    with pytest.raises(MotionError) as caught:
+        open_motion_file(tmp_path / "walk.csv")
+    assert str(tmp_path / "walk.csv") in caught.value.cause
+    assert all(choice in caught.value.remedy for choice in ("CSV", "session file", "demo"))
+
+
+@pytest.mark.parametrize("kind", ["directory", "link loop", "pipe"])
+def test_what_is_not_a_readable_file(tmp_path, kind):
+    path = tmp_path / "odd.csv"
+    if kind == "directory":
+        path.mkdir()
+    elif kind == "link loop":
+        path.symlink_to(path)
+    else:
+        os.mkfifo(path)
+    with pytest.raises(MotionError, match=r"odd\.csv"):
+        open_motion_file(path)

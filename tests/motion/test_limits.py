@@ -1,0 +1,167 @@
+"""What the streamed spline asks for, against the spline itself and the envelope that holds it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from g1stream.config import Config
+from g1stream.control.loop import StreamLoop
+from g1stream.control.safety import Envelope
+from g1stream.motion.limits import POSITION_TOLERANCE, Interval, LimitReport, measure_limits
+from g1stream.motion.trajectory import Trajectory
+from g1stream.programs.stream import stream
+from g1stream.robot.joints import JOINT_NAMES
+from g1stream.session.motions import load_motion
+
+KNEE, WAIST = JOINT_NAMES.index("left_knee_joint"), JOINT_NAMES.index("waist_yaw_joint")
+ELBOW = JOINT_NAMES.index("left_elbow_joint")
+
+
+def measured(motion, robot, interval=None, *, loop=False, **options) -> LimitReport:
+    return measure_limits(Trajectory(motion, loop=loop), robot, interval, **options)
+
+
+@pytest.fixture
+def steps(make_motion, robot):
+    """A knee that jumps to its upper limit and a waist that jumps to its lower one, and stay."""
+    joints = np.zeros((61, len(JOINT_NAMES)))
+    joints[20:, KNEE] = robot.upper[KNEE]
+    joints[40:, WAIST] = robot.lower[WAIST]
+    return make_motion(joints)
+
+
+@pytest.fixture
+def spike(make_motion, robot):
+    """Four seconds at rest in mid range, but for a knee and an elbow in one frame, at 3 s."""
+    joints = np.tile((robot.lower + robot.upper) / 2, (121, 1))
+    joints[90, KNEE], joints[90, ELBOW] = 9.0, 2.5
+    return make_motion(joints)
+
+
+@pytest.mark.parametrize("rate", [500.0, 90.0])
+@pytest.mark.parametrize("margin", [0.0, 0.05])
+def test_as_many_targets_are_reported_as_the_envelope_holds(wild_motion, robot, rate, margin):
+    joints = np.clip(8 * wild_motion.joint_pos, robot.lower, robot.upper)
+    joints[10:20, WAIST] = np.round(robot.upper[WAIST], 6)
+    motion = replace(wild_motion, joint_pos=joints)
+    envelope = Envelope(robot, Config().safety.model_copy(update={"position_margin": margin}))
+    trajectory = Trajectory(motion)
+    for i in range(int(motion.duration * rate + 1e-6) + 1):
+        envelope.limit(trajectory.sample(i / rate).joint_pos)
+    report = measured(motion, robot, rate=rate, position_margin=margin)
+    held = {joint.joint: joint.n_targets for joint in report.held}
+    assert held == {n: int(c) for n, c in zip(JOINT_NAMES, envelope.clamped, strict=True) if c}
+    assert report.n_held == envelope.clamped.sum() > 10
+
+
+def test_an_overshoot_is_reported_where_it_is_furthest_out(steps, robot):
+    report = measured(steps, robot)
+    assert {joint.joint for joint in report.held} == {"waist_yaw_joint", "left_knee_joint"}
+    excess = [abs(joint.value - joint.limit) for joint in report.held]
+    assert excess == sorted(excess, reverse=True)
+    times = np.arange(1001) / 500
+    asked = Trajectory(steps).sample_many(times).joint_pos
+    for joint in report.held:
+        j = JOINT_NAMES.index(joint.joint)
+        up = j == KNEE
+        assert joint.limit == (robot.upper if up else robot.lower)[j]
+        assert joint.value == pytest.approx((np.max if up else np.min)(asked[:, j]))
+        assert joint.time == times[(np.argmax if up else np.argmin)(asked[:, j])]
+
+
+def test_the_speed_is_that_of_the_spline(steps, robot):
+    asked = np.abs(Trajectory(steps).sample_many(np.arange(1001) / 500).joint_vel)
+    speeds = {speed.joint: speed for speed in measured(steps, robot).speeds}
+    knee = speeds["left_knee_joint"]
+    assert knee.value == pytest.approx(asked[:, KNEE].max())
+    assert knee.time == asked[:, KNEE].argmax() / 500
+    assert knee.limit == robot.velocity[KNEE]
+    shares = [speed.value / speed.limit for speed in measured(steps, robot).speeds]
+    assert shares == sorted(shares, reverse=True)
+
+
+@pytest.mark.parametrize(("factor", "held"), [(0.9, False), (1.1, True)])
+def test_a_joint_at_its_limit_is_held_beyond_the_tolerance_only(make_motion, robot, factor, held):
+    joints = np.zeros((31, len(JOINT_NAMES)))
+    joints[:, KNEE] = robot.upper[KNEE] + factor * POSITION_TOLERANCE
+    assert bool(measured(make_motion(joints), robot).held) is held
+
+
+def test_within_limits_there_is_no_warning(make_motion, robot):
+    report = measured(make_motion(np.zeros((61, 29))), robot)
+    assert (report.held, report.too_fast, report.warnings) == ((), (), ())
+
+
+@pytest.mark.parametrize(
+    ("start", "length", "loop", "n"),
+    [
+        (0.0, 2.0, False, 0),
+        (2.5, 1.0, False, 2),
+        (3.99, None, False, 0),
+        (0.0, 2.0, True, 0),
+        (3.5, 2.0, True, 0),
+        (3.5, None, True, 2),
+    ],
+)
+def test_only_what_is_played_counts(spike, robot, start, length, loop, n):
+    interval = Interval(start, length, spike.duration, loop)
+    report = measured(spike, robot, interval, loop=loop)
+    assert len(report.warnings) == n
+    assert len(report.held) == len(report.too_fast) == n
+    for joint in report.held:
+        assert joint.time == pytest.approx(3.0, abs=0.003)
+
+
+def test_the_seam_of_a_loop_counts(spike, robot):
+    """Out of a last frame within the limit, but fast, it passes the limit before it turns back."""
+    angles = np.tile((robot.lower + robot.upper) / 2, (121, 1))
+    angles[:, KNEE] = robot.upper[KNEE] - 2.5 * (1.0 - (np.arange(121) / 120) ** 4)
+    rising = replace(spike, joint_pos=angles)
+    assert measured(rising, robot).held == ()
+    once = Interval(0.0, rising.duration, rising.duration, loop=True)
+    assert measured(rising, robot, once, loop=True).held == ()
+    report = measured(rising, robot, replace(once, length=None), loop=True)
+    (knee,) = report.held
+    assert knee.joint == "left_knee_joint"
+    assert knee.time > rising.duration
+    assert "on the way back to its first frame" in report.warnings[0]
+
+
+def test_the_words_of_the_warnings(spike, robot):
+    """The snapshot of this renderer."""
+    report = measured(spike, robot, position_margin=0.1)
+    assert report.warnings == (
+        "made asks left_knee_joint for 9.000 rad at 3.00 s, limit 2.780 less a margin of 0.1; also "
+        f"left_elbow_joint. {report.n_held} joint targets at 500 Hz are held at the limit.",
+        f"made asks left_knee_joint for {report.too_fast[0].value:.1f} rad/s at "
+        f"{report.too_fast[0].time:.2f} s, limit 20; also left_elbow_joint. Joints that cannot "
+        "follow lag behind.",
+    )
+
+
+@pytest.mark.dds
+def test_the_stream_warns_before_the_first_command(spike, domain_id, monkeypatch):
+    config = Config.model_validate({"dds": {"domain": domain_id}, "stream": {"wait": 1.0}})
+    events = []
+    run = StreamLoop.run
+
+    def running(loop):
+        events.append("runs")
+        return run(loop)
+
+    monkeypatch.setattr(StreamLoop, "run", running)
+    stream(spike, config, on_warning=lambda text: events.append(text.split()[0]))
+    assert events == ["made", "made", "runs"]
+
+
+def test_a_real_clip_is_faster_than_its_frames_and_overshoots(real_clip, robot):
+    report = measured(load_motion(real_clip, robot), robot)
+    assert report.too_fast == ()
+    fastest = max(report.speeds, key=lambda speed: speed.value)
+    assert fastest.joint == "left_shoulder_pitch_joint"
+    assert fastest.value == pytest.approx(36.07, abs=0.01)
+    assert report.n_held == 117
+    assert report.held[0].joint == "right_ankle_pitch_joint"

@@ -1,4 +1,4 @@
-"""Clocks that are set and clocks that differ, told from readings made up."""
+"""Clocks that are set and clocks that differ, by readings made up."""
 
 from __future__ import annotations
 

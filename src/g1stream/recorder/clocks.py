@@ -1,6 +1,6 @@
-"""What the clocks of a session do: steps of our own, and how far others' are from it.
+"""Steps of this host's clock, and its offset from those of other hosts.
 
-Nothing here corrects anything: stamps are kept as they were read.
+Nothing here corrects anything: log and publish times are kept as they are.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 __all__ = ["ClockReading", "DelayEstimator", "StepDetector", "read_clocks"]
 
 _SECOND: Final = 1_000_000_000
-_STEP: Final = 2_000_000
-_TRIES: Final = 5
+_MIN_STEP: Final = 2_000_000
+_READINGS: Final = 5
 
 
 class ClockReading(NamedTuple):
@@ -30,10 +30,10 @@ class ClockReading(NamedTuple):
 
 
 def read_clocks() -> ClockReading:
-    """Read both clocks as near to one instant as can be."""
+    """Read both clocks at nearly the same instant: the closest of several readings."""
     best = _SECOND
     reading = ClockReading(0, 0)
-    for _ in range(_TRIES):
+    for _ in range(_READINGS):
         before = time.monotonic_ns()
         realtime = time.time_ns()
         after = time.monotonic_ns()
@@ -44,10 +44,10 @@ def read_clocks() -> ClockReading:
 
 @dataclass
 class StepDetector:
-    """Notices when CLOCK_REALTIME is set, by its distance from CLOCK_MONOTONIC.
+    """Detects when CLOCK_REALTIME is set, by its offset from CLOCK_MONOTONIC.
 
-    A clock that is slewed, as NTP does at up to 0.5 ms a second, is not one that steps; what it
-    gains shows in the difference between `first` and `last`.
+    Slewing, as NTP does at up to 0.5 ms a second, is not a step; it shows in the difference between
+    `first` and `last`.
 
     Attributes:
         first, last: realtime minus monotonic at the first and the last reading, ns.
@@ -59,22 +59,22 @@ class StepDetector:
     steps: list[tuple[int, int]] = field(default_factory=list)
 
     def observe(self, reading: ClockReading) -> int:
-        """By how much the clock was set since the reading before, ns; 0 when it was not.
+        """By how much the clock was set since the previous reading, ns; 0 when it was not.
 
         Args:
-            reading: some tenths of a second at the most after the one before.
+            reading: at most some tenths of a second after the previous one.
         """
         offset = reading.realtime - reading.monotonic
         if self.first is None:
             self.first = self.last = offset
         step, self.last = offset - self.last, offset
-        if abs(step) < _STEP:
+        if abs(step) < _MIN_STEP:
             return 0
         self.steps.append((reading.realtime, step))
         return step
 
     def as_dict(self) -> dict[str, Any]:
-        """What was noticed, as JSON values."""
+        """The offsets and steps, as JSON values."""
         return {
             "realtime_minus_monotonic_ns": [self.first, self.last],
             "steps": [{"at_ns": at, "step_ns": step} for at, step in self.steps],
@@ -82,40 +82,40 @@ class StepDetector:
 
 
 class DelayEstimator:
-    """How long messages of one topic take: the median of log time minus publish time.
+    """Estimates the delay of one topic's messages: the median of log time minus publish time.
 
-    From another host this is the transit and the offset between the two clocks; which part is which
-    cannot be told from one direction. In a wired network the transit is well below 1 ms, so that
-    more than that is offset.
+    From another host this is the transit time plus the offset between the two clocks, which cannot
+    be separated in one direction. In a wired network the transit takes well below 1 ms, so more
+    than that is offset.
 
     Keeps one median for each second.
     """
 
     def __init__(self) -> None:
         self._medians = array("q")
-        self._waiting: list[NDArray[np.int64]] = []
+        self._recent: list[NDArray[np.int64]] = []
         self._since: int | None = None
 
     def observe(self, log_times: NDArray[np.int64], publish_times: NDArray[np.int64]) -> None:
         """Take in a batch of T > 0 messages: (T,) ns since the epoch each."""
-        self._waiting.append(log_times - publish_times)
+        self._recent.append(log_times - publish_times)
         if self._since is None:
             self._since = int(log_times[0])
         if abs(int(log_times[-1]) - self._since) >= _SECOND:
-            self._medians.append(self._median_of_waiting())
-            self._waiting.clear()
+            self._medians.append(self._recent_median())
+            self._recent.clear()
             self._since = int(log_times[-1])
 
     @property
     def seconds(self) -> int:
-        """How many seconds have been looked at."""
+        """How many seconds have a median."""
         return len(self._medians)
 
     def median(self) -> int | None:
         """The median delay, ns; None before the first message."""
         if self._medians:
             return int(np.median(self._medians))
-        return self._median_of_waiting() if self._waiting else None
+        return self._recent_median() if self._recent else None
 
-    def _median_of_waiting(self) -> int:
-        return int(np.median(np.concatenate(self._waiting)))
+    def _recent_median(self) -> int:
+        return int(np.median(np.concatenate(self._recent)))

@@ -1,0 +1,47 @@
+"""The examples that go over DDS: one streams to our simulator while the other records it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from g1stream.config import Config
+from g1stream.programs.child_process import Child
+from g1stream.session.session import open_session
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+
+
+@pytest.mark.dds
+@pytest.mark.slow
+def test_one_streams_a_motion_while_the_other_records_it(domain_id, tmp_path):
+    def command(name: str, *arguments: object) -> list[str]:
+        return [sys.executable, str(EXAMPLES / name), *map(str, arguments), f"--domain={domain_id}"]
+
+    own, other = tmp_path / "own.mcap", tmp_path / "other.mcap"
+    simulator = Child("sim", Config.model_validate({"dds": {"domain": domain_id}}))
+    try:
+        simulator.wait_until_ready()
+        with subprocess.Popen(
+            command("record_other_publisher.py", other, "--seconds=12"),
+            stdout=subprocess.PIPE,
+            text=True,
+        ) as recorder:
+            streamed = subprocess.run(
+                command("stream_csv.py", "demo", own, "--duration=1"),
+                capture_output=True,
+                text=True,
+                check=True,
+            )
+            recorded, _ = recorder.communicate(timeout=60)
+    finally:
+        simulator.kill()
+    assert "RMSE" in streamed.stdout
+    assert recorder.returncode == 0
+    assert "/lowstate" in recorded
+    assert "moved most" in recorded
+    commands = [open_session(path).topics["/lowcmd"] for path in (own, other)]
+    assert 0 < commands[1] <= commands[0] + 5

@@ -13,8 +13,7 @@ import time
 from statistics import median
 
 import sides
-from g1stream.dds.announcement import OBSERVER
-from g1stream.dds.domain import Participant
+from g1stream.dds.domain import OBSERVER, Participant
 from g1stream.dds.endpoints import RawReader
 from g1stream.dds.topics import LOWCMD
 

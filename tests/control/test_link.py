@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from g1stream.control.link import DdsLink
-from g1stream.dds.announcement import user_data_of_support
-from g1stream.dds.domain import Participant
+from g1stream.dds.domain import Participant, user_data_of_support
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import Log, LowCmd, LowState, Reference
 from g1stream.dds.topics import LOG, LOWCMD, LOWSTATE, REFERENCE

@@ -9,7 +9,14 @@ from pathlib import Path
 import pytest
 from cyclonedds.core import Entity
 
-from g1stream.dds.domain import Endpoint, Participant, interfaces, is_loopback
+from g1stream.dds.domain import (
+    Endpoint,
+    Participant,
+    interfaces,
+    is_loopback,
+    support_announced,
+    user_data_of_support,
+)
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import LowCmd
 from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE, TOPICS
@@ -207,3 +214,41 @@ def test_on_loopback_samples_go_to_their_readers_alone(domain_id, peer_on, until
 def _multicast_port(domain: int) -> int:
     """Where samples to everybody in a domain would go (RTPS 2.5, section 9.6.2)."""
     return 7400 + 250 * domain + 1
+
+
+def test_a_support_is_discovered_and_forgotten(domain_id, until):
+    with Participant(domain_id, "lo") as ours:
+        assert support_announced(ours.writers(LOWSTATE.name)) is None
+        with Participant(domain_id, "lo") as bridge:
+            RawWriter(bridge, LOWSTATE, user_data=user_data_of_support("hanging"))
+            until(
+                lambda: support_announced(ours.writers(LOWSTATE.name)) == "hanging",
+                "the bridge to say how it holds",
+            )
+        until(
+            lambda: support_announced(ours.writers(LOWSTATE.name)) is None, "the bridge to be gone"
+        )
+
+
+@pytest.mark.parametrize("user_data", [b"", b"somebody else's", b"g1stream"])
+def test_a_writer_that_says_something_else_says_nothing(domain_id, until, user_data):
+    with Participant(domain_id, "lo") as ours, Participant(domain_id, "lo") as bridge:
+        RawWriter(bridge, LOWSTATE, user_data=user_data)
+        until(lambda: ours.writers(LOWSTATE.name), "the writer to be discovered")
+        assert support_announced(ours.writers(LOWSTATE.name)) is None
+
+
+def test_two_that_contradict_each_other_say_nothing(domain_id, until):
+    with Participant(domain_id, "lo") as ours, Participant(domain_id, "lo") as bridge:
+        for support in ("bolted", "hanging"):
+            RawWriter(bridge, LOWSTATE, user_data=user_data_of_support(support))
+        until(lambda: len(ours.writers(LOWSTATE.name)) == 2, "both writers to be discovered")
+        assert support_announced(ours.writers(LOWSTATE.name)) is None
+
+
+def test_user_data_does_not_keep_a_reader_from_matching(domain_id, until):
+    with Participant(domain_id, "lo") as ours, Participant(domain_id, "lo") as bridge:
+        writer = RawWriter(bridge, LOWSTATE, user_data=user_data_of_support("bolted"))
+        RawReader(ours, LOWSTATE)
+        until(lambda: writer.matched, "the reader of LowState to match")
+        assert support_announced(ours.writers(LOWSTATE.name)) == "bolted"

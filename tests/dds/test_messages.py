@@ -6,8 +6,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from g1stream.dds.layout import CDR_HEADER, Layout
-from g1stream.dds.messages import Log, LowCmd, LowState, Message, Reference, SecondaryImu
-from g1stream.dds.topics import TOPICS
+from g1stream.dds.messages import (
+    Log,
+    LowCmd,
+    LowState,
+    Message,
+    Reference,
+    Samples,
+    SecondaryImu,
+)
+from g1stream.dds.topics import LOWCMD, LOWSTATE, TOPICS
 from g1stream.errors import WireError
 
 MESSAGES = [topic.message for topic in TOPICS]
@@ -218,3 +226,37 @@ def test_received_bytes_that_are_no_text_do_no_harm():
     log = Log()
     log.view("text")[:4] = (0x61, 0xFF, 0xFE, 0x62)
     assert log.text == "a��b"
+
+
+def test_fields_of_a_batch_are_those_the_official_sdk_serialised(golden):
+    states = golden["lowstate"]
+    samples = Samples(LOWSTATE, [bytes.fromhex(state["cdr"]) for state in states])
+    np.testing.assert_array_equal(samples["tick"], [state["tick"] for state in states])
+    np.testing.assert_array_equal(samples["version"], [state["version"] for state in states])
+    for name in ("quaternion", "temperature"):
+        expected = [state["imu_state"][name] for state in states]
+        np.testing.assert_array_equal(samples[f"imu_state.{name}"], expected)
+    temperatures = [[motor[5] for motor in state["motor_state"][:29]] for state in states]
+    np.testing.assert_array_equal(samples["motor_state.temperature"], temperatures)
+    assert samples["motor_state.q"].dtype == np.float32
+
+
+def test_an_empty_batch_has_empty_fields():
+    samples = Samples(LOWCMD, [])
+    assert samples["motor_cmd.q"].shape == (0, 29)
+    assert samples["crc"].shape == (0,)
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda cdr: cdr[:-1],
+        lambda cdr: cdr + b"\0",
+        lambda cdr: b"",
+        lambda cdr: b"\0\0" + cdr[2:],
+    ],
+)
+def test_what_is_not_a_sample_of_the_type_is_refused(golden, spoil):
+    good = bytes.fromhex(golden["lowcmd"][0]["cdr"])
+    with pytest.raises(WireError, match="LowCmd_"):
+        Samples(LOWCMD, [good, spoil(good)])

@@ -8,11 +8,10 @@ from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 from foxglove_schemas_protobuf.Log_pb2 import Log as LogLine
 
-from g1stream.dds.messages import Log, LowState, Reference
+from g1stream.dds.messages import Batch, Log, LowState, Reference
 from g1stream.dds.topics import LOG, LOWSTATE, REFERENCE
 from g1stream.foxglove.pipeline import Decimator, MessagePipeline
 from g1stream.robot.model import G1
-from g1stream.session.samples import Batch
 
 T0 = 1_700_000_000_000_000_000
 

@@ -6,10 +6,9 @@ import socket
 
 import pytest
 
-from g1stream.dds.messages import LowState, Reference
+from g1stream.dds.messages import Batch, LowState, Reference
 from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE
 from g1stream.recorder.losses import Losses, MissingCommands, dropped_datagrams
-from g1stream.session.samples import Batch
 
 
 def batch(message, ticks, writer=1):

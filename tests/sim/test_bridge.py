@@ -11,8 +11,7 @@ import pytest
 
 from g1stream.clock import SystemClock
 from g1stream.config import Config, SimConfig
-from g1stream.dds.announcement import support_announced
-from g1stream.dds.domain import Participant
+from g1stream.dds.domain import Participant, support_announced
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import Log, LowCmd, LowState
 from g1stream.dds.topics import LOG, LOWCMD, LOWSTATE, SECONDARY_IMU, SPORTMODESTATE

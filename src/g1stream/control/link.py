@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING, Final, Protocol
 
-from g1stream.dds.announcement import OBSERVER, observers, support_announced
+from g1stream.dds.domain import OBSERVER, support_announced
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.layout import CDR_HEADER, Layout
 from g1stream.dds.messages import Log
@@ -69,7 +69,8 @@ class DdsLink:
         matched = self._commands.matched
         if not matched:
             return 0
-        return max(0, matched - observers(self._participant.readers(LOWCMD.name)))
+        readers = self._participant.readers(LOWCMD.name)
+        return max(0, matched - sum(reader.user_data == OBSERVER for reader in readers))
 
     def rivals(self) -> list[str]:
         """Who else writes LowCmd."""

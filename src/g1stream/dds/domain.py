@@ -21,15 +21,17 @@ from cyclonedds.builtin import (
     BuiltinTopicDcpsPublication,
     BuiltinTopicDcpsSubscription,
 )
-from cyclonedds.core import DDSException, InstanceState
+from cyclonedds.core import DDSException, InstanceState, Policy
 from cyclonedds.domain import Domain, DomainParticipant
 
 from g1stream.errors import WireError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
     from types import TracebackType
 
 __all__ = [
+    "OBSERVER",
     "Endpoint",
     "InterfaceFlags",
     "Participant",
@@ -37,6 +39,8 @@ __all__ = [
     "interfaces",
     "is_loopback",
     "stays_here",
+    "support_announced",
+    "user_data_of_support",
 ]
 
 #: Beyond this the ports that a domain id stands for leave the range of ports (RTPS 2.5, 9.6.2).
@@ -90,6 +94,30 @@ def stays_here(interface: str) -> bool:
     return not os.environ.get("CYCLONEDDS_URI") and is_loopback(interface)
 
 
+# What our programs announce in the user data of their writers and readers. It is part of discovery
+# (DDS 1.4, 2.2.3.1): it costs no topic and no message, takes no part in matching, and peers that do
+# not know it ignore it. A robot and unitree_mujoco announce nothing.
+OBSERVER: Final = b"g1stream.observer"
+"""The user data of a reader of LowCmd that does not obey it."""
+
+_SUPPORT: Final = b"g1stream.support="
+
+
+def user_data_of_support(support: str) -> bytes:
+    """The user data with which a bridge announces how it holds the robot."""
+    return _SUPPORT + support.encode()
+
+
+def support_announced(writers: Iterable[Endpoint]) -> str | None:
+    """The support that writers of LowState announce; None where none does or they differ."""
+    found = {
+        writer.user_data.removeprefix(_SUPPORT).decode(errors="replace")
+        for writer in writers
+        if writer.user_data.startswith(_SUPPORT)
+    }
+    return found.pop() if len(found) == 1 else None
+
+
 @dataclass(frozen=True)
 class Endpoint:
     """A writer or reader that somebody has on a topic.
@@ -110,6 +138,11 @@ class Endpoint:
     process: str = ""
     qos: Any = field(default=None, compare=False, repr=False)
     type_id: Any = field(default=None, compare=False, repr=False)
+
+    @property
+    def user_data(self) -> bytes:
+        """What it announces beside the topic; empty where it announces nothing."""
+        return next((p.data for p in self.qos or () if isinstance(p, Policy.Userdata)), b"")
 
     def __str__(self) -> str:
         if not self.pid:

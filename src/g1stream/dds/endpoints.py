@@ -6,22 +6,21 @@ class, so that a plain class with the generated type's identity and its own pair
 bytes untouched in both directions.
 """
 
-from __future__ import annotations
-
+# `c_call` reads annotations when a class is made, so they must not be postponed here.
+import ctypes
+from collections.abc import Sequence
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from cyclonedds.core import DDSException, Policy, Qos
+from cyclonedds.internal import c_call, dds_c_t
+from cyclonedds.pub import DataWriter
+from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic as CycloneTopic
 
-from g1stream.dds.entities import CountingReader, CountingWriter
-from g1stream.dds.layout import CDR_HEADER, Layout
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from g1stream.dds.domain import Participant
-    from g1stream.dds.topics import Topic
+from g1stream.dds.domain import Participant
+from g1stream.dds.layout import Layout
+from g1stream.dds.topics import Topic
 
 __all__ = ["RawReader", "RawSample", "RawWriter"]
 
@@ -50,7 +49,7 @@ class RawSample:
         return self.data
 
     @classmethod
-    def deserialize(cls, data: bytes) -> RawSample:
+    def deserialize(cls, data: bytes) -> "RawSample":
         """Called by cyclonedds' reader."""
         return cls(data)
 
@@ -66,6 +65,58 @@ def _raw_type(idl_type: Any) -> type[RawSample]:
     """
     identity = {"__idl__": idl_type.__idl__, "__idl_typename__": idl_type.__idl_typename__}
     return type(f"Raw{idl_type.__name__}", (RawSample,), {"__slots__": (), **identity})
+
+
+# Cyclone's writer and reader with the counts that the Python classes of 0.10.2 do not show. They
+# could be had from listeners too, but a listener is called from Cyclone's own thread, and one that
+# waits for the interpreter while the interpreter deletes the entity waits for ever.
+
+
+class _CountingWriter(DataWriter[Any]):  # type: ignore[misc]
+    """Adds the count of matched readers, which 0.10.2's own class does not show."""
+
+    def matched(self) -> int:
+        """How many peers are matched."""
+        status = dds_c_t.publication_matched_status()
+        self._matched_status(self._ref, ctypes.byref(status))
+        return int(status.current_count)
+
+    @c_call("dds_get_publication_matched_status")  # type: ignore[untyped-decorator]
+    def _matched_status(
+        self,
+        writer: dds_c_t.entity,
+        status: ctypes.POINTER(dds_c_t.publication_matched_status),  # type: ignore[valid-type]
+    ) -> dds_c_t.returnv: ...
+
+
+class _CountingReader(DataReader[Any]):  # type: ignore[misc]
+    """Adds the counts of matched writers and of lost samples, which 0.10.2's own does not show."""
+
+    def matched(self) -> int:
+        """How many peers are matched."""
+        status = dds_c_t.subscription_matched_status()
+        self._matched_status(self._ref, ctypes.byref(status))
+        return int(status.current_count)
+
+    def lost(self) -> int:
+        """How many samples the reader knows that it missed."""
+        status = dds_c_t.sample_lost_status()
+        self._lost_status(self._ref, ctypes.byref(status))
+        return int(status.total_count)
+
+    @c_call("dds_get_subscription_matched_status")  # type: ignore[untyped-decorator]
+    def _matched_status(
+        self,
+        reader: dds_c_t.entity,
+        status: ctypes.POINTER(dds_c_t.subscription_matched_status),  # type: ignore[valid-type]
+    ) -> dds_c_t.returnv: ...
+
+    @c_call("dds_get_sample_lost_status")  # type: ignore[untyped-decorator]
+    def _lost_status(
+        self,
+        reader: dds_c_t.entity,
+        status: ctypes.POINTER(dds_c_t.sample_lost_status),  # type: ignore[valid-type]
+    ) -> dds_c_t.returnv: ...
 
 
 class RawWriter:
@@ -89,7 +140,7 @@ class RawWriter:
         if user_data:
             policies.append(Policy.Userdata(user_data))
         qos = Qos(*policies)
-        self._writer: Any = CountingWriter(
+        self._writer: Any = _CountingWriter(
             participant.entity, CycloneTopic(participant.entity, topic.name, self._type), qos
         )
         participant.keep(self)
@@ -154,9 +205,9 @@ class RawReader:
         if user_data:
             policies.append(Policy.Userdata(user_data))
         qos = Qos(*policies)
-        self._size = Layout.of(topic.message.idl_type).sample_size
+        self._layout = Layout.of(topic.message.idl_type)
         self.malformed = 0
-        self.entity: Any = CountingReader(
+        self.entity: Any = _CountingReader(
             participant.entity, CycloneTopic(participant.entity, topic.name, self._type), qos
         )
         participant.keep(self)
@@ -175,7 +226,7 @@ class RawReader:
         whole = []
         for sample in self.entity.take(most):
             if isinstance(sample, RawSample):
-                if len(sample.data) == self._size and sample.data[:2] == CDR_HEADER[:2]:
+                if self._layout.matches(sample.data):
                     whole.append(sample)
                 else:
                     self.malformed += 1

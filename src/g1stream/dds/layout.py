@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Any, Final, get_args, get_type_hints
 
 import numpy as np
 
+from g1stream.errors import WireError
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -40,11 +42,12 @@ _DTYPES: Final[dict[str, str]] = {
 
 @dataclass(frozen=True)
 class Leaf:
-    """One primitive of a type: its path without indices, its indices, its dtype."""
+    """One primitive of a type: its path without indices, its indices, dtype and place in C."""
 
     path: str
     index: tuple[int, ...]
     dtype: np.dtype[Any]
+    c_offset: int
 
 
 def members(idl_type: Any) -> dict[str, tuple[Any, int | None]]:
@@ -63,18 +66,34 @@ def members(idl_type: Any) -> dict[str, tuple[Any, int | None]]:
 
 def leaves(idl_type: Any) -> Iterator[Leaf]:
     """Walk the primitives of a type in wire order."""
-    yield from _leaves(idl_type, "", ())
+    return _leaves(idl_type, _c_struct(idl_type), "", (), 0)
 
 
-def _leaves(idl_type: Any, prefix: str, index: tuple[int, ...]) -> Iterator[Leaf]:
+def _leaves(
+    idl_type: Any, struct: np.dtype[Any], path: str, index: tuple[int, ...], start: int
+) -> Iterator[Leaf]:
     for name, (element, length) in members(idl_type).items():
-        path = f"{prefix}.{name}" if prefix else name
-        places = [index] if length is None else [(*index, i) for i in range(length)]
-        for place in places:
+        assert struct.fields
+        dtype, offset = struct.fields[name][:2]
+        below = f"{path}.{name}" if path else name
+        for i in range(1 if length is None else length):
+            place = index if length is None else (*index, i)
+            at = start + offset + i * dtype.base.itemsize
             if isinstance(element, str):
-                yield Leaf(path, place, np.dtype(_DTYPES[element]))
+                yield Leaf(below, place, dtype.base, at)
             else:
-                yield from _leaves(element, path, place)
+                yield from _leaves(element, dtype.base, below, place, at)
+
+
+def _c_struct(element: Any) -> np.dtype[Any]:
+    """An element as a C compiler lays it out: natural alignment, structs padded to theirs."""
+    if isinstance(element, str):
+        return np.dtype(_DTYPES[element])
+    fields = [
+        (name, _c_struct(member), () if length is None else (length,))
+        for name, (member, length) in members(element).items()
+    ]
+    return np.dtype(fields, align=True)
 
 
 @dataclass(frozen=True)
@@ -135,33 +154,39 @@ class Layout:
         offsets: dict[str, list[int]] = {}
         dtypes: dict[str, np.dtype[Any]] = {}
         shapes: dict[str, tuple[int, ...]] = {}
-        in_order: list[tuple[int, int]] = []
+        self.struct_bytes = np.full(_c_struct(idl_type).itemsize, -1, dtype=np.intp)
         end = 0
         for leaf in leaves(idl_type):
-            start = _align(end, leaf.dtype.itemsize)
-            end = start + leaf.dtype.itemsize
-            in_order.append((start, leaf.dtype.itemsize))
+            size = leaf.dtype.itemsize
+            start = _align(end, size)
+            end = start + size
             offsets.setdefault(leaf.path, []).append(start)
             dtypes[leaf.path] = leaf.dtype
             shapes[leaf.path] = tuple(i + 1 for i in leaf.index)
+            self.struct_bytes[leaf.c_offset : leaf.c_offset + size] = np.arange(start, end)
         self.size = end
+        self.struct_bytes[self.struct_bytes < 0] = self.size
         self.sample_size = len(CDR_HEADER) + _align(end, 4)
         self.fields = {
             path: Field(np.array(places, dtype=np.intp).reshape(shapes[path]), dtypes[path])
             for path, places in offsets.items()
         }
-        self.struct_bytes = self._struct_bytes(idl_type, in_order)
 
     def __getitem__(self, path: str) -> Field:
         return self.fields[path]
 
-    def _struct_bytes(self, idl_type: Any, in_order: list[tuple[int, int]]) -> NDArray[np.intp]:
-        struct_size, _ = _c_size(idl_type)
-        source = np.full(struct_size, self.size, dtype=np.intp)
-        places = _c_offsets(idl_type, 0)
-        for (start, itemsize), place in zip(in_order, places, strict=True):
-            source[place : place + itemsize] = np.arange(start, start + itemsize)
-        return source
+    def matches(self, data: bytes) -> bool:
+        """Whether bytes, CDR header included, are one sample in plain little-endian CDR."""
+        return len(data) == self.sample_size and data[:2] == CDR_HEADER[:2]
+
+    def check(self, data: bytes) -> None:
+        """Raise a WireError unless bytes, CDR header included, are one sample of this type."""
+        if not self.matches(data):
+            raise WireError(
+                f"A sample has {len(data)} bytes, encoding 0x{data[:2].hex()}, but "
+                f"{self.typename} has {self.sample_size}, encoding 0x{CDR_HEADER[:2].hex()}.",
+                "Make the publisher use plain little-endian CDR (XCDR1) and the type in idl/.",
+            )
 
     @staticmethod
     @cache
@@ -172,31 +197,3 @@ class Layout:
 
 def _align(offset: int, alignment: int) -> int:
     return -(-offset // alignment) * alignment
-
-
-def _c_size(element: Any) -> tuple[int, int]:
-    """Size and alignment of an element as a C compiler lays it out."""
-    if isinstance(element, str):
-        size = np.dtype(_DTYPES[element]).itemsize
-        return size, size
-    end, widest = 0, 1
-    for member, length in members(element).values():
-        size, alignment = _c_size(member)
-        end = _align(end, alignment) + size * (1 if length is None else length)
-        widest = max(widest, alignment)
-    return _align(end, widest), widest
-
-
-def _c_offsets(element: Any, base: int) -> Iterator[int]:
-    """The offset of every primitive of a struct laid out by a C compiler, in wire order."""
-    end = base
-    for member, length in members(element).values():
-        size, alignment = _c_size(member)
-        start = _align(end, alignment)
-        count = 1 if length is None else length
-        for i in range(count):
-            if isinstance(member, str):
-                yield start + i * size
-            else:
-                yield from _c_offsets(member, start + i * size)
-        end = start + size * count

@@ -1,13 +1,15 @@
-"""Samples as the bytes they are on the wire, with numpy views where the code wants fields.
+"""Samples as the bytes they are on the wire, with their fields as numpy arrays.
 
 A message object owns one buffer for its whole life: `load` copies received bytes into it, `tobytes`
 copies them out to be written, and the views between show the fields in place. Views of scalars have
-the shape () and are written with `message.tick[()] = 5`. Motors are in motor order; the wire's
-arrays of 35 are shown up to the 29th, which is the last that a G1 has.
+the shape () and are written with `message.tick[()] = 5`. `Samples` reads a field of many samples at
+once. Motors are in motor order; the wire's arrays of 35 are shown up to the 29th, which is the last
+that a G1 has.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -15,22 +17,26 @@ import numpy as np
 from g1stream.dds import types
 from g1stream.dds.crc import Crc
 from g1stream.dds.layout import CDR_HEADER, Layout
-from g1stream.errors import WireError
+from g1stream.robot.joints import N_JOINTS
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
+    from g1stream.dds.topics import Topic
+
 __all__ = [
+    "Batch",
     "Log",
     "LowCmd",
     "LowState",
     "Message",
     "Reference",
+    "Samples",
     "SecondaryImu",
     "SportModeState",
 ]
-
-_N_MOTORS = 29
 
 
 class Message:
@@ -60,12 +66,7 @@ class Message:
         Raises:
             WireError: the bytes are not one little-endian sample of this type.
         """
-        if len(data) != len(self._buffer) or data[:2] != CDR_HEADER[:2]:
-            raise WireError(
-                f"A sample of {self.layout.typename} came with {len(data)} bytes, encoding "
-                f"0x{data[:2].hex()}; it has {len(self._buffer)}, encoding 0x0001.",
-                "Make the publisher use plain little-endian CDR (XCDR1) and the type in idl/.",
-            )
+        self.layout.check(data)
         self._buffer[:] = data
 
     def tobytes(self) -> bytes:
@@ -86,11 +87,11 @@ class _Motors(Message):
         self.mode_pr = self.view("mode_pr")
         self.mode_machine = self.view("mode_machine")
         # The first motor's mode is not in step with the others', so that no view can show them all.
-        self._modes = self.layout[f"{self.motors}.mode"].offsets[:_N_MOTORS]
+        self._modes = self.layout[f"{self.motors}.mode"].offsets[:N_JOINTS]
 
     def motor_view(self, name: str) -> NDArray[Any]:
         """A writable view (29,) of a field of every motor, by its name in the IDL."""
-        return self.view(f"{self.motors}.{name}")[:_N_MOTORS]
+        return self.view(f"{self.motors}.{name}")[:N_JOINTS]
 
     @property
     def motor_mode(self) -> NDArray[np.uint8]:
@@ -222,7 +223,7 @@ class Reference(Message):
 
 
 class Log(Message):
-    """One event worth telling, topic rt/g1stream/log.
+    """One event, topic rt/g1stream/log.
 
     Attributes:
         level: () uint8: 1 debug, 2 info, 3 warning, 4 error, 5 fatal.
@@ -239,7 +240,7 @@ class Log(Message):
 
     @property
     def name(self) -> str:
-        """The program that tells it."""
+        """The program that logged it."""
         return _text_of(self._name)
 
     @name.setter
@@ -267,3 +268,45 @@ def _fill(field: NDArray[np.uint8], value: str) -> None:
     cut = encoded.decode("utf-8", errors="ignore").encode()
     field[:] = 0
     field[: len(cut)] = np.frombuffer(cut, np.uint8)
+
+
+@dataclass
+class Batch:
+    """Received samples of one topic, oldest first.
+
+    Attributes:
+        data: each sample as it is on the wire, CDR header included.
+        log_times: when each was received here, CLOCK_REALTIME, ns.
+        publish_times: when its writer published it, ns.
+        writers: Cyclone's handle of its writer.
+    """
+
+    data: list[bytes] = field(default_factory=list)
+    log_times: list[int] = field(default_factory=list)
+    publish_times: list[int] = field(default_factory=list)
+    writers: list[int] = field(default_factory=list)
+
+
+class Samples:
+    """The fields of many samples of one topic: `samples["imu_state.gyroscope"]` is (N, 3).
+
+    Args:
+        topic: whose samples they are.
+        data: (N) samples as they were on the wire, CDR header included.
+
+    Raises:
+        WireError: one of them is not one little-endian sample of the topic's type.
+    """
+
+    def __init__(self, topic: Topic, data: Sequence[bytes]) -> None:
+        self._layout = layout = Layout.of(topic.message.idl_type)
+        for sample in data:
+            if not layout.matches(sample):
+                layout.check(sample)
+        rows = np.frombuffer(b"".join(data), np.uint8).reshape(len(data), layout.sample_size)
+        self._payloads = rows[:, len(CDR_HEADER) : len(CDR_HEADER) + layout.size]
+
+    def __getitem__(self, path: str) -> NDArray[Any]:
+        """(N, ...) a field by its dotted path in the IDL, in the wire's own precision; a copy."""
+        values = self._layout[path].read(self._payloads)
+        return values[:, :N_JOINTS] if path.startswith(("motor_cmd.", "motor_state.")) else values

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from cyclonedds.core import Policy
 
-from g1stream.dds.announcement import observers
-from g1stream.dds.domain import MAX_DOMAIN, Participant
+from g1stream.dds.domain import MAX_DOMAIN, OBSERVER, Participant
 from g1stream.dds.endpoints import RawReader
 from g1stream.dds.messages import LowState
 from g1stream.dds.ticks import TickGaps
@@ -148,7 +147,7 @@ def _peers(endpoints: Iterable[Endpoint], programs: dict[str, str]) -> Iterator[
                 qos=qos_facts(endpoint.qos),
                 owner=_owner(endpoint, programs),
                 participant=endpoint.participant,
-                observer=bool(observers([endpoint])),
+                observer=endpoint.user_data == OBSERVER,
             )
 
 

@@ -6,14 +6,13 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from g1stream.dds.messages import Log
+from g1stream.dds.messages import Log, Samples
 from g1stream.dds.topics import LOG, LOWSTATE, REFERENCE, SPORTMODESTATE
 from g1stream.foxglove.encoders import MEASURED_PREFIX, TransformsEncoder, encode_log
 from g1stream.foxglove.measured_base import MeasuredBase
 from g1stream.foxglove.templates import JointStatesTemplate
 from g1stream.foxglove.tracking_error import Track, TrackingError
 from g1stream.session.format import CHANNELS
-from g1stream.session.samples import Samples
 from g1stream.types import Ints
 
 if TYPE_CHECKING:
@@ -21,8 +20,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from g1stream.dds.messages import Batch
     from g1stream.robot.model import G1
-    from g1stream.session.samples import Batch
 
 __all__ = ["CHANNEL_OF", "Decimator", "MessagePipeline", "Messages"]
 

@@ -14,6 +14,7 @@ from g1stream.config import Config
 from g1stream.control.gains import resolve_gains
 from g1stream.control.targets import Targets
 from g1stream.dds.log_handler import LogHandler
+from g1stream.dds.messages import Batch
 from g1stream.dds.topics import LOG
 from g1stream.errors import ConfigError
 from g1stream.foxglove.encoders import MEASURED_PREFIX
@@ -28,7 +29,6 @@ from g1stream.programs.stream import make_loop, played_interval
 from g1stream.robot.model import G1
 from g1stream.session.attachments import attach_motion
 from g1stream.session.motions import load_motion
-from g1stream.session.samples import Batch
 from g1stream.session.session import Session
 from g1stream.session.source import MemorySource
 from g1stream.sim.lockstep import EPOCH, Lockstep

@@ -12,14 +12,14 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from g1stream.dds.messages import Samples
 from g1stream.dds.ticks import TickGaps
 from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE
-from g1stream.session.samples import Samples
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from g1stream.session.samples import Batch
+    from g1stream.dds.messages import Batch
 
 __all__ = ["Losses", "MissingCommands", "dropped_datagrams"]
 

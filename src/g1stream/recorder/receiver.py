@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState, WaitSet
 
-from g1stream.dds.announcement import OBSERVER
+from g1stream.dds.domain import OBSERVER
 from g1stream.dds.endpoints import RawReader
+from g1stream.dds.messages import Batch
 from g1stream.errors import RecordingError
-from g1stream.session.samples import Batch
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -24,10 +24,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from g1stream.dds.domain import Participant
+    from g1stream.dds.messages import Batch
     from g1stream.foxglove.pipeline import MessagePipeline
     from g1stream.recorder.clocks import ClockReading
     from g1stream.session.rotation import PartedWriter
-    from g1stream.session.samples import Batch
 
 __all__ = ["Recorder"]
 

@@ -16,13 +16,12 @@ import numpy as np
 from g1stream.config import MAX_KD, MAX_KP
 from g1stream.control.safety import Envelope
 from g1stream.dds.layout import CDR_HEADER, Layout
-from g1stream.dds.messages import LowCmd
+from g1stream.dds.messages import LowCmd, Samples
 from g1stream.errors import RecordingError, SafetyError
 from g1stream.replay.pace import JITTER, ROUNDING, Steps, disorder, pause
 from g1stream.replay.recorded_link import PackedCommands
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.motors import TORQUE_LIMIT
-from g1stream.session.samples import Samples
 from g1stream.session.streams import Command, Reference
 from g1stream.types import Floats, Phase
 
@@ -79,7 +78,7 @@ def recorded_commands(
     steps = Steps(robot.velocity, 0.0 if due.has_reference else JITTER)
     packed, times, targets = PackedCommands(), [np.empty(0)], [np.empty((0, N_JOINTS), np.float32)]
     for stamps, data in _batches(session):
-        samples = _samples(session, data)
+        samples = session.samples(Command, data)
         rows, when = due.find(stamps, samples)
         chosen = [data[row] for row in rows.tolist()]
         if odd := look.at(samples, rows) or look.at_whole(chosen):
@@ -105,16 +104,6 @@ def _batches(session: Session) -> Iterator[tuple[NDArray[np.int64], list[bytes]]
     messages = session.messages(Command.topic)
     while batch := list(islice(messages, _BATCH)):
         yield np.array([one.publish_time for one in batch]), [one.data for one in batch]
-
-
-def _samples(session: Session, data: list[bytes]) -> Samples:
-    try:
-        return Samples(Command.source, data)
-    except ValueError as error:
-        raise RecordingError(
-            f"{session.path} does not fit this version of g1stream: on {Command.topic} {error}.",
-            "Read it with the version that recorded it.",
-        ) from error
 
 
 class _Due:

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
 import numpy as np
 
-from g1stream.errors import RecordingError
+from g1stream.dds.messages import Samples
+from g1stream.errors import RecordingError, WireError
 from g1stream.session.events import LogEvent, log_event
 from g1stream.session.parts import SessionFiles
-from g1stream.session.samples import Samples
 from g1stream.session.streams import Base, Command, Measured, Reference, Stream, TorsoImu
 from g1stream.types import Phase
 
@@ -203,6 +203,20 @@ class Session:
         """
         return (message.data for message in self.messages(topic))
 
+    def samples(self, kind: type[Stream], data: Sequence[bytes]) -> Samples:
+        """The fields of samples of a DDS topic, from their bytes.
+
+        Raises:
+            RecordingError: one of them is not of the topic's type.
+        """
+        try:
+            return Samples(kind.source, data)
+        except WireError as error:
+            raise RecordingError(
+                f"{kind.topic} in {self.path} cannot be decoded. {error.cause}",
+                "Read it with the version of g1stream that recorded it.",
+            ) from error
+
     @cached_property
     def start_ns(self) -> int:
         """Time 0 of the motion's clock, ns since the epoch on the recorder's clock.
@@ -313,13 +327,7 @@ class Session:
         def decode(messages: Messages) -> dict[str, NDArray[Any]]:
             if not paths:
                 return {}
-            try:
-                samples = Samples(kind.source, messages.data)
-            except ValueError as error:
-                raise RecordingError(
-                    f"{self.path} does not fit this version of g1stream: on {kind.topic} {error}.",
-                    "Read it with the version that recorded it.",
-                ) from error
+            samples = self.samples(kind, messages.data)
             return {name: samples[path] for name, path in paths.items()}
 
         return self._columns({kind.topic: decode})[kind.topic]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from typing import TYPE_CHECKING, Final
 
-from g1stream.dds.announcement import user_data_of_support
+from g1stream.dds.domain import user_data_of_support
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE, SECONDARY_IMU, SPORTMODESTATE
 

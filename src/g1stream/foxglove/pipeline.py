@@ -10,6 +10,7 @@ from g1stream.dds.messages import Log, Samples
 from g1stream.dds.topics import LOG, LOWSTATE, REFERENCE, SPORTMODESTATE
 from g1stream.foxglove.encoders import MEASURED_PREFIX, TransformsEncoder, encode_log
 from g1stream.foxglove.measured_base import MeasuredBase
+from g1stream.foxglove.scene import encode_robot_description, encode_scene
 from g1stream.foxglove.templates import JointStatesTemplate
 from g1stream.foxglove.tracking_error import Track, TrackingError
 from g1stream.session.format import CHANNELS
@@ -27,6 +28,8 @@ __all__ = ["CHANNEL_OF", "Decimator", "MessagePipeline", "Messages"]
 
 CHANNEL_OF: Final = {c.dds_topic: c.topic for c in CHANNELS.values() if c.dds_topic}
 """The topic in the file that holds a DDS topic's samples byte for byte, by the DDS topic's name."""
+
+_REFERENCE_OPACITY: Final = 0.3
 
 
 class Messages(NamedTuple):
@@ -81,6 +84,7 @@ class MessagePipeline:
 
     def __init__(self, robot: G1, tf_rate: float) -> None:
         self.base = MeasuredBase()
+        self._robot = robot
         self._tf = TransformsEncoder(robot)
         self._measured_tf = TransformsEncoder(robot, MEASURED_PREFIX)
         fields = ("position", "velocity", "acceleration", "effort")
@@ -90,6 +94,23 @@ class MessagePipeline:
         self._reference_decimator = Decimator(tf_rate)
         self._state_decimator = Decimator(tf_rate)
         self._log = Log()
+
+    def file_header(self, time_ns: int) -> list[Messages]:
+        """What viewers need once: the scene with both robots, the reference translucent; the URDF.
+
+        Args:
+            time_ns: log and publish time, ns since the epoch.
+
+        Raises:
+            RobotError: the URDF has a shape that cannot be read.
+        """
+        opacities = {"": _REFERENCE_OPACITY, MEASURED_PREFIX: 1.0}
+        payloads = {
+            "/scene": encode_scene(time_ns, self._robot, opacities),
+            "/robot_description": encode_robot_description(self._robot),
+        }
+        time = np.array([time_ns])
+        return [Messages(topic, [data], time, time) for topic, data in payloads.items()]
 
     def encode(self, batches: Mapping[str, Batch]) -> list[Messages]:
         """The messages of one round of batches.

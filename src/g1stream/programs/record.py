@@ -6,7 +6,7 @@ import socket
 import time
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from g1stream._version import __version__
 from g1stream.config import Config
@@ -14,9 +14,7 @@ from g1stream.dds.domain import Participant
 from g1stream.dds.topics import LOWCMD, REFERENCE
 from g1stream.errors import RecordingError, WireError
 from g1stream.events import console_handler, handled_by
-from g1stream.foxglove.encoders import MEASURED_PREFIX
 from g1stream.foxglove.pipeline import MessagePipeline
-from g1stream.foxglove.scene import encode_robot_description, encode_scene
 from g1stream.programs.child_process import run_child
 from g1stream.realtime import lower_priority
 from g1stream.recorder.recorder import Recorder
@@ -33,13 +31,10 @@ if TYPE_CHECKING:
     from g1stream.recorder.recorder_report import RecorderReport
     from g1stream.session.writer import SessionWriter
 
-__all__ = ["GHOST", "record"]
+__all__ = ["record"]
 
 _MATCH_TIMEOUT = 10.0
 _LOOK_EVERY = 0.05
-
-GHOST: Final = 0.3
-"""Opacity of the reference in the scene."""
 
 
 def record(
@@ -76,15 +71,14 @@ def record(
     settings = config.record
     robot = G1.load(config.robot)
     path = timestamped(path, time.time_ns()) if settings.auto_name else Path(path)
-    pipeline = MessagePipeline(
-        robot, settings.tf_rate
-    )  # may refuse the robot: before there is a file
+    pipeline = MessagePipeline(robot, settings.tf_rate)  # before there is a file: may refuse
     about = _about(config, session or {})
 
     def write_file_header(writer: SessionWriter) -> None:
         writer.add_metadata(about)
         _attach(writer, robot, config, session or {})
-        _write_robot(writer, robot)
+        for messages in pipeline.file_header(time.time_ns()):
+            writer.write_batch(*messages)
 
     with (
         Participant(config.dds.domain, config.dds.interface) as participant,
@@ -169,14 +163,6 @@ def _attach(writer: SessionWriter, robot: G1, config: Config, session: Mapping[s
     motion = session.get("motion")
     source = motion.get("source") if isinstance(motion, dict) else None
     attach_motion(writer, Path(source) if isinstance(source, str) else None, now)
-
-
-def _write_robot(writer: SessionWriter, robot: G1) -> None:
-    """What viewers draw: the reference as a ghost, the measured robot as it is."""
-    now = time.time_ns()
-    scene = encode_scene(now, robot, {"": GHOST, MEASURED_PREFIX: 1.0})
-    writer.write("/scene", scene, now, now)
-    writer.write("/robot_description", encode_robot_description(robot), now, now)
 
 
 def _run_child(parent: Parent) -> dict[str, Any]:

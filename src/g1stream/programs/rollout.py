@@ -17,13 +17,10 @@ from g1stream.dds.log_handler import LogHandler
 from g1stream.dds.messages import Batch
 from g1stream.dds.topics import LOG
 from g1stream.errors import ConfigError
-from g1stream.foxglove.encoders import MEASURED_PREFIX
 from g1stream.foxglove.pipeline import MessagePipeline
-from g1stream.foxglove.scene import encode_robot_description, encode_scene
 from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.programs.outcome import loop_summary
-from g1stream.programs.record import GHOST
 from g1stream.programs.sim import physics_timestep
 from g1stream.programs.stream import make_loop, played_interval
 from g1stream.robot.model import G1
@@ -115,7 +112,7 @@ def rollout(
         loop.run()
     source = MemorySource(f"rollout of {motion.name}")
     _write_header(source, config, robot, motion, gains)
-    for messages in pipeline.encode(batches):
+    for messages in (*pipeline.file_header(EPOCH), *pipeline.encode(batches)):
         source.write_batch(*messages)
     measured_tf = pipeline.base.as_dict()
     source.add_metadata({"stream": _stream_metadata(loop), "measured_tf": measured_tf})
@@ -187,9 +184,6 @@ def _write_header(
     source.attach("robot.urdf", "application/xml", robot.urdf.encode(), EPOCH)
     source.attach("config.json", "application/json", config.model_dump_json().encode(), EPOCH)
     attach_motion(source, motion.source, EPOCH)
-    scene = encode_scene(EPOCH, robot, {"": GHOST, MEASURED_PREFIX: 1.0})
-    source.write("/scene", scene, EPOCH, EPOCH)
-    source.write("/robot_description", encode_robot_description(robot), EPOCH, EPOCH)
 
 
 def _stream_metadata(loop: StreamLoop) -> dict[str, Any]:

@@ -27,6 +27,8 @@ __all__ = ["Losses", "MissingCommands", "dropped_datagrams"]
 _MAX_WAIT_NS: Final = 1_000_000_000
 #: At the end of a recording, by how much a Reference may arrive before its LowCmd, ns.
 _LAST_WAIT_NS: Final = 20_000_000
+#: Samples of a writer by which the step of its ticks is known.
+_MIN_TICKS: Final = 10
 
 _TOPICS_WITH_TICKS: Final = {topic.name: topic for topic in (REFERENCE, LOWSTATE)}
 
@@ -116,10 +118,11 @@ class Losses:
         """
         more = {}
         for name, by_reader in lost_by_reader.items():
-            by_ticks = sum(ticks.missed or 0 for ticks in self._ticks[name].values())
+            counters = self._ticks[name].values()
+            by_ticks = sum(c.missed or 0 for c in counters if c.received > _MIN_TICKS)
             by_reference = self._commands.count if name == LOWCMD.name else 0
-            before = self.lost.get(name, 0)
-            self.lost[name] = max(before, by_reader, by_ticks, by_reference)
-            if self.lost[name] > before:
-                more[name] = self.lost[name] - before
+            lost, before = max(by_reader, by_ticks, by_reference), self.lost.get(name, 0)
+            if lost > before:
+                more[name] = lost - before
+            self.lost[name] = lost
         return more

@@ -1,11 +1,11 @@
-"""Takes samples off the wire the moment they arrive, so that their log time means something."""
+"""Takes samples from DDS the moment they arrive, which is their log time."""
 
 from __future__ import annotations
 
 import sys
 import threading
 import time
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState, WaitSet
 
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 
 __all__ = ["Receiver"]
 
-_WAKE_NS = 20_000_000
-
-#: How long the thread that writes may hold up the one that receives, s: CPython's own 5 ms would be
-#: in every other log time.
-_SWITCH_INTERVAL = 1e-4
+#: How long the thread waits for samples before it checks whether to stop, ns.
+_WAIT_NS: Final = 20_000_000
+#: How long the writing thread may delay the receiving one, s. With CPython's default of 5 ms many a
+#: log time would be late by that much.
+_SWITCH_INTERVAL: Final = 1e-4
 
 
 class Receiver:
@@ -64,28 +64,28 @@ class Receiver:
         self._thread.start()
 
     def stop(self) -> None:
-        """End; what has been received can still be drained."""
+        """Stop receiving; what has been received can still be drained."""
         self._stop.set()
         self._thread.join()
         sys.setswitchinterval(self._switch_interval)
-        # Before the readers, which the participant lets go of.
+        # Before the readers, which the participant closes.
         del self._waitset, self._conditions
 
     def drain(self) -> dict[str, Batch]:
-        """What came since the last drain, by topic name; topics without a sample are left out.
+        """The samples since the last drain, by topic name; topics without any are left out.
 
         Raises:
-            RecordingError: nothing more can come, and all that came has been drained.
+            RecordingError: the receiving thread failed, and all its samples have been drained.
         """
-        failure = self._failure  # looked at first: what came before it is in the batches by now
+        failure = self._failure  # read first: samples received before it are in the batches by now
         with self._lock:
             full = {name: batch for name, batch in self._batches.items() if batch.data}
             for name in full:
                 self._batches[name] = Batch()
         if failure is not None and not full:
             raise RecordingError(
-                f"Samples cannot be received any more: {failure!r}.",
-                "Record again; what came until then is in the file.",
+                f"Receiving samples failed: {failure!r}.",
+                "Record again; the file contains all samples until then.",
             ) from failure
         return full
 
@@ -96,20 +96,20 @@ class Receiver:
     def lost(self) -> dict[str, int]:
         """How many samples of each topic are known to be lost.
 
-        A reader's queue that is found full may have lost any number; it counts as one.
+        A reader's queue that was full may have lost any number; it counts as one.
         """
         return {r.topic.name: r.lost + self._overflows[r.topic.name] for r in self._readers}
 
     def malformed(self) -> dict[str, int]:
-        """How many samples of each topic came and were not of its type."""
+        """How many samples of each topic were not of its type."""
         return {reader.topic.name: reader.malformed for reader in self._readers}
 
     def _receive(self) -> None:
         try:
             while not self._stop.is_set():
-                self._waitset.wait(_WAKE_NS)
+                self._waitset.wait(_WAIT_NS)
                 self._take()
-        except BaseException as error:  # told by `drain`: nobody sees what ends a thread
+        except BaseException as error:  # `drain` raises it in the other thread
             self._failure = error
 
     def _take(self) -> None:

@@ -152,7 +152,7 @@ CASES = {
     "no frame rate": (lambda tmp: ["demo", tmp / "a.mcap", "--fps", "0"], "frames per second"),
     "a time without a zone": (
         lambda tmp: ["demo", tmp / "a.mcap", "--base-time", "2026-03-01T12:00:00"],
-        "has no zone",
+        "no time zone",
     ),
     "frames backwards": (lambda tmp: ["demo", tmp / "a.mcap", "--frames", "9:3"], "9:3"),
     "no range": (lambda tmp: ["demo", tmp / "a.mcap", "--frames", "9"], "not a range of frames"),

@@ -65,7 +65,7 @@ def test_a_session_of_another_robot_is_a_finding(write):
 
 
 def test_a_session_in_which_nothing_was_played_is_an_error(write):
-    with pytest.raises(RecordingError, match="no reference that was played"):
+    with pytest.raises(RecordingError, match="No motion was played"):
         check_motion_file(write(Phase.RAMP), ROBOT)
 
 

@@ -93,7 +93,7 @@ def test_a_session_in_which_nothing_was_played(tmp_path):
     with SessionWriter(path) as writer:
         for i in range(5):
             writer.write("/reference", message.tobytes(), T0 + i, T0 + i)
-    with pytest.raises(RecordingError, match="no reference that was played"):
+    with pytest.raises(RecordingError, match="No motion was played"):
         open_session(path).motion()
 
 

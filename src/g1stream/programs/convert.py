@@ -20,7 +20,7 @@ from g1stream.session.attachments import attach_motion
 from g1stream.session.format import CHANNELS
 from g1stream.session.motions import load_motion
 from g1stream.session.offline import OfflineWriter
-from g1stream.session.timestamps import frame_stamps
+from g1stream.session.timestamps import frame_timestamps
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -141,7 +141,7 @@ def convert(
     _check_link(options.root_link, robot)
     motion = _load(motion, robot, fps)
     start, stop = _frame_range(motion, options.frames)
-    first, last = frame_stamps(options.base_time_ns, (start, stop - 1), motion.fps).tolist()
+    first, last = frame_timestamps(options.base_time_ns, (start, stop - 1), motion.fps).tolist()
     transforms = TransformsEncoder(
         robot, root_link=options.root_link, world=options.world_frame, flat=options.flat
     )
@@ -230,7 +230,7 @@ def _poses(motion: Motion, options: Conversion, start: int, stop: int) -> Iterat
     base, rate = options.base_time_ns, options.resample
     parts: Iterable[tuple[Any, ...]]
     if rate is None:
-        times, rows = frame_stamps(base, range(start, stop), motion.fps), slice(start, stop)
+        times, rows = frame_timestamps(base, range(start, stop), motion.fps), slice(start, stop)
         pose = (motion.joint_pos[rows], motion.root_pos[rows], motion.root_quat_wxyz[rows])
         parts = [(times, *pose)]
     else:
@@ -238,7 +238,7 @@ def _poses(motion: Motion, options: Conversion, start: int, stop: int) -> Iterat
 
         parts = (
             (
-                frame_stamps(base, numbers, rate),
+                frame_timestamps(base, numbers, rate),
                 *(point.joint_pos, point.root_pos, point.root_quat_wxyz),
                 *(point.joint_vel, point.joint_acc),
             )

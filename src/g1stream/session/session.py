@@ -305,9 +305,9 @@ class Session:
             RecordingError: no motion was played in this session, or the file is damaged.
             MotionError: `fps` is not a frame rate, or leaves less than two frames.
         """
-        from g1stream.session.session_to_motion import played_motion
+        from g1stream.session.session_to_motion import reference_motion
 
-        return played_motion(self.reference, self.path, fps)
+        return reference_motion(self.reference, self.path, fps)
 
     def to_dataframe(self, topic: str) -> pandas.DataFrame:
         """The samples of a topic as a table; see `g1stream.session.export.to_dataframe`."""

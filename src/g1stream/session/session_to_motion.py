@@ -1,4 +1,4 @@
-"""What a session played, as a motion that can be played again."""
+"""The motion of a session, so that it can be played again."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from g1stream.errors import RecordingError
 from g1stream.motion.motion import Motion, check_fps
-from g1stream.robot.joints import JOINT_NAMES
+from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.rotations import wxyz_from_xyzw, xyzw_from_wxyz
 from g1stream.types import Floats, Phase
 
@@ -18,53 +18,47 @@ if TYPE_CHECKING:
     from g1stream.session.streams import Reference
 
 
-__all__ = ["commanded_motion", "even_motion", "played_motion"]
+__all__ = ["commanded_motion", "reference_motion"]
 
 
-def played_motion(reference: Reference, path: Path, fps: float | None = None) -> Motion:
-    """The reference while it was played, as a motion of its own.
+def reference_motion(reference: Reference, path: Path, fps: float | None = None) -> Motion:
+    """The reference in PLAY as a motion.
 
     Args:
         reference: of the session.
-        path: the session file, whose name the motion gets.
-        fps: frames a second; the rate of the reference if None.
+        path: of the session; the motion gets its name.
+        fps: frames per second; the rate of the reference if None.
 
     Raises:
         RecordingError: nothing was played.
         MotionError: `fps` is not a frame rate, or leaves less than two frames.
     """
-    playing = reference.phase == Phase.PLAY
-    if playing.sum() < 2:
+    columns = "phase", "motion_time", "q", "root_pos", "root_quat_wxyz"
+    play = reference[reference.read(*columns).phase == Phase.PLAY].read(*columns)
+    if len(play) < 2:
         raise RecordingError(
-            f"{path} has no reference that was played.",
-            "Give a session in which `g1stream stream` came to play its motion.",
+            f"No motion was played in {path}.",
+            "Give a session in which `g1stream stream` reached the phase PLAY.",
         )
-    return even_motion(
-        reference.motion_time[playing],
-        reference.q[playing],
-        reference.root_pos[playing],
-        reference.root_quat_wxyz[playing],
-        path,
-        fps,
-    )
+    return _resampled(play.motion_time, play.q, play.root_pos, play.root_quat_wxyz, path, fps)
 
 
 def commanded_motion(times: Floats, q: Floats, path: Path) -> Motion:
-    """What was commanded, where there is no reference: the pelvis rests upright at the origin.
+    """The joint targets of the commands, where there is no reference; the pelvis stays upright.
 
     Args:
         times: (N,) s, rising.
         q: (N, 29) rad, motor order.
-        path: the session file, whose name the motion gets.
+        path: of the session; the motion gets its name.
 
     Raises:
         MotionError: that is less than two frames.
     """
     upright = np.tile([1.0, 0.0, 0.0, 0.0], (len(q), 1))
-    return even_motion(times, q, np.zeros((len(q), 3)), upright, path, None)
+    return _resampled(times, q, np.zeros((len(q), 3)), upright, path, None)
 
 
-def even_motion(
+def _resampled(
     times: Floats,
     q: Floats,
     root_pos: Floats,
@@ -72,21 +66,11 @@ def even_motion(
     path: Path,
     fps: float | None,
 ) -> Motion:
-    """A motion at even times from poses at N times.
+    """A motion of constant frame rate from N poses, at their usual rate if `fps` is None.
 
-    Joints and position are cubic splines through the poses, the orientation turns evenly from one
-    to the next. Where the times are even and `fps` is their rate, the frames are the poses.
-
-    Args:
-        times: (N,) s; where one comes again, its first pose is taken.
-        q: (N, 29) rad, motor order.
-        root_pos: (N, 3) m, world.
-        root_quat_wxyz: (N, 4) pelvis to world.
-        path: where they come from; the motion gets its name.
-        fps: frames a second; the usual rate of the times if None.
-
-    Raises:
-        MotionError: `fps` is not a frame rate, or leaves less than two frames.
+    Joints and position are cubic splines through the poses, the orientation is interpolated
+    linearly (slerp). Where the times have the rate `fps`, the frames are the poses. Of poses of the
+    same time the first is taken.
     """
     from scipy.interpolate import CubicSpline
     from scipy.spatial.transform import Rotation, Slerp
@@ -102,8 +86,8 @@ def even_motion(
         name=path.stem,
         fps=rate,
         joint_names=JOINT_NAMES,
-        joint_pos=sampled[:, : len(JOINT_NAMES)],
-        root_pos=sampled[:, len(JOINT_NAMES) :],
+        joint_pos=sampled[:, :N_JOINTS],
+        root_pos=sampled[:, N_JOINTS:],
         root_quat_wxyz=wxyz_from_xyzw(Slerp(times, rotations)(grid).as_quat()),
         source=path,
     )

@@ -39,9 +39,8 @@ from g1stream.motion.trajectory import Trajectory
 from g1stream.programs.child_process import Child
 from g1stream.programs.stream import stream
 from g1stream.robot.dynamics import InverseDynamics
-from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP, JOINT_NAMES
+from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP, JOINT_NAMES, TORQUE_LIMIT
 from g1stream.robot.model import G1
-from g1stream.robot.motors import TORQUE_LIMIT
 from g1stream.session.motions import load_motion
 from g1stream.session.session import open_session
 from g1stream.sim.lockstep import Lockstep

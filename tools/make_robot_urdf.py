@@ -1,4 +1,4 @@
-"""Writes the package's robot: g1_29dof.urdf, and g1_29dof.json compiled from it.
+"""Writes the package's robot, g1_29dof.urdf.
 
 Names, frames, limits, masses and inertias are read from Unitree's g1_29dof_rev_1_0.urdf as the PyPI
 package example-robot-data (our extra `meshes`) has it. The shapes are our own: primitives fitted by
@@ -16,8 +16,6 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from g1stream.robot.table import write_table
-from g1stream.robot.urdf import parse_urdf
 from robot_shapes import COLORS, SHAPES, Shape
 
 ROBOT_DIR = Path(__file__).resolve().parents[1] / "src/g1stream/robot"
@@ -33,15 +31,13 @@ HEADER = """
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Write the package's URDF and its table.")
+    parser = argparse.ArgumentParser(description="Write the package's URDF.")
     parser.add_argument("--reference", type=Path, default=REFERENCE, help="figures to take over")
     parser.add_argument("--out", type=Path, default=ROBOT_DIR, help="directory to write to")
     args = parser.parse_args()
 
     urdf = make_urdf(args.reference.read_text(encoding="utf-8"))
-    table = write_table(parse_urdf(urdf, "g1_29dof.urdf"), urdf)
     (args.out / "g1_29dof.urdf").write_text(urdf, encoding="utf-8")
-    (args.out / "g1_29dof.json").write_text(table, encoding="utf-8")
 
 
 def make_urdf(reference: str) -> str:

@@ -1,4 +1,4 @@
-"""The default robot, its compiled table, and robots of users' URDFs that can be used."""
+"""The default robot, and robots of users' URDFs that can be used."""
 
 from __future__ import annotations
 
@@ -13,35 +13,15 @@ import pytest
 
 from g1stream.errors import RobotError
 from g1stream.robot.joints import JOINT_NAMES
-from g1stream.robot.model import DEFAULT_TABLE, DEFAULT_URDF, G1
-from g1stream.robot.table import read_table, write_table
-from g1stream.robot.tree import KinematicTree
-from g1stream.robot.urdf import parse_urdf
+from g1stream.robot.model import DEFAULT_URDF, G1
 
 
-def assert_equal_trees(a: KinematicTree, b: KinematicTree) -> None:
-    for field in fields(KinematicTree):
-        ours, theirs = getattr(a, field.name), getattr(b, field.name)
-        if isinstance(ours, np.ndarray):
-            assert ours.dtype == theirs.dtype, field.name
-            np.testing.assert_array_equal(ours, theirs, err_msg=field.name)
-        else:
-            assert ours == theirs, field.name
-
-
-def test_the_compiled_table_is_what_the_parser_reads():
-    urdf = DEFAULT_URDF.read_text(encoding="utf-8")
-    table = DEFAULT_TABLE.read_text(encoding="utf-8")
-    compiled, parsed = read_table(table, urdf), parse_urdf(urdf, "default")
-    assert compiled is not None
-    assert_equal_trees(compiled, parsed)
-    assert write_table(parsed, urdf) == table
-
-
-def test_a_table_of_another_urdf_is_not_used(robot):
-    table = write_table(robot, robot.urdf)
-    assert read_table(table, robot.urdf) is not None
-    assert read_table(table, robot.urdf + " ") is None
+def assert_same_model(a: G1, b: G1, *, but: tuple[str, ...] = ()) -> None:
+    for field in fields(G1):
+        if field.name not in ("source", "urdf", *but):
+            np.testing.assert_array_equal(
+                getattr(a, field.name), getattr(b, field.name), err_msg=field.name
+            )
 
 
 def test_default_is_one_object_and_what_load_gives_without_a_path(robot):
@@ -68,7 +48,7 @@ def test_loading_the_default_by_path_gives_the_same_tree(robot, tmp_path):
     for spelling in (path, str(path)):
         loaded = G1.load(spelling)
         assert loaded.source == str(path)
-        assert_equal_trees(loaded, robot)
+        assert_same_model(loaded, robot)
 
 
 def test_links_come_parents_first(robot):
@@ -116,9 +96,7 @@ def test_unitrees_own_urdf_is_the_default_robot(robot, reference_urdf):
     """Meshes it names are not there under these paths, and need not be."""
     theirs = G1.load(reference_urdf("g1_29dof_rev_1_0.urdf"))
     assert theirs.name == "g1_29dof_rev_1_0"
-    for field in fields(KinematicTree):
-        if field.name != "name":
-            np.testing.assert_array_equal(getattr(theirs, field.name), getattr(robot, field.name))
+    assert_same_model(theirs, robot, but=("name",))
 
 
 def test_order_of_elements_does_not_matter(robot, tmp_path):

@@ -29,8 +29,8 @@ from g1stream.programs.outcome import StreamOutcome, loop_summary
 from g1stream.programs.recorder_child import RecorderChild, refuse_path
 from g1stream.realtime import on_time, told
 from g1stream.robot.dynamics import InverseDynamics
+from g1stream.robot.joints import TORQUE_LIMIT
 from g1stream.robot.model import G1
-from g1stream.robot.motors import TORQUE_LIMIT
 from g1stream.session.motions import load_motion
 from g1stream.types import ERROR, INFO, WARNING
 

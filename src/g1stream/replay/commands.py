@@ -20,8 +20,7 @@ from g1stream.dds.messages import LowCmd, Samples
 from g1stream.errors import RecordingError, SafetyError
 from g1stream.replay.pace import JITTER, ROUNDING, Steps, disorder, pause
 from g1stream.replay.recorded_link import PackedCommands
-from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
-from g1stream.robot.motors import TORQUE_LIMIT
+from g1stream.robot.joints import JOINT_NAMES, N_JOINTS, TORQUE_LIMIT
 from g1stream.session.streams import Command, Reference
 from g1stream.types import Floats, Phase
 

@@ -26,8 +26,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from g1stream.errors import RobotError
-from g1stream.robot.joints import JOINT_NAMES
-from g1stream.robot.motors import DAMPING, FRICTION
+from g1stream.robot.joints import DAMPING, FRICTION, JOINT_NAMES
 from g1stream.robot.mujoco_spec import mujoco_spec
 from g1stream.robot.rotations import quat_rotate_inverse
 from g1stream.types import Floats

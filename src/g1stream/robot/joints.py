@@ -1,4 +1,7 @@
-"""The 29 joints of a G1, in the order of the motors in LowCmd and LowState."""
+"""The 29 joints of a G1: names, limbs, motors and example gains, in motor order.
+
+Motor order is the order of the motors in LowCmd and LowState. All arrays are read-only.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +13,20 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from numpy.typing import NDArray
+    from g1stream.types import Floats
 
-__all__ = ["EXAMPLE_KD", "EXAMPLE_KP", "JOINT_GROUPS", "JOINT_NAMES", "N_JOINTS", "by_joint"]
+__all__ = [
+    "ARMATURE",
+    "DAMPING",
+    "EXAMPLE_KD",
+    "EXAMPLE_KP",
+    "FRICTION",
+    "JOINT_GROUPS",
+    "JOINT_NAMES",
+    "N_JOINTS",
+    "TORQUE_LIMIT",
+    "by_joint",
+]
 
 _LEG: Final = ("hip_pitch", "hip_roll", "hip_yaw", "knee", "ankle_pitch", "ankle_roll")
 _WAIST: Final = ("waist_yaw", "waist_roll", "waist_pitch")
@@ -25,7 +39,6 @@ _ARM: Final = (
     "wrist_pitch",
     "wrist_yaw",
 )
-
 _NAMES_BY_GROUP: Final = {
     "left_leg": tuple(f"left_{part}_joint" for part in _LEG),
     "right_leg": tuple(f"right_{part}_joint" for part in _LEG),
@@ -37,7 +50,7 @@ _NAMES_BY_GROUP: Final = {
 JOINT_NAMES: Final[tuple[str, ...]] = tuple(
     name for names in _NAMES_BY_GROUP.values() for name in names
 )
-"""Joint names as the URDF has them; the index is the motor's index on the wire."""
+"""Joint names as in the URDF; the index is the motor's index on the wire."""
 
 N_JOINTS: Final = len(JOINT_NAMES)
 
@@ -51,25 +64,36 @@ JOINT_GROUPS: Final[Mapping[str, tuple[int, ...]]] = MappingProxyType(
 
 
 def by_joint(ticks: Sequence[int]) -> dict[str, int]:
-    """Joint -> ticks, of (29,), the joints with most first, without those that have none."""
+    """Joint name to ticks of (29,) ticks, highest first, without the joints that have none."""
     counted = [(name, n) for name, n in zip(JOINT_NAMES, ticks, strict=True) if n]
     return dict(sorted(counted, key=lambda one: -one[1]))
 
 
-def _gains(
-    leg: Sequence[float], waist: Sequence[float], arm: Sequence[float]
-) -> NDArray[np.float64]:
-    gains = np.array([*leg, *leg, *waist, *arm, *arm], dtype=np.float64)
-    gains.setflags(write=False)
-    return gains
+def _per_joint(leg: Sequence[float], waist: Sequence[float], arm: Sequence[float]) -> Floats:
+    values = np.array([*leg, *leg, *waist, *arm, *arm], dtype=np.float64)
+    values.setflags(write=False)
+    return values
 
 
-EXAMPLE_KP: Final[NDArray[np.float64]] = _gains(
-    leg=(60, 60, 60, 100, 40, 40), waist=(60, 40, 40), arm=(40,) * len(_ARM)
-)
+EXAMPLE_KP: Final = _per_joint((60, 60, 60, 100, 40, 40), (60, 40, 40), (40,) * 7)
 """Stiffness (29,) of Unitree's G1 low-level example, N·m/rad."""
 
-EXAMPLE_KD: Final[NDArray[np.float64]] = _gains(
-    leg=(1, 1, 1, 2, 1, 1), waist=(1, 1, 1), arm=(1,) * len(_ARM)
-)
+EXAMPLE_KD: Final = _per_joint((1, 1, 1, 2, 1, 1), (1,) * 3, (1,) * 7)
 """Damping (29,) of Unitree's G1 low-level example, N·m·s/rad."""
+
+# What a motor and its gearbox add to the mechanics of the links. The figures are those of
+# unitree_mujoco's model of the G1; Unitree has not published the robot's own.
+
+TORQUE_LIMIT: Final = _per_joint(
+    (88, 88, 88, 139, 50, 50), (88, 50, 50), (25, 25, 25, 25, 25, 5, 5)
+)
+"""Highest motor torque (29,) in either direction, N·m; the URDF's efforts differ."""
+
+ARMATURE: Final = _per_joint((0.01,) * 6, (0.01,) * 3, (0.01,) * 7)
+"""Inertia of the rotor (29,), reflected to the joint, kg·m²."""
+
+DAMPING: Final = _per_joint((0.05,) * 6, (0.05,) * 3, (0.05,) * 7)
+"""Viscous friction (29,), N·m·s/rad."""
+
+FRICTION: Final = _per_joint((0.2,) * 6, (0.2,) * 3, (0.2,) * 5 + (0.1,) * 2)
+"""Dry friction (29,), N·m; less in the small motors of wrist pitch and yaw."""

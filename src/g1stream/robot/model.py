@@ -1,34 +1,76 @@
-"""The robot that everything else is given: the default one, or a URDF of the user's."""
+"""The robot model: the links, joints and limits of a 29-joint G1, as arrays."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cache
+from dataclasses import dataclass, fields
+from functools import cache, cached_property
 from importlib import resources
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from g1stream.errors import RobotError
-from g1stream.robot.table import read_table
-from g1stream.robot.tree import KinematicTree
-from g1stream.robot.urdf import parse_urdf
+from g1stream.robot.urdf import parse_urdf, read_kinematics
 
-__all__ = ["DEFAULT_TABLE", "DEFAULT_URDF", "G1"]
+if TYPE_CHECKING:
+    from xml.etree.ElementTree import Element
+
+    from numpy.typing import NDArray
+
+    from g1stream.types import Floats
+
+__all__ = ["DEFAULT_URDF", "G1"]
 
 DEFAULT_URDF = resources.files(__package__) / "g1_29dof.urdf"
-DEFAULT_TABLE = resources.files(__package__) / "g1_29dof.json"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class G1(KinematicTree):
-    """A 29-joint G1: its links and joints as arrays, and the URDF they were read from.
+class G1:
+    """A 29-joint G1 as its URDF describes it. All arrays are read-only.
+
+    L counts the links, moving and fixed. The joint of a link is the one to its parent; the link's
+    frame is at the joint's origin, turned by `joint_pos` about the joint's axis.
 
     Attributes:
         source: path of the URDF, or "default".
         urdf: the URDF's XML text.
+        name: the URDF's robot name.
+        link_names: (L,) root first, parents before children.
+        parent: (L,) index of the parent link, -1 for the root.
+        joint_of_link: (L,) index into `joint_names` of the link's joint, -1 where it does not move.
+        origin_pos: (L, 3) m, the joint's origin in the parent link's frame.
+        origin_quat_wxyz: (L, 4) likewise, at zero joint position.
+        axis: (L, 3) unit axis in the link's own frame, zero where the link does not move.
+        joint_names: (29,) motor order.
+        lower: (29,) rad.
+        upper: (29,) rad.
+        velocity: (29,) rad/s, highest speed in either direction.
+        effort: (29,) N·m, highest torque in either direction.
+        ignored_joints: moving joints that are not the G1's own (fingers); they are held at zero.
     """
 
     source: str
     urdf: str
+    name: str
+    link_names: tuple[str, ...]
+    parent: NDArray[np.intp]
+    joint_of_link: NDArray[np.intp]
+    origin_pos: Floats
+    origin_quat_wxyz: Floats
+    axis: Floats
+    joint_names: tuple[str, ...]
+    lower: Floats
+    upper: Floats
+    velocity: Floats
+    effort: Floats
+    ignored_joints: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, np.ndarray):
+                value.setflags(write=False)
 
     def __repr__(self) -> str:
         return f"G1(name={self.name!r}, source={self.source!r}, links={len(self.link_names)})"
@@ -36,13 +78,11 @@ class G1(KinematicTree):
     @classmethod
     @cache
     def default(cls) -> G1:
-        """The robot that comes with this package: figures of g1_29dof_rev_1_0, primitive shapes.
+        """The robot in this package: figures of g1_29dof_rev_1_0, primitive shapes.
 
-        Takes milliseconds, as its URDF was compiled beforehand. Every call returns the same object.
+        Every call returns the same object.
         """
-        urdf = DEFAULT_URDF.read_text(encoding="utf-8")
-        tree = read_table(DEFAULT_TABLE.read_text(encoding="utf-8"), urdf)
-        return cls(**vars(tree or parse_urdf(urdf, "default")), source="default", urdf=urdf)
+        return cls._read(DEFAULT_URDF.read_text(encoding="utf-8"), "default")
 
     @classmethod
     def load(cls, path: str | Path | None = None) -> G1:
@@ -55,20 +95,51 @@ class G1(KinematicTree):
         """
         if path is None:
             return cls.default()
-        urdf = _read_text(Path(path))
-        return cls(**vars(parse_urdf(urdf, str(path))), source=str(path), urdf=urdf)
+        try:
+            urdf = Path(path).read_text(encoding="utf-8")
+        except OSError as error:
+            raise RobotError(
+                f"The URDF {path} cannot be read: {error.strerror}.",
+                "Give the path of a URDF file, or leave it out to use the default robot.",
+            ) from error
+        except UnicodeDecodeError as error:
+            raise RobotError(
+                f"The URDF {path} is not text: its byte {error.start} is not UTF-8.",
+                "Give a URDF in XML, saved as UTF-8.",
+            ) from error
+        return cls._read(urdf, str(path))
 
+    @classmethod
+    def _read(cls, urdf: str, source: str) -> G1:
+        kinematics = read_kinematics(parse_urdf(urdf, source), source)
+        return cls(source=source, urdf=urdf, **kinematics)
 
-def _read_text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise RobotError(
-            f"The URDF {path} cannot be read: {error.strerror}.",
-            "Give the path of a URDF file, or none for the robot that g1stream brings.",
-        ) from error
-    except UnicodeDecodeError as error:
-        raise RobotError(
-            f"The URDF {path} is not text: its byte {error.start} is not UTF-8.",
-            "Give a URDF in XML, saved as UTF-8.",
-        ) from error
+    @property
+    def xml(self) -> Element:
+        """The root element of the URDF; not to be changed."""
+        return parse_urdf(self.urdf, self.source)
+
+    def link_index(self, name: str) -> int:
+        """Index of a link.
+
+        Raises:
+            RobotError: there is no link of this name.
+        """
+        if name not in self.link_names:
+            raise RobotError(
+                f"The robot {self.name!r} has no link {name!r}.",
+                f"Its links are {', '.join(self.link_names)}.",
+            )
+        return self.link_names.index(name)
+
+    @cached_property
+    def levels(self) -> tuple[NDArray[np.intp], ...]:
+        """Link indices by distance from the root, nearest first, without the root.
+
+        The links of one level depend on the previous level only, so that kinematics takes a level
+        at a time.
+        """
+        depth = np.zeros(len(self.parent), dtype=np.intp)
+        for link, parent in enumerate(self.parent[1:], start=1):
+            depth[link] = depth[parent] + 1
+        return tuple(np.flatnonzero(depth == level) for level in range(1, int(depth.max()) + 1))

@@ -1,12 +1,12 @@
-"""The robot as MuJoCo takes it: one description for the simulator and for the inverse dynamics."""
+"""The robot's MuJoCo model, for the simulator and for the inverse dynamics."""
 
 from __future__ import annotations
 
+from copy import deepcopy
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree as ET
 
-from g1stream.robot.joints import JOINT_NAMES
-from g1stream.robot.motors import ARMATURE, FRICTION
+from g1stream.robot.joints import ARMATURE, FRICTION, JOINT_NAMES
 
 if TYPE_CHECKING:
     from g1stream.robot.model import G1
@@ -15,18 +15,18 @@ __all__ = ["mujoco_spec"]
 
 
 def mujoco_spec(robot: G1, *, floating: bool, shapes: bool) -> Any:
-    """A `mujoco.MjSpec` of the robot's URDF, its joints with the motors' inertia and dry friction.
+    """A `mujoco.MjSpec` of the robot's URDF, with the motors' inertia and dry friction.
 
-    Every link is a body of its own, of the link's name, and the base is the world's first body.
-    Meshes are left out, and so are the joints of fingers, which stay at zero.
+    Every link is a body with the link's name, and the base is the first body of the world. Meshes
+    are left out; the joints of fingers are fixed at zero.
 
-    The motors' viscous damping is for the caller to set in the compiled model's `dof_damping`: a
-    spec takes a number in MuJoCo 3 and a polynomial in 4, the model an array in both.
+    The caller sets the motors' viscous damping in `dof_damping` of the compiled model: in a spec it
+    is a number in MuJoCo 3 and a polynomial in 4, in the model an array in both.
 
     Args:
-        robot: whose URDF to take.
-        floating: give the base a free joint, rather than make it part of the world.
-        shapes: keep the primitive shapes, each with a name of its own.
+        robot: has the URDF.
+        floating: give the base a free joint; otherwise it is part of the world.
+        shapes: keep the primitive shapes, each with a name.
 
     Raises:
         ValueError: MuJoCo does not accept the URDF.
@@ -46,7 +46,7 @@ def mujoco_spec(robot: G1, *, floating: bool, shapes: bool) -> Any:
 
 def _simplified(robot: G1, shapes: bool) -> str:
     """The URDF without meshes, finger joints and, unless wanted, shapes."""
-    root = ET.fromstring(robot.urdf)
+    root = deepcopy(robot.xml)
     for settings in root.findall("mujoco"):
         root.remove(settings)
     settings = ET.SubElement(root, "mujoco")

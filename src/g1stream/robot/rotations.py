@@ -7,27 +7,20 @@ angles, unit quaternions, and rotation vectors" (2006), with active rotations (q
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from g1stream.types import Floats
 
-if TYPE_CHECKING:
-    pass
-
-
 __all__ = [
-    "quat_angle",
     "quat_conj",
     "quat_from_axis_angle",
-    "quat_from_matrix",
     "quat_from_rpy",
     "quat_mul",
     "quat_normalize",
     "quat_rotate",
     "quat_rotate_inverse",
-    "quat_to_matrix",
     "quat_to_rpy",
     "wxyz_from_xyzw",
     "xyzw_from_wxyz",
@@ -45,8 +38,8 @@ def _bilinear(table: list[list[int]], n: int) -> Floats:
     return matrix.reshape(n * n, n)
 
 
-# Each product is linear in both factors, so it is one outer product and one constant matrix. That
-# costs four numpy calls whatever the batch, where writing out the components costs thirty.
+# Each product is linear in both factors: one outer product times a constant matrix. That takes four
+# numpy calls, where the components one by one would take thirty.
 _HAMILTON: Final = _bilinear([[1, 2, 3, 4], [2, -1, 4, -3], [3, -4, -1, 2], [4, 3, -2, -1]], 4)
 _CROSS: Final = _bilinear([[0, 3, -2], [-3, 0, 1], [2, -1, 0]], 3)
 
@@ -59,7 +52,7 @@ def _product(a: Floats, b: Floats, matrix: Floats) -> Floats:
 
 
 def quat_mul(a: Floats, b: Floats) -> Floats:
-    """Hamilton product (..., 4): the rotation that does `b` first and then `a`."""
+    """Hamilton product (..., 4): the rotation `b` followed by `a`."""
     return _product(a, b, _HAMILTON)
 
 
@@ -114,11 +107,12 @@ def quat_from_rpy(rpy: Floats) -> Floats:
 
 
 def quat_to_rpy(quat: Floats) -> Floats:
-    """Roll, pitch, yaw (..., 3) rad of unit quaternions (..., 4), as `quat_from_rpy` takes them.
+    """Roll, pitch, yaw (..., 3) rad of unit quaternions (..., 4); the inverse of `quat_from_rpy`.
 
-    Pitch lies in [-pi/2, pi/2]. At its ends only the sum or the difference of roll and yaw is
-    defined; the result is then one of the triples that give this rotation. By half the sum and half
-    the difference of roll and yaw (E. Bernardes and S. Viollet, 2022), which is exact there too.
+    Pitch is in [-pi/2, pi/2]. At either end only the sum or the difference of roll and yaw is
+    defined, and the result is one of the triples of this rotation. Computed from half the sum and
+    half the difference of roll and yaw, which is exact there too (E. Bernardes and S. Viollet,
+    "Quaternion to Euler angles conversion", 2022).
     """
     w, x, y, z = np.moveaxis(quat, -1, 0)
     half_sum, half_difference = np.arctan2(x + z, w - y), np.arctan2(x - z, w + y)
@@ -133,42 +127,6 @@ def yaw_of(quat: Floats) -> Floats:
     w, x, y, z = np.moveaxis(quat, -1, 0)
     heading: Floats = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
     return heading
-
-
-def quat_to_matrix(quat: Floats) -> Floats:
-    """Rotation matrices (..., 3, 3) of unit quaternions (..., 4)."""
-    columns = [quat_rotate(quat, axis) for axis in np.eye(3)]
-    return np.stack(columns, axis=-1)
-
-
-def quat_from_matrix(matrix: Floats) -> Floats:
-    """Unit quaternions (..., 4), w >= 0, of rotation matrices (..., 3, 3).
-
-    The products 4 q_i q_j are linear in the matrix, which gives four multiples of the quaternion,
-    one per row; the longest is the well-conditioned one (S. W. Shepperd, 1978).
-    """
-    m = np.asarray(matrix)
-    trace = np.trace(m, axis1=-2, axis2=-1)
-    products = np.empty((*m.shape[:-2], 4, 4))
-    products[..., 0, 0] = 1 + trace
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        products[..., i + 1, i + 1] = 1 + 2 * m[..., i, i] - trace
-        products[..., 0, i + 1] = products[..., i + 1, 0] = m[..., k, j] - m[..., j, k]
-        products[..., i + 1, j + 1] = products[..., j + 1, i + 1] = m[..., i, j] + m[..., j, i]
-    longest = np.argmax(np.diagonal(products, axis1=-2, axis2=-1), axis=-1)
-    row = np.take_along_axis(products, longest[..., None, None], axis=-2)[..., 0, :]
-    return quat_normalize(np.where(row[..., :1] < 0, -row, row))
-
-
-def quat_angle(a: Floats, b: Floats) -> Floats:
-    """Angle (...) rad in [0, pi] of the turn between two unit quaternions (..., 4).
-
-    From both the sine and the cosine of the half angle, so that small angles keep their digits.
-    """
-    turn = quat_mul(quat_conj(a), b)
-    angle: Floats = 2 * np.arctan2(np.linalg.norm(turn[..., 1:], axis=-1), np.abs(turn[..., 0]))
-    return angle
 
 
 def wxyz_from_xyzw(quat_xyzw: Floats) -> Floats:

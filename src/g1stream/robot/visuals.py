@@ -1,28 +1,27 @@
-"""What a robot looks like: the <visual> elements of its URDF."""
+"""The shapes of a robot: the <visual> elements of its URDF."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
-from xml.etree import ElementTree as ET
 
 import numpy as np
 
 from g1stream.errors import RobotError
 from g1stream.robot.rotations import quat_from_rpy
+from g1stream.robot.urdf import numbers
 
 if TYPE_CHECKING:
+    from xml.etree.ElementTree import Element
+
     from g1stream.robot.model import G1
 
 __all__ = ["Visual", "find_mesh", "missing_meshes", "read_visuals"]
 
 Kind = Literal["box", "cylinder", "sphere", "mesh"]
-Vector3 = tuple[float, float, float]
-Vector4 = tuple[float, float, float, float]
 
-_GREY: Final[Vector4] = (0.7, 0.7, 0.7, 1.0)
+_GREY: Final = (0.7, 0.7, 0.7, 1.0)
 
 
 @dataclass(frozen=True)
@@ -30,22 +29,22 @@ class Visual:
     """One shape of a link.
 
     Attributes:
-        link: whose shape it is.
+        link: the link that it belongs to.
         kind: box, cylinder (its axis along z), sphere or mesh.
-        pos: m, its centre in the link's frame; for a mesh, its origin.
-        quat_wxyz: its orientation in the link's frame.
-        size: m, along each of its own axes, round ones by their diameter; for a mesh, its scale.
-        rgba: each from 0 to 1; grey where the URDF names none.
+        pos: (3,) m, its centre in the link's frame; for a mesh, its origin.
+        quat_wxyz: (4,) its orientation in the link's frame.
+        size: (3,) m, along its own axes, with diameters for round shapes; for a mesh, its scale.
+        rgba: (4,) each from 0 to 1; grey where the URDF names no colour.
         coloured: whether the URDF names a colour.
         mesh: the mesh's file as the URDF names it; empty for other kinds.
     """
 
     link: str
     kind: Kind
-    pos: Vector3
-    quat_wxyz: Vector4
-    size: Vector3
-    rgba: Vector4
+    pos: tuple[float, ...]
+    quat_wxyz: tuple[float, ...]
+    size: tuple[float, ...]
+    rgba: tuple[float, ...]
     coloured: bool
     mesh: str = ""
 
@@ -54,30 +53,39 @@ def read_visuals(robot: G1) -> tuple[Visual, ...]:
     """The shapes of a robot's links, in the order of its URDF.
 
     Raises:
-        RobotError: a figure of a shape is missing or not a number, or the shape is not of a known
-            kind.
+        RobotError: a number of a shape is missing or wrong, or the kind of shape is unknown.
     """
-    root = ET.fromstring(robot.urdf)
-    materials = {m.get("name", ""): m for m in root.findall("material")}
+    materials = {m.get("name", ""): m for m in robot.xml.findall("material")}
     shapes = [
-        (link.get("name", ""), element)
-        for link in root.findall("link")
-        for element in link.findall("visual")
+        (link.get("name", ""), visual)
+        for link in robot.xml.findall("link")
+        for visual in link.findall("visual")
     ]
     # All rotations at once: one by one they would take longer than everything else here.
-    turns = [_origin(link, element, "rpy", robot.source) for link, element in shapes]
-    quats = quat_from_rpy(np.array(turns).reshape(-1, 3)).tolist()
-    return tuple(
-        _visual(link, element, materials, tuple(quat), robot.source)
-        for (link, element), quat in zip(shapes, quats, strict=True)
-    )
+    rpy = [
+        numbers(visual.find("origin"), "rpy", 3, _where(robot, link), "0 0 0")
+        for link, visual in shapes
+    ]
+    quats = quat_from_rpy(np.array(rpy).reshape(-1, 3)).tolist()
+    found = []
+    for (link, visual), quat in zip(shapes, quats, strict=True):
+        where = _where(robot, link)
+        kind, size, mesh = _geometry(visual.find("geometry/*"), where)
+        pos = numbers(visual.find("origin"), "xyz", 3, where, "0 0 0")
+        color = _color(visual.find("material"), materials, where)
+        found.append(
+            Visual(
+                link, kind, tuple(pos), tuple(quat), size, color or _GREY, color is not None, mesh
+            )
+        )
+    return tuple(found)
 
 
 def find_mesh(robot: G1, name: str) -> Path | None:
-    """The file of a mesh, or None where it is not there.
+    """The file of a mesh, or None where it does not exist.
 
-    Relative names start from the URDF's directory. For `package://NAME/REST` the package is looked
-    for in that directory and those above it, as a directory called NAME or one that holds REST.
+    Relative names start from the URDF's directory. For `package://NAME/REST` the package is
+    searched in that directory and those above it, as a directory called NAME or one that has REST.
     """
     from urllib.parse import unquote, urlparse
 
@@ -85,8 +93,9 @@ def find_mesh(robot: G1, name: str) -> Path | None:
     rest = unquote(url.path).lstrip("/")
     start = Path(robot.source).resolve().parent
     if url.scheme == "package":
-        places = [up / tail for up in (start, *start.parents) for tail in (url.netloc, "")]
-        candidates = [place / rest for place in places]
+        candidates = [
+            up / package / rest for up in (start, *start.parents) for package in (url.netloc, "")
+        ]
     elif url.scheme == "file":
         candidates = [Path("/", rest)]
     else:
@@ -95,80 +104,42 @@ def find_mesh(robot: G1, name: str) -> Path | None:
 
 
 def missing_meshes(robot: G1) -> tuple[str, ...]:
-    """The meshes that the robot's URDF names and that are not there, each once."""
+    """The meshes that the robot's URDF names and that do not exist, each once."""
     names = dict.fromkeys(visual.mesh for visual in read_visuals(robot) if visual.mesh)
     return tuple(name for name in names if find_mesh(robot, name) is None)
 
 
-def _origin(link: str, element: ET.Element, key: str, source: str) -> Vector3:
-    """What a shape's <origin> says: its `xyz` in m or its `rpy` in rad, zero where it is silent."""
-    origin = element.find("origin")
-    text = "0 0 0" if origin is None else origin.get(key, "0 0 0")
-    x, y, z = _numbers(text, 3, _where(link, source))
-    return x, y, z
+def _where(robot: G1, link: str) -> str:
+    return f"{robot.source}: a shape of the link {link!r}"
 
 
-def _visual(
-    link: str, element: ET.Element, materials: dict[str, ET.Element], quat: Vector4, source: str
-) -> Visual:
-    where = _where(link, source)
-    pos = _origin(link, element, "xyz", source)
-    kind, size, mesh = _geometry(element.find("geometry/*"), where)
-    colour = _colour(element.find("material"), materials, where)
-    return Visual(link, kind, pos, quat, size, colour or _GREY, colour is not None, mesh)
-
-
-def _where(link: str, source: str) -> str:
-    return f"{source}: a shape of the link {link!r}"
-
-
-def _geometry(shape: ET.Element | None, where: str) -> tuple[Kind, Vector3, str]:
+def _geometry(shape: Element | None, where: str) -> tuple[Kind, tuple[float, ...], str]:
     """Kind, size and mesh name."""
-    kind = "nothing" if shape is None else shape.tag
-    get = {} if shape is None else shape.attrib
+    kind = "missing" if shape is None else shape.tag
     if kind == "box":
-        x, y, z = _numbers(get.get("size", ""), 3, where)
-        return "box", (x, y, z), ""
+        return "box", tuple(numbers(shape, "size", 3, where)), ""
     if kind == "sphere":
-        (radius,) = _numbers(get.get("radius", ""), 1, where)
-        return "sphere", (2 * radius, 2 * radius, 2 * radius), ""
+        (radius,) = numbers(shape, "radius", 1, where)
+        return "sphere", (2 * radius,) * 3, ""
     if kind == "cylinder":
-        radius, length = _numbers(f"{get.get('radius', '')} {get.get('length', '')}", 2, where)
+        (radius,), (length,) = (numbers(shape, key, 1, where) for key in ("radius", "length"))
         return "cylinder", (2 * radius, 2 * radius, length), ""
-    if kind == "mesh" and get.get("filename"):
-        x, y, z = _numbers(get.get("scale", "1 1 1"), 3, where)
-        return "mesh", (x, y, z), get["filename"]
+    mesh = "" if shape is None else shape.get("filename", "")
+    if kind == "mesh" and mesh:
+        return "mesh", tuple(numbers(shape, "scale", 3, where, "1 1 1")), mesh
     raise RobotError(
         f"{where} is {'a mesh without a file' if kind == 'mesh' else kind}.",
         "Make it a box, a cylinder, a sphere or a mesh with its filename.",
     )
 
 
-def _colour(
-    material: ET.Element | None, materials: dict[str, ET.Element], where: str
-) -> Vector4 | None:
-    """What the material says, itself or where the URDF defines the one of that name."""
+def _color(
+    material: Element | None, materials: dict[str, Element], where: str
+) -> tuple[float, ...] | None:
+    """The colour of a material, its own or that of the URDF's material of the same name."""
     if material is None:
         return None
-    colour = material.find("color")
-    if colour is None:
-        named = materials.get(material.get("name", ""))
-        colour = None if named is None else named.find("color")
-    if colour is None:
-        return None
-    r, g, b, a = _numbers(colour.get("rgba", ""), 4, where)
-    return r, g, b, a
-
-
-def _numbers(text: str, count: int, where: str) -> list[float]:
-    try:
-        numbers = [float(word) for word in text.split()]
-    except ValueError:
-        numbers = []
-    if len(numbers) != count or not all(map(isfinite, numbers)):
-        needed = f"{count} finite number{'s' * (count > 1)}"
-        raise RobotError(
-            f"{where} has {text.strip()!r} where it needs {needed}.",
-            "Correct it in the URDF.",
-        )
-    return numbers
+    color = material.find("color")
+    if color is None and material.get("name", "") in materials:
+        color = materials[material.get("name", "")].find("color")
+    return None if color is None else tuple(numbers(color, "rgba", 4, where))

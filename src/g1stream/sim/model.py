@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 from g1stream.errors import SimError
-from g1stream.robot.joints import JOINT_NAMES
-from g1stream.robot.motors import DAMPING, TORQUE_LIMIT
+from g1stream.robot.joints import DAMPING, JOINT_NAMES, TORQUE_LIMIT
 from g1stream.robot.mujoco_spec import mujoco_spec
 
 if TYPE_CHECKING:
@@ -30,7 +29,7 @@ def build_model(
     """Compile a `mujoco.MjModel` of the robot above a floor at height 0.
 
     Motors are servos in motor order: with control c and `actuator_biasprm` (0, -kp, -kd) a motor's
-    force is c - kp q - kd dq, clipped at `g1stream.robot.motors.TORQUE_LIMIT`. Sensors bear
+    force is c - kp q - kd dq, clipped at `g1stream.robot.joints.TORQUE_LIMIT`. Sensors bear
     unitree_mujoco's names: `imu_quat`, `imu_gyro`, `imu_acc` at the URDF's `imu_in_pelvis`, the
     same with `secondary_` in front at its `imu_in_torso` (at the base and the torso where it has no
     such frames), `frame_pos` and `frame_vel` of the base.

@@ -173,7 +173,7 @@ class World:
         """Advance by one timestep, the motors obeying the command.
 
         Each motor gives tau + kp (q - measured q) + kd (dq - measured dq), clipped at
-        `g1stream.robot.motors.TORQUE_LIMIT`.
+        `g1stream.robot.joints.TORQUE_LIMIT`.
 
         Raises:
             SimError: the command is not finite, or the state can no longer be integrated.

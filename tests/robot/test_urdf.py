@@ -1,8 +1,6 @@
-"""What is wrong with a URDF is said in one sentence, and what to do in another."""
+"""Every fault of a URDF gives a cause and a remedy."""
 
 from __future__ import annotations
-
-import re
 
 import pytest
 
@@ -21,10 +19,10 @@ EDITS = {
     "an end that is missing": (END, "", "not XML: line ", "URDF"),
     "another format": ("robot", "mujoco", "its root element is <mujoco>", "MJCF"),
     "text in a number": (ANKLE, 'xyz="0 0 low"', "'left_ankle_pitch_joint' has xyz='0 0 low' in",
-                         "three"),
-    "two numbers for three": (ANKLE, 'xyz="0 0"', "has xyz='0 0' in its <origin>", "three"),
-    "a number that is none": (ANKLE, 'xyz="nan 0 0"', "xyz='nan 0 0'", "three"),
-    "four angles": ('rpy="0 0.1749 0"', 'rpy="0 1 0 0"', "has rpy='0 1 0 0'", "three"),
+                         "3 finite"),
+    "two numbers for three": (ANKLE, 'xyz="0 0"', "has xyz='0 0' in its <origin>", "3 finite"),
+    "a number that is none": (ANKLE, 'xyz="nan 0 0"', "xyz='nan 0 0'", "3 finite"),
+    "four angles": ('rpy="0 0.1749 0"', 'rpy="0 1 0 0"', "has rpy='0 1 0 0'", "3 finite"),
     "a link without a name": ('<link name="head_link">', "<link>", "a link without a name", ""),
     "a joint without a parent": ('<parent link="left_hip_yaw_link" />', "",
                                  "'left_knee_joint' has no <parent>", "one root"),
@@ -44,25 +42,26 @@ EDITS = {
         END, '<link name="a"/><link name="b"/>'
         '<joint name="j" type="fixed"><parent link="a"/><child link="b"/></joint>'
         '<joint name="k" type="fixed"><parent link="b"/><child link="a"/></joint></robot>',
-        "no way leads from the root to the links a, b", "one root"),
+        "the links a, b are not connected", "one root"),
     "joints that are not there": ('name="waist_roll_joint"', 'name="waist_lean_joint"',
                                   "lacks 1 of the G1's 29 moving joints: waist_roll_joint",
                                   "29 joints"),
     "a joint that is fixed": (KNEE, KNEE.replace("revolute", "fixed"), "left_knee_joint", "29"),
     "a joint that slides": (KNEE, KNEE.replace("revolute", "prismatic"),
-                            "'left_knee_joint' is prismatic, not revolute", "29 joints"),
-    "a joint of no known type": (KNEE, KNEE.replace("revolute", "hinge"), "is hinge", "29"),
-    "a joint without a type": (KNEE, KNEE.replace(' type="revolute"', ""), "is of no type", "29"),
+                            "'left_knee_joint' is of type 'prismatic'", "29 joints"),
+    "a joint of no known type": (KNEE, KNEE.replace("revolute", "hinge"), "'hinge'", "29"),
+    "a joint without a type": (KNEE, KNEE.replace(' type="revolute"', ""), "of type ''", "29"),
     "a floating base": (FIXED_LOGO, FIXED_LOGO.replace("fixed", "floating"), "is floating",
                         "moves freely"),
     "a zero axis": ('<axis xyz="1 0 0"', '<axis xyz="0 0 0"', "[0.0, 0.0, 0.0]", "length 1"),
     "a long axis": ('<axis xyz="1 0 0"', '<axis xyz="1 1 0"', "[1.0, 1.0, 0.0]", "length 1"),
-    "a short axis": ('<axis xyz="1 0 0"', '<axis xyz="1"', "xyz='1' in its <axis>", "three"),
+    "a short axis": ('<axis xyz="1 0 0"', '<axis xyz="1"', "xyz='1' in its <axis>", "3 finite"),
     "an axis that is no number": ('<axis xyz="1 0 0"', '<axis xyz="nan 0 0"',
-                                  "xyz='nan 0 0' in its <axis>", "three"),
+                                  "xyz='nan 0 0' in its <axis>", "3 finite"),
     "no limit": (KNEE_LIMIT, "", "'left_knee_joint' lacks a limit", "a <limit>"),
     "half a limit": (KNEE_LIMIT, '<limit lower="-0.08" upper="2.8" effort="139"/>', "lacks", ""),
-    "an endless limit": (KNEE_LIMIT, KNEE_LIMIT.replace("2.8798", "inf"), "upper='inf'", "one as"),
+    "an endless limit": (KNEE_LIMIT, KNEE_LIMIT.replace("2.8798", "inf"), "upper='inf'",
+                         "1 finite"),
     "limits the wrong way round": (KNEE_LIMIT, KNEE_LIMIT.replace("-0.087267", "3"),
                                    "cannot move: lower 3.0, upper 2.8798", "lower less than upper"),
     "a motor without torque": (KNEE_LIMIT, KNEE_LIMIT.replace("139", "0"), "effort 0.0", "posi"),
@@ -87,9 +86,6 @@ def test_one_defect_one_error(robot, load, old, new, cause, remedy):
     assert cause in caught.value.cause
     assert "some.urdf" in caught.value.cause
     assert remedy in caught.value.remedy
-    for sentence in (caught.value.cause, caught.value.remedy):
-        assert "\n" not in sentence
-        assert re.search(r"\w.*\.$", sentence)
 
 
 def test_all_missing_joints_of_a_23_joint_robot_are_named(robot, load):
@@ -109,19 +105,19 @@ def test_axes_rounded_to_four_digits_are_unit(robot, load):
     assert (rounded.axis[knee] ** 2).sum() == pytest.approx(1, abs=1e-15)
 
 
-def test_other_elements_are_not_looked_at(robot, load):
+def test_other_elements_are_ignored(robot, load):
     odd = robot.urdf.replace('<sphere radius="0.005" />', '<capsule radius="x" />')
     odd = odd.replace("</robot>", "<gazebo><plugin/></gazebo><link_group/></robot>")
     odd = odd.replace(KNEE_LIMIT, KNEE_LIMIT + "<mimic/><safety_controller/>")
     assert load(odd).link_names == robot.link_names
 
 
-def test_broken_xml_is_placed(load):
+def test_broken_xml_is_named_with_its_place(load):
     with pytest.raises(RobotError, match=r"some.urdf is not XML: line 2, column 9\."):
         load('<robot name="g1">\n  <link < name="pelvis"/>\n</robot>')
 
 
-def test_a_file_that_is_not_there(tmp_path):
+def test_a_missing_file(tmp_path):
     with pytest.raises(RobotError, match=r"nowhere.urdf cannot be read: No such file"):
         G1.load(tmp_path / "nowhere.urdf")
 

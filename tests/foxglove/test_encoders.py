@@ -50,7 +50,7 @@ def urdf(robot):
 
 
 @pytest.mark.parametrize("prefix", ["", MEASURED_PREFIX])
-def test_a_viewer_finds_every_link_where_yourdfpy_has_it(robot, urdf, frames, prefix):
+def test_link_poses_match_yourdfpy(robot, urdf, frames, prefix):
     stamps, joint_pos, root_pos, root_quat = frames
     rows = TransformsEncoder(robot, prefix).encode(stamps, joint_pos, root_pos, root_quat)
     for t in range(5):
@@ -65,7 +65,7 @@ def test_a_viewer_finds_every_link_where_yourdfpy_has_it(robot, urdf, frames, pr
             np.testing.assert_allclose(world[prefix + name], expected, atol=1e-9)
 
 
-def test_transforms_follow_the_tree_of_the_urdf_and_carry_their_stamp(robot, frames):
+def test_transforms_have_the_parents_of_the_urdf_and_their_timestamp(robot, frames):
     stamps, *pose = frames
     rows = TransformsEncoder(robot).encode(stamps, *pose)
     message = FrameTransforms.FromString(rows[3].tobytes())
@@ -76,7 +76,7 @@ def test_transforms_follow_the_tree_of_the_urdf_and_carry_their_stamp(robot, fra
     assert {t.timestamp.ToNanoseconds() for t in message.transforms} == {stamps[3]}
 
 
-def test_the_robots_share_nothing_but_the_world(robot, frames):
+def test_reference_and_measured_frames_share_only_the_world(robot, frames):
     stamps, *pose = frames
     names = []
     for prefix in ("", MEASURED_PREFIX):
@@ -86,7 +86,7 @@ def test_the_robots_share_nothing_but_the_world(robot, frames):
     assert names[0] & names[1] == {"world"}
 
 
-def test_a_log_line():
+def test_log_message():
     message = Log.FromString(encode_log(T0 + 7, 3, "stream", "LowState is 120 ms old"))
     assert message.timestamp.ToNanoseconds() == T0 + 7
     assert message.level == Log.WARNING

@@ -25,7 +25,7 @@ def same(quats, rotations):
 
 
 @pytest.mark.parametrize("power_on_yaw", [0.0, 1.0, -3.0])
-def test_the_measured_robot_faces_as_the_reference_at_the_start(power_on_yaw):
+def test_measured_yaw_is_aligned_with_the_reference_at_the_start(power_on_yaw):
     base = MeasuredBase()
     base.add_references(TIMES, np.zeros((5, 3)), wxyz(spin([0.5] * 5, 0, 0)))
     true_yaws = 0.5 + 0.1 * np.arange(5)
@@ -34,7 +34,7 @@ def test_the_measured_robot_faces_as_the_reference_at_the_start(power_on_yaw):
     assert base.yaw_offset == pytest.approx(-power_on_yaw)
 
 
-def test_the_yaw_is_turned_once_and_stays():
+def test_yaw_is_aligned_once():
     base = MeasuredBase()
     base.add_references(TIMES, np.zeros((5, 3)), wxyz(spin([1.0] * 5)))
     base.poses(TIMES[:1], wxyz(spin([0.0])))
@@ -43,7 +43,7 @@ def test_the_yaw_is_turned_once_and_stays():
     same(quats, spin([1.3] * 5))
 
 
-def test_without_a_reference_the_imu_is_shown_as_it_is():
+def test_without_a_reference_the_imu_quaternion_is_unchanged():
     base = MeasuredBase()
     imu = wxyz(spin([0.7] * 5))
     positions, quats = base.poses(TIMES, imu)
@@ -52,7 +52,7 @@ def test_without_a_reference_the_imu_is_shown_as_it_is():
     assert base.as_dict() == {"yaw_offset_rad": None, "position_from": "none"}
 
 
-def test_the_references_position_stands_in_where_nobody_measures_it():
+def test_without_sportmodestate_the_position_is_the_references():
     base = MeasuredBase()
     path = np.stack([np.linspace(0, 1, 5), np.zeros(5), np.full(5, 0.8)], axis=-1)
     base.add_references(TIMES, path, wxyz(spin([0.0] * 5)))
@@ -62,7 +62,7 @@ def test_the_references_position_stands_in_where_nobody_measures_it():
     assert base.source == "reference"
 
 
-def test_a_measured_position_turns_with_the_yaw_about_the_start():
+def test_a_measured_position_is_rotated_by_the_yaw_offset_about_the_start():
     base = MeasuredBase()
     base.add_references(TIMES, np.full((5, 3), 9.0), wxyz(spin([np.pi / 2] * 5, 0, 0)))
     walked = np.stack([2.0 + np.arange(5), np.full(5, 3.0), np.full(5, 0.8)], axis=-1)
@@ -76,7 +76,7 @@ def test_a_measured_position_turns_with_the_yaw_about_the_start():
 
 
 @pytest.mark.parametrize("bad", [0.0, np.nan, 3.0])
-def test_the_yaw_is_turned_at_the_first_state_that_has_an_attitude(bad):
+def test_yaw_is_aligned_at_the_first_state_with_a_valid_quaternion(bad):
     base = MeasuredBase()
     base.add_references(TIMES, np.zeros((5, 3)), wxyz(spin([0.5] * 5)))
     imu = wxyz(spin([0.2] * 5))

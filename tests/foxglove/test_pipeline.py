@@ -26,7 +26,7 @@ def batch(message, times, **fields):
     return Batch([message.tobytes()] * len(times), [t + 50_000 for t in times], list(times))
 
 
-def test_batches_become_the_samples_and_what_is_derived_from_them():
+def test_batches_become_raw_and_derived_messages():
     pipeline = MessagePipeline(G1.default(), tf_rate=100.0)
     times = [T0 + 2_000_000 * i for i in range(50)]
     upright = np.array([1.0, 0.0, 0.0, 0.0])
@@ -64,7 +64,7 @@ def test_batches_become_the_samples_and_what_is_derived_from_them():
 
 
 @pytest.mark.parametrize(("rate", "wanted", "kept"), [(500, 100, 100), (1000, 100, 100)])
-def test_a_fast_source_is_thinned_evenly(rate, wanted, kept):
+def test_decimator_thins_a_fast_stream_evenly(rate, wanted, kept):
     stamps = 1_700_000_000_000_000_000 + np.arange(rate) * (1_000_000_000 // rate)
     decimator = Decimator(wanted)
     picked = np.concatenate([part[decimator.pick(part)] for part in np.array_split(stamps, 20)])
@@ -72,12 +72,12 @@ def test_a_fast_source_is_thinned_evenly(rate, wanted, kept):
     assert set(np.diff(picked)) == {1_000_000_000 // wanted}
 
 
-def test_a_slow_source_passes_whole():
+def test_decimator_keeps_all_of_a_slow_stream():
     stamps = np.arange(30) * 33_333_333
     assert len(Decimator(100).pick(stamps)) == 30
 
 
-def test_an_empty_batch_picks_nothing():
+def test_decimator_of_an_empty_batch():
     decimator = Decimator(100)
     assert len(decimator.pick(np.array([], dtype=np.int64))) == 0
     assert len(decimator.pick(np.array([5, 6]))) == 1

@@ -26,7 +26,7 @@ def shapes(entity):
     return [*entity.cubes, *entity.cylinders, *entity.spheres, *entity.models]
 
 
-def test_every_shape_is_locked_to_the_frame_of_its_link(robot):
+def test_every_visual_is_an_entity_locked_to_the_frame_of_its_link(robot):
     entities = SceneUpdate.FromString(encode_scene(T0, robot, {"": 1.0})).entities
     visuals = read_visuals(robot)
     assert {entity.frame_id for entity in entities} == {visual.link for visual in visuals}
@@ -38,7 +38,7 @@ def test_every_shape_is_locked_to_the_frame_of_its_link(robot):
         assert not entity.HasField("lifetime") or entity.lifetime.ToNanoseconds() == 0
 
 
-def test_figures_come_through(robot):
+def test_pose_size_and_colour_are_those_of_the_urdf(robot):
     entities = SceneUpdate.FromString(encode_scene(T0, robot, {"": 1.0})).entities
     by_frame = {entity.frame_id: entity for entity in entities}
     for kind, field in (("box", "cubes"), ("cylinder", "cylinders"), ("sphere", "spheres")):
@@ -53,7 +53,7 @@ def test_figures_come_through(robot):
         assert all(c.top_scale == c.bottom_scale == 1 for c in entity.cylinders)
 
 
-def test_two_robots_stand_beside_each_other_and_one_is_a_ghost(robot):
+def test_each_prefix_is_one_robot_with_its_opacity(robot):
     opacities = {"": 0.3, MEASURED_PREFIX: 1.0}
     entities = SceneUpdate.FromString(encode_scene(T0, robot, opacities)).entities
     ghost = [e for e in entities if not e.frame_id.startswith(MEASURED_PREFIX)]
@@ -62,7 +62,7 @@ def test_two_robots_stand_beside_each_other_and_one_is_a_ghost(robot):
     assert {s.color.a for e in entities if e not in ghost for s in shapes(e)} == {1.0}
 
 
-def test_a_mesh_goes_in_whole_where_it_is_and_by_name_where_it_is_not(robot, tmp_path):
+def test_a_mesh_is_embedded_if_its_file_is_found_and_named_otherwise(robot, tmp_path):
     (tmp_path / "here.STL").write_bytes(b"solid")
     xml = "".join(
         f"<link name='{name}'><visual><geometry><mesh filename='{name}.STL' scale='2 2 2'/>"

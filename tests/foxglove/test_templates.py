@@ -38,7 +38,7 @@ def stamp_of(timestamp) -> int:
 @example(stamp=2**63 - 1, values=np.full((4, 7), -np.inf))
 @example(stamp=1_700_000_000_999_999_999, values=np.full((4, 7), 5e-324))
 @example(stamp=127_000_000_127, values=np.full((4, 7), 1.7976931348623157e308))
-def test_frame_transforms_decode_to_what_was_given(stamp, values):
+def test_frame_transforms_decode_to_the_input(stamp, values):
     template = FrameTransformsTemplate(PARENTS, CHILDREN)
     rows = template.encode([stamp], values[np.newaxis, :, :3], values[np.newaxis, :, 3:])
     message = FrameTransforms.FromString(rows[0].tobytes())
@@ -53,7 +53,7 @@ def test_frame_transforms_decode_to_what_was_given(stamp, values):
 
 @given(stamp=stamps, values=arrays(np.float64, (4, len(JOINTS)), elements=doubles))
 @example(stamp=0, values=np.zeros((4, 3)))
-def test_joint_states_decode_to_what_was_given(stamp, values):
+def test_joint_states_decode_to_the_input(stamp, values):
     rows = JointStatesTemplate(JOINTS, FIELDS).encode([stamp], *values[:, np.newaxis])
     message = JointStates.FromString(rows[0].tobytes())
     assert stamp_of(message.timestamp) == stamp
@@ -63,7 +63,7 @@ def test_joint_states_decode_to_what_was_given(stamp, values):
         assert [bits(getattr(joint, field)) for field in FIELDS] == [bits(v) for v in values[:, i]]
 
 
-def test_a_batch_is_its_messages_one_by_one():
+def test_a_batch_equals_its_messages_encoded_singly():
     rng = np.random.default_rng(1)
     template = FrameTransformsTemplate(PARENTS, CHILDREN)
     times = rng.integers(0, 2**62, 50)
@@ -74,7 +74,7 @@ def test_a_batch_is_its_messages_one_by_one():
         np.testing.assert_array_equal(batch[i], single[0])
 
 
-def test_the_official_encoder_agrees_on_everything_but_the_padding():
+def test_the_official_encoder_gives_the_same_except_varint_padding():
     """Re-encoding the decoded message gives what the official class makes of the same figures."""
     stamp = 1_700_000_000_000_000_001
     rows = JointStatesTemplate(["a", "b"], ("position",)).encode([stamp], [[0.5, -2.0]])
@@ -102,7 +102,7 @@ def test_an_empty_batch_gives_no_messages():
     assert len(rows) == 0
 
 
-def test_many_joints_do_not_confuse_the_marks():
+def test_many_joints_do_not_confuse_the_placeholders():
     names = [f"joint_{i}" for i in range(400)]
     values = np.arange(800.0).reshape(2, 1, 400) + math.pi
     rows = JointStatesTemplate(names, ("position", "velocity")).encode([7], *values)
@@ -120,13 +120,13 @@ def test_many_joints_do_not_confuse_the_marks():
         ([-1], (1, 4, 3), (1, 4, 4)),
     ],
 )
-def test_shapes_and_stamps_that_do_not_fit_are_refused(stamp, positions, quats):
+def test_wrong_shapes_and_negative_times_are_refused(stamp, positions, quats):
     template = FrameTransformsTemplate(PARENTS, CHILDREN)
     with pytest.raises(ValueError, match=r"shape|negative"):
         template.encode(stamp, np.zeros(positions), np.zeros(quats))
 
 
-def test_joint_columns_that_do_not_fit_are_refused():
+def test_wrong_joint_columns_are_refused():
     template = JointStatesTemplate(JOINTS, ("position", "velocity"))
     with pytest.raises(ValueError, match="1 columns for the fields position, velocity"):
         template.encode([0], np.zeros((1, 3)))

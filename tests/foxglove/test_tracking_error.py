@@ -19,7 +19,7 @@ def ramp(times_ms, offset=0.0, delay_ms=0.1):
     return Track(stamps, logged, seconds * SLOPE + offset, np.tile(SLOPE, (len(stamps), 1)))
 
 
-def test_the_reference_is_taken_at_the_time_of_the_state():
+def test_the_reference_is_interpolated_at_the_time_of_the_state():
     error = TrackingError(29)
     error.add_references(ramp(np.arange(0, 100, 2)))
     error.add_states(ramp(np.arange(10, 60, 3.3), offset=0.25))
@@ -29,7 +29,7 @@ def test_the_reference_is_taken_at_the_time_of_the_state():
     np.testing.assert_allclose(errors.dq, 0.0, atol=1e-12)
 
 
-def test_an_error_is_logged_when_the_last_of_its_parts_was_received():
+def test_log_time_is_that_of_the_last_sample_used():
     error = TrackingError(29)
     error.add_references(ramp([0, 10], delay_ms=5))
     error.add_states(ramp([5, 10], delay_ms=1))
@@ -38,7 +38,7 @@ def test_an_error_is_logged_when_the_last_of_its_parts_was_received():
     assert ((errors.log_times - T0) / MS).tolist() == [15, 15]
 
 
-def test_batches_however_cut_make_the_same_errors():
+def test_errors_do_not_depend_on_how_batches_are_cut():
     references, states = ramp(np.arange(0, 400, 2)), ramp(np.arange(1, 390, 1), offset=0.1)
     whole = TrackingError(29)
     whole.add_references(references)
@@ -71,7 +71,7 @@ def test_states_in_a_gap_of_the_reference_have_no_error():
     assert ((published - T0) / MS).tolist() == [5, 505]
 
 
-def test_what_waits_in_vain_does_not_pile_up():
+def test_waiting_samples_are_dropped_after_a_second():
     error = TrackingError(29)
     for start in range(0, 20_000, 1000):
         error.add_states(ramp(np.arange(start, start + 1000)))

@@ -66,7 +66,7 @@ def lowstates(path):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGTSTP])
-def test_every_signal_of_a_terminal_ends_with_a_whole_file(domain_id, tmp_path, until, number):
+def test_every_signal_ends_with_a_complete_file(domain_id, tmp_path, until, number):
     path = tmp_path / "s.mcap"
     with (
         robot(domain_id) as sent,
@@ -82,7 +82,7 @@ def test_every_signal_of_a_terminal_ends_with_a_whole_file(domain_id, tmp_path, 
     assert recorded == sent[first : first + len(recorded)]
 
 
-def test_a_reader_of_the_output_that_goes_away_costs_no_recording(domain_id, tmp_path, until):
+def test_a_closed_standard_output_does_not_end_the_recording(domain_id, tmp_path, until):
     path = tmp_path / "s.mcap"
     reading, writing = os.pipe()
     with (
@@ -139,7 +139,7 @@ def test_a_file_is_never_replaced_unasked(domain_id, tmp_path, until):
     assert open_session(named).complete
 
 
-def test_nothing_on_the_wire_is_an_exit_code_and_a_whole_file(domain_id, tmp_path):
+def test_no_publisher_is_an_exit_code_and_a_complete_file(domain_id, tmp_path):
     path = tmp_path / "s.mcap"
     with command("record", path, "--domain", domain_id) as process:
         while not path.exists() or not path.stat().st_size:
@@ -166,7 +166,7 @@ def small_disk(tmp_path):
     subprocess.run(["umount", str(place)], check=True)
 
 
-def test_a_full_disk_ends_the_recording_and_not_the_motion(domain_id, small_disk, tmp_path):
+def test_a_full_disk_ends_the_recording_but_not_the_stream(domain_id, small_disk, tmp_path):
     path = small_disk / "s.mcap"
     patient = tmp_path / "patient.toml"  # with a simulator that shares a busy machine
     patient.write_text("[safety]\nstate_timeout = 5.0\n")

@@ -102,7 +102,7 @@ def logged(path):
     return [event.text for event in open_session(path).log]
 
 
-def test_every_byte_of_the_wire_is_in_the_file(record):
+def test_samples_are_recorded_byte_for_byte(record):
     report, path, publisher = record((LOWCMD, LOWSTATE, REFERENCE), lambda p: p.run(range(500)))
     assert data_of(path, "/lowcmd") == publisher.sent[LOWCMD.name]
     assert data_of(path, "/lowstate") == publisher.sent[LOWSTATE.name]
@@ -111,7 +111,7 @@ def test_every_byte_of_the_wire_is_in_the_file(record):
     assert not any(report.missing.values())
 
 
-def test_what_follows_from_the_samples_is_beside_them(record):
+def test_derived_messages_are_recorded(record):
     report, path, _ = record((LOWCMD, LOWSTATE, REFERENCE), lambda p: p.run(range(300)))
     for topic in ("/reference/joint_states", "/measured/joint_states"):
         assert report.counts[topic] == 300
@@ -133,7 +133,7 @@ def test_messages_of_a_topic_are_in_the_order_they_were_received(record):
         assert of_topic == sorted(of_topic), topic
 
 
-def test_somebody_elses_session_is_recorded_as_far_as_it_goes(record):
+def test_another_publishers_session_is_recorded(record):
     report, path, publisher = record((LOWCMD, LOWSTATE), lambda p: p.run(range(200)))
     assert data_of(path, "/lowstate") == publisher.sent[LOWSTATE.name]
     assert report.absent == ["/sportmodestate", "/secondary_imu", "/reference"]
@@ -156,7 +156,7 @@ def test_gaps_in_the_ticks_are_logged_and_written_into_the_file(record, caplog):
     assert [record.getMessage() for record in caplog.records] == [event.text]
 
 
-def test_two_publishers_are_not_taken_for_losses(record, domain_id):
+def test_ticks_of_two_publishers_are_counted_apart(record, domain_id):
     def both(publisher):
         with Participant(domain_id, "lo") as participant:
             other = Publisher(participant, LOWSTATE)
@@ -172,7 +172,7 @@ def test_two_publishers_are_not_taken_for_losses(record, domain_id):
     assert report.missing["/lowstate"] == 0
 
 
-def test_a_clock_that_is_set_is_told_and_nothing_is_corrected(record):
+def test_a_clock_step_is_logged_and_log_times_are_not_corrected(record):
     start = time.monotonic_ns()
 
     def clocks():
@@ -188,7 +188,7 @@ def test_a_clock_that_is_set_is_told_and_nothing_is_corrected(record):
     assert np.ptp(measured.log_time) < 100 * S
 
 
-def test_a_publisher_whose_clock_is_ahead_is_told(record):
+def test_a_publisher_whose_clock_is_ahead_is_logged(record):
     report, path, _ = record((LOWSTATE,), lambda p: p.run(range(1000), ahead_ns=5 * S))
     assert report.delays["/lowstate"]["median_ns"] == pytest.approx(-5 * S, abs=50_000_000)
     (text,) = [text for text in logged(path) if "clocks differ" in text]
@@ -196,7 +196,7 @@ def test_a_publisher_whose_clock_is_ahead_is_told(record):
     assert "-4.99" in text or "-5.00" in text
 
 
-def test_the_interpreter_is_left_as_it_was(record):
+def test_the_switch_interval_is_restored(record):
     before = sys.getswitchinterval()
     record((LOWCMD,), lambda p: p.run(range(20)))
     assert sys.getswitchinterval() == before

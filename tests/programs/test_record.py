@@ -1,4 +1,4 @@
-"""Recording as a program: when it is ready, and what it leaves behind when it cannot be."""
+"""Recording as a program: when it is ready, and what it leaves when it fails."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def config(domain_id):
     return Config.model_validate({"dds": {"domain": domain_id, "interface": "lo"}})
 
 
-def test_a_streamer_that_is_not_there_is_an_error(config, tmp_path, monkeypatch):
+def test_a_missing_stream_is_an_error(config, tmp_path, monkeypatch):
     monkeypatch.setattr(program, "_MATCH_TIMEOUT", 0.2)
     ready = threading.Event()
     with pytest.raises(WireError, match="rt/lowcmd"):
@@ -33,7 +33,7 @@ def test_a_streamer_that_is_not_there_is_an_error(config, tmp_path, monkeypatch)
     assert McapFile(tmp_path / "s.mcap").complete
 
 
-def test_it_ends_when_told_to_while_it_waits(config, tmp_path):
+def test_it_stops_while_it_waits_for_the_stream(config, tmp_path):
     ready = threading.Event()
     report = program.record(
         tmp_path / "s.mcap",
@@ -46,7 +46,7 @@ def test_it_ends_when_told_to_while_it_waits(config, tmp_path):
     assert not report.stopped
 
 
-def test_samples_are_received_while_the_streamer_is_awaited(config, domain_id, tmp_path, until):
+def test_samples_are_received_while_waiting_for_the_stream(config, domain_id, tmp_path, until):
     """Each when it comes: ten that come one by one do not share a log time."""
     stop = threading.Event()
     path = tmp_path / "s.mcap"

@@ -21,20 +21,20 @@ def steps_of(offsets, period=50 * MS):
     return detector, found
 
 
-def test_clocks_that_run_alike_do_not_step():
+def test_no_step_while_the_clocks_keep_their_offset():
     detector, found = steps_of([0] * 100)
     assert not any(found)
     assert detector.as_dict() == {"realtime_minus_monotonic_ns": [T0, T0], "steps": []}
 
 
 @pytest.mark.parametrize("step", [3600 * S, -3600 * S, 5 * MS, -5 * MS])
-def test_a_clock_that_is_set_is_noticed_once_with_its_size(step):
+def test_a_step_is_detected_once_with_its_size(step):
     detector, found = steps_of([0] * 10 + [step] * 10)
     assert found == [0] * 10 + [step] + [0] * 9
     assert detector.steps == [(T0 + 10 * 50 * MS + step, step)]
 
 
-def test_a_clock_that_is_slewed_does_not_step_but_what_it_gained_is_kept():
+def test_slewing_is_no_step_but_changes_the_offset():
     slewed = 500 * np.arange(0, 20_000, 50)  # NTP's most: 500 ppm
     detector, found = steps_of(slewed.tolist())
     assert not any(found)
@@ -47,7 +47,7 @@ def test_this_machines_clocks_are_read_together():
     assert abs(detector.observe(read_clocks())) < 50 * MS
 
 
-def test_the_delay_is_the_median_not_the_tail():
+def test_the_delay_is_the_median():
     published = T0 + np.arange(5000) * MS
     delays = np.full(5000, 3 * MS)
     delays[::10] = 400 * MS

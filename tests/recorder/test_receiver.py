@@ -50,7 +50,7 @@ def dying(monkeypatch):
     monkeypatch.setattr(RawReader, "take", take)
 
 
-def test_a_receiver_that_died_tells_so_once_all_is_drained(participant, dying):
+def test_a_failed_receiver_raises_once_all_samples_are_drained(participant, dying):
     receiver = Receiver(participant, [LOWSTATE])
     receiver.start()
     receiver._thread.join(10)
@@ -63,14 +63,16 @@ def test_a_receiver_that_died_tells_so_once_all_is_drained(participant, dying):
 
 
 @pytest.mark.parametrize("at_once", [True, False])
-def test_a_recording_whose_receiver_died_is_not_whole(recorder, dying, at_once):
+def test_a_recording_whose_receiver_failed_is_not_complete(recorder, dying, at_once):
     report = recorder.run(lambda: at_once)
     assert "no room" in report.stopped
     assert not report.whole
     assert report.counts["/lowstate"] == 2
 
 
-def test_malformed_samples_are_told_and_the_recording_is_not_whole(recorder, participant, until):
+def test_malformed_samples_are_counted_and_the_recording_is_not_complete(
+    recorder, participant, until
+):
     writer = RawWriter(participant, LOWSTATE)
     until(lambda: writer.matched, "the recorder's reader")
     writer.write(LowState().tobytes() + bytes(8))

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from g1stream.errors import RecordingError
-from g1stream.session.streams import Measured, Reference, Stream
+from g1stream.foxglove.encoders import encode_log
+from g1stream.session.streams import LogEvent, Measured, Reference, Stream
 from g1stream.types import Phase
 
 T0 = 1_700_000_000_000_000_000
@@ -111,3 +112,9 @@ def test_a_number_that_stands_for_no_phase_is_named():
 
 def test_no_samples_have_no_phases():
     assert reference([Phase.PLAY])[:0].phases == []
+
+
+@pytest.mark.parametrize(("level", "name"), [(2, "INFO"), (5, "FATAL"), (9, "UNKNOWN")])
+def test_an_event_has_the_name_of_its_level(level, name):
+    event = LogEvent.decode(encode_log(T0, level, "stream", "late"))
+    assert event == (T0, name, "stream", "late")

@@ -11,9 +11,8 @@ import numpy as np
 
 from g1stream.dds.messages import Samples
 from g1stream.errors import RecordingError, WireError
-from g1stream.session.events import LogEvent, log_event
 from g1stream.session.parts import SessionFiles
-from g1stream.session.streams import Base, Command, Measured, Reference, Stream, TorsoImu
+from g1stream.session.streams import Base, Command, LogEvent, Measured, Reference, Stream, TorsoImu
 from g1stream.types import Phase
 
 if TYPE_CHECKING:
@@ -164,7 +163,9 @@ class Session:
     def log(self) -> list[LogEvent]:
         """The events of the session, in the order of the file."""
         return [
-            log_event(data) for _, batch in self._source.batches({"/log"}) for data in batch.data
+            LogEvent.decode(data)
+            for _, batch in self._source.batches({"/log"})
+            for data in batch.data
         ]
 
     @cached_property

@@ -1,13 +1,14 @@
-"""The streams of a session: the samples of a topic as arrays."""
+"""The streams of a session: the samples of a topic as arrays, and the events of its log."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import cached_property
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple, TypeVar
 
 import numpy as np
+from foxglove_schemas_protobuf.Log_pb2 import Log
 
 from g1stream.dds import topics
 from g1stream.errors import RecordingError
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
     from g1stream.dds.topics import Topic
 
-__all__ = ["STREAMS", "Base", "Command", "Measured", "Reference", "Stream", "TorsoImu"]
+__all__ = ["STREAMS", "Base", "Command", "LogEvent", "Measured", "Reference", "Stream", "TorsoImu"]
 
 _TIMES: Final = ("log_time", "publish_time")
 
@@ -316,3 +317,28 @@ STREAMS: Final[Mapping[str, type[Stream]]] = {
     kind.topic: kind for kind in (Reference, Command, Measured, Base, TorsoImu)
 }
 """The kind of stream of each topic that has one."""
+
+_LEVELS: Final = {number: name for name, number in Log.Level.items()}
+
+
+class LogEvent(NamedTuple):
+    """One event of a session.
+
+    Attributes:
+        time: when it happened, ns since the epoch.
+        level: DEBUG, INFO, WARNING, ERROR or FATAL; UNKNOWN where it is none of these.
+        name: the program that logged it.
+        text: what happened.
+    """
+
+    time: int
+    level: str
+    name: str
+    text: str
+
+    @classmethod
+    def decode(cls, data: bytes) -> LogEvent:
+        """The event in a message of /log."""
+        message = Log.FromString(data)
+        level = _LEVELS.get(message.level, "UNKNOWN")
+        return cls(message.timestamp.ToNanoseconds(), level, message.name, message.message)

@@ -10,7 +10,7 @@ from g1stream.analysis.info_text import render_info
 from g1stream.analysis.summary import summarise
 from g1stream.config import Config
 from g1stream.session.session import LogEvent, open_session
-from g1stream.session.writer import SessionWriter
+from g1stream.session.writer import SessionWriter, SplitLimits
 
 METADATA = {
     "g1stream": "9.9.9",
@@ -123,27 +123,20 @@ def test_what_is_amiss_is_told(info, change, told):
 
 
 def test_a_part_that_cannot_be_read_is_told(play, tmp_path):
-    first, last = tmp_path / "s_001.mcap", tmp_path / "s_002.mcap"
     reference = play().reference
-
-    def write(path, part):
-        with SessionWriter(path) as writer:
-            writer.add_metadata({"session_id": "a", "part": part})
-            writer.write("/log", b"", reference.log_time[0], reference.publish_time[0])
-            writer.write("/lowcmd", bytes(8), reference.log_time[0], reference.publish_time[0])
-
-    write(first, 1)
-    write(last, 2)
-    whole = describe(open_session(first))
-    last.write_bytes(b"")
-    found = describe(open_session(first))
-    assert [one for one in whole.problems if one.startswith("Part")] == []
-    assert f"Part 2 cannot be read: {last} is empty." in found.problems
-    assert "Part 2 cannot be read" in render_info(found)
+    with SessionWriter(tmp_path / "s", limits=SplitLimits(duration=1)) as writer:
+        for i in range(2):
+            times = reference.log_time[i], reference.publish_time[i]
+            writer.write("/lowcmd", bytes(8), *times)
+            writer.flush_if_due(int(times[0]))
+    assert [p for p in describe(open_session(tmp_path / "s")).problems if "Part" in p] == []
+    writer.paths[1].write_bytes(b"")
+    found = describe(open_session(tmp_path / "s"))
+    assert any("Part 1" in p and str(writer.paths[1]) in p for p in found.problems)
     assert not found.complete
-    last.unlink()
-    write(tmp_path / "s_003.mcap", 3)
-    assert "Part 2 is not there." in describe(open_session(first)).problems
+    writer.paths[1].unlink()
+    found = describe(open_session(tmp_path / "s"))
+    assert any("Part 1" in p and str(writer.paths[1]) not in p for p in found.problems)
 
 
 def test_gaps_are_told(play, take, write_session):

@@ -19,8 +19,8 @@ from g1stream.foxglove.pipeline import MessagePipeline
 from g1stream.recorder.clocks import ClockReading, read_clocks
 from g1stream.recorder.recorder import Recorder
 from g1stream.robot.model import G1
-from g1stream.session.rotation import PartedWriter
 from g1stream.session.session import open_session
+from g1stream.session.writer import SessionWriter
 
 S = 1_000_000_000
 
@@ -62,7 +62,7 @@ def recording(domain_id, path, **options):
     stop = threading.Event()
     with (
         Participant(domain_id, "lo") as participant,
-        PartedWriter(path, lambda writer: None) as writer,
+        SessionWriter(path) as writer,
     ):
         recorder = Recorder(participant, writer, MessagePipeline(G1.load(), 100.0), 0.1, **options)
         thread = threading.Thread(target=recorder.run, args=(stop.is_set,))

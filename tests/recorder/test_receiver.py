@@ -15,7 +15,7 @@ from g1stream.foxglove.pipeline import MessagePipeline
 from g1stream.recorder.receiver import Receiver
 from g1stream.recorder.recorder import Recorder
 from g1stream.robot.model import G1
-from g1stream.session.rotation import PartedWriter
+from g1stream.session.writer import SessionWriter
 
 T0 = 1_700_000_000_000_000_000
 
@@ -28,7 +28,7 @@ def participant(domain_id):
 
 @pytest.fixture
 def recorder(participant, tmp_path):
-    with PartedWriter(tmp_path / "s.mcap", lambda writer: None) as writer:
+    with SessionWriter(tmp_path / "s.mcap") as writer:
         yield Recorder(participant, writer, MessagePipeline(G1.load(), 100.0), 0.1)
 
 

@@ -89,7 +89,7 @@ def test_a_disk_filled_by_somebody_else_still_leaves_what_was_whole(small_disk):
 
 def test_a_disk_without_any_room_is_said_at_once(small_disk):
     (small_disk / "other").write_bytes(bytes(SIZE - 4096))
-    with pytest.raises(RecordingError, match=r"cannot be (made|written any more): No space left"):
+    with pytest.raises(RecordingError, match="No space left"):
         SessionWriter(small_disk / "s.mcap").attach("a.urdf", "text/xml", bytes(8192), 0)
 
 

@@ -1,18 +1,28 @@
-"""A session in several files is read as one."""
+"""A split recording: a directory as rosbag2 writes it, read as one session."""
+
+from __future__ import annotations
+
+import os
 
 import numpy as np
 import pytest
+import yaml
+from mcap.reader import make_reader
 
 from g1stream.dds.layout import CDR_HEADER, Layout
 from g1stream.dds.topics import LOWCMD, LOWSTATE
 from g1stream.errors import RecordingError
-from g1stream.session.rotation import Limits, PartedWriter
+from g1stream.session.metadata import metadata_from_strings
+from g1stream.session.parts import SessionFiles, check_recording_path, remove_recording
 from g1stream.session.session import open_session
+from g1stream.session.writer import SessionWriter, SplitLimits
 
 T0 = 1_700_000_000_000_000_000
-STEP = 100_000_000
+MS = 1_000_000
+SECOND = 1000 * MS
+STEP = 100 * MS
 N = 60
-TWO_SECONDS = Limits(duration=2_000_000_000)
+TWO_SECONDS = SplitLimits(duration=2 * SECOND)
 
 
 @pytest.fixture
@@ -26,129 +36,313 @@ def samples():
     return {"/lowcmd": some(LOWCMD), "/lowstate": some(LOWSTATE)}
 
 
+def file_header(writer):
+    writer.add_metadata({"host": "here"})
+    writer.attach("robot.urdf", "application/xml", b"<robot/>", T0)
+    writer.write("/log", b"", T0, T0)
+
+
 @pytest.fixture
 def write_parts(tmp_path, samples):
     """Writes N samples of both topics in parts of two seconds: three parts."""
 
-    def write(name="session.mcap", limits=TWO_SECONDS, last_words=None):
-        def preface(writer):
-            writer.add_metadata({"host": "here"})
-            writer.attach("robot.urdf", "application/xml", b"<robot/>", T0)
-
+    def write(name="session.mcap", **options):
         path = tmp_path / name
-        with PartedWriter(path, preface, limits) as writer:
+        with SessionWriter(path, limits=TWO_SECONDS, file_header=file_header, **options) as writer:
             for i in range(N):
                 for topic, data in samples.items():
                     writer.write(topic, data[i], T0 + i * STEP + 9, T0 + i * STEP)
                 writer.flush_if_due(T0 + i * STEP + 9)
-            writer.add_metadata({"at_end": True, **(last_words or {})})
-        return writer.paths
+            writer.add_metadata({"at_end": True})
+        return writer
 
     return write
 
 
-def test_any_part_opens_them_all(write_parts, samples):
-    paths = write_parts()
-    assert len(paths) == 3
-    for path in paths:
-        session = open_session(path)
-        assert session.paths == paths
-        assert session.complete
-        assert not session.absent_parts
-        assert session.topics == {"/lowcmd": N, "/lowstate": N}
-        assert list(session.replay_bytes("/lowstate")) == samples["/lowstate"]
-        np.testing.assert_array_equal(
-            session.times["/lowcmd"].publish_time, T0 + STEP * np.arange(N, dtype=np.int64)
-        )
-        assert session.metadata["host"] == "here"
-        assert session.metadata["at_end"] is True
-        assert session.attachments == {"robot.urdf": b"<robot/>"}
+def read(path):
+    """Messages (topic, message), metadata and attachments, by the stock reader."""
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        messages = [(c.topic, m) for _, c, m in reader.iter_messages()]
+        metadata = {}
+        for one in reader.iter_metadata():
+            metadata |= metadata_from_strings(one.metadata)
+        attached = [one.name for one in reader.iter_attachments()]
+    return messages, metadata, attached
 
 
-def test_the_name_they_are_called_after_opens_them_too(write_parts, tmp_path):
-    paths = write_parts()
-    assert open_session(tmp_path / "session.mcap").paths == paths
+def test_each_part_is_whole_by_itself_and_nothing_is_lost_between(write_parts, tmp_path):
+    writer = write_parts()
+    assert writer.path == tmp_path / "session"
+    assert writer.paths == [tmp_path / "session" / f"session_{i}.mcap" for i in range(3)]
+    times, sequences = [], []
+    for number, path in enumerate(writer.paths):
+        messages, metadata, attached = read(path)
+        assert metadata.items() >= {"host": "here", "part": number}.items()
+        assert attached == ["robot.urdf"]
+        assert [topic for topic, _ in messages].count("/log") == 1
+        of_part = [m for topic, m in messages if topic == "/lowcmd"]
+        assert of_part[-1].log_time - of_part[0].log_time <= 2 * SECOND + STEP
+        times += [m.publish_time for m in of_part]
+        sequences += [m.sequence for m in of_part]
+    assert times == [T0 + STEP * i for i in range(N)]
+    assert sequences == list(range(1, N + 1))
+    assert writer.counts == {"/log": 3, "/lowcmd": N, "/lowstate": N}
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["session"]
 
 
-def test_a_part_that_is_gone_is_missed(write_parts, samples):
-    paths = write_parts()
-    paths[1].unlink()
-    session = open_session(paths[2])
-    assert session.absent_parts == [2]
-    assert session.unreadable_parts == {}
-    assert not session.complete
-    found = list(session.replay_bytes("/lowcmd"))
+def test_the_directory_is_read_as_one_session(write_parts, samples):
+    writer = write_parts()
+    session = open_session(writer.path)
+    assert session.paths == writer.paths
+    assert session.complete
+    assert not session.absent_parts
+    assert session.topics == {"/log": 3, "/lowcmd": N, "/lowstate": N}
+    for topic, data in samples.items():
+        assert list(session.replay_bytes(topic)) == data
+    assert session.metadata.items() >= {"host": "here", "at_end": True}.items()
+    assert session.attachments == {"robot.urdf": b"<robot/>"}
+
+
+def test_a_part_is_a_session_by_itself(write_parts, samples):
+    first = open_session(write_parts().paths[0])
+    assert first.complete
+    found = list(first.replay_bytes("/lowcmd"))
     assert 0 < len(found) < N
-    assert found[-1] == samples["/lowcmd"][-1]
+    assert found == samples["/lowcmd"][: len(found)]
 
 
-def test_the_first_part_that_is_gone_is_missed(write_parts):
-    paths = write_parts()
-    paths[0].unlink()
-    assert open_session(paths[1]).absent_parts == [1]
+def test_a_renamed_directory_is_still_the_session(write_parts, tmp_path):
+    write_parts().path.rename(tmp_path / "renamed")
+    assert open_session(tmp_path / "renamed").topics["/lowcmd"] == N
+
+
+def test_a_missing_part_is_absent(write_parts, samples):
+    writer = write_parts()
+    writer.paths[1].unlink()
+    session = open_session(writer.path)
+    assert (session.absent_parts, session.unreadable_parts) == ([1], {})
+    assert not session.complete
+    assert list(session.replay_bytes("/lowcmd"))[-1] == samples["/lowcmd"][-1]
+
+
+@pytest.mark.parametrize("content", [b"", bytes(4096), b"oops"])
+def test_an_unreadable_part_is_absent_with_its_reason(write_parts, content):
+    writer = write_parts()
+    writer.paths[2].write_bytes(content)
+    session = open_session(writer.path)
+    assert session.absent_parts == [2]
+    assert str(writer.paths[2]) in session.unreadable_parts[2]
+    assert session.paths == writer.paths[:2]
+    assert not session.complete
+    with pytest.raises(RecordingError):
+        open_session(writer.paths[2])
+
+
+def test_without_any_readable_part_there_is_no_session(write_parts):
+    writer = write_parts()
+    for path in writer.paths:
+        path.unlink()
+    with pytest.raises(RecordingError) as error:
+        SessionFiles(writer.path)
+    assert str(writer.paths[0]) in str(error.value)
 
 
 def test_the_part_of_a_killed_recorder_is_not_complete(write_parts):
-    paths = write_parts()
-    content = paths[2].read_bytes()
-    paths[2].write_bytes(content[: len(content) // 2])
-    session = open_session(paths[0])
+    writer = write_parts()
+    os.truncate(writer.paths[2], writer.paths[2].stat().st_size // 2)
+    session = open_session(writer.path)
     assert not session.complete
     assert not session.absent_parts
     assert 0 < session.topics["/lowcmd"] < N
 
 
-def test_parts_of_another_session_are_left_out(write_parts):
-    ours, others = write_parts(), write_parts("other.mcap")
-    others[2].rename(ours[0].with_name("session_004.mcap"))
-    session = open_session(ours[0])
-    assert session.paths == ours
-    assert session.complete
+def test_parts_are_listed_as_soon_as_they_are_begun(tmp_path, samples):
+    writer = SessionWriter(tmp_path / "s", limits=TWO_SECONDS)
+    for i in range(N):
+        writer.write("/lowcmd", samples["/lowcmd"][i], T0 + i * STEP, T0 + i * STEP)
+        writer.flush_if_due(T0 + i * STEP)
+        assert SessionFiles(tmp_path / "s").paths == writer.paths
+    assert len(writer.paths) == 3
+    writer.close()
 
 
-def test_a_part_that_is_no_mcap_is_absent_and_named_when_asked_for(write_parts):
-    paths = write_parts()
-    paths[1].write_text("oops")
-    session = open_session(paths[0])
-    assert session.absent_parts == [2]
-    assert session.unreadable_parts == {2: f"{paths[1]} is not an MCAP file."}
-    assert not session.complete
-    with pytest.raises(RecordingError, match=r"session_002\.mcap is not an MCAP file"):
-        open_session(paths[1])
+@pytest.mark.parametrize(
+    "content",
+    [None, "", "{", "rosbag2_bagfile_information: {}", "rosbag2_bagfile_information: 3", "\0"],
+)
+def test_a_directory_that_is_no_recording(write_parts, content):
+    path = write_parts().path
+    if content is None:
+        (path / "metadata.yaml").unlink()
+    else:
+        (path / "metadata.yaml").write_text(content)
+    with pytest.raises(RecordingError) as error:
+        open_session(path)
+    assert "metadata.yaml" in error.value.cause
 
 
-@pytest.mark.parametrize("content", [b"", bytes(4096)])
-def test_the_last_part_is_missed_when_it_cannot_be_read(write_parts, content):
-    paths = write_parts()
-    for path in paths[1:]:
-        path.write_bytes(content)
-    session = open_session(paths[0])
-    assert session.paths == paths[:1]
-    assert session.absent_parts == [2, 3]
-    assert list(session.unreadable_parts) == [2, 3]
-    assert str(paths[2]) in session.unreadable_parts[3]
-    assert not session.complete
+# --- metadata.yaml, by the specification of rosbag2's BagMetadata, version 6 ---
 
 
-def test_behind_the_last_words_of_a_recorder_no_part_is_missed(write_parts, tmp_path):
-    paths = write_parts(last_words={"recorder": {}})
-    (tmp_path / "session_004.mcap").touch()
-    session = open_session(paths[0])
-    assert session.paths == paths
-    assert session.complete
-    assert not session.absent_parts
+def test_metadata_yaml_has_the_fields_of_rosbag2(write_parts):
+    path = write_parts().path
+    about = yaml.safe_load((path / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert about["version"] == 6
+    assert about["storage_identifier"] == "mcap"
+    assert (about["compression_format"], about["compression_mode"]) == ("", "")
+    assert about["relative_file_paths"] == [f"session_{i}.mcap" for i in range(3)]
+    assert [file["path"] for file in about["files"]] == about["relative_file_paths"]
+    assert about["starting_time"] == {"nanoseconds_since_epoch": T0}
+    assert about["duration"] == {"nanoseconds": (N - 1) * STEP + 9}
+    assert about["message_count"] == sum(f["message_count"] for f in about["files"]) == 2 * N
+    # One serialisation format only: with /log, which is protobuf, rosbag2 refuses the directory.
+    assert {
+        topic["topic_metadata"]["name"]: (topic["topic_metadata"]["type"], topic["message_count"])
+        for topic in about["topics_with_message_count"]
+    } == {"/lowcmd": ("unitree_hg/msg/LowCmd", N), "/lowstate": ("unitree_hg/msg/LowState", N)}
+    for topic in about["topics_with_message_count"]:
+        assert topic["topic_metadata"]["serialization_format"] == "cdr"
+        assert topic["topic_metadata"]["offered_qos_profiles"] == ""
+    assert all(isinstance(value, str) for value in about["custom_data"].values())
 
 
-def test_a_session_in_one_file_misses_no_part(write_parts, tmp_path):
-    paths = write_parts(name="take_001.mcap", limits=None)
-    (tmp_path / "take_002.mcap").touch()
-    assert paths == [tmp_path / "take_001.mcap"]
-    assert open_session(paths[0]).complete
+# --- when a part ends ---
 
 
-def test_a_broken_file_named_like_a_part_does_not_spoil_the_others(write_parts, tmp_path):
-    paths = write_parts()
-    (tmp_path / "session_2024.mcap").touch()
-    assert open_session(paths[0]).paths == paths
-    with pytest.raises(RecordingError, match="is empty"):
-        open_session(tmp_path / "session_2024.mcap")
+def record(writer, seconds, payload=bytes(8)):
+    """100 LowCmds a second, handed over ten times a second."""
+    for start in range(0, round(seconds * 1000), 100):
+        times = T0 + (start + 10 * np.arange(10)) * MS
+        writer.write_batch("/lowcmd", [payload] * 10, times, times)
+        writer.flush_if_due(int(times[-1]))
+
+
+def test_parts_end_with_the_chunk_that_reaches_their_size(tmp_path):
+    noise = np.random.default_rng(1).bytes(10_000)
+    with SessionWriter(tmp_path / "s.mcap", limits=SplitLimits(size=20_000)) as writer:
+        record(writer, 4, noise)
+    sizes = [path.stat().st_size for path in writer.paths]
+    assert len(sizes) > 2
+    assert all(20_000 <= size < 60_000 for size in sizes[:-1])
+    assert sum(len(read(path)[0]) for path in writer.paths) == 400
+
+
+def test_the_file_header_does_not_count_as_size(tmp_path):
+    def large(writer):
+        writer.attach("robot.urdf", "application/xml", bytes(100_000), T0)
+
+    limits = SplitLimits(size=50_000)
+    with SessionWriter(tmp_path / "s.mcap", limits=limits, file_header=large) as writer:
+        record(writer, 0.2)
+        assert len(writer.paths) == 1
+        record(writer, 2, np.random.default_rng(1).bytes(10_000))
+    assert len(writer.paths) > 1
+
+
+def test_a_clock_set_back_ends_a_part(tmp_path):
+    with SessionWriter(tmp_path / "s.mcap", limits=SplitLimits(duration=SECOND)) as writer:
+        record(writer, 0.5)
+        writer.flush_if_due(T0 - 3600 * SECOND)
+    assert len(writer.paths) == 2
+
+
+@pytest.mark.parametrize("where", ["before", "after"])
+def test_if_no_part_can_be_begun_the_last_one_takes_the_final_metadata(tmp_path, where):
+    headers = []
+
+    def once(writer):
+        if where == "after" or not headers:
+            file_header(writer)
+        if headers:
+            raise RecordingError("The disk is full.", "Make room.")
+        headers.append(writer)
+
+    limits = SplitLimits(duration=SECOND)
+    with SessionWriter(tmp_path / "s.mcap", limits=limits, file_header=once) as writer:
+        with pytest.raises(RecordingError, match="full"):
+            record(writer, 2)
+        writer.add_metadata({"at": "end"})
+    names = sorted(path.name for path in writer.path.iterdir())
+    assert names == ["metadata.yaml", "s_0.mcap"]
+    messages, metadata, _ = read(writer.paths[0])
+    assert metadata["at"] == "end"
+    assert writer.counts == {"/log": 1, "/lowcmd": len(messages) - 1}
+    assert SessionFiles(writer.path).complete
+
+
+# --- what --force replaces ---
+
+
+def content(directory):
+    return {path: path.read_bytes() for path in directory.rglob("*") if path.is_file()}
+
+
+def test_a_recording_is_replaced_only_with_force(write_parts, tmp_path):
+    write_parts()
+    before = content(tmp_path)
+    with pytest.raises(RecordingError) as error:
+        write_parts()
+    assert "--force" in error.value.remedy
+    assert content(tmp_path) == before
+    with SessionWriter(tmp_path / "session.mcap", limits=TWO_SECONDS, force=True) as writer:
+        assert writer.paths == [tmp_path / "session" / "session_0.mcap"]
+    assert sorted(content(tmp_path)) == [writer.path / "metadata.yaml", writer.paths[0]]
+
+
+def test_the_old_recording_stays_until_the_first_part_stands(write_parts, tmp_path):
+    write_parts()
+    before = content(tmp_path)
+
+    def fail(writer):
+        file_header(writer)
+        assert content(tmp_path).items() >= before.items()
+        raise RecordingError("The disk is full.", "Make room.")
+
+    with pytest.raises(RecordingError, match="full"):
+        SessionWriter(tmp_path / "session.mcap", limits=TWO_SECONDS, force=True, file_header=fail)
+    assert content(tmp_path) == before
+
+
+def other_file(path):
+    (path / "notes.txt").write_bytes(b"precious")
+
+
+def other_bag(path):
+    text = (path / "metadata.yaml").read_text()
+    (path / "metadata.yaml").write_text(text.replace("g1stream", "other"))
+
+
+def no_metadata(path):
+    (path / "metadata.yaml").unlink()
+
+
+def no_directory(path):
+    path.rename(path.with_name("moved"))
+    path.write_bytes(b"precious")
+
+
+def link(path):
+    path.rename(path.with_name("moved"))
+    path.symlink_to("moved")
+
+
+@pytest.mark.parametrize("change", [other_file, other_bag, no_metadata, no_directory, link])
+def test_nothing_else_is_replaced(write_parts, tmp_path, change):
+    change(write_parts().path)
+    before = content(tmp_path)
+    for force in (True, False):
+        with pytest.raises(RecordingError):
+            write_parts(force=force)
+        with pytest.raises(RecordingError):
+            check_recording_path(tmp_path / "session.mcap", split=True, force=force)
+    assert content(tmp_path) == before
+
+
+def test_a_whole_recording_can_be_removed(write_parts, tmp_path):
+    remove_recording(write_parts().paths)
+    with SessionWriter(tmp_path / "one.mcap") as writer:
+        pass
+    (tmp_path / "other").touch()
+    remove_recording(writer.paths)
+    assert list(tmp_path.iterdir()) == [tmp_path / "other"]

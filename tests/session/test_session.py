@@ -142,7 +142,7 @@ def test_a_damaged_chunk_is_said_with_its_place(cdr, write_session):
     place = content.index(b"zstd") + 40
     content[place] ^= 0xFF
     path.write_bytes(content)
-    with pytest.raises(RecordingError, match=r"damaged: what is at byte \d+ does not unpack"):
+    with pytest.raises(RecordingError, match=r"damaged.* byte \d+"):
         _ = open_session(path).measured.q
 
 
@@ -181,7 +181,7 @@ def test_no_file(tmp_path):
 
 
 def test_a_directory(tmp_path):
-    with pytest.raises(RecordingError, match="cannot be read: Is a directory"):
+    with pytest.raises(RecordingError, match=r"metadata\.yaml"):
         open_session(tmp_path)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from g1stream.analysis.metrics import by_group, pooled
 from g1stream.analysis.plot_data import binned_rms, joints_to_show, make_scene
 from g1stream.errors import RecordingError
+from g1stream.files import complete_file
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
 from g1stream.types import Phase
 
@@ -240,15 +241,5 @@ def _annotate(
 
 
 def _save(figure: Figure, path: Path) -> None:
-    """Write beside the path first, so that nobody ever sees half a picture."""
-    part = path.with_name(f"{path.name}.part")
-    try:
-        try:
-            figure.savefig(part, format="png")
-            part.replace(path)
-        finally:
-            part.unlink(missing_ok=True)
-    except OSError as error:
-        raise RecordingError(
-            f"The picture {path} cannot be written: {error.strerror}.", "Choose another place."
-        ) from error
+    with complete_file(path) as temporary:
+        figure.savefig(temporary, format="png")

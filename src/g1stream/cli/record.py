@@ -49,9 +49,9 @@ class Record(WireCommand):
     auto_name: Flag = False
     """Put the time, UTC, into the file's name."""
     split_size: Annotated[float | None, value("MB", "one file")] = None
-    """Go on in a new file (name_001.mcap, name_002.mcap) after so much."""
+    """Split into parts of this size: name/name_0.mcap, name/name_1.mcap and so on."""
     split_duration: Annotated[float | None, value("S", "one file")] = None
-    """Go on in a new file after so long."""
+    """Split into parts of this duration."""
     json: Flag = False
     """Print the summary as JSON on standard output."""
 

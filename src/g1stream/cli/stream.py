@@ -60,9 +60,9 @@ class PlayCommand(WireCommand):
     auto_name: Flag = False
     """Put the time, UTC, into the recording's name."""
     split_size: Annotated[float | None, value("MB", "one file")] = None
-    """Record on in a new file (name_001.mcap, name_002.mcap) after so much."""
+    """Split the recording into parts of this size: name/name_0.mcap and so on."""
     split_duration: Annotated[float | None, value("S", "one file")] = None
-    """Record on in a new file after so long."""
+    """Split the recording into parts of this duration."""
     rate: Annotated[float | None, value("HZ", "500")] = None
     """LowCmd per second."""
     start: Annotated[float | None, value("S", "0")] = None

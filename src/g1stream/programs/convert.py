@@ -11,22 +11,23 @@ import numpy as np
 
 from g1stream._version import __version__
 from g1stream.errors import ConfigError, MotionError, RecordingError, RobotError
+from g1stream.files import complete_file
 from g1stream.foxglove.encoders import WORLD_FRAME, TransformsEncoder
 from g1stream.foxglove.scene import encode_robot_description, encode_scene
 from g1stream.foxglove.templates import JointStatesTemplate
 from g1stream.robot.model import G1
 from g1stream.robot.visuals import missing_meshes
-from g1stream.session.attachments import attach_motion
-from g1stream.session.format import CHANNELS
+from g1stream.session.format import CHANNELS, Channel
+from g1stream.session.metadata import attach_motion
 from g1stream.session.motions import load_motion
-from g1stream.session.offline import OfflineWriter
 from g1stream.session.timestamps import frame_timestamps
+from g1stream.session.writer import SessionWriter
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
     from g1stream.motion.motion import Motion
-    from g1stream.session.compression import Compression
+    from g1stream.session.mcap_writer import Compression
 
 __all__ = ["Conversion", "ConvertReport", "convert"]
 
@@ -147,20 +148,24 @@ def convert(
     )
     fields = ("position",) if options.resample is None else _RESAMPLED_FIELDS
     joint_states = JointStatesTemplate(robot.joint_names, fields)
-    _check_not_a_source(Path(out), motion, robot)
-    with OfflineWriter(out, force=options.force, compression=options.compression) as writer:
+    out = Path(out)
+    _check_not_a_source(out, motion, robot)
+    channels = _channels(options.topic)
+    with (
+        complete_file(out, force=options.force) as temporary,
+        SessionWriter(temporary, channels=channels, compression=options.compression) as writer,
+    ):
         _write_file_header(writer, motion, robot, options, first)
         for times, joint_pos, root_pos, root_quat, *rates in _poses(motion, options, start, stop):
             root = (root_pos, root_quat) if options.floating_root else _WORLD_ORIGIN
-            messages = {
-                options.topic: transforms.encode(times, joint_pos, *root),
-                _JOINTS: joint_states.encode(times, joint_pos, *rates),
-            }
-            writer.write(messages, times)
+            poses = transforms.encode(times, joint_pos, *root)
+            writer.write_batch(options.topic, poses, times, times)
+            writer.write_batch(_JOINTS, joint_states.encode(times, joint_pos, *rates), times, times)
+            writer.flush()
             on_progress((int(times[-1]) - first) / max(1, last - first))
     return ConvertReport(
-        path=writer.path,
-        size=writer.path.stat().st_size,
+        path=out,
+        size=out.stat().st_size,
         motion=motion.name,
         frames=writer.counts[_JOINTS],
         rate=options.resample or motion.fps,
@@ -250,31 +255,26 @@ def _poses(motion: Motion, options: Conversion, start: int, stop: int) -> Iterat
 
 
 def _write_file_header(
-    writer: OfflineWriter, motion: Motion, robot: G1, options: Conversion, first: int
+    writer: SessionWriter, motion: Motion, robot: G1, options: Conversion, first: int
 ) -> None:
-    """Write what a file has once: channels, metadata, attachments, the scene and the URDF."""
-    writer.add_channel(replace(CHANNELS[_TF], topic=_free_topic(options.topic)))
-    for topic in (_JOINTS, _SCENE, _DESCRIPTION):
-        writer.add_channel(CHANNELS[topic])
+    """Write what a file has once: metadata, attachments, the scene and the URDF."""
     writer.add_metadata(_metadata(motion, robot, options))
     writer.attach("robot.urdf", "application/xml", robot.urdf.encode(), first)
     attach_motion(writer, motion.source, first)
-    once = {
-        _SCENE: encode_scene(first, robot, {"": 1.0}),
-        _DESCRIPTION: encode_robot_description(robot),
-    }
-    rows = {topic: np.frombuffer(data, np.uint8)[np.newaxis] for topic, data in once.items()}
-    writer.write(rows, np.array([first]))
+    scene = encode_scene(first, robot, {"": 1.0})
+    writer.write(_SCENE, scene, first, first)
+    writer.write(_DESCRIPTION, encode_robot_description(robot), first, first)
 
 
-def _free_topic(topic: str) -> str:
+def _channels(topic: str) -> dict[str, Channel]:
+    """The channels of the file, by topic; the transforms go on the topic that was asked for."""
     if not topic or topic in (_JOINTS, _SCENE, _DESCRIPTION):
         raise ConfigError(
             f"The transforms cannot go on the topic {topic!r}: "
-            f"{'it has no name' if not topic else 'something else is there'}.",
+            f"{'it has no name' if not topic else 'it is used for other messages'}.",
             f"Choose another, such as {_TF}.",
         )
-    return topic
+    return {**CHANNELS, topic: replace(CHANNELS[_TF], topic=topic)}
 
 
 def _metadata(motion: Motion, robot: G1, options: Conversion) -> dict[str, Any]:

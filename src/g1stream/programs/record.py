@@ -7,6 +7,7 @@ import time
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from uuid import uuid4
 
 from g1stream._version import __version__
 from g1stream.config import Config
@@ -14,14 +15,14 @@ from g1stream.dds.domain import Participant
 from g1stream.dds.topics import LOWCMD, REFERENCE
 from g1stream.errors import RecordingError, WireError
 from g1stream.events import console_handler, handled_by
+from g1stream.files import timestamped
 from g1stream.foxglove.pipeline import MessagePipeline
 from g1stream.programs.child_process import run_child
 from g1stream.realtime import lower_priority
 from g1stream.recorder.recorder import Recorder
 from g1stream.robot.model import G1
-from g1stream.session.attachments import attach_motion
-from g1stream.session.file_names import timestamped
-from g1stream.session.rotation import Limits, PartedWriter
+from g1stream.session.metadata import attach_motion
+from g1stream.session.writer import SessionWriter, SplitLimits
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
     from g1stream.config import RecordConfig
     from g1stream.programs.child_process import Parent
     from g1stream.recorder.recorder_report import RecorderReport
-    from g1stream.session.writer import SessionWriter
 
 __all__ = ["record"]
 
@@ -70,7 +70,7 @@ def record(
     config = config or Config()
     settings = config.record
     robot = G1.load(config.robot)
-    path = timestamped(path, time.time_ns()) if settings.auto_name else Path(path)
+    path = timestamped(Path(path), time.time_ns()) if settings.auto_name else Path(path)
     pipeline = MessagePipeline(robot, settings.tf_rate)  # before there is a file: may refuse
     about = _about(config, session or {})
 
@@ -82,7 +82,9 @@ def record(
 
     with (
         Participant(config.dds.domain, config.dds.interface) as participant,
-        PartedWriter(path, write_file_header, _limits(settings), force=force) as writer,
+        SessionWriter(
+            path, force=force, limits=_limits(settings), file_header=write_file_header
+        ) as writer,
     ):
         recorder = Recorder(participant, writer, pipeline, settings.batch)
 
@@ -98,9 +100,9 @@ def record(
     return report
 
 
-def _limits(settings: RecordConfig) -> Limits:
+def _limits(settings: RecordConfig) -> SplitLimits:
     size, duration = settings.split_size, settings.split_duration
-    return Limits(
+    return SplitLimits(
         None if size is None else round(size * 1e6),
         None if duration is None else round(duration * 1e9),
     )
@@ -111,7 +113,9 @@ def _wait_until(should_stop: Callable[[], bool]) -> None:
         time.sleep(_LOOK_EVERY)
 
 
-def _close(writer: PartedWriter, report: RecorderReport, final_metadata: Mapping[str, Any]) -> None:
+def _close(
+    writer: SessionWriter, report: RecorderReport, final_metadata: Mapping[str, Any]
+) -> None:
     """Write the last metadata and the index; a disk that is full may not have room for them."""
     try:
         values = {**final_metadata, "recorder": report.as_dict(), "measured_tf": report.measured_tf}
@@ -148,6 +152,7 @@ def _about(config: Config, session: Mapping[str, Any]) -> dict[str, Any]:
         "host": socket.gethostname(),
         "domain": config.dds.domain,
         "interface": config.dds.interface,
+        "session_id": uuid4().hex,
         "started_ns": time.time_ns(),
         # Log times come from this host's clock; publish times from that of whoever published.
         "log_clock": f"CLOCK_REALTIME of {socket.gethostname()}",

@@ -6,10 +6,9 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from g1stream.files import timestamped
 from g1stream.programs.child_process import Child, ChildError
-from g1stream.session.earlier_parts import earlier_files
-from g1stream.session.file_names import is_there, part_path, timestamped
-from g1stream.session.output_path import try_out
+from g1stream.session.parts import check_recording_path, remove_recording
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
@@ -32,10 +31,8 @@ def refuse_path(path: Path, settings: RecordConfig, force: bool) -> None:
     """
     if settings.auto_name:
         path = timestamped(path, time.time_ns())
-    if settings.split_size is not None or settings.split_duration is not None:
-        earlier_files(path, force=force)
-        path = part_path(path, 1)
-    try_out(path, force=force)
+    split = settings.split_size is not None or settings.split_duration is not None
+    check_recording_path(path, split=split, force=force)
 
 
 class RecorderChild:
@@ -111,11 +108,10 @@ def discard_if_empty(recording: dict[str, Any], earlier: Collection[Path]) -> bo
     """
     received = recording.get("counts", {"unknown": 1}).keys() - _OUR_OWN_WORDS
     files = [Path(path) for path in recording["paths"]]
-    if received or any(file in earlier for file in files):
+    if received or any(file in earlier or file.parent in earlier for file in files):
         return False
     try:
-        for file in files:
-            file.unlink(missing_ok=True)
+        remove_recording(files)
     except OSError:  # how the run went is told all the same
         return False
     return True
@@ -126,4 +122,4 @@ def _beside(path: Path) -> set[Path]:
     try:
         return set(path.parent.iterdir())
     except OSError:
-        return {path} if is_there(path) else set()
+        return {path}

@@ -24,7 +24,7 @@ from g1stream.programs.outcome import loop_summary
 from g1stream.programs.sim import physics_timestep
 from g1stream.programs.stream import make_loop, played_interval
 from g1stream.robot.model import G1
-from g1stream.session.attachments import attach_motion
+from g1stream.session.metadata import attach_motion
 from g1stream.session.motions import load_motion
 from g1stream.session.session import Session
 from g1stream.session.source import MemorySource

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from g1stream.dds.messages import Batch
     from g1stream.foxglove.pipeline import MessagePipeline
     from g1stream.recorder.clocks import ClockReading
-    from g1stream.session.rotation import PartedWriter
+    from g1stream.session.writer import SessionWriter
 
 __all__ = ["Recorder"]
 
@@ -71,7 +71,7 @@ class Recorder:
     def __init__(
         self,
         participant: Participant,
-        writer: PartedWriter,
+        writer: SessionWriter,
         pipeline: MessagePipeline,
         batch: float,
         *,

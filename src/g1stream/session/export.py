@@ -7,6 +7,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
 from g1stream.errors import RecordingError
+from g1stream.files import complete_file, output_errors
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.session.streams import STREAMS
 
@@ -77,18 +78,10 @@ def to_parquet(session: Session, directory: Path) -> list[Path]:
             continue
         table = to_dataframe(session, topic)
         path = directory / f"{topic.strip('/')}.parquet"
-        unfinished = path.with_suffix(".parquet.part")
-        try:
-            directory.mkdir(parents=True, exist_ok=True)
-            table.to_parquet(unfinished, engine="pyarrow")
-            unfinished.replace(path)
-        except OSError as error:
-            with suppress(OSError):
-                unfinished.unlink(missing_ok=True)
-            raise RecordingError(
-                f"The table {path} cannot be written: {error.strerror or error}.",
-                "Choose another directory for it, or make room.",
-            ) from error
+        with output_errors(directory), suppress(FileExistsError):
+            directory.mkdir(parents=True)
+        with complete_file(path) as temporary:
+            table.to_parquet(temporary, engine="pyarrow")
         written.append(path)
     return written
 

@@ -1,49 +1,112 @@
-"""Reads MCAP files, whole ones and ones whose writer was killed.
+"""Reads MCAP files as arrays of messages, also files whose writer was killed.
 
-The stock readers want either the index at the end of the file or a message object per message. This
-one needs neither: it hops from record to record to find the chunks, stops at the first that is not
-whole, and unpacks only the chunks in which a wanted topic has messages.
+The library's readers need the index at the end of the file, or make an object for each message.
+This one needs neither: it skips from record to record to find the chunks, stops at the first record
+that is not whole, and decompresses only the chunks that have messages of a wanted topic. The layout
+of the records is that of the MCAP specification, https://mcap.dev/spec.
 """
 
 from __future__ import annotations
 
+import os
 import stat
-from collections import Counter
+import struct
+from collections import Counter, deque
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
-from typing import IO, TYPE_CHECKING
+from typing import IO, TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
+import fastcrc
+import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Metadata, Statistics
+from mcap.records import Attachment, Channel, Chunk, Metadata, Statistics
+from mcap.stream_reader import get_chunk_data_stream
 
 from g1stream.errors import RecordingError
-from g1stream.session.compression import unpack
-from g1stream.session.magic import MAGIC
-from g1stream.session.message_index import ChunkPlace
-from g1stream.session.message_records import message_places, messages_at
-from g1stream.session.prefetch import ahead
-from g1stream.session.records import records, records_in
+from g1stream.session.metadata import METADATA_NAME, metadata_from_strings
+from g1stream.session.source import Messages
 
 if TYPE_CHECKING:
-    import os
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
+    from concurrent.futures import Future
 
-    from g1stream.session.records import Record
-    from g1stream.session.source import Messages
+    from numpy.typing import NDArray
 
 __all__ = ["McapFile"]
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+_MAGIC: Final = b"\x89MCAP0\r\n"
+#: Opcode and length of a record; the length counts the bytes that follow.
+_RECORD: Final = struct.Struct("<BQ")
+#: Of a MessageIndex record: the channel, and how many bytes of entries follow.
+_INDEX: Final = struct.Struct("<HI")
+_INDEX_ENTRY: Final = np.dtype([("log_time", "<i8"), ("offset", "<i8")])
+#: A Message record without its data.
+_MESSAGE: Final = np.dtype(
+    [
+        ("opcode", "u1"),
+        ("length", "<i8"),
+        ("channel", "<u2"),
+        ("sequence", "<u4"),
+        ("log_time", "<i8"),
+        ("publish_time", "<i8"),
+    ]
+)
+_MOST_THREADS: Final = 4
+
+
+class _Record(NamedTuple):
+    """Where the content of a record is, in bytes from the start of the file or chunk."""
+
+    opcode: int
+    start: int
+    length: int
+
+
+@dataclass
+class _Chunk:
+    """A chunk and the MessageIndex records behind it; without an index it has to be searched.
+
+    Attributes:
+        record: the chunk.
+        index: by channel, where the entries of its index are and how many.
+    """
+
+    record: _Record
+    index: dict[int, tuple[int, int]] = field(default_factory=dict)
+
+    def add_index(self, file: IO[bytes], record: _Record) -> None:
+        channel, size = _INDEX.unpack(_read_at(file, record.start, _INDEX.size))
+        n_entries, rest = divmod(size, _INDEX_ENTRY.itemsize)
+        if rest or size != record.length - _INDEX.size:
+            raise ValueError("the index of a chunk has another length than it says")
+        if n_entries:
+            self.index[channel] = (record.start + _INDEX.size, n_entries)
+
+    def offsets(self, file: IO[bytes], channel: int) -> NDArray[np.int64]:
+        """(N,) where in the decompressed chunk the messages of a channel are."""
+        start, n_entries = self.index[channel]
+        data = _read_at(file, start, n_entries * _INDEX_ENTRY.itemsize)
+        return np.sort(np.frombuffer(data, _INDEX_ENTRY)["offset"])
 
 
 class McapFile:
     """The chunked messages, metadata and attachments of an MCAP file.
 
+    Args:
+        path: of the file.
+
     Attributes:
         path: of the file.
         complete: whether it was closed properly.
         counts: messages of each topic.
-        metadata: its metadata records, oldest first.
+        metadata: the values of all of g1stream's metadata records; a later one replaces an earlier.
 
     Raises:
         RecordingError: there is no such file, or it is not an MCAP, or it is damaged.
@@ -53,16 +116,16 @@ class McapFile:
         self.path = Path(path)
         self.complete = False
         self.counts: Counter[str] = Counter()
-        self.metadata: list[Metadata] = []
+        self.metadata: dict[str, Any] = {}
         self._topics: dict[int, str] = {}
-        self._chunks: list[ChunkPlace] = []
-        self._attachments: list[Record] = []
+        self._chunks: list[_Chunk] = []
+        self._attachments: list[_Record] = []
         self._statistics: Statistics | None = None
         with self._open() as file:
             last = None
-            for last in records(file):
-                with self._unpacking(last):
-                    self._take(file, last)
+            for last in _records(file):
+                with self._damage_at(last):
+                    self._add_record(file, last)
             # Of the last chunk of a file cut short, a part of the index may be missing.
             if last and last.opcode in {Opcode.CHUNK, Opcode.MESSAGE_INDEX}:
                 self._chunks[-1].index.clear()
@@ -70,7 +133,7 @@ class McapFile:
                 self.counts[self._topic(channel)] += count
 
     def batches(self, topics: set[str]) -> Iterator[tuple[str, Messages]]:
-        """The messages of some topics, one batch per channel and chunk, in the order of the file.
+        """The messages of some topics, one batch per topic and chunk, in the order of the file.
 
         Raises:
             RecordingError: a chunk is damaged.
@@ -78,17 +141,21 @@ class McapFile:
         channels = {channel for channel, topic in self._topics.items() if topic in topics}
         chunks = [c for c in self._chunks if not c.index or not channels.isdisjoint(c.index)]
         with self._open() as file:
-            for chunk, data in zip(chunks, self._unpacked(file, chunks), strict=True):
-                with self._unpacking(chunk.record):
+            for chunk, data in zip(chunks, self._decompressed(file, chunks), strict=True):
+                with self._damage_at(chunk.record):
                     found = _messages(file, chunk, data, channels)
                 for channel, messages in found.items():
                     yield self._topic(channel), messages
 
     def attachments(self) -> Iterator[Attachment]:
-        """The attached files, oldest first."""
+        """The attached files, oldest first.
+
+        Raises:
+            RecordingError: one of them is damaged.
+        """
         with self._open() as file:
             for record in self._attachments:
-                with self._unpacking(record):
+                with self._damage_at(record):
                     attachment = Attachment.read(_stream(file, record))
                 yield attachment
 
@@ -96,7 +163,7 @@ class McapFile:
         try:
             mode = self.path.stat().st_mode
             if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
-                # To open a pipe may take for ever, and one cannot go back in it.
+                # Opening a pipe may block, and one cannot seek in it.
                 raise RecordingError(f"{self.path} is not a file.", "Give an MCAP file.")
             file = self.path.open("rb")
         except OSError as error:
@@ -104,106 +171,195 @@ class McapFile:
                 f"The file {self.path} cannot be read: {error.strerror}.",
                 "Check the path and its permissions.",
             ) from error
-        magic = file.read(len(MAGIC))
-        if magic != MAGIC:
+        magic = file.read(len(_MAGIC))
+        if magic != _MAGIC:
             file.close()
             what = "is not an MCAP file" if magic else "is empty"
-            raise RecordingError(f"{self.path} {what}.", "Give an MCAP file.")
+            raise RecordingError(f"{self.path} {what}.", "Give a file that g1stream recorded.")
         return file
 
-    def _take(self, file: IO[bytes], record: Record) -> None:
-        """Note what a record outside the chunks says."""
+    def _add_record(self, file: IO[bytes], record: _Record) -> None:
         if record.opcode == Opcode.CHUNK:
-            self._chunks.append(ChunkPlace(record))
-        elif record.opcode == Opcode.MESSAGE_INDEX:
+            self._chunks.append(_Chunk(record))
+        elif record.opcode == Opcode.MESSAGE_INDEX and self._chunks:
             self._chunks[-1].add_index(file, record)
+        elif record.opcode == Opcode.CHANNEL:
+            self._add_channel(_content(file, record))
+        elif record.opcode == Opcode.STATISTICS:
+            self._statistics = Statistics.read(_stream(file, record))
         elif record.opcode == Opcode.ATTACHMENT:
             self._attachments.append(record)
         elif record.opcode == Opcode.METADATA:
-            self.metadata.append(Metadata.read(_stream(file, record)))
-        elif record.opcode == Opcode.CHANNEL:
-            self._add_channel(_stream(file, record))
-        elif record.opcode == Opcode.STATISTICS:
-            self._statistics = Statistics.read(_stream(file, record))
+            metadata = Metadata.read(_stream(file, record))
+            if metadata.name == METADATA_NAME:
+                self.metadata |= metadata_from_strings(metadata.metadata)
         elif record.opcode == Opcode.FOOTER:
             self.complete = True
 
     def _count(self, file: IO[bytes]) -> Counter[int]:
-        """Messages of each channel; a file cut short is asked chunk by chunk."""
+        """Messages of each channel; of a file cut short they are counted chunk by chunk."""
         if self._statistics:
             return Counter(self._statistics.channel_message_counts)
         counts: Counter[int] = Counter()
         for number, chunk in enumerate(self._chunks):
             found = {channel: n for channel, (_, n) in chunk.index.items()}
-            found = found or self._walk(file, chunk)
+            found = found or self._search(file, chunk)
             counts.update(found)
             for channel in found.keys() - self._topics.keys():
-                self._look_for_name(file, channel, number)
+                self._find_topic(file, channel, number)
         return counts
 
-    def _look_for_name(self, file: IO[bytes], channel: int, number: int) -> None:
-        """Read what a channel is called.
-
-        That is written where its first message was to come: in the chunk of that number, or in one
-        before that was closed because of it.
-        """
+    def _find_topic(self, file: IO[bytes], channel: int, number: int) -> None:
+        """Read a channel's topic: in the chunk of that number, or else in one before it."""
         for chunk in reversed(self._chunks[: number + 1]):
-            self._walk(file, chunk)
+            self._search(file, chunk)
             if channel in self._topics:
                 return
         self._topics[channel] = f"channel {channel}"
 
-    def _walk(self, file: IO[bytes], chunk: ChunkPlace) -> dict[int, int]:
+    def _search(self, file: IO[bytes], chunk: _Chunk) -> dict[int, int]:
         """Note the channels that a chunk describes, and count its messages by channel."""
-        (data,) = self._unpacked(file, [chunk])
-        with self._unpacking(chunk.record):
-            for opcode, place, length in records_in(data):
+        (data,) = self._decompressed(file, [chunk])
+        with self._damage_at(chunk.record):
+            for opcode, start, length in _records_in(data):
                 if opcode == Opcode.CHANNEL:
-                    self._add_channel(ReadDataStream(BytesIO(data[place : place + length])))
-            return {channel: len(places) for channel, places in message_places(data).items()}
+                    self._add_channel(data[start : start + length])
+            return {channel: len(found) for channel, found in _message_offsets(data).items()}
 
-    def _unpacked(self, file: IO[bytes], chunks: Iterable[ChunkPlace]) -> Iterator[bytes]:
-        """The records of each chunk, unpacked a few chunks ahead."""
+    def _decompressed(self, file: IO[bytes], chunks: Iterable[_Chunk]) -> Iterator[bytes]:
+        """The records of each chunk, decompressed a few chunks ahead."""
 
-        def unpacked(packed: tuple[Record, bytes]) -> bytes:
-            with self._unpacking(packed[0]):
-                return unpack(packed[1])
+        def decompress(item: tuple[_Record, bytes]) -> bytes:
+            with self._damage_at(item[0]):
+                return _decompress(item[1])
 
-        return ahead(unpacked, ((c.record, _content(file, c.record)) for c in chunks))
+        return _prefetch(decompress, ((c.record, _content(file, c.record)) for c in chunks))
 
     @contextmanager
-    def _unpacking(self, record: Record) -> Iterator[None]:
+    def _damage_at(self, record: _Record) -> Iterator[None]:
         try:
             yield
         except Exception as error:  # every field and each compression has an error of its own
             raise RecordingError(
-                f"The file {self.path} is damaged: what is at byte {record.place} does not unpack.",
+                f"The file {self.path} is damaged: the record at byte {record.start} cannot be "
+                "decoded.",
                 "Save the rest of it with a tool such as `mcap recover`.",
             ) from error
 
     def _topic(self, channel_id: int) -> str:
         return self._topics.get(channel_id, f"channel {channel_id}")
 
-    def _add_channel(self, stream: ReadDataStream) -> None:
-        channel = Channel.read(stream)
+    def _add_channel(self, content: bytes) -> None:
+        channel = Channel.read(ReadDataStream(BytesIO(content)))
         self._topics[channel.id] = channel.topic
 
 
-def _content(file: IO[bytes], record: Record) -> bytes:
-    file.seek(record.place)
+def _records(file: IO[bytes]) -> Iterator[_Record]:
+    """The whole records of a file, up to its footer or to where it was cut."""
+    size = file.seek(0, 2)
+    start = len(_MAGIC)
+    while start + _RECORD.size <= size:
+        opcode, length = _RECORD.unpack(_read_at(file, start, _RECORD.size))
+        start += _RECORD.size
+        # A power cut may leave a tail of zeros, and there is no record of that kind.
+        if not opcode or start + length > size:
+            return
+        yield _Record(opcode, start, length)
+        if opcode == Opcode.FOOTER:
+            return
+        start += length
+
+
+def _records_in(data: bytes) -> Iterator[_Record]:
+    """The records in a decompressed chunk."""
+    start = 0
+    while start < len(data):
+        opcode, length = _RECORD.unpack_from(data, start)
+        start += _RECORD.size
+        yield _Record(opcode, start, length)
+        start += length
+
+
+def _read_at(file: IO[bytes], start: int, size: int) -> bytes:
+    """Some bytes of a file, past its buffer, which would be refilled at each skip."""
+    return os.pread(file.fileno(), size, start)
+
+
+def _content(file: IO[bytes], record: _Record) -> bytes:
+    file.seek(record.start)
     return file.read(record.length)
 
 
-def _stream(file: IO[bytes], record: Record) -> ReadDataStream:
+def _stream(file: IO[bytes], record: _Record) -> ReadDataStream:
     return ReadDataStream(BytesIO(_content(file, record)))
 
 
+def _decompress(content: bytes) -> bytes:
+    """The records in a chunk, from the content of its own record."""
+    chunk = Chunk.read(ReadDataStream(BytesIO(content)))
+    stream, size = get_chunk_data_stream(chunk)
+    data = stream.read(size)
+    # zlib's crc32, which the library uses, takes half as long as the decompression.
+    if chunk.uncompressed_crc and fastcrc.crc32.iso_hdlc(data) != chunk.uncompressed_crc:
+        raise ValueError("the checksum of a chunk does not match")
+    return data
+
+
+def _message_offsets(data: bytes) -> dict[int, NDArray[np.int64]]:
+    """By channel, (N,) where in a decompressed chunk its messages are, without an index."""
+    found: dict[int, list[int]] = {}
+    for record in _records_in(data):
+        if record.opcode == Opcode.MESSAGE:
+            channel = int.from_bytes(data[record.start : record.start + 2], "little")
+            found.setdefault(channel, []).append(record.start - _RECORD.size)
+    return {channel: np.array(offsets, dtype=np.int64) for channel, offsets in found.items()}
+
+
 def _messages(
-    file: IO[bytes], chunk: ChunkPlace, data: bytes, channels: set[int]
+    file: IO[bytes], chunk: _Chunk, data: bytes, channels: set[int]
 ) -> dict[int, Messages]:
-    """By channel, the messages of an unpacked chunk."""
+    """By channel, the messages of a decompressed chunk."""
     if chunk.index:
-        places = {c: chunk.places(file, c) for c in sorted(channels & chunk.index.keys())}
+        offsets = {c: chunk.offsets(file, c) for c in sorted(channels & chunk.index.keys())}
     else:
-        places = {c: found for c, found in message_places(data).items() if c in channels}
-    return {channel: messages_at(data, where, channel) for channel, where in places.items()}
+        offsets = {c: found for c, found in _message_offsets(data).items() if c in channels}
+    return {channel: _messages_at(data, where, channel) for channel, where in offsets.items()}
+
+
+def _messages_at(data: bytes, offsets: NDArray[np.int64], channel: int) -> Messages:
+    """The messages of a channel in a decompressed chunk, from where their records are (N,)."""
+    size, head = len(data), _MESSAGE.itemsize
+    if ((offsets < 0) | (offsets + head > size)).any():
+        raise ValueError("the index of a chunk points outside of it")
+    octets = np.frombuffer(data, np.uint8)
+    heads = octets[offsets[:, np.newaxis] + np.arange(head)].view(_MESSAGE)[:, 0]
+    ends = offsets + _RECORD.size + np.clip(heads["length"], 0, size)
+    wrong = (heads["opcode"] != Opcode.MESSAGE) | (heads["channel"] != channel)
+    if (wrong | (ends < offsets + head) | (ends > size)).any():
+        raise ValueError("the index of a chunk points to something else than a message")
+    bounds = zip((offsets + head).tolist(), ends.tolist(), strict=True)
+    return Messages(
+        np.ascontiguousarray(heads["log_time"]),
+        np.ascontiguousarray(heads["publish_time"]),
+        [data[start:end] for start, end in bounds],
+    )
+
+
+def _prefetch(work: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
+    """Yield work(item) of each item in order, done by threads a few items ahead.
+
+    Unlike `Executor.map`, it takes items only as results are taken, so that memory stays bounded.
+    """
+    n_threads = min(_MOST_THREADS, os.cpu_count() or 1)
+    pending: deque[Future[R]] = deque()
+    with ThreadPoolExecutor(n_threads) as pool:
+        try:
+            for item in items:
+                pending.append(pool.submit(work, item))
+                if len(pending) > 2 * n_threads:
+                    yield pending.popleft().result()
+            while pending:
+                yield pending.popleft().result()
+        finally:
+            for future in pending:
+                future.cancel()

@@ -1,4 +1,6 @@
-"""The metadata record of a session: any JSON values, kept in MCAP's map of strings.
+"""Metadata and attachments of a session.
+
+The metadata are JSON values, kept in MCAP's map of strings.
 
 Strings are kept as they are, so that every MCAP tool shows them plainly; everything else becomes
 JSON. A string that would read as JSON (`0.10`, `true`) is quoted, so that it comes back a string.
@@ -7,17 +9,58 @@ JSON. A string that would read as JSON (`0.10`, `true`) is quoted, so that it co
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Protocol
+
+from g1stream.files import is_session
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from pathlib import Path
 
-    from g1stream.session.mcap_reader import McapFile
-
-__all__ = ["METADATA_NAME", "metadata_from_strings", "metadata_to_strings", "session_metadata"]
+__all__ = [
+    "LARGEST_MOTION",
+    "METADATA_NAME",
+    "attach_motion",
+    "metadata_from_strings",
+    "metadata_to_strings",
+]
 
 METADATA_NAME: Final = "g1stream"
 """The name of the record. A file may have several; a later one's values replace an earlier's."""
+
+
+LARGEST_MOTION: Final = 16 * 2**20
+"""A larger motion file is not attached, bytes; its SHA-256 is in the metadata in any case."""
+
+
+class _Writer(Protocol):
+    def attach(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
+        """Add a file."""
+
+
+def attach_motion(writer: _Writer, source: Path | None, time_ns: int) -> None:
+    """Attach the file that a motion came from, unless it is large, gone or a session itself.
+
+    Of a session that is played or converted again, the messages hold all that matters.
+
+    Args:
+        writer: of the session.
+        source: the motion file; None for a motion that came from none.
+        time_ns: the attachment's time, ns since the epoch.
+
+    Raises:
+        RecordingError: the session cannot be written.
+    """
+    if source is None or is_session(source):
+        return
+    try:
+        if not source.is_file() or source.stat().st_size > LARGEST_MOTION:
+            return
+        data = source.read_bytes()
+    except OSError:  # a file that is gone by now is not worth a recording
+        return
+    kind = "text/csv" if source.suffix.lower() == ".csv" else "application/octet-stream"
+    writer.attach(source.name, kind, data, time_ns)
 
 
 def metadata_to_strings(values: Mapping[str, Any]) -> dict[str, str]:
@@ -32,15 +75,6 @@ def metadata_to_strings(values: Mapping[str, Any]) -> dict[str, str]:
 def metadata_from_strings(strings: Mapping[str, str]) -> dict[str, Any]:
     """The values that `metadata_to_strings` flattened."""
     return {key: _from_string(string) for key, string in strings.items()}
-
-
-def session_metadata(file: McapFile) -> dict[str, Any]:
-    """What a file's recorder noted; what it noted later replaces what it noted earlier."""
-    values: dict[str, Any] = {}
-    for record in file.metadata:
-        if record.name == METADATA_NAME:
-            values |= metadata_from_strings(record.metadata)
-    return values
 
 
 def _to_string(value: Any) -> str:

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from g1stream.errors import MotionError
+from g1stream.files import is_session
 from g1stream.motion.files import open_motion_file
 from g1stream.motion.motion import check_fps
-from g1stream.session.magic import is_mcap
 
 if TYPE_CHECKING:
     import os
@@ -41,7 +41,7 @@ def load_motion(
         MotionError: there is no such file, or something in it is wrong; names line and column.
         RecordingError: the session is damaged, or no motion was played in it.
     """
-    if is_mcap(Path(path_or_name)):
+    if is_session(Path(path_or_name)):
         from g1stream.session.session import open_session
 
         return open_session(path_or_name).motion(fps)
@@ -68,7 +68,7 @@ def check_motion_file(
     from g1stream.motion.check import FileReport, check_file, check_motion
 
     path = Path(path_or_name)
-    if not is_mcap(path):
+    if not is_session(path):
         return check_file(path_or_name, robot, fps=fps)
     motion = load_motion(path, fps=fps)
     try:

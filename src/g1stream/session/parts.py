@@ -1,69 +1,105 @@
-"""The files of a session, one or several, read as one."""
+"""A session on disk: one file, or a directory of parts as rosbag2 writes them.
+
+    session/
+      metadata.yaml
+      session_0.mcap
+      session_1.mcap
+
+rosbag2 wants one serialisation format in a bag, so metadata.yaml lists the topics in CDR and leaves
+out those in protobuf; the parts hold both.
+"""
 
 from __future__ import annotations
 
+import errno
+import os
+import shutil
 from collections import Counter
-from typing import TYPE_CHECKING
+from contextlib import contextmanager
+from pathlib import Path, PurePath
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
+from g1stream._version import __version__
 from g1stream.errors import RecordingError
-from g1stream.session.candidates import look_at, parts_among, remains_among
-from g1stream.session.file_names import parts_of
-from g1stream.session.magic import is_mcap
+from g1stream.files import check_directory, check_output_path, complete_file, output_errors
+from g1stream.session.mcap_reader import McapFile
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
+    from collections.abc import Iterator, Mapping, Sequence
 
-    from g1stream.session.candidates import Candidate
+    from g1stream.session.format import Channel
     from g1stream.session.source import Messages
 
-__all__ = ["SessionFiles"]
+__all__ = [
+    "Part",
+    "SessionFiles",
+    "check_recording_path",
+    "new_directory",
+    "part_path",
+    "parts_directory",
+    "remove_recording",
+    "write_metadata_yaml",
+]
+
+_METADATA: Final = "metadata.yaml"
+#: Of rosbag2's metadata.yaml: the first with `custom_data`, which every ROS 2 since Humble reads.
+_VERSION: Final = 6
+
+
+class Part(NamedTuple):
+    """What metadata.yaml says of a part.
+
+    Attributes:
+        name: of the file.
+        counts: its messages by topic.
+        first_log_time, last_log_time: ns since the epoch; None without messages.
+    """
+
+    name: str
+    counts: Mapping[str, int]
+    first_log_time: int | None
+    last_log_time: int | None
 
 
 class SessionFiles:
-    """All messages, metadata and attachments of a session, wherever they lie.
+    """The files of a session, read as one; a `SessionSource`.
 
     Args:
-        path: of the file, or of one of its parts.
+        path: an MCAP file, or the directory of a split recording.
 
     Attributes:
         path: as given.
-        paths: of the files, oldest first.
-        absent_parts: numbers of parts, from 1, that should be there and are not, or that cannot
-            be read.
-        unreadable_parts: of the latter, the reason, a sentence, by number.
-        complete: whether everything is there and was closed properly.
-        topics: messages of each topic.
-        metadata: what the recorder noted; what it noted later replaces what it noted earlier.
+        paths: of the files that can be read, oldest first.
+        topics: number of messages by topic.
+        metadata: the values of all metadata records; a later one replaces an earlier one.
+        complete: whether all parts are there and were closed properly.
+        absent_parts: numbers, from 0, of the parts that are missing or unreadable.
+        unreadable_parts: by number of an unreadable part, the reason as a sentence.
 
     Raises:
-        RecordingError: there is no such file, or it is not an MCAP, or it is damaged; another part
-            that is so is absent.
+        RecordingError: the path is not a session, or nothing in it can be read.
     """
 
     def __init__(self, path: Path) -> None:
-        given, found = _look_around(path)
-        others = parts_among(found, given.session)
-        parts = [one for one in found if one is given or one in others]
         self.path = path
-        self._files = [one.file for one in parts if one.file is not None]
+        self.absent_parts: list[int] = []
+        self.unreadable_parts: dict[int, str] = {}
+        opened = [_open(part) for part in _parts_of(path)]
+        self._files = [file for file in opened if isinstance(file, McapFile)]
+        for number, error in enumerate(opened):
+            if isinstance(error, RecordingError):
+                if not self._files:
+                    raise error
+                self.absent_parts.append(number)
+                if not isinstance(error.__cause__, FileNotFoundError):
+                    self.unreadable_parts[number] = error.cause
         self.paths = [file.path for file in self._files]
-        numbers = {one.part or 1 for one in parts}
-        missing = {*range(1, max(numbers))} - numbers
-        missing |= {one.number for one in remains_among(found, parts) if one.number} - numbers
-        self.absent_parts = sorted(missing)
-        self.unreadable_parts = {
-            one.number: one.reason
-            for one in found
-            if one.number and one.number in missing and one.reason
-        }
         self.complete = not self.absent_parts and all(file.complete for file in self._files)
-        counts: Counter[str] = sum((file.counts for file in self._files), Counter())
-        self.topics = dict(counts)
-        self.metadata = {key: value for one in parts for key, value in one.about.items()}
+        self.topics = dict(sum((file.counts for file in self._files), Counter[str]()))
+        self.metadata = {k: v for file in self._files for k, v in file.metadata.items()}
 
     def batches(self, topics: set[str]) -> Iterator[tuple[str, Messages]]:
-        """The messages of some topics, one batch per channel and chunk, in the order of the files.
+        """The messages of some topics, one batch per topic and chunk, in the order of the files.
 
         Raises:
             RecordingError: a chunk is damaged.
@@ -80,19 +116,197 @@ class SessionFiles:
         return {one.name: one.data for file in self._files for one in file.attachments()}
 
 
-def _look_around(path: Path) -> tuple[Candidate, list[Candidate]]:
-    """The file that was asked for, and all that is named like the parts that it belongs to.
+def parts_directory(path: Path) -> Path:
+    """The directory of a split recording: `session` for `session.mcap`."""
+    return path.with_suffix("") if path.suffix == ".mcap" else path
 
-    Of a name that parts are called after, the first of them is the one that was asked for.
+
+def part_path(directory: Path, number: int) -> Path:
+    """The path of a part, counted from 0."""
+    return directory / f"{directory.name}_{number}.mcap"
+
+
+def check_recording_path(path: Path, *, split: bool, force: bool) -> None:
+    """Check that a recording can be written to a path, without touching anything.
+
+    Args:
+        path: of the file; of a split recording, the directory is called after it.
+        split: whether the recording is split into parts.
+        force: whether a file, or a directory that g1stream recorded, may be replaced.
 
     Raises:
-        RecordingError: the file asked for cannot be read.
+        RecordingError: nothing can be written there, or something is there that may not be
+            replaced.
     """
-    paths = parts_of(path)
-    found = [look_at(one) for one in paths]
-    given = found[paths.index(path) if path in paths else 0]
-    if given.error is not None:
-        if not given.locked and given.path.is_file() and not is_mcap(given.path):
-            raise RecordingError(given.error.cause, "Give a file that g1stream recorded.")
-        raise given.error
-    return given, found
+    if not split:
+        check_output_path(path, force=force)
+        return
+    directory = parts_directory(path)
+    with output_errors(directory):
+        check_directory(directory.parent)
+        if not os.path.lexists(directory):
+            return
+        if not force:
+            raise FileExistsError
+        if directory.is_symlink() or not directory.is_dir():
+            raise RecordingError(
+                f"{directory} is not a directory that g1stream recorded.",
+                "Move it away, or choose another name.",
+            )
+        if not os.access(directory, os.R_OK | os.W_OK | os.X_OK):
+            raise PermissionError(errno.EACCES, "no permission to replace it")
+        found = {entry.name for entry in directory.iterdir()}
+    about = _read_metadata_yaml(directory)
+    listed = {part.name for part in _listed_parts(directory)}
+    foreign = sorted(found - listed - {_METADATA})
+    if foreign or "g1stream" not in (about.get("custom_data") or {}):
+        raise RecordingError(
+            f"{directory} holds {foreign[0]}, which is not a part of the recording in it."
+            if foreign
+            else f"{directory} was not recorded by g1stream.",
+            "Move it away, or choose another name.",
+        )
+
+
+@contextmanager
+def new_directory(directory: Path) -> Iterator[Path]:
+    """Fill a directory under a temporary name, then put it in the place of an old one.
+
+    The old directory is removed last; on any exception it stays, and the temporary one is removed.
+
+    Args:
+        directory: of the recording; what is there was checked by `check_recording_path`.
+
+    Yields:
+        The temporary directory.
+
+    Raises:
+        RecordingError: the directory cannot be created.
+    """
+    new = directory.with_name(f".{directory.name}.{os.getpid()}.part")
+    old = new.with_suffix(".old")
+    try:
+        with output_errors(directory):
+            new.mkdir()
+            yield new
+            if directory.exists():
+                directory.rename(old)
+            new.rename(directory)
+    except BaseException:
+        shutil.rmtree(new, ignore_errors=True)
+        raise
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def remove_recording(paths: Sequence[Path]) -> None:
+    """Remove the files of a recording, and the directory of a split one.
+
+    Raises:
+        OSError: one cannot be removed.
+    """
+    for path in paths:
+        path.unlink(missing_ok=True)
+    directory = paths[0].parent
+    if paths[0] == part_path(directory, 0):
+        (directory / _METADATA).unlink(missing_ok=True)
+        directory.rmdir()
+
+
+def write_metadata_yaml(
+    directory: Path, parts: Sequence[Part], channels: Mapping[str, Channel]
+) -> None:
+    """Write or replace the metadata.yaml of a directory.
+
+    Raises:
+        RecordingError: it cannot be written.
+    """
+    import yaml
+
+    cdr = {topic: c.schema_name for topic, c in channels.items() if c.message_encoding == "cdr"}
+    counts = sum((Counter(part.counts) for part in parts), Counter[str]())
+    about = {
+        "version": _VERSION,
+        "storage_identifier": "mcap",
+        "relative_file_paths": [part.name for part in parts],
+        **_times(parts),
+        "message_count": sum(n for topic, n in counts.items() if topic in cdr),
+        "topics_with_message_count": [
+            {
+                "topic_metadata": {
+                    "name": topic,
+                    "type": cdr[topic],
+                    "serialization_format": "cdr",
+                    "offered_qos_profiles": "",
+                },
+                "message_count": n,
+            }
+            for topic, n in sorted(counts.items())
+            if topic in cdr
+        ],
+        "compression_format": "",
+        "compression_mode": "",
+        "files": [
+            {
+                "path": part.name,
+                **_times([part]),
+                "message_count": sum(n for topic, n in part.counts.items() if topic in cdr),
+            }
+            for part in parts
+        ],
+        "custom_data": {"g1stream": __version__},
+    }
+    with complete_file(directory / _METADATA) as path:
+        path.write_text(
+            yaml.safe_dump({"rosbag2_bagfile_information": about}, sort_keys=False), "utf-8"
+        )
+
+
+def _times(parts: Sequence[Part]) -> dict[str, Any]:
+    first = min((p.first_log_time for p in parts if p.first_log_time is not None), default=0)
+    last = max((p.last_log_time for p in parts if p.last_log_time is not None), default=first)
+    return {
+        "starting_time": {"nanoseconds_since_epoch": first},
+        "duration": {"nanoseconds": last - first},
+    }
+
+
+def _open(part: Path) -> McapFile | RecordingError:
+    try:
+        return McapFile(part)
+    except RecordingError as error:
+        return error
+
+
+def _parts_of(path: Path) -> list[Path]:
+    try:
+        is_directory = path.is_dir()
+    except OSError:  # opening it says why
+        is_directory = False
+    return _listed_parts(path) if is_directory else [path]
+
+
+def _listed_parts(directory: Path) -> list[Path]:
+    names = _read_metadata_yaml(directory)["relative_file_paths"]
+    return [directory / PurePath(name).name for name in names]
+
+
+def _read_metadata_yaml(directory: Path) -> dict[str, Any]:
+    import yaml
+
+    path = directory / _METADATA
+    try:
+        about = yaml.safe_load(path.read_text("utf-8"))["rosbag2_bagfile_information"]
+        if not about["relative_file_paths"]:
+            raise ValueError("it lists no files")
+    except FileNotFoundError as error:
+        raise RecordingError(
+            f"{directory} is a directory without {_METADATA}.",
+            "Give an MCAP file, or the directory of a split recording.",
+        ) from error
+    except (OSError, ValueError, KeyError, TypeError, yaml.YAMLError) as error:
+        raise RecordingError(
+            f"{path} cannot be read: {getattr(error, 'strerror', None) or error}.",
+            "Give one of the MCAP files beside it instead.",
+        ) from error
+    found: dict[str, Any] = about
+    return found

@@ -1,63 +1,86 @@
-"""Writes a session file as it happens, so that it can be read whatever ends the recorder.
+"""Writes a session as it happens: into one file, or into a directory of parts.
 
-An MCAP is a row of chunks, each compressed on its own. What came in a quarter of a second of log
-time is handed to the operating system at once, a chunk for every channel, so that a killed recorder
-loses less than that much and its file reads up to the last whole chunk; and so that whoever wants
-one channel unpacks that one only. A file that was closed has an index as well.
+Messages wait for a quarter of a second of log time and are then written, a chunk for each topic;
+that much at most is lost when the program is killed.
 """
 
 from __future__ import annotations
 
-from contextlib import contextmanager, suppress
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from g1stream._version import __version__
 from g1stream.errors import RecordingError
-from g1stream.session.chunked_file import ChunkedFile
 from g1stream.session.format import CHANNELS
-from g1stream.session.message_records import message_records
-from g1stream.session.metadata import METADATA_NAME, metadata_to_strings
-from g1stream.session.open_chunks import OpenChunks
-from g1stream.session.output_path import create
+from g1stream.session.mcap_writer import McapWriter, MessageBatch
+from g1stream.session.parts import (
+    Part,
+    check_recording_path,
+    new_directory,
+    part_path,
+    parts_directory,
+    write_metadata_yaml,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["SessionWriter"]
+    from g1stream.session.format import Channel
+    from g1stream.session.mcap_writer import Compression
+
+__all__ = ["SessionWriter", "SplitLimits"]
 
 _CHUNK_NS: Final = 250_000_000
 
-# Chunks are closed by time; by size only if something floods the file.
+# Chunks are written by time; by size only if something floods the file.
 _CHUNK_BYTES: Final = 32 * 2**20
 
-#: Kept free for the summary at the end of the file: schemas and last words, and a chunk's index.
-_END_BYTES: Final = 1 << 18
-_INDEX_BYTES: Final = 160
+
+@dataclass(frozen=True)
+class SplitLimits:
+    """When a part of a recording ends: with the first chunks that reach one of these.
+
+    Attributes:
+        size: bytes, without the file header that every part has; None: no limit.
+        duration: log time, ns; None: no limit.
+    """
+
+    size: int | None = None
+    duration: int | None = None
+
+    @property
+    def any(self) -> bool:
+        """Whether there is a limit."""
+        return self.size is not None or self.duration is not None
 
 
 class SessionWriter:
-    """A session file being written; a context manager.
+    """A session being written; a context manager.
 
-    Leaving the context closes the file properly even on an exception or Ctrl-C. So does a disk that
-    is full: what did not fit is dropped, the file stays whole, and there is room for last words.
+    Leaving the context closes the file properly even on an exception or Ctrl-C. So does a full
+    disk: what did not fit is dropped, and there is room for the last metadata and the index.
 
     Args:
-        path: where to; its directory must exist.
-        force: replace a file that is there already.
-        chunk_ns: close the chunks when this much log time has passed, ns.
-        counts: messages that earlier parts of the session have, by topic; goes on counting.
+        path: of the file; its directory must exist. Parts go into a directory called after it.
+        force: replace a file that is there, or a directory that g1stream recorded.
+        limits: of a part; one file if None.
+        file_header: called at the start of each file to write what every part must have.
+        channels: those that messages may be written to, by topic.
+        chunk_ns: write the chunks when this much log time has passed, ns.
+        compression: of the chunks.
 
     Attributes:
-        path: where to.
-        counts: messages taken so far, by topic.
+        path: the file, or the directory of the parts.
+        paths: the files written, oldest first.
+        counts: messages taken so far, in all parts, by topic.
 
     Raises:
-        RecordingError: there is a file already, or none can be made there.
+        RecordingError: something is there that may not be replaced, or nothing can be written.
     """
 
     def __init__(
@@ -65,21 +88,35 @@ class SessionWriter:
         path: str | Path,
         *,
         force: bool = False,
+        limits: SplitLimits | None = None,
+        file_header: Callable[[SessionWriter], None] = lambda _: None,
+        channels: Mapping[str, Channel] = CHANNELS,
         chunk_ns: int = _CHUNK_NS,
-        counts: dict[str, int] | None = None,
+        compression: Compression = "zstd",
     ) -> None:
-        self.path = Path(path)
-        self.counts: dict[str, int] = {} if counts is None else counts
-        self._open = OpenChunks(chunk_ns)
-        self._file = create(self.path, force=force)
-        try:
-            with self._whole_or_not():
-                self._mcap = ChunkedFile(self._file, f"g1stream {__version__}", "zstd")
-        except RecordingError:
-            self._file.close()
-            if self.path.is_file():  # and no device
-                self.path.unlink()
-            raise
+        self._limits = limits or SplitLimits()
+        self._file_header = file_header
+        self._channels = channels
+        self._chunk_ns = chunk_ns
+        self._compression = compression
+        self._pending: dict[str, list[MessageBatch]] = {}
+        self._pending_bytes = 0
+        self._chunk_start: int | None = None
+        self._part_start: int | None = None
+        self._parts: list[Part] = []
+        self._closed = False
+        self.counts: dict[str, int] = {}
+        self.path = parts_directory(Path(path)) if self._limits.any else Path(path)
+        check_recording_path(Path(path), split=self._limits.any, force=force)
+        if not self._limits.any:
+            self.paths = [self.path]
+            self._file = self._open_file(self.path, force=force)
+            return
+        self.paths = [part_path(self.path, 0)]
+        with new_directory(self.path) as temporary:
+            self._file = self._open_file(temporary / self.paths[0].name)
+            write_metadata_yaml(temporary, [self._part()], channels)
+        self._file.path = self.paths[0]
 
     def __enter__(self) -> SessionWriter:
         return self
@@ -87,16 +124,11 @@ class SessionWriter:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    @property
-    def size(self) -> int:
-        """Bytes written to the file so far."""
-        return self._file.tell()
-
     def write(self, topic: str, data: bytes, log_time: int, publish_time: int) -> None:
         """Add one message; its sequence number counts the topic's messages from 1.
 
         Args:
-            topic: one of `g1stream.session.format.CHANNELS`.
+            topic: of one of the channels.
             data: the message in the encoding of its channel.
             log_time: when it was received, ns since the epoch.
             publish_time: when its producer published it, ns since the epoch.
@@ -116,7 +148,7 @@ class SessionWriter:
         """Add messages of one topic, oldest first.
 
         Args:
-            topic: one of `g1stream.session.format.CHANNELS`.
+            topic: of one of the channels.
             payloads: (T,) messages, or (T, size) uint8 with one in each row.
             log_times: (T,) when they were received, ns since the epoch.
             publish_times: (T,) when their producer published them, ns since the epoch.
@@ -134,9 +166,21 @@ class SessionWriter:
             )
         start = 0
         while start < len(logged):
-            end = start + self._make_room(logged[start:])
+            if self._is_due(int(logged[start])):
+                self.flush()
+            if self._chunk_start is None:
+                self._chunk_start = int(logged[start])
+            # The distance, not the difference: a clock may be set back.
+            late = np.abs(logged[start:] - self._chunk_start) >= self._chunk_ns
+            end = start + (int(late.argmax()) if late.any() else len(late))
             part = slice(start, end)
-            self._add(topic, payloads[part], logged[part], published[part])
+            count = self.counts.get(topic, 0)
+            batch = MessageBatch(payloads[part], logged[part], published[part], count + 1)
+            self._pending.setdefault(topic, []).append(batch)
+            self.counts[topic] = count + end - start
+            self._pending_bytes += batch.size
+            if self._pending_bytes > _CHUNK_BYTES:
+                self.flush()
             start = end
 
     def attach(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
@@ -146,14 +190,12 @@ class SessionWriter:
             name: what to call it, such as `g1.urdf`.
             media_type: such as `text/csv`.
             data: its content.
-            time_ns: now, ns since the epoch.
+            time_ns: when it was there, ns since the epoch.
 
         Raises:
             RecordingError: the disk is full, or the file cannot be written for another reason.
         """
-        with self._whole_or_not():
-            self._file.claim(len(data) + self._end_size(len(self._open.pending)))
-            self._mcap.attach(name, media_type, data, time_ns)
+        self._file.attach(name, media_type, data, time_ns)
 
     def add_metadata(self, values: Mapping[str, Any]) -> None:
         """Add to the session's metadata; a later value of a key replaces an earlier one.
@@ -165,20 +207,10 @@ class SessionWriter:
             RecordingError: the disk is full, or the file cannot be written for another reason.
             TypeError: a value is something else.
         """
-        with self._whole_or_not():
-            self._mcap.add_metadata(METADATA_NAME, metadata_to_strings(values))
-
-    def rename(self, path: Path) -> None:
-        """Give the file another name, beside its own; what has that name is replaced.
-
-        Raises:
-            RecordingError: it cannot have it.
-        """
-        with self._whole_or_not():
-            self.path = self.path.rename(path)
+        self._file.add_metadata(values)
 
     def flush_if_due(self, now_ns: int) -> None:
-        """Close the chunks that time has run out for, when no message comes to do it.
+        """Write the chunks that are due, and go on in the next part if this one is full.
 
         Args:
             now_ns: the time on the clock of the log times, ns since the epoch.
@@ -186,81 +218,98 @@ class SessionWriter:
         Raises:
             RecordingError: the disk is full, or the file cannot be written for another reason.
         """
-        self._make_room(np.array([now_ns]))
-
-    def close(self) -> None:
-        """Write the index and close the file; after that, nothing.
-
-        Raises:
-            RecordingError: that failed; the file reads up to its last whole chunk.
-        """
-        if self._file.closed:
-            return
-        try:
-            try:
-                self.flush()
-            finally:
-                with self._whole_or_not():
-                    self._mcap.finish()
-        finally:
-            self._file.close()
+        if self._is_due(now_ns):
+            self.flush()
+        if self._part_start is None:
+            self._part_start = now_ns
+        if self._is_part_full(now_ns):
+            self._start_next_part()
+            self._part_start = now_ns
 
     def flush(self) -> None:
-        """Close the open chunks; what does not fit on the disk is dropped.
+        """Write the messages that wait; what does not fit on the disk is dropped.
 
         Raises:
             RecordingError: the disk is full, or the file cannot be written for another reason.
         """
-        size, pending = self._open.size, self._open.take()
+        self._flush(last=False)
+
+    def close(self) -> None:
+        """Write what waits and the index, and close the file; once is enough.
+
+        Raises:
+            RecordingError: that failed; the file reads up to its last whole chunk.
+        """
+        if self._closed:
+            return
+        self._closed = True
         try:
-            with self._whole_or_not():
-                self._file.claim(size + self._end_size(len(pending)))
-                for topic in list(pending):
-                    channel = self._mcap.registry.number(CHANNELS[topic])
-                    self._mcap.add_chunk(channel, *pending[topic].joined())
-                    self._file.settle()
-                    del pending[topic]
+            self._flush(last=True)
+        finally:
+            self._file.close()
+            if self._limits.any:
+                with suppress(RecordingError):  # the one written with the last part lists them all
+                    self._write_metadata_yaml()
+
+    def _flush(self, *, last: bool) -> None:
+        pending, self._pending = self._pending, {}
+        self._pending_bytes, self._chunk_start = 0, None
+        try:
+            for topic in list(pending):
+                self._file.write_chunk(topic, pending[topic], last=last)
+                del pending[topic]
         finally:
             for topic, dropped in pending.items():
-                self.counts[topic] -= len(dropped)
+                self.counts[topic] -= sum(len(batch.payloads) for batch in dropped)
 
-    def _make_room(self, log_times: NDArray[np.int64]) -> int:
-        """How many of the messages, one at least, go into the chunks that are open then."""
-        fits = self._open.room_for(log_times)
-        if not fits:
-            self.flush()
-            fits = self._open.room_for(log_times)
-        return fits
+    def _is_due(self, now_ns: int) -> bool:
+        return self._chunk_start is not None and abs(now_ns - self._chunk_start) >= self._chunk_ns
 
-    def _add(
-        self,
-        topic: str,
-        payloads: Sequence[bytes] | NDArray[np.uint8],
-        log_times: NDArray[np.int64],
-        publish_times: NDArray[np.int64],
-    ) -> None:
-        count = self.counts.get(topic, 0)
-        channel = self._mcap.registry.number(CHANNELS[topic])
-        records, offsets = message_records(channel, count + 1, payloads, log_times, publish_times)
-        pending = self._open.of(topic)
-        pending.add(records, log_times, offsets)
-        self.counts[topic] = count + len(log_times)
-        if pending.size > _CHUNK_BYTES:
-            self.flush()
+    def _is_part_full(self, now_ns: int) -> bool:
+        size, duration = self._limits.size, self._limits.duration
+        elapsed = abs(now_ns - (self._part_start or now_ns))
+        return (size is not None and self._file.size - self._header_size >= size) or (
+            duration is not None and elapsed >= duration
+        )
 
-    def _end_size(self, n_open: int) -> int:
-        """Bytes to keep free for the end of the file, when so many chunks are still open."""
-        return _END_BYTES + _INDEX_BYTES * (self._mcap.n_chunks + n_open)
-
-    @contextmanager
-    def _whole_or_not(self) -> Iterator[None]:
+    def _open_file(self, path: Path, *, force: bool = False) -> McapWriter:
+        """Start a file with what every part has; while that is written, it is the current one."""
+        file = McapWriter(path, self._channels, force=force, compression=self._compression)
+        self._file = file
         try:
-            yield
-            self._file.settle()
-        except OSError as error:
-            with suppress(OSError):
-                self._file.take_back()
-            raise RecordingError(
-                f"The recording {self.path} cannot be written any more: {error.strerror}.",
-                "Make room or choose another place; what fitted is in the file.",
-            ) from error
+            if self._limits.any:
+                file.add_metadata({"part": len(self._parts)})
+            self._file_header(self)
+            self.flush()
+        except BaseException:
+            with suppress(RecordingError):
+                file.close()
+            raise
+        self._header_size = file.size
+        return file
+
+    def _start_next_part(self) -> None:
+        """Go on in a new file; if none can be started, the current one stays in use."""
+        self.flush()
+        full, counts = self._file, dict(self.counts)
+        path = part_path(self.path, len(self.paths))
+        self._parts.append(self._part())
+        try:
+            self._open_file(path)
+            self.paths.append(path)
+            self._write_metadata_yaml()
+        except BaseException:
+            self._parts.pop()
+            self._file, self.counts, self.paths = full, counts, self.paths[: len(self._parts) + 1]
+            self._pending, self._pending_bytes, self._chunk_start = {}, 0, None
+            path.unlink(missing_ok=True)
+            raise
+        full.close()
+
+    def _part(self) -> Part:
+        """The file in progress, as metadata.yaml lists it."""
+        file = self._file
+        return Part(file.path.name, dict(file.counts), file.first_log_time, file.last_log_time)
+
+    def _write_metadata_yaml(self) -> None:
+        write_metadata_yaml(self.path, [*self._parts, self._part()], self._channels)

@@ -1,0 +1,285 @@
+"""One MCAP file, written with the library's writer so that it reads back whatever ends the program.
+
+The messages of a topic form a chunk of their own, so that reading one topic decompresses only that
+topic. A chunk is handed to the operating system as soon as it is written: a killed program leaves a
+file that ends with its last whole chunk. Disk space is reserved before each chunk, so that a full
+disk is noticed before a chunk is begun and there is room to finish the file.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import os
+from collections import Counter
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
+
+from mcap.writer import CompressionType, IndexType, Writer
+
+from g1stream._version import __version__
+from g1stream.files import output_errors
+from g1stream.session.metadata import METADATA_NAME, metadata_to_strings
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from g1stream.session.format import Channel
+
+__all__ = ["Compression", "McapWriter", "MessageBatch", "OutputFile"]
+
+Compression = Literal["zstd", "lz4", "none"]
+
+_KEEP_SIZE: Final = 1  # FALLOC_FL_KEEP_SIZE of linux/falloc.h
+_STEP: Final = 1 << 20
+
+#: Reserved for the end of the file: schemas and statistics, and the index of one chunk.
+_SUMMARY_BYTES: Final = 1 << 16
+_INDEX_BYTES: Final = 200
+#: Reserved for what is written after a disk has filled up: the last metadata and log messages.
+_FINAL_BYTES: Final = 1 << 18
+#: Of a message record, without its data, and of its index entry.
+_MESSAGE_BYTES: Final = 31 + 16
+
+_fallocate: Any = getattr(ctypes.CDLL(None, use_errno=True), "fallocate", None)
+if _fallocate is not None:
+    _fallocate.argtypes = (ctypes.c_int, ctypes.c_int, ctypes.c_int64, ctypes.c_int64)
+
+
+class OutputFile:
+    """A file that is written unbuffered, with disk space reserved and whole pieces only.
+
+    Args:
+        path: of the file.
+        mode: `x` for a new file; `w` to replace one.
+
+    Raises:
+        OSError: it cannot be opened.
+    """
+
+    def __init__(self, path: Path, mode: Literal["x", "w"]) -> None:
+        self._file: Any = path.open(f"{mode}b", buffering=0)
+        self._committed = 0
+        self._reserved = 0
+
+    def write(self, data: bytes) -> int:
+        """Write all of the data; an OSError leaves a part of it, to be removed by `rollback`."""
+        view = memoryview(data)
+        while view:
+            view = view[self._file.write(view) :]
+        return len(data)
+
+    def tell(self) -> int:
+        """Bytes written."""
+        position: int = self._file.tell()
+        return position
+
+    def flush(self) -> None:
+        """Nothing to do: the file is not buffered."""
+
+    def reserve(self, size: int) -> None:
+        """Reserve disk space for `size` more bytes, where the file system can (fallocate(2)).
+
+        Raises:
+            OSError: there is not so much space.
+        """
+        end = self.tell() + size
+        if end <= self._reserved or _fallocate is None:
+            return
+        end += -end % _STEP
+        if _fallocate(self._file.fileno(), _KEEP_SIZE, self._reserved, end - self._reserved) == 0:
+            self._reserved = end
+        elif (number := ctypes.get_errno()) in {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}:
+            raise OSError(number, os.strerror(number))
+
+    def commit(self) -> None:
+        """Keep all that has been written so far."""
+        self._committed = self.tell()
+
+    def rollback(self) -> None:
+        """Remove all that was written since the last `commit`."""
+        with suppress(OSError):
+            self._file.truncate(self._committed)
+            self._file.seek(self._committed)
+
+    @property
+    def closed(self) -> bool:
+        """Whether it was closed."""
+        closed: bool = self._file.closed
+        return closed
+
+    def close(self) -> None:
+        """Release space that was reserved and not used, and close; once is enough."""
+        if not self._file.closed:
+            with suppress(OSError):
+                self._file.truncate(self.tell())
+            self._file.close()
+
+
+class MessageBatch(NamedTuple):
+    """T messages of one topic, oldest first.
+
+    Attributes:
+        payloads: the messages, or (T, size) uint8 with one in each row.
+        log_times, publish_times: (T,) int64, ns since the epoch.
+        sequence: number of the first message.
+    """
+
+    payloads: Sequence[bytes] | NDArray[np.uint8]
+    log_times: NDArray[np.int64]
+    publish_times: NDArray[np.int64]
+    sequence: int
+
+    @property
+    def size(self) -> int:
+        """Bytes that they take in a file, at most."""
+        return sum(map(len, self.payloads)) + _MESSAGE_BYTES * len(self.payloads)
+
+
+class McapWriter:
+    """One MCAP file; every method raises a RecordingError where the file cannot be written.
+
+    Args:
+        path: of the file; its directory must exist.
+        channels: those that messages may be written to, by topic.
+        force: replace an existing file.
+        compression: of the chunks.
+
+    Attributes:
+        path: of the file, as error messages show it.
+        counts: messages written, by topic.
+        first_log_time, last_log_time: of all messages, ns since the epoch; None before the first.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        channels: Mapping[str, Channel],
+        *,
+        force: bool = False,
+        compression: Compression = "zstd",
+    ) -> None:
+        self.path = path
+        self.counts: Counter[str] = Counter()
+        self.first_log_time: int | None = None
+        self.last_log_time: int | None = None
+        self._channels = channels
+        self._channel_ids: dict[str, int] = {}
+        self._schema_ids: dict[str, int] = {}
+        self._n_chunks = 0
+        self._compression = CompressionType[compression.upper()]
+        with output_errors(path):
+            self._file = OutputFile(path, "w" if force else "x")
+        self._mcap = self._library_writer(summary=True)
+        try:
+            with self._committed(0):
+                self._mcap.start(library=f"g1stream {__version__}")
+        except BaseException:
+            self._file.close()
+            path.unlink(missing_ok=True)
+            raise
+
+    @property
+    def size(self) -> int:
+        """Bytes written."""
+        return self._file.tell()
+
+    def write_chunk(self, topic: str, batches: Sequence[MessageBatch], *, last: bool) -> None:
+        """Write messages of one topic as a chunk; all of them or none.
+
+        Args:
+            topic: one of the channels.
+            batches: the messages.
+            last: whether this may use the space that is kept for the end of a file.
+        """
+        with self._committed(sum(b.size for b in batches) + (0 if last else _FINAL_BYTES)):
+            channel_id = self._channel_id(topic)
+            for payloads, log_times, publish_times, sequence in batches:
+                times = zip(log_times.tolist(), publish_times.tolist(), payloads, strict=True)
+                for number, (logged, published, data) in enumerate(times, start=sequence):
+                    self._mcap.add_message(channel_id, logged, data, published, number)
+            self._mcap.flush()
+        self._n_chunks += 1
+        for batch in batches:
+            self.counts[topic] += len(batch.payloads)
+            first, last_time = int(batch.log_times.min()), int(batch.log_times.max())
+            self.first_log_time = min(first, self.first_log_time or first)
+            self.last_log_time = max(last_time, self.last_log_time or last_time)
+
+    def attach(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
+        """Add a file; see `SessionWriter.attach`."""
+        with self._committed(len(data) + _FINAL_BYTES):
+            self._mcap.add_attachment(time_ns, time_ns, name, media_type, data)
+
+    def add_metadata(self, values: Mapping[str, Any]) -> None:
+        """Add a metadata record; see `SessionWriter.add_metadata`."""
+        strings = metadata_to_strings(values)
+        with self._committed(sum(len(k) + len(v) + 8 for k, v in strings.items())):
+            self._mcap.add_metadata(METADATA_NAME, strings)
+
+    def close(self) -> None:
+        """Write the summary and close the file; once is enough."""
+        try:
+            if not self._file.closed:
+                with output_errors(self.path):
+                    self._mcap.finish()
+        finally:
+            self._file.close()
+
+    def _channel_id(self, topic: str) -> int:
+        """The number of a channel; a new one is registered, and described in the next chunk."""
+        if topic not in self._channel_ids:
+            channel = self._channels[topic]
+            if channel.schema_name not in self._schema_ids:
+                self._schema_ids[channel.schema_name] = self._mcap.register_schema(
+                    channel.schema_name, channel.schema_encoding, channel.build_schema()
+                )
+            self._channel_ids[topic] = self._mcap.register_channel(
+                topic,
+                channel.message_encoding,
+                self._schema_ids[channel.schema_name],
+                {"description": channel.description},
+            )
+        return self._channel_ids[topic]
+
+    def _library_writer(self, *, summary: bool) -> Any:
+        return Writer(
+            self._file,  # type: ignore[arg-type]  # it calls write, tell and flush only
+            chunk_size=1 << 40,  # never reached: chunks end with `flush`
+            compression=self._compression,
+            index_types=IndexType.ALL if summary else IndexType.NONE,
+            repeat_channels=summary,
+            repeat_schemas=summary,
+            use_statistics=summary,
+            use_summary_offsets=summary,
+        )
+
+    def _recover(self) -> None:
+        """Cut off a piece that was written in part, and go on without a summary.
+
+        The library's writer has counted the piece, so another one takes over. It knows the same
+        channels, and does not know of what was written before.
+        """
+        self._file.rollback()
+        self._mcap = self._library_writer(summary=False)
+        topics = list(self._channel_ids)
+        self._channel_ids.clear()
+        self._schema_ids.clear()
+        for topic in topics:
+            self._channel_id(topic)
+
+    @contextmanager
+    def _committed(self, size: int) -> Iterator[None]:
+        """Write a piece of so many bytes and the end of the file, if there is space for both."""
+        with output_errors(self.path):
+            self._file.reserve(size + _SUMMARY_BYTES + _INDEX_BYTES * (self._n_chunks + 1))
+            try:
+                yield
+                self._file.commit()
+            except OSError:  # only where space cannot be reserved
+                self._recover()
+                raise

@@ -1,0 +1,159 @@
+"""Output paths, also in directories that are locked, by a user whom permissions stop."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+from itertools import takewhile
+from pathlib import Path
+
+import pytest
+
+from g1stream.errors import RecordingError
+from g1stream.files import check_output_path, complete_file, is_session, timestamped
+
+
+@pytest.mark.parametrize(
+    ("content", "answer"),
+    [(b"\x89MCAP0\r\n", True), (b"\x89MCAP1\r\n", True), (b"", False), (b"Frame,X", False)],
+)
+def test_a_session_file_is_known_by_its_first_bytes(tmp_path, content, answer):
+    (tmp_path / "f").write_bytes(content)
+    assert is_session(tmp_path / "f") is answer
+
+
+def test_a_session_directory_is_known_by_its_metadata(tmp_path):
+    assert not is_session(tmp_path)
+    assert not is_session(tmp_path / "nowhere")
+    (tmp_path / "metadata.yaml").touch()
+    assert is_session(tmp_path)
+
+
+def test_nothing_is_read_from_a_pipe(tmp_path):
+    os.mkfifo(tmp_path / "pipe")  # opened, one without a writer would block
+    assert not is_session(tmp_path / "pipe")
+
+
+def test_a_time_in_the_name():
+    path = timestamped(Path("runs/session.mcap"), 1_772_366_400_999_999_999)
+    assert path == Path("runs/session-20260301T120000Z.mcap")
+
+
+def write(path, **options):
+    with complete_file(path, **options) as temporary:
+        temporary.write_bytes(b"new")
+        assert temporary.parent == path.parent
+        assert not path.exists() or path.read_bytes() == b"old"
+
+
+def test_a_file_gets_its_name_when_it_is_complete(tmp_path):
+    write(tmp_path / "f")
+    assert (tmp_path / "f").read_bytes() == b"new"
+    assert list(tmp_path.iterdir()) == [tmp_path / "f"]
+
+
+@pytest.mark.parametrize("old", [None, b"old"])
+@pytest.mark.parametrize("error", [KeyboardInterrupt, ZeroDivisionError, OSError])
+def test_a_failure_leaves_what_was_there(tmp_path, old, error):
+    path = tmp_path / "f"
+    if old:
+        path.write_bytes(old)
+    with pytest.raises(RecordingError if error is OSError else error), complete_file(path):
+        raise error
+    assert [p.read_bytes() for p in tmp_path.iterdir()] == ([old] if old else [])
+
+
+def test_a_link_stays_a_link(tmp_path):
+    (tmp_path / "f").write_bytes(b"old")
+    (tmp_path / "link").symlink_to("f")
+    write(tmp_path / "link")
+    assert (tmp_path / "link").is_symlink()
+    assert (tmp_path / "f").read_bytes() == b"new"
+
+
+def test_a_file_is_replaced_only_when_forced(tmp_path):
+    (tmp_path / "f").write_bytes(b"old")
+    with pytest.raises(RecordingError) as error:
+        write(tmp_path / "f", force=False)
+    assert str(tmp_path / "f") in error.value.cause
+    assert "--force" in error.value.remedy
+    write(tmp_path / "f")
+    assert (tmp_path / "f").read_bytes() == b"new"
+
+
+def test_a_file_that_appears_in_the_meantime_is_not_replaced(tmp_path):
+    def slowly():
+        with complete_file(tmp_path / "f", force=False):
+            (tmp_path / "f").write_bytes(b"old")
+
+    with pytest.raises(RecordingError):
+        slowly()
+    assert [p.read_bytes() for p in tmp_path.iterdir()] == [b"old"]
+
+
+@pytest.mark.parametrize("name", ["nowhere/f", ".", "pipe", "file/f"])
+def test_paths_where_no_file_can_be(tmp_path, name):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "file").touch()
+    with pytest.raises(RecordingError) as error:
+        check_output_path(tmp_path / name, force=True)
+    assert str((tmp_path / name).parent if "/" in name else tmp_path / name) in error.value.cause
+
+
+AS_NOBODY = """
+import os, sys, yaml
+from pathlib import Path
+from g1stream.errors import RecordingError
+from g1stream.files import check_output_path
+from g1stream.session.format import CHANNELS
+from g1stream.session.parts import SessionFiles, check_recording_path
+from g1stream.session.writer import SessionWriter, SplitLimits
+os.getuid() or os.setuid(65534)
+path = Path(sys.argv[1])
+try:
+    {}
+except RecordingError as error:
+    print(error)
+"""
+
+
+@pytest.fixture
+def locked(tmp_path):
+    """Runs a statement as another user in a directory of some mode with a recording `s` in it."""
+    directory = tmp_path / "locked"
+    (directory / "s").mkdir(parents=True)
+    (directory / "s" / "metadata.yaml").touch()
+    (directory / "s.mcap").touch()
+    temporary = Path(tempfile.gettempdir())
+    for parent in takewhile(lambda path: path != temporary, (tmp_path, *tmp_path.parents)):
+        parent.chmod(0o755)
+
+    def run(mode, statement):
+        directory.chmod(mode)
+        command = [sys.executable, "-c", AS_NOBODY.format(statement), str(directory / "s.mcap")]
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout
+
+    yield run
+    directory.chmod(0o755)
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "check_output_path(path, force=True)",
+        "check_recording_path(path, split=True, force=True)",
+        "SessionWriter(path, force=True)",
+        "SessionWriter(path, force=True, limits=SplitLimits(size=1))",
+        "SessionWriter(path.with_name('new'))",
+    ],
+)
+@pytest.mark.parametrize("mode", [0o555, 0o444, 0o000])
+def test_a_directory_that_may_not_be_written(locked, mode, statement):
+    assert "permission" in locked(mode, statement).lower()
+
+
+@pytest.mark.parametrize("name", ["s.mcap", "s"])
+def test_a_directory_that_may_not_be_read(locked, name):
+    assert "Permission denied" in locked(0o000, f"SessionFiles(path.with_name({name!r}))")

@@ -134,12 +134,12 @@ def announce_wire(config: Config, *, commands: bool = True) -> None:
         config: where.
         commands: whether what is published moves whoever obeys it.
     """
-    from g1stream.dds.domain import stays_here
+    from g1stream.dds.domain import is_local_only
 
     where = f"DDS domain {config.dds.domain} on {config.dds.interface}"
     if os.environ.get("CYCLONEDDS_URI"):
         where = f"DDS domain {config.dds.domain}, where CYCLONEDDS_URI says"
-    if commands and not stays_here(config.dds.interface):
+    if commands and not is_local_only(config.dds.interface):
         where = (
             f"WARNING: {where}: whatever listens there will move, a real robot too. "
             "Keep its remote at hand"

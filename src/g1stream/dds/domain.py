@@ -1,9 +1,9 @@
-"""Joining a DDS domain on one network interface, and seeing who else is there.
+"""Join a DDS domain on one network interface, and list the endpoints of others in it.
 
 On loopback the released Cyclone versions disagree about multicast: 0.10.x, which the SDK and the
 robot run, turns it off there and 11.x does not, so that with a plain configuration the two never
-meet. Naming 127.0.0.1 as a peer makes them meet in either start order; a wired interface needs
-nothing.
+discover each other. With 127.0.0.1 as a peer they do, in either start order; a wired interface
+needs nothing.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ __all__ = [
     "Participant",
     "interface_flags",
     "interfaces",
+    "is_local_only",
     "is_loopback",
-    "stays_here",
     "support_announced",
     "user_data_of_support",
 ]
 
-#: Beyond this the ports that a domain id stands for leave the range of ports (RTPS 2.5, 9.6.2).
+#: The ports of a higher domain id would be above 65535 (RTPS 2.5, 9.6.2).
 MAX_DOMAIN: Final = 232
 
 # The kernel gives as much of the receive buffer as net.core.rmem_max allows. Cyclone's own 1 MB
@@ -54,8 +54,8 @@ _CONFIG: Final = (
     '<Internal><SocketReceiveBufferSize max="16MB"/></Internal>'
     "{discovery}</Domain></CycloneDDS>"
 )
-#: Samples go to those who read them: by multicast on loopback, every process in the domain would
-#: wake up for each of them, the sender too.
+#: Samples by unicast: by multicast on loopback, each would wake every process in the domain, the
+#: sender too.
 _LOOPBACK_MULTICAST: Final = "<AllowMulticast>spdp</AllowMulticast>"
 _LOOPBACK_DISCOVERY: Final = (
     "<Discovery><ParticipantIndex>auto</ParticipantIndex>"
@@ -89,8 +89,8 @@ def is_loopback(interface: str) -> bool:
     return InterfaceFlags.LOOPBACK in interface_flags(interface)
 
 
-def stays_here(interface: str) -> bool:
-    """Whether what is published cannot leave this machine; a CYCLONEDDS_URI could say anything."""
+def is_local_only(interface: str) -> bool:
+    """Whether samples cannot leave this machine; with a CYCLONEDDS_URI that is not known."""
     return not os.environ.get("CYCLONEDDS_URI") and is_loopback(interface)
 
 
@@ -120,12 +120,12 @@ def support_announced(writers: Iterable[Endpoint]) -> str | None:
 
 @dataclass(frozen=True)
 class Endpoint:
-    """A writer or reader that somebody has on a topic.
+    """A writer or reader of another participant.
 
     Attributes:
         topic, type_name: as announced on the wire.
         participant: the GUID of the participant it belongs to.
-        host, pid, process: of that participant; empty where it does not tell.
+        host, pid, process: of that participant; empty where it does not announce them.
         qos: Cyclone's Qos, as announced.
         type_id: XTypes' identifier of the announced type; None where it announces none.
     """
@@ -147,14 +147,14 @@ class Endpoint:
     def __str__(self) -> str:
         if not self.pid:
             return f"participant {self.participant}"
-        return f"{self.process or 'process'} (pid {self.pid} on {self.host or 'an unnamed host'})"
+        return f"{self.process or 'process'} (pid {self.pid} on {self.host or 'an unknown host'})"
 
 
 class Closable(Protocol):
-    """What a participant closes."""
+    """An entity that its participant closes."""
 
     def close(self) -> None:
-        """Leave the wire."""
+        """Delete the entity."""
 
 
 class Participant:
@@ -162,7 +162,7 @@ class Participant:
 
     Args:
         domain: the DDS domain id, 0 to 232. Simulators use 1, the robot uses 0.
-        interface: the network interface to be on, such as `lo` or `eth0`.
+        interface: the network interface to use, such as `lo` or `eth0`.
 
     Attributes:
         uses_environment: a CYCLONEDDS_URI was set, and was used instead of `interface`.
@@ -172,7 +172,7 @@ class Participant:
             another interface, or Cyclone cannot start there.
     """
 
-    # Cyclone wants one configuration for each domain id in a process, made before its participants.
+    # Cyclone takes one configuration for each domain id in a process, before its participants.
     _domains: dict[int, tuple[Domain, str, int]] = {}  # noqa: RUF012
 
     def __init__(self, domain: int, interface: str) -> None:
@@ -188,7 +188,7 @@ class Participant:
         self.domain = domain
         self.interface = interface
         self.uses_environment = bool(os.environ.get("CYCLONEDDS_URI"))
-        self._kept: list[Closable] = []
+        self._entities: list[Closable] = []
         try:
             if not self.uses_environment:
                 self._configure()
@@ -208,8 +208,8 @@ class Participant:
         entity, interface, users = self._domains.get(self.domain, (None, self.interface, 0))
         if interface != self.interface:
             raise WireError(
-                f"This process is in domain {self.domain} on {interface} already, and cannot be "
-                f"there on {self.interface} too.",
+                f"This process uses {interface} for domain {self.domain} and cannot use "
+                f"{self.interface} as well.",
                 "Use one interface for a domain, or another domain.",
             )
         if entity is None:
@@ -231,16 +231,16 @@ class Participant:
         else:
             del self._domains[self.domain]
 
-    def keep(self, entity: Closable) -> None:
-        """Close an entity made from this participant with it, whoever still refers to it."""
-        self._kept.append(entity)
+    def register(self, entity: Closable) -> None:
+        """Close an entity together with this participant, whatever still refers to it."""
+        self._entities.append(entity)
 
     def writers(self, topic: str | None = None) -> list[Endpoint]:
-        """Who writes a topic, or any, as far as discovery has come; ours are left out."""
+        """Writers of a topic, or of all, discovered so far; without this participant's."""
         return self._endpoints(self._writers, topic)
 
     def readers(self, topic: str | None = None) -> list[Endpoint]:
-        """Who reads a topic, or any, as far as discovery has come; ours are left out."""
+        """Readers of a topic, or of all, discovered so far; without this participant's."""
         return self._endpoints(self._readers, topic)
 
     def _endpoints(self, reader: Any, topic: str | None) -> list[Endpoint]:
@@ -270,13 +270,13 @@ class Participant:
         return found
 
     def close(self) -> None:
-        """Leave the domain. Entities made from the participant are gone with it."""
+        """Leave the domain; closes all entities made from this participant."""
         if not hasattr(self, "entity"):
             return
         # Cyclone's Python entities end with their last reference: children first, the domain last.
-        for entity in self._kept:
+        for entity in self._entities:
             entity.close()
-        self._kept.clear()
+        self._entities.clear()
         del self._participants, self._writers, self._readers
         del self.entity
         self._release()
@@ -294,6 +294,6 @@ class Participant:
 
 
 def _alive(reader: Any) -> list[Any]:
-    """What a built-in reader knows to be there now; reading leaves it for the next look."""
+    """What a built-in reader knows to exist now; it stays there for the next call."""
     alive = InstanceState.Alive
     return [s for s in reader.read(1024) if s.sample_info.instance_state & alive]

@@ -41,7 +41,7 @@ class RawSample:
 
     @property
     def publish_time(self) -> int:
-        """The writer's stamp, ns since the epoch."""
+        """The source timestamp, ns since the epoch."""
         return int(self.sample_info.source_timestamp)
 
     def serialize(self, use_version_2: bool | None = None) -> bytes:
@@ -99,7 +99,7 @@ class _CountingReader(DataReader[Any]):  # type: ignore[misc]
         return int(status.current_count)
 
     def lost(self) -> int:
-        """How many samples the reader knows that it missed."""
+        """How many samples DDS reports as lost."""
         status = dds_c_t.sample_lost_status()
         self._lost_status(self._ref, ctypes.byref(status))
         return int(status.total_count)
@@ -122,12 +122,12 @@ class _CountingReader(DataReader[Any]):  # type: ignore[misc]
 class RawWriter:
     """Publishes samples of one topic as bytes.
 
-    Reliable and volatile, as the simulators write, so that readers of either kind match. A slow
-    reliable reader never blocks it: what cannot be written at once is counted in `dropped`.
+    Reliable and volatile, as the simulators write, so that reliable and best-effort readers match.
+    A slow reliable reader never blocks it: what cannot be written at once is counted in `dropped`.
 
     Args:
         depth: how many samples are kept for reliable readers that have not confirmed them.
-        user_data: what discovery tells others beside the topic.
+        user_data: announced in discovery.
     """
 
     def __init__(
@@ -143,10 +143,10 @@ class RawWriter:
         self._writer: Any = _CountingWriter(
             participant.entity, CycloneTopic(participant.entity, topic.name, self._type), qos
         )
-        participant.keep(self)
+        participant.register(self)
 
     def close(self) -> None:
-        """Leave the topic, at once for every peer; its participant does this when it closes."""
+        """Leave the topic; the participant does this when it closes."""
         self._writer = None
 
     def write(self, data: bytes, timestamp: int | None = None) -> bool:
@@ -157,7 +157,7 @@ class RawWriter:
             timestamp: the publish time, ns since the epoch; now when left out.
 
         Returns:
-            Whether it went out at once.
+            Whether it was written at once.
         """
         try:
             self._writer.write(self._type(data), timestamp)
@@ -177,15 +177,15 @@ class RawWriter:
 class RawReader:
     """Receives samples of one topic as bytes.
 
-    Best effort, so that it can never block a writer, a robot's least of all.
+    Best effort, so that it can never block a writer.
 
     Args:
-        depth: how many samples wait between two takes before the oldest is lost.
+        depth: how many samples are kept between two takes before the oldest is lost.
         ignore_own: do not match writers of the same participant.
-        user_data: what to tell those who discover it.
+        user_data: announced in discovery.
 
     Attributes:
-        malformed: samples that came and were not of the topic's type.
+        malformed: samples received that were not of the topic's type.
     """
 
     def __init__(
@@ -210,18 +210,17 @@ class RawReader:
         self.entity: Any = _CountingReader(
             participant.entity, CycloneTopic(participant.entity, topic.name, self._type), qos
         )
-        participant.keep(self)
+        participant.register(self)
 
     def close(self) -> None:
-        """Leave the topic; its participant does this when it closes."""
+        """Leave the topic; the participant does this when it closes."""
         self.entity = None
 
     def take(self, most: int = 256) -> Sequence[RawSample]:
-        """The samples that came since the last take, oldest first; never waits.
+        """The samples received since the last take, oldest first; never waits.
 
-        What is not one sample of the topic's type in plain little-endian CDR is left out, and
-        counted in `malformed`: a writer that sends no type information is matched whatever it
-        writes.
+        What is not one sample of the topic's type in plain little-endian CDR is left out and
+        counted in `malformed`: a writer without type information is matched whatever it writes.
         """
         whole = []
         for sample in self.entity.take(most):
@@ -244,5 +243,5 @@ class RawReader:
 
     @property
     def lost(self) -> int:
-        """How many samples the reader knows that it missed."""
+        """How many samples DDS reports as lost."""
         return int(self.entity.lost())

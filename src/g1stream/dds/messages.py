@@ -158,7 +158,7 @@ class LowState(_Motors):
 
 
 class SecondaryImu(Message):
-    """The torso's inertial unit, topic rt/secondary_imu; fields as in `LowState`."""
+    """The IMU in the torso, topic rt/secondary_imu; fields as in `LowState`."""
 
     idl_type = types.IMUState_
 
@@ -174,7 +174,7 @@ class SportModeState(Message):
 
     Attributes:
         position, velocity: (3,) float32, of the pelvis in the world, m and m/s.
-        quaternion: (4,) float32, wxyz, pelvis to world; 0 where the simulator does not tell it.
+        quaternion: (4,) float32, wxyz, pelvis to world; 0 where the simulator does not set it.
         sec, nanosec: () the simulator's own time.
     """
 
@@ -190,12 +190,12 @@ class SportModeState(Message):
 
 
 class Reference(Message):
-    """What the motion asks for at the stamp of the LowCmd beside it, topic rt/g1stream/reference.
+    """The target of the motion at the publish time of its LowCmd, topic rt/g1stream/reference.
 
     Attributes:
         tick: () uint64, counts the references published.
         motion_time: () float64, s since the motion's first frame.
-        phase: () uint8, a `g1stream.control.phases.Phase`.
+        phase: () uint8, a `g1stream.types.Phase`.
         q, dq, ddq, tau: (29,) float64: rad, rad/s, rad/s^2, Nm.
         root_pos: (3,) float64, m, world.
         root_quat_wxyz: (4,) float64, pelvis to world.

@@ -1,4 +1,4 @@
-"""What is missing from a stream whose samples carry a number that grows with time."""
+"""Lost samples, counted by the ticks of those that arrived."""
 
 from __future__ import annotations
 

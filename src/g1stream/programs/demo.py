@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from g1stream.config import Config
-from g1stream.dds.domain import Participant, is_loopback, stays_here
+from g1stream.dds.domain import Participant, is_local_only, is_loopback
 from g1stream.dds.topics import LOWSTATE
 from g1stream.errors import ConfigError, RecordingError, WireError
 from g1stream.programs.child_process import Child
@@ -71,7 +71,7 @@ def demo(
     from g1stream.session.session import open_session
 
     config = config or Config()
-    _check_stays_here(config.dds.interface)
+    _check_local_only(config.dds.interface)
     session_path, picture_path = out / "session.mcap", out / "tracking.png"
     if not force:
         named_anew = config.record.auto_name  # with the time in it
@@ -101,8 +101,8 @@ def demo(
     return DemoOutcome(session_path, played, picture_path, summarise(session))
 
 
-def _check_stays_here(interface: str) -> None:
-    if stays_here(interface):
+def _check_local_only(interface: str) -> None:
+    if is_local_only(interface):
         return
     what = (
         f"the interface {interface} is not the loopback"

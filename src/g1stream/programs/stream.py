@@ -17,7 +17,7 @@ from g1stream.control.loop import StreamLoop
 from g1stream.control.phases import Timing
 from g1stream.control.safety import Envelope
 from g1stream.control.targets import Targets
-from g1stream.dds.domain import Participant, stays_here
+from g1stream.dds.domain import Participant, is_local_only
 from g1stream.dds.topics import LOWCMD
 from g1stream.doctor.matching import explain_no_robot
 from g1stream.doctor.wire import inspect_participant
@@ -215,7 +215,7 @@ def make_feedforward(config: Config, robot: G1) -> FeedForward:
     """
     settings, period = config.stream, _period(config) / 1e9
     kind = settings.feedforward
-    if kind is None and not stays_here(config.dds.interface):
+    if kind is None and not is_local_only(config.dds.interface):
         kind = "velocity"
     dynamics = InverseDynamics(robot) if kind in (None, "dynamics") else None
     return FeedForward(

@@ -77,7 +77,7 @@ class Session:
         unreadable_parts: of the latter, the reason, a sentence, by number.
         complete: whether everything is there and was closed properly.
         topics: number of messages by topic, in the whole session.
-        metadata: what the stream and the recorder noted about the session.
+        metadata: what stream and recorder wrote about the session.
     """
 
     def __init__(self, source: SessionSource) -> None:
@@ -100,7 +100,7 @@ class Session:
 
     @property
     def reference(self) -> Reference:
-        """What the motion asked for.
+        """The target at each tick, computed from the motion.
 
         Raises:
             RecordingError: it was not published in this session.
@@ -109,7 +109,7 @@ class Session:
 
     @property
     def command(self) -> Command:
-        """What the motors were commanded.
+        """The commands to the motors.
 
         Raises:
             RecordingError: no commands were published in this session.
@@ -118,7 +118,7 @@ class Session:
 
     @property
     def measured(self) -> Measured:
-        """What the robot measured.
+        """The state of the robot.
 
         Raises:
             RecordingError: no robot published its state in this session.
@@ -127,12 +127,12 @@ class Session:
 
     @property
     def base(self) -> Base | None:
-        """Where the pelvis was; None where it was not published, as by a real robot."""
+        """Position of the pelvis; None where it was not published, as by a real robot."""
         return self.stream(Base) if self.topics.get(Base.topic) else None
 
     @property
     def torso_imu(self) -> TorsoImu | None:
-        """What the IMU in the torso measured; None where it was not published."""
+        """The IMU in the torso; None where it was not published."""
         return self.stream(TorsoImu) if self.topics.get(TorsoImu.topic) else None
 
     def stream(self, kind: type[StreamT]) -> StreamT:
@@ -348,7 +348,7 @@ class Session:
                 raise RecordingError(
                     f"{self.path} is damaged: of {self.topics[topic]} messages on {topic} it has "
                     f"{found}.",
-                    "Save the rest of it with a tool such as `mcap recover`.",
+                    "Recover the rest with a tool such as `pymcap-cli recover`.",
                 )
         return {
             topic: {attribute: _joined(columns.pop(attribute)) for attribute in list(columns)}
@@ -358,27 +358,27 @@ class Session:
     def _require(self, topic: str) -> None:
         if not self.topics.get(topic):
             raise RecordingError(
-                f"{self.path} has no messages on {topic}, {self._what_there_is()}.",
+                f"{self.path} has no messages on {topic}, {self._other_topics()}.",
                 "Record while its publisher runs.",
             )
 
     def _without_essentials(self) -> RecordingError:
         none = f"{', '.join(_ESSENTIAL[:-1])} or {_ESSENTIAL[-1]}"
-        if "started_ns" in self.metadata:  # a recorder's, that saw nobody
+        if "started_ns" in self.metadata:  # a recording without samples
             where = f"domain {self.metadata['domain']}", str(self.metadata["interface"])
             return RecordingError(
-                f"Nothing was recorded into {self.path}: while it was made, nobody published "
-                f"{none} on {' on '.join(where)}.",
-                f"`g1stream doctor --{where[0]} --interface {where[1]}` shows who is there; start "
-                "the robot or the simulator, then record.",
+                f"Nothing was recorded into {self.path}: there was no publisher of {none} on "
+                f"{' on '.join(where)}.",
+                f"`g1stream doctor --{where[0]} --interface {where[1]}` lists the participants; "
+                "start the robot or the simulator, then record.",
             )
         return RecordingError(
             f"{self.path} is not a session of g1stream: it has no messages on {none}, "
-            f"{self._what_there_is()}.",
+            f"{self._other_topics()}.",
             "Give a file that `g1stream record` or `g1stream stream --record` made.",
         )
 
-    def _what_there_is(self) -> str:
+    def _other_topics(self) -> str:
         if not self.topics:
             return "nor on any other topic"
         return "only on " + ", ".join(sorted(self.topics))

@@ -150,7 +150,7 @@ def _read_only(values: NDArray[Any]) -> NDArray[Any]:
 
 
 class Reference(Stream):
-    """What the motion asked for at each tick.
+    """The target at each tick, computed from the motion.
 
     Attributes:
         tick: (N,) of the control loop, from its first command.
@@ -223,7 +223,7 @@ def _phase(number: int) -> Phase:
 
 
 class Command(Stream):
-    """What the motors were told.
+    """The commands to the motors.
 
     Attributes:
         mode: (N, 29) 1 for a motor that is enabled.
@@ -246,7 +246,7 @@ class Command(Stream):
 
 
 class Measured(Stream):
-    """What the robot reported.
+    """The state of the robot.
 
     Attributes:
         tick: (N,) the robot's own clock, ms; always 0 from some simulators.
@@ -281,7 +281,7 @@ class Measured(Stream):
 
 
 class Base(Stream):
-    """Where the pelvis was, as far as somebody knew.
+    """The pelvis, as a simulator or a state estimator publishes it.
 
     Attributes:
         position: (N, 3) m, world.
@@ -296,7 +296,7 @@ class Base(Stream):
 
 
 class TorsoImu(Stream):
-    """What the inertial unit in the torso reported.
+    """The IMU in the torso.
 
     Attributes:
         imu_quat_wxyz: (N, 4) torso to world, with the yaw as the IMU counts it.

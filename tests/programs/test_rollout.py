@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from g1stream.config import Config
-from g1stream.errors import ConfigError
+from g1stream.errors import ConfigError, RecordingError
 from g1stream.programs.rollout import LATENCY, rollout
-from g1stream.session.session import Session
+from g1stream.session.session import Session, open_session
 from g1stream.sim.lockstep import EPOCH
 from g1stream.types import Phase
 
@@ -110,3 +110,25 @@ def test_settings_that_cannot_be_played(settings, named):
 def test_a_loop_plays_as_long_as_asked():
     looped = rollout("demo", seconds=0.5, config=config(stream=SHORT | {"loop": True}))
     assert {one.phase: one.duration_s for one in looped.phases}[Phase.PLAY] == pytest.approx(0.5)
+
+
+def test_it_is_saved_as_a_recorder_writes_it(session, tmp_path):
+    path = session.save(tmp_path / "rollout.mcap")
+    saved = open_session(path)
+    assert saved.complete
+    assert saved.topics == session.topics
+    for topic in session.topics:
+        assert list(saved.messages(topic)) == list(session.messages(topic))
+    assert saved.metadata == session.metadata
+    assert saved.attachments == session.attachments
+    assert saved.tracking().overall == session.tracking().overall
+    again = session.save(tmp_path / "again.mcap")
+    assert again.read_bytes() == path.read_bytes()
+    with pytest.raises(RecordingError, match=r"again\.mcap"):
+        session.save(again)
+
+
+def test_a_phase_is_saved(session, tmp_path):
+    saved = open_session(session.sel("PLAY").save(tmp_path / "play.mcap"))
+    assert [one.phase for one in saved.phases] == [Phase.PLAY]
+    assert len(saved.reference) == len(session.sel("PLAY").reference)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from functools import cached_property
+from heapq import merge
 from itertools import compress
+from mimetypes import guess_type
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
@@ -309,6 +311,41 @@ class Session:
         from g1stream.session.session_to_motion import reference_motion
 
         return reference_motion(self.reference, self.path, fps)
+
+    def save(self, path: str | os.PathLike[str], *, force: bool = False) -> Path:
+        """Write the session into one MCAP file: such as a rollout, or the part in a phase.
+
+        Messages on g1stream's own topics are written byte for byte, with both their times, and the
+        metadata and attachments of the whole session with them.
+
+        Args:
+            path: of the file; its directory must exist.
+            force: replace a file that is there.
+
+        Raises:
+            RecordingError: the file cannot be written, or the session's own file is damaged.
+        """
+        from g1stream.files import complete_file
+        from g1stream.session.format import CHANNELS
+        from g1stream.session.writer import SessionWriter
+
+        topics = [topic for topic, count in sorted(self.topics.items()) if count]
+        columns = [
+            [(message, topic) for message in self.messages(topic)]
+            for topic in topics
+            if topic in CHANNELS
+        ]
+        with (
+            complete_file(Path(path), force=force) as temporary,
+            SessionWriter(temporary) as writer,
+        ):
+            writer.add_metadata(self.metadata)
+            for name, data in self.attachments.items():
+                kind = guess_type(name)[0] or "application/octet-stream"
+                writer.attach(name, kind, data, self.start_ns)
+            for message, topic in merge(*columns, key=lambda pair: pair[0].log_time):
+                writer.write(topic, message.data, message.log_time, message.publish_time)
+        return Path(path)
 
     def to_dataframe(self, topic: str) -> pandas.DataFrame:
         """The samples of a topic as a table; see `g1stream.session.export.to_dataframe`."""

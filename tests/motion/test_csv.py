@@ -189,12 +189,12 @@ def test_quaternion_far_off_is_made_unit_with_a_warning(load, scale, doubted):
         (changed(1, 8, "W"), "line 1", ["QW", "no joint: W"]),
         (changed(1, 12, ""), "line 1, column 12", ["empty name"]),
         (changed(1, 3, "X"), "line 1, column 3 (X)", ["same name"]),
-        (csv(rows_of(5)).replace(",", ";"), "line 1", ["commas"]),
+        (csv(rows_of(5)).replace(",", ";"), "line 1", ["1 column", "header"]),
         (csv([]), "", ["no frame"]),
         ("", "", ["empty"]),
         (" \r\n\n", "", ["empty"]),
-        ("1,2,3\n4,5,6\n", "line 1", ["3 values", "header"]),
-        (csv(rows_of(5)).split("\n", 1)[1], "line 1", ["37 values", "header"]),
+        ("1,2,3\n4,5,6\n", "line 1", ["3 columns", "header"]),
+        (csv(rows_of(5)).split("\n", 1)[1], "line 1", ["37 columns", "header"]),
         (b"PK\x03\x04\x00\x00not text", "", ["binary", "byte 4"]),
         (b"Frame,X\n1,\xff\xfe\n", "line 2", ["byte 10", "UTF-8"]),
         (csv(rows_of(3)).encode("utf-16"), "line 1", ["byte 0", "UTF-8"]),
@@ -208,7 +208,7 @@ def test_faults_are_named_with_their_place(load, content, place, offenders):
     assert caught.value.remedy
 
 
-def test_one_frame_is_no_motion(load):
+def test_a_single_frame_is_an_error(load):
     with pytest.raises(MotionError, match="1 frame"):
         load(csv(rows_of(1)))
 

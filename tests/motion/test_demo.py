@@ -32,14 +32,14 @@ def feet(demo):
     return poses.pos[:, links], poses.quat_wxyz[:, links]
 
 
-def test_the_tool_makes_the_very_file(demo, robot):
+def test_the_tool_generates_the_committed_file(demo, robot):
     spec = importlib.util.spec_from_file_location("make_demo_motion", TOOL)
     tool = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(tool)
     assert tool.to_csv(*tool.make(robot)).encode() == demo.source.read_bytes()
 
 
-def test_is_of_a_length_to_watch(demo):
+def test_duration(demo):
     assert demo.fps == 30.0
     assert 12.0 <= demo.duration <= 14.0
 
@@ -52,8 +52,8 @@ def test_stays_well_within_the_robots_limits(demo, robot):
 
 
 def test_moves_every_limb(demo, robot):
-    for group in check_motion(demo, robot).groups:
-        assert group.highest - group.lowest > 0.3, group.group
+    for group, (lowest, highest) in check_motion(demo, robot).groups.items():
+        assert highest - lowest > 0.3, group
 
 
 def test_begins_and_ends_at_rest_in_one_pose(demo):
@@ -67,7 +67,7 @@ def test_begins_and_ends_at_rest_in_one_pose(demo):
     np.testing.assert_allclose(demo.root_pos[-1], demo.root_pos[0], atol=1e-5)
 
 
-def test_asks_for_less_than_half_the_torque_there_is(demo, robot):
+def test_needs_less_than_half_of_the_torque_limits(demo, robot):
     """With the pelvis held upright in the air, as the bridge holds it unless told otherwise."""
     model = mujoco.MjModel.from_xml_string(robot.urdf)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT

@@ -26,7 +26,7 @@ def test_a_missing_file_is_named_with_the_choices(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["directory", "link loop", "pipe"])
-def test_what_is_not_a_readable_file(tmp_path, kind):
+def test_paths_that_are_not_readable_files(tmp_path, kind):
     path = tmp_path / "odd.csv"
     if kind == "directory":
         path.mkdir()

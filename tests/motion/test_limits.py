@@ -52,7 +52,7 @@ def test_as_many_targets_are_reported_as_the_envelope_holds(wild_motion, robot, 
     for i in range(int(motion.duration * rate + 1e-6) + 1):
         envelope.limit(trajectory.sample(i / rate).joint_pos)
     report = measured(motion, robot, rate=rate, position_margin=margin)
-    held = {joint.joint: joint.n_targets for joint in report.held}
+    held = {joint.joint: joint.count for joint in report.held}
     assert held == {n: int(c) for n, c in zip(JOINT_NAMES, envelope.clamped, strict=True) if c}
     assert report.n_held == envelope.clamped.sum() > 10
 
@@ -130,7 +130,7 @@ def test_the_seam_of_a_loop_counts(spike, robot):
     assert "on the way back to its first frame" in report.warnings[0]
 
 
-def test_the_words_of_the_warnings(spike, robot):
+def test_warnings_snapshot(spike, robot):
     """The snapshot of this renderer."""
     report = measured(spike, robot, position_margin=0.1)
     assert report.warnings == (

@@ -17,7 +17,7 @@ from g1stream.session.motions import load_motion
 KNEE = JOINT_NAMES.index("left_knee_joint")
 
 
-def test_knows_its_length(make_motion):
+def test_length_and_repr(make_motion):
     motion = make_motion(np.zeros((61, 1)), fps=30.0)
     assert motion.n_frames == 61
     assert motion.duration == 2.0
@@ -52,7 +52,7 @@ def test_part_of_a_motion(wild_motion):
 
 
 @pytest.mark.parametrize(("start", "stop"), [(-1, 5), (5, 5), (5, 6), (6, 5), (30, 41)])
-def test_frames_that_are_no_part(wild_motion, start, stop):
+def test_invalid_parts(wild_motion, start, stop):
     with pytest.raises(MotionError, match=f"{start} to {stop}.*40 frames"):
         wild_motion.frames(start, stop)
 
@@ -71,7 +71,7 @@ def test_frames_that_are_no_part(wild_motion, start, stop):
         ({"joint_pos": np.zeros((1, 2))}, "1 frame[.]"),
     ],
 )
-def test_arrays_that_are_no_motion(fault, message):
+def test_invalid_arrays(fault, message):
     fields = {
         "name": "odd",
         "fps": 30.0,
@@ -135,7 +135,7 @@ def test_resampled_frames_are_those_of_the_trajectory(wild_motion, fps, n_frames
 
 
 @pytest.mark.parametrize("fps", [0.0, 0.1])
-def test_frame_rates_that_cannot_be_resampled_at(wild_motion, fps):
+def test_invalid_frame_rates_to_resample_at(wild_motion, fps):
     with pytest.raises(MotionError, match="made"):
         wild_motion.resample(fps)
 
@@ -151,7 +151,7 @@ def test_a_saved_motion_is_read_back_to_the_last_bit(wild_motion, tmp_path):
         np.testing.assert_array_equal(getattr(loaded, field), getattr(motion, field))
 
 
-def test_save_replaces_a_file_only_when_told_to(wild_motion, tmp_path):
+def test_save_replaces_a_file_only_with_force(wild_motion, tmp_path):
     path = tmp_path / "walk.csv"
     path.write_text("precious")
     with pytest.raises(MotionError, match=r"walk\.csv"):
@@ -162,7 +162,7 @@ def test_save_replaces_a_file_only_when_told_to(wild_motion, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["walk.npz", "missing/walk.csv"])
-def test_save_to_a_path_that_cannot_be(wild_motion, tmp_path, name):
+def test_save_to_an_invalid_path(wild_motion, tmp_path, name):
     with pytest.raises(MotionError, match="walk"):
         wild_motion.save(tmp_path / name)
     assert list(tmp_path.iterdir()) == []

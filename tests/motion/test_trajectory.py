@@ -29,7 +29,7 @@ def rotation(quat_wxyz):
     return Rotation.from_quat(quat_wxyz, scalar_first=True)
 
 
-def test_goes_through_every_frame(wild_motion):
+def test_passes_through_every_frame(wild_motion):
     trajectory = Trajectory(wild_motion)
     for k, t in enumerate(frame_times(wild_motion)):
         point = trajectory.sample(t)
@@ -73,7 +73,7 @@ def test_one_sample_is_the_same_as_many(wild_motion):
                 np.testing.assert_allclose(one, batch[row], rtol=1e-12, atol=1e-12)
 
 
-def test_sine(make_motion):
+def test_error_bounds_on_a_sine(make_motion):
     """Whole periods of a sine end without curvature, as a natural spline does."""
     rate, amplitude, fps = 2 * np.pi * 1.5, 0.8, 50.0
     times = np.arange(101) / fps
@@ -101,7 +101,7 @@ def test_sine(make_motion):
         assert np.abs(acc - acceleration).max() < 3 / 8 * fourth * h**2
 
 
-def test_turning_at_a_constant_rate_in_the_body_frame(make_motion):
+def test_constant_angular_velocity_in_the_body_frame(make_motion):
     rate = np.array([0.7, -1.1, 2.0])
     start = Rotation.from_euler("xyz", [0.4, -0.9, 1.3])
     times = np.arange(31) / 10.0
@@ -116,7 +116,7 @@ def test_turning_at_a_constant_rate_in_the_body_frame(make_motion):
 
 
 @pytest.mark.parametrize("degrees", [1e-7, 0.01, 45.0, 120.0, 179.0])
-def test_two_frames_turn_evenly_however_far_apart(make_motion, degrees):
+def test_two_frames_give_a_constant_angular_velocity(make_motion, degrees):
     turn = Rotation.from_rotvec(np.radians(degrees) * np.array([0.6, 0.0, -0.8]))
     quat = [[1.0, 0.0, 0.0, 0.0], turn.as_quat(scalar_first=True)]
     trajectory = Trajectory(make_motion([[0.0], [1.0]], quat=quat, fps=1.0))
@@ -166,7 +166,7 @@ def test_position_velocity_and_acceleration_are_continuous(wild_motion, loop):
         np.testing.assert_allclose(left, right, rtol=0, atol=2e-5, err_msg=name)
 
 
-def test_rests_outside(wild_motion):
+def test_rests_before_the_start_and_after_the_end(wild_motion):
     trajectory = Trajectory(wild_motion)
     for t, frame in ((-1.0, 0), (-1e-9, 0), (wild_motion.duration + 1e-9, -1), (1e9, -1)):
         point = trajectory.sample(t)
@@ -180,7 +180,7 @@ def test_rests_outside(wild_motion):
         assert not point.root_ang_acc.any()
 
 
-def test_begins_and_ends_without_acceleration_and_with_the_motions_own_velocity(wild_motion):
+def test_end_velocities_are_those_of_the_motion(wild_motion):
     trajectory = Trajectory(wild_motion)
     for t in (0.0, trajectory.duration):
         assert np.abs(trajectory.sample(t).joint_acc).max() < 1e-10

@@ -30,7 +30,7 @@ def figures(element):
 
 
 @pytest.mark.parametrize(("tag", "count"), [("link", 39), ("joint", 38)])
-def test_figures_are_unitrees(robot, reference_urdf, tag, count):
+def test_masses_frames_and_limits_are_those_of_unitree(robot, reference_urdf, tag, count):
     """Names, types, frames, axes, limits, masses and inertias; in the same order."""
     ours = [figures(item) for item in ET.fromstring(robot.urdf).iter(tag)]
     reference = ET.parse(reference_urdf("g1_29dof_rev_1_0.urdf"))
@@ -44,7 +44,7 @@ def test_shapes_are_primitives(robot):
     assert kinds == {"box", "cylinder", "sphere"}
 
 
-def test_the_tool_makes_what_is_committed(reference_urdf, robot, tmp_path):
+def test_the_tool_generates_the_committed_file(reference_urdf, robot, tmp_path):
     reference = reference_urdf("g1_29dof_rev_1_0.urdf")
     command = [sys.executable, str(TOOL), "--reference", str(reference), "--out", str(tmp_path)]
     subprocess.run(command, check=True)
@@ -80,7 +80,7 @@ def test_the_soles_touch_the_ground_together_and_nothing_else_does(standing):
     assert touching(model, data) == {("world", foot) for foot in FEET}
 
 
-def test_what_is_seen_stands_on_the_ground_too(robot, standing):
+def test_visual_shapes_stand_on_the_ground_too(robot, standing):
     """No shape digs into the ground, and the lowest one is on it."""
     sole_height = -standing[1].qpos[2] - 1e-4
     spec = mujoco.MjSpec.from_string(robot.urdf)

@@ -174,7 +174,7 @@ def test_a_given_force_replaces_the_weight(inverse, moving):
     assert nothing.tau == pytest.approx(inverse.solve("free", *arguments).tau, abs=1e-9)
 
 
-def test_following_takes_the_torque_of_the_base_acceleration_that_is_given(inverse, moving):
+def test_follow_takes_the_base_acceleration_as_given(inverse, moving):
     """A base that is led as it would move by itself is not held at all."""
     arguments = moving.q, moving.dq, moving.ddq
     free = inverse.solve("free", *arguments, moving.base)
@@ -185,7 +185,7 @@ def test_following_takes_the_torque_of_the_base_acceleration_that_is_given(inver
     assert still.tau.tolist() == bolted.tau.tolist()
 
 
-def test_the_accelerometer_feels_what_a_simulated_one_does(robot, inverse):
+def test_the_accelerometer_equals_a_simulated_one(robot, inverse):
     """And the base moves as the simulated one does, with the band's own force."""
     world = World(robot, "hanging")
     rng = np.random.default_rng(3)
@@ -210,7 +210,7 @@ def test_the_accelerometer_feels_what_a_simulated_one_does(robot, inverse):
     assert felt == pytest.approx(world.data.sensor("imu_acc").data, abs=1e-8)
 
 
-def test_what_is_felt_does_not_depend_on_what_was_solved_last(inverse, moving):
+def test_the_accelerometer_does_not_depend_on_the_last_solution(inverse, moving):
     on_its_side = BaseMotion(np.array([np.sqrt(0.5), np.sqrt(0.5), 0.0, 0.0]), np.zeros(3))
     still = (moving.q, np.zeros(29), np.zeros(29))
     upright = inverse.solve("bolted", *still, UPRIGHT)
@@ -219,7 +219,7 @@ def test_what_is_felt_does_not_depend_on_what_was_solved_last(inverse, moving):
     assert inverse.felt(lying, on_its_side) == pytest.approx([0.0, 9.81, 0.0], abs=1e-9)
 
 
-def test_gravity_in_free_fall_is_not_felt(inverse, moving):
+def test_in_free_fall_the_accelerometer_measures_zero_gravity(inverse, moving):
     at_rest = inverse.solve("free", moving.q, np.zeros(29), np.zeros(29), UPRIGHT)
     assert at_rest.tau == pytest.approx(np.zeros(29), abs=1e-9)
     assert at_rest.lin_acc == pytest.approx(-GRAVITY, abs=1e-9)
@@ -289,7 +289,7 @@ def test_two_links_by_hand(two_links):
 
 
 @pytest.mark.parametrize("support", ["bolted", "hanging"])
-def test_a_simulation_held_the_same_way_follows_with_next_to_no_gains(
+def test_a_simulation_with_the_same_support_follows_with_small_gains(
     robot, inverse, monkeypatch, support
 ):
     """Without dry friction, whose sign at rest nobody knows, and with a twentieth of the gains.
@@ -327,7 +327,7 @@ def test_a_simulation_held_the_same_way_follows_with_next_to_no_gains(
     assert np.ptp(trajectory.sample_many(np.linspace(0, 2, 50)).joint_pos, axis=0).max() > 0.3
 
 
-def test_a_carrier_that_is_not_there_is_named(robot):
+def test_an_unknown_carrier_is_named(robot):
     with pytest.raises(RobotError, match="no link 'hook'"):
         InverseDynamics(robot, carrier="hook")
 

@@ -68,7 +68,7 @@ def test_constants_cannot_be_changed() -> None:
         JOINT_GROUPS["tail"] = ()  # type: ignore[index]
 
 
-def test_ticks_by_joint_begin_with_most_and_leave_out_none() -> None:
+def test_by_joint_sorts_and_leaves_out_zeros() -> None:
     ticks = [0] * N_JOINTS
     ticks[3], ticks[12] = 2, 7
     assert list(by_joint(ticks).items()) == [("waist_yaw_joint", 7), ("left_knee_joint", 2)]

@@ -79,7 +79,7 @@ def test_an_unknown_link_is_named_with_the_known_ones(robot):
         robot.link_index("tail")
 
 
-def test_a_robot_prints_in_one_line(robot):
+def test_repr(robot):
     assert repr(robot) == "G1(name='g1_29dof', source='default', links=39)"
 
 

@@ -49,7 +49,7 @@ def test_a_session_is_checked_as_the_motion_that_was_played(write):
 
 def test_a_session_beyond_a_limit_fails(write):
     report = check_motion_file(write(begin=ROBOT.upper[KNEE]), ROBOT)
-    assert report.motion.limit_violations[0].n_frames == 99
+    assert report.motion.frames_beyond[0].count == 99
     assert not report.passed
 
 

@@ -225,14 +225,13 @@ def _content(report: FileReport) -> list[str]:
         f"{counted(report.n_columns, 'column')}, {header}",
         f"  mapped columns  {len(report.mapped)}",
     ]
-    shown = (*report.mapped[:5], None, *report.mapped[-5:])
-    if len(report.mapped) <= 10:
-        shown = report.mapped
-    lines += ["      ..." if m is None else f"    {m.column:3d} {m.joint}" for m in shown]
+    mapped = [f"    {column:3d} {joint}" for joint, column in report.mapped.items()]
+    lines += mapped if len(mapped) <= 10 else [*mapped[:5], "      ...", *mapped[-5:]]
     lines += [f"  not in the URDF {name}" for name in report.not_in_robot]
     lines += [f"  not in the file {name}" for name in report.not_in_file]
-    if norms := report.quat_norms:
-        lines.append(f"  quaternion norm {norms.lowest:.6f} to {norms.highest:.6f}")
+    if report.quat_norms:
+        lowest, highest = report.quat_norms
+        lines.append(f"  quaternion norm {lowest:.6f} to {highest:.6f}")
     return lines
 
 

@@ -70,7 +70,10 @@ def _text(report: MotionReport) -> str:
         f"{root.highest:.2f} m",
         f"  joints          {len(report.streamed.speeds)}",
     ]
-    lines += [f"    {g.group:<12}  {g.lowest:6.2f} to {g.highest:5.2f} rad" for g in report.groups]
+    lines += [
+        f"    {group:<12}  {lowest:6.2f} to {highest:5.2f} rad"
+        for group, (lowest, highest) in report.groups.items()
+    ]
     lines += joint_lines(report)
     if report.within_limits and not report.streamed.held:
         lines.append("  limits          all kept")
@@ -90,9 +93,9 @@ def joint_lines(report: MotionReport) -> list[str]:
         f"{step.frame + 1}",
     ]
     lines += [
-        f"  frames beyond   {v.joint}: {v.value:.3f} rad at frame {v.frame}, limit {v.limit:.3f} "
-        f"({v.n_frames} frames)"
-        for v in report.limit_violations
+        f"  frames beyond   {joint.joint}: {joint.value:.3f} rad at frame "
+        f"{joint.time * report.fps:.0f}, limit {joint.limit:.3f} ({joint.count} frames)"
+        for joint in report.frames_beyond
     ]
     warnings = (*streamed.warnings, *report.warnings)
     return lines + [f"  warning         {text}" for text in warnings]

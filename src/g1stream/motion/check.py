@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -11,7 +11,13 @@ import numpy as np
 from g1stream.errors import MotionError
 from g1stream.motion.csv import ROOT_COLUMNS
 from g1stream.motion.files import open_motion_file
-from g1stream.motion.limits import POSITION_TOLERANCE, JointSpeed, LimitReport, measure_limits
+from g1stream.motion.limits import (
+    JointSpeed,
+    LimitReport,
+    PositionExcess,
+    frames_beyond_limits,
+    measure_limits,
+)
 from g1stream.motion.motion import check_fps
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.joints import JOINT_GROUPS
@@ -27,35 +33,12 @@ if TYPE_CHECKING:
 
 __all__ = [
     "FileReport",
-    "GroupRange",
     "JointStep",
-    "LimitViolation",
-    "MappedColumn",
     "MotionReport",
-    "NormRange",
     "RootTravel",
     "check_file",
     "check_motion",
 ]
-
-
-@dataclass(frozen=True)
-class LimitViolation:
-    """A joint beyond one of its position limits in the frames of a motion.
-
-    Attributes:
-        joint: its name.
-        frame: where it is furthest beyond.
-        value: rad, there.
-        limit: rad, the limit that it passes.
-        n_frames: how many frames are beyond that limit.
-    """
-
-    joint: str
-    frame: int
-    value: float
-    limit: float
-    n_frames: int
 
 
 @dataclass(frozen=True)
@@ -85,15 +68,6 @@ class RootTravel:
 
 
 @dataclass(frozen=True)
-class GroupRange:
-    """The lowest and the highest angle, rad, of the joints of a limb."""
-
-    group: str
-    lowest: float
-    highest: float
-
-
-@dataclass(frozen=True)
 class MotionReport:
     """A motion's size and what it asks of the robot.
 
@@ -102,13 +76,13 @@ class MotionReport:
         n_frames: how many frames it has.
         fps: frames per second.
         duration: s.
-        limit_violations: joints whose frames are beyond a position limit, furthest first.
+        frames_beyond: joints beyond a position limit in the frames, furthest first.
         fastest: the highest joint velocity at the frames, by central differences as most tools
             compute it.
         streamed: what the spline through the frames asks of the joints when it is streamed.
         largest_step: between two neighbouring frames.
         root: where the root goes.
-        groups: range of angles by limb.
+        groups: lowest and highest angle by limb, rad.
         warnings: of the reader, as the motion has them.
     """
 
@@ -116,12 +90,12 @@ class MotionReport:
     n_frames: int
     fps: float
     duration: float
-    limit_violations: tuple[LimitViolation, ...]
+    frames_beyond: tuple[PositionExcess, ...]
     fastest: JointSpeed
     streamed: LimitReport
     largest_step: JointStep
     root: RootTravel
-    groups: tuple[GroupRange, ...]
+    groups: dict[str, tuple[float, float]]
     warnings: tuple[str, ...]
 
     @property
@@ -130,23 +104,7 @@ class MotionReport:
 
         Targets that are held at a position limit between frames do not count: they are safe.
         """
-        return not self.limit_violations and not self.streamed.too_fast
-
-
-@dataclass(frozen=True)
-class MappedColumn:
-    """A column of the file, counted from 1, and the robot's joint in it."""
-
-    column: int
-    joint: str
-
-
-@dataclass(frozen=True)
-class NormRange:
-    """The lowest and the highest norm of the root's quaternions in the file."""
-
-    lowest: float
-    highest: float
+        return not self.frames_beyond and not self.streamed.too_fast
 
 
 @dataclass(frozen=True)
@@ -159,10 +117,11 @@ class FileReport:
         n_rows: lines below the header.
         n_columns: columns of the first line.
         has_header: whether the first line names them; 36 columns without a header are LAFAN1's.
-        mapped: the columns of the robot's joints, in the order of the file.
+        mapped: the column, counted from 1, of each joint of the robot, in the order of the file.
         not_in_robot: joints of the file that the robot does not have.
         not_in_file: joints of the robot that the file does not have.
-        quat_norms: None where the file has no readable quaternions.
+        quat_norms: lowest and highest norm of the root's quaternions in the file; None where it has
+            no readable ones.
         motion: None where the file is not a motion of this robot.
         fault: why it is not, in a sentence; empty where it is.
         remedy: what to do about the fault, in a sentence.
@@ -173,10 +132,10 @@ class FileReport:
     n_rows: int = 0
     n_columns: int = 0
     has_header: bool = False
-    mapped: tuple[MappedColumn, ...] = ()
+    mapped: dict[str, int] = field(default_factory=dict)
     not_in_robot: tuple[str, ...] = ()
     not_in_file: tuple[str, ...] = ()
-    quat_norms: NormRange | None = None
+    quat_norms: tuple[float, float] | None = None
     motion: MotionReport | None = None
     fault: str = ""
     remedy: str = ""
@@ -214,13 +173,12 @@ def check_file(
         for column, name in enumerate(file.columns, start=1)
         if name and name not in ROOT_COLUMNS
     }
-    known = [name for name in joints if name in robot.joint_names]
     return FileReport(
         path=file.path,
         n_rows=file.n_rows,
         n_columns=file.n_columns,
         has_header=file.has_header,
-        mapped=tuple(MappedColumn(joints[name], name) for name in known),
+        mapped={name: joints[name] for name in joints if name in robot.joint_names},
         not_in_robot=tuple(name for name in joints if name not in robot.joint_names),
         not_in_file=tuple(
             name for name in robot.joint_names if file.columns and name not in joints
@@ -253,40 +211,14 @@ def check_motion(
         n_frames=motion.n_frames,
         fps=motion.fps,
         duration=motion.duration,
-        limit_violations=_limit_violations(motion, robot),
+        frames_beyond=frames_beyond_limits(motion, robot),
         fastest=_fastest(motion, robot),
         streamed=streamed,
         largest_step=_largest_step(motion),
         root=_root_travel(motion.root_pos),
-        groups=tuple(
-            GroupRange(
-                name,
-                float(motion.joint_pos[:, joints].min()),
-                float(motion.joint_pos[:, joints].max()),
-            )
-            for name, joints in JOINT_GROUPS.items()
-        ),
+        groups={name: _range(motion.joint_pos[:, joints]) for name, joints in JOINT_GROUPS.items()},
         warnings=motion.warnings,
     )
-
-
-def _limit_violations(motion: Motion, robot: G1) -> tuple[LimitViolation, ...]:
-    found = []
-    for limit, excess in (
-        (robot.lower, robot.lower - motion.joint_pos),
-        (robot.upper, motion.joint_pos - robot.upper),
-    ):
-        for joint in np.flatnonzero(excess.max(axis=0) > POSITION_TOLERANCE):
-            frame = int(excess[:, joint].argmax())
-            violation = LimitViolation(
-                motion.joint_names[joint],
-                frame,
-                float(motion.joint_pos[frame, joint]),
-                float(limit[joint]),
-                int((excess[:, joint] > POSITION_TOLERANCE).sum()),
-            )
-            found.append(violation)
-    return tuple(sorted(found, key=lambda v: -abs(v.value - v.limit)))
 
 
 def _fastest(motion: Motion, robot: G1) -> JointSpeed:
@@ -316,15 +248,16 @@ def _root_travel(root_pos: Floats) -> RootTravel:
     )
 
 
-def _norms(file: CsvFile) -> NormRange | None:
+def _norms(file: CsvFile) -> tuple[float, float] | None:
     try:
         quat = file.quat_xyzw
-    except MotionError:  # a fault of the table, which the report already has
+    except MotionError:  # a fault of the table, which the report has already
         return None
-    if quat is None:
-        return None
-    norms = np.linalg.norm(quat, axis=1)
-    return NormRange(float(norms.min()), float(norms.max()))
+    return None if quat is None else _range(np.linalg.norm(quat, axis=1))
+
+
+def _range(values: Floats) -> tuple[float, float]:
+    return float(values.min()), float(values.max())
 
 
 def _argmax(values: Floats) -> tuple[int, int]:

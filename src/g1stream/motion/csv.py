@@ -186,31 +186,19 @@ class CsvFile:
 
     def _check_header(self) -> None:
         """Every column has a name of its own."""
-        if not self.columns and self.has_header:
-            raise self._error(
-                "there are no columns separated by commas",
-                "Give a CSV file with commas between its values.",
-                line=1,
-            )
         if not self.columns:
             raise self._error(
-                f"{self.n_columns} values and no header that names them",
-                f"Put a header first, or use the {len(_LAFAN1)} columns of LAFAN1: "
-                f"{','.join(_LAFAN1[:8])} and the other joints in motor order.",
+                f"no header names the {self.n_columns} column{'s' * (self.n_columns != 1)}",
+                "Separate values with commas, and put a header first or use the "
+                f"{len(_LAFAN1)} columns of LAFAN1: {','.join(_LAFAN1[:8])} and the other joints "
+                "in motor order.",
                 line=1,
             )
         for column, name in enumerate(self.columns):
-            if not name:
+            if not name or name in self.columns[:column]:
                 raise self._error(
-                    "the header has an empty name",
-                    "Name every column, and end no line with a comma.",
-                    line=1,
-                    column=column,
-                )
-            if name in self.columns[:column]:
-                raise self._error(
-                    "another column has the same name",
-                    "Give each column a name of its own.",
+                    "another column has the same name" if name else "the header has an empty name",
+                    "Give each column a name of its own, and end no line with a comma.",
                     line=1,
                     column=column,
                 )

@@ -17,16 +17,20 @@ from g1stream.types import STREAM_RATE
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from numpy.typing import NDArray
+
+    from g1stream.motion.motion import Motion
     from g1stream.motion.trajectory import Trajectory
     from g1stream.robot.model import G1
     from g1stream.types import Floats
 
 __all__ = [
     "POSITION_TOLERANCE",
-    "HeldJoint",
     "Interval",
     "JointSpeed",
     "LimitReport",
+    "PositionExcess",
+    "frames_beyond_limits",
     "measure_limits",
 ]
 
@@ -82,19 +86,19 @@ class JointSpeed:
 
 
 @dataclass(frozen=True)
-class HeldJoint:
-    """A joint asked to go beyond a position limit; the stream holds it at the limit.
+class PositionExcess:
+    """A joint beyond a position limit, at frames or at streamed targets.
 
     Attributes:
         joint: its name.
-        n_targets: how many of its targets are beyond a limit.
-        time: s from frame 0, of the target furthest beyond.
-        value: rad, that target.
-        limit: rad, the limit that it passes, narrowed by the position margin.
+        count: at how many frames or targets it is beyond a limit.
+        time: s from frame 0, where it is furthest beyond.
+        value: rad, its position there.
+        limit: rad, the limit that it passes there, narrowed by the position margin if any.
     """
 
     joint: str
-    n_targets: int
+    count: int
     time: float
     value: float
     limit: float
@@ -110,7 +114,8 @@ class LimitReport:
         rate: joint targets per second, Hz.
         position_margin: rad, by which position limits are narrowed.
         speeds: the highest speed of each joint, largest share of its limit first.
-        held: the joints that are held at a position limit, furthest beyond first.
+        held: the joints with targets beyond a position limit, furthest first; the stream holds them
+            at the limit.
     """
 
     motion: str
@@ -118,7 +123,7 @@ class LimitReport:
     rate: float
     position_margin: float
     speeds: tuple[JointSpeed, ...]
-    held: tuple[HeldJoint, ...]
+    held: tuple[PositionExcess, ...]
 
     @property
     def too_fast(self) -> tuple[JointSpeed, ...]:
@@ -128,7 +133,7 @@ class LimitReport:
     @property
     def n_held(self) -> int:
         """How many joint targets are held at a limit."""
-        return sum(joint.n_targets for joint in self.held)
+        return sum(joint.count for joint in self.held)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -174,53 +179,80 @@ def measure_limits(
         rate: joint targets per second, Hz; they are taken at the times start + i / rate.
         position_margin: rad, kept from the position limits, as `safety.position_margin`.
     """
-    interval = interval or Interval(0.0, trajectory.duration, trajectory.duration)
-    lower, upper = robot.lower + position_margin, robot.upper - position_margin
-    names = robot.joint_names
-    speed, excess, n_held = _Peaks(len(names)), _Peaks(len(names)), np.zeros(len(names), np.int64)
+    motion, n_joints = trajectory.motion, len(robot.joint_names)
+    interval = interval or Interval(0.0, motion.duration, motion.duration)
+    excess, speed = _Excess(robot, position_margin), _Peaks(n_joints)
     for target_times in _target_times(trajectory, interval, rate):
         point = trajectory.sample_many(target_times)
-        beyond = np.maximum(lower - point.joint_pos, point.joint_pos - upper)
-        n_held += (beyond > POSITION_TOLERANCE).sum(axis=0)
         times = target_times % trajectory.period if trajectory.loop else target_times
-        speed.update(np.abs(point.joint_vel), times, point.joint_pos)
-        excess.update(beyond, times, point.joint_pos)
-    motion = trajectory.motion
+        excess.update(times, point.joint_pos)
+        speed.update(times, np.abs(point.joint_vel))
     return LimitReport(
         motion=motion.name,
         duration=motion.duration,
         rate=rate,
         position_margin=position_margin,
         speeds=tuple(
-            JointSpeed(names[j], speed.time[j], speed.value[j], float(robot.velocity[j]))
-            for j in np.argsort(-np.array(speed.value) / robot.velocity, kind="stable")
+            JointSpeed(robot.joint_names[j], *speed.at(j), float(robot.velocity[j]))
+            for j in np.argsort(-speed.value / robot.velocity, kind="stable")
         ),
-        held=tuple(
-            HeldJoint(
-                names[j],
-                int(n_held[j]),
-                excess.time[j],
-                excess.position[j],
-                float(lower[j] if excess.position[j] < lower[j] else upper[j]),
-            )
-            for j in np.argsort(-np.array(excess.value), kind="stable")
-            if n_held[j]
-        ),
+        held=excess.found(),
     )
 
 
+def frames_beyond_limits(motion: Motion, robot: G1) -> tuple[PositionExcess, ...]:
+    """The joints that are beyond a position limit in the frames of a motion, furthest first."""
+    excess = _Excess(robot, 0.0)
+    excess.update(np.arange(motion.n_frames) / motion.fps, motion.joint_pos)
+    return excess.found()
+
+
 class _Peaks:
-    """The highest value above 0 of each joint so far, with its time and the position then."""
+    """The highest value above 0 of each joint so far, and its time."""
 
     def __init__(self, n_joints: int) -> None:
-        self.value, self.time, self.position = ([0.0] * n_joints for _ in range(3))
+        self.value, self.time = np.zeros((2, n_joints))
 
-    def update(self, values: Floats, times: Floats, joint_pos: Floats) -> None:
-        for j, row in enumerate(values.argmax(axis=0)):
-            if values[row, j] > self.value[j]:
-                self.value[j] = float(values[row, j])
-                self.time[j] = float(times[row])
-                self.position[j] = float(joint_pos[row, j])
+    def update(self, times: Floats, values: Floats) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+        """Add values (N, J); return the row of each highest, and whether it is a new peak."""
+        row, highest = values.argmax(axis=0), values.max(axis=0)
+        higher = highest > self.value
+        self.value[higher], self.time[higher] = highest[higher], times[row[higher]]
+        return row, higher
+
+    def at(self, joint: int) -> tuple[float, float]:
+        """Time and value."""
+        return float(self.time[joint]), float(self.value[joint])
+
+
+class _Excess:
+    """How far each joint has been beyond its position limits, and how often."""
+
+    def __init__(self, robot: G1, margin: float) -> None:
+        self._names = robot.joint_names
+        self._lower, self._upper = robot.lower + margin, robot.upper - margin
+        self._peaks, self._position = _Peaks(len(self._names)), np.zeros(len(self._names))
+        self._count = np.zeros(len(self._names), dtype=np.int64)
+
+    def update(self, times: Floats, joint_pos: Floats) -> None:
+        beyond = np.maximum(self._lower - joint_pos, joint_pos - self._upper)
+        self._count += (beyond > POSITION_TOLERANCE).sum(axis=0)
+        row, higher = self._peaks.update(times, beyond)
+        self._position[higher] = joint_pos[row[higher], np.flatnonzero(higher)]
+
+    def found(self) -> tuple[PositionExcess, ...]:
+        limit = np.where(self._position < self._lower, self._lower, self._upper)
+        return tuple(
+            PositionExcess(
+                self._names[j],
+                int(self._count[j]),
+                float(self._peaks.time[j]),
+                float(self._position[j]),
+                float(limit[j]),
+            )
+            for j in np.argsort(-self._peaks.value, kind="stable")
+            if self._count[j]
+        )
 
 
 def _target_times(trajectory: Trajectory, interval: Interval, rate: float) -> Iterator[Floats]:
@@ -234,7 +266,7 @@ def _target_times(trajectory: Trajectory, interval: Interval, rate: float) -> It
         yield interval.start + np.minimum(numbers / rate, length)
 
 
-def _others(joints: Sequence[JointSpeed | HeldJoint]) -> str:
+def _others(joints: Sequence[JointSpeed | PositionExcess]) -> str:
     names = [joint.joint for joint in joints[1:]]
     more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
     return f"; also {', '.join(names[:_NAMED])}{more}" if names else ""

@@ -1,22 +1,22 @@
-"""The joint torques that a movement takes, for a robot held in one way or another; pure.
+"""Inverse dynamics: the joint torques of a movement, for each way to hold the robot.
 
 A robot whose base floats obeys, with a = (base's acceleration, joints' acceleration),
 
     M(q) a + h(q, v) = (0, tau - friction) + J(q)^T f
 
 (R. Featherstone, "Rigid Body Dynamics Algorithms", 2008, chapters 3.1 and 9). M is the inertia, the
-rotors' included, h holds gravity, centrifugal and Coriolis terms, and f is the force of whatever
-holds the robot, at a point of Jacobian J. The joints' acceleration is the reference's; no motor
-acts on the first six rows. How the robot is held closes the system:
+rotors' included, h holds gravity, centrifugal and Coriolis terms, and f is the external force that
+holds the robot, at a point of Jacobian J. The joints' acceleration is that of the reference; no
+motor acts on the first six rows. The support closes the system:
 
-- bolted: the base's acceleration is zero, and the six rows say what the bolts carry;
-- follow: the base's acceleration is prescribed, and the six rows say what drives it;
-- hanging: f is the weight, straight up, or what else is known of it, at a link; the six rows give
-  the base's acceleration;
+- bolted: the base's acceleration is zero, and the six rows give the force on the bolts;
+- follow: the base's acceleration is prescribed, and the six rows give the force that drives it;
+- hanging: f acts at a link, the weight straight up unless the force is known; the six rows give the
+  base's acceleration;
 - free: f is zero, which is flight; the six rows give the base's acceleration.
 
-The base's linear velocity is not asked for, because nothing depends on it: the equations are the
-same in every frame that moves evenly (Galilei). docs/tracking.md has the derivation at length.
+The base's linear velocity is no argument: the equations are the same in every frame that moves at a
+constant velocity. docs/tracking.md has the derivation.
 """
 
 from __future__ import annotations
@@ -37,18 +37,17 @@ if TYPE_CHECKING:
     from g1stream.robot.model import G1
     from g1stream.types import Support
 
-
 __all__ = ["BaseMotion", "InverseDynamics", "Solution", "friction_torque"]
 
 _BASE: Final = 6
 _GRAVITY: Final = 9.81
 
-#: Dry friction has its full value from about twice this speed on, rad/s.
+#: Dry friction reaches its full value at about twice this speed, rad/s.
 _STICTION_SPEED: Final = 0.05
 
 
 class BaseMotion(NamedTuple):
-    """How the pelvis is turned and moves.
+    """Orientation and motion of the pelvis.
 
     Attributes:
         quat_wxyz: (4,) pelvis to world.
@@ -64,7 +63,7 @@ class BaseMotion(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """What a movement takes, and what it does to the base.
+    """The torques of a movement, and the acceleration of the base.
 
     Attributes:
         tau: (29,) N·m, motor order, friction included.
@@ -81,8 +80,8 @@ class InverseDynamics:
     """The inverse dynamics of one robot.
 
     Args:
-        robot: whose URDF to take.
-        carrier: the link that carries the weight when hanging.
+        robot: has the URDF.
+        carrier: the link that a hanging robot hangs from.
         gravity: m/s², downward.
 
     Attributes:
@@ -90,7 +89,7 @@ class InverseDynamics:
         gravity: as given.
 
     Raises:
-        RobotError: MuJoCo does not accept the URDF, or it has no such link.
+        RobotError: MuJoCo does not accept the URDF, or there is no link `carrier`.
     """
 
     def __init__(
@@ -120,7 +119,7 @@ class InverseDynamics:
         self._up = np.array([0.0, 0.0, gravity])
         self._imu_pos = _imu_pos(robot)
         self._jacobian = np.zeros((3, model.nv))
-        # Views and room for what is computed at every tick.
+        # Views and buffers, so that a tick allocates little.
         self._qpos, self._qvel, self._acc = self._data.qpos, self._data.qvel, self._data.qacc
         self._armature = model.dof_armature.copy()
         self._units, self._columns = np.eye(_BASE, model.nv), np.zeros((_BASE, model.nv))
@@ -138,29 +137,29 @@ class InverseDynamics:
         """The torques of a movement.
 
         Args:
-            support: how the robot is held.
+            support: how the pelvis is held.
             q: (29,) rad, motor order.
             dq: (29,) rad/s.
             ddq: (29,) rad/s².
-            base: of the pelvis; its accelerations count where it follows, and only there.
-            force: (3,) N, world, that carries a hanging robot; its weight unless given.
+            base: of the pelvis; its accelerations are used for `follow` only.
+            force: (3,) N, world, on a hanging robot; its weight, upward, if None.
         """
         acc, v = self._acc, self._v
         self._place(q, dq, base)
         acc[:_BASE] = 0.0
         acc[v] = ddq
-        outer = self._outer(support, force)
+        external = self._carried(force) if support == "hanging" else 0.0
         if support == "follow":
             acc[:3], acc[3:_BASE] = base.lin_acc, base.ang_acc
         elif support != "bolted":
-            missing = outer - self._inverse()
+            missing = external - self._inverse()
             acc[:_BASE] = np.linalg.solve(self._base_inertia(), missing[:_BASE])
-        total = self._inverse() - outer
+        total = self._inverse() - external
         base_acc = acc[:_BASE].copy()
         return Solution(total[v] + friction_torque(dq), base_acc[:3], base_acc[3:])
 
     def _place(self, q: Floats, dq: Floats, base: BaseMotion) -> None:
-        """Compute what depends on a state; the base stays at the origin, which is as good."""
+        """Set the state in MuJoCo; the base stays at the origin, as nothing depends on it."""
         mujoco, model, data = self._mujoco, self._model, self._data
         self._qpos[3:7] = base.quat_wxyz
         self._qpos[self._q] = q
@@ -171,14 +170,11 @@ class InverseDynamics:
         mujoco.mj_comVel(model, data)
 
     def _inverse(self) -> Floats:
-        """The generalised force (35,) of the state and acceleration at hand, nothing holding it."""
+        """The generalised force (35,) of the current state and acceleration, without a support."""
         result = np.empty(self._model.nv)
         self._mujoco.mj_rne(self._model, self._data, 1, result)
-        result += self._armature * self._acc  # of which the recursion knows nothing
+        result += self._armature * self._acc  # which mj_rne leaves out
         return result
-
-    def _outer(self, support: Support, force: Floats | None) -> Floats | float:
-        return self._carried(force) if support == "hanging" else 0.0
 
     def _base_inertia(self) -> Floats:
         """The first six rows and columns of M (6, 6)."""
@@ -188,9 +184,9 @@ class InverseDynamics:
         return self._columns[:, :_BASE]
 
     def felt(self, solution: Solution, base: BaseMotion) -> Floats:
-        """What the accelerometer of the pelvis's unit says to a solution.
+        """What the accelerometer in the pelvis measures during a solution.
 
-        The specific force at the unit: a - g of the pelvis's origin, a' x r and w x (w x r).
+        The specific force at the IMU: a - g of the pelvis's origin, a' x r and w x (w x r).
 
         Returns:
             (3,) m/s², pelvis frame.
@@ -204,7 +200,7 @@ class InverseDynamics:
         return felt
 
     def _carried(self, force: Floats | None) -> Floats:
-        """The generalised force (35,) of what carries the robot, at the carrier's mass centre."""
+        """The generalised force (35,) of a force at the carrier's centre of mass."""
         bodies, share = self._rigid_part
         centre = share @ self._data.xipos[bodies]
         self._mujoco.mj_jac(self._model, self._data, self._jacobian, None, centre, bodies[0])
@@ -215,22 +211,22 @@ class InverseDynamics:
 
 
 def friction_torque(dq: Floats) -> Floats:
-    """What the joints' damping and dry friction take from the motors at speeds dq (29,), N·m.
+    """Torque (29,) against damping and dry friction at joint speeds dq (29,) rad/s, N·m.
 
-    Dry friction is smoothed through a standstill, where its direction is unknown.
+    Dry friction is smoothed around zero speed, where its direction is unknown.
     """
     torque: Floats = DAMPING * dq + FRICTION * np.tanh(dq / _STICTION_SPEED)
     return torque
 
 
 def _rigid_part(model: Any, link: str) -> tuple[NDArray[np.intp], Floats]:
-    """The bodies (B,) that are fixed to a link, itself included, and their shares (B,) of mass."""
+    """The bodies (B,) fixed to a link, itself included, and their shares (B,) of the mass."""
     bodies = np.flatnonzero(model.body_weldid == model.body_weldid[model.body(link).id])
     return bodies, model.body_mass[bodies] / model.body_mass[bodies].sum()
 
 
 def _imu_pos(robot: G1) -> Floats:
-    """Of the link `imu_in_pelvis`, where it is fixed to the base; the base's origin otherwise."""
+    """Position (3,) of the IMU in the base; its origin where the URDF has no `imu_in_pelvis`."""
     names = robot.link_names
     link = names.index("imu_in_pelvis") if "imu_in_pelvis" in names else 0
     return robot.origin_pos[link] if robot.parent[link] == 0 else np.zeros(3)

@@ -1,4 +1,4 @@
-"""Where every link is, for many frames at once."""
+"""Forward kinematics of many frames at once."""
 
 from __future__ import annotations
 
@@ -50,8 +50,8 @@ def local_transforms(
         raise ValueError(f"joint_pos must have the shape (T, {n_joints}), not {joint_pos.shape}")
     n_frames = len(joint_pos)
 
-    # With q the origin's quaternion and a the joint's axis, a turn by an angle t makes it
-    # cos(t/2) q + sin(t/2) q (0, a): two constants a link, where a product would cost each frame.
+    # With q the origin's quaternion and a the joint's axis, a rotation by t gives
+    # cos(t/2) q + sin(t/2) q (0, a): two constants per link instead of a product per frame.
     moving = robot.joint_of_link >= 0
     half = joint_pos[:, robot.joint_of_link[moving], None] / 2
     origin, axis = robot.origin_quat_wxyz[moving], robot.axis[moving]
@@ -68,7 +68,7 @@ def forward_kinematics(
 ) -> LinkPoses:
     """Each link's pose in the world.
 
-    Takes what `local_transforms` takes, returns the same shapes and raises the same errors.
+    Arguments, shapes and errors are those of `local_transforms`.
     """
     pos, quat = local_transforms(robot, joint_pos, root_pos, root_quat_wxyz)
     for links in robot.levels:

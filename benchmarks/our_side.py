@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from g1stream.clock import SystemClock
+from g1stream.config import RealtimeConfig
 from g1stream.control.ticker import Lateness, Ticker
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawReader, RawWriter
@@ -131,7 +132,7 @@ def run(side: Side, rate: float, seconds: float) -> dict[str, Any]:
 def sleep_only(rate: float, seconds: float) -> dict[str, Any]:
     """Deadlines alone, kept by the same thread with the same rights: what this machine can do."""
     clock, lateness = SystemClock(), Lateness()
-    with on_time():
+    with on_time(RealtimeConfig().priority):
         start, cpu = clock.now(), time.process_time()
         ticker = Ticker(clock, round(1e9 / rate), start)
         for _, deadline in ticker:

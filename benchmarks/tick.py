@@ -18,13 +18,13 @@ import numpy as np
 import sides
 from g1stream.clock import SystemClock
 from g1stream.config import Config
-from g1stream.control.commands import Composer
 from g1stream.control.feedforward import FeedForward
 from g1stream.control.gains import resolve_gains
-from g1stream.control.measured import ImuReading, Measured
-from g1stream.control.safety import Envelope
+from g1stream.control.loop import Composer
+from g1stream.control.safety import Envelope, ImuReading, Measured
 from g1stream.control.targets import Targets
 from g1stream.motion.trajectory import Trajectory
+from g1stream.realtime import on_time
 from g1stream.robot.dynamics import InverseDynamics
 from g1stream.robot.model import G1
 from g1stream.session.motions import load_motion
@@ -50,7 +50,8 @@ def parts() -> dict[str, Callable[[int], object]]:
     target = targets.at(Phase.PLAY, 0.0)
 
     def torque(support: str) -> Callable[[int], object]:
-        feed = FeedForward("dynamics", dynamics=InverseDynamics(robot), limit=limit, ramp=1.0)
+        model = InverseDynamics(robot)
+        feed = FeedForward("dynamics", dynamics=model, limit=limit, period=PERIOD, ramp=1.0)
         feed.begin(support)
         return lambda k: feed.command(Phase.PLAY, k * PERIOD, target, imu, 0.001)
 
@@ -85,11 +86,12 @@ def measure(count: int) -> dict[str, dict[str, float]]:
 def sleep_cost(count: int) -> float:
     """CPU of waiting for a deadline, us: falling asleep, waking up, and the rest awake."""
     clock = SystemClock()
-    due, start = clock.now(), time.thread_time_ns()
-    for _ in range(count):
-        due += round(PAUSE * 1e9)
-        clock.sleep_until(due)
-    return (time.thread_time_ns() - start) / count / 1000.0
+    with on_time(priority=0):
+        due, start = clock.now(), time.thread_time_ns()
+        for _ in range(count):
+            due += round(PAUSE * 1e9)
+            clock.sleep_until(due)
+        return (time.thread_time_ns() - start) / count / 1000.0
 
 
 def main() -> None:

@@ -59,14 +59,14 @@ def test_a_folder_is_no_file(tmp_path):
 def test_not_toml(write, text, place):
     path = write(text)
     error = error_of(path)
-    assert f"{path} is not TOML" in error.cause
+    assert f"{path} is not valid TOML" in error.cause
     assert place in error.cause
 
 
 def test_not_text(tmp_path):
     path = tmp_path / "settings.toml"
     path.write_bytes(b"\xff\xfe")
-    assert f"{path} is not TOML" in error_of(path).cause
+    assert f"{path} is not valid TOML" in error_of(path).cause
 
 
 # Settings that do not exist, or do not fit

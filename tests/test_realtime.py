@@ -1,4 +1,4 @@
-"""What is asked of the system holds inside, and is given back."""
+"""Real-time settings hold inside the `with` and are restored after it."""
 
 import gc
 import os
@@ -10,10 +10,11 @@ import pytest
 
 from g1stream import realtime
 from g1stream.dds.domain import Participant
-from g1stream.realtime import on_time, told
+from g1stream.realtime import describe, on_time
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="asks for Linux's own")
 
+PRIORITY = 50
 POLICY = ~os.SCHED_RESET_ON_FORK if sys.platform == "linux" else 0
 
 
@@ -30,31 +31,31 @@ def by_name(grants):
     return {grant.what: grant for grant in grants}
 
 
-def test_everything_is_given_back():
+def test_everything_is_restored():
     before = state()
-    with on_time():
+    with on_time(PRIORITY):
         assert not gc.isenabled()
         assert gc.get_freeze_count() > 0
     assert state() == before
 
 
-def test_given_back_after_an_error():
+def test_everything_is_restored_after_an_error():
     before = state()
-    with pytest.raises(KeyError), on_time():
+    with pytest.raises(KeyError), on_time(PRIORITY):
         raise KeyError
     assert state() == before
 
 
-def test_what_is_told_is_so():
+def test_a_reported_priority_is_in_force():
     with on_time(priority=7) as grants:
         is_fifo = os.sched_getscheduler(0) & POLICY == os.SCHED_FIFO
         assert by_name(grants)["SCHED_FIFO"].granted == is_fifo
-        assert ("SCHED_FIFO priority 7" in told(grants)) == is_fifo
+        assert ("SCHED_FIFO priority 7" in describe(grants)) == is_fifo
         if is_fifo:
             assert os.sched_getparam(0).sched_priority == 7
 
 
-def test_the_threads_of_dds_come_right_behind(domain_id, until):
+def test_threads_of_dds_get_the_next_lower_priority(domain_id, until):
     with Participant(domain_id, "lo"):
         until(lambda: len(realtime._library_threads()) >= 3, "Cyclone to name its threads")
         threads = realtime._library_threads()
@@ -67,14 +68,14 @@ def test_the_threads_of_dds_come_right_behind(domain_id, until):
 
 def test_threads_do_not_inherit_the_priority():
     seen = []
-    with on_time():
+    with on_time(PRIORITY):
         thread = threading.Thread(target=lambda: seen.append(os.sched_getscheduler(0) & POLICY))
         thread.start()
         thread.join()
     assert seen == [os.SCHED_OTHER]
 
 
-def test_without_the_rights_it_says_how_to_get_them(monkeypatch):
+def test_a_missing_permission_has_a_remedy(monkeypatch):
     def refuse(*_):
         raise PermissionError
 
@@ -85,14 +86,14 @@ def test_without_the_rights_it_says_how_to_get_them(monkeypatch):
     assert grant.cost
 
 
-def test_a_user_without_a_name_gets_a_remedy_too(monkeypatch):
+def test_the_remedy_of_a_user_without_a_name(monkeypatch):
     for name in ("LOGNAME", "USER", "LNAME", "USERNAME"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(os, "getuid", lambda: 1_234_567)
     assert realtime._user() == ":1234567"
 
 
-def test_priority_0_stays_ordinary():
+def test_priority_0_is_normal_scheduling():
     with on_time(priority=0) as grants:
         assert os.sched_getscheduler(0) & POLICY == os.SCHED_OTHER
     assert not by_name(grants)["SCHED_FIFO"].granted
@@ -100,15 +101,15 @@ def test_priority_0_stays_ordinary():
 
 def test_one_cpu_is_chosen():
     cpu = min(os.sched_getaffinity(0))
-    with on_time(cpu=cpu) as grants:
+    with on_time(PRIORITY, cpu=cpu) as grants:
         assert os.sched_getaffinity(0) == {cpu}
         assert by_name(grants)["affinity"].granted
-    with on_time(cpu=100_000) as grants:
+    with on_time(PRIORITY, cpu=100_000) as grants:
         assert not by_name(grants)["affinity"].granted
 
 
-def test_the_priority_of_the_whole_process_is_lowered():
-    """In a process of its own: it cannot be raised again."""
+def test_lower_priority_applies_to_the_whole_process():
+    """In a process of its own, because it cannot be undone."""
     script = "import os, g1stream.realtime as r; r.lower_priority(); print(os.nice(0))"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, check=True)
     assert int(done.stdout) == min(19, os.nice(0) + 5)

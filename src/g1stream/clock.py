@@ -1,25 +1,24 @@
-"""The clocks that loops run by, as one thing that a test can replace."""
+"""The clocks of a loop, behind an interface that tests can replace."""
 
-import ctypes
 import time
 from typing import Final, Protocol
 
 __all__ = ["Clock", "SystemClock"]
 
-#: No more than this is ever waited out awake, ns.
+#: Longest busy wait before a deadline, ns.
 _LONGEST_SPIN: Final = 100_000
-#: Over how many wake-ups their lateness is averaged.
-_MEMORY: Final = 16
+#: Number of wake-ups over which their latency is averaged.
+_AVERAGED: Final = 16
 
 
 class Clock(Protocol):
-    """The clocks a loop needs, so that a test can bring its own."""
+    """The clocks that a loop needs."""
 
     def now(self) -> int:
-        """CLOCK_MONOTONIC, ns; paces the loop."""
+        """CLOCK_MONOTONIC, ns; for deadlines."""
 
     def stamp(self) -> int:
-        """CLOCK_REALTIME, ns since the epoch; stamps what goes out."""
+        """CLOCK_REALTIME, ns since the epoch; for timestamps of messages."""
 
     def sleep_until(self, deadline: int) -> None:
         """Sleep until `now()` has reached `deadline`."""
@@ -28,14 +27,13 @@ class Clock(Protocol):
 class SystemClock:
     """The clocks of this machine.
 
-    A thread that sleeps until a deadline runs some 50 us after it: the way from the timer's
-    interrupt through the scheduler into Python. The clock learns how long that takes, asks to be
-    woken so much earlier, and waits out what is left.
+    A thread that sleeps until a deadline wakes up some 50 us after it: the latency of the timer
+    interrupt, the scheduler and Python. The clock measures that latency, sets the alarm earlier by
+    its average, and busy-waits for the rest.
     """
 
     def __init__(self) -> None:
         self._early = 0
-        _tighten_timer_slack()
 
     def now(self) -> int:
         """CLOCK_MONOTONIC, ns."""
@@ -46,7 +44,7 @@ class SystemClock:
         return time.time_ns()
 
     def sleep_until(self, deadline: int) -> None:
-        """Sleep until `now()` has reached `deadline`; signals are handled on the way."""
+        """Sleep until `now()` has reached `deadline`; signals are handled meanwhile."""
         alarm = deadline - self._early
         asleep = False
         while (left := alarm - time.monotonic_ns()) > 0:
@@ -54,14 +52,6 @@ class SystemClock:
             time.sleep(left / 1e9)
         if asleep:
             late = min(time.monotonic_ns() - alarm, _LONGEST_SPIN)
-            self._early += (late - self._early) // _MEMORY
+            self._early += (late - self._early) // _AVERAGED
         while time.monotonic_ns() < deadline:
             pass
-
-
-def _tighten_timer_slack() -> None:
-    """Ask the kernel to wake this thread 1 ns late at the most instead of 50 us (prctl(2))."""
-    set_timerslack = 29
-    prctl = getattr(ctypes.CDLL(None), "prctl", None)
-    if prctl is not None:
-        prctl(set_timerslack, ctypes.c_ulong(1))

@@ -199,8 +199,8 @@ def load_config(path: Path | None = None, over: Mapping[str, Any] | None = None)
         raise _explained(first, key, f" in {path}" if in_file else "") from error
 
 
-def read_toml(path: Path) -> dict[str, Any]:
-    """The tables of a TOML file.
+def read_toml(path: Path, kind: str = "config") -> dict[str, Any]:
+    """The tables of a TOML file, which errors call a file of this kind.
 
     Raises:
         ConfigError: it cannot be read, or is not TOML.
@@ -210,11 +210,12 @@ def read_toml(path: Path) -> dict[str, Any]:
             values: dict[str, Any] = tomllib.load(file)
     except OSError as error:
         raise ConfigError(
-            f"The config {path} cannot be read: {error.strerror}.", "Check the path given."
+            f"The {kind} {path} cannot be read: {error.strerror}.", "Check the path."
         ) from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ConfigError(
-            f"The config {path} is not TOML: {error}.", "Mend that line, or see configs/sim.toml."
+            f"The {kind} {path} is not valid TOML: {error}.",
+            "Fix the syntax on that line; configs/sim.toml is an example.",
         ) from error
     return values
 

@@ -1,7 +1,7 @@
-"""What the system grants a thread that must be on time.
+"""Real-time scheduling of a thread: priority, locked memory, timer slack, CPU affinity.
 
-Everything works without any of it, only less punctually. What needs a right is asked for, and what
-was granted, or how to be granted it, is told.
+Everything works without them, with more jitter. What needs a permission is requested, and reported
+as granted or with the way to get it.
 """
 
 from __future__ import annotations
@@ -14,15 +14,12 @@ import threading
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["DEFAULT_PRIORITY", "Grant", "lower_priority", "on_time", "told"]
-
-#: In the middle of 1 to 99: above programs, below the kernel's own threads that serve interrupts.
-DEFAULT_PRIORITY: Final = 50
+__all__ = ["Grant", "describe", "lower_priority", "on_time"]
 
 _PR_SET_TIMERSLACK, _PR_GET_TIMERSLACK = 29, 30  # <linux/prctl.h>
 _MCL_CURRENT, _MCL_ONFAULT = 1, 4  # <sys/mman.h>
@@ -31,14 +28,14 @@ _BACKGROUND_NICE = 5
 
 @dataclass(frozen=True)
 class Grant:
-    """The answer to one thing asked of the system.
+    """The result of one request to the system.
 
     Attributes:
         what: its name.
-        granted: whether it holds now.
-        detail: what holds now, or why it does not.
-        cost: what being without it costs.
-        remedy: how to be granted it, on one line; empty where nothing is missing.
+        granted: whether it was granted.
+        detail: the setting now, or why it was not granted.
+        cost: the effect of not having it.
+        remedy: how to get it, on one line; empty if it was granted.
     """
 
     what: str
@@ -49,19 +46,19 @@ class Grant:
 
 
 @contextmanager
-def on_time(priority: int = DEFAULT_PRIORITY, cpu: int | None = None) -> Iterator[list[Grant]]:
-    """Make the calling thread as punctual as the system allows, for the length of a `with`.
+def on_time(priority: int, cpu: int | None = None) -> Iterator[list[Grant]]:
+    """Give the calling thread the lowest latency that the system allows, during a `with`.
 
-    Asks for SCHED_FIFO, pages that stay in memory, timers without slack, an isolated CPU where
-    there is one; and keeps Python's garbage collector away. The threads of DDS that are there come
-    right behind it. Threads and processes that are started inside do not inherit the priority.
+    Requests SCHED_FIFO, locked memory, timers without slack and an isolated CPU if there is one,
+    and disables Python's garbage collector. Existing threads of DDS get the next lower priority.
+    Threads and processes that are started inside do not inherit the priority.
 
     Args:
-        priority: of SCHED_FIFO, 1 to 99; 0 leaves the thread an ordinary one.
+        priority: of SCHED_FIFO, 1 to 99; 0: normal scheduling.
         cpu: the only CPU to run on; by default an isolated one, or any.
 
     Yields:
-        What was granted and what was not.
+        The result of each request.
     """
     collecting = gc.isenabled()
     gc.collect()
@@ -79,7 +76,7 @@ def on_time(priority: int = DEFAULT_PRIORITY, cpu: int | None = None) -> Iterato
 @contextmanager
 def _linux_thread(priority: int, cpu: int | None) -> Iterator[list[Grant]]:
     if sys.platform != "linux":
-        yield [Grant("SCHED_FIFO", granted=False, detail="is asked for on Linux alone")]
+        yield [Grant("SCHED_FIFO", granted=False, detail="only on Linux")]
         return
     affinity, slack = os.sched_getaffinity(0), _timer_slack()
     policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
@@ -92,7 +89,7 @@ def _linux_thread(priority: int, cpu: int | None) -> Iterator[list[Grant]]:
             _ask_for_cpu(cpu),
         ]
     finally:
-        # The flag is harmless here, and taking it back needs a right that the user may not have.
+        # The flag does no harm, and clearing it needs a permission that the user may not have.
         for thread in (0, *helpers):
             with suppress(ProcessLookupError):  # it has ended meanwhile
                 os.sched_setscheduler(thread, policy | os.SCHED_RESET_ON_FORK, parameters)
@@ -102,20 +99,20 @@ def _linux_thread(priority: int, cpu: int | None) -> Iterator[list[Grant]]:
 
 
 def lower_priority() -> None:
-    """Lower this process's priority below those that must be on time."""
+    """Let the calling process yield to real-time loops."""
     os.nice(_BACKGROUND_NICE)
 
 
-def told(grants: list[Grant]) -> str:
-    """One line about what was granted."""
+def describe(grants: list[Grant]) -> str:
+    """The results on one line."""
     return ", ".join(f"{g.what} {g.detail if g.granted else 'not granted'}" for g in grants)
 
 
 def _ask_for_fifo(priority: int, helpers: list[int]) -> Grant:
     what = "SCHED_FIFO"
     if not priority:
-        return Grant(what, granted=False, detail="not asked for: the priority is set to 0")
-    # Without the flag, threads and processes started from here would be real-time ones too.
+        return Grant(what, granted=False, detail="not requested: the priority is 0")
+    # Without the flag, threads and processes started from here would inherit the priority.
     policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
     try:
         os.sched_setscheduler(0, policy, os.sched_param(priority))
@@ -126,8 +123,8 @@ def _ask_for_fifo(priority: int, helpers: list[int]) -> Grant:
         return Grant(
             what,
             granted=False,
-            detail=f"the user may not have priority {priority} (RLIMIT_RTPRIO, CAP_SYS_NICE)",
-            cost="whatever else runs on this machine can delay a command by milliseconds",
+            detail=f"no permission for priority {priority} (RLIMIT_RTPRIO, CAP_SYS_NICE)",
+            cost="other processes can delay a command by milliseconds",
             remedy=f"Put the line '{_user()} - rtprio {priority}' into "
             "/etc/security/limits.d/g1stream.conf and log in again.",
         )
@@ -135,9 +132,9 @@ def _ask_for_fifo(priority: int, helpers: list[int]) -> Grant:
 
 
 def _library_threads() -> list[int]:
-    """Threads of this process that a library has started and named, as Cyclone names its own.
+    """Threads of this process that a library has started and named, as Cyclone does.
 
-    The loop waits for what they receive, and now and then for a lock that one of them holds.
+    The loop depends on what they receive, and at times on a lock that one of them holds.
     """
     ours = {thread.native_id for thread in threading.enumerate()}
     own_name, found = Path("/proc/self/comm").read_text(), []
@@ -150,14 +147,14 @@ def _library_threads() -> list[int]:
 
 def _ask_for_memory() -> Grant:
     what = "memory"
-    # Only what is in memory now: with a limit on locked memory, locking the future too would turn
-    # a later allocation into an error.
+    # Only current pages: with a limit on locked memory, MCL_FUTURE would make a later allocation
+    # fail.
     if _libc().mlockall(_MCL_CURRENT | _MCL_ONFAULT):
         return Grant(
             what,
             granted=False,
-            detail="the user may not lock so much of it (RLIMIT_MEMLOCK, CAP_IPC_LOCK)",
-            cost="when memory runs short, a command can wait for the disk",
+            detail="no permission to lock all of it (RLIMIT_MEMLOCK, CAP_IPC_LOCK)",
+            cost="when memory is short, a command can be delayed by paging",
             remedy=f"Put the line '{_user()} - memlock unlimited' into "
             "/etc/security/limits.d/g1stream.conf and log in again.",
         )
@@ -187,7 +184,7 @@ def _ask_for_cpu(cpu: int | None) -> Grant:
 
 
 def _isolated_cpus() -> set[int]:
-    """CPUs that the kernel was started to keep free of other work (isolcpus)."""
+    """CPUs that the kernel keeps free of other work (isolcpus)."""
     try:
         listed = Path("/sys/devices/system/cpu/isolated").read_text().strip()
     except OSError:
@@ -212,7 +209,7 @@ def _listed(cpus: set[int]) -> str:
 
 
 def _user() -> str:
-    """The user as limits.conf(5) has it: `:uid` for one without a name, as in containers."""
+    """The user in the syntax of limits.conf(5); `:uid` for one without a name, as in containers."""
     import getpass
 
     try:

@@ -1,18 +1,18 @@
 """What is shown beside a loop, and that nothing of it is lost at its end."""
 
-from collections import deque
+import logging
 from types import SimpleNamespace
 
 import pytest
 
-from g1stream.cli.progress import Watch
+from g1stream.cli.progress import Watch, watching
 from g1stream.control.phases import PhaseState
 from g1stream.types import Phase
 
 
 @pytest.fixture
 def loop():
-    return SimpleNamespace(state=PhaseState(Phase.PLAY, 0), events=deque(), motion_time=0.0)
+    return SimpleNamespace(state=PhaseState(Phase.PLAY, 0), motion_time=0.0)
 
 
 @pytest.fixture
@@ -20,16 +20,15 @@ def motion():
     return SimpleNamespace(duration=1.0)
 
 
-def test_the_last_events_are_shown_before_what_is_printed_next(loop, motion, capsys):
-    watching = Watch(loop, motion)
-    loop.state = PhaseState(Phase.DONE, 0)
-    loop.events.extend([(2, "HOLD -> DAMP"), (2, "DAMP -> DONE")])
-    watching.finish()
-    assert capsys.readouterr().err == "HOLD -> DAMP\nDAMP -> DONE\n"
+def test_all_events_are_printed_before_anything_else(loop, motion, capsys):
+    with watching() as watch:
+        watch(loop, motion)
+        logger = logging.getLogger("g1stream.control.loop")
+        logger.info("HOLD -> DAMP")
+        logger.warning("overrun")
+    assert capsys.readouterr().err == "HOLD -> DAMP\nwarning: overrun\n"
 
 
 def test_a_watch_of_a_loop_that_never_ran_can_be_finished(loop, motion, capsys):
-    watching = Watch(loop, motion)
-    watching.finish()
-    loop.events.append((2, "too late"))
+    Watch(loop, motion).finish()
     assert capsys.readouterr().err == ""

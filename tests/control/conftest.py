@@ -1,7 +1,8 @@
-"""A clock and a wire that do nothing by themselves, and a short motion to play over them."""
+"""A fake clock, a fake link, and a short motion to play over them."""
 
 from __future__ import annotations
 
+import logging
 from collections import Counter
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -62,7 +63,7 @@ class FakeClock:
 
 
 class Sent(NamedTuple):
-    """What a link was given at once, and when, ns."""
+    """The arguments of one `send`, and when it was called, ns."""
 
     time: int
     stamp: int
@@ -71,11 +72,10 @@ class Sent(NamedTuple):
 
 
 class FakeLink:
-    """The loop's end of a wire and, in its other methods and attributes, the robot at its far end.
+    """A link and, in its other methods and attributes, the robot at its other end.
 
     Attributes:
         sent: what the loop has sent.
-        told: (level, text) of the events.
         robot: what LowState says; it is repeated at every look unless `silent`.
         silent: nothing but `publish_state` brings a LowState.
         on_send: is called after each send, with the number of those before.
@@ -86,7 +86,6 @@ class FakeLink:
 
     def __init__(self, clock: FakeClock) -> None:
         self.sent: list[Sent] = []
-        self.told: list[tuple[int, str]] = []
         self.robot = LowState()
         self.robot.quaternion[:] = (1.0, 0.0, 0.0, 0.0)
         self.robot.mode_machine[()] = 5
@@ -94,15 +93,15 @@ class FakeLink:
         self.on_send: Callable[[int], None] = lambda _: None
         self._clock = clock
         self._pending: bytes | None = None
-        self._n_listeners = 0
-        self._rivals: list[str] = []
+        self._n_subscribers = 0
+        self._others: list[str] = []
         self._support: str | None = None
 
-    def listeners(self) -> int:
-        return self._n_listeners
+    def subscribers(self) -> int:
+        return self._n_subscribers
 
-    def rivals(self) -> list[str]:
-        return list(self._rivals)
+    def other_publishers(self) -> list[str]:
+        return list(self._others)
 
     def support(self) -> str | None:
         return self._support
@@ -122,9 +121,6 @@ class FakeLink:
         self.sent.append(sent)
         self.on_send(len(self.sent) - 1)
         return self._clock.now()
-
-    def tell(self, level: int, text: str) -> None:
-        self.told.append((level, text))
 
     def publish_state(self, data: bytes) -> None:
         self._pending = data
@@ -167,25 +163,32 @@ class FakeLink:
                 assert np.isfinite(values).all()
 
     @contextmanager
-    def listening(self) -> Iterator[None]:
-        """Somebody reads LowCmd meanwhile."""
-        self._n_listeners += 1
+    def subscribed(self) -> Iterator[None]:
+        """With a subscriber of LowCmd."""
+        self._n_subscribers += 1
         yield
-        self._n_listeners -= 1
+        self._n_subscribers -= 1
 
     @contextmanager
     def held(self, support: str) -> Iterator[None]:
-        """Meanwhile there is a bridge that says how it holds the robot."""
+        """With a bridge that announces its support."""
         self._support = support
         yield
         self._support = None
 
     @contextmanager
-    def rivalled(self) -> Iterator[str]:
-        """Somebody else writes LowCmd meanwhile; gives what must be in its name."""
-        self._rivals.append("policy (pid 4242 on elsewhere)")
+    def contested(self) -> Iterator[str]:
+        """With another publisher of LowCmd; yields a part of its name."""
+        self._others.append("policy (pid 4242 on elsewhere)")
         yield "4242"
-        self._rivals.pop()
+        self._others.pop()
+
+
+@pytest.fixture
+def events(caplog: pytest.LogCaptureFixture) -> Callable[[], list[tuple[int, str]]]:
+    """Gives (level, message) of all events so far."""
+    caplog.set_level(logging.INFO, logger="g1stream")
+    return lambda: [(record.levelno, record.getMessage()) for record in caplog.records]
 
 
 @pytest.fixture
@@ -195,15 +198,15 @@ def clock() -> FakeClock:
 
 @pytest.fixture
 def link(clock: FakeClock) -> Iterator[FakeLink]:
-    """A wire with a robot on it that listens."""
+    """A link with a robot that subscribes to LowCmd."""
     link = FakeLink(clock)
-    with link.listening():
+    with link.subscribed():
         yield link
 
 
 @pytest.fixture
 def bare_link(clock: FakeClock) -> FakeLink:
-    """A wire that nobody listens on, and that brings nothing by itself."""
+    """A link without subscribers that receives nothing by itself."""
     link = FakeLink(clock)
     link.silent = True
     return link
@@ -239,14 +242,21 @@ def robot() -> G1:
 
 @pytest.fixture
 def timing() -> Timing:
-    return Timing(wait=1000 * MS, ramp=100 * MS, play=500 * MS, hold=20 * MS, damp=500 * MS)
+    return Timing(
+        wait=1000 * MS,
+        ramp=100 * MS,
+        play=500 * MS,
+        hold=20 * MS,
+        damp=500 * MS,
+        settle=302 * MS,
+    )
 
 
 @pytest.fixture
 def make_loop(
     clock: FakeClock, link: FakeLink, trajectory: Trajectory, robot: G1, timing: Timing
 ) -> Callable[..., StreamLoop]:
-    """A loop at 500 Hz over the fake wire; anything may be given in place of what it would have."""
+    """A loop at 500 Hz over the fake link; keyword arguments replace its parts."""
 
     def make(safety: SafetyConfig | None = None, **other: Any) -> StreamLoop:
         parts: dict[str, Any] = {

@@ -9,8 +9,8 @@ import pytest
 from g1stream.control.link import DdsLink
 from g1stream.dds.domain import Participant, user_data_of_support
 from g1stream.dds.endpoints import RawReader, RawWriter
-from g1stream.dds.messages import Log, LowCmd, LowState, Reference
-from g1stream.dds.topics import LOG, LOWCMD, LOWSTATE, REFERENCE
+from g1stream.dds.messages import LowCmd, LowState, Reference
+from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE
 
 STAMP = 1_700_000_000_123_456_789
 
@@ -20,9 +20,9 @@ class FakeEnds:
 
     def __init__(self, link):
         self.link = link
-        self.listening = link.listening
+        self.subscribed = link.subscribed
         self.held = link.held
-        self.rivalled = link.rivalled
+        self.contested = link.contested
         self.publish_state = link.publish_state
         self.now = link._clock.now
 
@@ -31,9 +31,6 @@ class FakeEnds:
 
     def references(self):
         return [(sent.reference.tobytes(), sent.stamp) for sent in self.link.sent]
-
-    def events(self):
-        return [(level, "stream", text) for level, text in self.link.told]
 
 
 class DdsEnds:
@@ -44,11 +41,11 @@ class DdsEnds:
         self.link = DdsLink(ours)
         self.now = time.monotonic_ns
         self._states = RawWriter(theirs, LOWSTATE)
-        self._readers = {t.name: RawReader(theirs, t, depth=10) for t in (REFERENCE, LOG)}
+        self._readers = {REFERENCE.name: RawReader(theirs, REFERENCE, depth=10)}
         self._arrived = {name: [] for name in (LOWCMD.name, *self._readers)}
 
     @contextmanager
-    def listening(self):
+    def subscribed(self):
         reader = RawReader(self._theirs, LOWCMD, depth=10)
         self._readers[LOWCMD.name] = reader
         yield
@@ -57,7 +54,7 @@ class DdsEnds:
         reader.close()
 
     @contextmanager
-    def rivalled(self):
+    def contested(self):
         writer = RawWriter(self._theirs, LOWCMD)
         yield "pid"
         writer.close()
@@ -83,17 +80,10 @@ class DdsEnds:
     def references(self):
         return [(sample.data, sample.publish_time) for sample in self._taken(REFERENCE)]
 
-    def events(self):
-        log, found = Log(), []
-        for sample in self._taken(LOG):
-            log.load(sample.data)
-            found.append((int(log.level), log.name, log.text))
-        return found
-
 
 @pytest.fixture(params=["fake", "dds"])
 def ends(request):
-    """A link and its far end, where nobody listens yet and no state comes."""
+    """A link and its far end, without subscribers and states."""
     if request.param == "fake":
         yield FakeEnds(request.getfixturevalue("bare_link"))
         return
@@ -111,17 +101,17 @@ def state_of(tick):
 
 def test_an_empty_wire(ends):
     state = LowState()
-    assert ends.link.listeners() == 0
-    assert ends.link.rivals() == []
+    assert ends.link.subscribers() == 0
+    assert ends.link.other_publishers() == []
     assert ends.link.support() is None
     assert not ends.link.receive(state)
     assert state.tobytes() == LowState().tobytes()
 
 
-def test_listeners_come_and_go(ends, until):
-    with ends.listening():
-        until(lambda: ends.link.listeners() == 1, "a listener")
-    until(lambda: ends.link.listeners() == 0, "its departure")
+def test_subscribers_are_matched_and_leave(ends, until):
+    with ends.subscribed():
+        until(lambda: ends.link.subscribers() == 1, "a subscriber")
+    until(lambda: ends.link.subscribers() == 0, "its departure")
 
 
 def test_a_bridge_says_how_it_holds_the_robot(ends, until):
@@ -144,8 +134,8 @@ def test_the_newest_state_is_received_once(ends, until):
 
 def test_command_and_reference_arrive_whole_with_one_stamp(ends, until):
     command, reference = LowCmd(), Reference()
-    with ends.listening():
-        until(lambda: ends.link.listeners() == 1, "a listener")
+    with ends.subscribed():
+        until(lambda: ends.link.subscribers() == 1, "a subscriber")
         sent = []
         for i in range(3):
             command.q[:] = i / 7
@@ -158,35 +148,27 @@ def test_command_and_reference_arrive_whole_with_one_stamp(ends, until):
         assert ends.references() == [(reference, stamp) for _, reference, stamp in sent]
 
 
-def test_sending_tells_when_the_command_was_out(ends):
+def test_send_returns_when_the_command_was_written(ends):
     before = ends.now()
     out = ends.link.send(LowCmd().seal(), Reference().tobytes(), STAMP)
     assert before <= out <= ends.now()
 
 
-def test_sending_into_the_void_is_no_error(ends):
+def test_sending_without_a_subscriber_is_no_error(ends):
     ends.link.send(LowCmd().seal(), Reference().tobytes(), STAMP)
 
 
-def test_events_arrive_in_order(ends, until):
-    told = [(2, "WAIT -> RAMP"), (4, "naïve → the pelvis is tilted"), (3, "x" * 240)]
-    for level, text in told:
-        ends.link.tell(level, text)
-    until(lambda: len(ends.events()) == 3, "three events")
-    assert ends.events() == [(level, "stream", text) for level, text in told]
+def test_another_publisher_is_named_while_it_is_there(ends, until):
+    with ends.contested() as name:
+        until(ends.link.other_publishers, "the other publisher")
+        (other,) = ends.link.other_publishers()
+        assert name in other
+    until(lambda: not ends.link.other_publishers(), "its departure")
 
 
-def test_a_rival_is_named_while_it_is_there(ends, until):
-    with ends.rivalled() as name:
-        until(ends.link.rivals, "the rival")
-        (rival,) = ends.link.rivals()
-        assert name in rival
-    until(lambda: not ends.link.rivals(), "its departure")
-
-
-def test_our_own_commands_are_no_rival(ends, until):
-    with ends.listening():
-        until(lambda: ends.link.listeners() == 1, "a listener")
+def test_our_own_commands_are_no_other_publisher(ends, until):
+    with ends.subscribed():
+        until(lambda: ends.link.subscribers() == 1, "a subscriber")
         ends.link.send(LowCmd().seal(), Reference().tobytes(), STAMP)
         until(ends.commands, "the command")
-        assert ends.link.rivals() == []
+        assert ends.link.other_publishers() == []

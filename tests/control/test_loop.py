@@ -1,6 +1,7 @@
-"""The loop from WAIT to DONE on a clock and a wire of the test's own: every command, to the ns."""
+"""The loop from WAIT to DONE on a fake clock and a fake link: every command, to the ns."""
 
 import gc
+import logging
 import sys
 from dataclasses import replace
 
@@ -10,8 +11,7 @@ import pytest
 from g1stream.config import SafetyConfig
 from g1stream.control.feedforward import FeedForward
 from g1stream.control.report import LoopReport
-from g1stream.control.target import Target
-from g1stream.control.targets import Targets
+from g1stream.control.targets import Target, Targets
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.dynamics import Solution
 from g1stream.types import Phase
@@ -22,7 +22,7 @@ SETTLE = 300 * MS
 RAMP, PLAY, HOLD, DAMP = 50, 250, 10, 250  # commands that the phases of `timing` last
 
 
-def test_a_whole_session(make_loop, link, clock):
+def test_a_whole_session(make_loop, link, clock, events):
     start = clock.now()
     loop = make_loop()
     report = loop.run()
@@ -32,8 +32,7 @@ def test_a_whole_session(make_loop, link, clock):
     assert [sent.stamp - sent.time for sent in link.sent] == [clock.stamp() - clock.time] * 560
     link.assert_damped()
     went = ["WAIT -> RAMP", "RAMP -> PLAY", "PLAY -> HOLD", "HOLD -> DAMP", "DAMP -> DONE"]
-    assert link.told == [(2, text) for text in went]
-    assert list(loop.events) == link.told
+    assert events() == [(logging.INFO, text) for text in went]
     assert loop.state.phase is Phase.DONE
     assert report is loop.report
     assert report.reason == ""
@@ -57,7 +56,7 @@ def test_play_is_sampled_exactly_at_its_deadlines(make_loop, link, trajectory):
         assert not sent.command.tau.any()
 
 
-def test_ramp_begins_at_the_measured_pose_and_no_command_leaps(make_loop, link):
+def test_ramp_begins_at_the_measured_pose_without_steps(make_loop, link):
     link.robot.q[:] = np.linspace(-0.05, 0.4, 29)
     make_loop().run()
     assert link.sent[0].command.q.tolist() == link.robot.q.tolist()
@@ -71,8 +70,7 @@ def test_ramp_begins_at_the_measured_pose_and_no_command_leaps(make_loop, link):
 def test_a_preview_crosses_into_the_next_phase(make_loop, link, preview):
     """The motion moves at up to 0.4 rad/s from its first frame to its last."""
     link.robot.q[:] = 0.1 * np.sin(np.linspace(0.1, 1.5, 29))
-    ahead = FeedForward("velocity", limit=np.full(29, 50.0), ramp=0.1, preview=preview)
-    make_loop(feedforward=ahead).run()
+    make_loop(feedforward=feedforward("velocity", preview=preview)).run()
     q = np.array([sent.command.q for sent in link.sent])
     fastest = max(np.abs(sent.command.dq).max() for sent in link.sent)
     assert np.abs(np.diff(q, axis=0)).max() < 1.1 * fastest * PERIOD / 1e9
@@ -80,16 +78,20 @@ def test_a_preview_crosses_into_the_next_phase(make_loop, link, preview):
     assert damping[0].command.q.tolist() == link.sent[-DAMP - 1].command.q.tolist()
 
 
-class Carrying:
-    """A model of the robot that always says the same torque."""
+def feedforward(kind, *args, **other):
+    return FeedForward(kind, *args, limit=np.full(29, 50.0), period=0.002, ramp=0.1, **other)
+
+
+class ConstantTorque:
+    """A model of the robot with the same torque for every state."""
 
     def solve(self, support, q, dq, ddq, base, *, force=None):
         return Solution(np.full(29, 8.0), np.zeros(3), np.zeros(3))
 
 
-def test_silence_of_the_robot_fades_the_torque_out_and_its_return_in(make_loop, link):
-    """60 ms without a LowState, of which the last 40 say nothing about now: of 100 it takes."""
-    feed = FeedForward("dynamics", "bolted", dynamics=Carrying(), limit=np.full(29, 50.0), ramp=0.1)
+def test_stale_state_fades_the_torque_out_and_in_again(make_loop, link):
+    """60 ms without a LowState, the last 40 of them stale: 0.4 of the fade."""
+    feed = feedforward("dynamics", "bolted", dynamics=ConstantTorque())
     silent = range(150, 180)
     link.on_send = lambda i: setattr(link, "silent", i in silent)
     make_loop(feedforward=feed).run()
@@ -111,13 +113,13 @@ def test_gains_hold_until_damping(make_loop, link):
         assert sent.command.kd.tolist() == np.float32(np.arange(29) / 10.0 + 1.0).tolist()
 
 
-def test_command_echoes_the_robots_machine(make_loop, link):
+def test_command_has_the_mode_machine_of_the_robot(make_loop, link):
     link.robot.mode_machine[()] = 0
     make_loop().run()
     assert {int(sent.command.mode_machine) for sent in link.sent} == {0}
 
 
-def test_targets_are_held_at_the_limits_and_counted(make_loop, link, robot):
+def test_targets_are_clamped_to_the_limits_and_counted(make_loop, link, robot):
     narrow = SafetyConfig(position_margin=0.25)
     link.robot.q[:] = np.clip(0.0, robot.lower + 0.26, robot.upper - 0.26)
     report = make_loop(narrow).run()
@@ -202,10 +204,10 @@ def test_a_stall_in_the_ramp_shifts_nothing(make_loop, link, clock, trajectory):
     assert sent.reference.q.tolist() == trajectory.sample(3 * PERIOD / 1e9).joint_pos.tolist()
 
 
-def test_a_long_stall_damps_instead_of_leaping(make_loop, link, clock):
+def test_a_long_stall_damps(make_loop, link, clock):
     clock.oversleeps[clock.now() + SETTLE + PERIOD + 80 * PERIOD] = 100 * MS + PERIOD
     report = make_loop().run()
-    assert report.reason == "the loop stood still for 0.102 s (limit 0.1 s)"
+    assert "stalled for 0.102 s" in report.reason
     assert link.phases() == {"RAMP": RAMP, "PLAY": 30, "DAMP": DAMP}
     link.assert_damped()
 

@@ -12,20 +12,27 @@ from g1stream.types import Phase
 WAIT, RAMP, PLAY, HOLD, DAMP, DONE = Phase
 TIMING = Timing(wait=1000, ramp=300, play=5000, hold=200, damp=500)
 START = 7_000_000_123
-READY, STOP = Inputs(ready=True), Inputs(stop="enough")
+READY, STOP = Inputs(), Inputs(stop="enough")
+WAITING = Inputs(missing="no LowState")
 
 
-def test_waits_for_somebody():
+def test_waits_for_what_is_missing():
     state = PhaseState(WAIT, START)
-    assert step(START + 999, state, Inputs(), TIMING) == state
+    assert step(START + 999, state, WAITING, TIMING) == state
     assert step(START + 999, state, READY, TIMING) == PhaseState(RAMP, START + 999)
+
+
+def test_waits_for_other_publishers_to_be_discovered():
+    state, timing = PhaseState(WAIT, START), replace(TIMING, settle=100)
+    assert step(START + 99, state, READY, timing) == state
+    assert step(START + 100, state, READY, timing) == PhaseState(RAMP, START + 100)
 
 
 def test_gives_up_waiting_at_the_exact_instant():
     state = PhaseState(WAIT, START)
-    given_up = step(START + 1000, state, Inputs(), TIMING)
+    given_up = step(START + 1000, state, WAITING, TIMING)
     assert (given_up.phase, given_up.since) == (DONE, START + 1000)
-    assert given_up.reason == "nobody answered within 1e-06 s"
+    assert given_up.reason == "no LowState within 1e-06 s"
     assert step(START + 1000, state, READY, TIMING).phase is RAMP
 
 
@@ -80,7 +87,7 @@ def test_a_stop_goes_before_the_end_of_a_phase():
 
 
 def test_a_stop_before_the_first_command_needs_no_damping():
-    for inputs in (STOP, replace(STOP, ready=True)):
+    for inputs in (STOP, replace(STOP, missing="no LowState")):
         state = step(START + 9, PhaseState(WAIT, START), inputs, TIMING)
         assert state == PhaseState(DONE, START + 9, "enough")
 
@@ -109,7 +116,11 @@ timings = st.builds(
 ticks = st.lists(
     st.tuples(
         st.integers(1, 20_000),
-        st.builds(Inputs, ready=st.booleans(), stop=st.sampled_from(["", "", "", "enough"])),
+        st.builds(
+            Inputs,
+            missing=st.sampled_from(["", "it"]),
+            stop=st.sampled_from(["", "", "", "enough"]),
+        ),
     ),
     max_size=40,
 )

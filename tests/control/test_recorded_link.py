@@ -129,7 +129,7 @@ def play(domain_id, monkeypatch, bare_link, make_loop, clock):
     link.silent = False
     with ExitStack() as stack:
         participant = stack.enter_context(Participant(domain_id, "lo"))
-        stack.enter_context(link.listening())
+        stack.enter_context(link.subscribed())
         recorded = RecordedLink(participant, times, packed([command(one) for one in q]), VELOCITY)
         link.send = recorded.send
 
@@ -161,7 +161,7 @@ def test_what_was_due_while_the_loop_stood_still_is_skipped(play):
 
 def test_not_after_longer_than_the_state_timeout(play, bare_link):
     report, _, q = play(0.102)
-    assert "the loop stood still" in report.reason
+    assert "the loop stalled" in report.reason
     assert np.abs(np.diff(q)).max() == pytest.approx(0.04, abs=1e-5)
     assert bare_link.in_phase(Phase.DAMP)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +12,7 @@ import pytest
 from g1stream.config import Config
 from g1stream.control.loop import StreamLoop
 from g1stream.control.safety import Envelope
+from g1stream.events import handled_by
 from g1stream.motion.limits import POSITION_TOLERANCE, Interval, LimitReport, measure_limits
 from g1stream.motion.trajectory import Trajectory
 from g1stream.programs.stream import stream
@@ -149,12 +152,19 @@ def test_the_stream_warns_before_the_first_command(spike, domain_id, monkeypatch
     run = StreamLoop.run
 
     def running(loop):
-        events.append("runs")
+        events.append((time.time(), "runs"))
         return run(loop)
 
     monkeypatch.setattr(StreamLoop, "run", running)
-    stream(spike, config, on_warning=lambda text: events.append(text.split()[0]))
-    assert events == ["made", "made", "runs"]
+
+    class Handler(logging.Handler):
+        def emit(self, record):
+            if record.levelno == logging.WARNING:
+                events.append((record.created, record.getMessage().split()[0]))
+
+    with handled_by(Handler()):
+        stream(spike, config)
+    assert [name for _, name in sorted(events)] == ["made", "made", "runs"]
 
 
 def test_a_real_clip_is_faster_than_its_frames_and_overshoots(real_clip, robot):

@@ -13,6 +13,7 @@ from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import LowState
 from g1stream.dds.topics import LOWCMD, LOWSTATE
+from g1stream.doctor.facts import Level
 from g1stream.programs import stream as program
 from g1stream.programs.stream import stream
 
@@ -20,7 +21,7 @@ from g1stream.programs.stream import stream
 @pytest.fixture
 def late_bridge(domain_id, monkeypatch):
     """It comes while the wire is listened to."""
-    stop, looks, kept = Event(), program.look_around, []
+    stop, looks, kept = Event(), program.inspect_participant, []
     state = LowState().seal()
 
     def publish(writer):
@@ -29,18 +30,18 @@ def late_bridge(domain_id, monkeypatch):
 
     with Participant(domain_id, "lo") as bridge, ThreadPoolExecutor(1) as pool:
 
-        def look_around(participant, seconds):
+        def inspect_participant(participant, seconds):
             kept.append(RawReader(bridge, LOWCMD))
             pool.submit(publish, RawWriter(bridge, LOWSTATE))
             return looks(participant, seconds)
 
-        monkeypatch.setattr(program, "look_around", look_around)
+        monkeypatch.setattr(program, "inspect_participant", inspect_participant)
         yield
         stop.set()
 
 
-def test_its_types_are_not_to_blame(domain_id, late_bridge):
+def test_a_late_robot_is_only_a_warning(domain_id, late_bridge):
     config = Config.model_validate({"dds": {"domain": domain_id}, "stream": {"wait": 1.0}})
     (finding,) = stream("demo", config).findings
-    assert "a robot is in domain" in finding.cause
-    assert finding.remedy == "Play again."
+    assert finding.level is Level.WARNING
+    assert finding.about == "wire"

@@ -90,7 +90,6 @@ class Demo(WireCommand):
                 config,
                 force=self.force,
                 on_loop=prepare,
-                on_warning=print_warning,
             )
         if self.json:
             figures = done.summary.as_dict() if done.summary else None

@@ -1,12 +1,14 @@
-"""Shows how a loop goes, from a thread beside it that the loop never waits for."""
+"""Shows the progress and the events of a loop, from threads that the loop never waits for."""
 
 from __future__ import annotations
 
+import logging
 import sys
 import threading
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from g1stream.events import handled_by
 from g1stream.types import Phase
 
 if TYPE_CHECKING:
@@ -23,7 +25,7 @@ _BAR = 30
 
 
 class Watch:
-    """Prints events as lines and, on a terminal, a progress bar; on standard error.
+    """Shows a progress bar on standard error, if that is a terminal.
 
     Args:
         loop: what is watched, until it is done.
@@ -39,36 +41,35 @@ class Watch:
         self._thread.start()
 
     def finish(self) -> None:
-        """Print what is left, so that the next thing printed comes after it; waits 1 s at most."""
+        """Remove the bar; waits 1 s at most."""
         self._over.set()
         self._thread.join(_PATIENCE_S)
-        if not self._thread.is_alive():
-            self._print_events()  # those told since the thread last looked
 
     def _run(self) -> None:
-        while True:
-            done = self._loop.state.phase is Phase.DONE
-            self._print_events()
-            if done:
-                return
+        while self._loop.state.phase is not Phase.DONE:
             if self._clear:
                 _write(f"{self._clear}{_bar(self._loop, self._motion)}")
             if self._over.wait(_PERIOD_S):
-                _write(self._clear)
-                return
+                break
+        _write(self._clear)
 
-    def _print_events(self) -> None:
-        while self._loop.events:
-            _, text = self._loop.events.popleft()
-            _write(f"{self._clear}{text}\n")
+
+class _Console(logging.Handler):
+    """Prints events on standard error, above the progress bar."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        prefix = "" if record.levelno <= logging.INFO else f"{record.levelname.lower()}: "
+        clear = "\r\x1b[K" if sys.stderr.isatty() else ""
+        _write(f"{clear}{prefix}{record.getMessage()}\n")
 
 
 @contextmanager
 def watching() -> Iterator[Callable[[StreamLoop, Motion], None]]:
-    """Give what is called when a loop begins; at the end of the `with`, all it told is printed."""
+    """Print events, and yield what is to be called when a loop begins, to show its progress."""
     watches: list[Watch] = []
     try:
-        yield lambda loop, motion: watches.append(Watch(loop, motion))
+        with handled_by(_Console()):
+            yield lambda loop, motion: watches.append(Watch(loop, motion))
     finally:
         for watch in watches:
             watch.finish()

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from g1stream.cli.common import Flag, announce_wire, on_signals, print_warning, value
+from g1stream.cli.common import Flag, announce_wire, on_signals, value
 from g1stream.cli.progress import watching
 from g1stream.cli.stream import PlayCommand
 
@@ -60,6 +60,5 @@ class Replay(PlayCommand):
                 record=self.record,
                 force=self.force,
                 on_loop=prepare,
-                on_warning=print_warning,
             )
         return self.report(outcome)

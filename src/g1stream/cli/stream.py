@@ -17,7 +17,6 @@ from g1stream.cli.common import (
     print_warning,
     value,
 )
-from g1stream.cli.gains_file import read_gains, require_joints
 from g1stream.cli.progress import watching
 from g1stream.cli.stream_summary import exit_code, summary
 from g1stream.cli.values import flag_name
@@ -106,15 +105,14 @@ class PlayCommand(WireCommand):
                         f"The flag {flag_name(field)} says how to record, and nothing is recorded.",
                         "Add --record FILE, or leave it out.",
                     )
-        config = super().resolve()
-        # Those of a gains file are looked at where it is read.
-        require_joints(config.gains, f"[gains] of the config {self.config}")
-        return config
+        return super().resolve()
 
     def overrides(self) -> dict[str, Any]:
         """The flags that were given, and the gains file's tables."""
         over = super().overrides()
         if self.gains:
+            from g1stream.control.gains import read_gains
+
             over |= {f"gains.{name}": table for name, table in read_gains(self.gains).items()}
         return over
 
@@ -167,6 +165,5 @@ class Stream(PlayCommand):
                 record=self.record,
                 force=self.force,
                 on_loop=prepare,
-                on_warning=print_warning,
             )
         return self.report(outcome)

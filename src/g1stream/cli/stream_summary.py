@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from g1stream.analysis.formatting import carried, counted, most, played
 from g1stream.cli.common import EXIT_OK, EXIT_STOPPED, exit_code_of_signal
-from g1stream.realtime import told
+from g1stream.realtime import describe
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -53,7 +53,7 @@ def summary(outcome: StreamOutcome) -> str:
         ),
         _line("states", _states(outcome.wire)),
         _line("feed-forward", _carried(report)),
-        _line("real time", told(outcome.granted)),
+        _line("real time", describe(outcome.granted)),
         *_held(outcome),
         *_recording(outcome.recording),
     ]

@@ -6,62 +6,131 @@ next command, so that only a write lies between the deadline and the wire.
 
 from __future__ import annotations
 
-from collections import deque
+import logging
 from dataclasses import replace
 from itertools import islice
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
-from g1stream.control.commands import Composer
-from g1stream.control.measured import ImuReading, Measured
+from g1stream.control.feedforward import FeedForward
+from g1stream.control.gains import resolve_gains
 from g1stream.control.phases import Inputs, PhaseState, Timing, step
 from g1stream.control.report import LoopReport
+from g1stream.control.safety import Envelope, ImuReading, Measured
+from g1stream.control.targets import Targets
 from g1stream.control.ticker import Ticker
-from g1stream.dds.messages import LowState
+from g1stream.dds.messages import LowCmd, LowState, Reference
+from g1stream.dds.topics import LOWCMD
+from g1stream.errors import ConfigError
 from g1stream.motion.blend import minimum_jerk
-from g1stream.types import ERROR, INFO, WARNING, Phase
+from g1stream.motion.limits import Interval
+from g1stream.types import Phase
 
 if TYPE_CHECKING:
     from g1stream.clock import Clock
-    from g1stream.control.feedforward import FeedForward
+    from g1stream.config import Config, StreamConfig
     from g1stream.control.gains import Gains
     from g1stream.control.link import Link
-    from g1stream.control.safety import Envelope
-    from g1stream.control.target import Target
-    from g1stream.control.targets import Targets
+    from g1stream.control.targets import Target
+    from g1stream.motion.motion import Motion
+    from g1stream.motion.trajectory import Trajectory
+    from g1stream.robot.model import G1
 
-__all__ = ["LoopReport", "StreamLoop"]
+__all__ = ["Composer", "LoopReport", "StreamLoop", "make_loop", "play_interval"]
 
-#: How often the loop looks for a second writer of LowCmd, ns.
-_RIVAL_PERIOD = 100_000_000
+_LOGGER = logging.getLogger(__name__)
 
-#: How often it tells of skipped ticks, ns.
-_OVERRUN_PERIOD = 1_000_000_000
-
+#: How long other publishers of LowCmd are waited for before the first command, ns.
+_SETTLE: Final = 100_000_000
+#: How often the loop looks for other publishers afterwards, ns.
+_PUBLISHER_CHECK_PERIOD: Final = 100_000_000
+#: How often it reports skipped ticks, ns.
+_OVERRUN_REPORT_PERIOD: Final = 1_000_000_000
 #: Longer than any session, ns.
-_FOR_EVER = 1 << 62
+_FOREVER: Final = 1 << 62
+
+
+class Composer:
+    """Makes the LowCmd and the Reference of a tick.
+
+    Args:
+        envelope: the limits of a command.
+        gains: kp and kd in every phase but DAMP.
+        damp_kd: kd in DAMP, Nm s/rad.
+    """
+
+    def __init__(self, envelope: Envelope, gains: Gains, damp_kd: float) -> None:
+        self._envelope = envelope
+        self._gains = gains
+        self._damp_kd = damp_kd
+        self._command, self._reference = LowCmd(), Reference()
+
+    def begin(self, measured: Measured) -> None:
+        """Enable the motors of the measured robot, with the gains of the motion."""
+        self._envelope.begin(measured.q)
+        command = self._command
+        command.motor_mode = 1
+        command.mode_pr[()] = 0  # the other mode changes the meaning of ankle and waist joints
+        command.mode_machine[()] = measured.mode_machine
+        command.kp[:], command.kd[:] = self._gains
+
+    def damp(self) -> None:
+        """Set the gains of DAMP: kp 0."""
+        self._command.kp[:] = 0.0
+        self._command.kd[:] = self._damp_kd
+
+    def compose(
+        self, due: Target, commanded: Target, phase: Phase, tick: int, ramped: float
+    ) -> tuple[bytes, bytes]:
+        """A sealed LowCmd and its Reference, as they go onto the wire.
+
+        Args:
+            due: the target at their publish time; published as Reference.
+            commanded: the target of the LowCmd, which takes effect later; its torque is published
+                in the Reference too.
+            phase: of the session.
+            tick: number of the Reference.
+            ramped: progress of the ramp, 0 to 1.
+
+        Raises:
+            SafetyError: a value of the command is not finite.
+        """
+        command, reference, envelope = self._command, self._reference, self._envelope
+        q, dq, tau = commanded.q, commanded.dq, commanded.tau
+        limited = envelope.limit(q, ramped)
+        if limited is not q:
+            dq, tau = envelope.keep_inward(q - limited, dq, tau)
+        command.q[:], command.dq[:], command.tau[:] = limited, dq, tau
+        envelope.require_finite(q=command.q, dq=command.dq, tau=command.tau)
+        reference.tick[()] = tick
+        reference.phase[()] = phase
+        reference.motion_time[()] = due.motion_time
+        reference.target[:] = due.published
+        reference.tau[:] = commanded.tau
+        return command.seal(), reference.tobytes()
 
 
 class StreamLoop:
-    """Plays targets over a link until the motion ends or something ends it.
+    """Plays targets over a link until the motion ends or something stops it.
+
+    Phase changes, overruns and reasons to stop are logged; the logger must not block, see
+    `g1stream.events.handled_by`.
 
     Args:
         link: the wire.
         clock: now, stamp and sleep_until.
-        targets: what each phase asks for.
-        envelope: limits and verdicts.
-        timing: how long each phase lasts.
+        targets: the target of each phase.
+        envelope: limits and safety checks.
+        timing: length of each phase.
         gains: kp and kd in every phase but DAMP.
         period: ns between commands.
         damp_kd: kd in DAMP, Nm s/rad.
-        settle: for how long others are looked for before the first command, ns.
-        allow_rivals: play although somebody else writes LowCmd.
+        allow_second_writer: play although there is another publisher of LowCmd.
         feedforward: what a command carries beside the position; the velocity alone if left out.
 
     Attributes:
-        state: the phase now.
+        state: the current phase.
         motion_time: where in the motion the loop is, s.
-        events: (level, text) of what happened; others may pop from its left.
-        report: how it goes, and in the end how it went.
+        report: counts and timing so far, and in the end of the whole run.
     """
 
     def __init__(
@@ -75,8 +144,7 @@ class StreamLoop:
         *,
         period: int,
         damp_kd: float,
-        settle: int = 300_000_000,
-        allow_rivals: bool = False,
+        allow_second_writer: bool = False,
         feedforward: FeedForward | None = None,
     ) -> None:
         self._link = link
@@ -84,11 +152,10 @@ class StreamLoop:
         self._targets = targets
         self._envelope = envelope
         self._timing = timing
-        self._undamped = replace(timing, hold=_FOR_EVER)
+        self._undamped = replace(timing, hold=_FOREVER)
         self._composer = Composer(envelope, gains, damp_kd)
         self._period = period
-        self._settle = settle
-        self._allow_rivals = allow_rivals
+        self._allow_second_writer = allow_second_writer
         self._feedforward = feedforward
         self._low_state = state = LowState()
         self._imu = ImuReading(state.quaternion, state.gyroscope, state.accelerometer)
@@ -97,11 +164,10 @@ class StreamLoop:
         self._prepared: tuple[bytes, bytes] | None = None
         self._prepared_for = 0
         self._stop_reason = ""
-        self._rivals_due = 0
-        self._overruns_told = self._overruns_due = 0
+        self._next_publisher_check = 0
+        self._skipped_reported = self._next_overrun_report = 0
         self.state = PhaseState(Phase.WAIT, 0)
         self.motion_time = 0.0
-        self.events: deque[tuple[int, str]] = deque(maxlen=1000)
         self.report = LoopReport(period, envelope.clamped)
 
     def request_stop(self, reason: str) -> None:
@@ -111,8 +177,7 @@ class StreamLoop:
     def run(self) -> LoopReport:
         """Play until DONE.
 
-        Whatever goes wrong in here after the first command, the robot is damped before it is
-        raised.
+        On any error after the first command, the robot is damped before the error is raised.
         """
         try:
             self._play()
@@ -124,7 +189,7 @@ class StreamLoop:
         return self.report
 
     def _play(self) -> None:
-        self._link.receive(self._low_state)  # this one may be older than it seems
+        self._link.receive(self._low_state)  # discarded: it may be from before this run
         start = self._clock.now()
         self.state = PhaseState(Phase.WAIT, start)
         ticker = Ticker(self._clock, self._period, start)
@@ -134,7 +199,7 @@ class StreamLoop:
                 skipped_waiting = ticker.skipped
             self.report.skipped = ticker.skipped - skipped_waiting
             self._tick(deadline)
-            self._tell_overruns(deadline)
+            self._log_overruns(deadline)
             if self.state.phase is Phase.DONE:
                 break
 
@@ -151,25 +216,25 @@ class StreamLoop:
         if self.report.commands:
             self.report.worst_work = max(self.report.worst_work, self._clock.now() - begun)
 
-    def _tell_overruns(self, deadline: int) -> None:
-        """Tell of skipped ticks at once, and then at most once a second."""
-        news = self.report.skipped - self._overruns_told
-        if not news or (deadline < self._overruns_due and self.state.phase is not Phase.DONE):
+    def _log_overruns(self, deadline: int) -> None:
+        """Report skipped ticks immediately, then at most once a second."""
+        new = self.report.skipped - self._skipped_reported
+        if not new or (deadline < self._next_overrun_report and self.state.phase is not Phase.DONE):
             return
-        self._overruns_told = self.report.skipped
-        self._overruns_due = deadline + _OVERRUN_PERIOD
-        self._tell(WARNING, f"overrun: ticks skipped: {news}, {self.report.skipped} so far")
+        self._skipped_reported = self.report.skipped
+        self._next_overrun_report = deadline + _OVERRUN_REPORT_PERIOD
+        _LOGGER.warning("overrun: %d ticks skipped, %d in total", new, self.report.skipped)
 
     def _catch_up(self, deadline: int) -> None:
-        """Ticks were skipped: the motion stays on time, unless it would leap."""
+        """After skipped ticks: continue on time, or stop if the target has moved too far."""
         gap = deadline - self._prepared_for
         if self.state.phase is Phase.DAMP:
-            # Damping lasts as long as it is commanded, not as long as the clock runs.
+            # The length of DAMP counts commands, not time without any.
             self.state = replace(self.state, since=self.state.since + gap)
         else:
             self.request_stop(self._envelope.stalled(gap))
             now = self._clock.now()
-            self._receive(now)  # what came meanwhile, before it is judged by its age
+            self._receive(now)  # states that arrived meanwhile, before their age is checked
             self._advance(now, deadline)
         self._prepare(deadline)
 
@@ -193,33 +258,32 @@ class StreamLoop:
 
     def _advance(self, now: int, deadline: int) -> None:
         before = self.state
-        stop = self._stop_reason or self._verdict(now) or self._rival(now)
-        settled = now - before.since >= self._settle
         missing = self._missing() if before.phase is Phase.WAIT else ""
-        inputs = Inputs(settled and not missing, stop, missing)
+        inputs = Inputs(missing, self._reason_to_stop(now))
         self.state = step(deadline, before, inputs, self._timing)
         if self.state.phase is not before.phase:
-            self._entered(before.phase)
+            self._enter_phase(before.phase)
 
     def _missing(self) -> str:
         if self._measured is None:
-            return "no LowState came"
-        return "" if self._link.listeners() else "nobody came to read rt/lowcmd"
+            return "no LowState received"
+        return "" if self._link.subscribers() else f"no subscriber on {LOWCMD.name}"
 
-    def _verdict(self, now: int) -> str:
-        if self._measured is None or self.state.phase >= Phase.DAMP:
+    def _reason_to_stop(self, now: int) -> str:
+        if self._stop_reason or self.state.phase >= Phase.DAMP:
+            return self._stop_reason
+        verdict = self._envelope.verdict(now, self._measured) if self._measured else ""
+        return verdict or self._other_publisher(now)
+
+    def _other_publisher(self, now: int) -> str:
+        if self._allow_second_writer or now < self._next_publisher_check:
             return ""
-        return self._envelope.verdict(now, self._measured)
+        if self.state.phase is not Phase.WAIT:  # while waiting, every tick
+            self._next_publisher_check = now + _PUBLISHER_CHECK_PERIOD
+        others = self._link.other_publishers()
+        return f"another publisher on {LOWCMD.name}: {', '.join(others)}" if others else ""
 
-    def _rival(self, now: int) -> str:
-        if self._allow_rivals or now < self._rivals_due or self.state.phase >= Phase.DAMP:
-            return ""
-        if self.state.phase is not Phase.WAIT:  # while waiting nothing is hurried
-            self._rivals_due = now + _RIVAL_PERIOD
-        rivals = self._link.rivals()
-        return f"somebody else writes rt/lowcmd: {', '.join(rivals)}" if rivals else ""
-
-    def _entered(self, before: Phase) -> None:
+    def _enter_phase(self, before: Phase) -> None:
         phase, measured = self.state.phase, self._measured
         if phase is Phase.RAMP and measured is not None:
             self._targets.begin(measured.q)
@@ -227,71 +291,62 @@ class StreamLoop:
             self._begin_feedforward()
         elif phase is Phase.DAMP:
             self._composer.damp()
-        went = f"{before.name} -> {phase.name}"
         if self.state.reason and before < Phase.DAMP:
-            self._tell(ERROR, f"{went}: {self.state.reason}")
+            _LOGGER.error("%s -> %s: %s", before.name, phase.name, self.state.reason)
         else:
-            self._tell(INFO, went)
+            _LOGGER.info("%s -> %s", before.name, phase.name)
 
     def _begin_feedforward(self) -> None:
-        if self._feedforward is None:
+        feedforward, report = self._feedforward, self.report
+        if feedforward is None:
             return
-        for level, text in self._feedforward.begin(self._link.support()):
-            self._tell(level, text)
-        self.report.saturated = self._feedforward.saturated
-        self.report.feedforward = self._feedforward.kind or ""
-        self.report.support = self._feedforward.support or ""
-
-    def _tell(self, level: int, text: str) -> None:
-        self.events.append((level, text))
-        self._link.tell(level, text)
+        feedforward.begin(self._link.support())
+        report.feedforward = feedforward.kind or ""
+        report.support = feedforward.support or ""
+        report.saturated, report.feedforward_changes = feedforward.saturated, feedforward.changes
 
     def _prepare(self, deadline: int) -> None:
         phase, elapsed = self.state.phase, self.state.elapsed(deadline) / 1e9
-        asked = target = self._targets.at(phase, elapsed)
+        commanded = due = self._targets.at(phase, elapsed)
         if self._feedforward and self._measured and phase is not Phase.DAMP:
-            ahead = self._feedforward.preview
-            sooner = self._due_at(deadline + round(ahead * 1e9)) if ahead else target
+            preview = self._feedforward.preview
+            effective = self._target_at(deadline + round(preview * 1e9)) if preview else due
             age = (self._clock.now() - self._measured.received) / 1e9
-            asked = self._feedforward.command(phase, elapsed, sooner, self._imu, age)
-            for change in self._feedforward.news():
-                self.report.feedforward_changes.append(change)
-                self._tell(WARNING, str(change))
-        self._compose(target, asked, deadline)
+            commanded = self._feedforward.command(phase, elapsed, effective, self._imu, age)
+        self._compose(due, commanded, deadline)
 
-    def _due_at(self, then: int) -> Target:
-        """What will be asked for, in whichever phase that is, if nothing ends the session."""
-        soon = step(then, self.state, Inputs(), self._undamped)
-        return self._targets.at(soon.phase, soon.elapsed(then) / 1e9)
+    def _target_at(self, then: int) -> Target:
+        """The target at a later time, in the phase of that time, if the session continues."""
+        state = step(then, self.state, Inputs(), self._undamped)
+        return self._targets.at(state.phase, state.elapsed(then) / 1e9)
 
-    def _compose(self, target: Target, asked: Target, deadline: int) -> None:
-        """Prepare what is due, and the command that is to bring it about."""
+    def _compose(self, due: Target, commanded: Target, deadline: int) -> None:
         self._prepared = self._composer.compose(
-            target, asked, self.state.phase, self.report.commands, self._ramped(deadline)
+            due, commanded, self.state.phase, self.report.commands, self._ramped(deadline)
         )
         self._prepared_for = deadline
-        self.motion_time = target.motion_time
-        self._target = target
+        self.motion_time = due.motion_time
+        self._target = due
 
     def _ramped(self, now: int) -> float:
-        """How much of the way to the motion's first frame lies behind."""
+        """Progress of the ramp to the motion's first frame, 0 to 1."""
         if self.state.phase is not Phase.RAMP:
             return 1.0
-        return minimum_jerk(self.state.elapsed(now) / 1e9 / (self._timing.ramp / 1e9))[0]
+        return minimum_jerk(self.state.elapsed(now) / self._timing.ramp)[0]
 
     def _abort(self, error: BaseException) -> None:
-        """Damp without looking left or right: the loop itself has failed."""
+        """The loop itself has failed: damp at the last valid target, without any check."""
         before, start = self.state.phase, self._clock.now()
-        # Whatever failed, this target was whole; before there was one, nothing was commanded.
-        whole = self._target if before < Phase.DONE else None
+        # No target yet means that nothing was commanded.
+        last = self._target if before < Phase.DONE else None
         reason = f"{type(error).__name__}: {error}"
-        self.state = PhaseState(Phase.DAMP if whole else Phase.DONE, start, reason)
+        self.state = PhaseState(Phase.DAMP if last else Phase.DONE, start, reason)
         try:
             if before < Phase.DAMP:
-                self._entered(before)
+                self._enter_phase(before)
         finally:
-            if whole:
-                self._damp(whole.at_rest(), start)
+            if last:
+                self._damp(last.at_rest(), start)
             self.state = replace(self.state, phase=Phase.DONE)
 
     def _damp(self, target: Target, start: int) -> None:
@@ -299,3 +354,56 @@ class StreamLoop:
         for _, deadline in islice(Ticker(self._clock, self._period, start), n_ticks):
             self._compose(target, target, deadline)
             self._publish(deadline)
+
+
+def make_loop(
+    config: Config,
+    robot: G1,
+    trajectory: Trajectory,
+    link: Link,
+    clock: Clock,
+    *,
+    settle: int = _SETTLE,
+) -> StreamLoop:
+    """The loop that plays a trajectory as configured, not yet running.
+
+    `settle` is how long other publishers are waited for before the first command, ns.
+
+    Raises:
+        ConfigError: the interval to play, the gains or the margin to the limits are invalid.
+        RobotError: the inverse dynamics of this robot cannot be computed.
+    """
+    settings = config.stream
+    interval = play_interval(trajectory.motion, settings)
+    period = round(1e9 / settings.rate)  # whole, because deadlines are
+    return StreamLoop(
+        link,
+        clock,
+        Targets(trajectory, start=interval.start, play=interval.length, ramp=settings.ramp),
+        Envelope(robot, config.safety),
+        Timing.from_config(settings, interval.length, settle=settle + period),
+        resolve_gains(config.gains),
+        period=period,
+        damp_kd=settings.damp_kd,
+        allow_second_writer=config.safety.allow_second_writer,
+        feedforward=FeedForward.from_config(settings, robot, period / 1e9),
+    )
+
+
+def play_interval(motion: Motion, settings: StreamConfig) -> Interval:
+    """The part of a motion that is played with these settings.
+
+    Raises:
+        ConfigError: it would begin after the end of the motion.
+    """
+    start, duration = settings.start, settings.duration
+    if start >= motion.duration:
+        raise ConfigError(
+            f"--start {start:g} s is not within {motion.name}, which is {motion.duration:.2f} s "
+            "long.",
+            "Give an earlier --start.",
+        )
+    if settings.loop:
+        return Interval(start, duration, motion.duration, loop=True)
+    rest = motion.duration - start
+    return Interval(start, rest if duration is None else min(duration, rest), motion.duration)

@@ -2,7 +2,7 @@
 
     WAIT ──> RAMP ──> PLAY ──> HOLD ──> DAMP ──> DONE
       │        └────────┴────────┴───────^         ^
-      └────────────────────────────────────────────┘  (nothing was commanded yet)
+      └────────────────────────────────────────────┘  (before the first command)
 
 Whatever ends a session after its first command, an error, a signal or a watchdog, passes through
 DAMP. Time comes in as an argument, in integer nanoseconds of one monotonic clock.
@@ -11,41 +11,67 @@ DAMP. Time comes in as an argument, in integer nanoseconds of one monotonic cloc
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 from g1stream.types import Phase
+
+if TYPE_CHECKING:
+    from g1stream.config import StreamConfig
 
 __all__ = ["Inputs", "PhaseState", "Timing", "step"]
 
 
 @dataclass(frozen=True)
 class Timing:
-    """How long each phase lasts, ns; `play` is None for a motion that loops."""
+    """Length of each phase, ns.
+
+    Attributes:
+        wait: WAIT ends the session after this time.
+        ramp, hold, damp: of these phases.
+        play: of PLAY; None: until stopped.
+        settle: WAIT lasts at least this long, so that other publishers of LowCmd are discovered.
+    """
 
     wait: int
     ramp: int
     play: int | None
     hold: int
     damp: int
+    settle: int = 0
+
+    @classmethod
+    def from_config(cls, settings: StreamConfig, play: float | None, settle: int) -> Timing:
+        """The timing of a config; `play` in s, `settle` in ns."""
+
+        def ns(seconds: float) -> int:
+            return round(seconds * 1e9)
+
+        return cls(
+            wait=ns(settings.wait),
+            ramp=ns(settings.ramp),
+            play=None if play is None else ns(play),
+            hold=ns(settings.hold),
+            damp=ns(settings.damp),
+            settle=settle,
+        )
 
 
 @dataclass(frozen=True)
 class Inputs:
-    """What the world says at a tick.
+    """What the state machine is told at a tick.
 
     Attributes:
-        ready: a LowState has come and somebody reads LowCmd.
-        missing: what did not come, for the reason of a wait in vain.
-        stop: why the session must end now; empty while it may go on.
+        missing: what the first command still waits for; empty if nothing.
+        stop: why the session must end now; empty if it may continue.
     """
 
-    ready: bool = False
+    missing: str = ""
     stop: str = ""
-    missing: str = "nobody answered"
 
 
 @dataclass(frozen=True)
 class PhaseState:
-    """The phase, the instant it began (ns), and why the session ends ("" while it goes well)."""
+    """The phase, when it began (ns), and why the session ends early ("" if it does not)."""
 
     phase: Phase
     since: int
@@ -59,9 +85,9 @@ class PhaseState:
 def step(now: int, state: PhaseState, inputs: Inputs, timing: Timing) -> PhaseState:
     """The state at `now`.
 
-    A phase that ends by time ends at its exact instant and the next begins there, so that a tick
-    that comes late shifts nothing. Several short phases may pass in one step, but DAMP begins at
-    `now`: it lasts its whole time however late the tick that begins it.
+    A phase with a fixed length ends exactly then, and the next one begins there, so that a late
+    tick shifts nothing. Several short phases may pass in one step, but DAMP begins at `now`: it
+    lasts its full time however late the tick is.
     """
     if inputs.stop and state.phase < Phase.DAMP:
         after = Phase.DONE if state.phase is Phase.WAIT else Phase.DAMP
@@ -75,18 +101,19 @@ def step(now: int, state: PhaseState, inputs: Inputs, timing: Timing) -> PhaseSt
 
 
 def _leave_wait(now: int, state: PhaseState, inputs: Inputs, timing: Timing) -> PhaseState:
-    if inputs.ready:
+    elapsed = state.elapsed(now)
+    if not inputs.missing and elapsed >= timing.settle:
         return PhaseState(Phase.RAMP, now)
-    if state.elapsed(now) >= timing.wait:
+    if inputs.missing and elapsed >= timing.wait:
         return PhaseState(Phase.DONE, now, f"{inputs.missing} within {timing.wait / 1e9:g} s")
     return state
 
 
 def _end_of(state: PhaseState, timing: Timing) -> int | None:
-    lasts = {
+    length = {
         Phase.RAMP: timing.ramp,
         Phase.PLAY: timing.play,
         Phase.HOLD: timing.hold,
         Phase.DAMP: timing.damp,
     }.get(state.phase)
-    return None if lasts is None else state.since + lasts
+    return None if length is None else state.since + length

@@ -1,4 +1,4 @@
-"""The limits a command stays within and the measurements that end a session; pure.
+"""What is measured of the robot, the limits of a command, and the checks that end a session; pure.
 
 docs/safety.md explains every threshold.
 """
@@ -6,126 +6,178 @@ docs/safety.md explains every threshold.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from g1stream.control.measured import all_finite, is_unit, tilt_of
 from g1stream.errors import ConfigError, SafetyError
 from g1stream.motion.limits import POSITION_TOLERANCE
+from g1stream.types import Floats, Ints
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from g1stream.config import SafetyConfig
-    from g1stream.control.measured import Measured
     from g1stream.robot.model import G1
 
-__all__ = ["Envelope"]
+__all__ = ["Envelope", "ImuReading", "Measured", "all_finite", "is_unit", "tilt_of"]
+
+#: Allowed deviation of the norm of the IMU's quaternion from 1.
+_LENGTH_TOLERANCE: Final = 0.05
+
+
+@dataclass
+class Measured:
+    """The newest LowState, as far as safety checks need it.
+
+    Attributes:
+        q, dq: (29,) rad, rad/s, motor order.
+        quat_wxyz: (4,) pelvis to world.
+        mode_machine: robot type.
+        received: time of reception, ns of the loop's monotonic clock.
+    """
+
+    q: NDArray[np.float32]
+    dq: NDArray[np.float32]
+    quat_wxyz: NDArray[np.float32]
+    mode_machine: int
+    received: int
+
+
+def tilt_of(quat_wxyz: NDArray[np.floating]) -> float:
+    """The angle between the body's z axis and the world's, rad, of a unit quaternion (4,) wxyz.
+
+    The world's z component of the rotated z axis is 1 - 2 (x^2 + y^2).
+    """
+    x, y = float(quat_wxyz[1]), float(quat_wxyz[2])
+    return math.acos(min(1.0, max(-1.0, 1.0 - 2.0 * (x * x + y * y))))
+
+
+class ImuReading(NamedTuple):
+    """A reading of the IMU in the pelvis.
+
+    Attributes:
+        quat_wxyz: (4,) pelvis to world.
+        gyroscope: (3,) rad/s, pelvis frame.
+        accelerometer: (3,) m/s², pelvis frame, gravity included: upward 9.81 at rest.
+    """
+
+    quat_wxyz: NDArray[np.floating]
+    gyroscope: NDArray[np.floating]
+    accelerometer: NDArray[np.floating]
+
+
+def all_finite(values: NDArray[np.floating]) -> bool:
+    """Whether no number of a short array is NaN or infinite: either one makes the sum so."""
+    return math.isfinite(sum(values.tolist()))
+
+
+def is_unit(quat_wxyz: NDArray[np.floating]) -> bool:
+    """Whether a measured quaternion (4,) has a norm close to 1; False if it contains NaN."""
+    return abs(math.hypot(*quat_wxyz.tolist()) - 1.0) < _LENGTH_TOLERANCE
 
 
 class Envelope:
-    """Keeps commands within the joint limits, and judges measurements.
+    """Clamps commands to the joint limits and checks measurements against the safety settings.
 
     Attributes:
-        clamped: (29,) int64, at how many ticks each joint's target was held at its limit. As in
-            `measure_limits`, less than `POSITION_TOLERANCE` beyond it is held too, but not counted.
+        clamped: (29,) int64, ticks at which each joint's target was clamped; as in
+            `measure_limits`, not those that exceed a limit by less than `POSITION_TOLERANCE`.
 
     Raises:
-        ConfigError: the margin leaves nothing of a joint's range.
+        ConfigError: the margin leaves no range for a joint.
     """
 
     def __init__(self, robot: G1, config: SafetyConfig) -> None:
         self._config = config
         self._lower = robot.lower + config.position_margin
         self._upper = robot.upper - config.position_margin
-        self._begun: NDArray[np.float64] = (robot.lower + robot.upper) / 2
+        self._begun: Floats = (robot.lower + robot.upper) / 2
         self._names = robot.joint_names
         narrowest = int(np.argmin(robot.upper - robot.lower))
         if self._lower[narrowest] > self._upper[narrowest]:
             raise ConfigError(
-                f"The setting safety.position_margin = {config.position_margin:g} leaves nothing "
-                f"of the range of {self._names[narrowest]}, {robot.lower[narrowest]:g} to "
+                f"safety.position_margin = {config.position_margin:g} rad leaves no range for "
+                f"{self._names[narrowest]}, whose limits are {robot.lower[narrowest]:g} and "
                 f"{robot.upper[narrowest]:g} rad.",
-                "Choose less than half of that range.",
+                "Set a margin below half of that range.",
             )
-        self.clamped: NDArray[np.int64] = np.zeros(len(robot.joint_names), dtype=np.int64)
+        self.clamped: Ints = np.zeros(len(robot.joint_names), dtype=np.int64)
 
     def begin(self, q: NDArray[np.floating]) -> None:
-        """Set the measured pose (29,) that a ramp starts from, rad; it may be beyond the limits."""
+        """Set the measured pose (29,) from which RAMP starts, rad; it may violate the limits."""
         self._begun = np.asarray(q, dtype=np.float64).copy()
 
-    def limit(self, q: NDArray[np.float64], ramped: float = 1.0) -> NDArray[np.float64]:
-        """Joint targets (29,) within the limits, rad; `q` itself where they are.
+    def limit(self, q: Floats, ramped: float = 1.0) -> Floats:
+        """Joint targets (29,) clamped to the limits, rad; `q` itself if none is clamped.
 
-        A joint that was beyond a limit where the ramp began is brought inside with it, at no tick
-        by a leap.
+        For a joint that starts RAMP outside a limit, the limit moves from the start pose to its
+        final value with the ramp, so that the command has no step.
 
         Args:
             q: the targets, rad.
-            ramped: how much of the ramp's way lies behind, 0 to 1.
+            ramped: progress of the ramp, 0 to 1.
         """
         lower, upper = self._lower, self._upper
         if ramped < 1.0:
             begun = self._begun
             lower = np.minimum(lower, begun + ramped * (lower - begun))
             upper = np.maximum(upper, begun + ramped * (upper - begun))
-        limited: NDArray[np.float64] = np.minimum(np.maximum(q, lower), upper)
+        limited: Floats = np.minimum(np.maximum(q, lower), upper)
         if not np.count_nonzero(limited != q):
             return q
         self.clamped += np.abs(limited - q) > POSITION_TOLERANCE
         return limited
 
     @staticmethod
-    def inward(
-        beyond: NDArray[np.float64], dq: NDArray[np.float64], tau: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Velocities and torques (29,) that drive no joint into the limit it is held at.
+    def keep_inward(excess: Floats, dq: Floats, tau: Floats) -> tuple[Floats, Floats]:
+        """Velocities and torques (29,) that do not drive a clamped joint into its limit.
 
         Args:
-            beyond: by how much each target lay above its limit, or below it (negative), rad.
-            dq: the velocities asked for, rad/s.
-            tau: the torques asked for, N·m.
+            excess: how far each target was above its upper limit, or below its lower one
+                (negative), rad.
+            dq: target velocities, rad/s.
+            tau: feed-forward torques, N·m.
 
         Returns:
-            dq, zero where a target is held, and tau, zero where it would push outward there.
+            dq, zero for clamped joints, and tau, zero for clamped joints that it pushes outward.
         """
-        return np.where(beyond, 0.0, dq), np.where(beyond * tau > 0.0, 0.0, tau)
+        return np.where(excess, 0.0, dq), np.where(excess * tau > 0.0, 0.0, tau)
 
     def require_finite(self, **targets: NDArray[np.floating]) -> None:
-        """Refuse targets (29,) that hold a number that is not finite.
+        """Refuse targets (29,) that contain NaN or infinity.
 
         Raises:
-            SafetyError: names the first joint of which one does.
+            SafetyError: names the first such joint.
         """
         for what, values in targets.items():
             if not all_finite(values):
                 joint = int(np.argmin(np.isfinite(values)))
                 raise SafetyError(
-                    f"The motion asks for {what} = {values[joint]} of {self._names[joint]}.",
-                    "Command finite numbers only; `g1stream motion` shows what a motion asks for.",
+                    f"The command for {self._names[joint]} has {what} = {values[joint]}.",
+                    "Check the motion with `g1stream motion`, and the URDF.",
                 )
 
     def stalled(self, gap: int) -> str:
-        """Why the session must end after `gap` ns in which the loop stood still, or ""."""
-        if gap / 1e9 <= self._config.state_timeout:
+        """Why the session must end after a gap of `gap` ns between two ticks, or ""."""
+        limit = self._config.state_timeout
+        if gap / 1e9 <= limit:
             return ""
-        return (
-            f"the loop stood still for {gap / 1e9:.3f} s (limit {self._config.state_timeout:g} s)"
-        )
+        return f"the loop stalled for {gap / 1e9:.3f} s (limit {limit:g} s)"
 
     def verdict(self, now: int, state: Measured) -> str:
-        """Why the session must end, or "" while all is well.
+        """Why the session must end, or "".
 
         Args:
-            now: ns of the clock that `state.received` is of.
-            state: the latest measurement.
+            now: ns, same clock as `state.received`.
+            state: the newest measurement.
         """
         age = (now - state.received) / 1e9
         if age > self._config.state_timeout:
             return f"no LowState for {age:.3f} s (limit {self._config.state_timeout:g} s)"
         if not (all_finite(state.q) and all_finite(state.dq)):
-            return "LowState holds a number that is not finite"
+            return "LowState contains a joint position or velocity that is NaN or infinite"
         return self._wrong_robot(state) or self._tilted(state) or self._too_fast(state)
 
     def _wrong_robot(self, state: Measured) -> str:
@@ -133,17 +185,17 @@ class Envelope:
         if state.mode_machine in allowed:
             return ""
         return (
-            f"the robot says mode_machine {state.mode_machine}, and only "
-            f"{', '.join(map(str, allowed))} may be commanded with 29 joints"
+            f"the robot has mode_machine {state.mode_machine} (allowed for 29 joints: "
+            f"{', '.join(map(str, allowed))})"
         )
 
     def _tilted(self, state: Measured) -> str:
         if not is_unit(state.quat_wxyz):
-            return f"the IMU's quaternion has the norm {math.hypot(*state.quat_wxyz.tolist()):.3f}"
+            return f"the IMU quaternion has norm {math.hypot(*state.quat_wxyz.tolist()):.3f}"
         tilt = tilt_of(state.quat_wxyz)
         if tilt <= self._config.max_tilt:
             return ""
-        return f"the pelvis is tilted by {tilt:.2f} rad (limit {self._config.max_tilt:g} rad)"
+        return f"the pelvis tilt is {tilt:.2f} rad (limit {self._config.max_tilt:g} rad)"
 
     def _too_fast(self, state: Measured) -> str:
         speeds = [abs(speed) for speed in state.dq.tolist()]

@@ -1,35 +1,118 @@
-"""From the phase and the motion to what each joint is asked for; pure."""
+"""From the phase and the motion to what is asked of each joint and the root; pure."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from g1stream.control.target import Target
 from g1stream.motion.blend import COAST, coast, minimum_jerk
+from g1stream.robot.joints import N_JOINTS
 from g1stream.robot.rotations import quat_from_axis_angle, quat_mul
-from g1stream.types import Phase
+from g1stream.types import Floats, Phase
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from g1stream.motion.trajectory import Trajectory
+    from g1stream.motion.trajectory import Trajectory, TrajectoryPoint
 
-__all__ = ["Targets"]
+__all__ = ["Target", "Targets"]
+
+_N: Final = N_JOINTS
+_NO_TORQUE: Final = np.zeros(N_JOINTS)
+
+
+class _Part:
+    """Named access to a range of a target's values."""
+
+    def __init__(self, start: int, length: int) -> None:
+        self._where = slice(start, start + length)
+
+    def __get__(self, target: Any, _: type | None = None) -> Floats:
+        part: Floats = target.values[self._where]
+        return part
+
+
+@dataclass(frozen=True)
+class Target:
+    """The desired state of joints and root at one instant, as one array with named parts.
+
+    One array, so that the loop copies it into a message in one step.
+
+    Attributes:
+        motion_time: s since the motion's first frame.
+        values: (135,) the parts below in order; the fields of the Reference message come first.
+        q, dq, ddq, tau: (29,) rad, rad/s, rad/s^2, Nm, motor order.
+        root_pos: (3,) m, world.
+        root_quat_wxyz: (4,) pelvis to world.
+        root_lin_vel: (3,) m/s, world.
+        root_ang_vel: (3,) rad/s, pelvis frame.
+        root_lin_acc: (3,) m/s^2, world, without gravity; not published.
+        root_ang_acc: (3,) rad/s^2, pelvis frame, the time derivative of `root_ang_vel`; not
+            published.
+        published: (129,) all parts before those two.
+    """
+
+    motion_time: float
+    values: Floats
+
+    q = _Part(0, _N)
+    dq = _Part(_N, _N)
+    ddq = _Part(2 * _N, _N)
+    tau = _Part(3 * _N, _N)
+    root_pos = _Part(4 * _N, 3)
+    root_quat_wxyz = _Part(4 * _N + 3, 4)
+    root_lin_vel = _Part(4 * _N + 7, 3)
+    root_ang_vel = _Part(4 * _N + 10, 3)
+    root_lin_acc = _Part(4 * _N + 13, 3)
+    root_ang_acc = _Part(4 * _N + 16, 3)
+    published = _Part(0, 4 * _N + 13)
+
+    @staticmethod
+    def of(time: float, point: TrajectoryPoint) -> Target:
+        """The target at motion time `time`, s, from a sample of the trajectory; zero torque."""
+        values = np.concatenate(
+            (
+                point.joint_pos,
+                point.joint_vel,
+                point.joint_acc,
+                _NO_TORQUE,
+                point.root_pos,
+                point.root_quat_wxyz,
+                point.root_lin_vel,
+                point.root_ang_vel,
+                point.root_lin_acc,
+                point.root_ang_acc,
+            )
+        )
+        values.setflags(write=False)  # one target is shared by several callers
+        return Target(time, values)
+
+    def replace(self, **parts: Floats | float) -> Target:
+        """A copy with other values in the named parts."""
+        other = Target(self.motion_time, self.values.copy())
+        for name, values in parts.items():
+            getattr(other, name)[:] = values
+        return other
+
+    def at_rest(self) -> Target:
+        """A copy with the same pose and zero velocity, acceleration and torque."""
+        moving = ("root_lin_vel", "root_ang_vel", "root_lin_acc", "root_ang_acc")
+        return self.replace(dq=0.0, ddq=0.0, tau=0.0, **dict.fromkeys(moving, 0.0))
 
 
 class Targets:
-    """Samples the motion as each phase asks for it.
+    """The target of each phase at any time.
 
-    The velocity of what is asked for never jumps, so that no servo has to catch up: the ramp runs
-    up to the velocity of the motion's first frame, and HOLD lets the last one's die away.
+    The target velocity is continuous: RAMP ends with the velocity of the first frame of PLAY, and
+    HOLD brings the velocity of the last one to zero.
 
     Args:
-        trajectory: the motion, sampled at any time.
-        start: where in the motion PLAY begins, s.
-        play: how much of it is played, s; None for a motion that loops.
-        ramp: how long the way to the first frame takes, s.
+        trajectory: the motion.
+        start: motion time at which PLAY begins, s.
+        play: how much of the motion is played, s; None: until stopped.
+        ramp: length of RAMP, s.
     """
 
     def __init__(
@@ -39,17 +122,17 @@ class Targets:
         self._start = start
         self._play = play
         self._ramp = ramp
-        self._from: NDArray[np.float64] | None = None
+        self._from: Floats | None = None
         self._first = Target.of(start, trajectory.sample(start))
         self._last = self._first.at_rest()
         self._sampled = self._first
 
     def begin(self, q: NDArray[np.floating]) -> None:
-        """Set the measured pose (29,) that the ramp starts from, rad."""
+        """Set the measured pose (29,) from which RAMP starts, rad."""
         self._from = np.asarray(q, dtype=np.float64).copy()
 
     def at(self, phase: Phase, elapsed: float) -> Target:
-        """The target in a phase.
+        """The target `elapsed` seconds into a phase.
 
         Args:
             phase: RAMP, PLAY, HOLD or DAMP.
@@ -67,20 +150,20 @@ class Targets:
 
     def _playing(self, elapsed: float) -> Target:
         time = self._start + (elapsed if self._play is None else min(elapsed, self._play))
-        # A loop that looks a tick ahead asks again for what it saw there.
+        # With a preview of one period, each time is asked for twice in a row.
         if time != self._sampled.motion_time:
             self._sampled = Target.of(time, self._trajectory.sample(time))
         return self._sampled
 
     def _ramping(self, elapsed: float) -> Target:
         if self._from is None:
-            raise RuntimeError("the ramp has no pose to start from: call begin() first")
+            raise RuntimeError("RAMP has no start pose: call begin() first")
         left = max(0.0, self._ramp - elapsed)
-        way, rate, acceleration = coast(left, min(COAST, self._ramp))  # braking, run backwards
+        way, rate, acceleration = coast(left, min(COAST, self._ramp))  # braking in reverse
         goal = _coasting(self._first, -way, rate, -acceleration)
         progress, speed, change = minimum_jerk(elapsed / self._ramp)
         distance = self._first.q - self._from
-        return goal.but(
+        return goal.replace(
             q=self._from + progress * distance - way * self._first.dq,
             dq=goal.dq + speed / self._ramp * distance,
             ddq=goal.ddq + change / self._ramp**2 * distance,
@@ -88,11 +171,11 @@ class Targets:
 
 
 def _coasting(target: Target, way: float, rate: float, acceleration: float) -> Target:
-    """A target moved on along its own velocity, as if that had lasted `way` seconds."""
+    """A target displaced along its own velocity by `way` seconds, with its velocity scaled."""
     turn = target.root_ang_vel
     angle = float(np.linalg.norm(turn))
     axis = turn / angle if angle else turn
-    return target.but(
+    return target.replace(
         q=target.q + way * target.dq,
         dq=rate * target.dq,
         ddq=acceleration * target.dq,

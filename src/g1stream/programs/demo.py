@@ -48,7 +48,6 @@ def demo(
     *,
     force: bool = False,
     on_loop: Callable[[StreamLoop], None] | None = None,
-    on_warning: Callable[[str], None] | None = lambda text: None,
 ) -> DemoOutcome:
     """Play a motion on our own bridge and record it, all on this machine.
 
@@ -58,8 +57,6 @@ def demo(
         config: all settings; the defaults if left out.
         force: replace files that are there already.
         on_loop: is given the loop before it runs.
-        on_warning: is told, before the first command, what of the motion is beyond the limits;
-            None: it is not looked at.
 
     Raises:
         ConfigError: the domain is not this machine's alone.
@@ -87,7 +84,6 @@ def demo(
             record=session_path,
             force=force,
             on_loop=on_loop,
-            on_warning=on_warning,
         )
         sim.finish()
     finally:

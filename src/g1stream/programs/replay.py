@@ -40,7 +40,6 @@ def replay(
     record: str | Path | None = None,
     force: bool = False,
     on_loop: Callable[[StreamLoop, Motion], None] | None = None,
-    on_warning: Callable[[str], None] = lambda text: None,
 ) -> StreamOutcome:
     """Play a recorded session on whatever robot listens, and return how it went.
 
@@ -57,7 +56,6 @@ def replay(
         record: also record the new session into this file.
         force: replace a recording that is there already.
         on_loop: is given the loop and the motion before it runs.
-        on_warning: is told, before the first command, what of the motion is beyond the limits.
 
     Raises:
         SafetyError: a recorded command must not be sent to this robot, or it would leap at one.
@@ -78,8 +76,7 @@ def replay(
         record=record,
         force=force,
         on_loop=on_loop and (lambda loop: on_loop(loop, motion)),
-        # Recorded commands are within the limits, or refused.
-        on_warning=None if exact else on_warning,
+        warn_limits=not exact,  # recorded commands beyond a limit are refused
         make_link=make_link,
     )
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 from g1stream._version import __version__
 from g1stream.config import Config
 from g1stream.control.gains import resolve_gains
-from g1stream.control.targets import Targets
+from g1stream.control.loop import make_loop
 from g1stream.dds.log_handler import LogHandler
 from g1stream.dds.messages import Batch
 from g1stream.dds.topics import LOG
@@ -22,7 +22,6 @@ from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.programs.outcome import loop_summary
 from g1stream.programs.sim import physics_timestep
-from g1stream.programs.stream import make_loop, played_interval
 from g1stream.robot.model import G1
 from g1stream.session.metadata import attach_motion
 from g1stream.session.motions import load_motion
@@ -87,8 +86,6 @@ def rollout(
     robot = G1.load(config.robot)
     if not isinstance(motion, Motion):
         motion = load_motion(motion, robot)
-    interval = played_interval(motion, config)
-    settings, gains = config.stream, resolve_gains(config.gains)
     pipeline = MessagePipeline(robot, config.record.tf_rate)
     world = World(robot, config.sim.support, timestep=physics_timestep(config.sim.rate))
     simulated = SimulatedRobot(world, config.sim, noise=noise)
@@ -101,17 +98,12 @@ def rollout(
         batch.log_times.append(stamp + LATENCY)
 
     link = Lockstep(simulated, announced or config.sim.support, on_sample=on_sample)
-    targets = Targets(
-        Trajectory(motion, loop=settings.loop),
-        start=interval.start,
-        play=interval.length,
-        ramp=settings.ramp,
-    )
-    loop = make_loop(config, robot, link, targets, interval.length, gains, link, settle=0)
+    trajectory = Trajectory(motion, loop=config.stream.loop)
+    loop = make_loop(config, robot, trajectory, link, link, settle=0)
     with _log_to(lambda data, _: on_sample(LOG, data, link.stamp())):
         loop.run()
     source = MemorySource(f"rollout of {motion.name}")
-    _write_header(source, config, robot, motion, gains)
+    _write_header(source, config, robot, motion, resolve_gains(config.gains))
     for messages in (*pipeline.file_header(EPOCH), *pipeline.encode(batches)):
         source.write_batch(*messages)
     measured_tf = pipeline.base.as_dict()

@@ -15,7 +15,7 @@ from g1stream.dds.domain import Participant
 from g1stream.dds.log_handler import DdsLogHandler
 from g1stream.events import console_handler, handled_by
 from g1stream.programs.child_process import run_child
-from g1stream.realtime import on_time, told
+from g1stream.realtime import describe, on_time
 from g1stream.robot.model import G1
 from g1stream.sim.bridge import Bridge
 from g1stream.sim.robot import SimulatedRobot
@@ -62,7 +62,7 @@ def simulate(
         bridge = Bridge(participant, robot, settings.support, SystemClock(), view=view)
         granted = stack.enter_context(on_time(_priority(config)))
         on_ready()
-        _LOGGER.info(told(granted))
+        _LOGGER.info(describe(granted))
         end = None if settings.duration is None else time.monotonic() + settings.duration
         return bridge.run(lambda: should_stop() or (end is not None and time.monotonic() >= end))
 

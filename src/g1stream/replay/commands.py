@@ -20,7 +20,7 @@ from g1stream.dds.messages import LowCmd, Samples
 from g1stream.errors import RecordingError, SafetyError
 from g1stream.replay.pace import JITTER, ROUNDING, Steps, disorder, pause
 from g1stream.replay.recorded_link import PackedCommands
-from g1stream.robot.joints import JOINT_NAMES, N_JOINTS, TORQUE_LIMIT
+from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.session.streams import Command, Reference
 from g1stream.types import Floats, Phase
 
@@ -164,7 +164,7 @@ class _Look:
     def __init__(self, robot: G1, safety: SafetyConfig) -> None:
         Envelope(robot, safety)  # refuses a margin that leaves nothing
         margin = safety.position_margin
-        torque = np.minimum(TORQUE_LIMIT, robot.effort)
+        torque = robot.torque_limit
         nothing = np.zeros(N_JOINTS)
         self._kept = f", with safety.position_margin = {margin:g} rad" if margin else ""
         self._limits: tuple[tuple[str, str, Floats, Floats], ...] = (

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from g1stream.errors import RobotError
+from g1stream.robot.joints import TORQUE_LIMIT
 from g1stream.robot.urdf import parse_urdf, read_kinematics
 
 if TYPE_CHECKING:
@@ -74,6 +75,11 @@ class G1:
 
     def __repr__(self) -> str:
         return f"G1(name={self.name!r}, source={self.source!r}, links={len(self.link_names)})"
+
+    @property
+    def torque_limit(self) -> Floats:
+        """(29,) N·m, the smaller of each motor's limit and the URDF's effort."""
+        return np.minimum(TORQUE_LIMIT, self.effort)
 
     @classmethod
     @cache

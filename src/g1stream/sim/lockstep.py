@@ -5,7 +5,6 @@ A run gives the same bytes every time, as fast as the computer can.
 
 from __future__ import annotations
 
-import logging
 from typing import TYPE_CHECKING, Final
 
 from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE, SECONDARY_IMU, SPORTMODESTATE
@@ -83,11 +82,11 @@ class Lockstep:
             self._command = b""
         self._robot.step(self._now)
 
-    def listeners(self) -> int:
+    def subscribers(self) -> int:
         """The robot is always there."""
         return 1
 
-    def rivals(self) -> list[str]:
+    def other_publishers(self) -> list[str]:
         """There is no other publisher."""
         return []
 
@@ -108,7 +107,3 @@ class Lockstep:
         self._on_sample(LOWCMD, command, stamp)
         self._on_sample(REFERENCE, reference, stamp)
         return self._now
-
-    def tell(self, level: int, text: str) -> None:
-        """Log an event of the loop: level 2 info, 3 warning, 4 error."""
-        logging.getLogger("g1stream.control").log(level * 10, text)

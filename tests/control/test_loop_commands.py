@@ -1,14 +1,13 @@
-"""The two messages of a tick, from what is due and what is asked for."""
+"""The LowCmd and the Reference of a tick."""
 
 import numpy as np
 import pytest
 
 from g1stream.config import SafetyConfig
-from g1stream.control.commands import Composer
 from g1stream.control.gains import Gains
-from g1stream.control.measured import Measured
-from g1stream.control.safety import Envelope
-from g1stream.control.target import Target
+from g1stream.control.loop import Composer
+from g1stream.control.safety import Envelope, Measured
+from g1stream.control.targets import Target
 from g1stream.dds.messages import LowCmd, Reference
 from g1stream.errors import SafetyError
 from g1stream.types import Phase
@@ -36,9 +35,9 @@ def read(command, reference):
     return low_cmd, beside
 
 
-def test_the_command_is_what_is_asked_and_the_reference_what_is_due(composer, target):
-    asked = target.but(q=0.02, dq=0.3, tau=np.arange(29.0))
-    command, reference = read(*composer.compose(target, asked, Phase.PLAY, 7, 1.0))
+def test_command_and_reference_have_their_own_targets(composer, target):
+    commanded = target.replace(q=0.02, dq=0.3, tau=np.arange(29.0))
+    command, reference = read(*composer.compose(target, commanded, Phase.PLAY, 7, 1.0))
     assert command.q == pytest.approx(np.full(29, 0.02))
     assert command.dq == pytest.approx(np.full(29, 0.3))
     assert command.tau.tolist() == list(range(29))
@@ -56,23 +55,23 @@ def test_the_command_is_what_is_asked_and_the_reference_what_is_due(composer, ta
     assert reference.tau.tolist() == list(range(29))
 
 
-def test_a_target_beyond_a_limit_is_held_there_and_not_driven_outward(composer, target, robot):
-    asked = target.but(q=0.0, dq=1.0, tau=5.0)
-    asked.q[3] = robot.upper[3] + 1.0
-    command, _ = read(*composer.compose(target, asked, Phase.PLAY, 0, 1.0))
+def test_a_clamped_joint_is_not_driven_outward(composer, target, robot):
+    commanded = target.replace(q=0.0, dq=1.0, tau=5.0)
+    commanded.q[3] = robot.upper[3] + 1.0
+    command, _ = read(*composer.compose(target, commanded, Phase.PLAY, 0, 1.0))
     margin = SafetyConfig().position_margin
     assert command.q[3] == pytest.approx(robot.upper[3] - margin)
     assert (command.dq[3], command.tau[3]) == (0.0, 0.0)
     assert (command.dq[4], command.tau[4]) == (1.0, 5.0)
 
 
-def test_damping_takes_the_position_servo_out(composer, target):
+def test_damping_has_kp_0(composer, target):
     composer.damp()
     command, _ = read(*composer.compose(target, target, Phase.DAMP, 0, 1.0))
     assert not command.kp.any()
     assert command.kd.tolist() == [3.0] * 29
 
 
-def test_what_is_not_finite_is_not_composed(composer, target):
+def test_a_command_that_is_not_finite_is_refused(composer, target):
     with pytest.raises(SafetyError, match="tau = nan"):
-        composer.compose(target, target.but(tau=np.nan), Phase.PLAY, 0, 1.0)
+        composer.compose(target, target.replace(tau=np.nan), Phase.PLAY, 0, 1.0)

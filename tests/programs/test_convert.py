@@ -284,9 +284,9 @@ def test_invalid_options_are_refused_and_leave_no_file(motion, out, options, err
     [("nope", ""), ("", ""), ("hip", "left_hip_pitch_link"), ("torsolink", "torso_link")],
 )
 def test_an_unknown_link_is_refused_with_similar_names(motion, out, link, alike):
-    with pytest.raises(RobotError, match="one of its 39 links") as caught:
+    with pytest.raises(RobotError) as caught:
         convert(motion, out, Conversion(root_link=link))
-    offered = caught.value.remedy.partition("most like that are ")[2].rstrip(".").split(", ")
+    offered = caught.value.remedy.partition("such as ")[2].rstrip(".").split(", ")
     assert len(offered) == 5
     assert set(offered) <= set(G1.default().link_names)
     assert not alike or offered[0] == alike

@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Conversion", "ConvertReport", "convert"]
 
-#: Times in one chunk: with some 6 kB each, small enough for the processor's cache, which makes
-#: everything that is done to a chunk several times faster, and large enough to compress.
+#: Poses in one chunk: with some 6 kB each, a chunk fits into the processor's cache, which makes it
+#: several times faster, and is large enough to compress well.
 _CHUNK: Final = 128
 _TF, _JOINTS, _SCENE, _DESCRIPTION = (
     "/tf",
@@ -43,8 +43,8 @@ _TF, _JOINTS, _SCENE, _DESCRIPTION = (
 _RESAMPLED_FIELDS: Final = ("position", "velocity", "acceleration")
 #: Position and quaternion, wxyz.
 _WORLD_ORIGIN: Final = (np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
-#: Names to choose from that are shown in place of one that is none.
-_ALIKE: Final = 5
+#: Link names that an error about an unknown one lists; a robot has dozens.
+_N_SIMILAR: Final = 5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,16 +53,16 @@ class Conversion:
 
     Attributes:
         base_time_ns: time of frame 0, ns since the epoch.
-        frames: first frame and the one behind the last; None is the motion's own begin or end.
-        resample: times a second at which the spline through the frames is sampled, Hz; the frames
-            themselves if None.
+        frames: (first, stop) as in a slice; None is the motion's first or last frame.
+        resample: rate at which to sample the spline through the frames, Hz; None writes the frames
+            themselves.
         floating_root: False pins the root link to the world's origin.
-        root_link: the link whose pose the motion says; the URDF's root link if None.
+        root_link: the link whose pose the motion contains; the URDF's root link if None.
         world_frame: name of the world's frame.
-        flat: put every link straight under the world instead of under its parent.
+        flat: put every link directly under the world instead of under its parent.
         topic: of the transforms.
         compression: of the file's chunks.
-        force: replace a file that is there already.
+        force: replace an existing file.
     """
 
     base_time_ns: int = 0
@@ -82,14 +82,14 @@ class ConvertReport:
     """What a conversion wrote.
 
     Attributes:
-        path: the file.
-        size: its bytes.
-        motion: name of the motion.
-        frames: how many poses were written.
-        rate: poses a second.
+        path: of the file.
+        size: of the file, bytes.
+        motion: its name.
+        frames: number of poses written.
+        rate: poses per second.
         start_ns, end_ns: first and last time, ns since the epoch.
         counts: messages by topic.
-        warnings: what was put right or left out, a sentence each.
+        warnings: what was corrected or left out, a sentence each.
     """
 
     path: Path
@@ -121,7 +121,7 @@ def convert(
     fps: float | None = None,
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> ConvertReport:
-    """Write a session file of a motion: transforms, joint states, the robot's looks and its URDF.
+    """Write a motion as a session file: transforms, joint states, scene and URDF of the robot.
 
     Log and publish time of every message are the base time + frame / fps, to the nearest
     nanosecond. A failure leaves no file behind.
@@ -131,8 +131,8 @@ def convert(
         out: the session file.
         options: how; see `Conversion`.
         robot: whose joints the motion has; the 29-dof G1 if None.
-        fps: frames a second of the motion file; what the motion says if None.
-        on_progress: is told how much is done, 0 to 1.
+        fps: frames per second of the motion file; the motion's own if None.
+        on_progress: called with the fraction done, 0 to 1.
 
     Raises:
         G1StreamError: the motion, the robot, an option or the file does not allow it.
@@ -184,16 +184,15 @@ def _load(motion: Motion | str | Path, robot: G1, fps: float | None) -> Motion:
 
 
 def _check_link(name: str | None, robot: G1) -> None:
-    """Refuse a link that the robot has not, with a few names like it: it has dozens."""
     links = robot.link_names
     if name is None or name in links:
         return
-    alike = [link for link in links if name and name in link] or get_close_matches(
-        name, links, n=_ALIKE, cutoff=0.0
+    similar = [link for link in links if name and name in link] or get_close_matches(
+        name, links, n=_N_SIMILAR, cutoff=0.0
     )
     raise RobotError(
         f"The robot {robot.name!r} has no link {name!r}.",
-        f"Choose one of its {len(links)} links; most like that are {', '.join(alike[:_ALIKE])}.",
+        f"Choose one of its {len(links)} links, such as {', '.join(similar[:_N_SIMILAR])}.",
     )
 
 
@@ -202,9 +201,8 @@ def _frame_range(motion: Motion, frames: tuple[int | None, int | None]) -> tuple
     stop = motion.n_frames if frames[1] is None else frames[1]
     if not 0 <= start < stop <= motion.n_frames:
         raise MotionError(
-            f"Frames {start}:{stop} are not a part of {motion.name}, which has {motion.n_frames}.",
-            f"Give a first frame from 0 on and a later one up to {motion.n_frames}, such as "
-            f"0:{motion.n_frames}; the last is not taken.",
+            f"The frames {start}:{stop} are out of range: {motion.name} has {motion.n_frames}.",
+            f"Choose a range within 0:{motion.n_frames}, of one frame or more.",
         )
     return start, stop
 
@@ -221,7 +219,7 @@ def _check_not_a_source(out: Path, motion: Motion, robot: G1) -> None:
 def _is_same(path: Path, other: Path) -> bool:
     try:
         return path.samefile(other)
-    except OSError:  # one of them is not there, or may not be looked at
+    except OSError:  # one of them does not exist, or cannot be accessed
         return False
 
 
@@ -278,7 +276,7 @@ def _channels(topic: str) -> dict[str, Channel]:
 
 
 def _metadata(motion: Motion, robot: G1, options: Conversion) -> dict[str, Any]:
-    """What was converted and how; the same for the same input, wherever and whenever."""
+    """What was converted and how; the same for the same input on every machine."""
     how = {k: v for k, v in vars(options).items() if k not in ("force", "compression")}
     return {
         "g1stream": __version__,
@@ -300,6 +298,6 @@ def _mesh_warnings(robot: G1) -> tuple[str, ...]:
     if not missing:
         return ()
     return (
-        f"{robot.source}: {len(missing)} meshes are not where the URDF says, such as {missing[0]}; "
-        "the scene names them, and a viewer has to find them.",
+        f"{robot.source}: {len(missing)} meshes were not found, such as {missing[0]}; the scene "
+        "has only their names.",
     )

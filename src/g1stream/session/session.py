@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from heapq import merge
 from itertools import compress
-from mimetypes import guess_type
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
@@ -325,36 +323,43 @@ class Session:
         Raises:
             RecordingError: the file cannot be written, or the session's own file is damaged.
         """
-        from g1stream.files import complete_file
-        from g1stream.session.format import CHANNELS
-        from g1stream.session.writer import SessionWriter
+        from g1stream.session.export import save
 
-        topics = [topic for topic, count in sorted(self.topics.items()) if count]
-        columns = [
-            [(message, topic) for message in self.messages(topic)]
-            for topic in topics
-            if topic in CHANNELS
-        ]
-        with (
-            complete_file(Path(path), force=force) as temporary,
-            SessionWriter(temporary) as writer,
-        ):
-            writer.add_metadata(self.metadata)
-            for name, data in self.attachments.items():
-                kind = guess_type(name)[0] or "application/octet-stream"
-                writer.attach(name, kind, data, self.start_ns)
-            for message, topic in merge(*columns, key=lambda pair: pair[0].log_time):
-                writer.write(topic, message.data, message.log_time, message.publish_time)
-        return Path(path)
+        return save(self, Path(path), force=force)
 
     def to_dataframe(self, topic: str) -> pandas.DataFrame:
-        """The samples of a topic as a table; see `g1stream.session.export.to_dataframe`."""
+        """The samples of a topic as a pandas table; needs the extra `export`.
+
+        Args:
+            topic: one of `STREAMS`, such as `/lowstate`.
+
+        Returns:
+            A row for each sample, indexed by `publish_time`, UTC to the nanosecond, as is the
+            column `log_time`; `time` is in s on the motion's clock. Other columns are named as
+            those of the topic's stream, arrays by joint or axis: `q.left_knee_joint`,
+            `root_pos.x`, `imu_quat_wxyz.w`. Units are those of the stream.
+
+        Raises:
+            RecordingError: pandas is not installed, the topic is not in this session or is not one
+                of those, or the file is damaged.
+        """
         from g1stream.session.export import to_dataframe
 
         return to_dataframe(self, topic)
 
-    def to_parquet(self, directory: str | Path) -> list[Path]:
-        """Every topic as a Parquet file; see `g1stream.session.export.to_parquet`."""
+    def to_parquet(self, directory: str | os.PathLike[str]) -> list[Path]:
+        """Write the tables of all topics: /lowstate into lowstate.parquet, and so on.
+
+        Args:
+            directory: made where it is missing. Files of these names are replaced.
+
+        Returns:
+            The files.
+
+        Raises:
+            RecordingError: pandas or pyarrow is not installed, the session is damaged, or a file
+                cannot be written.
+        """
         from g1stream.session.export import to_parquet
 
         return to_parquet(self, Path(directory))

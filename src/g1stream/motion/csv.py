@@ -177,7 +177,9 @@ class CsvFile:
                 f"byte {text.index(chr(0))} of this binary file is zero",
                 "Give a CSV file or a session file.",
             )
-        text = text.replace("\r\n", "\n").replace("\r", "\n").rstrip()
+        if "\r" in text:
+            text = text.replace("\r\n", "\n").replace("\r", "\n")
+        text = text.rstrip()
         if not text:
             raise self._error(
                 "the file is empty", "Give a CSV file with a line per frame, or a session file."

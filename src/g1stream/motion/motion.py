@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from g1stream.errors import MotionError
+from g1stream.files import complete_file
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
 
 if TYPE_CHECKING:
@@ -222,7 +223,7 @@ class Motion:
         axes[-1].set_xlabel("time (s)")
         return figure
 
-    def save(self, path: str | os.PathLike[str], *, force: bool = False) -> None:
+    def save(self, path: str | os.PathLike[str], *, force: bool = False) -> Path:
         """Write a CSV file that `load_motion` reads back to the last bit.
 
         The file has a header and 37 columns: frame number, root position (m), root quaternion
@@ -233,8 +234,12 @@ class Motion:
             path: of the file, ending in .csv.
             force: replace a file that exists.
 
+        Returns:
+            The path.
+
         Raises:
-            MotionError: the file exists, its name does not end in .csv, or it cannot be written.
+            MotionError: the path does not end in .csv.
+            RecordingError: the file exists, or cannot be written.
         """
         from g1stream.motion.csv import to_csv
 
@@ -243,19 +248,9 @@ class Motion:
             raise MotionError(
                 f"A motion cannot be saved as {path.name}.", "Give a file name that ends in .csv."
             )
-        text = to_csv(self)
-        try:
-            with path.open("w" if force else "x", encoding="utf-8") as file:
-                file.write(text)
-        except FileExistsError:
-            raise MotionError(
-                f"The file {path} exists.", "Give another name, or force=True to replace it."
-            ) from None
-        except OSError as error:
-            raise MotionError(
-                f"The file {path} cannot be written: {error.strerror}.",
-                "Give a path in a directory that you may write to.",
-            ) from error
+        with complete_file(path, force=force) as temporary:
+            temporary.write_text(to_csv(self), encoding="utf-8")
+        return path
 
     def require_joints_of(self, robot: G1) -> None:
         """Refuse a robot that has other joints, or these in another order.

@@ -38,7 +38,7 @@ def leaping(tmp_path):
 def test_the_speed_it_says_is_the_one_that_is_streamed():
     told = json.loads(run("demo", "--json").stdout)
     streamed = max(speed["value"] for speed in told["streamed"]["speeds"])
-    assert set(told["fastest"]) == {"joint", "time", "value", "limit"}
+    assert set(told["fastest"]) == {"joint", "time", "value", "limit", "count"}
     assert told["streamed"]["rate"] == 500.0
     assert streamed > told["fastest"]["value"]
     text = run("demo").stdout

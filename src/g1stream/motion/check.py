@@ -11,13 +11,7 @@ import numpy as np
 from g1stream.errors import MotionError
 from g1stream.motion.csv import ROOT_COLUMNS
 from g1stream.motion.files import open_motion_file
-from g1stream.motion.limits import (
-    JointSpeed,
-    LimitReport,
-    PositionExcess,
-    frames_beyond_limits,
-    measure_limits,
-)
+from g1stream.motion.limits import JointPeak, LimitReport, frame_peaks, measure_limits
 from g1stream.motion.motion import check_fps
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.joints import JOINT_GROUPS
@@ -90,8 +84,8 @@ class MotionReport:
     n_frames: int
     fps: float
     duration: float
-    frames_beyond: tuple[PositionExcess, ...]
-    fastest: JointSpeed
+    frames_beyond: tuple[JointPeak, ...]
+    fastest: JointPeak
     streamed: LimitReport
     largest_step: JointStep
     root: RootTravel
@@ -205,14 +199,15 @@ def check_motion(
         MotionError: the motion's joints are not the robot's, in motor order.
     """
     motion.require_joints_of(robot)
+    frames_beyond, fastest = frame_peaks(motion, robot)
     streamed = measure_limits(Trajectory(motion), robot, rate=rate, position_margin=position_margin)
     return MotionReport(
         name=motion.name,
         n_frames=motion.n_frames,
         fps=motion.fps,
         duration=motion.duration,
-        frames_beyond=frames_beyond_limits(motion, robot),
-        fastest=_fastest(motion, robot),
+        frames_beyond=frames_beyond,
+        fastest=fastest,
         streamed=streamed,
         largest_step=_largest_step(motion),
         root=_root_travel(motion.root_pos),
@@ -221,20 +216,9 @@ def check_motion(
     )
 
 
-def _fastest(motion: Motion, robot: G1) -> JointSpeed:
-    speed = np.abs(np.gradient(motion.joint_pos, axis=0)) * motion.fps
-    frame, joint = _argmax(speed)
-    return JointSpeed(
-        motion.joint_names[joint],
-        frame / motion.fps,
-        float(speed[frame, joint]),
-        float(robot.velocity[joint]),
-    )
-
-
 def _largest_step(motion: Motion) -> JointStep:
     steps = np.abs(np.diff(motion.joint_pos, axis=0))
-    frame, joint = _argmax(steps)
+    frame, joint = divmod(int(steps.argmax()), steps.shape[1])
     return JointStep(motion.joint_names[joint], frame, float(steps[frame, joint]))
 
 
@@ -258,8 +242,3 @@ def _norms(file: CsvFile) -> tuple[float, float] | None:
 
 def _range(values: Floats) -> tuple[float, float]:
     return float(values.min()), float(values.max())
-
-
-def _argmax(values: Floats) -> tuple[int, int]:
-    row, column = np.unravel_index(int(values.argmax()), values.shape)
-    return int(row), int(column)

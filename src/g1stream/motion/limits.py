@@ -17,8 +17,6 @@ from g1stream.types import STREAM_RATE
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from numpy.typing import NDArray
-
     from g1stream.motion.motion import Motion
     from g1stream.motion.trajectory import Trajectory
     from g1stream.robot.model import G1
@@ -27,10 +25,9 @@ if TYPE_CHECKING:
 __all__ = [
     "POSITION_TOLERANCE",
     "Interval",
-    "JointSpeed",
+    "JointPeak",
     "LimitReport",
-    "PositionExcess",
-    "frames_beyond_limits",
+    "frame_peaks",
     "measure_limits",
 ]
 
@@ -69,39 +66,22 @@ class Interval:
 
 
 @dataclass(frozen=True)
-class JointSpeed:
-    """The highest speed of a joint.
+class JointPeak:
+    """Where a joint's position or speed is furthest beyond a limit, or closest to it.
 
     Attributes:
         joint: its name.
         time: s from frame 0.
-        value: rad/s, in either direction.
-        limit: rad/s, the joint's velocity limit.
+        value: position, rad, or speed in either direction, rad/s.
+        limit: the limit that it is beyond or closest to, of the same unit.
+        count: how many frames or streamed targets are beyond a limit.
     """
 
     joint: str
     time: float
     value: float
     limit: float
-
-
-@dataclass(frozen=True)
-class PositionExcess:
-    """A joint beyond a position limit, at frames or at streamed targets.
-
-    Attributes:
-        joint: its name.
-        count: at how many frames or targets it is beyond a limit.
-        time: s from frame 0, where it is furthest beyond.
-        value: rad, its position there.
-        limit: rad, the limit that it passes there, narrowed by the position margin if any.
-    """
-
-    joint: str
     count: int
-    time: float
-    value: float
-    limit: float
 
 
 @dataclass(frozen=True)
@@ -122,13 +102,13 @@ class LimitReport:
     duration: float
     rate: float
     position_margin: float
-    speeds: tuple[JointSpeed, ...]
-    held: tuple[PositionExcess, ...]
+    speeds: tuple[JointPeak, ...]
+    held: tuple[JointPeak, ...]
 
     @property
-    def too_fast(self) -> tuple[JointSpeed, ...]:
+    def too_fast(self) -> tuple[JointPeak, ...]:
         """Joints asked to move faster than their limit, the worst first."""
-        return tuple(speed for speed in self.speeds if speed.value > speed.limit)
+        return tuple(speed for speed in self.speeds if speed.count)
 
     @property
     def n_held(self) -> int:
@@ -179,80 +159,78 @@ def measure_limits(
         rate: joint targets per second, Hz; they are taken at the times start + i / rate.
         position_margin: rad, kept from the position limits, as `safety.position_margin`.
     """
-    motion, n_joints = trajectory.motion, len(robot.joint_names)
+    motion = trajectory.motion
     interval = interval or Interval(0.0, motion.duration, motion.duration)
-    excess, speed = _Excess(robot, position_margin), _Peaks(n_joints)
+    positions = _Peaks(robot, robot.lower + position_margin, robot.upper - position_margin)
+    speeds = _Peaks(robot, -robot.velocity, robot.velocity)
     for target_times in _target_times(trajectory, interval, rate):
         point = trajectory.sample_many(target_times)
         times = target_times % trajectory.period if trajectory.loop else target_times
-        excess.update(times, point.joint_pos)
-        speed.update(times, np.abs(point.joint_vel))
+        positions.update(times, point.joint_pos)
+        speeds.update(times, np.abs(point.joint_vel))
     return LimitReport(
         motion=motion.name,
         duration=motion.duration,
         rate=rate,
         position_margin=position_margin,
-        speeds=tuple(
-            JointSpeed(robot.joint_names[j], *speed.at(j), float(robot.velocity[j]))
-            for j in np.argsort(-speed.value / robot.velocity, kind="stable")
-        ),
-        held=excess.found(),
+        speeds=tuple(sorted(speeds.all(), key=lambda speed: -speed.value / speed.limit)),
+        held=positions.beyond(),
     )
 
 
-def frames_beyond_limits(motion: Motion, robot: G1) -> tuple[PositionExcess, ...]:
-    """The joints that are beyond a position limit in the frames of a motion, furthest first."""
-    excess = _Excess(robot, 0.0)
-    excess.update(np.arange(motion.n_frames) / motion.fps, motion.joint_pos)
-    return excess.found()
+def frame_peaks(motion: Motion, robot: G1) -> tuple[tuple[JointPeak, ...], JointPeak]:
+    """The joints beyond a position limit in the frames of a motion, and the fastest joint.
+
+    Speeds at the frames are central differences, as most tools compute them.
+    """
+    times = np.arange(motion.n_frames) / motion.fps
+    positions = _Peaks(robot, robot.lower, robot.upper)
+    positions.update(times, motion.joint_pos)
+    speeds = _Peaks(robot, -robot.velocity, robot.velocity)
+    speeds.update(times, np.abs(np.gradient(motion.joint_pos, axis=0)) * motion.fps)
+    return positions.beyond(), max(speeds.all(), key=lambda speed: speed.value)
 
 
 class _Peaks:
-    """The highest value above 0 of each joint so far, and its time."""
+    """Accumulates the peak of each joint between a lower and an upper limit."""
 
-    def __init__(self, n_joints: int) -> None:
-        self.value, self.time = np.zeros((2, n_joints))
+    def __init__(self, robot: G1, lower: Floats, upper: Floats) -> None:
+        self._names, self._lower, self._upper = robot.joint_names, lower, upper
+        self._excess = np.full(len(lower), -np.inf)
+        self._time, self._value = np.zeros((2, len(lower)))
+        self._count = np.zeros(len(lower), dtype=np.int64)
 
-    def update(self, times: Floats, values: Floats) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-        """Add values (N, J); return the row of each highest, and whether it is a new peak."""
-        row, highest = values.argmax(axis=0), values.max(axis=0)
-        higher = highest > self.value
-        self.value[higher], self.time[higher] = highest[higher], times[row[higher]]
-        return row, higher
+    def update(self, times: Floats, values: Floats) -> None:
+        """Take in values (N, J) at times (N,)."""
+        excess = np.maximum(self._lower - values, values - self._upper)
+        self._count += (excess > POSITION_TOLERANCE).sum(axis=0)
+        row, joint = excess.argmax(axis=0), np.arange(len(self._names))
+        higher = excess[row, joint] > self._excess
+        for peak, found in (
+            (self._excess, excess[row, joint]),
+            (self._time, times[row]),
+            (self._value, values[row, joint]),
+        ):
+            peak[higher] = found[higher]
 
-    def at(self, joint: int) -> tuple[float, float]:
-        """Time and value."""
-        return float(self.time[joint]), float(self.value[joint])
-
-
-class _Excess:
-    """How far each joint has been beyond its position limits, and how often."""
-
-    def __init__(self, robot: G1, margin: float) -> None:
-        self._names = robot.joint_names
-        self._lower, self._upper = robot.lower + margin, robot.upper - margin
-        self._peaks, self._position = _Peaks(len(self._names)), np.zeros(len(self._names))
-        self._count = np.zeros(len(self._names), dtype=np.int64)
-
-    def update(self, times: Floats, joint_pos: Floats) -> None:
-        beyond = np.maximum(self._lower - joint_pos, joint_pos - self._upper)
-        self._count += (beyond > POSITION_TOLERANCE).sum(axis=0)
-        row, higher = self._peaks.update(times, beyond)
-        self._position[higher] = joint_pos[row[higher], np.flatnonzero(higher)]
-
-    def found(self) -> tuple[PositionExcess, ...]:
-        limit = np.where(self._position < self._lower, self._lower, self._upper)
-        return tuple(
-            PositionExcess(
+    def all(self) -> list[JointPeak]:
+        """The peak of each joint, furthest beyond its limit first."""
+        middle = (self._lower + self._upper) / 2
+        limit = np.where(self._value < middle, self._lower, self._upper)
+        return [
+            JointPeak(
                 self._names[j],
-                int(self._count[j]),
-                float(self._peaks.time[j]),
-                float(self._position[j]),
+                float(self._time[j]),
+                float(self._value[j]),
                 float(limit[j]),
+                int(self._count[j]),
             )
-            for j in np.argsort(-self._peaks.value, kind="stable")
-            if self._count[j]
-        )
+            for j in np.argsort(-self._excess, kind="stable")
+        ]
+
+    def beyond(self) -> tuple[JointPeak, ...]:
+        """The same of those that pass a limit."""
+        return tuple(peak for peak in self.all() if peak.count)
 
 
 def _target_times(trajectory: Trajectory, interval: Interval, rate: float) -> Iterator[Floats]:
@@ -266,7 +244,7 @@ def _target_times(trajectory: Trajectory, interval: Interval, rate: float) -> It
         yield interval.start + np.minimum(numbers / rate, length)
 
 
-def _others(joints: Sequence[JointSpeed | PositionExcess]) -> str:
+def _others(joints: Sequence[JointPeak]) -> str:
     names = [joint.joint for joint in joints[1:]]
     more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
     return f"; also {', '.join(names[:_NAMED])}{more}" if names else ""

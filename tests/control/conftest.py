@@ -1,11 +1,10 @@
-"""A fake clock, a fake link, and a short motion to play over them."""
+"""A loop over a fake clock and a fake link, and a short motion to play."""
 
 from __future__ import annotations
 
 import logging
-from collections import Counter
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -16,11 +15,11 @@ from g1stream.control.loop import StreamLoop
 from g1stream.control.phases import Timing
 from g1stream.control.safety import Envelope
 from g1stream.control.targets import Targets
-from g1stream.dds.messages import LowCmd, LowState, Reference
 from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.model import G1
+from g1stream.testing import FakeClock, FakeLink
 from g1stream.types import Phase
 
 if TYPE_CHECKING:
@@ -29,112 +28,15 @@ if TYPE_CHECKING:
 MS = 1_000_000
 
 
-class FakeClock:
-    """Time passes by sleeping and by `work`, and by nothing else.
-
-    Attributes:
-        time: ns.
-        deadlines: what was slept for, in order; a deadline that had passed counts too.
-        oversleeps: by how much the sleep until a deadline takes too long, ns.
-    """
-
-    _LIMIT = 100_000_000_000
-
-    def __init__(self) -> None:
-        self.time = 5_000_000_000
-        self.deadlines: list[int] = []
-        self.oversleeps: dict[int, int] = {}
-
-    def now(self) -> int:
-        return self.time
-
-    def stamp(self) -> int:
-        return 1_700_000_000_000_000_000 + self.time
-
-    def sleep_until(self, deadline: int) -> None:
-        self.deadlines.append(deadline)
-        if deadline > self.time:
-            self.time = deadline + self.oversleeps.get(deadline, 0)
-        assert self.time < self._LIMIT, "the loop does not end"
-
-    def work(self, duration: int) -> None:
-        """Let time pass, ns."""
-        self.time += duration
-
-
-class Sent(NamedTuple):
-    """The arguments of one `send`, and when it was called, ns."""
-
-    time: int
-    stamp: int
-    command: LowCmd
-    reference: Reference
-
-
-class FakeLink:
-    """A link and, in its other methods and attributes, the robot at its other end.
-
-    Attributes:
-        sent: what the loop has sent.
-        robot: what LowState says; it is repeated at every look unless `silent`.
-        silent: nothing but `publish_state` brings a LowState.
-        on_send: is called after each send, with the number of those before.
-    """
+class CheckedLink(FakeLink):
+    """A fake link with the checks that every session must pass."""
 
     #: Commands of DAMP in the `timing` below.
     _DAMP = 250
 
     def __init__(self, clock: FakeClock) -> None:
-        self.sent: list[Sent] = []
-        self.robot = LowState()
-        self.robot.quaternion[:] = (1.0, 0.0, 0.0, 0.0)
-        self.robot.mode_machine[()] = 5
-        self.silent = False
-        self.on_send: Callable[[int], None] = lambda _: None
-        self._clock = clock
-        self._pending: bytes | None = None
-        self._n_subscribers = 0
-        self._others: list[str] = []
-        self._support: str | None = None
-
-    def subscribers(self) -> int:
-        return self._n_subscribers
-
-    def other_publishers(self) -> list[str]:
-        return list(self._others)
-
-    def support(self) -> str | None:
-        return self._support
-
-    def receive(self, state: LowState) -> bool:
-        data = self._pending if self.silent else self.robot.tobytes()
-        self._pending = None
-        if data is None:
-            return False
-        state.load(data)
-        return True
-
-    def send(self, command: bytes, reference: bytes, stamp: int) -> int:
-        sent = Sent(self._clock.now(), stamp, LowCmd(), Reference())
-        sent.command.load(command)
-        sent.reference.load(reference)
-        self.sent.append(sent)
-        self.on_send(len(self.sent) - 1)
-        return self._clock.now()
-
-    def publish_state(self, data: bytes) -> None:
-        self._pending = data
-
-    def at_send(self, n: int, act: Callable[[], Any]) -> None:
-        """Act when the n-th command has been sent, counted from 0."""
-        self.on_send = lambda i: act() if i == n else None
-
-    def phases(self) -> dict[str, int]:
-        """How many commands each phase got, in order of time."""
-        return dict(Counter(Phase(int(sent.reference.phase)).name for sent in self.sent))
-
-    def in_phase(self, phase: Phase) -> list[Sent]:
-        return [sent for sent in self.sent if int(sent.reference.phase) == phase]
+        super().__init__(clock)
+        self.subscriber_count = 0
 
     def assert_damped(self) -> None:
         """The session ended in its whole share of commands that only damp, and all are sound."""
@@ -165,23 +67,23 @@ class FakeLink:
     @contextmanager
     def subscribed(self) -> Iterator[None]:
         """With a subscriber of LowCmd."""
-        self._n_subscribers += 1
+        self.subscriber_count += 1
         yield
-        self._n_subscribers -= 1
+        self.subscriber_count -= 1
 
     @contextmanager
     def held(self, support: str) -> Iterator[None]:
         """With a bridge that announces its support."""
-        self._support = support
+        self.announced = support
         yield
-        self._support = None
+        self.announced = None
 
     @contextmanager
     def contested(self) -> Iterator[str]:
         """With another publisher of LowCmd; yields a part of its name."""
-        self._others.append("policy (pid 4242 on elsewhere)")
+        self.others.append("policy (pid 4242 on elsewhere)")
         yield "4242"
-        self._others.pop()
+        self.others.pop()
 
 
 @pytest.fixture
@@ -197,17 +99,17 @@ def clock() -> FakeClock:
 
 
 @pytest.fixture
-def link(clock: FakeClock) -> Iterator[FakeLink]:
+def link(clock: FakeClock) -> Iterator[CheckedLink]:
     """A link with a robot that subscribes to LowCmd."""
-    link = FakeLink(clock)
+    link = CheckedLink(clock)
     with link.subscribed():
         yield link
 
 
 @pytest.fixture
-def bare_link(clock: FakeClock) -> FakeLink:
+def bare_link(clock: FakeClock) -> CheckedLink:
     """A link without subscribers that receives nothing by itself."""
-    link = FakeLink(clock)
+    link = CheckedLink(clock)
     link.silent = True
     return link
 
@@ -254,7 +156,7 @@ def timing() -> Timing:
 
 @pytest.fixture
 def make_loop(
-    clock: FakeClock, link: FakeLink, trajectory: Trajectory, robot: G1, timing: Timing
+    clock: FakeClock, link: CheckedLink, trajectory: Trajectory, robot: G1, timing: Timing
 ) -> Callable[..., StreamLoop]:
     """A loop at 500 Hz over the fake link; keyword arguments replace its parts."""
 

@@ -9,51 +9,42 @@ import pytest
 from g1stream.config import RealtimeConfig
 from g1stream.doctor import host
 from g1stream.doctor.host import inspect_host, measure_wakeup_latency, wakeup_latency
+from g1stream.testing import FakeClock
 
 MS = 1_000_000
 PERIOD = 2 * MS
 
 
-class LateClock:
-    """Comes late to the k-th deadline that it is asked for."""
-
-    def __init__(self, late: dict[int, int]) -> None:
-        self.time, self.asked, self.late = 5 * MS, 0, late
-
-    def now(self) -> int:
-        return self.time
-
-    def stamp(self) -> int:
-        return self.time
-
-    def sleep_until(self, deadline: int) -> None:
-        self.time = max(self.time, deadline) + self.late.get(self.asked, 0)
-        self.asked += 1
+def late_clock(late: dict[int, int] | None = None) -> FakeClock:
+    """A clock that oversleeps the k-th deadline, ns."""
+    clock = FakeClock()
+    clock.oversleeps = {clock.time + (k + 1) * PERIOD: ns for k, ns in (late or {}).items()}
+    return clock
 
 
 def test_a_clock_without_latency():
-    found = wakeup_latency(LateClock({}), PERIOD, 250)
+    found = wakeup_latency(late_clock(), PERIOD, 250)
     assert (found.rate, found.deadlines, found.missed, found.worst_ns) == (500.0, 250, 0, 0)
 
 
 def test_latency_below_a_period_misses_no_deadline():
-    found = wakeup_latency(LateClock({9: PERIOD - 1}), PERIOD, 250)
+    found = wakeup_latency(late_clock({9: PERIOD - 1}), PERIOD, 250)
     assert (found.missed, found.worst_ns) == (0, PERIOD - 1)
     assert found.median_ns <= 1000  # to the microsecond
 
 
 def test_a_stall_misses_every_deadline_in_it():
-    found = wakeup_latency(LateClock({9: 7 * MS}), PERIOD, 250)
+    found = wakeup_latency(late_clock({9: 7 * MS}), PERIOD, 250)
     assert (found.deadlines, found.missed, found.worst_ns) == (250, 3, 7 * MS)
 
 
 def test_latency_of_a_stall_counts_from_the_deadline_slept_for():
-    found = wakeup_latency(LateClock({9: PERIOD, 20: 3 * PERIOD + 1}), PERIOD, 250)
+    found = wakeup_latency(late_clock({9: PERIOD, 21: 3 * PERIOD + 1}), PERIOD, 250)
     assert (found.missed, found.worst_ns) == (4, 3 * PERIOD + 1)
 
 
 def test_a_stall_beyond_the_last_deadline_ends_the_measurement():
-    found = wakeup_latency(LateClock({9: 10_000 * MS}), PERIOD, 250)
+    found = wakeup_latency(late_clock({9: 10_000 * MS}), PERIOD, 250)
     assert found.deadlines == 5010
     assert found.missed == 5000
 

@@ -1,0 +1,165 @@
+"""Replacements for DDS, the clock and the robot, for tests of code that streams.
+
+With `FakeClock` and `FakeLink` a loop runs in no time, and every sleep, command and timestamp can
+be asserted to the nanosecond:
+
+    clock = FakeClock()
+    link = FakeLink(clock)
+    loop = make_loop(config, robot, trajectory, link, clock)  # g1stream.control.loop
+    loop.run()
+    assert link.phases()["DAMP"] == 500
+
+`Lockstep` is a link and a clock with the physics of our bridge behind it; `g1stream.rollout` wraps
+it for whole sessions.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from g1stream.dds.messages import LowCmd, LowState, Reference
+from g1stream.sim.lockstep import Lockstep
+from g1stream.sim.robot import MODE_MACHINE_29
+from g1stream.types import Phase
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+__all__ = ["FakeClock", "FakeLink", "Lockstep", "Sent"]
+
+_EPOCH: Final = 1_700_000_000_000_000_000
+
+
+class FakeClock:
+    """A clock whose time passes only by sleeping and by `work`.
+
+    Args:
+        limit: the longest time that may pass, ns, so that a loop that does not end fails.
+
+    Attributes:
+        time: what `now` returns, ns.
+        deadlines: the arguments of `sleep_until`, in order, also those that had passed.
+        oversleeps: deadline -> how late the sleep until it ends, ns; 0 for all others.
+    """
+
+    def __init__(self, limit: int = 100_000_000_000) -> None:
+        self.time = 5_000_000_000
+        self.deadlines: list[int] = []
+        self.oversleeps: dict[int, int] = {}
+        self._end = self.time + limit
+
+    def now(self) -> int:
+        """The time, ns; for deadlines."""
+        return self.time
+
+    def stamp(self) -> int:
+        """The time since the epoch, ns; for timestamps of messages."""
+        return _EPOCH + self.time
+
+    def sleep_until(self, deadline: int) -> None:
+        """Let time pass until a deadline, and for as long as it is overslept.
+
+        Raises:
+            AssertionError: that is beyond the limit.
+        """
+        self.deadlines.append(deadline)
+        if deadline > self.time:
+            self.time = deadline + self.oversleeps.get(deadline, 0)
+        if self.time > self._end:
+            raise AssertionError("the loop does not end")
+
+    def work(self, duration: int) -> None:
+        """Let time pass, ns, as a computation does."""
+        self.time += duration
+
+
+class Sent(NamedTuple):
+    """One LowCmd with its Reference, as a `FakeLink` got them.
+
+    Attributes:
+        time: when it was sent, ns of the clock.
+        stamp: its publish time, ns since the epoch.
+        command, reference: the messages.
+    """
+
+    time: int
+    stamp: int
+    command: LowCmd
+    reference: Reference
+
+
+class FakeLink:
+    """An in-process link (`g1stream.control.link.Link`) with a robot that a test controls.
+
+    Args:
+        clock: the clock of the loop.
+
+    Attributes:
+        sent: what the loop has sent.
+        robot: the robot's LowState, which the loop receives at every tick. It stands upright.
+        silent: the robot publishes nothing but by `publish_state`.
+        subscriber_count: of LowCmd.
+        others: names of other publishers of LowCmd.
+        announced: how the robot announces that it is held.
+        on_send: called after each `send`, with the number of those before.
+    """
+
+    def __init__(self, clock: FakeClock) -> None:
+        self.sent: list[Sent] = []
+        self.robot = LowState()
+        self.robot.quaternion[:] = (1.0, 0.0, 0.0, 0.0)
+        self.robot.mode_machine[()] = MODE_MACHINE_29
+        self.silent = False
+        self.subscriber_count = 1
+        self.others: list[str] = []
+        self.announced: str | None = None
+        self.on_send: Callable[[int], object] = lambda n: None
+        self._clock = clock
+        self._published: bytes | None = None
+
+    def subscribers(self) -> int:
+        """Number of subscribers of LowCmd."""
+        return self.subscriber_count
+
+    def other_publishers(self) -> list[str]:
+        """Names of other publishers of LowCmd."""
+        return list(self.others)
+
+    def support(self) -> str | None:
+        """How the robot announces that it is held."""
+        return self.announced
+
+    def receive(self, state: LowState) -> bool:
+        """Load the newest LowState; False if there is none."""
+        data = self._published if self.silent else self.robot.tobytes()
+        self._published = None
+        if data is None:
+            return False
+        state.load(data)
+        return True
+
+    def send(self, command: bytes, reference: bytes, stamp: int) -> int:
+        """Keep a LowCmd and its Reference in `sent`."""
+        sent = Sent(self._clock.now(), stamp, LowCmd(), Reference())
+        sent.command.load(command)
+        sent.reference.load(reference)
+        self.sent.append(sent)
+        self.on_send(len(self.sent) - 1)
+        return self._clock.now()
+
+    def publish_state(self, data: bytes) -> None:
+        """Let a silent robot publish one LowState."""
+        self._published = data
+
+    def at_send(self, n: int, act: Callable[[], object]) -> None:
+        """Call `act` after the n-th command, counted from 0."""
+        self.on_send = lambda i: act() if i == n else None
+
+    def phases(self) -> dict[str, int]:
+        """Number of commands by phase, in order of time."""
+        return dict(Counter(Phase(int(sent.reference.phase)).name for sent in self.sent))
+
+    def in_phase(self, phase: Phase) -> list[Sent]:
+        """What was sent in a phase."""
+        return [sent for sent in self.sent if int(sent.reference.phase) == phase]

@@ -62,7 +62,7 @@ def ours(path: Path) -> dict[str, float]:
     begun = time.perf_counter()
     session = open_session(path)
     opened = time.perf_counter()
-    q = session.measured.q
+    q = session.measured.read("q").q
     return _result(begun, opened, q)
 
 

@@ -107,6 +107,13 @@ def test_it_is_played_as_any_motion_is(sessions):
             assert change in told
 
 
+def test_exact_reports_the_feedforward_of_the_recording(sessions):
+    session, summary = sessions["exact"]
+    assert summary["loop"]["feedforward"] == "recorded"
+    (event,) = [event.text for event in session.log if event.text.startswith("feed-forward:")]
+    assert "recorded" in event
+
+
 def test_exact_means_bit_for_bit(sessions):
     first, exact = sessions["first"][0], sessions["exact"][0]
     reference = exact.reference

@@ -72,10 +72,11 @@ class FeedForward:
         ramp: s, length of RAMP; the torque fades in during its first half.
         preview: s by which the target of a command is ahead of its publish time, because it takes
             effect later.
+        recorded: the commands of PLAY are recorded ones, so that this applies to RAMP and HOLD.
 
     Attributes:
         kind, support: as given; after `begin`, as decided.
-        preview: as given.
+        preview, recorded: as given.
         saturated: (29,) int64, ticks at which each joint's torque was held at its limit.
         changes: when the torque was switched off and on again, in order.
     """
@@ -90,10 +91,12 @@ class FeedForward:
         period: float,
         ramp: float,
         preview: float = 0.0,
+        recorded: bool = False,
     ) -> None:
         self.kind = kind
         self.support = support
         self.preview = preview
+        self.recorded = recorded
         self.saturated: Ints = np.zeros(N_JOINTS, dtype=np.int64)
         self.changes: list[Change] = []
         self._dynamics = dynamics
@@ -107,7 +110,9 @@ class FeedForward:
         self._check: SupportCheck | None = None
 
     @classmethod
-    def from_config(cls, settings: StreamConfig, robot: G1, period: float) -> FeedForward:
+    def from_config(
+        cls, settings: StreamConfig, robot: G1, period: float, *, recorded: bool = False
+    ) -> FeedForward:
         """The feed-forward of a config for commands that are `period` seconds apart.
 
         Raises:
@@ -124,6 +129,7 @@ class FeedForward:
             # A servo at the same rate reads a command half a period after it arrived on average,
             # and holds it for a whole one.
             preview=period if settings.preview is None else settings.preview,
+            recorded=recorded,
         )
 
     def begin(self, announced: str | None) -> None:
@@ -137,18 +143,17 @@ class FeedForward:
         if self.kind is None:
             held = self.support not in (None, "free")  # ground contact is not in the model
             self.kind = "dynamics" if held and self._dynamics else "velocity"
-        if self.kind != "dynamics":
-            _LOGGER.info("feed-forward: %s", self.kind)
-            return
-        if self._dynamics is None or self.support is None:
+        unknown = self.kind == "dynamics" and not (self._dynamics and self.support)
+        if unknown:
             self.kind = "velocity"
-            _LOGGER.warning("feed-forward: velocity only: the support is unknown; give --support")
+        text = f"dynamics, support {self.support}" if self.kind == "dynamics" else str(self.kind)
+        if unknown:
+            text += " only: the support is unknown; give --support"
+        if self.recorded:
+            text = f"recorded; in RAMP and HOLD {text}"
+        _LOGGER.log(logging.WARNING if unknown else logging.INFO, "feed-forward: %s", text)
+        if self.kind != "dynamics":
             return
-        # What the bridge announces about itself needs no check.
-        self._check = SupportCheck(self._period) if self.support != announced else None
-        if self.support == "hanging":
-            self._observer = ForceObserver(self._dynamics, self._period)
-        _LOGGER.info("feed-forward: dynamics, support %s", self.support)
         if given and announced and given != announced:
             _LOGGER.warning(
                 "the bridge announces support %s, not %s: tracking with a wrong support is worse "
@@ -156,6 +161,12 @@ class FeedForward:
                 announced,
                 given,
             )
+        if self._dynamics is None or self.recorded:
+            return  # observer and check need every tick
+        # What the bridge announces about itself needs no check.
+        self._check = SupportCheck(self._period) if self.support != announced else None
+        if self.support == "hanging":
+            self._observer = ForceObserver(self._dynamics, self._period)
 
     def command(
         self, phase: Phase, elapsed: float, target: Target, imu: ImuReading, age: float
@@ -171,7 +182,7 @@ class FeedForward:
         """
         if self.kind == "none":
             return target.replace(dq=0.0)
-        if self.kind != "dynamics":
+        if self.kind != "dynamics" or (self.recorded and phase is Phase.PLAY):
             return target
         # Within half the ramp: the rest of it corrects the sag under a partial torque.
         blend = minimum_jerk(2.0 * elapsed / self._ramp)[0] if phase is Phase.RAMP else 1.0

@@ -301,7 +301,7 @@ class StreamLoop:
         if feedforward is None:
             return
         feedforward.begin(self._link.support())
-        report.feedforward = feedforward.kind or ""
+        report.feedforward = "recorded" if feedforward.recorded else feedforward.kind or ""
         report.support = feedforward.support or ""
         report.saturated, report.feedforward_changes = feedforward.saturated, feedforward.changes
 
@@ -364,10 +364,18 @@ def make_loop(
     clock: Clock,
     *,
     settle: int = _SETTLE,
+    recorded: bool = False,
 ) -> StreamLoop:
     """The loop that plays a trajectory as configured, not yet running.
 
-    `settle` is how long other publishers are waited for before the first command, ns.
+    Args:
+        config: all settings.
+        robot: the robot whose limits and dynamics apply.
+        trajectory: the motion.
+        link: the wire.
+        clock: now, stamp and sleep_until.
+        settle: how long other publishers are waited for before the first command, ns.
+        recorded: the link replaces the commands of PLAY by recorded ones.
 
     Raises:
         ConfigError: the interval to play, the gains or the margin to the limits are invalid.
@@ -386,7 +394,7 @@ def make_loop(
         period=period,
         damp_kd=settings.damp_kd,
         allow_second_writer=config.safety.allow_second_writer,
-        feedforward=FeedForward.from_config(settings, robot, period / 1e9),
+        feedforward=FeedForward.from_config(settings, robot, period / 1e9, recorded=recorded),
     )
 
 

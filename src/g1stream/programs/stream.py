@@ -25,15 +25,17 @@ from g1stream.motion.trajectory import Trajectory
 from g1stream.programs.outcome import StreamOutcome, loop_summary
 from g1stream.programs.recorder_child import RecorderChild, refuse_path
 from g1stream.realtime import describe, on_time
+from g1stream.replay.recorded_link import RecordedLink
 from g1stream.robot.model import G1
 from g1stream.session.motions import load_motion
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from g1stream.control.loop import LoopReport
     from g1stream.doctor.facts import Finding
     from g1stream.realtime import Grant
+    from g1stream.replay.commands import RecordedCommands
 
 __all__ = ["StreamOutcome", "stream"]
 
@@ -52,8 +54,7 @@ def stream(
     record: str | Path | None = None,
     force: bool = False,
     on_loop: Callable[[StreamLoop], None] | None = None,
-    warn_limits: bool = True,
-    make_link: Callable[[Participant], DdsLink] = DdsLink,
+    recorded: RecordedCommands | None = None,
 ) -> StreamOutcome:
     """Play a motion on the robot that subscribes to LowCmd, and return how it went.
 
@@ -66,8 +67,7 @@ def stream(
         record: also record the session into this file.
         force: replace an existing recording.
         on_loop: called with the loop before it runs, to display it or to stop it.
-        warn_limits: log warnings, before the first command, if the motion exceeds joint limits.
-        make_link: makes the link between the loop and the wire.
+        recorded: commands to publish during PLAY, bit for bit, instead of new ones.
 
     Raises:
         G1StreamError: a file, a setting or the wire does not allow it.
@@ -86,14 +86,18 @@ def stream(
         joined = clock.now()
         # Done now, because it takes as long as the discovery of other publishers.
         trajectory = Trajectory(motion, loop=config.stream.loop)
-        rate, margin = config.stream.rate, config.safety.position_margin
-        limits = measure_limits(trajectory, robot, interval, rate=rate, position_margin=margin)
+        warnings: Sequence[str] = ()
+        if recorded is None:  # recorded commands beyond a limit were refused
+            rate, margin = config.stream.rate, config.safety.position_margin
+            limits = measure_limits(trajectory, robot, interval, rate=rate, position_margin=margin)
+            warnings = limits.warnings
         if not config.safety.allow_second_writer:
             clock.sleep_until(joined + _DISCOVERY)
             _refuse_if_commanded(participant)
-        link = make_link(participant)
+        link = RecordedLink(participant, recorded) if recorded else DdsLink(participant)
         events = DdsLogHandler(participant, "stream")
-        loop = make_loop(_with_safe_feedforward(config), robot, trajectory, link, clock)
+        local = _with_safe_feedforward(config)
+        loop = make_loop(local, robot, trajectory, link, clock, recorded=recorded is not None)
         if on_loop:
             on_loop(loop)
         recorder = RecorderChild(session, force, config, motion, gains) if session else None
@@ -102,7 +106,7 @@ def stream(
         try:
             # All events have been published when the recorder is told to finish.
             with handled_by(events):
-                for warning in limits.warnings if warn_limits else ():
+                for warning in warnings:
                     _LOGGER.warning("%s", warning)
                 with on_time(config.realtime.priority, config.realtime.cpu) as granted:
                     _LOGGER.info("real time: %s", describe(granted))

@@ -1,43 +1,47 @@
-"""The commands of a session that played its motion, looked at before they are sent again.
+"""The recorded commands of a session, checked before they are sent again.
 
-Nothing alters a recorded command, so that none may be sent which would not have passed the envelope
-or at which the robot would leap. A session is read a batch at a time: what stays in memory of a
-command is what differs from others.
+A recorded command is sent unmodified. It is refused if the safety envelope would not have passed
+it, or if a joint cannot follow from the command before.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import islice
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from g1stream.config import MAX_KD, MAX_KP
 from g1stream.control.safety import Envelope
 from g1stream.dds.layout import CDR_HEADER, Layout
-from g1stream.dds.messages import LowCmd, Samples
+from g1stream.dds.messages import LowCmd
 from g1stream.errors import RecordingError, SafetyError
-from g1stream.replay.pace import JITTER, ROUNDING, Steps, disorder, pause
-from g1stream.replay.recorded_link import PackedCommands
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.session.streams import Command, Reference
 from g1stream.types import Floats, Phase
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
     from g1stream.config import SafetyConfig
+    from g1stream.dds.messages import Samples
     from g1stream.robot.model import G1
     from g1stream.session.session import Session
 
+__all__ = ["MAX_STEP_TIME", "RecordedCommands", "find_jump", "recorded_commands"]
 
-__all__ = ["RecordedCommands", "recorded_commands"]
+MAX_STEP_TIME: Final = 0.02
+"""A target may move in one step by what its joint can do in this time, s."""
 
-#: Commands that are looked at together.
-_BATCH: Final = 1024
+#: Tolerance for values that were rounded to float32, relative above 1.
+_ROUNDING: Final = 1e-6
+#: Without a reference, two publish times may be this much too close, s: one period of 500 Hz, after
+#: which a publisher that is late skips a tick.
+_JITTER: Final = 0.002
+#: Commands that are checked at once.
+_BLOCK: Final = 1024
 
 
 @dataclass(frozen=True)
@@ -45,202 +49,217 @@ class RecordedCommands:
     """Commands that may be sent again.
 
     Attributes:
-        times: (N,) when in the motion each was due, s at the speed of the recording.
-        commands: (N) as they were on the wire, CDR header included.
-        q: (N, 29) float32, their joint targets, rad; (0, 29) where the session has a reference,
-            which says better what was meant.
+        times: (N,) when in the motion each is due at the speed of the replay, s, not decreasing.
+        data: (N) as they were on the wire, CDR header included; 1 kB each.
+        q: (N, 29) float32, their joint targets, rad.
+        velocity: (29,) the speed that the joints can follow, rad/s.
     """
 
     times: Floats
-    commands: PackedCommands
+    data: Sequence[bytes]
     q: NDArray[np.float32]
+    velocity: Floats
 
 
 def recorded_commands(
     session: Session, robot: G1, safety: SafetyConfig, speed: float = 1.0
 ) -> RecordedCommands:
-    """The commands of PLAY, or where there is no reference all that held the robot.
+    """The commands of PLAY; in a session without a reference, all commands with kp above 0.
 
     Args:
         session: where they were recorded.
-        robot: whose limits hold.
-        safety: the margin to the joint limits, and how long a loop may stand still.
-        speed: how many times as fast they are to be sent.
+        robot: whose limits apply.
+        safety: the margin to the joint limits, and the longest gap between commands.
+        speed: factor relative to the recording.
 
     Raises:
         RecordingError: there are none, or the file is damaged.
-        SafetyError: one of them must not be sent, or the robot would leap at it.
+        SafetyError: one of them must not be sent to this robot.
     """
-    due = _Due(session)
-    look = _Look(robot, safety)
-    # The motion times of a reference are those of the ticks, however late they came.
-    steps = Steps(robot.velocity, 0.0 if due.has_reference else JITTER)
-    packed, times, targets = PackedCommands(), [np.empty(0)], [np.empty((0, N_JOINTS), np.float32)]
-    for stamps, data in _batches(session):
-        samples = session.samples(Command, data)
-        rows, when = due.find(stamps, samples)
-        chosen = [data[row] for row in rows.tolist()]
-        if odd := look.at(samples, rows) or look.at_whole(chosen):
-            raise _unsafe(session, odd)
-        q = samples["motor_cmd.q"][rows]
-        steps.add(q)
-        packed.add(chosen)
-        times.append(when)
-        if not due.has_reference:
-            targets.append(q)
-    all_times = np.concatenate(times)
-    begin, end = due.interval(session, all_times)
-    all_times -= begin
-    whole = np.concatenate([[0.0], all_times, [end - begin]])
-    odd = disorder(all_times) or pause(whole, safety.state_timeout, speed)
-    if odd := odd or steps.leap(all_times, speed):
-        raise _unsafe(session, odd)
-    return RecordedCommands(all_times, packed, np.concatenate(targets))
+    times, data, duration = _schedule(session)
+    times, duration = times / speed, duration / speed
+    checks = _CommandChecks(robot, safety)
+    q = np.empty((len(data), N_JOINTS), np.float32)
+    for start in range(0, len(data), _BLOCK):
+        block = slice(start, start + _BLOCK)
+        samples = session.samples(Command, data[block])
+        if problem := checks.find_problem(samples, data[block]):
+            raise _refused(session, problem)
+        q[block] = samples["motor_cmd.q"]
+    # Motion times of a reference are exact, however late the ticks were.
+    jitter = 0.0 if _has_reference(session) else _JITTER / speed
+    problem = _find_gap(times, duration, safety.state_timeout)
+    if problem := problem or find_jump(times, q, robot.velocity, jitter):
+        raise _refused(session, problem)
+    return RecordedCommands(times, data, q, robot.velocity)
 
 
-def _batches(session: Session) -> Iterator[tuple[NDArray[np.int64], list[bytes]]]:
-    """Publish times (n,), ns, and bytes (n) of the recorded commands, in the order of the file."""
-    messages = session.messages(Command.topic)
-    while batch := list(islice(messages, _BATCH)):
-        yield np.array([one.publish_time for one in batch]), [one.data for one in batch]
+def _has_reference(session: Session) -> bool:
+    return bool(session.topics.get(Reference.topic))
 
 
-class _Due:
-    """Which commands are sent again, and when each was due.
-
-    Attributes:
-        has_reference: it says so; a command and its reference have the very same stamp.
-    """
-
-    def __init__(self, session: Session) -> None:
-        self.has_reference = bool(session.topics.get(Reference.topic))
-        self._stamps: NDArray[np.int64] = np.empty(0, np.int64)
-        self._times: Floats = np.empty(0)
-        if self.has_reference:
-            reference = session.reference
-            playing = np.flatnonzero(reference.phase == Phase.PLAY)
-            stamps = reference.publish_time[playing]
-            order = np.argsort(stamps, kind="stable")
-            self._stamps, self._times = stamps[order], reference.motion_time[playing][order]
-
-    def find(self, stamps: NDArray[np.int64], samples: Samples) -> tuple[NDArray[np.intp], Floats]:
-        """The rows (m,) of a batch that are sent again, and when they were due (m,), s."""
-        if not self.has_reference:
-            rows = np.flatnonzero(samples["motor_cmd.kp"].any(axis=1))
-            # Since the first command of all, so that no digit is lost.
-            self._stamps = self._stamps if len(self._stamps) else stamps[:1]
-            return rows, (stamps[rows] - self._stamps[0]) / 1e9
-        if not len(self._stamps):
-            return np.empty(0, np.intp), np.empty(0)
-        nearest = np.searchsorted(self._stamps, stamps).clip(max=len(self._stamps) - 1)
-        rows = np.flatnonzero(self._stamps[nearest] == stamps)
-        return rows, self._times[nearest[rows]]
-
-    def interval(self, session: Session, times: Floats) -> tuple[float, float]:
-        """When the motion begins and ends of which commands (N,) are due at these times, s.
-
-        Raises:
-            RecordingError: there is no motion.
-        """
-        if len(times) < 2:
-            raise RecordingError(
-                f"{session.path} has no commands that played a motion.",
-                "Give a session in which somebody held the robot with kp above 0.",
-            )
-        when = self._times if self.has_reference else times
-        begin, end = float(when.min()), float(when.max())
-        if not 0.0 < end - begin < np.inf:
-            raise RecordingError(
-                f"{session.path} does not say when its commands are due: by their times, the "
-                f"motion lasts {end - begin:g} s.",
-                "Record the motion again.",
-            )
-        return begin, end
+def _schedule(session: Session) -> tuple[Floats, list[bytes], float]:
+    """When each command is due (N,), s from the begin of the motion; the commands; its duration."""
+    messages = list(session.messages(Command.topic))
+    stamps = np.array([message.publish_time for message in messages])
+    if _has_reference(session):
+        reference = session.reference
+        playing = np.flatnonzero(reference.phase == Phase.PLAY)
+        playing = playing[np.argsort(reference.publish_time[playing], kind="stable")]
+        motion_time, of_reference = reference.motion_time[playing], reference.publish_time[playing]
+        # A command and its reference have the same publish time.
+        nearest = np.searchsorted(of_reference, stamps).clip(max=max(0, len(playing) - 1))
+        rows = np.flatnonzero(of_reference[nearest] == stamps) if len(playing) else playing
+        times = motion_time[nearest[rows]]
+    else:
+        kp = session.samples(Command, [message.data for message in messages])["motor_cmd.kp"]
+        rows = np.flatnonzero(kp.any(axis=1))
+        times = motion_time = (stamps[rows] - stamps[0]) / 1e9
+    if len(rows) < 2:
+        raise RecordingError(
+            f"{session.path} has no commands that played a motion.",
+            "Give a session that contains LowCmds with kp above 0.",
+        )
+    start, end = float(motion_time.min()), float(motion_time.max())
+    if not 0.0 < end - start < np.inf:
+        raise RecordingError(
+            f"The commands of {session.path} have no valid motion times: the motion lasts "
+            f"{end - start:g} s.",
+            "Record the motion again.",
+        )
+    return times - start, [messages[row].data for row in rows.tolist()], end - start
 
 
-class _Look:
-    """Whether single commands would have passed the envelope."""
+class _CommandChecks:
+    """Checks of single commands against the safety envelope."""
 
     def __init__(self, robot: G1, safety: SafetyConfig) -> None:
-        Envelope(robot, safety)  # refuses a margin that leaves nothing
-        margin = safety.position_margin
-        torque = robot.torque_limit
-        nothing = np.zeros(N_JOINTS)
-        self._kept = f", with safety.position_margin = {margin:g} rad" if margin else ""
+        Envelope(robot, safety)  # raises if the margin leaves no range
+        margin, zero = safety.position_margin, np.zeros(N_JOINTS)
+        self._margin = f" with safety.position_margin = {margin:g} rad" if margin else ""
         self._limits: tuple[tuple[str, str, Floats, Floats], ...] = (
             ("q", "rad", robot.lower + margin, robot.upper - margin),
             ("dq", "rad/s", -robot.velocity, robot.velocity),
-            ("tau", "Nm", -torque, torque),
-            ("kp", "Nm/rad", nothing, nothing + MAX_KP),
-            ("kd", "Nm s/rad", nothing, nothing + MAX_KD),
+            ("tau", "Nm", -robot.torque_limit, robot.torque_limit),
+            ("kp", "Nm/rad", zero, zero + MAX_KP),
+            ("kd", "Nm s/rad", zero, zero + MAX_KD),
         )
-        self._seen = LowCmd()
-        layout = Layout.of(LowCmd.idl_type)
-        names = ("mode", *(name for name, *_ in self._limits))
-        fields = {name: layout[f"motor_cmd.{name}"] for name in names}
-        #: Of the motors that only the wire has.
-        self._spare = {
-            name: replace(field, offsets=field.offsets[N_JOINTS:]) for name, field in fields.items()
-        }
+        self._command = LowCmd()
+        self._layout = Layout.of(LowCmd.idl_type)
 
-    def at(self, samples: Samples, rows: NDArray[np.intp]) -> str:
-        """What is wrong with the values of these rows of a batch, or ""."""
-        for name, unit, lower, upper in self._limits:
-            values = samples[f"motor_cmd.{name}"][rows].astype(np.float64)
-            if not np.isfinite(values).all():
-                joint = JOINT_NAMES[int(np.argwhere(~np.isfinite(values))[0, 1])]
-                return f"has a {name} of {joint} that is not finite"
-            # What lies at a limit was rounded to float32 on the wire.
-            slack = ROUNDING * np.maximum(1.0, np.maximum(np.abs(lower), np.abs(upper)))
-            beyond = (values < lower - slack) | (values > upper + slack)
-            if beyond.any():
-                row, j = np.argwhere(beyond)[0]
-                return (
-                    f"asks {JOINT_NAMES[j]} for a {name} of {values[row, j]:.3f} {unit}, beyond "
-                    f"its limits {lower[j]:.3f} and {upper[j]:.3f}{self._kept * (name == 'q')}"
-                )
-        return self._modes(samples, rows)
+    def find_problem(self, samples: Samples, data: Sequence[bytes]) -> str:
+        """What is wrong with one of the commands, or ""."""
+        for command in data:
+            self._command.load(command)
+            if not self._command.crc_matches():
+                return "has a wrong CRC"
+        return self._find_mode(samples) or self._find_limit(samples) or self._find_extra(data)
 
     @staticmethod
-    def _modes(samples: Samples, rows: NDArray[np.intp]) -> str:
-        if (odd := samples["mode_pr"][rows]).any():
-            return f"has mode_pr {odd.max()}, not 0"
-        modes: NDArray[Any] = samples["motor_cmd.mode"][rows]
-        if (modes != 1).any():
-            row, j = np.argwhere(modes != 1)[0]
-            return f"has mode {modes[row, j]} for the motor of {JOINT_NAMES[j]}, not 1"
+    def _find_mode(samples: Samples) -> str:
+        if (mode_pr := samples["mode_pr"]).any():
+            return f"has mode_pr {mode_pr.max()}; only 0 is allowed"
+        modes = samples["motor_cmd.mode"]
+        if (modes == 1).all():
+            return ""
+        row, joint = np.argwhere(modes != 1)[0]
+        return f"has mode {modes[row, joint]} for {JOINT_NAMES[joint]}; only 1 is allowed"
+
+    def _find_extra(self, data: Sequence[bytes]) -> str:
+        """Motors that a G1 does not have may be enabled, as some publishers do, and nothing else.
+
+        The comparison is also true for NaN.
+        """
+        rows = np.frombuffer(b"".join(data), np.uint8).reshape(len(data), -1)[:, len(CDR_HEADER) :]
+        for name in ("mode", *(name for name, *_ in self._limits)):
+            field = self._layout[f"motor_cmd.{name}"]
+            values = replace(field, offsets=field.offsets[N_JOINTS:]).read(rows)
+            wrong = np.argwhere((values != 0) & ((name != "mode") | (values != 1)))
+            if len(wrong):
+                row, motor = wrong[0]
+                return (
+                    f"has {name}={values[row, motor]:g} for motor {N_JOINTS + motor}: a G1 has "
+                    f"motors 0-{N_JOINTS - 1}"
+                )
         return ""
 
-    def at_whole(self, commands: list[bytes]) -> str:
-        """What is wrong with commands as a whole, or ""."""
-        for data in commands:
-            self._seen.load(data)
-            if not self._seen.crc_matches():
-                return "has a checksum that does not fit"
-        return self._at_spare(commands) if commands else ""
-
-    def _at_spare(self, commands: list[bytes]) -> str:
-        """What is asked of the motors that a G1 has not, or "".
-
-        Their mode may be 0 or 1: some publishers of Unitree's enable all that the wire has.
-        """
-        samples = np.frombuffer(b"".join(commands), np.uint8).reshape(len(commands), -1)
-        for name, field in self._spare.items():
-            values = field.read(samples[:, len(CDR_HEADER) :])
-            # Of numbers that are none, this is true, too.
-            odd = np.argwhere((values != 0) & ((name != "mode") | (values != 1)))
-            if len(odd):
-                row, j = odd[0]
+    def _find_limit(self, samples: Samples) -> str:
+        for name, unit, lower, upper in self._limits:
+            values = samples[f"motor_cmd.{name}"].astype(np.float64)
+            tolerance = _ROUNDING * np.maximum(1.0, np.maximum(np.abs(lower), np.abs(upper)))
+            # Negated, so that NaN is outside.
+            outside = ~((values >= lower - tolerance) & (values <= upper + tolerance))
+            if outside.any():
+                row, joint = np.argwhere(outside)[0]
                 return (
-                    f"has a {name} of {values[row, j]:g} for motor {N_JOINTS + j}, which a G1 has "
-                    "not"
+                    f"has {name} = {values[row, joint]:.3f} {unit} for {JOINT_NAMES[joint]}, whose "
+                    f"limits are {lower[joint]:.3f} and {upper[joint]:.3f}"
+                    f"{self._margin * (name == 'q')}"
                 )
         return ""
 
 
-def _unsafe(session: Session, what: str) -> SafetyError:
-    if session.topics.get(Reference.topic):
-        remedy = "Replay the reference instead, which stays within the envelope: leave out --exact."
-    else:
-        remedy = "Record the commands again: without a reference there is no other way to replay."
-    return SafetyError(f"A recorded command of {session.path} {what}.", remedy)
+def _find_gap(times: Floats, duration: float, longest: float) -> str:
+    """Where commands (N,) are out of order or missing, or ""."""
+    back = np.flatnonzero(np.diff(times) < 0.0)
+    if len(back):
+        i = int(back[0])
+        return (
+            f"at {times[i]:.3f} s of the motion is followed by one at {times[i + 1]:.3f} s: the "
+            "session contains more than one motion, or the clock was set back"
+        )
+    whole = np.concatenate([[0.0], times, [duration]])
+    gaps = np.diff(whole)
+    i = int(np.argmax(gaps))
+    if gaps[i] <= longest + 1e-9:
+        return ""
+    return (
+        f"would be held from {whole[i]:.3f} to {whole[i + 1]:.3f} s of the motion because others "
+        f"are missing: {gaps[i]:.3f} s (limit {longest:g} s, safety.state_timeout)"
+    )
+
+
+def find_jump(times: Floats, q: NDArray[np.float32], velocity: Floats, jitter: float) -> str:
+    """Where a joint cannot follow the commands, or "".
+
+    A step may take no more than the time between its two commands and the jitter, of which at most
+    `MAX_STEP_TIME` counts. What the jitter allows may not add up to more than that either.
+
+    Args:
+        times: (N,) when the commands are due, s.
+        q: (N, 29) joint targets, rad.
+        velocity: (29,) the speed that the joints can follow, rad/s.
+        jitter: by how much two times may be too close, s.
+    """
+    durations = np.abs(np.diff(q, axis=0)) / velocity
+    joints, needed = durations.argmax(axis=1), durations.max(axis=1)
+    between, rounding = np.diff(times), _ROUNDING / velocity.min()
+    allowed = np.minimum(between + jitter, MAX_STEP_TIME)
+    jumps = np.flatnonzero(needed > 1.001 * allowed + rounding)
+    if len(jumps):
+        i, joint = int(jumps[0]), int(joints[jumps[0]])
+        return (
+            f"moves {JOINT_NAMES[joint]} by {velocity[joint] * needed[i]:.3f} rad in one step at "
+            f"{times[i + 1]:.3f} s of the motion; {velocity[joint]:g} rad/s allow "
+            f"{velocity[joint] * allowed[i]:.3f} rad"
+        )
+    # The delay of the slowest joint: time that is missing adds up, spare time reduces it to 0.
+    total = np.cumsum(needed - 1.001 * between - rounding)
+    delay = total - np.minimum(np.minimum.accumulate(total), 0.0)
+    late = np.flatnonzero(delay > MAX_STEP_TIME)
+    if len(late):
+        i, joint = int(late[0]), int(joints[late[0]])
+        return (
+            f"is too early at {times[i + 1]:.3f} s of the motion: at {velocity[joint]:g} rad/s "
+            f"{JOINT_NAMES[joint]} would be {delay[i]:.3f} s late (limit {MAX_STEP_TIME:g} s)"
+        )
+    return ""
+
+
+def _refused(session: Session, problem: str) -> SafetyError:
+    remedy = (
+        "Replay the reference, which stays within the limits: leave out --exact."
+        if _has_reference(session)
+        else "Record the motion again; without a reference, only recorded commands can be replayed."
+    )
+    return SafetyError(f"A recorded command of {session.path} {problem}.", remedy)

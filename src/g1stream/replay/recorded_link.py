@@ -1,153 +1,96 @@
-"""A link that publishes commands of an earlier session in place of the loop's own."""
+"""A link that publishes recorded commands in place of the loop's own."""
 
 from __future__ import annotations
 
-from bisect import bisect_right
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from g1stream.control.link import DdsLink
 from g1stream.dds.messages import LowCmd, Reference
 from g1stream.errors import SafetyError
+from g1stream.replay.commands import MAX_STEP_TIME
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.types import Phase
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
 
     from g1stream.dds.domain import Participant
+    from g1stream.replay.commands import RecordedCommands
 
-__all__ = ["LEAP_TIME", "PackedCommands", "RecordedLink"]
-
-LEAP_TIME: Final = 0.02
-"""A target that moves on at once by more than its joint can in this time leaps, s."""
+__all__ = ["RecordedLink"]
 
 
 class RecordedLink(DdsLink):
-    """Publishes, while the motion is played, the recorded command nearest in time, bit for bit.
+    """Publishes, during PLAY, the recorded command nearest in time, bit for bit.
 
-    Everything else goes as the loop has it: the ramp to the first pose, HOLD, DAMP, and the
-    watchdogs. Where the loop skips ticks, so are the commands that were due meanwhile, and the next
-    may be further away than `LEAP_TIME` allows: as for any motion, safety.state_timeout bounds for
-    how long the loop may stand still. The commands were looked at beforehand, so that no joint is
-    asked to go further than it can in the time that has passed; to let go of a robot that moves
-    would be worse.
+    RAMP, HOLD, DAMP and the safety checks are the loop's. When the loop skips ticks, commands are
+    skipped with them, and the next step may exceed `MAX_STEP_TIME`: as for any motion,
+    safety.state_timeout limits how long the loop may stall. The commands were checked beforehand,
+    so that each joint can follow in the time that has passed; stopping a moving robot would be
+    worse.
 
     Args:
-        participant: whose domain to be in.
-        times: (N,) when in the motion each command is due, s, rising.
-        commands: (N) LowCmds, each of which the robot can reach from the one before.
-        velocity: (29,) what the joints can do, rad/s.
+        participant: whose domain to use.
+        recorded: the commands.
     """
 
-    def __init__(
-        self,
-        participant: Participant,
-        times: NDArray[np.float64],
-        commands: PackedCommands,
-        velocity: NDArray[np.float64],
-    ) -> None:
+    def __init__(self, participant: Participant, recorded: RecordedCommands) -> None:
         super().__init__(participant)
-        # A command is the nearest from half way to the one before to half way to the next.
-        self._until = (times[1:] + times[:-1]) / 2.0
-        self._recorded = commands
-        self._leap = velocity * LEAP_TIME
-        self._own, self._other, self._asked = LowCmd(), LowCmd(), Reference()
-        #: The joint targets that went out last, and whether they were recorded ones.
+        # A command is the nearest between the midpoints to its neighbours.
+        self._until = (recorded.times[1:] + recorded.times[:-1]) / 2.0
+        self._data = recorded.data
+        self._max_step = recorded.velocity * MAX_STEP_TIME
+        self._own, self._recorded, self._reference = LowCmd(), LowCmd(), Reference()
+        #: The joint targets that were sent last, and whether they were recorded ones.
         self._last: NDArray[np.float32] | None = None
         self._replaying = False
 
     def send(self, command: bytes, reference: bytes, stamp: int) -> int:
-        """Publish a LowCmd and the Reference beside it with the same publish time, ns.
+        """Publish a LowCmd and its Reference, both with the publish time `stamp`, ns.
 
         Returns:
-            When the LowCmd was out, ns of CLOCK_MONOTONIC.
+            When the LowCmd was written, ns of CLOCK_MONOTONIC.
 
         Raises:
-            SafetyError: the recorded command is for another robot than the one that is there, or
-                the robot would leap into what is recorded, or out of it.
+            SafetyError: the recorded command is for another robot, or the target would jump
+                between the loop's commands and recorded ones.
         """
-        self._asked.load(reference)
-        phase, going_out = int(self._asked.phase), self._own
+        self._reference.load(reference)
+        phase, sent = int(self._reference.phase), self._own
         self._own.load(command)
         if phase == Phase.PLAY:
-            command, going_out = self._in_place_of(float(self._asked.motion_time)), self._other
-        if phase != Phase.DAMP:  # which holds no joint anywhere, and must not fail
-            self._require_no_leap(going_out.q, phase == Phase.PLAY)
+            command, sent = self._recorded_at(float(self._reference.motion_time)), self._recorded
+        if phase != Phase.DAMP:  # which commands no position, and must not fail
+            self._require_no_jump(sent.q, phase == Phase.PLAY)
         return super().send(command, reference, stamp)
 
-    def _in_place_of(self, motion_time: float) -> bytes:
-        """What was recorded instead of the loop's own command; is loaded into `_other`."""
-        recorded = self._recorded[int(np.searchsorted(self._until, motion_time))]
-        self._other.load(recorded)
-        if self._own.mode_machine != self._other.mode_machine:
+    def _recorded_at(self, motion_time: float) -> bytes:
+        """The recorded command nearest to a time, s; also loaded into `_recorded`."""
+        data = self._data[int(np.searchsorted(self._until, motion_time))]
+        self._recorded.load(data)
+        if self._own.mode_machine != self._recorded.mode_machine:
             raise SafetyError(
-                f"The recorded commands are for mode_machine {self._other.mode_machine}, and this "
-                f"robot says {self._own.mode_machine}.",
+                f"The recorded commands are for mode_machine {self._recorded.mode_machine}, this "
+                f"robot has {self._own.mode_machine}.",
                 "Replay the reference instead: leave out --exact.",
             )
-        return recorded
+        return data
 
-    def _require_no_leap(self, q: NDArray[np.float32], replaying: bool) -> None:
-        """Between the loop's own commands and recorded ones: each by itself has been looked at."""
+    def _require_no_jump(self, q: NDArray[np.float32], replaying: bool) -> None:
+        """Check the transitions; steps between two recorded or two own commands are checked."""
         last, before = self._last, self._replaying
         self._last, self._replaying = q.copy(), replaying
         if last is None or before == replaying:
             return
         steps = np.abs(q - last)
-        if (steps <= self._leap).all():
+        if (steps <= self._max_step).all():
             return
-        joint = int(np.argmax(steps / self._leap))
+        joint = int(np.argmax(steps / self._max_step))
         raise SafetyError(
-            f"{JOINT_NAMES[joint]} would leap by {steps[joint]:.3f} rad "
-            f"{'into' if replaying else 'out of'} the recorded commands.",
-            "Replay the reference instead: leave out --exact. Or play all of what was recorded, "
-            "with the joint limits (safety.position_margin) that it was recorded with.",
+            f"{JOINT_NAMES[joint]} would jump by {steps[joint]:.3f} rad at the "
+            f"{'begin' if replaying else 'end'} of the recorded commands.",
+            "Replay the reference instead: leave out --exact. Or play the whole recording, with "
+            "the joint limits (safety.position_margin) of the recording.",
         )
-
-
-class _Block(NamedTuple):
-    """Commands of one time, and which of their bytes differ."""
-
-    first: NDArray[np.uint8]
-    differing: NDArray[np.intp]
-    values: NDArray[np.uint8]
-
-
-class PackedCommands:
-    """LowCmds in order, bit for bit, in a third of their size.
-
-    Most of a LowCmd never changes: gains, modes, motors that a G1 has not. Of each block, the first
-    command is kept, and of the others the bytes in which any differs. Nothing is read from a file
-    or unpacked at length when a command is due.
-    """
-
-    def __init__(self) -> None:
-        self._blocks: list[_Block] = []
-        self._starts: list[int] = []
-        self._n = 0
-
-    def add(self, commands: Sequence[bytes]) -> None:
-        """Add a block of commands, all of one size; some hundred are worth while."""
-        if not commands:
-            return
-        rows = np.frombuffer(b"".join(commands), np.uint8).reshape(len(commands), -1)
-        differing = np.flatnonzero((rows != rows[0]).any(axis=0))
-        self._blocks.append(_Block(rows[0].copy(), differing, rows[:, differing]))
-        self._starts.append(self._n)
-        self._n += len(commands)
-
-    def __len__(self) -> int:
-        return self._n
-
-    def __getitem__(self, i: int) -> bytes:
-        if not 0 <= i < self._n:
-            raise IndexError(i)
-        number = bisect_right(self._starts, i) - 1
-        block = self._blocks[number]
-        row = block.first.copy()
-        row[block.differing] = block.values[i - self._starts[number]]
-        return bytes(row)

@@ -7,7 +7,7 @@ part of them. None stands for what is not known.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import (
     BaseModel,
@@ -172,7 +172,8 @@ class StreamSummary(_Record):
         worst_work_us: longest time from a write to the end of the tick's computation.
         clamped_ticks: joint -> ticks at which its target was held at its limit, most first.
         saturated_ticks: joint -> ticks at which its feed-forward torque was held at its limit.
-        feedforward: what commands carried beside the position when RAMP began.
+        feedforward: what commands carried beside the position when RAMP began; "recorded" where a
+            replay sent recorded commands.
         support: how the robot was taken to be held.
         feedforward_changes: when the torque was switched off and on again, in order.
         states_used: LowStates that were the newest at a tick.
@@ -198,7 +199,7 @@ class StreamSummary(_Record):
     worst_work_us: float | None = None
     clamped_ticks: dict[str, Int] | None = None
     saturated_ticks: dict[str, Int] | None = None
-    feedforward: FeedForwardKind | None = None
+    feedforward: FeedForwardKind | Literal["recorded"] | None = None
     support: Support | None = None
     feedforward_changes: list[FeedForwardChange] = []
     states_used: Int | None = None

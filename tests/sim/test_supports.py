@@ -88,7 +88,7 @@ def test_band_pulls_at_the_torso_by_its_law(
 
 
 def test_unknown_support_is_refused(robot: G1) -> None:
-    with pytest.raises(SimError, match=r"'floating'\. Choose from bolted, hanging"):
+    with pytest.raises(SimError, match="floating"):
         World(robot, "floating")
 
 
@@ -110,7 +110,7 @@ def test_a_followed_base_is_where_the_reference_is(
     world = World(robot, "follow")
     before = world.state().q
     for tick in range(1000):  # a reference comes at every other step
-        world.lead(root_at(tick * 0.002))
+        world.set_reference(root_at(tick * 0.002))
         if tick == 0:
             assert world.state().q.tolist() == before.tolist()
         world.step(servo())
@@ -139,10 +139,12 @@ def test_a_free_base_is_let_go_when_the_motion_begins(
     robot: G1, servo: Callable[..., MotorCommand], run: Callable[..., None]
 ) -> None:
     world = World(robot, "free")
-    world.lead(root_at(0.0, playing=False)._replace(lin_vel=np.zeros(3), ang_vel=np.zeros(3)))
+    world.set_reference(
+        root_at(0.0, playing=False)._replace(lin_vel=np.zeros(3), ang_vel=np.zeros(3))
+    )
     run(world, servo(), 0.2)
     assert world.state().base_pos == pytest.approx([0.4, 0.0, 0.9], abs=0.003)
-    world.lead(root_at(0.0))
+    world.set_reference(root_at(0.0))
     run(world, servo(), 0.1)
     fallen = GRAVITY * 0.1**2 / 2
     assert 0.9 - world.state().base_pos[2] == pytest.approx(fallen, abs=0.01)
@@ -155,7 +157,7 @@ def test_a_base_stands_still_when_the_reference_has_stopped_coming(
     robot: G1, support: Support, servo: Callable[..., MotorCommand], run: Callable[..., None]
 ) -> None:
     world = World(robot, support)
-    world.lead(root_at(0.0, playing=False))  # at 0.63 m/s
+    world.set_reference(root_at(0.0, playing=False))  # at 0.63 m/s
     run(world, servo(), 0.3)
     there = world.state().base_pos.copy()
     run(world, servo(), 1.0)
@@ -168,11 +170,11 @@ def test_a_free_base_is_held_again_by_the_next_session(
 ) -> None:
     world = World(robot, "free")
     rest = root_at(0.0, playing=False)._replace(lin_vel=np.zeros(3), ang_vel=np.zeros(3))
-    world.lead(rest)
-    world.lead(rest._replace(playing=True))
+    world.set_reference(rest)
+    world.set_reference(rest._replace(playing=True))
     run(world, servo(enabled=False), 1.0)
     assert world.state().base_pos[2] < 0.7
-    world.lead(rest)
+    world.set_reference(rest)
     run(world, servo(), 0.5)
     assert world.state().base_pos == pytest.approx([0.4, 0.0, 0.9], abs=0.003)
     assert base_tilt(world.state().imu.quat_wxyz) < 0.01

@@ -135,18 +135,16 @@ def test_states_are_the_callers_own(robot: G1, run: Callable[..., None]) -> None
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("arguments", "value"),
     [
-        ({"joint_pos": np.zeros(23)}, r"shape \(23,\)"),
-        ({"joint_pos": np.full(N_JOINTS, np.nan)}, "29 finite angles"),
-        ({"timestep": 0.0}, "timestep of 0.0"),
-        ({"base_height": float("inf")}, "base height of inf"),
+        ({"joint_pos": np.zeros(23)}, r"\(23,\)"),
+        ({"joint_pos": np.full(N_JOINTS, np.nan)}, r"\(29,\)"),
+        ({"timestep": 0.0}, "timestep 0.0"),
+        ({"base_height": float("inf")}, "base height inf"),
     ],
 )
-def test_impossible_worlds_are_refused(
-    robot: G1, arguments: dict[str, object], message: str
-) -> None:
-    with pytest.raises(SimError, match=message):
+def test_impossible_worlds_are_refused(robot: G1, arguments: dict[str, object], value: str) -> None:
+    with pytest.raises(SimError, match=value):
         World(robot, **arguments)
 
 
@@ -156,13 +154,13 @@ def test_command_that_is_not_finite_is_refused(
     world = World(robot)
     command = servo()
     command.q[JOINT_NAMES.index("left_knee_joint")] = np.nan
-    with pytest.raises(SimError, match="left_knee_joint is not finite"):
+    with pytest.raises(SimError, match="left_knee_joint"):
         world.step(command)
     world.step(servo())
     assert np.isfinite(world.state().q).all()
 
 
-def test_state_that_cannot_be_integrated_is_told(
+def test_a_state_that_cannot_be_integrated_is_an_error(
     robot: G1,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -173,5 +171,5 @@ def test_state_that_cannot_be_integrated_is_told(
     world = World(robot)
     run(world, servo(), 0.01)
     world.data.qvel[:] = 1e12
-    with pytest.raises(SimError, match=r"back to its start at 0\.010 s"):
+    with pytest.raises(SimError, match=r"0\.010 s"):
         world.step(servo())

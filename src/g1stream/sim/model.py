@@ -11,36 +11,36 @@ from g1stream.robot.mujoco_spec import mujoco_spec
 if TYPE_CHECKING:
     from g1stream.robot.model import G1
 
-__all__ = ["BASE_BODY", "LEADER", "build_model"]
+__all__ = ["BASE_BODY", "BASE_TARGET", "build_model"]
 
 BASE_BODY: Final = 1
 """The body of the URDF's root link: the world is body 0, and the root comes next."""
 
-LEADER: Final = "leader"
-"""The mocap body that leads a base, and the weld between the two."""
+BASE_TARGET: Final = "base_target"
+"""The mocap body that a base is welded to, and the weld between the two."""
 
-_FLOOR: Final = 1  # the floor's contact bit; a shape meets the floor where it has it too
-_HIDDEN: Final = 3  # the first group of shapes that MuJoCo's viewer does not show unless asked
+_FLOOR: Final = 1  # the contact bit of the floor and of what collides with it
+_HIDDEN: Final = 3  # the first group of shapes that MuJoCo's viewer hides by default
 
 
 def build_model(
-    robot: G1, *, floating: bool, led: bool = False, timestep: float, gravity: float
+    robot: G1, *, floating: bool, driven: bool = False, timestep: float, gravity: float
 ) -> Any:
     """Compile a `mujoco.MjModel` of the robot above a floor at height 0.
 
     Motors are servos in motor order: with control c and `actuator_biasprm` (0, -kp, -kd) a motor's
-    force is c - kp q - kd dq, clipped at `g1stream.robot.joints.TORQUE_LIMIT`. Sensors bear
+    force is c - kp q - kd dq, clipped at `g1stream.robot.joints.TORQUE_LIMIT`. Sensors have
     unitree_mujoco's names: `imu_quat`, `imu_gyro`, `imu_acc` at the URDF's `imu_in_pelvis`, the
     same with `secondary_` in front at its `imu_in_torso` (at the base and the torso where it has no
     such frames), `frame_pos` and `frame_vel` of the base.
 
     Meshes are left out, and so are the joints of fingers, which stay at zero. The robot's shapes
-    meet the floor but not each other: a motion retargeted from a human brushes its own body.
+    collide with the floor but not with each other: motions retargeted from humans touch themselves.
 
     Args:
-        robot: whose URDF to take.
-        floating: give the base a free joint, rather than make it part of the world.
-        led: weld the base to a mocap body `leader`, by an equality of that name.
+        robot: whose URDF to use.
+        floating: give the base a free joint; otherwise it is fixed to the world.
+        driven: weld the base to a mocap body `base_target`, by an equality of that name.
         timestep: s.
         gravity: m/s², downward.
 
@@ -59,8 +59,8 @@ def build_model(
         _add_scene(spec)
         _add_motors(spec)
         _add_sensors(spec)
-        if led:
-            _add_leader(spec, timestep)
+        if driven:
+            _add_base_target(spec, timestep)
         model = spec.compile()
     except (ValueError, mujoco.FatalError) as error:
         raise SimError(
@@ -72,7 +72,7 @@ def build_model(
 
 
 def _set_contacts(spec: Any) -> None:
-    """Let the robot's solid shapes meet the floor only, and hide them behind those that look."""
+    """Let solid shapes collide with the floor only, and hide them where there are visual ones."""
     solid = [geom for geom in spec.geoms if geom.contype]
     for geom in solid:
         geom.contype, geom.conaffinity = 0, _FLOOR
@@ -107,16 +107,16 @@ def _add_scene(spec: Any) -> None:
     spec.visual.headlight.ambient = [0.4, 0.4, 0.4]
 
 
-def _add_leader(spec: Any, timestep: float) -> None:
-    """A body that is put where the base shall be, and a weld as stiff as the timestep allows."""
+def _add_base_target(spec: Any, timestep: float) -> None:
+    """A body at the pose that the base shall have, and a weld as stiff as the timestep allows."""
     import mujoco
 
-    spec.worldbody.add_body(name=LEADER, mocap=True)
+    spec.worldbody.add_body(name=BASE_TARGET, mocap=True)
     spec.add_equality(
-        name=LEADER,
+        name=BASE_TARGET,
         type=mujoco.mjtEq.mjEQ_WELD,
         objtype=mujoco.mjtObj.mjOBJ_BODY,
-        name1=LEADER,
+        name1=BASE_TARGET,
         name2=spec.worldbody.first_body().name,
         solref=[2 * timestep, 1],
         solimp=[0.9999, 0.9999, 0.001, 0.5, 2],

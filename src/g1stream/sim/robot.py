@@ -131,7 +131,7 @@ class SimulatedRobot:
         """Take a Reference; values that are not finite end the simulation."""
         reference = self._reference
         reference.load(data)
-        self._world.lead(
+        self._world.set_reference(
             Root(
                 reference.root_pos,
                 reference.root_quat_wxyz,

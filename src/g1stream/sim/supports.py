@@ -1,4 +1,4 @@
-"""What holds the robot's base."""
+"""The ways in which the simulated robot's base is held."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from g1stream.errors import SimError
 from g1stream.robot.rotations import quat_mul, quat_normalize
-from g1stream.sim.model import BASE_BODY, LEADER
+from g1stream.sim.model import BASE_BODY, BASE_TARGET
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -20,14 +20,14 @@ __all__ = ["BaseSupport", "Bolted", "Follow", "Free", "Hanging", "Root", "find_s
 
 
 class Root(NamedTuple):
-    """Where a reference wants the base, and how it moves there.
+    """The base pose and velocity of a reference.
 
     Attributes:
         pos: (3,) m, world.
         quat_wxyz: (4,) base to world.
         lin_vel: (3,) m/s, world.
         ang_vel: (3,) rad/s, base frame.
-        playing: whether the motion is being played, rather than led up to.
+        playing: whether the motion is being played; False before that.
     """
 
     pos: NDArray[np.float64]
@@ -42,12 +42,12 @@ class BaseSupport(Protocol):
 
     Attributes:
         floating: whether the base needs a free joint.
-        led: whether it needs a leader to be welded to.
-        height: where the base starts unless told, m.
+        driven: whether the base is welded to a mocap body.
+        height: where the base starts by default, m.
     """
 
     floating: ClassVar[bool]
-    led: ClassVar[bool]
+    driven: ClassVar[bool]
     height: float
 
     def __init__(self, model: Any, data: Any) -> None: ...
@@ -58,15 +58,15 @@ class BaseSupport(Protocol):
     def hold(self) -> None:
         """Set the outer forces of the next physics step."""
 
-    def lead(self, root: Root) -> None:
-        """Take note of where the reference wants the base."""
+    def set_reference(self, root: Root) -> None:
+        """Take the base pose of a reference."""
 
 
 class Bolted:
     """The base is part of the world and never moves."""
 
     floating: ClassVar[bool] = False
-    led: ClassVar[bool] = False
+    driven: ClassVar[bool] = False
     height = 1.0  # a stretched leg and its foot reach 0.8 m down, so the feet stay off the floor
 
     def __init__(self, model: Any, data: Any) -> None:
@@ -78,10 +78,10 @@ class Bolted:
         self._base_pos[:] = 0.0, 0.0, height
 
     def hold(self) -> None:
-        """Nothing: the world holds it."""
+        """Does nothing: the world holds it."""
 
-    def lead(self, root: Root) -> None:
-        """Nothing: it stays."""
+    def set_reference(self, root: Root) -> None:
+        """Does nothing: it stays."""
 
 
 class Hanging:
@@ -94,7 +94,7 @@ class Hanging:
     """
 
     floating: ClassVar[bool] = True
-    led: ClassVar[bool] = False
+    driven: ClassVar[bool] = False
     _TOP: Final = 3.0
     _STIFFNESS: Final = 200.0
     _DAMPING: Final = 100.0
@@ -116,7 +116,7 @@ class Hanging:
         self._base_vel[:] = 0.0
 
     def hold(self) -> None:
-        """Pull at the torso for where the base is now."""
+        """Set the force of the band at the torso."""
         x, y, z = self._base_pos.tolist()
         vx, vy, vz = self._base_vel.tolist()
         dx, dy, dz = -x, -y, self._TOP - z
@@ -126,56 +126,56 @@ class Hanging:
         self._force[:] = pull * dx, pull * dy, pull * dz
         self._forces[self._torso, :3] = self._share * self._force
 
-    def lead(self, root: Root) -> None:
-        """Nothing: the band carries it where it will."""
+    def set_reference(self, root: Root) -> None:
+        """Does nothing: the band alone holds it."""
 
 
 class Follow:
-    """The base is driven along the reference's root pose, as far as the robot reaches in the clip.
+    """The base is driven along the reference's root pose.
 
-    Nothing else touches the robot: the feet of a retargeted motion pass through a floor. Until a
-    reference comes, the base stays where it was put; to the first one, and to one that leaps, it is
-    moved at once, joints and all. Where references stop coming it stands still.
+    There is no contact with the floor, which the feet of retargeted motions go through. Without a
+    reference the base stays where it was put. At the first one, and at a leap, the whole robot is
+    moved there at once. When references stop coming it stands still.
     """
 
     floating: ClassVar[bool] = True
-    led: ClassVar[bool] = True
+    driven: ClassVar[bool] = True
     height = 1.0
     _LEAP: Final = 0.2  # m between two references, beyond any speed
-    _PATIENCE: Final = 0.1  # s without a reference, after which there is nobody to follow
+    _TIMEOUT: Final = 0.1  # s without a reference, after which the base stands still
 
     def __init__(self, model: Any, data: Any) -> None:
         self._base_pose, self._base_vel = data.qpos[:7], data.qvel[:6]
-        leader = model.body_mocapid[model.body(LEADER).id]
-        self._pos, self._quat = data.mocap_pos[leader], data.mocap_quat[leader]
+        target = model.body_mocapid[model.body(BASE_TARGET).id]
+        self._pos, self._quat = data.mocap_pos[target], data.mocap_quat[target]
         self._timestep = model.opt.timestep
         self._vel, self._ang_vel = np.zeros(3), np.zeros(3)
-        self._unled = 0.0
+        self._reference_age = 0.0
         floor = model.geom("floor").id
         model.geom_contype[floor] = model.geom_conaffinity[floor] = 0
 
     def place(self, height: float) -> None:
-        """Let the base stay at this height, m, until a reference comes."""
+        """Put the base at this height, m."""
         self._base_pose[:] = 0.0, 0.0, height, 1.0, 0.0, 0.0, 0.0
         self._base_vel[:] = 0.0
         self._pos[:], self._quat[:] = self._base_pose[:3], self._base_pose[3:]
 
     def hold(self) -> None:
-        """Move the leader on by a step, unless it has lost its reference."""
-        self._unled += self._timestep
-        if self._unled > self._PATIENCE:
+        """Extrapolate the reference by a step, unless it has timed out."""
+        self._reference_age += self._timestep
+        if self._reference_age > self._TIMEOUT:
             return
         self._pos += self._timestep * self._vel
         turn = self._timestep * self._ang_vel
         self._quat[:] = quat_normalize(quat_mul(self._quat, np.array([1.0, *(turn / 2)])))
 
-    def lead(self, root: Root) -> None:
-        """Put the leader where the reference is, and the base too if that is far."""
+    def set_reference(self, root: Root) -> None:
+        """Drive the base to the reference; move it there at once if that is far."""
         if np.abs(root.pos - self._pos).max() > self._LEAP:
             self._move_base(root)
         self._pos[:], self._quat[:] = root.pos, root.quat_wxyz
         self._vel[:], self._ang_vel[:] = root.lin_vel, root.ang_vel
-        self._unled = 0.0
+        self._reference_age = 0.0
 
     def _move_base(self, root: Root) -> None:
         self._base_pose[:3], self._base_pose[3:] = root.pos, root.quat_wxyz
@@ -185,8 +185,7 @@ class Follow:
 class Free(Follow):
     """Nothing holds the base once the motion is played: the robot stands, or falls.
 
-    Until then it is held where the reference's first frame has it, and so it is again when another
-    session leads up to its motion.
+    Until then it is held at the reference's first frame, and again when another session begins.
     """
 
     def __init__(self, model: Any, data: Any) -> None:
@@ -194,22 +193,22 @@ class Free(Follow):
         solid = model.geom_contype[floor], model.geom_conaffinity[floor]
         super().__init__(model, data)
         model.geom_contype[floor], model.geom_conaffinity[floor] = solid
-        self._weld = data.eq_active[model.equality(LEADER).id :][:1]
+        self._weld = data.eq_active[model.equality(BASE_TARGET).id :][:1]
 
     def hold(self) -> None:
-        """Move the leader on by a step, while there is one."""
+        """Extrapolate the reference by a step, while the base is held."""
         if self._weld[0]:
             super().hold()
 
-    def lead(self, root: Root) -> None:
-        """Let go when the motion begins, and take hold when another is led up to."""
+    def set_reference(self, root: Root) -> None:
+        """Release the base when the motion begins, and hold it when another session begins."""
         if root.playing:
             self._weld[0] = False
             return
         if not self._weld[0]:
             self._weld[0] = True
             self._move_base(root)
-        super().lead(root)
+        super().set_reference(root)
 
 
 _SUPPORTS: Final[Mapping[str, type[BaseSupport]]] = {
@@ -227,7 +226,5 @@ def find_support(name: str) -> type[BaseSupport]:
         SimError: there is no support of this name.
     """
     if name not in _SUPPORTS:
-        raise SimError(
-            f"The base cannot be supported {name!r}.", f"Choose from {', '.join(_SUPPORTS)}."
-        )
+        raise SimError(f"There is no support {name!r}.", f"Choose from {', '.join(_SUPPORTS)}.")
     return _SUPPORTS[name]

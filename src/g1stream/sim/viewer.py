@@ -1,4 +1,4 @@
-"""MuJoCo's own viewer on a simulated world."""
+"""MuJoCo's viewer for a simulated world."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ if TYPE_CHECKING:
 
 __all__ = ["open_viewer"]
 
-_REMEDY = "Run it where there is a desktop, or without the viewer."
+_REMEDY = "Run it on a desktop, or without the viewer."
 
 
 def open_viewer(world: World) -> Any:
-    """Open a window on the world and return MuJoCo's handle of it, a context manager.
+    """Open a window and return MuJoCo's handle of it, a context manager.
 
-    The window shows what the world was at the last `sync()`, which takes a copy and should be
-    called some 50 times a second, from the thread that steps. `is_running()` turns false when the
-    user closes the window; `close()` closes it.
+    The window shows the world at the last `sync()`, which copies it and should be called some 50
+    times a second, from the thread that steps. `is_running()` is False once the user has closed
+    the window; `close()` closes it.
 
     Raises:
         SimError: there is no display, or no OpenGL on it.
@@ -38,7 +38,7 @@ def open_viewer(world: World) -> Any:
 
 
 def _check_display() -> None:
-    """Try a hidden window first: where none can be made, MuJoCo's viewer waits for it for ever."""
+    """Try a hidden window first: without a display, MuJoCo's viewer would wait for ever."""
     if sys.platform == "darwin":
         return
     import glfw

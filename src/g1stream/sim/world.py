@@ -1,7 +1,7 @@
 """A simulated G1: motor commands in, measured state out, one physics step at a time.
 
-Time is the simulation's own; nothing here knows of clocks or DDS, and nothing is random, so the
-same commands give the same states to the last bit.
+Time is simulated, without clocks or DDS, and nothing is random: the same commands give the same
+states, bit for bit.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ __all__ = ["Imu", "MotorCommand", "World", "WorldState"]
 
 
 class MotorCommand(NamedTuple):
-    """What the motors are told, motor order: tau + kp (q - measured q) + kd (dq - measured dq).
+    """Commands to the motors, motor order: tau + kp (q - measured q) + kd (dq - measured dq).
 
     Attributes:
         enabled: (29,) bool; a motor that is not enabled gives no torque.
@@ -53,12 +53,12 @@ class MotorCommand(NamedTuple):
 
 
 class Imu(NamedTuple):
-    """What an inertial unit measures.
+    """What an IMU measures.
 
     Attributes:
         quat_wxyz: (4,) attitude in the world.
-        gyroscope: (3,) rad/s, in the unit's frame.
-        accelerometer: (3,) m/s², in the unit's frame, gravity included: upward 9.81 at rest.
+        gyroscope: (3,) rad/s, in the IMU's frame.
+        accelerometer: (3,) m/s², in the IMU's frame, gravity included: upward 9.81 at rest.
     """
 
     quat_wxyz: NDArray[np.float64]
@@ -66,12 +66,12 @@ class Imu(NamedTuple):
     accelerometer: NDArray[np.float64]
 
     def copy(self) -> Imu:
-        """The same figures in arrays of their own."""
+        """A copy of the arrays."""
         return Imu(*(part.copy() for part in self))
 
 
 class WorldState(NamedTuple):
-    """What is measured after a physics step; arrays of its own, joints in motor order.
+    """What is measured after a physics step, joints in motor order; the arrays are copies.
 
     Positions, velocities and attitudes are those at `time`; accelerations and torques are those of
     the step that led there.
@@ -82,8 +82,8 @@ class WorldState(NamedTuple):
         dq: (29,) rad/s.
         ddq: (29,) rad/s².
         tau_est: (29,) N·m that the motors applied, limits included.
-        imu: the unit in the pelvis.
-        torso_imu: the unit in the torso.
+        imu: the IMU in the pelvis.
+        torso_imu: the IMU in the torso.
         base_pos: (3,) m, the base's origin in the world.
         base_lin_vel: (3,) m/s, of that origin, in the world.
     """
@@ -105,15 +105,15 @@ class World:
     Args:
         robot: the G1.
         support: what holds its base.
-        joint_pos: (29,) rad, motor order, where the joints start; all zero unless given.
-        base_height: m, where the base starts; where the support holds it best unless given.
-        timestep: s. With a millisecond, half the period of LowState at 500 Hz, a dance comes out
-            within 0.3 mrad RMS of what a step twenty times finer gives.
+        joint_pos: (29,) rad, motor order, where the joints start; all zero by default.
+        base_height: m, where the base starts; by default as the support prefers.
+        timestep: s. With 1 ms, half the period of LowState at 500 Hz, a dance differs by 0.3 mrad
+            RMS from that with a step twenty times finer.
         gravity: m/s², downward.
 
     Attributes:
         model: the `mujoco.MjModel`.
-        data: its `mujoco.MjData`, for a viewer to look at.
+        data: its `mujoco.MjData`, for a viewer.
         timestep: s.
 
     Raises:
@@ -135,7 +135,7 @@ class World:
         kind = find_support(support)
         self.timestep = _checked("timestep", timestep)
         self.model: Any = build_model(
-            robot, floating=kind.floating, led=kind.led, timestep=timestep, gravity=gravity
+            robot, floating=kind.floating, driven=kind.driven, timestep=timestep, gravity=gravity
         )
         self.data: Any = mujoco.MjData(self.model)
         self._support = kind(self.model, self.data)
@@ -159,18 +159,17 @@ class World:
         pose = np.asarray(joint_pos, dtype=np.float64)
         if pose.shape != (N_JOINTS,) or not np.isfinite(pose).all():
             raise SimError(
-                f"The robot cannot start at a pose of shape {pose.shape} that is not "
-                f"{N_JOINTS} finite angles.",
+                f"The start pose of shape {pose.shape} is not {N_JOINTS} finite angles.",
                 "Give one angle in radians for each joint, in motor order.",
             )
         self.data.qpos[[joint.qposadr[0] for joint in joints]] = pose
 
     def _find_imu(self, name: str) -> Imu:
-        """The live arrays of an inertial unit."""
+        """The arrays of an IMU, which MuJoCo updates in place."""
         return Imu(*(self.data.sensor(f"{name}_{part}").data for part in ("quat", "gyro", "acc")))
 
     def step(self, command: MotorCommand) -> None:
-        """Advance by one timestep, the motors obeying the command.
+        """Advance by one timestep under a command.
 
         Each motor gives tau + kp (q - measured q) + kd (dq - measured dq), clipped at
         `g1stream.robot.joints.TORQUE_LIMIT`.
@@ -181,19 +180,19 @@ class World:
         before = self.data.time
         self._set_motors(command)
         self._support.hold()
-        # The step is cut where MuJoCo's own begins, so that what is measured belongs to its end.
+        # Split where MuJoCo's own step begins, so that the sensors show the state at its end.
         self._integrate()
         self._look()
         if self.data.time <= before:
             raise SimError(
-                f"The simulation jumped back to its start at {before:.3f} s: its state became "
-                "too large to integrate, or the viewer reset it.",
-                "Look for implausible masses in the URDF, or for gains far above Unitree's.",
+                f"The simulation was reset at {before:.3f} s: its state became too large to "
+                "integrate, or the viewer reset it.",
+                "Check the masses in the URDF, and gains far above Unitree's.",
             )
 
-    def lead(self, root: Root) -> None:
-        """Tell the support where the reference wants the base."""
-        self._support.lead(root)
+    def set_reference(self, root: Root) -> None:
+        """Give the support the base pose of the reference."""
+        self._support.set_reference(root)
 
     def _set_motors(self, command: MotorCommand) -> None:
         kp, kd, work, control = self._kp, self._kd, self._work, self.data.ctrl
@@ -206,9 +205,7 @@ class World:
         control += work
         if not isfinite(control.sum()):
             joint = JOINT_NAMES[int(np.flatnonzero(~np.isfinite(control))[0])]
-            raise SimError(
-                f"The command to {joint} is not finite.", "Publish ordinary numbers only."
-            )
+            raise SimError(f"The command to {joint} is not finite.", "Publish finite numbers only.")
         bias = self.model.actuator_biasprm
         np.negative(kp, out=bias[:, 1])
         np.negative(kd, out=bias[:, 2])
@@ -231,5 +228,5 @@ class World:
 
 def _checked(what: str, value: float) -> float:
     if not (isfinite(value) and value > 0):
-        raise SimError(f"The {what} of {value} cannot be simulated.", "Give a positive number.")
+        raise SimError(f"The {what} {value} is not a positive number.", "Give a positive number.")
     return value

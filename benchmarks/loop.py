@@ -48,8 +48,7 @@ def stream(domain: int, rate: int, seconds: float) -> dict[str, Any]:
     time.sleep(max(1.0, seconds - 3.0))
     share = 100.0 * (cpu_of(process.pid) - cpu) / (time.monotonic() - wall)
     out, _ = process.communicate(timeout=60)
-    told = json.loads(out)
-    loop = told["loop"]
+    loop = json.loads(out)["stream"]
     return {
         "cpu_percent": None if loop["reason"] else share,  # it may have ended long ago
         "commands": loop["commands"],
@@ -57,7 +56,7 @@ def stream(domain: int, rate: int, seconds: float) -> dict[str, Any]:
         "max_us": loop["lateness_us"]["max"],
         "histogram_us": loop["lateness_histogram_us"],
         "reason": loop["reason"],
-        "realtime": told["realtime"],
+        "realtime": loop["realtime"],
     }
 
 

@@ -3,9 +3,10 @@
     import g1stream
 
     motion = g1stream.load_motion("dance.csv")
-    outcome = g1stream.stream(motion, record="session.mcap")
+    summary = g1stream.stream(motion, record="session.mcap")
     session = g1stream.open_session("session.mcap")
-    g1stream.tracking(session).rmse  # (29,) rad; how well it went
+    print(session.summary())  # what is in it and how well it went
+    session.tracking().rmse  # (29,) rad
     session.reference.q, session.measured.q  # numpy arrays with both clocks beside them
 
 What the names stand for is loaded when it is first used, so that importing costs nothing.
@@ -17,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 from g1stream._version import __version__
 
 if TYPE_CHECKING:
-    from g1stream.analysis.tracking import tracking
+    from g1stream.analysis.tracking import Tracking
     from g1stream.config import Config, load_config
     from g1stream.errors import G1StreamError
     from g1stream.motion.motion import Motion
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from g1stream.robot.model import G1
     from g1stream.session.motions import load_motion
     from g1stream.session.session import Session, open_session
+    from g1stream.session.summary import Summary
 
 __all__ = [
     "G1",
@@ -41,6 +43,8 @@ __all__ = [
     "G1StreamError",
     "Motion",
     "Session",
+    "Summary",
+    "Tracking",
     "Trajectory",
     "TrajectoryPoint",
     "__version__",
@@ -53,7 +57,6 @@ __all__ = [
     "rollout",
     "simulate",
     "stream",
-    "tracking",
 ]
 
 _HOME = {
@@ -64,6 +67,8 @@ _HOME = {
     "JOINT_NAMES": "robot.joints",
     "Motion": "motion.motion",
     "Session": "session.session",
+    "Summary": "session.summary",
+    "Tracking": "analysis.tracking",
     "Trajectory": "motion.trajectory",
     "TrajectoryPoint": "motion.trajectory",
     "convert": "programs.convert",
@@ -75,7 +80,6 @@ _HOME = {
     "rollout": "programs.rollout",
     "simulate": "programs.sim",
     "stream": "programs.stream",
-    "tracking": "analysis.tracking",
 }
 
 

@@ -67,7 +67,7 @@ def test_messages_times_and_the_log_are_selected_too(session):
 def test_tracking_of_a_part(session):
     whole, part = session.tracking(), session.sel(time=slice(1.0, 2.0)).tracking()
     assert whole.delay.seconds == pytest.approx(LATE, abs=1e-4)
-    inside = (whole.compared.motion_time >= 1.0) & (whole.compared.motion_time <= 2.0)
+    inside = (whole.motion_time >= 1.0) & (whole.motion_time <= 2.0)
     np.testing.assert_allclose(part.error, whole.error[inside], atol=1e-9)
 
 

@@ -1,45 +1,236 @@
-"""The tracking of a session, as it is had in Python."""
+"""Tracking figures against errors known in closed form, and against scipy."""
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from scipy.interpolate import make_interp_spline
 
-import g1stream
-from g1stream.analysis.metrics import compare, track
+from g1stream.analysis.tracking import compare, pooled
+from g1stream.errors import RecordingError
+from g1stream.robot.joints import JOINT_GROUPS
+from g1stream.session.session import open_session
+from g1stream.types import Phase
+
+#: How far a straight line between references is from the fastest sine here, rad: h^2/8 max|ddq|.
+STRAIGHT = 0.002**2 / 8 * 0.6 * (2 * np.pi * 1.25) ** 2
 
 SAG = np.linspace(-0.2, 0.1, 29)
 
 
-def test_it_is_that_of_the_sessions_arrays(play, write_session):
-    session = g1stream.open_session(write_session(*play(0.04, -SAG)))
-    found = g1stream.tracking(session)
-    expected = track(compare(session.reference, session.measured))
-    np.testing.assert_array_equal(found.rmse, expected.rmse)
+def test_the_rmse_of_a_robot_that_is_late(play, motion):
+    delay = 0.04
+    tracking = compare(*play(delay))
+    # sin(a) - sin(a - wd) = 2 sin(wd/2) cos(a - wd/2), whose RMS over a period is sqrt(2) sin(wd/2)
+    expected = np.sqrt(2) * motion.amplitude * np.sin(motion.omega * delay / 2)
+    np.testing.assert_allclose(tracking.rmse, expected, atol=STRAIGHT)
+    np.testing.assert_allclose(tracking.mean, 0.0, atol=STRAIGHT)
+    largest = 2 * motion.amplitude * np.sin(motion.omega * delay / 2)
+    np.testing.assert_allclose(tracking.max_abs, largest, rtol=1e-4, atol=STRAIGHT)
+
+
+def test_the_rmse_of_a_robot_that_sags(play):
+    tracking = compare(*play(offset=-SAG))
+    np.testing.assert_allclose(tracking.mean, SAG, atol=STRAIGHT)
+    np.testing.assert_allclose(tracking.rmse, np.abs(SAG), atol=STRAIGHT)
+    assert tracking.delay.seconds == pytest.approx(0.0, abs=1e-5)
+
+
+@pytest.mark.parametrize("delay", [-0.0113, 0.0, 0.0021, 0.0377, 0.1204])
+def test_the_delay_is_found_beside_a_sag(play, delay):
+    # 3.3 s are no whole number of periods, so that the joints' means differ from place to place.
+    phases = ((Phase.RAMP, 0.5), (Phase.PLAY, 3.3), (Phase.HOLD, 0.3))
+    tracking = compare(*play(delay, -SAG, phases))
+    assert tracking.delay.seconds == pytest.approx(delay, abs=1e-4)
+    np.testing.assert_allclose(tracking.delay.rmse, np.abs(SAG), atol=3e-4)
+    np.testing.assert_allclose(tracking.delay.std, 0.0, atol=3e-4)
+
+
+def test_a_smaller_answer_is_not_a_delay(play, change):
+    reference, measured = play(0.03)
+    tracking = compare(reference, change(measured, q=0.7 * measured.q))
+    assert tracking.delay.seconds == pytest.approx(0.03, abs=1e-4)
+    reference_rms = np.sqrt(np.mean(np.square(compare(reference, measured).reference), axis=0))
+    np.testing.assert_allclose(tracking.delay.rmse, 0.3 * reference_rms, atol=3e-4)
+
+
+def test_where_the_largest_error_is(play, change):
+    reference, measured = play()
+    q = measured.q.copy()
+    state = np.flatnonzero(measured.publish_time > reference.publish_time[0] + 2_000_000_000)[0]
+    q[state, 7] -= 0.9
+    tracking = compare(reference, change(measured, q=q))
+    assert tracking.max_abs[7] == pytest.approx(0.9, abs=STRAIGHT)
+    # RAMP lasts 0.5 s; the state is the first after 2 s.
+    assert tracking.max_abs_at[7] == pytest.approx(1.5007, abs=1e-6)
+
+
+def test_only_what_was_played_counts(play, change):
+    reference, measured = play()
+    seconds = (measured.publish_time - reference.publish_time[0]) / 1e9 - 0.5
+    q = np.where(((seconds < 0) | (seconds > 4))[:, None], 9.0, measured.q)
+    tracking = compare(reference, change(measured, q=q))
+    assert tracking.max_abs.max() < STRAIGHT
+    assert len(tracking.time) == 2000
+    assert tracking.duration == pytest.approx(4.0)
+    assert tracking.excluded == 0
+
+
+def test_the_reference_at_a_state_is_scipys(play, take):
+    rng = np.random.default_rng(3)
+    reference, measured = play()
+    reference = take(reference, np.sort(rng.choice(len(reference), 2000, replace=False)))
+    tracking = compare(reference, measured)
+    times = (reference.publish_time - measured.publish_time[0]) / 1e9
+    expected = make_interp_spline(times, reference.q, k=1)(tracking.time)
+    np.testing.assert_allclose(tracking.reference, expected, atol=1e-12)
+    motion_time = make_interp_spline(times, reference.motion_time, k=1)(tracking.time)
+    np.testing.assert_allclose(tracking.motion_time, motion_time, atol=1e-12)
+
+
+def test_states_in_a_hole_of_the_reference_are_left_out(play, take):
+    reference, measured = play(0.04)
+    at = (reference.publish_time - reference.publish_time[0]) / 1e9
+    hole = (at > 2.0) & (at < 2.3)
+    with_hole = compare(take(reference, ~hole), measured)
+    whole = compare(reference, measured)
+    assert with_hole.excluded == len(whole.time) - len(with_hole.time) == 150
+    assert with_hole.duration == pytest.approx(whole.duration - 0.3)
+    kept = np.isin(whole.time, with_hole.time)
+    np.testing.assert_array_equal(with_hole.measured, whole.measured[kept])
+    np.testing.assert_allclose(with_hole.reference, whole.reference[kept], atol=1e-12)
+
+
+def test_a_short_stall_of_the_reference_is_compared(play, take):
+    reference, measured = play(0.04)
+    at = (reference.publish_time - reference.publish_time[0]) / 1e9
+    tracking = compare(take(reference, (at < 2.0) | (at > 2.05)), measured)
+    assert tracking.excluded == 0
+    assert len(tracking.time) == 2000
+
+
+def test_the_order_of_the_file_does_not_matter(play, take):
+    rng = np.random.default_rng(5)
+    reference, measured = play(0.04)
+    shuffled = [take(stream, rng.permutation(len(stream))) for stream in (reference, measured)]
+    straight, other = compare(reference, measured), compare(*shuffled)
+    np.testing.assert_allclose(other.rmse, straight.rmse, atol=1e-12)
+    assert other.delay.seconds == pytest.approx(straight.delay.seconds, abs=1e-9)
+
+
+def test_a_robot_with_a_clock_of_its_own(play, change):
+    reference, measured = play(0.04)
+    robot = change(measured, publish_time=measured.publish_time + 3_200_000_000)
+    tracking, straight = compare(reference, robot), compare(reference, measured)
+    # Its clock is set right up to the 0.1 ms that each message takes.
+    assert tracking.delay.seconds == pytest.approx(straight.delay.seconds + 1e-4, abs=1e-6)
+    np.testing.assert_allclose(tracking.rmse, straight.rmse, rtol=5e-3)
+
+
+def test_a_recorder_that_came_late_still_finds_the_delay(play, take):
+    reference, measured = play(0.06)
+    late = reference.publish_time[0] + 4_000_000_000
+    reference, measured = (take(s, s.publish_time > late) for s in (reference, measured))
+    tracking = compare(reference, measured)
+    assert len(tracking.time) == 249
+    assert tracking.delay.seconds == pytest.approx(0.06, abs=1e-4)
+
+
+@pytest.mark.parametrize("delay", [-0.05, 0.3])
+def test_a_delay_that_is_not_looked_for_is_not_made_up(play, delay):
+    assert compare(*play(delay)).delay is None
+
+
+def test_a_robot_that_stands_still_has_no_delay(play, change):
+    reference, measured = play()
+    tracking = compare(reference, change(measured, q=np.zeros_like(measured.q)))
+    assert tracking.delay is None
+    assert tracking.rmse[28] == pytest.approx(0.6 / np.sqrt(2), rel=1e-3)
+
+
+def test_a_session_without_play(play, change):
+    reference, measured = play()
+    ramp_only = change(reference, phase=np.full_like(reference.phase, Phase.RAMP))
+    assert compare(ramp_only, measured) is None
+
+
+def test_states_that_all_came_before_the_reference(play, take):
+    reference, measured = play()
+    assert compare(reference, take(measured, slice(0, 20))) is None
+
+
+def test_a_single_reference(play, take):
+    reference, measured = play()
+    playing = np.flatnonzero(reference.phase == Phase.PLAY)[:1]
+    assert compare(take(reference, playing), measured) is None
+
+
+def test_a_group_is_all_its_joints_errors_together(play):
+    tracking = compare(*play(0.04, np.linspace(-0.2, 0.1, 29)))
+    error = tracking.reference - tracking.measured
+    for group, joints in JOINT_GROUPS.items():
+        expected = np.sqrt(np.mean(error[:, list(joints)] ** 2))
+        assert tracking.rmse_by_limb[group] == pytest.approx(expected, rel=1e-12)
+    assert pooled(tracking.rmse) == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-12)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_position_that_is_not_finite_is_excluded(play, change, value):
+    reference, measured = play()
+    q = measured.q.copy()
+    q[1000, 3] = value
+    tracking = compare(reference, change(measured, q=q))
+    assert (len(tracking.time), tracking.excluded) == (1999, 1)
+    assert np.isfinite(tracking.rmse).all()
+
+
+def test_a_session_gives_the_same_and_keeps_it(play, write_session):
+    session = open_session(write_session(*play(0.04, -SAG)))
+    found, expected = session.tracking(), compare(session.reference, session.measured)
+    assert session.tracking() is found
     np.testing.assert_array_equal(found.error, expected.error)
-    assert found.delay.seconds == expected.delay.seconds == pytest.approx(0.04, abs=1e-4)
-
-
-def test_its_figures_agree_with_each_other(play, write_session):
-    found = g1stream.tracking(g1stream.open_session(write_session(*play(offset=-SAG))))
-    assert found.error.shape == (2000, 29)
-    assert found.compared.time.shape == found.compared.motion_time.shape == (2000,)
-    np.testing.assert_allclose(found.error.mean(axis=0), SAG, atol=1e-4)
-    assert found.overall == pytest.approx(np.sqrt(np.mean(found.error**2)))
+    assert found.delay.seconds == pytest.approx(0.04, abs=1e-4)
+    np.testing.assert_allclose(found.time, found.motion_time, atol=1e-6)
     assert found.worst_joint == "left_hip_pitch_joint"
-    assert found.rmse_by_limb["waist"] == pytest.approx(np.sqrt(np.mean(SAG[12:15] ** 2)), abs=1e-4)
 
 
 def test_only_the_joint_positions_are_read(play, write_session):
-    session = g1stream.open_session(write_session(*play()))
-    g1stream.tracking(session)
+    session = open_session(write_session(*play()))
+    session.tracking()
     assert {"q", "phase", "motion_time"} <= vars(session.reference).keys()
-    assert "q" in vars(session.measured)
     assert "dq" not in vars(session.reference) | vars(session.measured)
 
 
-def test_nothing_to_compare_is_said(play, take, write_session):
-    reference, measured = play()
-    with pytest.raises(g1stream.G1StreamError, match="no messages on /reference"):
-        g1stream.tracking(g1stream.open_session(write_session(None, measured, name="a.mcap")))
-    before = [take(stream, slice(0, 200)) for stream in (reference, measured)]
-    with pytest.raises(g1stream.G1StreamError, match="no state came while the motion was played"):
-        g1stream.tracking(g1stream.open_session(write_session(*before, name="b.mcap")))
+@pytest.mark.parametrize("recorded", [(None, slice(None)), (slice(0, 200), slice(0, 200))])
+def test_nothing_to_compare_is_an_error(play, take, write_session, recorded):
+    streams = [
+        which and take(stream, which) for stream, which in zip(play(), recorded, strict=True)
+    ]
+    with pytest.raises(RecordingError):
+        open_session(write_session(*streams)).tracking()
+
+
+def test_the_rmse_is_that_of_another_reader(play, write_session):
+    path = write_session(*play(0.04, SAG))
+    seen = {"/reference": [], "/lowstate": []}
+    with path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        for _, channel, message, decoded in reader.iter_decoded_messages(topics=list(seen)):
+            seen[channel.topic].append((message.publish_time, decoded))
+    start = seen["/reference"][0][0]
+    times = np.array([stamp - start for stamp, _ in seen["/reference"]]) / 1e9
+    asked = make_interp_spline(times, np.array([m.q for _, m in seen["/reference"]]), k=1)
+    played = times[[m.phase == 2 for _, m in seen["/reference"]]]
+    after = times[np.searchsorted(times, played[-1]) + 1]
+    states = np.array([(stamp - start) / 1e9 for stamp, _ in seen["/lowstate"]])
+    q = np.array([[motor.q for motor in m.motor_state[:29]] for _, m in seen["/lowstate"]])
+    inside = (states >= played[0]) & (states < after)
+    error = asked(states[inside]) - q[inside]
+
+    summary = open_session(path).tracking().summary()
+    assert summary.compared_states == len(error) == 2000
+    for limb, joints in JOINT_GROUPS.items():
+        expected = np.sqrt(np.mean(error[:, list(joints)] ** 2))
+        assert summary.rmse_by_limb_rad[limb] == pytest.approx(expected, rel=1e-9)
+    mean = error[:, 3].mean()
+    assert summary.joints["left_knee_joint"].mean_rad == pytest.approx(mean, rel=1e-9)

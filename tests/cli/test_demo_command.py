@@ -12,6 +12,7 @@ from g1stream.cli.demo import Demo
 from g1stream.errors import RecordingError
 from g1stream.programs import demo as program
 from g1stream.session.motions import load_motion
+from g1stream.session.summary import Summary, Termination
 
 OF_THE_READER = "Row 7 has a quaternion of length 0.9."
 
@@ -36,7 +37,7 @@ def told(monkeypatch):
 
     def stream(motion, config, *, on_loop, **_):
         on_loop(SimpleNamespace(request_stop=None))
-        return SimpleNamespace(recording=None, report=SimpleNamespace(commands=0))
+        return Summary(termination=Termination(reason=""))
 
     mine = replace(load_motion("demo"), warnings=(OF_THE_READER,))
     monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
@@ -48,8 +49,6 @@ def told(monkeypatch):
     monkeypatch.setattr("g1stream.cli.demo.announce_wire", lambda _: heard.append("wire"))
     monkeypatch.setattr("g1stream.cli.demo.print_warning", heard.append)
     monkeypatch.setattr("g1stream.cli.demo.watching", lambda: nullcontext(lambda *_: None))
-    monkeypatch.setattr("g1stream.cli.demo.summary", lambda _: "")
-    monkeypatch.setattr("g1stream.cli.demo.exit_code", lambda _: 0)
     return heard
 
 

@@ -24,7 +24,7 @@ def test_json_has_every_finding(domain_id, capsys):
         RawWriter(participant, LOWSTATE)
         assert doctor(domain_id, "--json") == 2
     findings = json.loads(capsys.readouterr().out)
-    assert {tuple(one) for one in findings} == {("level", "about", "cause", "remedy", "figures")}
+    assert all(one.keys() == {"level", "about", "cause", "remedy", "figures"} for one in findings)
     (latency,) = [one for one in findings if one["about"] == "wake-up"]
     assert latency["figures"]["deadlines"] >= 250
     assert [one["level"] for one in findings if one["about"] == "LowState"] == ["problem"]

@@ -31,7 +31,7 @@ def test_all_are_counted_and_the_newest_is_given(ends, until):
     publish(writer, range(2, 42, 2))
     until(lambda: link.receive(state) and link.counts()["states_received"] == 20, "20 states")
     assert int(state.tick) == 40
-    assert link.counts()["states_missed"] == 0
+    assert link.counts()["states_lost"] == 0
 
 
 def test_a_gap_in_the_ticks_is_told(ends, until):
@@ -40,7 +40,7 @@ def test_a_gap_in_the_ticks_is_told(ends, until):
     publish(writer, [2, 4, 6, 14, 16])
     until(lambda: link.receive(state) and int(state.tick) == 16, "the last state")
     counts = link.counts()
-    assert (counts["states_received"], counts["states_missed"]) == (5, 3)
+    assert (counts["states_received"], counts["states_lost"]) == (5, 3)
     assert counts["states_malformed"] == counts["state_restarts"] == 0
 
 
@@ -49,4 +49,4 @@ def test_unknown_where_nobody_counts(ends, until):
     state = LowState()
     publish(writer, [0, 0, 0])
     until(lambda: link.receive(state) and link.counts()["states_received"] == 3, "three states")
-    assert link.counts()["states_missed"] is None
+    assert link.counts()["states_lost"] is None

@@ -41,7 +41,7 @@ def test_a_stop_before_the_first_command_sends_nothing(make_loop, link, events):
     assert loop.run().reason == "SIGTERM"
     assert link.sent == []
     assert events() == [(logging.ERROR, "WAIT -> DONE: SIGTERM")]
-    assert np.isnan(loop.report.rate)
+    assert loop.report.rate is None
 
 
 def test_a_stale_state_damps(make_loop, link):

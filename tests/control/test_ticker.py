@@ -164,7 +164,7 @@ def test_histogram_does_not_grow():
 
 def test_sparse_holds_what_was_counted():
     lateness = lateness_of([0, 999, 1_000, 7_500, 7_999, 25_000_000])
-    assert lateness.sparse() == {"0": 2, "1": 1, "7": 2, "20000": 1}
+    assert lateness.sparse() == {0: 2, 1: 1, 7: 2, 20000: 1}
 
 
 def test_system_clock_sleeps_until_and_not_less():

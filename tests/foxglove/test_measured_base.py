@@ -49,7 +49,7 @@ def test_without_a_reference_the_imu_quaternion_is_unchanged():
     positions, quats = base.poses(TIMES, imu)
     np.testing.assert_array_equal(quats, imu)
     np.testing.assert_array_equal(positions, np.zeros((5, 3)))
-    assert base.as_dict() == {"yaw_offset_rad": None, "position_from": "none"}
+    assert (base.yaw_offset, base.source) == (None, "none")
 
 
 def test_without_sportmodestate_the_position_is_the_references():

@@ -23,6 +23,6 @@ def test_the_example_runs(domain_id, tmp_path, monkeypatch):
             exec(example.replace('"dds.domain": 3', f"{here}, {short}"), names)
         finally:
             sim.terminate()
-    assert names["outcome"].report.reason == ""
+    assert names["summary"].stream.reason == ""
     assert names["tracking"].overall < 0.15
     assert names["tracking"].error.shape[1] == 29

@@ -77,7 +77,7 @@ def test_every_signal_ends_with_a_complete_file(domain_id, tmp_path, until, numb
         said, _ = process.communicate(timeout=20)
     assert process.returncode == 0
     recorded = lowstates(path)
-    assert len(recorded) == json.loads(said)["counts"]["/lowstate"] >= 200
+    assert len(recorded) == json.loads(said)["recorder"]["counts"]["/lowstate"] >= 200
     first = sent.index(recorded[0])
     assert recorded == sent[first : first + len(recorded)]
 
@@ -109,7 +109,7 @@ def test_a_split_recording_is_a_directory_of_parts(domain_id, tmp_path, until):
         until(lambda: len(sent) > 900, "samples")
         process.send_signal(signal.SIGINT)
         said, _ = process.communicate(timeout=20)
-    report = json.loads(said)
+    report = json.loads(said)["recorder"]
     parts = sorted(tmp_path.glob("s/s_*.mcap"))
     assert [str(part) for part in parts] == report["paths"]
     assert len(parts) >= 3
@@ -177,12 +177,12 @@ def test_a_full_disk_ends_the_recording_but_not_the_stream(domain_id, small_disk
     ):
         said, told = stream.communicate(timeout=60)
     outcome = json.loads(said)
-    assert outcome["loop"]["reason"] == ""
-    assert "No space left on device" in outcome["recording"]["stopped"]
-    assert f"record: {outcome['recording']['stopped']}" in told
+    assert outcome["stream"]["reason"] == ""
+    assert "No space left on device" in outcome["recorder"]["stopped"]
+    assert f"record: {outcome['recorder']['stopped']}" in told
     assert stream.returncode == 1
     session = open_session(path)
     assert session.complete
-    assert session.log[-1].text == outcome["recording"]["stopped"]
-    assert 100 < len(session.command) < outcome["loop"]["commands"]
-    assert session.metadata["stream"]["commands"] == outcome["loop"]["commands"]
+    assert session.log[-1].text == outcome["recorder"]["stopped"]
+    assert 100 < len(session.command) < outcome["stream"]["commands"]
+    assert session.metadata["stream"]["commands"] == outcome["stream"]["commands"]

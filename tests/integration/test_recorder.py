@@ -20,6 +20,7 @@ from g1stream.recorder.clocks import ClockReading, read_clocks
 from g1stream.recorder.recorder import Recorder
 from g1stream.robot.model import G1
 from g1stream.session.session import open_session
+from g1stream.session.summary import MeasuredTf
 from g1stream.session.writer import SessionWriter
 
 S = 1_000_000_000
@@ -107,8 +108,8 @@ def test_samples_are_recorded_byte_for_byte(record):
     assert data_of(path, "/lowcmd") == publisher.sent[LOWCMD.name]
     assert data_of(path, "/lowstate") == publisher.sent[LOWSTATE.name]
     assert data_of(path, "/reference") == publisher.sent[REFERENCE.name]
-    assert report.whole
-    assert not any(report.missing.values())
+    assert report.complete
+    assert not any(report.lost.values())
 
 
 def test_derived_messages_are_recorded(record):
@@ -119,7 +120,7 @@ def test_derived_messages_are_recorded(record):
     assert report.counts["/tracking_error/joint_states"] == 300
     assert report.counts["/tf"] > 40
     assert report.counts["/measured/tf"] > 40
-    assert report.measured_tf == {"yaw_offset_rad": 0.0, "position_from": "reference"}
+    assert report.measured_tf == MeasuredTf(yaw_offset_rad=0.0, position_from="reference")
     assert any("yaw is aligned" in text for text in logged(path))
 
 
@@ -141,14 +142,14 @@ def test_another_publishers_session_is_recorded(record):
         report.counts
     )
     assert report.counts["/measured/joint_states"] == 200
-    assert report.measured_tf == {"yaw_offset_rad": None, "position_from": "none"}
-    assert report.whole
+    assert report.measured_tf == MeasuredTf(yaw_offset_rad=None, position_from="none")
+    assert report.complete
 
 
 def test_gaps_in_the_ticks_are_logged_and_written_into_the_file(record, caplog):
     report, path, _ = record((LOWSTATE,), lambda p: p.run([*range(100), *range(107, 200)]))
-    assert report.missing["/lowstate"] == 7
-    assert not report.whole
+    assert report.lost["/lowstate"] == 7
+    assert not report.complete
     (event,) = open_session(path).log
     assert (event.level, event.name) == ("WARNING", "record")
     assert "7" in event.text
@@ -169,7 +170,7 @@ def test_ticks_of_two_publishers_are_counted_apart(record, domain_id):
 
     report, _, _ = record((LOWSTATE,), both)
     assert report.counts["/lowstate"] == 400
-    assert report.missing["/lowstate"] == 0
+    assert report.lost["/lowstate"] == 0
 
 
 def test_a_clock_step_is_logged_and_log_times_are_not_corrected(record):
@@ -181,8 +182,8 @@ def test_a_clock_step_is_logged_and_log_times_are_not_corrected(record):
         return ClockReading(reading.realtime + set_forward, reading.monotonic)
 
     report, path, _ = record((LOWSTATE,), lambda p: p.run(range(1000)), clocks=clocks)
-    (step,) = report.clock["steps"]
-    assert step["step_ns"] == pytest.approx(3600 * S, abs=50_000_000)
+    (step,) = report.clock_steps
+    assert step.step_ns == pytest.approx(3600 * S, abs=50_000_000)
     assert any("CLOCK_REALTIME was set by +3600" in text for text in logged(path))
     measured = open_session(path).measured
     assert np.ptp(measured.log_time) < 100 * S
@@ -190,7 +191,7 @@ def test_a_clock_step_is_logged_and_log_times_are_not_corrected(record):
 
 def test_a_publisher_whose_clock_is_ahead_is_logged(record):
     report, path, _ = record((LOWSTATE,), lambda p: p.run(range(1000), ahead_ns=5 * S))
-    assert report.delays["/lowstate"]["median_ns"] == pytest.approx(-5 * S, abs=50_000_000)
+    assert report.delays["/lowstate"].median_ns == pytest.approx(-5 * S, abs=50_000_000)
     (text,) = [text for text in logged(path) if "clocks differ" in text]
     assert "/lowstate from" in text
     assert "-4.99" in text or "-5.00" in text

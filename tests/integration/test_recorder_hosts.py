@@ -81,8 +81,8 @@ def test_the_offset_between_two_hosts_is_estimated_and_reported(two_hosts, domai
             said, told = recorder.communicate(timeout=30)
         finally:
             recorder.kill()
-    report = json.loads(said)
-    assert report["missing"]["/lowstate"] == 0
+    report = json.loads(said)["recorder"]
+    assert report["lost"]["/lowstate"] == 0
     delay = report["delays"]["/lowstate"]
     assert delay["hosts"] == ["right"]
     assert delay["clock_offset_estimate_ns"] == pytest.approx(-AHEAD_S * 1e9, abs=2e7)

@@ -35,7 +35,7 @@ def test_a_missing_stream_is_an_error(config, tmp_path, monkeypatch):
 
 def test_it_stops_while_it_waits_for_the_stream(config, tmp_path):
     ready = threading.Event()
-    report = program.record(
+    summary = program.record(
         tmp_path / "s.mcap",
         config,
         session=SESSION,
@@ -43,7 +43,7 @@ def test_it_stops_while_it_waits_for_the_stream(config, tmp_path):
         on_ready=ready.set,
     )
     assert not ready.is_set()
-    assert not report.stopped
+    assert summary.recorder.stopped == ""
 
 
 def test_samples_are_received_while_waiting_for_the_stream(config, domain_id, tmp_path, until):

@@ -13,6 +13,7 @@ from g1stream.errors import RecordingError
 from g1stream.programs import stream as program
 from g1stream.programs.recorder_child import discard_if_empty, refuse_path
 from g1stream.programs.stream import stream
+from g1stream.session.summary import RecorderSummary
 
 SPLIT = RecordConfig(split_size=1.0)
 
@@ -59,7 +60,7 @@ def test_a_file_in_which_there_is_nothing_does_not_stand_in_the_way(
     short.write_text("[stream]\nwait = 1.0\n")
     command = ["stream", "demo", "--domain", str(domain_id), "--config", str(short)]
     assert main([*command, "--record", str(path)]) == 1
-    assert f"{path} removed: nothing was received" in capsys.readouterr().out
+    assert f"{path}, removed" in " ".join(capsys.readouterr().out.split())
     assert not path.exists()
 
 
@@ -82,17 +83,17 @@ def test_a_link_that_leads_nowhere_stays(tmp_path):
 def test_a_file_that_was_there_before_is_not_removed(config, tmp_path):
     path = tmp_path / "s.mcap"
     path.write_bytes(b"not so precious")
-    outcome = stream("demo", config, record=path, force=True)
-    assert outcome.recording["removed"] is False
+    summary = stream("demo", config, record=path, force=True)
+    assert summary.recorder.removed is False
     assert path.read_bytes()[:5] == b"\x89MCAP"  # it was to be replaced, and has been
 
 
 def test_what_was_received_is_kept(config, domain_id, tmp_path):
     with Participant(domain_id, "lo") as peer:
         RawWriter(peer, LOWSTATE)
-        outcome = stream("demo", config, record=tmp_path / "s.mcap")
-    assert outcome.recording["removed"] is True  # it said nothing
-    heard = {**outcome.recording, "counts": {"/log": 3, "/secondary_imu": 1}}
+        summary = stream("demo", config, record=tmp_path / "s.mcap")
+    assert summary.recorder.removed is True  # it said nothing
+    heard = summary.recorder.model_copy(update={"counts": {"/log": 3, "/secondary_imu": 1}})
     (tmp_path / "s.mcap").touch()
     assert not discard_if_empty(heard, set())
     assert (tmp_path / "s.mcap").exists()
@@ -101,5 +102,5 @@ def test_what_was_received_is_kept(config, domain_id, tmp_path):
 def test_of_a_recorder_that_died_nothing_is_known(tmp_path):
     path = tmp_path / "s.mcap"
     path.touch()
-    assert not discard_if_empty({"paths": [str(path)], "stopped": "it died"}, set())
+    assert not discard_if_empty(RecorderSummary(paths=[str(path)], stopped="it died"), set())
     assert path.exists()

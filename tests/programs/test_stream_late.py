@@ -42,6 +42,6 @@ def late_bridge(domain_id, monkeypatch):
 
 def test_a_late_robot_is_only_a_warning(domain_id, late_bridge):
     config = Config.model_validate({"dds": {"domain": domain_id}, "stream": {"wait": 1.0}})
-    (finding,) = stream("demo", config).findings
+    (finding,) = stream("demo", config).stream.findings
     assert finding.level is Level.WARNING
     assert finding.about == "wire"

@@ -66,7 +66,7 @@ def test_a_failed_receiver_raises_once_all_samples_are_drained(participant, dyin
 def test_a_recording_whose_receiver_failed_is_not_complete(recorder, dying, at_once):
     report = recorder.run(lambda: at_once)
     assert "no room" in report.stopped
-    assert not report.whole
+    assert not report.complete
     assert report.counts["/lowstate"] == 2
 
 
@@ -77,5 +77,5 @@ def test_malformed_samples_are_counted_and_the_recording_is_not_complete(
     until(lambda: writer.matched, "the recorder's reader")
     writer.write(LowState().tobytes() + bytes(8))
     report = recorder.run(lambda: True)
-    assert report.as_dict()["malformed"] == {"/lowstate": 1}
-    assert not report.whole
+    assert report.malformed == {"/lowstate": 1}
+    assert not report.complete

@@ -1,19 +1,20 @@
-"""One picture of a session: what was asked of the joints, and what they did."""
+"""The figure of a session: reference and measured joint positions, and the tracking error."""
 
 from __future__ import annotations
 
 import textwrap
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from g1stream.analysis.metrics import by_group, pooled
-from g1stream.analysis.plot_data import binned_rms, joints_to_show, make_scene
+from g1stream.analysis.tracking import NothingToCompareError
 from g1stream.errors import RecordingError
 from g1stream.files import complete_file
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
-from g1stream.types import Phase
+from g1stream.session.summary import MotionInfo, StreamSummary, read_record
+from g1stream.types import Floats, Phase
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -21,11 +22,18 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from g1stream.analysis.metrics import Tracking
-    from g1stream.analysis.plot_data import Scene
+    from g1stream.analysis.tracking import Tracking
     from g1stream.session.session import Session
+    from g1stream.session.summary import PhaseInterval
 
-__all__ = ["draw"]
+__all__ = ["LONGEST_VIEW", "draw", "plot"]
+
+LONGEST_VIEW: Final = 20.0
+"""A longer session shows its joints for so long only, around the greatest error, s."""
+
+_NARROWEST_BIN: Final = 0.1
+_MOST_BINS: Final = 200
+_PANELS: Final = 6
 
 _INCHES: Final = (16.0, 10.0)
 _DPI: Final = 100
@@ -37,7 +45,7 @@ _COLOURS: Final = dict(
 _GROUP_OF: Final = {joint: group for group, joints in JOINT_GROUPS.items() for joint in joints}
 _SHADES: Final = {Phase.RAMP: "#eef1f5", Phase.HOLD: "#eef1f5", Phase.DAMP: "#f8e9e7"}
 
-#: A phase that takes less of the width than this is not named in the picture.
+#: A phase that takes less of the width than this is not named in the figure.
 _NARROW: Final = 0.04
 
 _MEASURED: Final[Mapping[str, Any]] = {"label": "measured", "linewidth": 2.0}
@@ -66,13 +74,53 @@ _STYLE: Final[Mapping[str, Any]] = {
 }
 
 
+@dataclass(frozen=True)
+class _Data:
+    """What is drawn: times are s on the motion's clock, angles degrees.
+
+    Attributes:
+        times, reference: (N,) and (N, 29); nan in DAMP, where no position is commanded.
+        state_times, measured: (M,) and (M, 29).
+        phases: in order.
+        tracking: None where there is nothing to compare.
+        view: from when to when the joints are shown.
+    """
+
+    times: Floats
+    reference: Floats
+    state_times: Floats
+    measured: Floats
+    phases: list[PhaseInterval]
+    tracking: Tracking | None
+    view: tuple[float, float]
+
+    @classmethod
+    def of(cls, session: Session) -> _Data:
+        try:
+            tracking = session.tracking()
+        except NothingToCompareError:
+            tracking = None
+        reference, measured = session.reference.read("phase", "q"), session.measured.read("q")
+        damping = (reference.phase == Phase.DAMP)[:, np.newaxis]
+        phases = session.phases
+        return cls(
+            times=reference.time,
+            reference=np.where(damping, np.nan, np.degrees(reference.q)),
+            state_times=measured.time,
+            measured=np.degrees(measured.q),
+            phases=phases,
+            tracking=tracking,
+            view=_view(phases[0].start_s, phases[-1].end_s, tracking),
+        )
+
+
 def draw(session: Session, path: str | Path) -> None:
     """Write the figure of a session to a PNG.
 
-    The file appears when it is whole; one that is there already is replaced.
+    The file appears when it is complete; one that exists already is replaced.
 
     Raises:
-        RecordingError: the session lacks references or states, or the picture cannot be written.
+        RecordingError: the session lacks references or states, or the file cannot be written.
     """
     from matplotlib import style
 
@@ -93,100 +141,134 @@ def plot(session: Session, joints: Sequence[str] | None = None) -> Figure:
     from matplotlib import style
     from matplotlib.figure import Figure
 
-    scene = make_scene(
-        session.reference.read("motion_time", "phase", "q"), session.measured.read("q")
-    )
+    data = _Data.of(session)
+    shown, worst = _joints_to_show(data) if joints is None else (_indices(joints), None)
     # Without the user's own style, in which the layout might not hold.
     with style.context(["default", dict(_STYLE)]):
         figure = Figure(figsize=_INCHES, dpi=_DPI)
-        _draw_head(figure, scene, session)
-        _draw_panels(figure, scene, None if joints is None else _indices(joints))
+        _draw_head(figure, data, session)
+        _draw_panels(figure, data, shown, worst)
     return figure
 
 
 def _indices(joints: Sequence[str]) -> list[int]:
     unknown = [name for name in joints if name not in JOINT_NAMES]
-    if unknown or not 0 < len(joints) <= 6:
+    if unknown or not 0 < len(joints) <= _PANELS:
         raise RecordingError(
             f"There is no joint {unknown[0]!r}." if unknown else f"{len(joints)} joints to plot.",
-            f"Choose one to six of {', '.join(JOINT_NAMES)}.",
+            f"Choose one to {_PANELS} of {', '.join(JOINT_NAMES)}.",
         )
     return [JOINT_NAMES.index(name) for name in joints]
 
 
-def _draw_head(figure: Figure, scene: Scene, session: Session) -> None:
+def _joints_to_show(data: _Data) -> tuple[list[int], int | None]:
+    """Of each limb the joint with the widest range, and the worst of the others, if known."""
+    tracking = data.tracking
+    span = np.ptp(tracking.reference if tracking else data.reference, axis=0)
+    widest = [max(joints, key=lambda joint: float(span[joint])) for joints in JOINT_GROUPS.values()]
+    if tracking is None:
+        return widest, None
+    rmse = tracking.rmse
+    worst = max(set(range(N_JOINTS)) - {*widest}, key=lambda joint: float(rmse[joint]))
+    return [*widest, worst], worst
+
+
+def _view(first: float, last: float, tracking: Tracking | None) -> tuple[float, float]:
+    if last - first <= LONGEST_VIEW or tracking is None:
+        return first, last
+    worst = float(tracking.time[np.abs(tracking.error).max(axis=1).argmax()])
+    start = min(max(worst - LONGEST_VIEW / 2.0, first), last - LONGEST_VIEW)
+    return start, start + LONGEST_VIEW
+
+
+def _binned_rms(times: Floats, errors: Floats) -> tuple[Floats, Floats]:
+    """RMS of errors (K, J) at times (K,) in bins of 0.1 s, or in 200 bins of a longer session.
+
+    Returns:
+        the middle of each bin (B,) and its RMS (B,), nan where it is empty.
+    """
+    width = max(_NARROWEST_BIN, float(times[-1] - times[0]) / _MOST_BINS)
+    edges = times[0] + width * np.arange(int((times[-1] - times[0]) / width) + 2)
+    counts, _ = np.histogram(times, edges)
+    sums, _ = np.histogram(times, edges, weights=np.square(errors).mean(axis=1))
+    mean_squares = np.divide(sums, counts, out=np.full(len(counts), np.nan), where=counts > 0)
+    return (edges[:-1] + edges[1:]) / 2.0, np.sqrt(mean_squares)
+
+
+def _draw_head(figure: Figure, data: _Data, session: Session) -> None:
     from matplotlib.lines import Line2D
 
-    name = (session.metadata.get("motion") or {}).get("name") or "unknown motion"
+    motion, _ = read_record(MotionInfo, session.metadata.get("motion"))
+    stream, _ = read_record(StreamSummary, session.metadata.get("stream"))
+    name = (motion and motion.name) or "unknown motion"
     figure.text(0.015, 0.965, name, fontsize=17, weight="bold")
-    figures = [session.path.name, *_figures(scene)]
-    if reason := (session.metadata.get("stream") or {}).get("reason"):
-        figures.append(f"ended early: {textwrap.shorten(reason, 55, placeholder=' ...')}")
-    figure.text(0.015, 0.937, "   ·   ".join(figures), color=_MUTED, fontsize=11)
+    facts = [session.path.name, *_facts(data.tracking)]
+    if stream and stream.reason:
+        facts.append(f"ended early: {textwrap.shorten(stream.reason, 55, placeholder=' ...')}")
+    figure.text(0.015, 0.937, "   ·   ".join(facts), color=_MUTED, fontsize=11)
     lines = [Line2D([], [], color=_MUTED, **_MEASURED), Line2D([], [], **_REFERENCE)]
     figure.legend(
         handles=lines, loc="upper right", bbox_to_anchor=(0.992, 0.972), ncols=2, fontsize=11
     )
 
 
-def _figures(scene: Scene) -> list[str]:
-    tracking, compared = scene.tracking, scene.compared
+def _facts(tracking: Tracking | None) -> list[str]:
     if tracking is None:
-        return ["no state came while the motion was played: there is nothing to compare"]
+        return ["no state in PLAY: nothing to compare"]
     delay = tracking.delay
     return [
-        f"RMSE {np.degrees(pooled(tracking.rmse)):.2f}° over all joints",
+        f"RMSE {np.degrees(tracking.overall):.2f}° over all joints",
         *([f"tracking delay {delay.seconds * 1e3:.1f} ms"] if delay else []),
-        f"{len(compared.time)} states compared over {compared.duration:.1f} s",
+        f"{len(tracking.time)} states compared over {tracking.duration:.1f} s",
     ]
 
 
-def _draw_panels(figure: Figure, scene: Scene, joints: list[int] | None) -> None:
+def _draw_panels(figure: Figure, data: _Data, joints: list[int], worst: int | None) -> None:
     cells = figure.add_gridspec(
         3, 3, left=0.045, right=0.985, top=0.885, bottom=0.055, wspace=0.16, hspace=0.34
     )
-    busiest, others = joints_to_show(scene) if joints is None else (joints, [])
-    for i, joint in enumerate([*busiest, *others]):
+    for i, joint in enumerate(joints):
         axes = figure.add_subplot(cells[divmod(i, 3)])
-        _draw_joint(axes, scene, joint)
-        remark = ", worst of the others" if joint in others else ""
+        _draw_joint(axes, data, joint)
+        remark = ", worst of the others" if joint == worst else ""
         axes.set_title(JOINT_NAMES[joint].removesuffix("_joint") + remark, weight="bold")
-    _draw_error(figure.add_subplot(cells[2, :2]), scene)
-    if scene.tracking:
-        _draw_bars(figure.add_subplot(cells[2, 2]), scene.tracking)
+    _draw_error(figure.add_subplot(cells[2, :2]), data)
+    if data.tracking:
+        _draw_bars(figure.add_subplot(cells[2, 2]), data.tracking)
 
 
-def _draw_joint(axes: Axes, scene: Scene, joint: int) -> None:
-    first, last = scene.view
-    seen = (scene.state_times >= first) & (scene.state_times <= last)
-    asked = (scene.times >= first) & (scene.times <= last)
+def _draw_joint(axes: Axes, data: _Data, joint: int) -> None:
+    first, last = data.view
+    seen = (data.state_times >= first) & (data.state_times <= last)
+    asked = (data.times >= first) & (data.times <= last)
     colour = _COLOURS[_GROUP_OF[joint]]
-    axes.plot(scene.state_times[seen], scene.measured[seen, joint], color=colour, **_MEASURED)
-    axes.plot(scene.times[asked], scene.asked[asked, joint], **_REFERENCE)
-    if scene.tracking:
-        rmse, largest = np.degrees((scene.tracking.rmse[joint], scene.tracking.max_abs[joint]))
+    axes.plot(data.state_times[seen], data.measured[seen, joint], color=colour, **_MEASURED)
+    axes.plot(data.times[asked], data.reference[asked, joint], **_REFERENCE)
+    if data.tracking:
+        rmse, largest = np.degrees((data.tracking.rmse[joint], data.tracking.max_abs[joint]))
         axes.set_title(f"RMSE {rmse:.2f}°, max {largest:.1f}°", loc="right", color=_MUTED)
     axes.set_ylabel("angle, deg")
     axes.margins(y=0.1)
-    _shade_phases(axes, scene)
+    _shade_phases(axes, data)
     _set_times(axes, first, last)
 
 
-def _draw_error(axes: Axes, scene: Scene) -> None:
-    first, last = scene.phases[0].start_s, scene.phases[-1].end_s
+def _draw_error(axes: Axes, data: _Data) -> None:
+    first, last = data.phases[0].start_s, data.phases[-1].end_s
     axes.set_title("RMS error of each limb", weight="bold")
     axes.set_ylabel("deg")
-    _shade_phases(axes, scene)
-    _name_phases(axes, scene)
+    _shade_phases(axes, data)
+    _name_phases(axes, data)
     _set_times(axes, first, last)
-    if scene.tracking is None:
+    if data.tracking is None:
         return
+    error = np.degrees(data.tracking.error)
     for group, joints in JOINT_GROUPS.items():
-        times, error = binned_rms(scene.error_times, scene.error[:, joints])
-        axes.plot(times, error, color=_COLOURS[group], linewidth=1.6, label=group.replace("_", " "))
+        times, rms = _binned_rms(data.tracking.time, error[:, joints])
+        axes.plot(times, rms, color=_COLOURS[group], linewidth=1.6, label=group.replace("_", " "))
     axes.set_ylim(0.0, 1.12 * axes.get_ylim()[1])
-    if scene.view != (first, last):
-        axes.axvspan(*scene.view, ymax=0.03, color=_DARK, label="shown above")
+    if data.view != (first, last):
+        axes.axvspan(*data.view, ymax=0.03, color=_DARK, label="shown above")
     axes.legend(loc="lower right", bbox_to_anchor=(1.01, 0.97), ncols=len(JOINT_GROUPS) + 1)
 
 
@@ -205,20 +287,23 @@ def _draw_bars(axes: Axes, tracking: Tracking) -> None:
         _annotate(axes, part, (joint, rmse[joint]), 3, rotation=90, va="bottom", fontsize=7.5)
     axes.set_xticks(
         [float(np.mean(joints)) for joints in JOINT_GROUPS.values()],
-        [f"{group.replace('_', ' ')}\n{value:.2f}°" for group, value in by_group(rmse).items()],
+        [
+            f"{group.replace('_', ' ')}\n{np.degrees(value):.2f}°"
+            for group, value in tracking.rmse_by_limb.items()
+        ],
     )
     axes.tick_params(axis="x", length=0)
 
 
-def _shade_phases(axes: Axes, scene: Scene) -> None:
-    for one in scene.phases:
+def _shade_phases(axes: Axes, data: _Data) -> None:
+    for one in data.phases:
         if one.phase in _SHADES:
             axes.axvspan(one.start_s, one.end_s, color=_SHADES[one.phase], linewidth=0)
 
 
-def _name_phases(axes: Axes, scene: Scene) -> None:
-    narrow = _NARROW * (scene.phases[-1].end_s - scene.phases[0].start_s)
-    for one in scene.phases:
+def _name_phases(axes: Axes, data: _Data) -> None:
+    narrow = _NARROW * (data.phases[-1].end_s - data.phases[0].start_s)
+    for one in data.phases:
         if one.duration_s > narrow:
             place = ((one.start_s + one.end_s) / 2.0, 1.0)
             _annotate(

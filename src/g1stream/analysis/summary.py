@@ -1,111 +1,264 @@
-"""How well a session went, as figures."""
+"""The summary of a session, from its file or from the programs that made it, and its problems."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+import re
+import socket
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
 
-from g1stream.analysis.loop import loop_figures
-from g1stream.analysis.message_stats import stats_by_topic
-from g1stream.analysis.metrics import track
-from g1stream.analysis.termination import ending, part
-from g1stream.analysis.text import render
-from g1stream.analysis.tracking import comparison, nothing_compared
-from g1stream.session.streams import STREAMS
+from g1stream._version import __version__
+from g1stream.analysis.messages import message_stats
+from g1stream.analysis.render import counted, most
+from g1stream.analysis.tracking import NothingToCompareError
+from g1stream.config import Config
+from g1stream.session.streams import STREAMS, Reference
+from g1stream.session.summary import (
+    MessageStats,
+    RecorderSummary,
+    SessionInfo,
+    StreamSummary,
+    Summary,
+    Termination,
+    read_record,
+)
+from g1stream.types import Phase
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
 
-    from g1stream.analysis.loop import LoopFigures
-    from g1stream.analysis.message_stats import MessageStats
-    from g1stream.analysis.metrics import Comparison, Tracking
-    from g1stream.analysis.termination import Ending
     from g1stream.session.session import Session
+    from g1stream.session.streams import Stream
+    from g1stream.session.summary import MotionInfo, PhaseInterval
 
-__all__ = ["Summary", "render", "summarise"]
+__all__ = ["FEEDFORWARD", "find_problems", "summarise", "summarise_run"]
 
+FEEDFORWARD: Final = "feed-forward: "
+"""What the stream logs of its feed-forward begins with this."""
 
-@dataclass(frozen=True)
-class Summary:
-    """How well a session went; None for what was not recorded.
-
-    Attributes:
-        session: the file, as it was given.
-        motion: the motion's name.
-        ending: how it ended.
-        tracking: how closely the robot followed.
-        loop: what commands carried, and how the streamer kept its deadlines.
-        counts: messages by topic of the file.
-        missing: by topic, samples that their own numbers say were published and did not come.
-        streams: by topic, how its messages came.
-        notes: sentences that the figures must be read with.
-    """
-
-    session: str
-    motion: str | None
-    ending: Ending
-    tracking: Tracking | None
-    loop: LoopFigures | None
-    counts: dict[str, int]
-    missing: dict[str, int] | None
-    streams: dict[str, MessageStats]
-    notes: list[str]
-
-    def as_dict(self) -> dict[str, Any]:
-        """The summary as JSON values, joints and limbs by name; units are in the keys."""
-        return {
-            "session": self.session,
-            "motion": self.motion,
-            "ending": self.ending.as_dict(),
-            "tracking": self.tracking and self.tracking.as_dict(),
-            "loop": self.loop and self.loop.as_dict(),
-            "counts": self.counts,
-            "missing": self.missing,
-            "streams": {topic: stats.as_dict() for topic, stats in self.streams.items()},
-            "notes": self.notes,
-        }
+#: A recording that goes on for so long, ns, after the last reference has not merely ended first.
+_SILENCE: Final = 500_000_000
 
 
 def summarise(session: Session) -> Summary:
-    """Compare, count and collect what a session says of itself.
+    """The summary of a recorded session.
 
     Raises:
         RecordingError: the file is damaged.
     """
-    metadata, stats, compared = session.metadata, stats_by_topic(session.times), comparison(session)
-    return Summary(
-        session=str(session.path),
-        motion=part(metadata, "motion").get("name"),
-        ending=ending(session, session.phases),
-        tracking=track(compared) if compared and len(compared.time) else None,
-        loop=loop_figures(metadata["stream"]) if metadata.get("stream") else None,
-        counts={topic: n for topic, n in sorted(session.topics.items()) if n},
-        missing=(metadata.get("recorder") or {}).get("missing"),
-        streams=stats,
-        notes=_notes(session, compared, stats),
+    info, problems = read_record(SessionInfo, session.metadata)
+    info = info or SessionInfo()
+    stream, wrong = read_record(StreamSummary, session.metadata.get("stream"), "stream")
+    problems += wrong
+    recorder, wrong = read_record(RecorderSummary, session.metadata.get("recorder"), "recorder")
+    problems += wrong
+    try:
+        tracking = session.tracking().summary()
+    except NothingToCompareError:
+        tracking = None
+    streams = {
+        topic: samples
+        for topic, kind in STREAMS.items()
+        if session.topics.get(topic) and len(samples := session.stream(kind))
+    }
+    lost = recorder.lost if recorder else {}
+    topics = {
+        topic: message_stats(streams[topic], lost.get(topic))
+        if topic in streams
+        else MessageStats(count=n)
+        for topic, n in sorted(session.topics.items())
+        if n
+    }
+    gains = (info.gains or {}).items()
+    summary = Summary(
+        files_bytes={str(path): path.stat().st_size for path in session.paths},
+        complete=session.complete,
+        first_ns=min((int(one.log_time.min()) for one in streams.values()), default=None),
+        last_ns=max((int(one.log_time.max()) for one in streams.values()), default=None),
+        host=info.host,
+        domain=info.domain,
+        interface=info.interface,
+        versions={**({"g1stream": info.g1stream} if info.g1stream else {}), **info.versions},
+        motion=info.motion,
+        settings=None if info.config is None else _changed_settings(info.config),
+        gains={name: (min(values), max(values)) for name, values in gains if values} or None,
+        phases=session.phases,
+        termination=_termination(session, info, stream, recorder, streams),
+        stream=stream,
+        feedforward_log=[
+            event.text.removeprefix(FEEDFORWARD)
+            for event in session.log
+            if event.text.startswith(FEEDFORWARD)
+        ],
+        recorder=recorder,
+        tracking=tracking,
+        topics=topics,
+        attachments_bytes={name: len(data) for name, data in session.attachments.items()},
     )
-
-
-def _notes(
-    session: Session, compared: Comparison | None, stats: Mapping[str, MessageStats]
-) -> list[str]:
-    notes = []
-    if not session.complete:
-        notes.append("The file was not closed by its recorder; it ends with its last whole chunk.")
-    if nothing := nothing_compared(session, compared):
-        notes.append(f"There is nothing to compare: {nothing}.")
-    if compared and compared.left_out:
-        notes.append(
-            f"States left out, because they fell into holes of the reference: {compared.left_out}."
-        )
-    off = [
-        f"{topic} by {-one.clock_offset:+.3f} s"
-        for topic, one in stats.items()
-        if one.clock_offset and topic in STREAMS  # what is derived from them has their stamps
+    summary.problems = [
+        *find_problems(summary),
+        *_file_problems(session, recorder),
+        *_warnings(session),
+        *problems,
     ]
-    if off:
-        notes.append(
-            f"Stamps are off the recorder's clock: {', '.join(off)}. To compare, they are set "
-            "right to within the latency."
-        )
-    return notes
+    return summary
+
+
+def summarise_run(
+    config: Config,
+    *,
+    motion: MotionInfo | None = None,
+    termination: Termination | None = None,
+    stream: StreamSummary | None = None,
+    recorder: RecorderSummary | None = None,
+) -> Summary:
+    """The summary of a run, from what its programs counted; no file is read."""
+    recorded = recorder or RecorderSummary()
+    paths = [Path(path) for path in recorded.paths]
+    summary = Summary(
+        files_bytes={str(path): path.stat().st_size for path in paths if path.is_file()},
+        first_ns=recorded.first_ns,
+        last_ns=recorded.last_ns,
+        host=socket.gethostname(),
+        domain=config.dds.domain,
+        interface=config.dds.interface,
+        versions={"g1stream": __version__},
+        motion=motion,
+        settings=_changed_settings(config.model_dump(mode="json")),
+        termination=termination or Termination(),
+        stream=stream,
+        recorder=recorder,
+        topics={
+            topic: MessageStats(count=n, lost=recorded.lost.get(topic))
+            for topic, n in recorded.counts.items()
+        },
+    )
+    summary.problems = list(find_problems(summary))
+    return summary
+
+
+def find_problems(summary: Summary) -> Iterator[str]:
+    """What is wrong, by the figures of the summary; a sentence each, the most important first."""
+    undamped, stream, recorder = summary.termination.undamped_in, summary.stream, summary.recorder
+    if undamped is not None:
+        yield f"The stream process ended in {undamped.name} without DAMP: the robot was not damped."
+    if stream:
+        yield from _samplesproblems(stream)
+    if recorder:
+        if summary.first_ns is None:
+            yield "Nothing was received."
+        yield from _recorder_problems(recorder)
+    for topic, stats in summary.topics.items():
+        if stats.gaps:
+            longest = (stats.longest_interval_s or 0.0) * 1e3
+            yield f"{counted(stats.gaps, 'gap')} on {topic}, the longest {longest:.1f} ms."
+        if stats.clock_offset_s:
+            yield (
+                f"The publish times of {topic} are {-stats.clock_offset_s:+.3f} s off the "
+                "recorder's clock."
+            )
+
+
+def _samplesproblems(stream: StreamSummary) -> Iterator[str]:
+    if stream.reason:
+        yield f"The stream ended early: {stream.reason}."
+    for finding in stream.findings:
+        yield f"{finding.cause.rstrip('.')}. {finding.remedy}".strip()
+    if stream.skipped_ticks:
+        yield f"{counted(stream.skipped_ticks, 'tick')} skipped by the stream."
+    if stream.clamped_ticks:
+        yield f"Joint targets clamped at their limits, ticks: {most(stream.clamped_ticks)}."
+    if stream.saturated_ticks:
+        ticks = most(stream.saturated_ticks)
+        yield f"Feed-forward torques clamped at their limits, ticks: {ticks}."
+
+
+def _recorder_problems(recorder: RecorderSummary) -> Iterator[str]:
+    if recorder.stopped:
+        yield f"The recording stopped early: {recorder.stopped}"
+    for topic, n in recorder.lost.items():
+        if n:
+            yield f"{counted(n, 'sample')} lost on {topic}."
+    for topic, n in recorder.malformed.items():
+        if n:
+            yield f"{counted(n, 'malformed sample')} on {topic}."
+    if n := recorder.dropped_datagrams:
+        yield f"{counted(n, 'datagram')} dropped by the kernel: its receive buffer was full."
+    for step in recorder.clock_steps:
+        yield f"CLOCK_REALTIME of the recorder was set by {step.step_ns / 1e9:+.3f} s."
+
+
+def _file_problems(session: Session, recorder: RecorderSummary | None) -> Iterator[str]:
+    for number in session.absent_parts:
+        reason = session.unreadable_parts.get(number)
+        yield f"Part {number} " + (f"cannot be read: {reason}" if reason else "is missing.")
+    if not (session.complete or session.absent_parts):
+        yield "The recorder did not close the file; it ends with its last complete chunk."
+    if recorder is None and session.paths:
+        yield "The recorder wrote no summary: how many samples were lost is not known."
+
+
+def _warnings(session: Session) -> list[str]:
+    """The warnings in /log; of those that differ in their numbers only, the last."""
+    alike: dict[str, list[str]] = {}
+    for event in session.log:
+        if event.level in {"WARNING", "ERROR", "FATAL"}:
+            text = f"{event.name}: {event.text}"
+            alike.setdefault(re.sub(r"\d+", "#", text), []).append(text)
+    return [
+        texts[0] if len(texts) == 1 else f"{texts[-1]} (the last of {len(texts)})"
+        for texts in alike.values()
+    ]
+
+
+def _termination(
+    session: Session,
+    info: SessionInfo,
+    stream: StreamSummary | None,
+    recorder: RecorderSummary | None,
+    streams: Mapping[str, Stream],
+) -> Termination:
+    phases = session.phases
+    settings = (info.config or {}).get("stream")
+    start = settings.get("start") if isinstance(settings, dict) else None
+    values = {
+        "reason": stream.reason if stream else None,
+        "undamped_in": _undamped_in(phases, info, stream, recorder, streams),
+        "played_s": sum(p.duration_s for p in phases if p.phase is Phase.PLAY) if phases else None,
+        "motion_s": info.motion.duration_s if info.motion else None,
+        "start_s": start or 0.0,
+    }
+    return read_record(Termination, values)[0] or Termination()
+
+
+def _undamped_in(
+    phases: list[PhaseInterval],
+    info: SessionInfo,
+    stream: StreamSummary | None,
+    recorder: RecorderSummary | None,
+    streams: Mapping[str, Stream],
+) -> Phase | None:
+    """The last phase, if the references ended in it and not because the recording did."""
+    if not phases or phases[-1].phase >= Phase.DAMP or stream:
+        return None
+    # A stream's own recorder ends after it, and is told how it went.
+    outlived = info.config is not None and recorder is not None and not recorder.stopped
+    end = max(int(stream.log_time[-1]) for stream in streams.values())
+    silence = end - int(streams[Reference.topic].log_time[-1])
+    return phases[-1].phase if outlived or silence > _SILENCE else None
+
+
+def _changed_settings(config: Mapping[str, Any]) -> dict[str, Any]:
+    """By key, such as `stream.rate`, what is not this version's default."""
+
+    def changed(values: Mapping[str, Any], defaults: Mapping[str, Any], prefix: str) -> None:
+        for key, value in values.items():
+            default = defaults.get(key)
+            if isinstance(value, dict) and isinstance(default, dict):
+                changed(value, default, f"{prefix}{key}.")
+            elif value != default:
+                found[f"{prefix}{key}"] = value
+
+    found: dict[str, Any] = {}
+    changed(config, Config().model_dump(mode="json"), "")
+    return found

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from g1stream.analysis.formatting import counted
+from g1stream.analysis.render import counted
 from g1stream.cli.common import (
     EXIT_OK,
     EXIT_STOPPED,

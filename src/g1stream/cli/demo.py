@@ -12,12 +12,11 @@ from g1stream.cli.common import (
     WireCommand,
     announce_wire,
     on_signals,
-    print_json,
     print_warning,
     value,
 )
 from g1stream.cli.progress import watching
-from g1stream.cli.stream import exit_code, summary
+from g1stream.cli.summary import exit_code, print_summary
 
 if TYPE_CHECKING:
     from g1stream.control.loop import StreamLoop
@@ -66,9 +65,7 @@ class Demo(WireCommand):
 
     def run(self) -> int:
         """Do it, and return the exit code."""
-        from g1stream.analysis.summary import render
-        from g1stream.analysis.text import line
-        from g1stream.programs.demo import demo
+        from g1stream.programs.demo import FIGURE, demo
         from g1stream.robot.model import G1
         from g1stream.session.motions import load_motion
 
@@ -84,20 +81,17 @@ class Demo(WireCommand):
                 on_signals(loop.request_stop)
                 watch(loop, motion)
 
-            done = demo(
+            summary = demo(
                 motion,
                 self.out,
                 config,
                 force=self.force,
                 on_loop=prepare,
             )
-        if self.json:
-            figures = done.summary.as_dict() if done.summary else None
-            print_json({**done.played.as_dict(), "summary": figures})
-        elif done.summary is None:
-            print(summary(done.played))
-        else:
-            print(render(done.summary))
-            print(f"\n{line('picture', str(done.picture))}")
-            print("Open the session in Foxglove, PlotJuggler or Rerun.", file=sys.stderr)
-        return exit_code(done.played)
+        print_summary(summary, as_json=self.json)
+        if summary.tracking:
+            print(
+                f"Figure: {self.out / FIGURE}. Open the session in Foxglove, PlotJuggler or Rerun.",
+                file=sys.stderr,
+            )
+        return exit_code(summary)

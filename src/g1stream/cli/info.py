@@ -8,14 +8,15 @@ from typing import Annotated
 
 import tyro
 
-from g1stream.cli.common import EXIT_OK, Flag, print_json, value
+from g1stream.cli.common import EXIT_OK, Flag, value
+from g1stream.cli.summary import print_summary
 
 __all__ = ["Info"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Info:
-    """Look into a session file: what is in it, how well it went, and what is amiss.
+    """Show what is in a session, how well it went, and its problems.
 
     Reads files of killed recorders too.
     """
@@ -23,17 +24,11 @@ class Info:
     file: Annotated[Path, tyro.conf.Positional, value("MCAP")]
     """The session file, or one of its parts."""
     json: Flag = False
-    """Print the findings as JSON."""
+    """Print the summary as JSON."""
 
     def run(self) -> int:
-        """Look, and return the exit code."""
-        from g1stream.analysis.info import describe
-        from g1stream.analysis.info_text import render_info
+        """Print the summary, and return the exit code."""
         from g1stream.session.session import open_session
 
-        info = describe(open_session(self.file))
-        if self.json:
-            print_json(info.as_dict())
-        else:
-            print(render_info(info))
+        print_summary(open_session(self.file).summary(), as_json=self.json)
         return EXIT_OK

@@ -5,25 +5,20 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import Annotated, ClassVar
 
 import tyro
 
 from g1stream.cli.common import (
-    EXIT_OK,
-    EXIT_STOPPED,
     Flag,
     WireCommand,
     announce_wire,
     on_signals,
-    print_json,
     value,
 )
+from g1stream.cli.summary import exit_code, print_summary
 from g1stream.events import console_handler, handled_by
 from g1stream.realtime import lower_priority
-
-if TYPE_CHECKING:
-    from g1stream.recorder.recorder_report import RecorderReport
 
 __all__ = ["Record"]
 
@@ -69,35 +64,12 @@ class Record(WireCommand):
             print(f"Recording {self.file}. Ctrl-C ends it.", file=sys.stderr)
 
         with handled_by(console_handler("record")):
-            report = record(
+            summary = record(
                 self.file,
                 config,
                 force=self.force,
                 should_stop=lambda: bool(stopped),
                 on_ready=begun,
             )
-        if self.json:
-            print_json(report.as_dict())
-        else:
-            print(_summary(report))
-        return EXIT_OK if report.whole and report.first else EXIT_STOPPED
-
-
-def _summary(report: RecorderReport) -> str:
-    name = " ".join(report.paths)
-    if not report.first:
-        return f"{name}: nothing was received."
-    width = max(map(len, report.counts))
-    lines = [f"{name}: {report.as_dict()['duration_s']:.1f} s"]
-    lines += [f"  {topic:<{width}}  {n:>8}" for topic, n in sorted(report.counts.items())]
-    lines += [f"  missing from {topic}: {n}" for topic, n in report.missing.items() if n]
-    lines += [f"  not of the type of {topic}: {n}" for topic, n in report.malformed.items()]
-    lines += [f"  datagrams dropped by the kernel: {report.dropped}"] if report.dropped else []
-    lines += [f"  absent: {', '.join(report.absent)}"] if report.absent else []
-    lines += [
-        f"  {topic} comes from {', '.join(delay['hosts'])}, whose clock is "
-        f"{-delay['clock_offset_estimate_ns'] / 1e6:+.2f} ms from this one's, transit included"
-        for topic, delay in report.delays.items()
-        if "clock_offset_estimate_ns" in delay
-    ]
-    return "\n".join(lines)
+        print_summary(summary, as_json=self.json)
+        return exit_code(summary)

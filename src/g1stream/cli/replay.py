@@ -52,7 +52,7 @@ class Replay(PlayCommand):
                 on_signals(loop.request_stop)
                 watch(loop, motion)
 
-            outcome = replay(
+            summary = replay(
                 self.file,
                 config,
                 exact=self.exact,
@@ -61,4 +61,4 @@ class Replay(PlayCommand):
                 force=self.force,
                 on_loop=prepare,
             )
-        return self.report(outcome)
+        return self.report(summary)

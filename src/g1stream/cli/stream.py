@@ -13,21 +13,20 @@ from g1stream.cli.common import (
     WireCommand,
     announce_wire,
     on_signals,
-    print_json,
     print_warning,
     value,
 )
 from g1stream.cli.progress import watching
-from g1stream.cli.stream_summary import exit_code, summary
+from g1stream.cli.summary import exit_code, print_summary
 from g1stream.cli.values import flag_name
 from g1stream.errors import ConfigError
 
 if TYPE_CHECKING:
     from g1stream.config import Config
     from g1stream.control.loop import StreamLoop
-    from g1stream.programs.outcome import StreamOutcome
+    from g1stream.session.summary import Summary
 
-__all__ = ["PlayCommand", "Stream", "exit_code", "summary"]
+__all__ = ["PlayCommand", "Stream"]
 
 #: Flags that say how to record.
 _OF_RECORDING = ("force", "auto_name", "split_size", "split_duration")
@@ -116,13 +115,10 @@ class PlayCommand(WireCommand):
             over |= {f"gains.{name}": table for name, table in read_gains(self.gains).items()}
         return over
 
-    def report(self, outcome: StreamOutcome) -> int:
+    def report(self, summary: Summary) -> int:
         """Print how it went, and return the exit code."""
-        if self.json:
-            print_json(outcome.as_dict())
-        else:
-            print(summary(outcome))
-        return exit_code(outcome)
+        print_summary(summary, as_json=self.json)
+        return exit_code(summary)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,11 +155,11 @@ class Stream(PlayCommand):
                 on_signals(loop.request_stop)
                 watch(loop, motion)
 
-            outcome = stream(
+            summary = stream(
                 motion,
                 config,
                 record=self.record,
                 force=self.force,
                 on_loop=prepare,
             )
-        return self.report(outcome)
+        return self.report(summary)

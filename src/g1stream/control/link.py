@@ -99,16 +99,11 @@ class DdsLink:
         return written
 
     def counts(self) -> dict[str, int | None]:
-        """Received and lost samples, as JSON values.
-
-        `states_missed` is computed from the ticks of the received states, None if the publisher
-        does not count; `states_lost` is reported by DDS; `commands_dropped` could not be written
-        at once.
-        """
+        """What was received and lost: the fields of `StreamSummary` with these names."""
         return {
             "states_received": self._gaps.received,
-            "states_missed": self._gaps.missed,
-            "states_lost": self._states.lost,
+            "states_lost": self._gaps.missed,
+            "dds_lost": self._states.lost,
             "states_malformed": self._states.malformed,
             "state_restarts": self._gaps.restarts,
             "commands_dropped": self._commands.dropped,

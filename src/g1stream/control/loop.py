@@ -301,8 +301,8 @@ class StreamLoop:
         if feedforward is None:
             return
         feedforward.begin(self._link.support())
-        report.feedforward = "recorded" if feedforward.recorded else feedforward.kind or ""
-        report.support = feedforward.support or ""
+        report.feedforward = "recorded" if feedforward.recorded else feedforward.kind
+        report.support = feedforward.support
         report.saturated, report.feedforward_changes = feedforward.saturated, feedforward.changes
 
     def _prepare(self, deadline: int) -> None:

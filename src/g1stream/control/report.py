@@ -3,47 +3,50 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from g1stream.control.ticker import Lateness
-from g1stream.robot.joints import N_JOINTS
+from g1stream.robot.joints import N_JOINTS, by_joint
+from g1stream.session.summary import FeedForwardChange, Percentiles, StreamSummary
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from g1stream.control.feedforward import Change
+    from g1stream.types import FeedForwardKind, Support
 
 __all__ = ["LoopReport"]
 
 
 @dataclass
 class LoopReport:
-    """How a run went, whatever ended it.
+    """The counters of a run, whatever ended it.
 
     Attributes:
-        reason: why it ended early; empty when the motion was played to its end.
         period: ns between deadlines.
+        clamped: (29,) ticks at which each joint's target was held at its limit.
+        saturated: (29,) ticks at which each joint's feed-forward torque was held at its limit.
+        reason: why it ended early; empty when the motion was played to its end.
+        feedforward, support: of the commands, and how the robot was taken to be held; None until
+            RAMP begins.
+        feedforward_changes: when the torque was switched off and on again, in order.
         commands: LowCmds written.
         states: LowStates received, of those that were the newest at a tick.
         first_stamp, last_stamp: publish times of the first and last LowCmd, ns since the epoch.
         skipped: ticks left out because they were a whole period late or more.
-        lateness: of each write against its deadline.
         worst_work: longest time from a write to the end of the tick's computation, ns.
-        clamped: (29,) ticks at which each joint's target was held at its limit.
-        feedforward, support: what commands carried, and how the robot was taken to be held.
-        feedforward_changes: when the torque went and came back, in order.
-        saturated: (29,) ticks at which each joint's feed-forward torque was held at its limit.
+        lateness: of each write against its deadline.
     """
 
     period: int
     clamped: NDArray[np.int64]
-    reason: str = ""
-    feedforward: str = ""
-    support: str = ""
-    feedforward_changes: list[Change] = field(default_factory=list)
     saturated: NDArray[np.int64] = field(default_factory=lambda: np.zeros(N_JOINTS, np.int64))
+    reason: str = ""
+    feedforward: FeedForwardKind | Literal["recorded"] | None = None
+    support: Support | None = None
+    feedforward_changes: list[Change] = field(default_factory=list)
     commands: int = 0
     states: int = 0
     first_stamp: int = 0
@@ -53,7 +56,34 @@ class LoopReport:
     lateness: Lateness = field(default_factory=Lateness)
 
     @property
-    def rate(self) -> float:
-        """LowCmds per second between the first and the last, Hz; nan before the second."""
+    def rate(self) -> float | None:
+        """LowCmds per second between the first and the last, Hz; None before the second."""
         span = self.last_stamp - self.first_stamp
-        return (self.commands - 1) * 1e9 / span if span > 0 else float("nan")
+        return (self.commands - 1) * 1e9 / span if span > 0 else None
+
+    def summary(self) -> StreamSummary:
+        """The counters as a record for people and files."""
+        late = self.lateness
+        percentiles = None
+        if late.n:
+            p50, p99, p99_9 = map(late.percentile_us, (50.0, 99.0, 99.9))
+            percentiles = Percentiles(p50=p50, p99=p99, p99_9=p99_9, max=late.maximum_ns / 1e3)
+        return StreamSummary(
+            reason=self.reason,
+            commands=self.commands,
+            rate_hz=self.rate,
+            nominal_rate_hz=1e9 / self.period,
+            lateness_us=percentiles,
+            skipped_ticks=self.skipped,
+            worst_work_us=self.worst_work / 1e3,
+            clamped_ticks=by_joint(self.clamped.tolist()),
+            saturated_ticks=by_joint(self.saturated.tolist()),
+            feedforward=self.feedforward,
+            support=self.support,
+            feedforward_changes=[
+                FeedForwardChange(motion_time_s=one.motion_time, kind=one.kind, reason=one.reason)
+                for one in self.feedforward_changes
+            ],
+            states_used=self.states,
+            lateness_histogram_us=late.sparse(),
+        )

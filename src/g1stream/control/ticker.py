@@ -46,9 +46,9 @@ class Lateness:
         maximum = self.maximum_ns / 1000.0
         return maximum if bin_index == self._BINS - 1 else min(bin_index + 1.0, maximum)
 
-    def sparse(self) -> dict[str, int]:
+    def sparse(self) -> dict[int, int]:
         """The bins that are not empty: lower edge in us -> count."""
-        return {str(i): int(self.counts[i]) for i in np.flatnonzero(self.counts)}
+        return {int(i): int(self.counts[i]) for i in np.flatnonzero(self.counts)}
 
 
 @dataclass

@@ -8,9 +8,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from enum import IntEnum
 
-from pydantic import BaseModel, ConfigDict, field_serializer
+from pydantic import ConfigDict, Field, field_serializer
 
 from g1stream.realtime import Grant
+from g1stream.session import summary
 
 __all__ = [
     "Facts",
@@ -37,24 +38,18 @@ class Level(IntEnum):
     PROBLEM = 2
 
 
-class Finding(BaseModel):
+class Finding(summary.Finding):
     """The result of one check.
 
     Attributes:
         level: severity; its lower-case name in JSON.
-        about: what was checked, in a word or two.
-        cause: what was found.
-        remedy: what to do about it; empty where there is nothing to do.
         figures: measured values, by name and unit.
     """
 
     model_config = ConfigDict(frozen=True)
 
     level: Level
-    about: str
-    cause: str
-    remedy: str = ""
-    figures: dict[str, int | float] = {}
+    figures: dict[str, int | float] = Field(default_factory=dict)
 
     @field_serializer("level")
     def _level_name(self, level: Level) -> str:

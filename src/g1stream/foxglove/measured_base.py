@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
 from g1stream.robot.rotations import quat_from_axis_angle, quat_mul, quat_rotate, yaw_of
+from g1stream.session.summary import MeasuredTf
 from g1stream.types import Floats, Ints
 
 __all__ = ["MeasuredBase", "PositionSource"]
@@ -78,9 +79,9 @@ class MeasuredBase:
             positions = self._start + quat_rotate(turned, positions - self._start)
         return positions, quat_mul(turned, imu_quats_wxyz)
 
-    def as_dict(self) -> dict[str, Any]:
-        """The alignment, as JSON values."""
-        return {"yaw_offset_rad": self.yaw_offset, "position_from": self.source}
+    def summary(self) -> MeasuredTf:
+        """The alignment, as a record."""
+        return MeasuredTf(yaw_offset_rad=self.yaw_offset, position_from=self.source)
 
     def _extend(self, times: Ints, positions: Floats) -> None:
         """Replace all but the last known position."""

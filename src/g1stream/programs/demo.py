@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from g1stream.config import Config
 from g1stream.dds.domain import Participant, is_local_only, is_loopback
@@ -17,28 +16,17 @@ from g1stream.programs.stream import stream
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from g1stream.analysis.summary import Summary
     from g1stream.control.loop import StreamLoop
     from g1stream.motion.motion import Motion
-    from g1stream.programs.outcome import StreamOutcome
+    from g1stream.session.summary import Summary
 
-__all__ = ["DemoOutcome", "demo"]
+__all__ = ["FIGURE", "demo"]
 
 #: How long to look for somebody who simulates on the same domain already, s.
 _LOOK_AROUND = 0.5
 
 
-@dataclass(frozen=True)
-class DemoOutcome:
-    """What a demo made: the files, how the motion was played and how well it was followed.
-
-    Picture and summary are None where it was stopped before the first command.
-    """
-
-    session: Path
-    played: StreamOutcome
-    picture: Path | None = None
-    summary: Summary | None = None
+FIGURE: Final = "tracking.png"
 
 
 def demo(
@@ -48,12 +36,15 @@ def demo(
     *,
     force: bool = False,
     on_loop: Callable[[StreamLoop], None] | None = None,
-) -> DemoOutcome:
+) -> Summary:
     """Play a motion on our own bridge and record it, all on this machine.
+
+    Returns the summary of the session; where no command was sent, what the stream counted.
 
     Args:
         motion: a motion, a motion file, or the name of a bundled motion.
-        out: directory for session.mcap and tracking.png; made where it is missing.
+        out: directory for session.mcap and tracking.png, the figure of `Session.plot`; made where
+            it is missing.
         config: all settings; the defaults if left out.
         force: replace files that are there already.
         on_loop: is given the loop before it runs.
@@ -64,15 +55,14 @@ def demo(
         G1StreamError: another setting or the wire does not allow it.
     """
     from g1stream.analysis.plots import draw
-    from g1stream.analysis.summary import summarise
     from g1stream.session.session import open_session
 
     config = config or Config()
     _check_local_only(config.dds.interface)
-    session_path, picture_path = out / "session.mcap", out / "tracking.png"
+    session_path, figure_path = out / "session.mcap", out / FIGURE
     if not force:
         named_anew = config.record.auto_name  # with the time in it
-        _check_absent(*([] if named_anew else [session_path]), picture_path)
+        _check_absent(*([] if named_anew else [session_path]), figure_path)
     _make_directory(out)
     _check_nobody_simulates(config)
     sim = Child("sim", config)
@@ -88,13 +78,12 @@ def demo(
         sim.finish()
     finally:
         sim.kill()
-    if played.recording:  # which names its files itself, with the time or in parts
-        session_path = Path(played.recording["paths"][0])
-    if not played.report.commands:
-        return DemoOutcome(session_path, played)
-    session = open_session(session_path)
-    draw(session, picture_path)
-    return DemoOutcome(session_path, played, picture_path, summarise(session))
+    recorder = played.recorder
+    if not (played.stream and played.stream.commands and recorder):
+        return played
+    session = open_session(recorder.paths[0])  # it may have the time or a part in its name
+    draw(session, figure_path)
+    return session.summary()
 
 
 def _check_local_only(interface: str) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from uuid import uuid4
 
 from g1stream._version import __version__
+from g1stream.analysis.summary import summarise_run
 from g1stream.config import Config
 from g1stream.dds.domain import Participant
 from g1stream.dds.topics import LOWCMD, REFERENCE
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 
     from g1stream.config import RecordConfig
     from g1stream.programs.child_process import Parent
-    from g1stream.recorder.recorder_report import RecorderReport
+    from g1stream.session.summary import RecorderSummary, Summary
 
 __all__ = ["record"]
 
@@ -46,7 +47,7 @@ def record(
     should_stop: Callable[[], bool] = lambda: False,
     on_ready: Callable[[], None] = lambda: None,
     final_metadata: Callable[[], Mapping[str, Any]] = dict,
-) -> RecorderReport:
+) -> Summary:
     """Record until told to stop, or until the disk is full.
 
     What happens meanwhile is logged, below `g1stream.recorder`, and written into /log of the file.
@@ -62,7 +63,7 @@ def record(
         final_metadata: more metadata, asked for when told to stop.
 
     Returns:
-        What the recording holds; `stopped` says why it ended early, if it did.
+        What the recording holds; `recorder.stopped` says why it ended early, if it did.
 
     Raises:
         G1StreamError: the file, a setting or the wire does not allow it.
@@ -97,7 +98,7 @@ def record(
             # A full disk does not end the stream; its summary is still to come.
             _wait_until(should_stop)
         _close(writer, report, final_metadata())
-    return report
+    return summarise_run(config, recorder=report)
 
 
 def _limits(settings: RecordConfig) -> SplitLimits:
@@ -114,11 +115,12 @@ def _wait_until(should_stop: Callable[[], bool]) -> None:
 
 
 def _close(
-    writer: SessionWriter, report: RecorderReport, final_metadata: Mapping[str, Any]
+    writer: SessionWriter, report: RecorderSummary, final_metadata: Mapping[str, Any]
 ) -> None:
     """Write the last metadata and the index; a disk that is full may not have room for them."""
     try:
-        values = {**final_metadata, "recorder": report.as_dict(), "measured_tf": report.measured_tf}
+        recorder = report.model_dump(mode="json", exclude={"removed"})
+        values = {**final_metadata, "recorder": recorder, "measured_tf": recorder["measured_tf"]}
         writer.add_metadata(values)
         writer.close()
     except RecordingError as error:
@@ -170,17 +172,17 @@ def _attach(writer: SessionWriter, robot: G1, config: Config, session: Mapping[s
     attach_motion(writer, Path(source) if isinstance(source, str) else None, now)
 
 
-def _run_child(parent: Parent) -> dict[str, Any]:
+def _run_child(parent: Parent) -> RecorderSummary | None:
     """Record for a stream: the startup message has arguments of `record`."""
     lower_priority()
     with handled_by(console_handler("record")):
-        report = record(
+        summary = record(
             **parent.startup_message,
             should_stop=parent.done.is_set,
             on_ready=parent.ready,
             final_metadata=lambda: parent.final_message or {},
         )
-    return {**report.as_dict(), "path": " ".join(report.paths)}
+    return summary.recorder
 
 
 if __name__ == "__main__":

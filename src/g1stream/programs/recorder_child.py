@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from g1stream.files import timestamped
 from g1stream.programs.child_process import Child, ChildError
 from g1stream.session.parts import check_recording_path, remove_recording
+from g1stream.session.summary import MotionInfo, RecorderSummary
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
+    from collections.abc import Collection
 
     from g1stream.config import Config, RecordConfig
     from g1stream.control.gains import Gains
     from g1stream.motion.motion import Motion
+    from g1stream.session.summary import StreamSummary
 
 __all__ = ["RecorderChild", "discard_if_empty", "refuse_path"]
 
@@ -56,13 +58,7 @@ class RecorderChild:
         session = {
             "config": config.model_dump(mode="json"),
             "gains": {name: values.tolist() for name, values in gains._asdict().items()},
-            "motion": {
-                "name": motion.name,
-                "fps": motion.fps,
-                "frames": motion.n_frames,
-                "sha256": motion.sha256,
-                "source": str(motion.source) if motion.source else None,
-            },
+            "motion": MotionInfo.of(motion).model_dump(mode="json"),
         }
         arguments = {"path": path, "config": config, "force": force, "session": session}
         self._child = Child("record", arguments)
@@ -72,32 +68,25 @@ class RecorderChild:
             self._child.kill()
             raise
 
-    def finish(self, final_metadata: Mapping[str, Any], *, heard: bool) -> dict[str, Any]:
-        """End it, and return its summary; where it died, that it did.
-
-        How the motion went counts all the same.
+    def finish(self, stream: StreamSummary, *, heard: bool) -> RecorderSummary:
+        """End it, and return its summary; where it died, only why.
 
         Args:
-            final_metadata: goes into the file's metadata.
-            heard: whether anybody was there to play to. If nobody was, a file in which there is
-                nothing is removed, lest the next recording be refused; `removed` says so.
+            stream: goes into the file's metadata.
+            heard: whether a robot or subscriber was there. If not, a file that holds nothing is
+                removed, so that the next recording is not refused; `removed` says so.
         """
+        recording: RecorderSummary
         try:
-            recording = self._child.finish(final_metadata)
+            recording = self._child.finish({"stream": stream.model_dump(mode="json")})
         except ChildError as error:
-            recording = {
-                "path": str(self._path),
-                "paths": [str(self._path)],
-                "stopped": error.cause,
-                "missing": {},
-                "malformed": {},
-                "dropped_datagrams": 0,
-            }
-        return {**recording, "removed": not heard and discard_if_empty(recording, self._earlier)}
+            recording = RecorderSummary(paths=[str(self._path)], stopped=error.cause)
+        recording.removed = not heard and discard_if_empty(recording, self._earlier)
+        return recording
 
 
-def discard_if_empty(recording: dict[str, Any], earlier: Collection[Path]) -> bool:
-    """Remove the files of a recording that received nothing, lest the next one be refused.
+def discard_if_empty(recording: RecorderSummary, earlier: Collection[Path]) -> bool:
+    """Remove the files of a recording that received nothing, so that the next is not refused.
 
     Args:
         recording: the recorder's summary.
@@ -106,9 +95,10 @@ def discard_if_empty(recording: dict[str, Any], earlier: Collection[Path]) -> bo
     Returns:
         Whether they were removed.
     """
-    received = recording.get("counts", {"unknown": 1}).keys() - _OUR_OWN_WORDS
-    files = [Path(path) for path in recording["paths"]]
-    if received or any(file in earlier or file.parent in earlier for file in files):
+    unknown = not recording.counts
+    received = recording.counts.keys() - _OUR_OWN_WORDS
+    files = [Path(path) for path in recording.paths]
+    if unknown or received or any(f in earlier or f.parent in earlier for f in files):
         return False
     try:
         remove_recording(files)

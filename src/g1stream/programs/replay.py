@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
     from g1stream.control.loop import StreamLoop
     from g1stream.motion.motion import Motion
-    from g1stream.programs.outcome import StreamOutcome
     from g1stream.replay.commands import RecordedCommands
+    from g1stream.session.summary import Summary
 
 __all__ = ["replay"]
 
@@ -37,7 +37,7 @@ def replay(
     record: str | Path | None = None,
     force: bool = False,
     on_loop: Callable[[StreamLoop, Motion], None] | None = None,
-) -> StreamOutcome:
+) -> Summary:
     """Play a recorded session on the robot that subscribes to LowCmd, and return how it went.
 
     The recorded reference is played like any motion: with a ramp, within the limits, with the gains

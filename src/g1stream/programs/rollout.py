@@ -7,7 +7,7 @@ import threading
 from collections import defaultdict
 from contextlib import contextmanager
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from g1stream._version import __version__
 from g1stream.config import Config
@@ -20,13 +20,13 @@ from g1stream.errors import ConfigError
 from g1stream.foxglove.pipeline import MessagePipeline
 from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
-from g1stream.programs.outcome import loop_summary
 from g1stream.programs.sim import physics_timestep
 from g1stream.robot.model import G1
 from g1stream.session.metadata import attach_motion
 from g1stream.session.motions import load_motion
 from g1stream.session.session import Session
 from g1stream.session.source import MemorySource
+from g1stream.session.summary import MotionInfo
 from g1stream.sim.lockstep import EPOCH, Lockstep
 from g1stream.sim.robot import SimulatedRobot
 from g1stream.sim.world import World
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from g1stream.control.gains import Gains
-    from g1stream.control.loop import StreamLoop
     from g1stream.dds.messages import LowState
     from g1stream.dds.topics import Topic
     from g1stream.types import FeedForwardKind, Support
@@ -106,8 +105,13 @@ def rollout(
     _write_header(source, config, robot, motion, resolve_gains(config.gains))
     for messages in (*pipeline.file_header(EPOCH), *pipeline.encode(batches)):
         source.write_batch(*messages)
-    measured_tf = pipeline.base.as_dict()
-    source.add_metadata({"stream": _stream_metadata(loop), "measured_tf": measured_tf})
+    stream = loop.report.summary().model_copy(update={"start_s": config.stream.start})
+    source.add_metadata(
+        {
+            "stream": stream.model_dump(mode="json"),
+            "measured_tf": pipeline.base.summary().model_dump(mode="json"),
+        }
+    )
     return Session(source)
 
 
@@ -164,19 +168,9 @@ def _write_header(
             "log_clock": f"simulated; log times are publish times + {LATENCY} ns",
             "config": config.model_dump(mode="json"),
             "gains": {name: values.tolist() for name, values in gains._asdict().items()},
-            "motion": {
-                "name": motion.name,
-                "fps": motion.fps,
-                "frames": motion.n_frames,
-                "sha256": motion.sha256,
-                "source": str(motion.source) if motion.source else None,
-            },
+            "motion": MotionInfo.of(motion).model_dump(mode="json"),
         }
     )
     source.attach("robot.urdf", "application/xml", robot.urdf.encode(), EPOCH)
     source.attach("config.json", "application/json", config.model_dump_json().encode(), EPOCH)
     attach_motion(source, motion.source, EPOCH)
-
-
-def _stream_metadata(loop: StreamLoop) -> dict[str, Any]:
-    return {**loop_summary(loop.report), "wire": {}, "realtime": []}

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
+from g1stream.analysis.summary import summarise_run
 from g1stream.clock import SystemClock
 from g1stream.config import Config
 from g1stream.control.gains import resolve_gains
@@ -22,12 +23,12 @@ from g1stream.events import handled_by
 from g1stream.motion.limits import measure_limits
 from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
-from g1stream.programs.outcome import StreamOutcome, loop_summary
 from g1stream.programs.recorder_child import RecorderChild, refuse_path
 from g1stream.realtime import describe, on_time
 from g1stream.replay.recorded_link import RecordedLink
 from g1stream.robot.model import G1
 from g1stream.session.motions import load_motion
+from g1stream.session.summary import MotionInfo, Summary, Termination
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
     from g1stream.realtime import Grant
     from g1stream.replay.commands import RecordedCommands
 
-__all__ = ["StreamOutcome", "stream"]
+__all__ = ["stream"]
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -55,7 +56,7 @@ def stream(
     force: bool = False,
     on_loop: Callable[[StreamLoop], None] | None = None,
     recorded: RecordedCommands | None = None,
-) -> StreamOutcome:
+) -> Summary:
     """Play a motion on the robot that subscribes to LowCmd, and return how it went.
 
     The robot is damped before this returns or raises, whatever ends it. Events are logged below
@@ -103,6 +104,7 @@ def stream(
         recorder = RecorderChild(session, force, config, motion, gains) if session else None
         recording = None
         granted: list[Grant] = []
+        findings: list[Finding] = []
         try:
             # All events have been published when the recorder is told to finish.
             with handled_by(events):
@@ -113,11 +115,23 @@ def stream(
                     report = loop.run()
                 findings = _diagnose(config, participant, link, report)
         finally:
-            wire = link.counts()
+            about = {"start_s": interval.start, "realtime": granted, "findings": findings}
+            played = loop.report.summary().model_copy(update={**about, **link.counts()})
             if recorder:
-                heard = bool(loop.report.commands or loop.report.states)
-                recording = recorder.finish(_final_metadata(loop, wire, granted), heard=heard)
-    return StreamOutcome(motion.name, report, recording, wire, granted, interval, findings)
+                heard = bool(played.commands or played.states_used)
+                recording = recorder.finish(played, heard=heard)
+    return summarise_run(
+        config,
+        motion=MotionInfo.of(motion),
+        termination=Termination(
+            reason=report.reason,
+            played_s=None if report.reason else interval.length,
+            motion_s=motion.duration,
+            start_s=interval.start,
+        ),
+        stream=played,
+        recorder=recording,
+    )
 
 
 def _refuse_if_commanded(participant: Participant) -> None:
@@ -156,11 +170,3 @@ def _diagnose(
     for finding in findings:
         _LOGGER.error("%s", finding.cause)
     return findings
-
-
-def _final_metadata(
-    loop: StreamLoop, wire: dict[str, int | None], granted: list[Grant]
-) -> dict[str, Any]:
-    """What the recorder stores about the run of the loop."""
-    grants = [asdict(grant) for grant in granted]
-    return {"stream": {**loop_summary(loop.report), "wire": wire, "realtime": grants}}

@@ -8,7 +8,7 @@ from __future__ import annotations
 import time
 from array import array
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -72,13 +72,6 @@ class StepDetector:
             return 0
         self.steps.append((reading.realtime, step))
         return step
-
-    def as_dict(self) -> dict[str, Any]:
-        """The offsets and steps, as JSON values."""
-        return {
-            "realtime_minus_monotonic_ns": [self.first, self.last],
-            "steps": [{"at_ns": at, "step_ns": step} for at, step in self.steps],
-        }
 
 
 class DelayEstimator:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import logging
+import socket
 import time
 from collections import defaultdict, deque
 from contextlib import suppress
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from g1stream.foxglove.pipeline import CHANNEL_OF
 from g1stream.recorder.clocks import DelayEstimator, StepDetector, read_clocks
 from g1stream.recorder.losses import Losses, dropped_datagrams
 from g1stream.recorder.receiver import Receiver
-from g1stream.recorder.recorder_report import Publishers, RecorderReport
+from g1stream.session.summary import ClockStep, RecorderSummary, TopicDelay
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -57,6 +58,33 @@ class _EventBuffer(logging.Handler):
         return [self._records.popleft() for _ in range(len(self._records))]
 
 
+class Publishers(NamedTuple):
+    """The publishers of a topic.
+
+    Attributes:
+        names: each as well as it can be named.
+        hosts: they are on, as far as they tell.
+    """
+
+    names: list[str]
+    hosts: list[str]
+
+    @classmethod
+    def of(cls, participant: Participant, topic: str) -> Publishers:
+        """The present publishers of a DDS topic."""
+        writers = participant.writers(topic)
+        hosts = {writer.host for writer in writers if writer.host}
+        return cls(sorted({str(writer) for writer in writers}), sorted(hosts))
+
+    @property
+    def remote(self) -> bool:
+        """Whether one of them is on another host, with a clock of its own."""
+        return any(host != socket.gethostname() for host in self.hosts)
+
+    def __str__(self) -> str:
+        return " and ".join(self.names) or "a publisher that is gone"
+
+
 class Recorder:
     """Records what is on the wire, and what it logs itself, below `g1stream.recorder`.
 
@@ -89,7 +117,7 @@ class Recorder:
         self._delays: dict[str, DelayEstimator] = defaultdict(DelayEstimator)
         self._publishers: dict[str, Publishers] = {}
         self._drops_due = 0.0
-        self.report = RecorderReport()
+        self.report = RecorderSummary()
 
     def matched(self) -> dict[str, int]:
         """How many writers each DDS topic is matched with."""
@@ -100,7 +128,7 @@ class Recorder:
         should_stop: Callable[[], bool],
         linger: float = 0.3,
         on_started: Callable[[], None] = lambda: None,
-    ) -> RecorderReport:
+    ) -> RecorderSummary:
         """Record until told to stop, or until nothing can be received or written any more.
 
         The latter raises nothing: the report says why, and the file is complete until then.
@@ -137,7 +165,8 @@ class Recorder:
     def _write_batches(self) -> None:
         batches = self._receiver.drain()
         for name, batch in batches.items():
-            self.report.see(batch.log_times)
+            self.report.first_ns = self.report.first_ns or batch.log_times[0]
+            self.report.last_ns = max(self.report.last_ns or 0, batch.log_times[-1])
             if name in CHANNEL_OF:
                 self._losses.add(name, batch)
                 self._check_delay(name, batch)
@@ -178,9 +207,9 @@ class Recorder:
             _LOGGER.warning("%d samples of %s were lost", number, CHANNEL_OF.get(name, name))
         if time.monotonic() >= self._drops_due:
             self._drops_due = time.monotonic() + _DROPS_PERIOD
-            more = dropped_datagrams() - self.report.dropped
+            more = dropped_datagrams() - self.report.dropped_datagrams
             if more > 0:
-                self.report.dropped += more
+                self.report.dropped_datagrams += more
                 _LOGGER.warning("%d datagrams were dropped: the socket buffer was full", more)
 
     def _check_clock(self) -> None:
@@ -192,7 +221,7 @@ class Recorder:
 
     def _note_alignment(self) -> None:
         base = self._pipeline.base
-        self._writer.add_metadata({"measured_tf": base.as_dict()})
+        self._writer.add_metadata({"measured_tf": base.summary().model_dump()})
         _LOGGER.info(
             "the measured yaw is aligned with the reference by %+.3f rad; position from %s",
             base.yaw_offset,
@@ -201,19 +230,26 @@ class Recorder:
 
     def _fill_report(self) -> None:
         report = self.report
-        report.counts = {topic: n for topic, n in self._writer.counts.items() if n}
+        report.counts = {topic: n for topic, n in sorted(self._writer.counts.items()) if n}
         report.absent = [t for t in CHANNEL_OF.values() if t not in report.counts]
         self._losses.finish()
         self._losses.update(self._receiver.lost())
-        report.missing = {
+        report.lost = {
             CHANNEL_OF[name]: n for name, n in self._losses.lost.items() if name in CHANNEL_OF
         }
         report.malformed = {
             CHANNEL_OF.get(name, name): n for name, n in self._receiver.malformed().items() if n
         }
-        report.clock = self._steps.as_dict()
-        report.measured_tf = self._pipeline.base.as_dict()
+        if self._steps.first is not None:
+            report.realtime_minus_monotonic_ns = (self._steps.first, self._steps.last)
+        report.clock_steps = [ClockStep(at_ns=at, step_ns=step) for at, step in self._steps.steps]
+        report.measured_tf = self._pipeline.base.summary()
         report.paths = [str(path) for path in self._writer.paths]
         for name, delay in self._delays.items():
             publishers = self._publishers.get(name) or Publishers.of(self._participant, name)
-            report.add_delay(CHANNEL_OF[name], publishers, delay.median())
+            median = delay.median()
+            report.delays[CHANNEL_OF[name]] = TopicDelay(
+                hosts=publishers.hosts,
+                median_ns=median,
+                clock_offset_estimate_ns=median if publishers.remote else None,
+            )

@@ -23,10 +23,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-    from g1stream.analysis.metrics import Tracking
+    from g1stream.analysis.tracking import Tracking
     from g1stream.motion.motion import Motion
     from g1stream.session.source import Messages, SessionSource
-    from g1stream.session.summary import PhaseInterval
+    from g1stream.session.summary import PhaseInterval, Summary
     from g1stream.types import Floats
 
 __all__ = ["LogEvent", "Message", "Session", "open_session"]
@@ -90,6 +90,7 @@ class Session:
         self.topics = source.topics
         self.metadata = source.metadata
         self._streams: dict[type[Stream], Any] = {}
+        self._tracking: Tracking | None = None
         if not any(self.topics.get(topic) for topic in _ESSENTIAL):
             raise self._without_essentials()
 
@@ -279,9 +280,21 @@ class Session:
         Raises:
             RecordingError: there is nothing to compare, or the file is damaged.
         """
-        from g1stream.analysis.tracking import tracking
+        if self._tracking is None:
+            from g1stream.analysis.tracking import tracking
 
-        return tracking(self)
+            self._tracking = tracking(self)
+        return self._tracking
+
+    def summary(self) -> Summary:
+        """What is in the session, how well it went, and its problems; `print` shows it as a page.
+
+        Raises:
+            RecordingError: the file is damaged.
+        """
+        from g1stream.analysis.summary import summarise
+
+        return summarise(self)
 
     def plot(self, joints: Sequence[str] | None = None) -> Figure:
         """Reference and measurement of some joints, and the errors of all, as one figure.

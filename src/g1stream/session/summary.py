@@ -7,7 +7,7 @@ part of them. None stands for what is not known.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 from pydantic import (
     BaseModel,
@@ -22,9 +22,13 @@ from pydantic import (
 from g1stream.realtime import Grant
 from g1stream.types import FeedForwardKind, Phase, Support
 
+if TYPE_CHECKING:
+    from g1stream.motion.motion import Motion
+
 __all__ = [
     "ClockStep",
     "FeedForwardChange",
+    "Finding",
     "JointTracking",
     "MeasuredTf",
     "MessageStats",
@@ -117,6 +121,17 @@ class MotionInfo(_Record):
     sha256: str | None = None
     source: str | None = None
 
+    @classmethod
+    def of(cls, motion: Motion) -> MotionInfo:
+        """Of a motion in memory."""
+        return cls(
+            name=motion.name,
+            fps=motion.fps,
+            frames=motion.n_frames,
+            sha256=motion.sha256,
+            source=str(motion.source) if motion.source else None,
+        )
+
     @property
     def duration_s(self) -> float | None:
         """From the first frame to the last, s."""
@@ -143,6 +158,20 @@ class SessionInfo(_Record):
     motion: MotionInfo | None = None
     gains: dict[str, list[float]] | None = None
     config: dict[str, Any] | None = None
+
+
+class Finding(_Record):
+    """The result of a check: why no command was sent, or what the doctor says.
+
+    Attributes:
+        about: what was checked, in a word or two.
+        cause: what was found.
+        remedy: what to do about it; empty where there is nothing to do.
+    """
+
+    about: str
+    cause: str
+    remedy: str = ""
 
 
 class FeedForwardChange(_Record):
@@ -210,7 +239,7 @@ class StreamSummary(_Record):
     state_restarts: Int | None = None
     commands_dropped: Int | None = None
     realtime: list[Grant] = []
-    findings: list[str] = []
+    findings: list[Finding] = []
     lateness_histogram_us: dict[Int, Int] | None = None  # last, as it is long
 
 
@@ -376,7 +405,7 @@ class TrackingSummary(_Record):
         rmse_by_limb_rad: of the joints of each limb together.
         worst_joint: the one of the greatest RMSE.
         compared_states: LowStates that were compared with the reference.
-        excluded_states: LowStates in PLAY that lie in a gap of the reference.
+        excluded_states: LowStates in PLAY that lie in a gap of the reference, or are not finite.
         compared_s: length of PLAY, gaps left out.
         delay_s: by which the robot is behind the reference; None where that cannot be determined.
         rmse_without_delay_rad: RMSE with the reference that much later.
@@ -410,13 +439,13 @@ class Summary(_Record):
         gains: lowest and highest kp in Nm/rad and kd in Nm s/rad.
         phases: in order.
         termination: how it ended.
-        stream: what the stream counted.
         feedforward_log: what was logged of feed-forward, also by a stream that was killed.
         recorder: what the recorder counted.
         tracking: how closely the robot followed.
         topics: the messages of each topic.
         attachments_bytes: name -> size.
         problems: what is wrong, a sentence each, the most important first.
+        stream: what the stream counted.
     """
 
     files_bytes: dict[str, Int] = {}
@@ -432,13 +461,13 @@ class Summary(_Record):
     gains: dict[str, tuple[float, float]] | None = None
     phases: list[PhaseInterval] = []
     termination: Termination = Termination()
-    stream: StreamSummary | None = None
     feedforward_log: list[str] = []
     recorder: RecorderSummary | None = None
     tracking: TrackingSummary | None = None
     topics: dict[str, MessageStats] = {}
     attachments_bytes: dict[str, Int] = {}
     problems: list[str] = []
+    stream: StreamSummary | None = None
 
     @computed_field  # type: ignore[prop-decorator]
     @property
@@ -447,3 +476,8 @@ class Summary(_Record):
         if self.first_ns is None or self.last_ns is None:
             return None
         return (self.last_ns - self.first_ns) / 1e9
+
+    def __str__(self) -> str:
+        from g1stream.analysis.render import render
+
+        return render(self)

@@ -1,0 +1,306 @@
+"""The summary of a session as text."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from g1stream.robot.joints import JOINT_GROUPS
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Mapping, Sequence
+
+    from g1stream.session.summary import (
+        FeedForwardChange,
+        MessageStats,
+        Percentiles,
+        StreamSummary,
+        Summary,
+        Termination,
+        TrackingSummary,
+    )
+
+__all__ = ["WIDTH", "counted", "most", "render"]
+
+WIDTH: Final = 80
+"""No line is longer, unless a single word is."""
+
+_LABEL: Final = 14
+_MOST_JOINTS: Final = 3
+_MOST_PROBLEMS: Final = 10
+#: Played to within this of the end of the motion, s, it was played to its end.
+_WHOLE: Final = 0.1
+
+
+def render(summary: Summary) -> str:
+    """The summary as plain text of `WIDTH` columns, with sections for what there is."""
+    sections = [
+        _session(summary),
+        _tracking(summary.tracking) if summary.tracking else [],
+        _stream(summary.stream) if summary.stream else _log(summary.feedforward_log),
+        _messages(summary),
+        _problems(summary.problems),
+    ]
+    return "\n\n".join("\n".join(lines) for lines in sections if lines)
+
+
+def counted(n: int, noun: str) -> str:
+    """`1 tick`, `2 ticks`."""
+    return f"{n} {noun}{'s' * (n != 1)}"
+
+
+def most(ticks: Mapping[str, int]) -> str:
+    """The first joints with their ticks, and how many others there are."""
+    named = ", ".join(f"{joint} {n}" for joint, n in list(ticks.items())[:_MOST_JOINTS])
+    rest = len(ticks) - _MOST_JOINTS
+    return f"{named} and {counted(rest, 'more joint')}" if rest > 0 else named
+
+
+def _session(summary: Summary) -> list[str]:
+    motion, recorder = summary.motion, summary.recorder
+    lines = [_line("session", _files(summary))] if summary.files_bytes or recorder else []
+    if summary.first_ns is not None:
+        lines.append(_line("recorded", _recorded(summary)))
+    if motion:
+        parts = [motion.name or "unknown"]
+        parts += [f"{motion.frames} frames"] if motion.frames else []
+        parts += [f"{motion.fps:g} fps"] if motion.fps else []
+        parts += [f"sha256 {motion.sha256[:12]}"] if motion.sha256 else []
+        lines.append(_line("motion", ", ".join(parts)))
+    if summary.phases:
+        phases = [f"{one.phase.name} {one.duration_s:.2f} s" for one in summary.phases]
+        lines.append(_line("phases", ", ".join(phases)))
+    if ended := _ended(summary.termination):
+        lines.append(_line("ended", ended))
+    if summary.settings is not None:
+        settings = [f"{key} = {value}" for key, value in summary.settings.items()] or ["defaults"]
+        gains = [f"{k} {low:g} to {high:g}" for k, (low, high) in (summary.gains or {}).items()]
+        lines.append(_line("settings", "; ".join([*settings, *gains])))
+    offsets = [
+        f"{topic} {-delay.clock_offset_estimate_ns / 1e6:+.2f} ms ({', '.join(delay.hosts)})"
+        for topic, delay in (recorder.delays if recorder else {}).items()
+        if delay.clock_offset_estimate_ns is not None
+    ]
+    if offsets:
+        lines.append(_line("clock offsets", ", ".join(offsets)))
+    if recorder and recorder.absent:
+        lines.append(_line("not published", ", ".join(recorder.absent)))
+    if summary.attachments_bytes:
+        files = [f"{name} ({_size(size)})" for name, size in summary.attachments_bytes.items()]
+        lines.append(_line("attached", ", ".join(files)))
+    return lines
+
+
+def _files(summary: Summary) -> str:
+    recorder = summary.recorder
+    paths = [*summary.files_bytes] or (recorder.paths if recorder else []) or ["unknown"]
+    more = f" to {Path(paths[-1]).name}, {len(paths)} files" if len(paths) > 1 else ""
+    size = f", {_size(sum(summary.files_bytes.values()))}" if summary.files_bytes else ""
+    removed = ", removed: nothing was received" if recorder and recorder.removed else ""
+    return f"{paths[0]}{more}{size}{removed}"
+
+
+def _recorded(summary: Summary) -> str:
+    begin = datetime.fromtimestamp((summary.first_ns or 0) / 1e9, timezone.utc)
+    parts = [f"{begin:%Y-%m-%d %H:%M:%S} UTC", f"{summary.duration_s or 0.0:.2f} s"]
+    parts += [f"on {summary.host}"] if summary.host else []
+    parts += [f"domain {summary.domain} on {summary.interface}"] if summary.interface else []
+    version = summary.versions.get("g1stream")
+    return ", ".join(parts + ([f"by g1stream {version}"] if version else []))
+
+
+def _ended(termination: Termination) -> str:
+    """How it ended and how much was played; empty where neither is known."""
+    start, played, motion = termination.start_s, termination.played_s, termination.motion_s
+    rest = None if motion is None else motion - start
+    whole = played is None or rest is None or abs(rest - played) < _WHOLE
+    if termination.undamped_in is not None:
+        how = f"in {termination.undamped_in.name}: the stream process ended without DAMP"
+    elif termination.reason:
+        how = f"early: {termination.reason}"
+    elif termination.reason is not None:
+        how = "at the motion's end" if whole else "as asked"
+    elif played is not None:
+        how = "not recorded"
+    else:
+        return ""
+    if played is None or rest is None or (whole and not start):
+        return how
+    if whole:
+        return f"{how}; played from {start:.1f} s to its end"
+    if played > rest:
+        return f"{how}; played {played:.1f} s of the motion of {motion:.1f} s, looped"
+    return f"{how}; played {played:.1f} of {motion:.1f} s" + (
+        f" from {start:.1f} s" if start else ""
+    )
+
+
+def _tracking(tracking: TrackingSummary) -> list[str]:
+    rows = [("limb", "RMSE rad", "RMSE deg", "worst joint", "RMSE deg", "max deg", "at s")]
+    limbs = {**tracking.rmse_by_limb_rad, "all joints": tracking.rmse_rad}
+    names = list(tracking.joints)
+    for limb, rmse in limbs.items():
+        joints = [names[i] for i in JOINT_GROUPS.get(limb, ()) if i < len(names)] or names
+        name = max(joints, key=lambda name: tracking.joints[name].rmse_rad)
+        worst = tracking.joints[name]
+        rows.append(
+            (
+                limb.replace("_", " "),
+                f"{rmse:.4f}",
+                f"{math.degrees(rmse):.3f}",
+                name.removesuffix("_joint"),
+                f"{math.degrees(worst.rmse_rad):.3f}",
+                f"{math.degrees(worst.max_abs_rad):.2f}",
+                f"{worst.max_abs_at_s:.2f}",
+            )
+        )
+    excluded = f"; {tracking.excluded_states} in gaps of the reference left out"
+    return [
+        *_table(rows, left=(0, 3)),
+        "",
+        _line("delay", _delay(tracking)),
+        _line(
+            "compared",
+            f"{tracking.compared_states} states over {tracking.compared_s:.2f} s of PLAY"
+            + (excluded if tracking.excluded_states else ""),
+        ),
+    ]
+
+
+def _delay(tracking: TrackingSummary) -> str:
+    if tracking.delay_s is None:
+        return "not determined: too little moves, or no delay explains the error"
+    side = "behind" if tracking.delay_s >= 0 else "ahead of"
+    return (
+        f"the robot is {abs(tracking.delay_s) * 1e3:.1f} ms {side} the reference; RMSE without "
+        f"the delay {tracking.rmse_without_delay_rad:.4f} rad, and without each joint's mean "
+        f"error {tracking.rmse_without_delay_and_mean_rad:.4f} rad"
+    )
+
+
+def _log(feedforward_log: Sequence[str]) -> list[str]:
+    """All that a stream that was killed has left of its feed-forward."""
+    return [_line("feed-forward", "; ".join(feedforward_log))] if feedforward_log else []
+
+
+def _stream(stream: StreamSummary) -> list[str]:
+    lines = []
+    if stream.commands == 0:
+        lines.append(_line("commands", "none sent"))
+    elif stream.commands is not None:
+        at = f" at {stream.rate_hz:.2f} Hz" if stream.rate_hz is not None else ""
+        asked = f" (nominal {stream.nominal_rate_hz:g})" if stream.nominal_rate_hz else ""
+        skipped = stream.skipped_ticks
+        lines.append(
+            _line(
+                "commands",
+                f"{stream.commands}{at}{asked}"
+                + (f", {counted(skipped, 'tick')} skipped" if skipped is not None else ""),
+            )
+        )
+    if stream.lateness_us:
+        lines.append(_line("lateness", _percentiles(stream.lateness_us)))
+    if stream.states_received is not None:
+        lost = "unknown" if stream.states_lost is None else str(stream.states_lost)
+        lines.append(_line("states", f"{stream.states_received} received, {lost} lost"))
+    if stream.feedforward:
+        lines.append(_line("feed-forward", _feedforward(stream)))
+    for label, what, ticks in (
+        ("clamped", "joint targets", stream.clamped_ticks),
+        ("saturated", "feed-forward torques", stream.saturated_ticks),
+    ):
+        if ticks:
+            lines.append(_line(label, f"{what} at their limits, ticks: {most(ticks)}"))
+    if stream.realtime:
+        granted = [f"{g.what} {g.detail if g.granted else 'not granted'}" for g in stream.realtime]
+        lines.append(_line("real time", ", ".join(granted)))
+    return lines
+
+
+def _feedforward(stream: StreamSummary) -> str:
+    text = f"{stream.feedforward}"
+    if stream.support and stream.feedforward == "dynamics":
+        text += f" ({stream.support})"
+    if not stream.feedforward_changes:
+        return text
+    first, *more = stream.feedforward_changes
+    text += f" until {_change(first)}" + (f": {first.reason}" if first.reason else "")
+    if more:
+        text += f"; {counted(len(more), 'more change')}, the last at {_change(more[-1])}"
+    return text
+
+
+def _change(change: FeedForwardChange) -> str:
+    return f"{change.motion_time_s:.1f} s of the motion, then {change.kind}"
+
+
+def _messages(summary: Summary) -> list[str]:
+    """A row for each topic of DDS; of derived topics and events the number of messages."""
+    topics = {
+        topic: stats
+        for topic, stats in summary.topics.items()
+        if stats.rate_hz is not None or stats.lost is not None
+    }
+    others = [f"{t} {s.count}" for t, s in summary.topics.items() if t not in topics]
+    rows: list[Sequence[str]] = [
+        ("topic", "count", "lost", "Hz", "gaps", "longest ms", "p50 us", "p99 us", "max us")
+    ]
+    rows += [(topic, *_row(stats)) for topic, stats in topics.items()]
+    lines = _table(rows, left=(0,)) if topics else []
+    if any(stats.latency_us for stats in topics.values()):
+        lines += ["", "gaps: publish intervals over 3 medians; us: latency, log - publish time"]
+    return lines + ([_line("other topics", ", ".join(others))] if others else [])
+
+
+def _row(stats: MessageStats) -> list[str]:
+    longest, us = stats.longest_interval_s, stats.latency_us
+    return [
+        str(stats.count),
+        "" if stats.lost is None else str(stats.lost),
+        "" if stats.rate_hz is None else f"{stats.rate_hz:.1f}",
+        "" if stats.gaps is None else str(stats.gaps),
+        "" if longest is None else f"{longest * 1e3:.1f}",
+        *([f"{value:.0f}" for value in (us.p50, us.p99, us.max)] if us else [""] * 3),
+    ]
+
+
+def _problems(problems: Sequence[str]) -> list[str]:
+    shown = list(problems[:_MOST_PROBLEMS]) or ["no problems found"]
+    if rest := len(problems[_MOST_PROBLEMS:]):
+        shown.append(f"and {rest} more; --json lists all")
+    return [_line("" if i else "problems", text) for i, text in enumerate(shown)]
+
+
+def _percentiles(us: Percentiles) -> str:
+    return f"p50 {us.p50:.0f} us, p99 {us.p99:.0f}, p99.9 {us.p99_9:.0f}, max {us.max:.0f}"
+
+
+def _size(n_bytes: int) -> str:
+    return f"{n_bytes / 1e6:.1f} MB" if n_bytes >= 1e5 else f"{n_bytes / 1e3:.1f} kB"
+
+
+def _line(label: str, text: str) -> str:
+    """`label  text`, the text wrapped beside its label."""
+    return textwrap.fill(
+        text,
+        WIDTH,
+        initial_indent=label.ljust(_LABEL),
+        subsequent_indent=" " * _LABEL,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+
+
+def _table(rows: Sequence[Sequence[str]], left: Collection[int]) -> list[str]:
+    """Rows in columns, right-aligned but for those named; columns without values are left out."""
+    columns = [
+        [cell.ljust(width) if i in left else cell.rjust(width) for cell in column]
+        for i, column in enumerate(zip(*rows, strict=True))
+        if any(column[1:])
+        for width in [max(map(len, column))]
+    ]
+    lines = ["  ".join(cells).rstrip() for cells in zip(*columns, strict=True)]
+    return [lines[0], "  ".join("-" * len(column[0]) for column in columns), *lines[1:]]

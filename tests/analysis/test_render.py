@@ -1,0 +1,181 @@
+"""The text of a summary: one snapshot holds the words."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from g1stream.analysis.render import WIDTH, counted, most, render
+from g1stream.realtime import Grant
+from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
+from g1stream.session.summary import (
+    FeedForwardChange,
+    JointTracking,
+    MessageStats,
+    MotionInfo,
+    Percentiles,
+    PhaseInterval,
+    RecorderSummary,
+    StreamSummary,
+    Summary,
+    Termination,
+    TopicDelay,
+    TrackingSummary,
+)
+from g1stream.types import Phase
+
+SNAPSHOT = Path(__file__).with_name("render.txt")
+
+STREAM = StreamSummary(
+    reason="",
+    commands=9500,
+    rate_hz=496.784,
+    nominal_rate_hz=500.0,
+    lateness_us=Percentiles(p50=60.0, p99=117.0, p99_9=180.0, max=1734.4),
+    skipped_ticks=1,
+    feedforward="dynamics",
+    support="hanging",
+    states_received=9600,
+    states_lost=None,
+    realtime=[
+        Grant("SCHED_FIFO", granted=False, detail="not permitted"),
+        Grant("locked memory", granted=True, detail="locked"),
+    ],
+)
+JOINTS = {
+    name: JointTracking(
+        rmse_rad=0.001 * (1 + i % 7), mean_rad=0.0, max_abs_rad=0.004 * (1 + i % 7), max_abs_at_s=i
+    )
+    for i, name in enumerate(JOINT_NAMES)
+}
+TRACKING = TrackingSummary(
+    rmse_rad=0.004,
+    rmse_by_limb_rad={limb: 0.001 * (i + 2) for i, limb in enumerate(JOINT_GROUPS)},
+    worst_joint="right_wrist_yaw_joint",
+    compared_states=7000,
+    excluded_states=151,
+    compared_s=14.0,
+    delay_s=0.0021,
+    rmse_without_delay_rad=0.0031,
+    rmse_without_delay_and_mean_rad=0.0024,
+    joints=JOINTS,
+)
+LATENCY = Percentiles(p50=151.2, p99=340.0, p99_9=512.0, max=12_345.6)
+RECORDED = Summary(
+    files_bytes={"demo-out/session_0.mcap": 8_000_000, "demo-out/session_1.mcap": 4_345_678},
+    complete=True,
+    first_ns=1_700_000_000_000_000_000,
+    last_ns=1_700_000_019_250_000_000,
+    host="bench",
+    domain=1,
+    interface="lo",
+    versions={"g1stream": "0.1.0"},
+    motion=MotionInfo(name="demo", fps=30.0, frames=421, sha256="ab" * 32),
+    settings={"stream.rate": 250.0, "stream.support": "hanging"},
+    gains={"kp": (40.0, 100.0), "kd": (1.0, 2.0)},
+    phases=[
+        PhaseInterval(phase=Phase.RAMP, start_s=-3.0, end_s=0.0),
+        PhaseInterval(phase=Phase.PLAY, start_s=0.0, end_s=14.0),
+    ],
+    termination=Termination(reason="", played_s=14.0, motion_s=14.0),
+    stream=STREAM,
+    recorder=RecorderSummary(
+        absent=["/secondary_imu"],
+        delays={
+            "/lowstate": TopicDelay(hosts=["robot"], median_ns=5, clock_offset_estimate_ns=312_345)
+        },
+    ),
+    tracking=TRACKING,
+    topics={
+        "/log": MessageStats(count=12),
+        "/lowcmd": MessageStats(
+            count=9500,
+            lost=0,
+            rate_hz=496.78,
+            gaps=0,
+            longest_interval_s=0.0041,
+            latency_us=LATENCY,
+            clock_offset_s=0.0,
+        ),
+        "/sportmodestate": MessageStats(
+            count=1, lost=3, gaps=0, latency_us=LATENCY, clock_offset_s=0.0
+        ),
+        "/tf": MessageStats(count=1902),
+        "/tracking_error/joint_states": MessageStats(count=7151),
+    },
+    attachments_bytes={"robot.urdf": 41_000, "demo.csv": 412_000},
+    problems=["1 tick skipped by the stream."],
+)
+CHANGES = [
+    FeedForwardChange(motion_time_s=2.13, kind="velocity", reason="LowState is older than 0.02 s"),
+    FeedForwardChange(motion_time_s=3.0, kind="dynamics"),
+]
+MOTION = MotionInfo(name="walk")
+
+CASES = {
+    "a recorded session": RECORDED,
+    "a stream without a recording": Summary(
+        motion=MOTION,
+        termination=Termination(reason="SIGINT", motion_s=131.5),
+        stream=STREAM.model_copy(
+            update={"rate_hz": None, "feedforward_changes": CHANGES, "states_lost": 2}
+        ),
+        problems=["The stream ended early: SIGINT."],
+    ),
+    "a recording only": Summary(
+        files_bytes={"dance.mcap": 90_000},
+        first_ns=0,
+        last_ns=2_500_000_000,
+        recorder=RecorderSummary(lost={"/lowstate": 3}),
+        topics={"/lowstate": MessageStats(count=1250, lost=3), "/tf": MessageStats(count=250)},
+        problems=["3 samples lost on /lowstate."],
+    ),
+    "nothing sent": Summary(
+        termination=Termination(reason="no LowState came within 1 s", motion_s=14.0),
+        stream=StreamSummary(commands=0, nominal_rate_hz=500.0, states_received=0, states_lost=0),
+    ),
+    "nothing received": Summary(recorder=RecorderSummary(paths=["a.mcap"], removed=True)),
+    "a killed stream, a robot without delay": Summary(
+        termination=Termination(undamped_in=Phase.PLAY, played_s=2.0, motion_s=14.0),
+        tracking=TRACKING.model_copy(update={"delay_s": None, "excluded_states": 0}),
+        feedforward_log=["dynamics of a robot that is held bolted"],
+        problems=[f"problem {i}" for i in range(14)],
+    ),
+    "from 2 s to the end": Summary(
+        termination=Termination(reason="", played_s=12.0, motion_s=14.0, start_s=2.0)
+    ),
+    "a part": Summary(termination=Termination(reason="", played_s=6.0, motion_s=14.0, start_s=2.0)),
+    "looped": Summary(termination=Termination(reason="", played_s=30.0, motion_s=14.0)),
+    "nothing known of the end": Summary(termination=Termination(played_s=30.0, motion_s=14.0)),
+    "nothing": Summary(),
+}
+
+
+def test_the_text_is_the_snapshots():
+    """UPDATE_SNAPSHOTS=1 writes it anew."""
+    text = "".join(f"=== {name}\n{render(case)}\n" for name, case in CASES.items())
+    if os.environ.get("UPDATE_SNAPSHOTS"):
+        SNAPSHOT.write_text(text)
+    assert text == SNAPSHOT.read_text()
+
+
+@pytest.mark.parametrize("summary", CASES.values(), ids=CASES)
+def test_it_fits_a_terminal(summary):
+    lines = render(summary).splitlines()
+    assert max(map(len, lines)) <= WIDTH
+    assert not any(line != line.rstrip() for line in lines)
+
+
+def test_a_long_path_is_not_broken():
+    path = "/" + "/".join(["a_long_directory"] * 12) + "/session.mcap"
+    assert f"{path}," in render(Summary(files_bytes={path: 3})).split()
+
+
+def test_numbers_of_things():
+    assert (counted(0, "tick"), counted(1, "tick"), counted(2, "tick")) == (
+        "0 ticks",
+        "1 tick",
+        "2 ticks",
+    )
+    assert most({"a": 3, "b": 2}) == "a 3, b 2"
+    assert most(dict.fromkeys("abcde", 1)) == "a 1, b 1, c 1 and 2 more joints"

@@ -125,9 +125,10 @@ class Envelope:
             lower = np.minimum(lower, begun + ramped * (lower - begun))
             upper = np.maximum(upper, begun + ramped * (upper - begun))
         limited: Floats = np.minimum(np.maximum(q, lower), upper)
-        if not np.count_nonzero(limited != q):
+        moved = limited - q
+        if not np.count_nonzero(moved):
             return q
-        self.clamped += np.abs(limited - q) > POSITION_TOLERANCE
+        self.clamped += np.abs(moved) > POSITION_TOLERANCE
         return limited
 
     @staticmethod

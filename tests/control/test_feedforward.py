@@ -42,7 +42,7 @@ class Model:
         self.asked.append((support, q, base, force))
         return Solution(self.tau, self.lin_acc, self.ang_acc)
 
-    def felt(self, solution, base):
+    def specific_force(self, solution, base):
         return np.array([0.0, 0.0, 10.0])
 
 

@@ -228,7 +228,7 @@ class FeedForward:
         force = self._observer.update(imu) if self._observer else None
         solution = dynamics.solve(support, target.q, target.dq, target.ddq, base, force=force)
         if self._observer:
-            self._observer.expect(dynamics.felt(solution, base))
+            self._observer.expect(dynamics.specific_force(solution, base))
         if self._check:
             self._check.add(target.motion_time, imu.gyroscope, solution.ang_acc)
         return solution.tau

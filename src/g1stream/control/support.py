@@ -53,9 +53,9 @@ class ForceObserver:
             self._error *= min(1.0, self._furthest / max(length, 1e-9))
         return self._weight + self._error
 
-    def expect(self, felt: Floats) -> None:
+    def expect(self, specific_force: Floats) -> None:
         """Store the predicted accelerometer reading (3,) for the command of this tick, m/s²."""
-        self._expected.append(felt)
+        self._expected.append(specific_force)
 
 
 class SupportCheck:

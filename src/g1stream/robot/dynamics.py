@@ -183,7 +183,7 @@ class InverseDynamics:
             self._mujoco.mj_mulM(self._model, self._data, column, unit)
         return self._columns[:, :_BASE]
 
-    def felt(self, solution: Solution, base: BaseMotion) -> Floats:
+    def specific_force(self, solution: Solution, base: BaseMotion) -> Floats:
         """What the accelerometer in the pelvis measures during a solution.
 
         The specific force at the IMU: a - g of the pelvis's origin, a' x r and w x (w x r).
@@ -196,8 +196,8 @@ class InverseDynamics:
         (x, y, z), (ax, ay, az) = self._imu_pos.tolist(), ang_acc.tolist()
         swing = np.array([ay * z - az * y, az * x - ax * z, ax * y - ay * x])
         inward = ang_vel * (ang_vel @ self._imu_pos) - self._imu_pos * (ang_vel @ ang_vel)
-        felt: Floats = upward + swing + inward
-        return felt
+        measured: Floats = upward + swing + inward
+        return measured
 
     def _carried(self, force: Floats | None) -> Floats:
         """The generalised force (35,) of a force at the carrier's centre of mass."""

@@ -1,4 +1,4 @@
-"""`g1stream motion` as a user meets it: what it says in words and as JSON, and its exit codes."""
+"""`g1stream motion` in words and as JSON, and its exit codes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def run(*arguments: object) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture
 def leaping(tmp_path):
-    """The demo, in which a wrist leaps onto its limit: the spline overshoots, the frames do not."""
+    """The demo with a wrist that jumps to its limit: the spline overshoots, the frames do not."""
     header, *lines = DEMO.read_text().splitlines()
     rows = [line.split(",") for line in lines]
     place = header.split(",").index("left_wrist_roll_joint")
@@ -35,12 +35,12 @@ def leaping(tmp_path):
     return path
 
 
-def test_the_speed_it_says_is_the_one_that_is_streamed():
-    told = json.loads(run("demo", "--json").stdout)
-    streamed = max(speed["value"] for speed in told["streamed"]["speeds"])
-    assert set(told["fastest"]) == {"joint", "time", "value", "limit", "count"}
-    assert told["streamed"]["rate"] == 500.0
-    assert streamed > told["fastest"]["value"]
+def test_the_speed_is_the_one_that_is_streamed():
+    report = json.loads(run("demo", "--json").stdout)
+    streamed = max(speed["value"] for speed in report["streamed"]["speeds"])
+    assert set(report["fastest"]) == {"joint", "time", "value", "limit", "count"}
+    assert report["streamed"]["rate"] == 500.0
+    assert streamed > report["fastest"]["value"]
     text = run("demo").stdout
     fastest = next(line for line in text.splitlines() if line.startswith("  fastest"))
     assert f"{streamed:.1f} rad/s" in fastest
@@ -49,13 +49,13 @@ def test_the_speed_it_says_is_the_one_that_is_streamed():
     assert text.endswith("all kept\n")
 
 
-def test_targets_that_would_be_held_are_told_and_no_fault(leaping):
+def test_held_targets_are_a_warning(leaping):
     done = run(leaping)
-    told = json.loads(run(leaping, "--json").stdout)
-    (held,) = told["streamed"]["held"]
+    report = json.loads(run(leaping, "--json").stdout)
+    (held,) = report["streamed"]["held"]
     assert held["joint"] == "left_wrist_roll_joint"
-    assert told["n_held"] == held["count"] > 0
-    assert told["within_limits"] is True
+    assert report["n_held"] == held["count"] > 0
+    assert report["within_limits"] is True
     assert f"{held['count']} joint targets at 500 Hz are held" in done.stdout
     assert "all kept" not in done.stdout
     assert done.returncode == 0
@@ -64,9 +64,9 @@ def test_targets_that_would_be_held_are_told_and_no_fault(leaping):
 def test_targets_are_held_at_the_limits_of_the_settings(leaping, tmp_path):
     path = tmp_path / "config.toml"
     path.write_text("[stream]\nrate = 50.0\n[safety]\nposition_margin = 0.1\n")
-    told = json.loads(run(leaping, "--config", path, "--json").stdout)
-    wrist = next(j for j in told["streamed"]["held"] if j["joint"] == "left_wrist_roll_joint")
-    assert (told["streamed"]["rate"], told["streamed"]["position_margin"]) == (50.0, 0.1)
+    report = json.loads(run(leaping, "--config", path, "--json").stdout)
+    wrist = next(j for j in report["streamed"]["held"] if j["joint"] == "left_wrist_roll_joint")
+    assert (report["streamed"]["rate"], report["streamed"]["position_margin"]) == (50.0, 0.1)
     assert wrist["limit"] == pytest.approx(1.972222 - 0.1, abs=1e-5)
     assert wrist["count"] > 500  # most of 14 s at 50 Hz
 

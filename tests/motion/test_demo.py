@@ -68,7 +68,7 @@ def test_begins_and_ends_at_rest_in_one_pose(demo):
 
 
 def test_needs_less_than_half_of_the_torque_limits(demo, robot):
-    """With the pelvis held upright in the air, as the bridge holds it unless told otherwise."""
+    """With the pelvis held upright in the air, as the bridge holds it by default."""
     model = mujoco.MjModel.from_xml_string(robot.urdf)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
     data = mujoco.MjData(model)

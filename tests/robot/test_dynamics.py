@@ -237,7 +237,7 @@ KNEE, ANKLE = JOINT_NAMES.index("left_knee_joint"), JOINT_NAMES.index("left_ankl
 
 @pytest.fixture(scope="module")
 def two_links(tmp_path_factory) -> G1:
-    """A G1 of which only the left shin and the left ankle have mass worth the name."""
+    """A G1 of which only the left shin and the left ankle have a mass."""
     root = ET.fromstring(G1.default().urdf)
     for link in root.iter("link"):
         if link.find("inertial") is None:
@@ -292,7 +292,7 @@ def test_two_links_by_hand(two_links):
 def test_a_simulation_with_the_same_support_follows_with_small_gains(
     robot, inverse, monkeypatch, support
 ):
-    """Without dry friction, whose sign at rest nobody knows, and with a twentieth of the gains.
+    """Without dry friction, whose sign at rest is unknown, and with a twentieth of the gains.
 
     That is less than it takes to balance the trunk on the waist, so the torques are those of the
     measured pose: what is left is for the model to get right, and not for the gains.

@@ -1,6 +1,6 @@
 """Motion files in CSV: a row of root pose and joint angles per frame, in metres and radians.
 
-There are two layouts, told apart by the first line:
+There are two layouts, distinguished by the first line:
 
 - Foxglove: a header and 37 columns, `Frame,X,Y,Z,QX,QY,QZ,QW` and the 29 joints, in any order;
 - LAFAN1 as distributed for the G1: no header and 36 columns, position, quaternion and the joints in
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 __all__ = ["DEFAULT_FPS", "ROOT_COLUMNS", "CsvFile", "to_csv"]
 
 DEFAULT_FPS: Final = 30.0
-"""Frames per second of LAFAN1, assumed for both layouts unless told otherwise."""
+"""Frames per second of LAFAN1, assumed for both layouts if none is given."""
 
 _FRAME: Final = "Frame"
 _POSITION: Final = ("X", "Y", "Z")

@@ -1,7 +1,7 @@
 """Finds a motion file and picks the class that reads its format.
 
-A further format is a class such as `CsvFile` in a file of its own; `open_motion_file` tells the
-formats apart by the first bytes. Session files are read a layer above, in session/motions.py.
+A further format is a class such as `CsvFile` in a file of its own; `open_motion_file` distinguishes
+formats by the first bytes. Session files are read a layer above, in session/motions.py.
 """
 
 from __future__ import annotations

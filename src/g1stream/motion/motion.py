@@ -209,7 +209,12 @@ class Motion:
                 f"The motion {self.name} has no joint {', '.join(unknown)}.",
                 f"Its joints are {', '.join(self.joint_names)}.",
             )
-        panels = {"": list(joints)} if joints else _joints_by_limb(self.joint_names)
+        panels = {"": list(joints or self.joint_names)}
+        if joints is None and self.joint_names == JOINT_NAMES:
+            panels = {
+                limb.replace("_", " "): [JOINT_NAMES[i] for i in motors]
+                for limb, motors in JOINT_GROUPS.items()
+            }
         figure = Figure(figsize=(9.0, 1.0 + 2.4 * len(panels)), layout="constrained")
         figure.suptitle(self.name)
         times = np.arange(self.n_frames) / self.fps
@@ -299,15 +304,6 @@ def _check_joint_names(name: str, joint_names: Sequence[str]) -> None:
             f"{', '.join(wrong) or 'none'}.",
             "Name each of the joints in g1stream.JOINT_NAMES once.",
         )
-
-
-def _joints_by_limb(joint_names: tuple[str, ...]) -> dict[str, list[str]]:
-    limbs = {
-        limb.replace("_", " "): [JOINT_NAMES[i] for i in joints if JOINT_NAMES[i] in joint_names]
-        for limb, joints in JOINT_GROUPS.items()
-    }
-    known = {limb: names for limb, names in limbs.items() if names}
-    return known or {"": list(joint_names)}
 
 
 def _sign_continuous(quat: Floats) -> Floats:

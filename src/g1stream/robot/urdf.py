@@ -1,18 +1,16 @@
 """Reads the kinematics of a 29-joint G1 from a URDF, or says why that is not possible.
 
-There are two readers of a URDF. This one parses the XML once with ElementTree; the shapes
-(visuals.py) and the text for MuJoCo (mujoco_spec.py) are made from the same parsed elements. MuJoCo
-is the other: masses and inertias are read by nobody else, and only by programs that simulate or
-compute torques, because importing it takes long.
+A URDF has two readers. This one parses the XML once with ElementTree; the shapes (visuals.py) and
+the text for MuJoCo (mujoco_spec.py) are made from the same elements. The other is MuJoCo, which
+reads masses and inertias, in programs that simulate or compute torques.
 
-Three other ways were weighed:
+Alternatives:
 
-- yourdfpy: importing it takes a second, because it imports trimesh, and it accepts broken files
-  without a word about what is wrong, so that every element had to be checked with ElementTree
-  before. Frames, axes and limits are all that is left to read then. It is the independent reader
-  that the tests compare this one with.
-- MuJoCo for everything: it fails on missing meshes, and `g1stream convert` would have to import it.
-- A file compiled from the default URDF: reading that URDF takes 4 ms, of which it would save 3.
+- yourdfpy takes a second to import, because of trimesh, and does not check what it reads. All that
+  it would save after those checks is the conversion of three attributes. It is the independent
+  reader that the tests compare this one with.
+- MuJoCo alone takes long to import, and fails on missing meshes.
+- A file compiled from the default URDF would save 3 of the 4 ms that reading it takes.
 """
 
 from __future__ import annotations

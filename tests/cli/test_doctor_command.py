@@ -15,8 +15,8 @@ def doctor(domain, *flags):
 def test_nobody_there_is_a_problem(domain_id, capsys):
     assert doctor(domain_id) == 2
     printed = capsys.readouterr().out
-    assert f"problem  publisher     no publisher on rt/lowstate in domain {domain_id}" in printed
-    assert "g1stream sim" in printed
+    assert "problem  " in printed
+    assert f"no publisher on rt/lowstate in domain {domain_id}" in printed
 
 
 def test_json_has_every_finding(domain_id, capsys):

@@ -16,7 +16,7 @@ def nothing_starts(monkeypatch):
     def start(*_):
         raise StartedError
 
-    monkeypatch.setattr(program, "_check_nobody_simulates", lambda _: None)
+    monkeypatch.setattr(program, "_check_no_other_publisher", lambda _: None)
     monkeypatch.setattr(program, "Child", start)
     monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
 

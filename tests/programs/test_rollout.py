@@ -107,6 +107,11 @@ def test_settings_that_cannot_be_played(settings, named):
         rollout("demo", config=Config.model_validate(settings))
 
 
+def test_seconds_must_be_positive():
+    with pytest.raises(ConfigError, match=r"stream\.duration.*-1"):
+        rollout("demo", seconds=-1)
+
+
 def test_a_loop_plays_as_long_as_asked():
     looped = rollout("demo", seconds=0.5, config=config(stream=SHORT | {"loop": True}))
     assert {one.phase: one.duration_s for one in looped.phases}[Phase.PLAY] == pytest.approx(0.5)
@@ -122,6 +127,7 @@ def test_it_is_saved_as_a_recorder_writes_it(session, tmp_path):
     assert saved.metadata == session.metadata
     assert saved.attachments == session.attachments
     assert saved.tracking().overall == session.tracking().overall
+    assert saved.summary().problems == session.summary().problems == []
     again = session.save(tmp_path / "again.mcap")
     assert again.read_bytes() == path.read_bytes()
     with pytest.raises(RecordingError, match=r"again\.mcap"):

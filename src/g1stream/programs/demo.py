@@ -1,4 +1,4 @@
-"""The whole job on one machine: our bridge, a motion on it, a recording, and how well it went."""
+"""Everything on one machine: our bridge, a motion played on it, a recording, and a figure."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 
 __all__ = ["FIGURE", "demo"]
 
-#: How long to look for somebody who simulates on the same domain already, s.
-_LOOK_AROUND = 0.5
-
-
 FIGURE: Final = "tracking.png"
+"""Name of the figure in the output directory."""
+
+#: How long discovery of other publishers may take, s.
+_DISCOVERY: Final = 0.5
 
 
 def demo(
@@ -64,7 +64,7 @@ def demo(
         named_anew = config.record.auto_name  # with the time in it
         _check_absent(*([] if named_anew else [session_path]), figure_path)
     _make_directory(out)
-    _check_nobody_simulates(config)
+    _check_no_other_publisher(config)
     sim = Child("sim", config)
     try:
         sim.wait_until_ready()
@@ -95,7 +95,7 @@ def _check_local_only(interface: str) -> None:
         else "CYCLONEDDS_URI is set, which could lead elsewhere"
     )
     raise ConfigError(
-        f"A demo plays on this machine only, and {what}.",
+        f"A demo is local to this machine, but {what}.",
         "Leave that out; to play on a robot use `g1stream stream`.",
     )
 
@@ -114,17 +114,17 @@ def _make_directory(out: Path) -> None:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise RecordingError(
-            f"The directory {out} cannot be made: {error.strerror}.", "Choose another --out."
+            f"The directory {out} cannot be created: {error.strerror}.", "Choose another --out."
         ) from error
 
 
-def _check_nobody_simulates(config: Config) -> None:
+def _check_no_other_publisher(config: Config) -> None:
     with Participant(config.dds.domain, config.dds.interface) as participant:
-        time.sleep(_LOOK_AROUND)
+        time.sleep(_DISCOVERY)
         others = participant.writers(LOWSTATE.name)
     if others:
         raise WireError(
-            f"Somebody publishes {LOWSTATE.name} on domain {config.dds.domain} already: "
+            f"Another publisher on {LOWSTATE.name} in domain {config.dds.domain}: "
             f"{', '.join(map(str, others))}.",
             f"End it, or choose a free domain, such as --domain {config.dds.domain + 1}.",
         )

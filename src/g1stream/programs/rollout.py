@@ -10,7 +10,7 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Final
 
 from g1stream._version import __version__
-from g1stream.config import Config
+from g1stream.config import Config, load_config
 from g1stream.control.gains import resolve_gains
 from g1stream.control.loop import make_loop
 from g1stream.dds.log_handler import LogHandler
@@ -26,7 +26,7 @@ from g1stream.session.metadata import attach_motion
 from g1stream.session.motions import load_motion
 from g1stream.session.session import Session
 from g1stream.session.source import MemorySource
-from g1stream.session.summary import MotionInfo
+from g1stream.session.summary import MotionInfo, RecorderSummary
 from g1stream.sim.lockstep import EPOCH, Lockstep
 from g1stream.sim.robot import SimulatedRobot
 from g1stream.sim.world import World
@@ -106,10 +106,17 @@ def rollout(
     for messages in (*pipeline.file_header(EPOCH), *pipeline.encode(batches)):
         source.write_batch(*messages)
     stream = loop.report.summary().model_copy(update={"start_s": config.stream.start})
+    recorder = RecorderSummary(
+        first_ns=EPOCH,
+        last_ns=link.stamp() + LATENCY,
+        counts=source.topics,
+        measured_tf=pipeline.base.summary(),
+    ).model_dump(mode="json")
     source.add_metadata(
         {
             "stream": stream.model_dump(mode="json"),
-            "measured_tf": pipeline.base.summary().model_dump(mode="json"),
+            "recorder": recorder,
+            "measured_tf": recorder["measured_tf"],
         }
     )
     return Session(source)
@@ -124,17 +131,20 @@ def _resolve(
     """The config with the arguments of a rollout over its values."""
     support = support or config.sim.support
     default: FeedForwardKind = "velocity" if support == "free" else "dynamics"
-    values = config.model_dump()
-    values["sim"]["support"] = support
-    values["stream"]["feedforward"] = feedforward or config.stream.feedforward or default
-    if seconds is not None:
-        values["stream"]["duration"] = float(seconds)
-    if values["stream"]["loop"] and values["stream"]["duration"] is None:
+    config = load_config(
+        over=config.model_dump()
+        | {
+            "sim.support": support,
+            "stream.feedforward": feedforward or config.stream.feedforward or default,
+            "stream.duration": None if seconds is None else float(seconds),
+        }
+    )
+    if config.stream.loop and config.stream.duration is None:
         raise ConfigError(
             "A rollout of a motion that loops would not end: stream.loop is true.",
             "Give `seconds`, or stream.duration.",
         )
-    return Config.model_validate(values)
+    return config
 
 
 @contextmanager

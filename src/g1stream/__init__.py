@@ -32,18 +32,36 @@ if TYPE_CHECKING:
     from g1stream.robot.joints import JOINT_NAMES
     from g1stream.robot.model import G1
     from g1stream.session.motions import load_motion
-    from g1stream.session.session import Session, open_session
-    from g1stream.session.summary import Summary
+    from g1stream.session.session import Message, Session, open_session
+    from g1stream.session.streams import (
+        Base,
+        Command,
+        LogEvent,
+        Measured,
+        Reference,
+        Stream,
+        TorsoImu,
+    )
+    from g1stream.session.summary import PhaseInterval, Summary
 
 __all__ = [
     "G1",
     "JOINT_NAMES",
+    "Base",
+    "Command",
     "Config",
     "Conversion",
     "G1StreamError",
+    "LogEvent",
+    "Measured",
+    "Message",
     "Motion",
+    "PhaseInterval",
+    "Reference",
     "Session",
+    "Stream",
     "Summary",
+    "TorsoImu",
     "Tracking",
     "Trajectory",
     "TrajectoryPoint",
@@ -60,14 +78,23 @@ __all__ = [
 ]
 
 _HOME = {
+    "Base": "session.streams",
+    "Command": "session.streams",
     "Config": "config",
     "Conversion": "programs.convert",
     "G1": "robot.model",
     "G1StreamError": "errors",
     "JOINT_NAMES": "robot.joints",
+    "LogEvent": "session.streams",
+    "Measured": "session.streams",
+    "Message": "session.session",
     "Motion": "motion.motion",
+    "PhaseInterval": "session.summary",
+    "Reference": "session.streams",
     "Session": "session.session",
+    "Stream": "session.streams",
     "Summary": "session.summary",
+    "TorsoImu": "session.streams",
     "Tracking": "analysis.tracking",
     "Trajectory": "motion.trajectory",
     "TrajectoryPoint": "motion.trajectory",

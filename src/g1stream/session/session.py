@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import cached_property
-from itertools import compress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
@@ -27,7 +26,6 @@ if TYPE_CHECKING:
     from g1stream.motion.motion import Motion
     from g1stream.session.source import Messages, SessionSource
     from g1stream.session.summary import PhaseInterval, Summary
-    from g1stream.types import Floats
 
 __all__ = ["LogEvent", "Message", "Session", "open_session"]
 
@@ -54,7 +52,7 @@ def open_session(path: str | os.PathLike[str]) -> Session:
     """Open a session file, also one whose recorder was killed.
 
     Args:
-        path: of the file, of one of the parts it was split into, or what those are called after.
+        path: of a session file, of a directory of parts, or of one of the parts: all are read.
 
     Raises:
         RecordingError: there is no such file, or it is no session, or it is damaged.
@@ -176,9 +174,9 @@ class Session:
         Raises:
             RecordingError: the file is damaged.
         """
-        return self._times([topic for topic, n in sorted(self.topics.items()) if n])
+        return self._read_times([topic for topic, n in sorted(self.topics.items()) if n])
 
-    def _times(self, topics: Sequence[str]) -> dict[str, Stream]:
+    def _read_times(self, topics: Sequence[str]) -> dict[str, Stream]:
         def stream(columns: Mapping[str, NDArray[Any]]) -> Stream:
             made = Stream(lambda _: columns, lambda: made.since(self.start_ns))
             return made
@@ -254,25 +252,9 @@ class Session:
         Raises:
             RecordingError: there is no phase of this name.
         """
-        ranges = [(-np.inf, np.inf)]
-        if phase is not None:
-            name = phase.name if isinstance(phase, Phase) else phase.upper()
-            if name not in Phase.__members__:
-                raise RecordingError(
-                    f"There is no phase {phase!r}.", f"Choose from {', '.join(Phase.__members__)}."
-                )
-            phases = self.phases
-            ends = [*(one.end_s for one in phases[:-1]), np.inf]
-            ranges = [
-                (one.start_s, end)
-                for one, end in zip(phases, ends, strict=False)
-                if one.phase is Phase[name]
-            ]
-        if time is not None:
-            first = -np.inf if time.start is None else time.start
-            last_time = np.inf if time.stop is None else np.nextafter(time.stop, np.inf)
-            ranges = [(max(a, first), min(b, last_time)) for a, b in ranges]
-        return _Selection(self, ranges)
+        from g1stream.session.selection import select
+
+        return select(self, phase, time)
 
     def tracking(self) -> Tracking:
         """How closely the robot followed the reference in PLAY.
@@ -437,39 +419,6 @@ class Session:
         if not self.topics:
             return "nor on any other topic"
         return "only on " + ", ".join(sorted(self.topics))
-
-
-class _Selection(Session):
-    """A session restricted to ranges of time (from, to), s on the motion's clock, `to` excluded."""
-
-    def __init__(self, whole: Session, ranges: list[tuple[float, float]]) -> None:
-        super().__init__(whole._source)
-        self._whole, self._ranges = whole, ranges
-        self.start_ns = whole.start_ns
-
-    def _inside(self, times: Floats) -> NDArray[np.bool_]:
-        inside = np.zeros(len(times), dtype=bool)
-        for first, end in self._ranges:
-            inside |= (times >= first) & (times < end)
-        return inside
-
-    def _make_stream(self, kind: type[StreamT]) -> StreamT:
-        stream = self._whole.stream(kind)
-        return stream[self._inside(stream.time)]
-
-    @cached_property
-    def times(self) -> dict[str, Stream]:
-        return {topic: one[self._inside(one.time)] for topic, one in self._whole.times.items()}
-
-    @cached_property
-    def log(self) -> list[LogEvent]:
-        seconds = np.array([event.time - self.start_ns for event in self._whole.log]) / 1e9
-        return list(compress(self._whole.log, self._inside(seconds)))
-
-    def messages(self, topic: str) -> Iterator[Message]:
-        self._require(topic)
-        times = self._whole._times([topic])[topic].time
-        return compress(self._whole.messages(topic), self._inside(times))
 
 
 def _joined(parts: list[NDArray[Any]]) -> NDArray[Any]:

@@ -52,7 +52,7 @@ def open_session(path: str | os.PathLike[str]) -> Session:
     """Open a session file, also one whose recorder was killed.
 
     Args:
-        path: of a session file, of a directory of parts, or of one of the parts: all are read.
+        path: of a session file, or of the directory of a split recording.
 
     Raises:
         RecordingError: there is no such file, or it is no session, or it is damaged.

@@ -22,9 +22,9 @@ from typing import Any
 
 import numpy as np
 
-from g1stream.clock import SystemClock
+from g1stream.clock import SystemClock, Ticker
 from g1stream.config import RealtimeConfig
-from g1stream.control.ticker import Lateness, Ticker
+from g1stream.control.report import Lateness
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import LowCmd, LowState

@@ -1,9 +1,18 @@
-"""The clock of this machine: what holds of it however busy the machine is."""
+"""The system clock, as far as it holds on a busy machine, and exact deadlines on a fake clock."""
+
+import time
+from itertools import islice
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from g1stream import clock as clock_module
-from g1stream.clock import SystemClock
+from g1stream.clock import SystemClock, Ticker
+from g1stream.testing import FakeClock
 
 MS = 1_000_000
+PERIOD = 2 * MS
 
 
 def test_a_sleep_never_ends_early():
@@ -62,3 +71,104 @@ def test_one_long_delay_is_not_learned(monkeypatch):
     monkeypatch.setattr(clock_module.time, "sleep", sleep)
     clock.sleep_until(10 * MS)
     assert clock._early <= 100_000 // 16 + 1
+
+
+def test_stamps_are_the_time_of_day():
+    before = time.time_ns()
+    assert before <= SystemClock().stamp() <= time.time_ns()
+
+
+@pytest.fixture
+def clock():
+    return FakeClock()
+
+
+@pytest.fixture
+def ticker(clock):
+    return Ticker(clock, PERIOD, clock.now())
+
+
+def deadlines(ticker, *ks):
+    return [ticker.start + k * PERIOD for k in ks]
+
+
+def test_ticks_are_absolute(ticker, clock):
+    assert list(islice(ticker, 4)) == list(enumerate(deadlines(ticker, 0, 1, 2, 3)))
+    assert clock.deadlines == deadlines(ticker, 0, 1, 2, 3)
+    assert clock.time == ticker.start + 3 * PERIOD
+    assert ticker.skipped == 0
+
+
+def test_work_and_oversleeping_within_a_period_do_not_add_up(ticker, clock):
+    clock.oversleeps = dict.fromkeys(deadlines(ticker, *range(1000)), 70_001)
+    came = []
+    for _, deadline in islice(ticker, 1000):
+        came.append(clock.time - deadline)
+        clock.work(900_000)
+    assert came == [0] + [70_001] * 999  # the first deadline has come when it is asked for
+    assert ticker.skipped == 0
+    assert clock.deadlines == deadlines(ticker, *range(1000))
+
+
+@pytest.mark.parametrize(
+    ("work", "following", "skipped"),
+    [
+        (PERIOD, 1, 0),
+        (2 * PERIOD - 1, 1, 0),
+        (2 * PERIOD, 2, 1),
+        (7 * PERIOD + 5, 7, 6),
+    ],
+)
+def test_work_beyond_a_whole_period_skips_ticks(ticker, clock, work, following, skipped):
+    ticks = iter(ticker)
+    next(ticks)
+    clock.work(work)
+    assert next(ticks) == (following, *deadlines(ticker, following))
+    assert ticker.skipped == skipped
+    assert next(ticks) == (following + 1, *deadlines(ticker, following + 1))
+    assert ticker.skipped == skipped
+
+
+@pytest.mark.parametrize(
+    ("oversleep", "came", "skipped"),
+    [(PERIOD - 1, 3, 0), (PERIOD, 4, 1), (5 * PERIOD + PERIOD // 2, 8, 5)],
+)
+def test_a_sleep_that_takes_too_long_skips_ticks(ticker, clock, oversleep, came, skipped):
+    (late,) = deadlines(ticker, 3)
+    clock.oversleeps[late] = oversleep
+    ks = [k for k, _ in islice(ticker, 6)]
+    assert ks == [0, 1, 2, came, came + 1, came + 2]
+    assert ticker.skipped == skipped
+
+
+@given(
+    st.lists(st.integers(0, 5 * PERIOD), min_size=1, max_size=50),
+    st.lists(st.integers(0, 5 * PERIOD), min_size=1, max_size=50),
+)
+def test_never_early_never_a_period_late_never_a_burst(works, oversleeps):
+    class Clock:
+        time = 123
+
+        def now(self):
+            return self.time
+
+        def sleep_until(self, deadline):
+            if deadline > self.time:
+                self.time = deadline + oversleeps.pop() if oversleeps else deadline
+
+    clock = Clock()
+    ticker = Ticker(clock, PERIOD, clock.now())
+    ks = []
+    for (k, deadline), work in zip(ticker, works, strict=False):
+        assert deadline == ticker.start + k * PERIOD
+        assert 0 <= clock.time - deadline < PERIOD
+        ks.append(k)
+        clock.time += work
+    assert len(set(ks)) == len(ks)
+    assert ks == sorted(ks)
+
+
+def test_start_in_the_future_is_waited_for(clock):
+    ticker = Ticker(clock, PERIOD, clock.now() + 12_345)
+    assert next(iter(ticker)) == (0, ticker.start)
+    assert clock.time == ticker.start

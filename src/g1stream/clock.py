@@ -1,9 +1,15 @@
-"""The clocks of a loop, behind an interface that tests can replace."""
+"""The clocks of a loop, behind an interface that tests can replace, and its deadlines."""
+
+from __future__ import annotations
 
 import time
-from typing import Final, Protocol
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, Protocol
 
-__all__ = ["Clock", "SystemClock"]
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+__all__ = ["Clock", "SystemClock", "Ticker"]
 
 #: Longest busy wait before a deadline, ns.
 _LONGEST_SPIN: Final = 100_000
@@ -55,3 +61,33 @@ class SystemClock:
             self._early += (late - self._early) // _AVERAGED
         while time.monotonic_ns() < deadline:
             pass
+
+
+@dataclass
+class Ticker:
+    """Yields the ticks of a loop at absolute deadlines, start + k * period.
+
+    A tick that is a whole period late or more is skipped in favour of the newest one whose deadline
+    has passed, so that a delay never ends in a burst.
+
+    Attributes:
+        clock: now and sleep_until.
+        period: ns between deadlines.
+        start: the first deadline, ns.
+        skipped: number of skipped ticks.
+    """
+
+    clock: Clock
+    period: int
+    start: int
+    skipped: int = 0
+
+    def __iter__(self) -> Iterator[tuple[int, int]]:
+        """Yield (k, deadline) without end."""
+        k = 0
+        while True:
+            self.clock.sleep_until(self.start + k * self.period)
+            due = (self.clock.now() - self.start) // self.period
+            self.skipped += due - k
+            yield due, self.start + due * self.period
+            k = due + 1

@@ -10,7 +10,6 @@ import pytest
 
 from g1stream.config import SafetyConfig
 from g1stream.control.feedforward import FeedForward
-from g1stream.control.report import LoopReport
 from g1stream.control.targets import Target, Targets
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.dynamics import Solution
@@ -257,10 +256,3 @@ def test_memory_does_not_grow_with_the_motion(make_loop, link, clock, motion, ti
 
 def sleep_without_a_record(clock, deadline):
     clock.time = max(clock.time, deadline)
-
-
-def test_a_report_of_fewer_than_two_commands_has_no_rate():
-    report = LoopReport(PERIOD, np.zeros(29, dtype=np.int64))
-    assert report.rate is None
-    report.commands, report.first_stamp, report.last_stamp = 1, 5, 5
-    assert report.rate is None

@@ -6,7 +6,7 @@ Pure: time and measurements come in as arguments. docs/tracking.md explains the 
 from __future__ import annotations
 
 import logging
-from typing import TYPE_CHECKING, Final, NamedTuple, get_args
+from typing import TYPE_CHECKING, Final, get_args
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from g1stream.control.support import ForceObserver, SupportCheck
 from g1stream.motion.blend import minimum_jerk
 from g1stream.robot.dynamics import BaseMotion, InverseDynamics
 from g1stream.robot.joints import N_JOINTS
+from g1stream.session.summary import FeedForwardChange
 from g1stream.types import FeedForwardKind, Floats, Ints, Phase, Support
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from g1stream.control.targets import Target
     from g1stream.robot.model import G1
 
-__all__ = ["Change", "FeedForward"]
+__all__ = ["FeedForward"]
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -33,25 +34,6 @@ _MAX_GYROSCOPE: Final = 30.0
 _STALE: Final = 0.02
 #: The torque fades out, and in again, in this time, s.
 _FADE: Final = 0.1
-
-
-class Change(NamedTuple):
-    """The feed-forward torque was switched off or on again while the motion played.
-
-    Attributes:
-        motion_time: when in the motion, s.
-        kind: the feed-forward from then on.
-        reason: why it was switched off; empty where it was switched on again.
-    """
-
-    motion_time: float
-    kind: FeedForwardKind
-    reason: str
-
-    def __str__(self) -> str:
-        if self.reason:
-            return f"feed-forward: {self.kind} only: {self.reason}"
-        return f"feed-forward: {self.kind} again"
 
 
 class FeedForward:
@@ -98,7 +80,7 @@ class FeedForward:
         self.preview = preview
         self.recorded = recorded
         self.saturated: Ints = np.zeros(N_JOINTS, dtype=np.int64)
-        self.changes: list[Change] = []
+        self.changes: list[FeedForwardChange] = []
         self._dynamics = dynamics
         self._limit = limit
         self._period = period
@@ -211,14 +193,16 @@ class FeedForward:
     def _log_change(self, fault: str, motion_time: float) -> None:
         """Report a torque that has faded out or in completely, not a short fault."""
         if fault and not self._weight and fault != self._fault:
-            self.changes.append(Change(motion_time, "velocity", fault))
             self._fault = fault
+            _LOGGER.warning("feed-forward: velocity only: %s", fault)
         elif self._fault and self._weight == 1.0:
-            self.changes.append(Change(motion_time, "dynamics", ""))
             self._fault = ""
+            _LOGGER.warning("feed-forward: dynamics again")
         else:
             return
-        _LOGGER.warning("%s", self.changes[-1])
+        kind: FeedForwardKind = "velocity" if self._fault else "dynamics"
+        change = FeedForwardChange(motion_time_s=motion_time, kind=kind, reason=self._fault)
+        self.changes.append(change)
 
     def _torque(self, target: Target, imu: ImuReading) -> Floats:
         dynamics, support = self._dynamics, self.support

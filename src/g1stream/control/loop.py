@@ -11,31 +11,29 @@ from dataclasses import replace
 from itertools import islice
 from typing import TYPE_CHECKING, Final
 
+from g1stream.clock import Ticker
 from g1stream.control.feedforward import FeedForward
 from g1stream.control.gains import resolve_gains
 from g1stream.control.phases import Inputs, PhaseState, Timing, step
 from g1stream.control.report import LoopReport
 from g1stream.control.safety import Envelope, ImuReading, Measured
 from g1stream.control.targets import Targets
-from g1stream.control.ticker import Ticker
 from g1stream.dds.messages import LowCmd, LowState, Reference
 from g1stream.dds.topics import LOWCMD
-from g1stream.errors import ConfigError
 from g1stream.motion.blend import minimum_jerk
 from g1stream.motion.limits import Interval
 from g1stream.types import Phase
 
 if TYPE_CHECKING:
     from g1stream.clock import Clock
-    from g1stream.config import Config, StreamConfig
+    from g1stream.config import Config
     from g1stream.control.gains import Gains
     from g1stream.control.link import Link
     from g1stream.control.targets import Target
-    from g1stream.motion.motion import Motion
     from g1stream.motion.trajectory import Trajectory
     from g1stream.robot.model import G1
 
-__all__ = ["Composer", "LoopReport", "StreamLoop", "make_loop", "play_interval"]
+__all__ = ["Composer", "LoopReport", "StreamLoop", "make_loop"]
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -382,7 +380,7 @@ def make_loop(
         RobotError: the inverse dynamics of this robot cannot be computed.
     """
     settings = config.stream
-    interval = play_interval(trajectory.motion, settings)
+    interval = Interval.from_config(settings, trajectory.motion)
     period = round(1e9 / settings.rate)  # whole, because deadlines are
     return StreamLoop(
         link,
@@ -396,22 +394,3 @@ def make_loop(
         allow_second_writer=config.safety.allow_second_writer,
         feedforward=FeedForward.from_config(settings, robot, period / 1e9, recorded=recorded),
     )
-
-
-def play_interval(motion: Motion, settings: StreamConfig) -> Interval:
-    """The part of a motion that is played with these settings.
-
-    Raises:
-        ConfigError: it would begin after the end of the motion.
-    """
-    start, duration = settings.start, settings.duration
-    if start >= motion.duration:
-        raise ConfigError(
-            f"--start {start:g} s is not within {motion.name}, which is {motion.duration:.2f} s "
-            "long.",
-            "Give an earlier --start.",
-        )
-    if settings.loop:
-        return Interval(start, duration, motion.duration, loop=True)
-    rest = motion.duration - start
-    return Interval(start, rest if duration is None else min(duration, rest), motion.duration)

@@ -1,4 +1,4 @@
-"""What the loop counts."""
+"""The counters of a run."""
 
 from __future__ import annotations
 
@@ -7,17 +7,47 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from g1stream.control.ticker import Lateness
 from g1stream.robot.joints import N_JOINTS, by_joint
 from g1stream.session.summary import FeedForwardChange, Percentiles, StreamSummary
+from g1stream.types import Ints
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from g1stream.control.feedforward import Change
     from g1stream.types import FeedForwardKind, Support
 
-__all__ = ["LoopReport"]
+__all__ = ["Lateness", "LoopReport"]
+
+
+class Lateness:
+    """A histogram of lateness in microseconds, of a size that does not grow with the run.
+
+    Bins are 1 us wide up to 20 ms; the last one holds everything later. The maximum is exact.
+    """
+
+    _BINS = 20_001
+
+    def __init__(self) -> None:
+        self.counts: Ints = np.zeros(self._BINS, dtype=np.int64)
+        self.maximum_ns = 0
+        self.n = 0
+
+    def add(self, lateness_ns: int) -> None:
+        """Count one tick."""
+        self.n += 1
+        self.maximum_ns = max(self.maximum_ns, lateness_ns)
+        self.counts[min(max(lateness_ns, 0) // 1000, self._BINS - 1)] += 1
+
+    def percentile_us(self, percent: float) -> float:
+        """The lateness that `percent` of the ticks do not exceed, us; nan without ticks."""
+        if not self.n:
+            return float("nan")
+        rank = max(1, int(np.ceil(self.n * percent / 100.0)))
+        bin_index = int(np.searchsorted(np.cumsum(self.counts), rank))
+        maximum = self.maximum_ns / 1000.0
+        return maximum if bin_index == self._BINS - 1 else min(bin_index + 1.0, maximum)
+
+    def sparse(self) -> dict[int, int]:
+        """The nonempty bins: lower edge in us -> count."""
+        return {int(i): int(self.counts[i]) for i in np.flatnonzero(self.counts)}
 
 
 @dataclass
@@ -41,12 +71,12 @@ class LoopReport:
     """
 
     period: int
-    clamped: NDArray[np.int64]
-    saturated: NDArray[np.int64] = field(default_factory=lambda: np.zeros(N_JOINTS, np.int64))
+    clamped: Ints
+    saturated: Ints = field(default_factory=lambda: np.zeros(N_JOINTS, np.int64))
     reason: str = ""
     feedforward: FeedForwardKind | Literal["recorded"] | None = None
     support: Support | None = None
-    feedforward_changes: list[Change] = field(default_factory=list)
+    feedforward_changes: list[FeedForwardChange] = field(default_factory=list)
     commands: int = 0
     states: int = 0
     first_stamp: int = 0
@@ -80,10 +110,7 @@ class LoopReport:
             saturated_ticks=by_joint(self.saturated.tolist()),
             feedforward=self.feedforward,
             support=self.support,
-            feedforward_changes=[
-                FeedForwardChange(motion_time_s=one.motion_time, kind=one.kind, reason=one.reason)
-                for one in self.feedforward_changes
-            ],
+            feedforward_changes=self.feedforward_changes,
             states_used=self.states,
             lateness_histogram_us=late.sparse(),
         )

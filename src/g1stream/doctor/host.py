@@ -10,8 +10,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from g1stream.clock import SystemClock
-from g1stream.control.ticker import Lateness, Ticker
+from g1stream.clock import SystemClock, Ticker
+from g1stream.control.report import Lateness
 from g1stream.dds.domain import InterfaceFlags, interface_flags, interfaces
 from g1stream.doctor.facts import HostFacts, Interface, WakeupLatency
 from g1stream.realtime import on_time

@@ -12,11 +12,13 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from g1stream.errors import ConfigError
 from g1stream.types import STREAM_RATE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from g1stream.config import StreamConfig
     from g1stream.motion.motion import Motion
     from g1stream.motion.trajectory import Trajectory
     from g1stream.robot.model import G1
@@ -63,6 +65,25 @@ class Interval:
     length: float | None
     motion: float
     loop: bool = False
+
+    @classmethod
+    def from_config(cls, settings: StreamConfig, motion: Motion) -> Interval:
+        """The part of a motion that is played with these settings.
+
+        Raises:
+            ConfigError: it would begin after the end of the motion.
+        """
+        start, length = settings.start, settings.duration
+        if start >= motion.duration:
+            raise ConfigError(
+                f"stream.start = {start:g} s is not within {motion.name}, which is "
+                f"{motion.duration:.2f} s long.",
+                "Give an earlier --start.",
+            )
+        if not settings.loop:
+            rest = motion.duration - start
+            length = rest if length is None else min(length, rest)
+        return cls(start, length, motion.duration, settings.loop)
 
 
 @dataclass(frozen=True)

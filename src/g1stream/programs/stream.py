@@ -12,7 +12,7 @@ from g1stream.clock import SystemClock
 from g1stream.config import Config
 from g1stream.control.gains import resolve_gains
 from g1stream.control.link import DdsLink
-from g1stream.control.loop import StreamLoop, make_loop, play_interval
+from g1stream.control.loop import StreamLoop, make_loop
 from g1stream.dds.domain import Participant, is_local_only
 from g1stream.dds.log_handler import DdsLogHandler
 from g1stream.dds.topics import LOWCMD
@@ -20,7 +20,7 @@ from g1stream.doctor.matching import explain_no_robot
 from g1stream.doctor.wire import inspect_participant
 from g1stream.errors import SafetyError, WireError
 from g1stream.events import handled_by
-from g1stream.motion.limits import measure_limits
+from g1stream.motion.limits import Interval, measure_limits
 from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.programs.recorder_child import RecorderChild, refuse_path
@@ -80,7 +80,7 @@ def stream(
     robot = G1.load(config.robot)
     if not isinstance(motion, Motion):
         motion = load_motion(motion, robot)
-    interval = play_interval(motion, config.stream)
+    interval = Interval.from_config(config.stream, motion)
     gains = resolve_gains(config.gains)
     clock = SystemClock()
     with Participant(config.dds.domain, config.dds.interface) as participant:

@@ -1,0 +1,78 @@
+"""Percentiles of the lateness histogram against the raw values, and the rate of a run."""
+
+import math
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from g1stream.control.report import Lateness, LoopReport
+
+
+def lateness_of(values):
+    lateness = Lateness()
+    for value in values:
+        lateness.add(int(value))
+    return lateness
+
+
+@pytest.mark.parametrize("percent", [0, 1, 50, 90, 99, 99.9, 100])
+@pytest.mark.parametrize("n", [1, 2, 10, 999, 1000, 5000])
+def test_percentiles_are_those_of_the_raw_values(n, percent):
+    values = np.random.default_rng(n).gamma(2.0, 60_000.0, n).astype(int)
+    rank = max(1, math.ceil(n * Fraction(str(percent)) / 100))
+    truth = np.partition(values, rank - 1)[rank - 1] / 1000.0
+    assert truth <= lateness_of(values).percentile_us(percent) <= truth + 1.0
+
+
+@given(
+    st.lists(st.integers(0, 40_000_000), min_size=1, max_size=300),
+    st.sampled_from([1, 25, 50, 75, 95, 99, 100]),
+)
+def test_percentile_is_a_bound_that_so_many_ticks_keep(values, percent):
+    bound = lateness_of(values).percentile_us(percent)
+    kept = sum(value / 1000.0 <= bound for value in values)
+    assert kept * 100 >= len(values) * percent
+
+
+def test_percentiles_beyond_the_histogram_are_the_maximum():
+    lateness = lateness_of([1_000] * 90 + [5_000_000_000] * 10)
+    assert lateness.percentile_us(90) == 2.0
+    assert lateness.percentile_us(99) == 5_000_000.0
+
+
+def test_last_bin_and_the_one_before_it():
+    assert lateness_of([19_999_999, 30_000_000]).percentile_us(50) == 20_000.0
+    assert lateness_of([20_000_000, 30_000_000]).percentile_us(50) == 30_000.0
+
+
+def test_a_percentile_never_exceeds_the_maximum():
+    assert lateness_of([1_500]).percentile_us(50) == 1.5
+
+
+def test_no_ticks_no_percentile():
+    assert np.isnan(Lateness().percentile_us(50))
+
+
+def test_histogram_does_not_grow():
+    lateness = Lateness()
+    size = lateness.counts.nbytes
+    for value in range(0, 10**11, 10**8):
+        lateness.add(value)
+    assert lateness.counts.nbytes == size
+    assert lateness.n == lateness.counts.sum() == 1000
+    assert lateness.maximum_ns == 99_900_000_000
+
+
+def test_sparse_holds_what_was_counted():
+    lateness = lateness_of([0, 999, 1_000, 7_500, 7_999, 25_000_000])
+    assert lateness.sparse() == {0: 2, 1: 1, 7: 2, 20000: 1}
+
+
+def test_a_report_of_fewer_than_two_commands_has_no_rate():
+    report = LoopReport(2_000_000, np.zeros(29, dtype=np.int64))
+    assert report.rate is None
+    report.commands, report.first_stamp, report.last_stamp = 1, 5, 5
+    assert report.rate is None

@@ -73,10 +73,10 @@ def test_the_imu_in_the_torso(make_sample, on_the_wire, write_session, sent):
 
 def test_a_topic_that_is_not_there(sent, write_session):
     session = open_session(write_session(("/lowcmd", sent["/lowcmd"])))
-    with pytest.raises(RecordingError, match=r"no messages on /lowstate, only on /log, /lowcmd\."):
+    with pytest.raises(RecordingError, match="/lowstate"):
         next(session.replay_bytes("/lowstate"))
 
 
-def test_every_topic_of_the_wire_can_be_had_as_arrays():
+def test_every_dds_topic_of_a_session_has_a_stream():
     assert STREAMS.keys() == TOPICS.keys()
     assert {topic: kind.source for topic, kind in STREAMS.items()} == TOPICS

@@ -1,5 +1,7 @@
 """A session as arrays, against the figures that the samples were made of."""
 
+import re
+
 import numpy as np
 import pytest
 from mcap.reader import make_reader
@@ -163,9 +165,9 @@ def test_whatever_byte_is_wrong_there_is_no_traceback(cdr, write_session, tmp_pa
     assert failed > 100
 
 
-def test_a_missing_topic_is_named_beside_those_there_are(cdr, write_session):
+def test_a_missing_topic_is_named_with_those_there_are(cdr, write_session):
     session = open_session(write_session(("/lowcmd", cdr["/lowcmd"])))
-    with pytest.raises(RecordingError, match=r"no messages on /lowstate, only on /log, /lowcmd\."):
+    with pytest.raises(RecordingError, match=r"/lowstate.*/log, /lowcmd"):
         _ = session.measured
 
 
@@ -175,56 +177,39 @@ def test_samples_of_another_layout_are_refused(cdr, write_session):
         _ = open_session(path).measured.q
 
 
-def test_no_file(tmp_path):
-    with pytest.raises(RecordingError, match=r"nowhere\.mcap cannot be read: No such file"):
-        open_session(tmp_path / "nowhere.mcap")
+@pytest.mark.parametrize(
+    ("name", "content"), [("nowhere.mcap", None), ("empty.mcap", ""), ("motion.csv", "Frame,X\n")]
+)
+def test_what_is_no_mcap_file_is_named(tmp_path, name, content):
+    if content is not None:
+        (tmp_path / name).write_text(content)
+    with pytest.raises(RecordingError, match=re.escape(name)):
+        open_session(tmp_path / name)
 
 
-def test_a_directory(tmp_path):
+def test_a_directory_without_a_split_recording(tmp_path):
     with pytest.raises(RecordingError, match=r"metadata\.yaml"):
         open_session(tmp_path)
 
 
-def test_an_empty_file(tmp_path):
-    path = tmp_path / "empty.mcap"
-    path.touch()
-    with pytest.raises(RecordingError, match=r"empty\.mcap is empty"):
-        open_session(path)
-
-
-def test_another_kind_of_file(tmp_path):
-    path = tmp_path / "motion.csv"
-    path.write_text("Frame,X,Y,Z\n")
-    with pytest.raises(RecordingError, match=r"motion\.csv is not an MCAP file"):
-        open_session(path)
-
-
-def test_somebody_elses_mcap(tmp_path):
+@pytest.mark.parametrize("topics", [[], ["/camera"]])
+def test_an_mcap_without_our_topics(tmp_path, topics):
     path = tmp_path / "other.mcap"
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start()
-        channel = writer.register_channel("/camera", "json", 0)
-        writer.add_message(channel, T0, b"{}", T0)
+        for topic in topics:
+            writer.add_message(writer.register_channel(topic, "json", 0), T0, b"{}", T0)
         writer.finish()
-    what = r"no messages on /reference, /lowcmd or /lowstate, only on /camera\."
-    with pytest.raises(RecordingError, match=what):
+    with pytest.raises(RecordingError) as error:
         open_session(path)
-
-
-def test_an_mcap_without_messages(tmp_path):
-    path = tmp_path / "nothing.mcap"
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        writer.finish()
-    with pytest.raises(RecordingError, match="nor on any other topic"):
-        open_session(path)
+    for name in (path.name, "/reference", "/lowcmd", "/lowstate", *topics):
+        assert name in error.value.cause
 
 
 @pytest.fixture
 def scene_only(tmp_path):
-    """A file without samples, made by whom its metadata says."""
+    """A file without samples, with this metadata."""
 
     def write(metadata):
         writer = SessionWriter(tmp_path / "nobody.mcap")
@@ -236,19 +221,20 @@ def scene_only(tmp_path):
     return write
 
 
-def test_a_recording_that_saw_nobody(scene_only):
+def test_a_recording_without_samples_points_to_the_doctor(scene_only):
     path = scene_only({"started_ns": 1, "domain": 171, "interface": "lo"})
-    with pytest.raises(RecordingError, match=r"recorded into .*on domain 171") as caught:
+    with pytest.raises(RecordingError, match="171") as caught:
         open_session(path)
     assert "g1stream doctor --domain 171" in caught.value.remedy
 
 
-def test_somebody_elses_mcap_is_no_recording_of_ours(scene_only):
-    with pytest.raises(RecordingError, match="not a session of g1stream"):
+def test_a_file_of_another_program_does_not(scene_only):
+    with pytest.raises(RecordingError) as caught:
         open_session(scene_only({}))
+    assert "doctor" not in caught.value.remedy
 
 
-def test_a_session_says_what_it_is(cdr, write_session):
+def test_the_repr_has_path_and_counts(cdr, write_session):
     path = write_session(("/lowcmd", cdr["/lowcmd"]))
     assert repr(open_session(path)).startswith(f"<Session {str(path)!r}: ")
     assert f"/lowcmd {len(cdr['/lowcmd'])}" in repr(open_session(path))

@@ -1,5 +1,6 @@
 """Timestamps against exact fractions, and times as people write them against datetime."""
 
+import re
 from datetime import datetime, timedelta, timezone
 from fractions import Fraction
 
@@ -78,23 +79,23 @@ def test_iso_times_are_what_datetime_takes_them_for(moment, offset_minutes):
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    "text",
     [
-        ("2026-03-01T12:00:00", "no time zone"),
-        ("yesterday", "is not a time"),
-        ("2026-13-01T12:00Z", "is not a time"),
-        ("2026-03-01", "is not a time"),
-        ("1.5", "is not a time"),
-        ("", "is not a time"),
-        ("2026-03-01T12:00:00+99:99", "is not a time"),
-        ("2026-03-01T12:00:00+24:00", "is not a time"),
-        pytest.param("9" * 5000, "is not a time", id="5000 digits"),
-        ("-1", "before 1970"),
-        ("1969-12-31T23:59:59Z", "before 1970"),
-        ("9223372036854775808", "after 2262"),
-        ("3000-01-01T00:00Z", "after 2262"),
+        "2026-03-01T12:00:00",
+        "yesterday",
+        "2026-13-01T12:00Z",
+        "2026-03-01",
+        "1.5",
+        "",
+        "2026-03-01T12:00:00+99:99",
+        "2026-03-01T12:00:00+24:00",
+        pytest.param("9" * 5000, id="5000 digits"),
+        "-1",
+        "1969-12-31T23:59:59Z",
+        "9223372036854775808",
+        "3000-01-01T00:00Z",
     ],
 )
-def test_times_that_cannot_be_used_say_why(text, message):
-    with pytest.raises(ConfigError, match=message):
+def test_times_that_cannot_be_used_are_named(text):
+    with pytest.raises(ConfigError, match=re.escape(text)):
         parse_time(text)

@@ -153,7 +153,9 @@ def convert(
     channels = _channels(options.topic)
     with (
         complete_file(out, force=options.force) as temporary,
-        SessionWriter(temporary, channels=channels, compression=options.compression) as writer,
+        SessionWriter(
+            temporary, channels=channels, compression=options.compression, chunk_ns=None
+        ) as writer,
     ):
         _write_file_header(writer, motion, robot, options, first)
         for times, joint_pos, root_pos, root_quat, *rates in _poses(motion, options, start, stop):

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 __all__ = ["SessionWriter", "SplitLimits"]
 
 _CHUNK_NS: Final = 250_000_000
+_NEVER: Final = 2**63 - 1
 
 # Chunks are written by time; by size only if something floods the file.
 _CHUNK_BYTES: Final = 32 * 2**20
@@ -71,7 +72,7 @@ class SessionWriter:
         limits: of a part; one file if None.
         file_header: called at the start of each file to write what every part must have.
         channels: those that messages may be written to, by topic.
-        chunk_ns: write the chunks when this much log time has passed, ns.
+        chunk_ns: write the chunks when this much log time has passed, ns; None: when `flush` is called.
         compression: of the chunks.
 
     Attributes:
@@ -91,13 +92,13 @@ class SessionWriter:
         limits: SplitLimits | None = None,
         file_header: Callable[[SessionWriter], None] = lambda _: None,
         channels: Mapping[str, Channel] = CHANNELS,
-        chunk_ns: int = _CHUNK_NS,
+        chunk_ns: int | None = _CHUNK_NS,
         compression: Compression = "zstd",
     ) -> None:
         self._limits = limits or SplitLimits()
         self._file_header = file_header
         self._channels = channels
-        self._chunk_ns = chunk_ns
+        self._chunk_ns = chunk_ns or _NEVER
         self._compression = compression
         self._pending: dict[str, list[MessageBatch]] = {}
         self._pending_bytes = 0

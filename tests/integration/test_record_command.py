@@ -111,6 +111,7 @@ def test_a_split_recording_is_a_directory_of_parts(domain_id, tmp_path, until):
         said, _ = process.communicate(timeout=20)
     report = json.loads(said)["recorder"]
     parts = sorted(tmp_path.glob("s/s_*.mcap"))
+    assert report["path"] == str(tmp_path / "s")
     assert [str(part) for part in parts] == report["paths"]
     assert len(parts) >= 3
     recorded = [data for part in parts for data in lowstates(part)]

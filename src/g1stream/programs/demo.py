@@ -81,7 +81,7 @@ def demo(
     recorder = played.recorder
     if not (played.stream and played.stream.commands and recorder):
         return played
-    session = open_session(recorder.paths[0])  # it may have the time or a part in its name
+    session = open_session(recorder.path)  # it may have the time in its name
     draw(session, figure_path)
     return session.summary()
 

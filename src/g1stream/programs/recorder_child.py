@@ -80,7 +80,8 @@ class RecorderChild:
         try:
             recording = self._child.finish({"stream": stream.model_dump(mode="json")})
         except ChildError as error:
-            recording = RecorderSummary(paths=[str(self._path)], stopped=error.cause)
+            path = str(self._path)
+            recording = RecorderSummary(path=path, paths=[path], stopped=error.cause)
         recording.removed = not heard and discard_if_empty(recording, self._earlier)
         return recording
 

@@ -244,6 +244,7 @@ class Recorder:
             report.realtime_minus_monotonic_ns = (self._steps.first, self._steps.last)
         report.clock_steps = [ClockStep(at_ns=at, step_ns=step) for at, step in self._steps.steps]
         report.measured_tf = self._pipeline.base.summary()
+        report.path = str(self._writer.path)
         report.paths = [str(path) for path in self._writer.paths]
         for name, delay in self._delays.items():
             publishers = self._publishers.get(name) or Publishers.of(self._participant, name)

@@ -281,6 +281,7 @@ class RecorderSummary(_Record):
     """What a recording holds, and what it lacks; topics are those of the file.
 
     Attributes:
+        path: the file, or the directory of its parts.
         paths: the files.
         removed: whether they were removed, because nothing was received.
         first_ns, last_ns: log times of the first and the last sample, since the epoch.
@@ -297,6 +298,7 @@ class RecorderSummary(_Record):
         measured_tf: how the measured robot was placed.
     """
 
+    path: str = ""
     paths: list[str] = []
     removed: bool = False
     first_ns: Int | None = None

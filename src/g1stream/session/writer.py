@@ -72,7 +72,7 @@ class SessionWriter:
         limits: of a part; one file if None.
         file_header: called at the start of each file to write what every part must have.
         channels: those that messages may be written to, by topic.
-        chunk_ns: write the chunks when this much log time has passed, ns; None: when `flush` is called.
+        chunk_ns: write the chunks when this much log time has passed, ns; if None, on `flush` only.
         compression: of the chunks.
 
     Attributes:

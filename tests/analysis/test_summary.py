@@ -163,7 +163,7 @@ def test_a_killed_recorder(summarise):
     assert not summary.complete
     assert (summary.recorder, summary.stream, summary.motion) == (None, None, None)
     assert summary.tracking is not None
-    assert len(summary.problems) == 2
+    assert len(summary.problems) == 1
 
 
 def test_another_programs_recording(play, summarise):

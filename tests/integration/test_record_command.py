@@ -148,7 +148,7 @@ def test_no_publisher_is_an_exit_code_and_a_complete_file(domain_id, tmp_path):
         process.send_signal(signal.SIGINT)
         said, _ = process.communicate(timeout=20)
     assert process.returncode == 1
-    assert "nothing was received" in said
+    assert "Nothing was received" in said
     with path.open("rb") as file:
         assert make_reader(file).get_summary() is not None
 

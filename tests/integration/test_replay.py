@@ -109,7 +109,7 @@ def test_it_is_played_as_any_motion_is(sessions):
 
 def test_exact_reports_the_feedforward_of_the_recording(sessions):
     session, summary = sessions["exact"]
-    assert summary["loop"]["feedforward"] == "recorded"
+    assert summary["stream"]["feedforward"] == "recorded"
     (event,) = [event.text for event in session.log if event.text.startswith("feed-forward:")]
     assert "recorded" in event
 

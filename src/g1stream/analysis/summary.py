@@ -97,7 +97,7 @@ def summarise(session: Session) -> Summary:
     )
     summary.problems = [
         *find_problems(summary),
-        *_file_problems(session, recorder),
+        *_file_problems(session),
         *_warnings(session),
         *problems,
     ]
@@ -188,14 +188,15 @@ def _recorder_problems(recorder: RecorderSummary) -> Iterator[str]:
         yield f"CLOCK_REALTIME of the recorder was set by {step.step_ns / 1e9:+.3f} s."
 
 
-def _file_problems(session: Session, recorder: RecorderSummary | None) -> Iterator[str]:
+def _file_problems(session: Session) -> Iterator[str]:
     for number in session.absent_parts:
         reason = session.unreadable_parts.get(number)
         yield f"Part {number} " + (f"cannot be read: {reason}" if reason else "is missing.")
     if not (session.complete or session.absent_parts):
-        yield "The recorder did not close the file; it ends with its last complete chunk."
-    if recorder is None and session.paths:
-        yield "The recorder wrote no summary: how many samples were lost is not known."
+        yield (
+            "The recorder did not close the file: it ends with its last complete chunk, and how "
+            "many samples were lost is not known."
+        )
 
 
 def _warnings(session: Session) -> list[str]:

@@ -51,28 +51,12 @@ CASES = {
         lambda tmp: ["stream", "demo", "--interface", "nowhere0"],
         "no network interface 'nowhere0'",
     ),
-    "a domain out of range": (lambda tmp: ["stream", "demo", "--domain", 500], "0 to 232"),
     "a rate out of range": (
         lambda tmp: ["stream", "demo", "--rate", 0],
-        "The flag --rate cannot be 0.\n       Give a number from 10 to 2000",
-    ),
-    "a rate that is no number": (
-        lambda tmp: ["stream", "demo", "--rate=abc"],
-        "The flag --rate cannot be 'abc'.\n       Give a number.",
-    ),
-    "a domain that is no number": (
-        lambda tmp: ["doctor", "--domain", "1.5"],
-        "The flag --domain cannot be '1.5'.\n       Give a whole number.",
-    ),
-    "no such feed-forward": (
-        lambda tmp: ["stream", "demo", "--feedforward", "torque"],
-        "Choose from none, velocity, dynamics.",
+        "The flag --rate cannot be 0: ",
     ),
     "a start beyond the end": (lambda tmp: ["stream", "demo", "--start", 99], "99"),
-    "a start that is not a number": (lambda tmp: ["stream", "demo", "--start", "soon"], "soon"),
-    "no duration": (lambda tmp: ["stream", "demo", "--duration", 0], "a number above 0"),
-    "a ramp in no time": (lambda tmp: ["stream", "demo", "--ramp", 0], "from 0.2 to 60"),
-    "an ear for no time": (lambda tmp: ["doctor", "--seconds", "nan"], "nan"),
+    "no such command": (lambda tmp: ["strem"], "stream"),
     "no such flag": (lambda tmp: ["stream", "demo", "--speed", 2], "--speed"),
     "no such config": (lambda tmp: ["stream", "demo", "--config", tmp / "no.toml"], "no.toml"),
     "not TOML": (lambda tmp: ["sim", "--config", toml(tmp, "[dds")], "not valid TOML"),
@@ -94,27 +78,15 @@ CASES = {
     ),
     "a gain beyond any": (
         lambda tmp: ["stream", "demo", "--gains", toml(tmp, "[kp]\n'*' = 9000.0")],
-        "kp.* = 9000.0",
+        "gains.kp.* = 9000.0",
     ),
     "a misspelt joint": (
         lambda tmp: ["stream", "demo", "--gains", toml(tmp, "[kp]\nleft_kne_joint = 3.0")],
-        "Close matches: left_knee_joint, ",
+        "left_kne_joint",
     ),
     "a misspelt joint in the config": (
         lambda tmp: ["stream", "demo", "--config", toml(tmp, "[gains.kd]\nleft_kne_joint = 3.0")],
-        "kd: 'left_kne_joint' matches no joint.\n       Close matches: left_knee",
-    ),
-    "how to record nothing": (
-        lambda tmp: ["stream", "demo", "--split-size", 5],
-        "The flag --split-size says how to record, and nothing is recorded.",
-    ),
-    "force on nothing": (
-        lambda tmp: ["replay", tmp / "s.mcap", "--force"],
-        "Add --record FILE, or leave it out.",
-    ),
-    "no such support": (
-        lambda tmp: ["sim", "--support", "balloon"],
-        "Choose from bolted, hanging, follow, free.",
+        "left_kne_joint",
     ),
     "a recording in no directory": (
         lambda tmp: ["record", tmp / "no" / "session.mcap"],
@@ -172,20 +144,22 @@ def test_a_recorder_that_cannot_start_keeps_the_stream_from_starting(tmp_path, d
     assert path.read_bytes() == b"precious"
 
 
-@pytest.mark.parametrize("command", ["", "demo", "stream", "sim", "record", "motion"])
-def test_help_is_there_for_every_subcommand(command):
-    done = run(*command.split(), "--help")
+@pytest.mark.parametrize(
+    "command",
+    ["demo", "stream", "sim", "record", "replay", "convert", "info", "motion", "doctor"],
+)
+def test_help_has_examples_and_exit_codes_within_80_columns(command):
+    assert f"\n  {command} " in run("--help").stdout
+    done = run(command, "--help")
     assert done.returncode == 0
-    assert "--help" in done.stdout
-
-
-@pytest.mark.parametrize("command", ["stream", "replay"])
-def test_help_tells_the_exit_codes(command):
-    assert "130 after Ctrl-C" in " ".join(run(command, "--help").stdout.split())
+    assert f"  g1stream {command}" in done.stdout.split("Examples:")[1]
+    assert "Exit codes:\n  0  " in done.stdout
+    boxes = [line for line in done.stdout.splitlines() if line.startswith(("│", "╭"))]
+    assert max(len(line) for line in boxes) <= 80
 
 
 def test_help_needs_no_heavy_imports():
-    heavy = ("mujoco", "scipy", "cyclonedds", "yourdfpy", "matplotlib", "mcap")
+    heavy = ("mujoco", "scipy", "cyclonedds", "matplotlib", "mcap", "numpy", "pydantic", "tyro")
     code = (
         "import sys, contextlib, io\n"
         "from g1stream.cli.main import main\n"

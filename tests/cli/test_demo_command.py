@@ -45,10 +45,11 @@ def told(monkeypatch):
     monkeypatch.setattr(program, "Child", Bridge)
     monkeypatch.setattr(program, "stream", stream)
     monkeypatch.setattr("g1stream.session.motions.load_motion", lambda *_, **__: mine)
-    monkeypatch.setattr("g1stream.cli.demo.on_signals", lambda _: None)
-    monkeypatch.setattr("g1stream.cli.demo.announce_wire", lambda _: heard.append("wire"))
+    monkeypatch.setattr("g1stream.cli.stream.on_signals", lambda _: None)
+    monkeypatch.setattr("g1stream.cli.stream.announce_wire", lambda _: heard.append("wire"))
     monkeypatch.setattr("g1stream.cli.demo.print_warning", heard.append)
-    monkeypatch.setattr("g1stream.cli.demo.watching", lambda: nullcontext(lambda *_: None))
+    shown = nullcontext(lambda *_: None)
+    monkeypatch.setattr("g1stream.cli.stream.showing_progress", lambda: shown)
     return heard
 
 

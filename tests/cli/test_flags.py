@@ -1,50 +1,113 @@
-"""Flags over files: what is given counts, zero and all."""
+"""Flags come from the fields of g1stream.config, and go over config files."""
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
-from g1stream.cli.common import announce_wire
-from g1stream.cli.stream import Stream
-from g1stream.config import Config
+from g1stream.cli.command import announce_wire, parse
+from g1stream.cli.flags import flag_name
+from g1stream.cli.record import Record
+from g1stream.cli.sim import Sim
+from g1stream.cli.stream import Replay, Stream
+from g1stream.config import Config, settings
+from g1stream.errors import ConfigError
+
+CLASSES = {"stream": Stream, "replay": Replay, "record": Record, "sim": Sim}
+
+
+def resolved(command, *arguments):
+    given = [*arguments, *([] if command == "sim" else ["x"])]
+    return parse(CLASSES[command], command, "", given).resolve()
+
+
+@pytest.mark.parametrize("command", CLASSES)
+def test_every_setting_with_a_flag_is_one(command, tmp_path):
+    for key, setting in settings().items():
+        if command not in (setting.json_schema_extra or {}).get("flag", ()):
+            continue
+        table, _, name = key.rpartition(".")
+        given = [flag_name(name)]
+        if setting.annotation is not bool:
+            example = setting.examples[0] if setting.examples else setting.default
+            given.append(str(example))
+        if table == "record" and command in ("stream", "replay"):
+            given += ["--record", "y.mcap"]
+        config = resolved(command, *given)
+        value = getattr(getattr(config, table), name) if table else getattr(config, name)
+        assert str(value) == given[1] if setting.annotation is not bool else value is True
 
 
 def test_zero_is_a_domain(tmp_path):
     config = tmp_path / "five.toml"
     config.write_text("[dds]\ndomain = 5\n")
-    assert Stream(motion="demo", domain=0, config=config).resolve().dds.domain == 0
-    assert Stream(motion="demo", config=config).resolve().dds.domain == 5
+    assert resolved("stream", "--config", str(config), "--domain", "0").dds.domain == 0
+    assert resolved("stream", "--config", str(config)).dds.domain == 5
+
+
+def test_a_shipped_config_is_found_by_its_name():
+    assert resolved("sim", "--config", "robot").dds.domain == 0
+
+
+@pytest.mark.parametrize(
+    ("command", "arguments", "named"),
+    [
+        ("stream", ("--rate", "9"), "--rate cannot be 9"),
+        ("stream", ("--rate=abc",), "--rate cannot be abc"),
+        ("stream", ("--rate", "nan"), "--rate cannot be nan"),
+        ("stream", ("--domain", "1.5"), "--domain cannot be 1.5"),
+        ("stream", ("--domain", "233"), "--domain cannot be 233"),
+        ("stream", ("--duration", "0"), "--duration cannot be 0"),
+        ("stream", ("--feedforward", "torque"), "'velocity'"),
+        ("stream", ("--fps", "0"), "--fps cannot be 0"),
+        ("sim", ("--support", "balloon"), "'hanging'"),
+        ("stream", ("--split-size", "5"), "--split-size"),
+        ("replay", ("--force",), "--force"),
+        ("record", ("--split-duration", "-1"), "--split-duration cannot be -1"),
+    ],
+)
+def test_a_value_that_is_not_accepted_is_named_with_its_flag(command, arguments, named):
+    with pytest.raises(ConfigError) as caught:
+        resolved(command, *arguments)
+    assert named in caught.value.cause
+
+
+@pytest.mark.parametrize("arguments", [["x", "--domian", "3"], [], ["x", "--domain"]])
+def test_flags_that_do_not_exist_or_lack_something_are_bad_input(arguments, capsys):
+    with pytest.raises(SystemExit) as caught:
+        parse(Stream, "stream", "", arguments)
+    assert caught.value.code == 2
+    printed = capsys.readouterr().err
+    assert "g1stream stream --help" in printed
+    assert "--domain" in printed or not arguments
 
 
 def test_a_gains_file_goes_over_the_configs_entry_by_entry(tmp_path):
     config, gains = tmp_path / "config.toml", tmp_path / "gains.toml"
     config.write_text('[gains.kp]\n"*" = 20\n"*_knee_joint" = 30\n[gains.kd]\n"*" = 7\n')
     gains.write_text('[kp]\n"*" = 50\n')
-    resolved = Stream(motion="demo", config=config, gains=Path(gains)).resolve().gains
-    assert list(resolved.kp.items()) == [("*_knee_joint", 30.0), ("*", 50.0)]
-    assert resolved.kd == {"*": 7.0}
+    config = resolved("stream", "--config", str(config), "--gains", str(gains))
+    assert list(config.gains.kp.items()) == [("*_knee_joint", 30.0), ("*", 50.0)]
+    assert config.gains.kd == {"*": 7.0}
 
 
 def wire(interface):
     return Config.model_validate({"dds": {"interface": interface}})
 
 
-def test_this_machine_alone_is_no_reason_to_warn(monkeypatch, capsys):
+def test_loopback_is_announced_without_a_warning(monkeypatch, capsys):
     monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
     announce_wire(wire("lo"))
     assert "WARNING" not in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("interface", "uri"), [("eth0", ""), ("lo", "file:///etc/cyclone.xml")])
-def test_beyond_this_machine_is_announced_loudly(monkeypatch, capsys, interface, uri):
+def test_beyond_this_machine_is_announced_with_a_warning(monkeypatch, capsys, interface, uri):
     monkeypatch.setenv("CYCLONEDDS_URI", uri)
     announce_wire(wire(interface))
     assert "WARNING" in capsys.readouterr().err
 
 
-def test_who_commands_nobody_does_not_warn_of_what_moves(monkeypatch, capsys):
+def test_a_program_that_sends_no_command_does_not_warn(monkeypatch, capsys):
     monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
     announce_wire(wire("eth0"), commands=False)
-    assert capsys.readouterr().err == "DDS domain 1 on eth0.\n"
+    assert "WARNING" not in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""`g1stream convert`."""
+"""`g1stream convert`: a motion file into a session file, or a check of it."""
 
 from __future__ import annotations
 
@@ -7,20 +7,17 @@ import signal
 import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
-
-import tyro
+from typing import TYPE_CHECKING, Literal
 
 from g1stream.analysis.render import counted
-from g1stream.cli.common import (
+from g1stream.cli.command import (
     EXIT_OK,
     EXIT_STOPPED,
-    Flag,
-    Maybe,
+    Command,
     exit_code_of_signal,
     print_json,
-    value,
 )
+from g1stream.cli.flags import argument, flag
 from g1stream.cli.motion import joint_lines
 from g1stream.errors import ConfigError
 
@@ -39,54 +36,70 @@ class _StoppedError(BaseException):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Convert:
-    """Convert a motion file into an MCAP that plays in Foxglove, Rerun and Lichtblick.
+class Convert(Command):
+    """Needs no robot, no simulator and no DDS. A failure leaves no file behind.
 
-    Needs no robot, no simulator and no DDS. Log and publish time of every message are the base time
-    + frame / fps, to the nearest nanosecond. A failure leaves no file behind.
+    Log and publish time of every message are the base time + frame / fps, to the nearest
+    nanosecond. With the default base time the same input always gives the same bytes.
 
-    It ends with one line on standard output. Progress is shown on standard error, and only where
-    that is a terminal.
+    With --check nothing is written: it prints what is in the file. Warnings do not change the exit
+    code.
+
+    Examples:
+      g1stream convert dance.csv dance.mcap
+      g1stream convert dance.csv part.mcap --frames 100:200 --resample 500
+      g1stream convert dance.csv --check
+
+    Exit codes:
+      0        converted, or --check found no problems
+      1        --check: the content is wrong, or beyond a limit
+      2        bad input: nothing to read, or a file of another kind
+      128 + n  ended by signal n, nothing was written: 130 after Ctrl-C
     """
 
-    motion: Annotated[str, tyro.conf.Positional, value("MOTION")]
-    """Motion file (CSV), session file, or the name of a bundled motion: demo."""
-    out: Annotated[Maybe[Path], tyro.conf.Positional, value("MCAP")] = None
-    """The file to write; not needed with --check."""
-    check: Flag = False
-    """Only look at the motion and tell what is in it. Exit code 1 where something is wrong with its
-    content or a limit is passed, 2 where there is nothing to look at: no file, or an empty or
-    damaged one, or one of another kind. Warnings do not change it."""
-    fps: Annotated[Maybe[float], value("N", "30")] = None
-    """Frames per second of the motion file, which cannot say it. A wrong one plays too fast or too
-    slowly: half of it, half as fast."""
-    base_time: Annotated[str, value("TIME", "0")] = "0"
-    """Time of frame 0: nanoseconds since 1970, or ISO 8601 with a zone (2026-03-01T12:00:00Z). With
-    the default, a player's clock shows the motion's own time, and the same input always gives the
-    same bytes."""
-    frames: Annotated[str, value("A:B", "all")] = ":"
-    """Only frames A up to, but without, B; either may be left out. Each keeps its time."""
-    resample: Annotated[Maybe[float], value("HZ", "the frames as they are")] = None
-    """Sample the spline through the frames at this rate; joint states then have velocities and
-    accelerations too."""
-    no_floating_root: Flag = False
-    """Pin the root link at the world's origin."""
-    root_link: Annotated[Maybe[str], value("LINK", "the URDF's root")] = None
-    """The link whose pose the motion file says."""
-    world_frame: Annotated[str, value("NAME", "world")] = "world"
-    """Name of the world's frame."""
-    flat: Flag = False
-    """Put every link straight under the world instead of under its parent."""
-    urdf: Annotated[Maybe[Path], value("URDF", "the built-in 29-joint G1")] = None
-    """Description of the robot."""
-    topic: Annotated[str, value("TOPIC", "/tf")] = "/tf"
-    """Topic of the transforms."""
-    compression: Annotated[Literal["zstd", "lz4", "none"], value("KIND", "zstd")] = "zstd"
-    """Compression of the file: zstd, lz4 or none."""
-    force: Flag = False
-    """Replace a file that is there already."""
-    json: Flag = False
-    """Print the summary as JSON on standard output."""
+    motion: str = argument(
+        "Motion file (CSV), session file, or the name of a bundled motion: demo.", "MOTION"
+    )
+    out: Path | None = flag(
+        None, "The file to write; not needed with --check.", "MCAP", positional=True
+    )
+    check: bool = flag(False, "Only check the motion file, and print what is in it.")
+    fps: float | None = flag(
+        None,
+        "Frames per second of the motion file, which does not contain it.",
+        "HZ",
+        shown="30; a session's own",
+        gt=0,
+    )
+    base_time: str = flag(
+        "0",
+        "Time of frame 0: ns since 1970, or ISO 8601 with a zone (2026-03-01T12:00:00Z).",
+        "TIME",
+    )
+    frames: str = flag(
+        ":",
+        "Only frames A up to, but without, B; either may be left out. Each keeps its time.",
+        "A:B",
+        shown="all",
+    )
+    resample: float | None = flag(
+        None,
+        "Sample the spline through the frames, with velocities and accelerations, at this rate.",
+        "HZ",
+        shown="the frames as they are",
+        gt=0,
+    )
+    no_floating_root: bool = flag(False, "Pin the root link at the world's origin.")
+    root_link: str | None = flag(
+        None, "The link whose pose is in the motion file.", "LINK", shown="the URDF's root"
+    )
+    world_frame: str = flag("world", "Name of the world's frame.", "NAME")
+    flat: bool = flag(False, "Put every link straight under the world instead of under its parent.")
+    urdf: Path | None = flag(None, "URDF of the robot.", "FILE", shown="the built-in 29-joint G1")
+    topic: str = flag("/tf", "Topic of the transforms.", "TOPIC")
+    compression: Literal["zstd", "lz4", "none"] = flag("zstd", "Compression of the file.")
+    force: bool = flag(False, "Replace a file that exists already.")
+    json: bool = flag(False, "Print the summary as JSON on standard output.")
 
     def run(self) -> int:
         """Convert or check, and return the exit code."""

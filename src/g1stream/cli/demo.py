@@ -1,70 +1,44 @@
-"""`g1stream demo`."""
+"""`g1stream demo`: simulate, play, record and compare on this machine."""
 
 from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
-from g1stream.cli.common import (
-    Flag,
-    WireCommand,
-    announce_wire,
-    on_signals,
-    print_warning,
-    value,
-)
-from g1stream.cli.progress import watching
+from g1stream.cli.command import SettingsCommand, print_warning
+from g1stream.cli.flags import flag
+from g1stream.cli.stream import playing
 from g1stream.cli.summary import exit_code, print_summary
-
-if TYPE_CHECKING:
-    from g1stream.control.loop import StreamLoop
 
 __all__ = ["Demo"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Demo(WireCommand):
-    """The whole job on this machine: simulate a G1, play a motion on it, record it, compare.
+class Demo(SettingsCommand):
+    """Needs no robot and no other program. Writes session.mcap and tracking.png.
 
-    Ends with session.mcap, tracking.png and a summary of how well the motion was followed.
+    Examples:
+      g1stream demo
+      g1stream demo --motion dance.csv --support hanging --out dance-demo
+      g1stream demo --duration 5 --viewer
+
+    Exit codes:
+      0        played as asked
+      1        something stopped it, or the recording is incomplete
+      2        bad input
+      128 + n  ended by signal n: 130 after Ctrl-C
     """
 
-    settings: ClassVar[dict[str, str]] = {
-        **WireCommand.settings,
-        "support": "sim.support",
-        "duration": "stream.duration",
-        "feedforward": "stream.feedforward",
-        "viewer": "sim.viewer",
-    }
-
-    motion: Annotated[str, value("MOTION", "demo, a bundled motion")] = "demo"
-    """Motion file (CSV), session file, or the name of a bundled motion."""
-    out: Annotated[Path, value("DIR", "demo-out")] = Path("demo-out")
-    """Where session.mcap and tracking.png go."""
-    force: Flag = False
-    """Replace files that are there already."""
-    support: Annotated[
-        Literal["bolted", "hanging", "follow", "free"] | None,
-        value("{bolted,hanging,follow,free}", "bolted"),
-    ] = None
-    """What holds the simulated pelvis: the world, an elastic band at the torso, the reference, or,
-    once the motion is played, nothing."""
-    feedforward: Annotated[
-        Literal["none", "velocity", "dynamics"] | None,
-        value("{none,velocity,dynamics}", "dynamics, but velocity where nothing holds it"),
-    ] = None
-    """What commands carry beside the position: nothing, velocity, or velocity and torque."""
-    duration: Annotated[float | None, value("S", "to its end")] = None
-    """How much of the motion to play."""
-    viewer: Flag = False
-    """Watch the robot in MuJoCo's viewer."""
-    json: Flag = False
-    """Print the summary as JSON on standard output."""
+    motion: str = flag(
+        "demo", "Motion file (CSV), session file, or the name of a bundled motion: demo.", "MOTION"
+    )
+    out: Path = flag(Path("demo-out"), "Directory for session.mcap and tracking.png.", "DIR")
+    force: bool = flag(False, "Replace files that exist already.")
+    json: bool = flag(False, "Print the summary as JSON on standard output.")
 
     def run(self) -> int:
-        """Do it, and return the exit code."""
+        """Run it, and return the exit code."""
         from g1stream.programs.demo import FIGURE, demo
         from g1stream.robot.model import G1
         from g1stream.session.motions import load_motion
@@ -73,20 +47,13 @@ class Demo(WireCommand):
         motion = load_motion(self.motion, G1.load(config.robot))
         for warning in motion.warnings:
             print_warning(warning)
-
-        with watching() as watch:
-
-            def prepare(loop: StreamLoop) -> None:
-                announce_wire(config)
-                on_signals(loop.request_stop)
-                watch(loop, motion)
-
+        with playing(config) as prepare:
             summary = demo(
                 motion,
                 self.out,
                 config,
                 force=self.force,
-                on_loop=prepare,
+                on_loop=lambda loop: prepare(loop, motion),
             )
         print_summary(summary, as_json=self.json)
         if summary.tracking:

@@ -1,13 +1,12 @@
-"""`g1stream doctor`."""
+"""`g1stream doctor`: the findings, and the exit code of the worst."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-from g1stream.cli.common import Flag, WireCommand, print_json, value
-from g1stream.errors import ConfigError
+from g1stream.cli.command import SettingsCommand, print_json
+from g1stream.cli.flags import flag
 
 if TYPE_CHECKING:
     from g1stream.doctor.facts import Finding
@@ -16,25 +15,28 @@ __all__ = ["Doctor"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Doctor(WireCommand):
-    """Find out what keeps g1stream and a robot or simulator apart, or the loop from being on time.
+class Doctor(SettingsCommand):
+    """Checks the interface, the DDS domain, robot or simulator, and this machine's punctuality.
 
-    Only listens. Exit code 0: all well, 1: warnings, 2: problems.
+    Only subscribes: nothing is published.
+
+    Examples:
+      g1stream doctor
+      g1stream doctor --config robot --interface eth0 --seconds 5
+
+    Exit codes:
+      0  no problems found
+      1  warnings
+      2  problems, or bad input
     """
 
-    seconds: Annotated[float, value("S", "1")] = 1.0
-    """How long to listen."""
-    json: Flag = False
-    """Print the findings as JSON on standard output."""
+    seconds: float = flag(1.0, "How long to listen.", "S", gt=0)
+    json: bool = flag(False, "Print the findings as JSON on standard output.")
 
     def run(self) -> int:
         """Look, and return the exit code."""
         from g1stream.programs.doctor import diagnose
 
-        if not 0.0 < self.seconds < math.inf:
-            raise ConfigError(
-                f"The doctor cannot listen for {self.seconds} s.", "Give --seconds above 0."
-            )
         findings = diagnose(self.resolve(), self.seconds)
         if self.json:
             print_json([one.model_dump(mode="json") for one in findings])

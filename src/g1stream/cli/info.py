@@ -1,30 +1,32 @@
-"""`g1stream info`."""
+"""`g1stream info`: what is in a session file."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
-import tyro
-
-from g1stream.cli.common import EXIT_OK, Flag, value
+from g1stream.cli.command import EXIT_OK, Command
+from g1stream.cli.flags import argument, flag
 from g1stream.cli.summary import print_summary
 
 __all__ = ["Info"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Info:
-    """Show what is in a session, how well it went, and its problems.
+class Info(Command):
+    """Reads files of killed recorders too.
 
-    Reads files of killed recorders too.
+    Examples:
+      g1stream info session.mcap
+      g1stream info session.mcap --json | jq .
+
+    Exit codes:
+      0  printed
+      2  bad input: not a session file
     """
 
-    file: Annotated[Path, tyro.conf.Positional, value("MCAP")]
-    """The session file, or one of its parts."""
-    json: Flag = False
-    """Print the summary as JSON."""
+    file: Path = argument("The session file, or the directory of a split recording.", "MCAP")
+    json: bool = flag(False, "Print the summary as JSON.")
 
     def run(self) -> int:
         """Print the summary, and return the exit code."""

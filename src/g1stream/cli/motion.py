@@ -1,13 +1,12 @@
-"""`g1stream motion`."""
+"""`g1stream motion`: the check of a motion file."""
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import tyro
-
-from g1stream.cli.common import EXIT_OK, EXIT_STOPPED, Command, Flag, print_json, value
+from g1stream.cli.command import EXIT_OK, EXIT_STOPPED, SettingsCommand, print_json
+from g1stream.cli.flags import argument, flag
 
 if TYPE_CHECKING:
     from g1stream.motion.check import MotionReport
@@ -16,21 +15,33 @@ __all__ = ["Inspect", "joint_lines"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Inspect(Command):
-    """Check a motion file: frames, duration, joints, limits, fastest joint.
+class Inspect(SettingsCommand):
+    """Prints frames, duration, joints, limits and the fastest joint.
 
-    Exit code 1 where a frame is beyond a joint's position limits or the spline through the frames
-    beyond its speed limit; 2 where the file is not a motion. Warnings do not change it, nor do
-    joint targets between frames that would be held at a position limit: they are safe.
+    Warnings do not change the exit code, nor do joint targets between frames that the stream would
+    hold at a limit: they are safe.
+
+    Examples:
+      g1stream motion dance.csv
+      g1stream motion dance.csv --fps 60 --json
+
+    Exit codes:
+      0  within the limits
+      1  a frame is beyond a position limit, or the spline through the frames beyond a speed limit
+      2  bad input: not a motion
     """
 
-    motion: Annotated[str, tyro.conf.Positional, value("MOTION")]
-    """Motion file (CSV), session file, or the name of a bundled motion: demo."""
-    fps: Annotated[float | None, value("N", "30")] = None
-    """Frames per second of the motion file. A session is sampled with its own rate, or with this
-    one."""
-    json: Flag = False
-    """Print the report as JSON."""
+    motion: str = argument(
+        "Motion file (CSV), session file, or the name of a bundled motion: demo.", "MOTION"
+    )
+    fps: float | None = flag(
+        None,
+        "Frames per second of the motion file, or to sample a session at.",
+        "HZ",
+        shown="30; a session's own",
+        gt=0,
+    )
+    json: bool = flag(False, "Print the findings as JSON.")
 
     def run(self) -> int:
         """Print the report, and return the exit code."""

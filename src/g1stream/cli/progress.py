@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from g1stream.control.loop import StreamLoop
     from g1stream.motion.motion import Motion
 
-__all__ = ["Watch", "watching"]
+__all__ = ["Watch", "showing_progress"]
 
 _PERIOD_S = 0.2
 _PATIENCE_S = 1.0
@@ -64,7 +64,7 @@ class _Console(logging.Handler):
 
 
 @contextmanager
-def watching() -> Iterator[Callable[[StreamLoop, Motion], None]]:
+def showing_progress() -> Iterator[Callable[[StreamLoop, Motion], None]]:
     """Print events, and yield what is to be called when a loop begins, to show its progress."""
     watches: list[Watch] = []
     try:

@@ -1,21 +1,13 @@
-"""`g1stream record`."""
+"""`g1stream record`: what is on DDS, into a session file."""
 
 from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar
 
-import tyro
-
-from g1stream.cli.common import (
-    Flag,
-    WireCommand,
-    announce_wire,
-    on_signals,
-    value,
-)
+from g1stream.cli.command import SettingsCommand, announce_wire, on_signals
+from g1stream.cli.flags import argument, flag
 from g1stream.cli.summary import exit_code, print_summary
 from g1stream.events import console_handler, handled_by
 from g1stream.realtime import lower_priority
@@ -24,31 +16,24 @@ __all__ = ["Record"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Record(WireCommand):
-    """Record what is on the wire into a session file, whoever publishes it.
+class Record(SettingsCommand):
+    """Records the topics of robot, simulator and streamer, whoever publishes them.
 
-    Never disturbs what it watches. Ctrl-C ends the recording and closes the file.
+    Only subscribes, so that it cannot disturb them. Ctrl-C ends the recording and closes the file.
+
+    Examples:
+      g1stream record session.mcap
+      g1stream record robot.mcap --config robot --interface eth0 --split-size 1000
+
+    Exit codes:
+      0  recorded
+      1  nothing was received, or samples are missing from the file
+      2  bad input
     """
 
-    settings: ClassVar[dict[str, str]] = {
-        **WireCommand.settings,
-        "split_size": "record.split_size",
-        "split_duration": "record.split_duration",
-        "auto_name": "record.auto_name",
-    }
-
-    file: Annotated[Path, tyro.conf.Positional, value("MCAP")]
-    """The session file."""
-    force: Flag = False
-    """Replace a file that is there already."""
-    auto_name: Flag = False
-    """Put the time, UTC, into the file's name."""
-    split_size: Annotated[float | None, value("MB", "one file")] = None
-    """Split into parts of this size: name/name_0.mcap, name/name_1.mcap and so on."""
-    split_duration: Annotated[float | None, value("S", "one file")] = None
-    """Split into parts of this duration."""
-    json: Flag = False
-    """Print the summary as JSON on standard output."""
+    file: Path = argument("The session file.", "MCAP")
+    force: bool = flag(False, "Replace a file that exists already.")
+    json: bool = flag(False, "Print the summary as JSON on standard output.")
 
     def run(self) -> int:
         """Record, and return the exit code."""

@@ -1,21 +1,20 @@
-"""`g1stream sim`."""
+"""`g1stream sim`: the MuJoCo bridge."""
 
 from __future__ import annotations
 
 import logging
 import sys
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING
 
-from g1stream.cli.common import (
+from g1stream.cli.command import (
     EXIT_OK,
-    Flag,
-    WireCommand,
+    SettingsCommand,
     announce_wire,
     on_signals,
     print_json,
-    value,
 )
+from g1stream.cli.flags import flag
 from g1stream.events import console_handler, handled_by
 
 if TYPE_CHECKING:
@@ -32,35 +31,23 @@ _HELD = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sim(WireCommand):
-    """Be a simulated G1 on DDS: a MuJoCo bridge on the topics of the robot.
+class Sim(SettingsCommand):
+    """Publishes rt/lowstate, rt/sportmodestate and rt/secondary_imu; obeys rt/lowcmd.
 
-    Publishes rt/lowstate, rt/sportmodestate and rt/secondary_imu; obeys rt/lowcmd. Ctrl-C ends it.
+    Ctrl-C ends it. A robot that has fallen stays on the floor, and the next stream refuses it as
+    tilted: start the simulation again.
+
+    Examples:
+      g1stream sim
+      g1stream sim --support hanging --viewer
+      g1stream sim --domain 7 --duration 60
+
+    Exit codes:
+      0  ended as asked, Ctrl-C included
+      2  bad input
     """
 
-    settings: ClassVar[dict[str, str]] = {
-        **WireCommand.settings,
-        "support": "sim.support",
-        "rate": "sim.rate",
-        "duration": "sim.duration",
-        "viewer": "sim.viewer",
-    }
-
-    support: Annotated[
-        Literal["bolted", "hanging", "follow", "free"] | None,
-        value("{bolted,hanging,follow,free}", "bolted"),
-    ] = None
-    """What holds the pelvis: bolted: the world; hanging: an elastic band at the torso; follow: the
-    reference that is streamed; free: nothing, once the motion begins. A robot that has fallen stays
-    on the floor, and the next stream refuses it as tilted: start the simulation anew then."""
-    rate: Annotated[float | None, value("HZ", "500")] = None
-    """LowState per second."""
-    duration: Annotated[float | None, value("S", "until stopped")] = None
-    """End by itself after so long."""
-    viewer: Flag = False
-    """Open MuJoCo's viewer."""
-    json: Flag = False
-    """Print the summary as JSON on standard output."""
+    json: bool = flag(False, "Print the summary as JSON on standard output.")
 
     def run(self) -> int:
         """Simulate, and return the exit code."""

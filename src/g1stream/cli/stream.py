@@ -1,109 +1,75 @@
-"""`g1stream stream`."""
+"""`g1stream stream` and `g1stream replay`: play a motion, or a recorded session."""
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any
 
-import tyro
-
-from g1stream.cli.common import (
-    Flag,
-    WireCommand,
+from g1stream.cli.command import (
+    SettingsCommand,
     announce_wire,
     on_signals,
     print_warning,
-    value,
 )
-from g1stream.cli.progress import watching
+from g1stream.cli.flags import argument, flag, flag_name
+from g1stream.cli.progress import showing_progress
 from g1stream.cli.summary import exit_code, print_summary
-from g1stream.cli.values import flag_name
 from g1stream.errors import ConfigError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
     from g1stream.config import Config
     from g1stream.control.loop import StreamLoop
+    from g1stream.motion.motion import Motion
     from g1stream.session.summary import Summary
 
-__all__ = ["PlayCommand", "Stream"]
+__all__ = ["PlayCommand", "Replay", "Stream", "playing"]
 
-#: Flags that say how to record.
-_OF_RECORDING = ("force", "auto_name", "split_size", "split_duration")
+
+@contextmanager
+def playing(config: Config) -> Iterator[Callable[[StreamLoop, Motion], None]]:
+    """Give what prepares a loop: say where it goes, end it on signals, show its progress."""
+    with showing_progress() as show:
+
+        def prepare(loop: StreamLoop, motion: Motion) -> None:
+            announce_wire(config)
+            on_signals(loop.request_stop)
+            show(loop, motion)
+
+        yield prepare
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlayCommand(WireCommand):
-    """Flags of the subcommands that play something on a robot."""
+class PlayCommand(SettingsCommand):
+    """Flags of the commands that play something on a robot."""
 
-    settings: ClassVar[dict[str, str]] = {
-        **WireCommand.settings,
-        "rate": "stream.rate",
-        "start": "stream.start",
-        "duration": "stream.duration",
-        "loop": "stream.loop",
-        "ramp": "stream.ramp",
-        "feedforward": "stream.feedforward",
-        "support": "stream.support",
-        "allow_second_writer": "safety.allow_second_writer",
-        "auto_name": "record.auto_name",
-        "split_size": "record.split_size",
-        "split_duration": "record.split_duration",
-    }
-
-    record: Annotated[Path | None, value("MCAP")] = None
-    """Record the session into this file."""
-    force: Flag = False
-    """Replace a recording that is there already."""
-    auto_name: Flag = False
-    """Put the time, UTC, into the recording's name."""
-    split_size: Annotated[float | None, value("MB", "one file")] = None
-    """Split the recording into parts of this size: name/name_0.mcap and so on."""
-    split_duration: Annotated[float | None, value("S", "one file")] = None
-    """Split the recording into parts of this duration."""
-    rate: Annotated[float | None, value("HZ", "500")] = None
-    """LowCmd per second."""
-    start: Annotated[float | None, value("S", "0")] = None
-    """Where in the motion to start."""
-    duration: Annotated[float | None, value("S", "to its end")] = None
-    """How much of the motion to play."""
-    loop: Flag = False
-    """Play again and again until stopped."""
-    ramp: Annotated[float | None, value("S", "3")] = None
-    """Time from the measured pose to the first frame."""
-    feedforward: Annotated[
-        Literal["none", "velocity", "dynamics"] | None,
-        value(
-            "{none,velocity,dynamics}",
-            "dynamics where a simulator here says how it holds, velocity elsewhere",
-        ),
-    ] = None
-    """What commands carry beside the position: nothing, velocity, or velocity and torque."""
-    support: Annotated[
-        Literal["bolted", "hanging", "follow", "free"] | None,
-        value("{bolted,hanging,follow,free}", "as the simulator says"),
-    ] = None
-    """How the robot is held, for the torque; a wrong answer follows worse than none."""
-    gains: Annotated[Path | None, value("TOML", "those of Unitree's example")] = None
-    """File with tables [kp] and [kd]: joint name or pattern = gain. Goes over the config's."""
-    allow_second_writer: Flag = False
-    """Play although somebody else commands the robot. Dangerous."""
-    json: Flag = False
-    """Print the summary as JSON on standard output."""
+    record: Path | None = flag(None, "Record the session into this file.", "MCAP")
+    force: bool = flag(False, "Replace a recording that exists already.")
+    gains: Path | None = flag(
+        None,
+        "File with tables [kp] and [kd]: joint name or pattern = gain. Goes over the config's.",
+        "TOML",
+        shown="those of Unitree's example",
+    )
+    json: bool = flag(False, "Print the summary as JSON on standard output.")
 
     def resolve(self) -> Config:
         """The config file, if any, with the flags over it.
 
         Raises:
-            ConfigError: the file or a value does not fit, or a flag has no meaning.
+            ConfigError: the file or a value does not fit, or a flag has no effect.
         """
         if self.record is None:
-            for field in _OF_RECORDING:
-                if getattr(self, field) not in (None, False):
-                    raise ConfigError(
-                        f"The flag {flag_name(field)} says how to record, and nothing is recorded.",
-                        "Add --record FILE, or leave it out.",
-                    )
+            for_recording = [name for name in self.overrides() if name.startswith("record.")]
+            for key in [*for_recording, *(["force"] if self.force else [])]:
+                flag = flag_name(key.rpartition(".")[2])
+                raise ConfigError(
+                    f"The flag {flag} has no effect without --record.",
+                    "Add --record FILE, or leave it out.",
+                )
         return super().resolve()
 
     def overrides(self) -> dict[str, Any]:
@@ -123,19 +89,32 @@ class PlayCommand(WireCommand):
 
 @dataclass(frozen=True, kw_only=True)
 class Stream(PlayCommand):
-    """Play a motion on whatever robot listens: publish it as LowCmd, watch LowState.
+    """Waits for a LowState, moves to the first frame, plays, holds the last frame, and damps.
 
-    Waits for a LowState, moves to the first frame, plays, holds, damps. Ctrl-C damps and ends.
+    Ctrl-C damps and ends.
 
-    Exit code 0: played as asked; 1: something stopped it, or is missing from the recording; 2: bad
-    input; 128 + n: signal n ended it, so that it is 130 after Ctrl-C.
+    Examples:
+      g1stream stream demo
+      g1stream stream dance.csv --record dance.mcap --support hanging
+      g1stream stream dance.csv --config robot --interface eth0 --duration 5
+
+    Exit codes:
+      0        played as asked
+      1        something stopped it, or the recording is incomplete
+      2        bad input
+      128 + n  ended by signal n: 130 after Ctrl-C
     """
 
-    motion: Annotated[str, tyro.conf.Positional, value("MOTION")]
-    """Motion file (CSV), session file, or the name of a bundled motion: demo."""
-    fps: Annotated[float | None, value("N", "30")] = None
-    """Frames per second of the motion file. A session is sampled with its own rate, or with this
-    one."""
+    motion: str = argument(
+        "Motion file (CSV), session file, or the name of a bundled motion: demo.", "MOTION"
+    )
+    fps: float | None = flag(
+        None,
+        "Frames per second of the motion file, or to sample a session at.",
+        "HZ",
+        shown="30; a session's own",
+        gt=0,
+    )
 
     def run(self) -> int:
         """Play, and return the exit code."""
@@ -147,17 +126,55 @@ class Stream(PlayCommand):
         motion = load_motion(self.motion, G1.load(config.robot), fps=self.fps)
         for warning in motion.warnings:
             print_warning(warning)
-
-        with watching() as watch:
-
-            def prepare(loop: StreamLoop) -> None:
-                announce_wire(config)
-                on_signals(loop.request_stop)
-                watch(loop, motion)
-
+        with playing(config) as prepare:
             summary = stream(
                 motion,
                 config,
+                record=self.record,
+                force=self.force,
+                on_loop=lambda loop: prepare(loop, motion),
+            )
+        return self.report(summary)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Replay(PlayCommand):
+    """Plays the recorded reference as `g1stream stream` plays a motion: from the measured pose.
+
+    Limits and gains are those of this call. Ctrl-C damps and ends.
+
+    Examples:
+      g1stream replay dance.mcap
+      g1stream replay dance.mcap --speed 0.5 --record slow.mcap
+      g1stream replay dance.mcap --exact
+
+    Exit codes:
+      0        played as asked
+      1        something stopped it, or the recording is incomplete
+      2        bad input
+      128 + n  ended by signal n: 130 after Ctrl-C
+    """
+
+    file: Path = argument("The session file, or one of its parts.", "MCAP")
+    exact: bool = flag(
+        False,
+        "Publish the recorded LowCmds, bit for bit, gains and torques included, while it plays. "
+        "Refused where one is beyond a limit or for motors that are off, or where the robot would "
+        "jump: where two recordings meet, or over a gap longer than safety.state_timeout.",
+    )
+    speed: float = flag(1.0, "How many times as fast as it was recorded.", "X", gt=0)
+
+    def run(self) -> int:
+        """Play, and return the exit code."""
+        from g1stream.programs.replay import replay
+
+        config = self.resolve()
+        with playing(config) as prepare:
+            summary = replay(
+                self.file,
+                config,
+                exact=self.exact,
+                speed=self.speed,
                 record=self.record,
                 force=self.force,
                 on_loop=prepare,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from g1stream.cli.common import EXIT_OK, EXIT_STOPPED, exit_code_of_signal, print_json
+from g1stream.cli.command import EXIT_OK, EXIT_STOPPED, exit_code_of_signal, print_json
 
 if TYPE_CHECKING:
     from g1stream.session.summary import Summary

@@ -1,0 +1,226 @@
+"""Flags: how a command declares its own, and how those of its settings come from g1stream.config.
+
+tyro parses the command line and shows the help; pydantic reads the values and checks them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import MISSING, dataclass, field, fields, make_dataclass
+from operator import getitem
+from pathlib import Path
+from types import UnionType
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    Literal,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
+
+import tyro
+from annotated_types import Gt
+from tyro.constructors import PrimitiveConstructorSpec
+
+from g1stream.errors import ConfigError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from pydantic.fields import FieldInfo
+
+__all__ = ["argument", "flag", "flag_name", "given_settings", "parse_flags"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Option:
+    """What a flag is, beside its name, type and default."""
+
+    text: str
+    metavar: str
+    note: str
+    limits: tuple[Any, ...] = ()
+    positional: bool = False
+
+    @classmethod
+    def of(cls, setting: FieldInfo) -> _Option:
+        """The flag of a setting."""
+        from g1stream.config import accepted
+
+        about: Any = setting.json_schema_extra
+        text, default = setting.description or "", setting.default
+        notes = [] if _choices(setting.annotation) else [accepted(setting)]
+        if default is not None and default is not False:
+            notes.append(
+                f"default: {default:g}" if isinstance(default, float) else f"default: {default}"
+            )
+        return cls(
+            text=f"{text[0].upper()}{text[1:]}.",
+            metavar=about["unit"].upper(),
+            note="; ".join(filter(None, notes)),
+            limits=tuple(setting.metadata),
+        )
+
+    def for_tyro(self, command: str, name: str, kind: Any) -> Any:
+        """The type hint with which tyro shows it, and pydantic reads its value."""
+        hint = f"({self.note})" if self.note else ""
+        if kind is bool:
+            return Annotated[bool, tyro.conf.arg(help=self.text, help_behavior_hint=hint)]
+        choices = _choices(kind)
+        metavar = f"{{{','.join(choices)}}}" if choices else self.metavar or _metavar(kind)
+        arg = tyro.conf.arg(metavar=metavar, help=self.text, help_behavior_hint=hint)
+
+        def read(texts: list[str]) -> Any:
+            from pydantic import TypeAdapter, ValidationError
+
+            limited: Any = getitem(Annotated, (kind, *self.limits)) if self.limits else kind
+            try:
+                return TypeAdapter(limited).validate_strings(texts[0])
+            except ValidationError as error:
+                wrong = error.errors()[0]["msg"]
+                raise ConfigError(
+                    f"The flag {flag_name(name)} cannot be {texts[0]}: "
+                    f"{wrong[0].lower()}{wrong[1:]}.",
+                    f"`g1stream {command} --help` says what it accepts.",
+                ) from None
+
+        spec = PrimitiveConstructorSpec[Any](
+            nargs=1,
+            metavar="VALUE",
+            instance_from_str=read,
+            is_instance=lambda value: True,
+            str_from_instance=lambda value: [str(value)],
+        )
+        marks = (tyro.conf.Positional,) if self.positional else ()
+        # The type is for pydantic; tyro would load a type checker for it, which takes 60 ms.
+        return getitem(Annotated, (object, *marks, arg, spec))
+
+
+def flag(
+    default: Any,
+    text: str,
+    metavar: str = "",
+    *,
+    shown: str = "",
+    positional: bool = False,
+    gt: float | None = None,
+) -> Any:
+    """A flag of a command, as a field of its dataclass.
+
+    Args:
+        default: without the flag.
+        text: its help.
+        metavar: what stands for its value in the help.
+        shown: the default, in words where it needs some.
+        positional: whether it is given by position, without its name.
+        gt: the value must be greater than this.
+    """
+    if not shown and default not in (None, False, MISSING):
+        shown = _text(default)
+    option = _Option(
+        text=text,
+        metavar=metavar,
+        note=f"default: {shown}" if shown else "",
+        limits=() if gt is None else (Gt(gt),),
+        positional=positional,
+    )
+    return field(default=default, metadata={"option": option})
+
+
+def argument(text: str, metavar: str) -> Any:
+    """What must be given, by position."""
+    return flag(MISSING, text, metavar, positional=True)
+
+
+def flag_name(name: str) -> str:
+    """A flag as the user writes it."""
+    return f"--{name.replace('_', '-')}"
+
+
+def parse_flags(
+    kind: type, name: str, purpose: str, arguments: Sequence[str], *, settings: bool
+) -> Any:
+    """Make an instance of a dataclass of flags; ends the process on --help or an unknown flag.
+
+    Args:
+        kind: the class; each field is made by `flag` or `argument`.
+        name: of the command.
+        purpose: of the command, one sentence.
+        arguments: what follows the name.
+        settings: whether to add the settings that have a flag on this command.
+
+    Raises:
+        ConfigError: a value that its flag does not accept.
+    """
+    hints, members = get_type_hints(kind), []
+    for one in fields(kind):
+        hint = one.metadata["option"].for_tyro(name, one.name, hints[one.name])
+        members.append((one.name, hint, field(default=one.default)))
+    members += _setting_fields(name) if settings else []
+    return tyro.cli(
+        make_dataclass(kind.__name__, members, bases=(kind,), frozen=True, kw_only=True),
+        prog=f"g1stream {name}",
+        description=purpose,
+        args=arguments,
+        config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
+    )
+
+
+def given_settings(command: object) -> dict[str, Any]:
+    """The settings among the flags that were given, keyed like `stream.rate`."""
+    from g1stream.config import settings
+
+    given = {}
+    for key in settings():
+        table, _, name = key.rpartition(".")
+        given[key] = getattr(
+            getattr(command, _group(table), None) if table else command, name, None
+        )
+    # By identity: 0 is a domain, and equal to False.
+    return {key: value for key, value in given.items() if value is not None and value is not False}
+
+
+def _setting_fields(command: str) -> list[Any]:
+    """The settings with a flag on a command, as fields: None, or False, where not given."""
+    from g1stream.config import Config, settings
+
+    tables: dict[str, list[Any]] = {}
+    for key, setting in settings().items():
+        about: Any = setting.json_schema_extra or {}
+        if command in about.get("flag", ()):
+            table, _, name = key.rpartition(".")
+            kind = setting.annotation
+            hint = _Option.of(setting).for_tyro(command, name, kind)
+            unset = field(default=False if kind is bool else None)
+            tables.setdefault(table, []).append((name, hint, unset))
+    fields = tables.pop("", [])
+    for table, flags in tables.items():
+        text = {"__doc__": Config.model_fields[table].annotation.__doc__}
+        group: Any = make_dataclass(table, flags, frozen=True, kw_only=True, namespace=text)
+        hint = Annotated[group, tyro.conf.arg(name=table)]
+        fields.append((_group(table), hint, field(default_factory=group)))
+    return fields
+
+
+def _group(table: str) -> str:
+    """The field of a command with its settings of a table; `record` alone is a flag."""
+    return f"{table}_settings"
+
+
+def _kinds(hint: Any) -> tuple[Any, ...]:
+    """The types in a hint, without Optional."""
+    return get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+
+
+def _choices(hint: Any) -> tuple[Any, ...]:
+    return next((get_args(one) for one in _kinds(hint) if get_origin(one) is Literal), ())
+
+
+def _text(default: Any) -> str:
+    return f"{default:g}" if isinstance(default, float) else str(default)
+
+
+def _metavar(hint: Any) -> str:
+    return {int: "N", Path: "FILE"}.get(_kinds(hint)[0], "NAME")

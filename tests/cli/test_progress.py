@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from g1stream.cli.progress import Watch, watching
+from g1stream.cli.progress import Watch, showing_progress
 from g1stream.control.phases import PhaseState
 from g1stream.types import Phase
 
@@ -21,7 +21,7 @@ def motion():
 
 
 def test_all_events_are_printed_before_anything_else(loop, motion, capsys):
-    with watching() as watch:
+    with showing_progress() as watch:
         watch(loop, motion)
         logger = logging.getLogger("g1stream.control.loop")
         logger.info("HOLD -> DAMP")

@@ -205,7 +205,7 @@ class RecordConfig(_Table):
     batch: float = setting(0.05, "received samples are handled this often", "s", gt=0.0, le=0.5)
     split_size: float | None = setting(
         None,
-        "split the recording into parts of this size, NAME/NAME_0.mcap and so on; one file if unset",
+        "split the recording into parts of this size (NAME/NAME_0.mcap ...); one file if unset",
         "MB",
         flag=_RECORD,
         example=1000.0,

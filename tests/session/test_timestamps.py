@@ -1,6 +1,5 @@
 """Timestamps against exact fractions, and times as people write them against datetime."""
 
-import re
 from datetime import datetime, timedelta, timezone
 from fractions import Fraction
 
@@ -97,5 +96,6 @@ def test_iso_times_are_what_datetime_takes_them_for(moment, offset_minutes):
     ],
 )
 def test_times_that_cannot_be_used_are_named(text):
-    with pytest.raises(ConfigError, match=re.escape(text)):
+    with pytest.raises(ConfigError) as caught:
         parse_time(text)
+    assert text in caught.value.cause

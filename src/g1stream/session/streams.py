@@ -155,7 +155,7 @@ class Reference(Stream):
     Attributes:
         tick: (N,) of the control loop, from its first command.
         motion_time: (N,) s since the motion's first frame.
-        phase: (N,) 0 WAIT, 1 RAMP, 2 PLAY, 3 HOLD, 4 DAMP, 5 DONE.
+        phase: (N,) uint8, a `g1stream.types.Phase`.
         q, dq, ddq, tau: (N, 29) rad, rad/s, rad/s^2, Nm, motor order.
         root_pos: (N, 3) m, world.
         root_quat_wxyz: (N, 4) pelvis to world.

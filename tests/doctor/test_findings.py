@@ -54,7 +54,7 @@ CASES = {
         "interface",
         "domain 1 on eth0",
     ),
-    "nobody in the domain": ({"wire": EMPTY}, PROBLEM, "publisher", "domain 1 on lo"),
+    "an empty domain": ({"wire": EMPTY}, PROBLEM, "publisher", "domain 1 on lo"),
     "other type": (writers(OTHER_TYPE), PROBLEM, "types", "Other_"),
     "other qos": (writers(replace(STATE, qos=Qos(exclusive=True))), PROBLEM, "QoS", "ownership"),
     "unmatched": ({"wire": {"states_matched": 0}}, PROBLEM, "types", "rt/lowstate"),

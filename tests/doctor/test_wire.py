@@ -1,4 +1,4 @@
-"""The facts of a real domain with somebody of a known kind in it."""
+"""The facts of a real domain with known endpoints in it."""
 
 import threading
 import time
@@ -25,7 +25,7 @@ SHOWS_TYPES = not version("cyclonedds").startswith("0.10.")
 LO = Interface("lo", loopback=True)
 
 
-def test_nobody(domain_id):
+def test_an_empty_domain(domain_id):
     facts = inspect_domain(domain_id, "lo", [LO], 0.2)
     assert not facts.writers
     assert not facts.state.received

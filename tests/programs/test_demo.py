@@ -33,7 +33,7 @@ def test_files_that_are_there_are_refused_before_the_start(tmp_path, name):
         program.demo("demo", tmp_path, force=True)
 
 
-def test_a_session_that_is_named_by_the_time_is_in_nobodys_way(tmp_path):
+def test_a_session_named_by_the_time_conflicts_with_no_file(tmp_path):
     (tmp_path / "session.mcap").touch()
     with pytest.raises(StartedError):
         program.demo("demo", tmp_path, Config.model_validate({"record": {"auto_name": True}}))

@@ -62,6 +62,8 @@ def rollout(
     bridge. Both advance in lockstep: the robot's ticks are half a period after the loop's, and take
     no time. So the same arguments give the same messages, byte for byte.
 
+    The session is in memory, some 6 MB for each second of it.
+
     Publish times are simulated time since 2000-01-01 00:00 UTC (`g1stream.sim.lockstep.EPOCH`); log
     times are `LATENCY`, 0.1 ms, later.
 

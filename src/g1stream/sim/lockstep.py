@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["EPOCH", "Lockstep"]
 
 EPOCH: Final = 946_684_800_000_000_000
-"""The publish time at simulated time 0, ns: 2000-01-01 00:00 UTC, so that nobody takes it for a
+"""The publish time at simulated time 0, ns: 2000-01-01 00:00 UTC, so that it is not taken for a
 real one."""
 
 

@@ -103,7 +103,7 @@ def test_it_is_played_as_any_motion_is(sessions):
         assert summary["stream"]["reason"] == ""
         assert session.complete
         told = [event.text for event in session.log if event.name == "stream"]
-        for change in ("RAMP -> PLAY", "PLAY -> HOLD", "HOLD -> DAMP"):
+        for change in ("RAMP -> PLAY", "PLAY -> HOLD", "HOLD -> DAMP", "DAMP -> DONE"):
             assert change in told
 
 

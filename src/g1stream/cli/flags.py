@@ -73,6 +73,9 @@ class _Option:
         arg = tyro.conf.arg(metavar=metavar, help=self.text, help_behavior_hint=hint)
 
         def read(texts: list[str]) -> Any:
+            plain = _kinds(kind)[0]
+            if plain in (str, Path) and not self.limits:
+                return plain(texts[0])  # `convert` starts without pydantic
             from pydantic import TypeAdapter, ValidationError
 
             limited: Any = getitem(Annotated, (kind, *self.limits)) if self.limits else kind

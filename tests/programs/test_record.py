@@ -15,8 +15,9 @@ from g1stream.errors import ConfigError, WireError
 from g1stream.programs import record as program
 from g1stream.robot.model import G1
 from g1stream.session.mcap_reader import McapFile
+from g1stream.session.summary import MotionInfo, SessionInfo
 
-SESSION = {"motion": {"name": "walk"}}
+SESSION = SessionInfo(motion=MotionInfo(name="walk"))
 
 
 @pytest.fixture

@@ -1,8 +1,10 @@
-"""A stream that nobody answers says why."""
+"""A stream without a robot says why, and what happens to its recording."""
 
 from __future__ import annotations
 
 import json
+import threading
+from contextlib import contextmanager
 
 import pytest
 from cyclonedds.core import Policy
@@ -18,13 +20,38 @@ from g1stream.config import Config
 from g1stream.dds import types
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawWriter
-from g1stream.dds.topics import LOWCMD, LOWSTATE
+from g1stream.dds.messages import SecondaryImu
+from g1stream.dds.topics import LOWCMD, LOWSTATE, SECONDARY_IMU
+from g1stream.errors import RecordingError
+from g1stream.programs import stream as program
+from g1stream.programs.child_process import ChildError
 from g1stream.programs.stream import stream
 
 
 @pytest.fixture
 def config(domain_id):
     return Config.model_validate({"dds": {"domain": domain_id}, "stream": {"wait": 1.0}})
+
+
+@contextmanager
+def background(publish):
+    """Publish at 50 Hz meanwhile."""
+    stop = threading.Event()
+
+    def run():
+        while not stop.wait(0.02):
+            publish()
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    yield
+    stop.set()
+    thread.join()
+
+
+def fail(child, _):
+    child.kill()
+    raise ChildError("It hangs.", "")
 
 
 def test_a_publisher_of_another_type_is_named(domain_id, config):
@@ -72,3 +99,50 @@ def test_it_is_in_the_json(domain_id, short, capsys, monkeypatch):
     main(["stream", "demo", "--domain", str(domain_id), "--config", short, "--json"])
     stream = json.loads(capsys.readouterr().out)["stream"]
     assert [finding["about"] for finding in stream["findings"]] == ["publisher"]
+
+
+@pytest.mark.parametrize(
+    ("settings", "path"),
+    [
+        ({}, "no/s.mcap"),
+        ({}, "there"),
+        ({}, ""),
+        ({"auto_name": True}, "no/s.mcap"),
+        ({"split_size": 1.0}, "there.mcap"),
+    ],
+)
+def test_an_output_path_is_refused_before_anything_starts(tmp_path, monkeypatch, settings, path):
+    monkeypatch.setattr(program, "Participant", lambda *_: pytest.fail("a participant is created"))
+    (tmp_path / "there").write_bytes(b"precious")
+    config = Config.model_validate({"record": settings})
+    with pytest.raises(RecordingError):
+        stream("demo", config, record=tmp_path / path)
+    assert [*tmp_path.iterdir()] == [tmp_path / "there"]
+    assert (tmp_path / "there").read_bytes() == b"precious"
+
+
+@pytest.mark.parametrize("record", [{}, {"split_size": 1.0}, {"auto_name": True}])
+def test_a_recording_without_a_sample_is_removed(config, tmp_path, record):
+    config = Config.model_validate(config.model_dump() | {"record": record})
+    summary = stream("demo", config, record=tmp_path / "s.mcap")
+    assert summary.recorder.removed
+    assert summary.recorder.paths
+    assert not [*tmp_path.iterdir()]
+
+
+def test_a_recording_with_a_sample_is_kept(config, domain_id, tmp_path):
+    with Participant(domain_id, "lo") as peer:
+        imu = RawWriter(peer, SECONDARY_IMU)
+        with background(lambda: imu.write(SecondaryImu().tobytes())):
+            summary = stream("demo", config, record=tmp_path / "s.mcap")
+    assert not summary.recorder.removed
+    assert summary.recorder.counts["/secondary_imu"]
+    assert (tmp_path / "s.mcap").exists()
+
+
+def test_a_recorder_that_fails_is_reported_and_its_file_kept(config, tmp_path, monkeypatch):
+    monkeypatch.setattr(program.Child, "finish", fail)
+    summary = stream("demo", config, record=tmp_path / "s.mcap")
+    assert summary.recorder.stopped == "It hangs."
+    assert not summary.recorder.removed
+    assert (tmp_path / "s.mcap").exists()

@@ -1,4 +1,4 @@
-"""Record what is on the wire into a session file."""
+"""Record what is published on DDS into a session file."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import socket
 import time
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 from uuid import uuid4
 
 from g1stream._version import __version__
@@ -23,6 +23,7 @@ from g1stream.realtime import lower_priority
 from g1stream.recorder.recorder import Recorder
 from g1stream.robot.model import G1
 from g1stream.session.metadata import attach_motion
+from g1stream.session.summary import SessionInfo
 from g1stream.session.writer import SessionWriter, SplitLimits
 
 if TYPE_CHECKING:
@@ -34,8 +35,9 @@ if TYPE_CHECKING:
 
 __all__ = ["record"]
 
-_MATCH_TIMEOUT = 10.0
-_LOOK_EVERY = 0.05
+#: How long a stream is looked for, s.
+_MATCH_TIMEOUT: Final = 10.0
+_POLL_PERIOD: Final = 0.05
 
 
 def record(
@@ -43,41 +45,43 @@ def record(
     config: Config | None = None,
     *,
     force: bool = False,
-    session: Mapping[str, Any] | None = None,
+    session: SessionInfo | None = None,
     should_stop: Callable[[], bool] = lambda: False,
     on_ready: Callable[[], None] = lambda: None,
     final_metadata: Callable[[], Mapping[str, Any]] = dict,
 ) -> Summary:
     """Record until told to stop, or until the disk is full.
 
-    What happens meanwhile is logged, below `g1stream.recorder`, and written into /log of the file.
+    Events are logged below the logger `g1stream.recorder`, and written into /log of the file.
 
     Args:
         path: the session file; its directory must exist.
         config: all settings; the defaults if left out.
-        force: replace a file that is there already.
-        session: what the streamer says of the session: motion, gains. Then the recorder waits until
-            it is matched with the streamer before it calls `on_ready`.
-        should_stop: asked a few times a second.
+        force: replace an existing file.
+        session: the motion that a stream is about to play, for the metadata. The recorder then
+            waits until it is matched with the stream before it calls `on_ready`.
+        should_stop: asked several times per second.
         on_ready: called when nothing that is published from then on can be missed.
-        final_metadata: more metadata, asked for when told to stop.
+        final_metadata: more metadata; called when told to stop.
 
     Returns:
-        What the recording holds; `recorder.stopped` says why it ended early, if it did.
+        What was recorded; `recorder.stopped` is why it ended early, if it did.
 
     Raises:
         G1StreamError: the file, a setting or the wire does not allow it.
     """
     config = config or Config()
-    settings = config.record
-    robot = G1.load(config.robot)
+    settings, robot = config.record, G1.load(config.robot)
     path = timestamped(Path(path), time.time_ns()) if settings.auto_name else Path(path)
     pipeline = MessagePipeline(robot, settings.tf_rate)  # before there is a file: may refuse
-    about = _about(config, session or {})
+    about, now = _metadata(config, session or SessionInfo()), time.time_ns()
+    source = session and session.motion and session.motion.source
 
     def write_file_header(writer: SessionWriter) -> None:
         writer.add_metadata(about)
-        _attach(writer, robot, config, session or {})
+        writer.attach("robot.urdf", "application/xml", robot.urdf.encode(), now)
+        writer.attach("config.json", "application/json", config.model_dump_json().encode(), now)
+        attach_motion(writer, Path(source) if source else None, now)
         for messages in pipeline.file_header(time.time_ns()):
             writer.write_batch(*messages)
 
@@ -90,13 +94,12 @@ def record(
         recorder = Recorder(participant, writer, pipeline, settings.batch)
 
         def on_started() -> None:
-            if not session or _wait_for_streamer(recorder, should_stop):
+            if not session or _wait_for_stream(recorder, should_stop):
                 on_ready()
 
         report = recorder.run(should_stop, on_started=on_started)
-        if session:
-            # A full disk does not end the stream; its summary is still to come.
-            _wait_until(should_stop)
+        while session and not should_stop():  # a full disk does not end the stream
+            time.sleep(_POLL_PERIOD)
         _close(writer, report, final_metadata())
     return summarise_run(config, recorder=report)
 
@@ -109,15 +112,10 @@ def _limits(settings: RecordConfig) -> SplitLimits:
     )
 
 
-def _wait_until(should_stop: Callable[[], bool]) -> None:
-    while not should_stop():
-        time.sleep(_LOOK_EVERY)
-
-
 def _close(
     writer: SessionWriter, report: RecorderSummary, final_metadata: Mapping[str, Any]
 ) -> None:
-    """Write the last metadata and the index; a disk that is full may not have room for them."""
+    """Write the final metadata and the index, for which a full disk may not have room."""
     try:
         recorder = report.model_dump(mode="json", exclude={"removed"})
         values = {**final_metadata, "recorder": recorder, "measured_tf": recorder["measured_tf"]}
@@ -127,8 +125,8 @@ def _close(
         report.stopped = report.stopped or error.cause
 
 
-def _wait_for_streamer(recorder: Recorder, should_stop: Callable[[], bool]) -> bool:
-    """Wait until the streamer's writers are matched; False where told to stop before."""
+def _wait_for_stream(recorder: Recorder, should_stop: Callable[[], bool]) -> bool:
+    """Wait until the stream's publishers are matched; False if told to stop before."""
     end = time.monotonic() + _MATCH_TIMEOUT
     while not should_stop():
         matched = recorder.matched()
@@ -141,12 +139,12 @@ def _wait_for_streamer(recorder: Recorder, should_stop: Callable[[], bool]) -> b
                 "Check with `g1stream doctor` that the recorder and the stream see each other on "
                 "this domain and interface.",
             )
-        time.sleep(0.01)
+        time.sleep(_POLL_PERIOD)
     return False
 
 
-def _about(config: Config, session: Mapping[str, Any]) -> dict[str, Any]:
-    """What is known before the first sample, for the file's metadata record."""
+def _metadata(config: Config, session: SessionInfo) -> dict[str, Any]:
+    """The file's metadata before the first sample."""
     packages = ("cyclonedds", "mcap", "numpy")
     return {
         "g1stream": __version__,
@@ -159,17 +157,8 @@ def _about(config: Config, session: Mapping[str, Any]) -> dict[str, Any]:
         # Log times come from this host's clock; publish times from that of whoever published.
         "log_clock": f"CLOCK_REALTIME of {socket.gethostname()}",
         "realtime_minus_monotonic_ns": time.time_ns() - time.monotonic_ns(),
-        **session,
+        **session.model_dump(mode="json", exclude_unset=True),
     }
-
-
-def _attach(writer: SessionWriter, robot: G1, config: Config, session: Mapping[str, Any]) -> None:
-    now = time.time_ns()
-    writer.attach("robot.urdf", "application/xml", robot.urdf.encode(), now)
-    writer.attach("config.json", "application/json", config.model_dump_json().encode(), now)
-    motion = session.get("motion")
-    source = motion.get("source") if isinstance(motion, dict) else None
-    attach_motion(writer, Path(source) if isinstance(source, str) else None, now)
 
 
 def _run_child(parent: Parent) -> RecorderSummary | None:

@@ -26,7 +26,7 @@ from g1stream.session.metadata import attach_motion
 from g1stream.session.motions import load_motion
 from g1stream.session.session import Session
 from g1stream.session.source import MemorySource
-from g1stream.session.summary import MotionInfo, RecorderSummary
+from g1stream.session.summary import RecorderSummary, SessionInfo
 from g1stream.sim.lockstep import EPOCH, Lockstep
 from g1stream.sim.robot import SimulatedRobot
 from g1stream.sim.world import World
@@ -172,15 +172,14 @@ def _write_header(
     source: MemorySource, config: Config, robot: G1, motion: Motion, gains: Gains
 ) -> None:
     packages = ("mujoco", "numpy")
+    info = SessionInfo.of(config, motion, gains._asdict())
     source.add_metadata(
         {
             "g1stream": __version__,
             "versions": {name: version(name) for name in packages},
             "started_ns": EPOCH,
             "log_clock": f"simulated; log times are publish times + {LATENCY} ns",
-            "config": config.model_dump(mode="json"),
-            "gains": {name: values.tolist() for name, values in gains._asdict().items()},
-            "motion": MotionInfo.of(motion).model_dump(mode="json"),
+            **info.model_dump(mode="json", exclude_unset=True),
         }
     )
     source.attach("robot.urdf", "application/xml", robot.urdf.encode(), EPOCH)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+import time
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -20,19 +22,29 @@ from g1stream.doctor.matching import explain_no_robot
 from g1stream.doctor.wire import inspect_participant
 from g1stream.errors import SafetyError, WireError
 from g1stream.events import handled_by
+from g1stream.files import timestamped
 from g1stream.motion.limits import Interval, measure_limits
 from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
-from g1stream.programs.recorder_child import RecorderChild, refuse_path
+from g1stream.programs.child_process import Child, ChildError
 from g1stream.realtime import describe, on_time
 from g1stream.replay.recorded_link import RecordedLink
 from g1stream.robot.model import G1
 from g1stream.session.motions import load_motion
-from g1stream.session.summary import MotionInfo, Summary, Termination
+from g1stream.session.parts import check_recording_path, remove_recording
+from g1stream.session.summary import (
+    MotionInfo,
+    RecorderSummary,
+    SessionInfo,
+    StreamSummary,
+    Summary,
+    Termination,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from g1stream.config import RecordConfig
     from g1stream.control.loop import LoopReport
     from g1stream.doctor.facts import Finding
     from g1stream.realtime import Grant
@@ -46,6 +58,8 @@ _LOGGER = logging.getLogger(__name__)
 _DISCOVERY: Final = 300_000_000
 #: How long the wire is listened to for a diagnosis when nothing answered, s.
 _LISTEN: Final = 0.2
+#: Topics of a file that have messages also where no sample was received.
+_WITHOUT_SAMPLES: Final = frozenset({"/log", "/scene", "/robot_description"})
 
 
 def stream(
@@ -76,12 +90,11 @@ def stream(
     config = config or Config()
     session = None if record is None else Path(record)
     if session:
-        refuse_path(session, config.record, force)
+        _check_recording_path(session, config.record, force)
     robot = G1.load(config.robot)
     if not isinstance(motion, Motion):
         motion = load_motion(motion, robot)
     interval = Interval.from_config(config.stream, motion)
-    gains = resolve_gains(config.gains)
     clock = SystemClock()
     with Participant(config.dds.domain, config.dds.interface) as participant:
         joined = clock.now()
@@ -101,7 +114,10 @@ def stream(
         loop = make_loop(local, robot, trajectory, link, clock, recorded=recorded is not None)
         if on_loop:
             on_loop(loop)
-        recorder = RecorderChild(session, force, config, motion, gains) if session else None
+        recorder = None
+        if session:
+            info = SessionInfo.of(config, motion, resolve_gains(config.gains)._asdict())
+            recorder = _RecorderChild(session, force, config, info)
         recording = None
         granted: list[Grant] = []
         findings: list[Finding] = []
@@ -118,8 +134,8 @@ def stream(
             about = {"start_s": interval.start, "realtime": granted, "findings": findings}
             played = loop.report.summary().model_copy(update={**about, **link.counts()})
             if recorder:
-                heard = bool(played.commands or played.states_used)
-                recording = recorder.finish(played, heard=heard)
+                alone = not (played.commands or played.states_used)
+                recording = recorder.finish(played, remove_if_empty=alone)
     return summarise_run(
         config,
         motion=MotionInfo.of(motion),
@@ -132,6 +148,52 @@ def stream(
         stream=played,
         recorder=recording,
     )
+
+
+class _RecorderChild:
+    """The recorder as a child process; it misses nothing that is published from now on.
+
+    Raises:
+        ChildError: it cannot record.
+    """
+
+    def __init__(self, path: Path, force: bool, config: Config, session: SessionInfo) -> None:
+        self._path = path
+        arguments = {"path": path, "config": config, "force": force, "session": session}
+        self._child = Child("record", arguments)
+        try:
+            self._child.wait_until_ready()
+        except BaseException:
+            self._child.kill()
+            raise
+
+    def finish(self, stream: StreamSummary, *, remove_if_empty: bool) -> RecorderSummary:
+        """End the recording, and return its summary; if the recorder failed, only why.
+
+        Args:
+            stream: for the file's metadata.
+            remove_if_empty: remove a recording without any sample, so that the next one is not
+                refused because of it.
+        """
+        summary: RecorderSummary
+        try:
+            summary = self._child.finish({"stream": stream.model_dump(mode="json")})
+        except ChildError as error:
+            path = str(self._path)
+            return RecorderSummary(path=path, paths=[path], stopped=error.cause)
+        if remove_if_empty and summary.counts.keys() <= _WITHOUT_SAMPLES:
+            with suppress(OSError):  # the outcome is reported all the same
+                remove_recording([Path(path) for path in summary.paths])
+                summary.removed = True
+        return summary
+
+
+def _check_recording_path(path: Path, settings: RecordConfig, force: bool) -> None:
+    """Refuse a path that cannot be recorded to before anything is started."""
+    if settings.auto_name:
+        path = timestamped(path, time.time_ns())
+    split = settings.split_size is not None or settings.split_duration is not None
+    check_recording_path(path, split=split, force=force)
 
 
 def _refuse_if_commanded(participant: Participant) -> None:

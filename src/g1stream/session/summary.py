@@ -23,7 +23,11 @@ from g1stream.realtime import Grant
 from g1stream.types import FeedForwardKind, Phase, Support
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from g1stream.config import Config
     from g1stream.motion.motion import Motion
+    from g1stream.types import Floats
 
 __all__ = [
     "ClockStep",
@@ -158,6 +162,15 @@ class SessionInfo(_Record):
     motion: MotionInfo | None = None
     gains: dict[str, list[float]] | None = None
     config: dict[str, Any] | None = None
+
+    @classmethod
+    def of(cls, config: Config, motion: Motion, gains: Mapping[str, Floats]) -> SessionInfo:
+        """Of a motion that is about to be played; `gains` are arrays by the names in `Gains`."""
+        return cls(
+            motion=MotionInfo.of(motion),
+            gains={name: values.tolist() for name, values in gains.items()},
+            config=config.model_dump(mode="json"),
+        )
 
 
 class Finding(_Record):

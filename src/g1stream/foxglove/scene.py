@@ -36,7 +36,7 @@ def encode_scene(timestamp_ns: int, robot: G1, opacities: Mapping[str, float]) -
 
     Args:
         timestamp_ns: ns since the epoch.
-        robot: whose URDF says what it looks like.
+        robot: whose URDF has the shapes.
         opacities: for each robot to show, the prefix of its frames and how opaque it is, 0 to 1.
 
     Raises:

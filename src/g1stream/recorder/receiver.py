@@ -33,7 +33,7 @@ class Receiver:
     """Receives several topics in a thread of its own.
 
     Args:
-        participant: whose domain to listen in.
+        participant: in the domain.
         topics: what to receive.
         depth: samples of a topic that may wait while this process is not scheduled.
     """

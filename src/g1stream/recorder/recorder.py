@@ -62,8 +62,8 @@ class Publishers(NamedTuple):
     """The publishers of a topic.
 
     Attributes:
-        names: each as well as it can be named.
-        hosts: they are on, as far as they tell.
+        names: of the programs, as far as they announce them.
+        hosts: that they are on, likewise.
     """
 
     names: list[str]
@@ -82,14 +82,14 @@ class Publishers(NamedTuple):
         return any(host != socket.gethostname() for host in self.hosts)
 
     def __str__(self) -> str:
-        return " and ".join(self.names) or "a publisher that is gone"
+        return " and ".join(self.names) or "a publisher that has left"
 
 
 class Recorder:
-    """Records what is on the wire, and what it logs itself, below `g1stream.recorder`.
+    """Records all topics of a DDS domain, and the events logged below `g1stream.recorder`.
 
     Args:
-        participant: whose domain to listen in.
+        participant: in the domain.
         writer: the session file.
         pipeline: makes the file's messages.
         batch: how often samples are written, s.

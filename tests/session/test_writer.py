@@ -79,6 +79,23 @@ def test_sequence_numbers_count_each_topic_from_one(tmp_path):
     assert sequences == {"/lowstate": [*range(1, 6)], "/lowcmd": [*range(1, 11)]}
 
 
+@pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
+def test_every_compression_is_read_by_the_stock_reader(tmp_path, compression):
+    path = tmp_path / "session.mcap"
+    rows = np.arange(600, dtype=np.uint8).reshape(300, 2)
+    times = T0 + MS * np.arange(300)
+    with SessionWriter(path, compression=compression, chunk_ns=None) as writer:
+        for part in (slice(0, 128), slice(128, 300)):
+            writer.write_batch("/tf", rows[part], times[part], times[part])
+            writer.flush()
+    assert [(m.log_time, m.sequence, m.data) for _, _, m in read_all(path)] == [
+        (times[i], i + 1, rows[i].tobytes()) for i in range(300)
+    ]
+    with path.open("rb") as file:
+        chunks = [r for r in StreamReader(file, emit_chunks=True).records if isinstance(r, Chunk)]
+    assert [chunk.compression for chunk in chunks] == 2 * [compression.replace("none", "")]
+
+
 def test_topics_of_one_type_share_its_schema(tmp_path):
     path = tmp_path / "session.mcap"
     with SessionWriter(path) as writer:

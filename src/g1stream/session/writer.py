@@ -227,13 +227,24 @@ class SessionWriter:
             self._start_next_part()
             self._part_start = now_ns
 
-    def flush(self) -> None:
+    def flush(self, *, last: bool = False) -> None:
         """Write the messages that wait; what does not fit on the disk is dropped.
+
+        Args:
+            last: whether the space that is kept for the end of a file may be used.
 
         Raises:
             RecordingError: the disk is full, or the file cannot be written for another reason.
         """
-        self._flush(last=False)
+        pending, self._pending = self._pending, {}
+        self._pending_bytes, self._chunk_start = 0, None
+        try:
+            for topic in list(pending):
+                self._file.write_chunk(topic, pending[topic], last=last)
+                del pending[topic]
+        finally:
+            for topic, dropped in pending.items():
+                self.counts[topic] -= sum(len(batch.payloads) for batch in dropped)
 
     def close(self) -> None:
         """Write what waits and the index, and close the file; once is enough.
@@ -245,23 +256,12 @@ class SessionWriter:
             return
         self._closed = True
         try:
-            self._flush(last=True)
+            self.flush(last=True)
         finally:
             self._file.close()
             if self._limits.any:
                 with suppress(RecordingError):  # the one written with the last part lists them all
                     self._write_metadata_yaml()
-
-    def _flush(self, *, last: bool) -> None:
-        pending, self._pending = self._pending, {}
-        self._pending_bytes, self._chunk_start = 0, None
-        try:
-            for topic in list(pending):
-                self._file.write_chunk(topic, pending[topic], last=last)
-                del pending[topic]
-        finally:
-            for topic, dropped in pending.items():
-                self.counts[topic] -= sum(len(batch.payloads) for batch in dropped)
 
     def _is_due(self, now_ns: int) -> bool:
         return self._chunk_start is not None and abs(now_ns - self._chunk_start) >= self._chunk_ns

@@ -148,10 +148,11 @@ def find_problems(summary: Summary) -> Iterator[str]:
         if summary.first_ns is None:
             yield "Nothing was received."
         yield from _recorder_problems(recorder)
+    if gaps := {topic: stats for topic, stats in summary.topics.items() if stats.gaps}:
+        longest = max(stats.longest_interval_s or 0.0 for stats in gaps.values()) * 1e3
+        numbers = ", ".join(f"{topic} {stats.gaps}" for topic, stats in gaps.items())
+        yield f"Gaps between publish times: {numbers}; the longest {longest:.1f} ms."
     for topic, stats in summary.topics.items():
-        if stats.gaps:
-            longest = (stats.longest_interval_s or 0.0) * 1e3
-            yield f"{counted(stats.gaps, 'gap')} on {topic}, the longest {longest:.1f} ms."
         if stats.clock_offset_s:
             yield (
                 f"The publish times of {topic} are {-stats.clock_offset_s:+.3f} s off the "

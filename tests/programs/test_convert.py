@@ -337,7 +337,7 @@ IMPORTS = """
 import sys
 from g1stream.cli.main import main
 code = main(["convert", "demo", sys.argv[1]])
-heavy = ("scipy", "trimesh", "yourdfpy", "mujoco", "cyclonedds", "pydantic", "matplotlib")
+heavy = ("scipy", "trimesh", "yourdfpy", "mujoco", "cyclonedds", "matplotlib")
 print(code, [name for name in heavy if name in sys.modules])
 """
 

@@ -7,7 +7,8 @@ records go: to DDS, into the session file, onto the terminal.
 from __future__ import annotations
 
 import logging
-from contextlib import contextmanager
+import sys
+from contextlib import contextmanager, suppress
 from logging.handlers import QueueHandler, QueueListener
 from queue import SimpleQueue
 from typing import TYPE_CHECKING
@@ -15,7 +16,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["console_handler", "handled_by", "severity"]
+__all__ = ["ConsoleHandler", "handled_by", "severity"]
 
 _LOGGER = logging.getLogger("g1stream")
 _LOGGER.addHandler(logging.NullHandler())
@@ -49,12 +50,24 @@ def handled_by(*handlers: logging.Handler) -> Iterator[None]:
         listener.stop()
 
 
-def console_handler(program: str, level: int = logging.WARNING) -> logging.Handler:
-    """A handler that prints events of this level and above on standard error."""
-    handler = logging.StreamHandler()
-    handler.setLevel(level)
-    handler.setFormatter(logging.Formatter(f"{program}: %(message)s"))
-    return handler
+class ConsoleHandler(logging.Handler):
+    """Prints events on standard error, a line each.
+
+    Args:
+        level: events of this level and above.
+        program: printed before each, where several programs share a terminal.
+    """
+
+    def __init__(self, level: int = logging.INFO, program: str = "") -> None:
+        super().__init__(level)
+        self._prefix = f"{program}: " if program else ""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print an event."""
+        severity = "" if record.levelno <= logging.INFO else f"{record.levelname.lower()}: "
+        with suppress(OSError):  # a closed terminal must not end what it only shows
+            sys.stderr.write(f"{self._prefix}{severity}{record.getMessage()}\n")
+            sys.stderr.flush()
 
 
 def severity(record: logging.LogRecord) -> int:

@@ -51,7 +51,10 @@ def test_the_summary_as_json(out):
 
 def test_on_a_terminal_there_is_a_bar_and_a_summary(out):
     leader, follower = pty.openpty()
-    with subprocess.Popen([*COMMAND, "demo", str(out)], stdout=follower, stderr=follower):
+    environment = {**os.environ, "TERM": "xterm"}
+    with subprocess.Popen(
+        [*COMMAND, "demo", str(out)], stdout=follower, stderr=follower, env=environment
+    ):
         os.close(follower)
         shown = b""
         with suppress(OSError):  # that is how a terminal says that nobody writes any more

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -48,8 +47,6 @@ def told(monkeypatch):
     monkeypatch.setattr("g1stream.cli.stream.on_signals", lambda _: None)
     monkeypatch.setattr("g1stream.cli.stream.announce_wire", lambda _: heard.append("wire"))
     monkeypatch.setattr("g1stream.cli.demo.print_warning", heard.append)
-    shown = nullcontext(lambda *_: None)
-    monkeypatch.setattr("g1stream.cli.stream.showing_progress", lambda: shown)
     return heard
 
 

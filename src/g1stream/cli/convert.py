@@ -19,6 +19,7 @@ from g1stream.cli.command import (
 )
 from g1stream.cli.flags import argument, flag
 from g1stream.cli.motion import joint_lines
+from g1stream.cli.progress import ProgressDisplay
 from g1stream.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -27,8 +28,6 @@ if TYPE_CHECKING:
     from g1stream.robot.model import G1
 
 __all__ = ["Convert"]
-
-_BAR = 30
 
 
 class _StoppedError(BaseException):
@@ -147,19 +146,18 @@ class Convert(Command):
             compression=self.compression,
             force=self.force,
         )
-        bar = _Bar()
+        done = 0.0
 
-        def on_progress(share: float) -> None:
+        def on_progress(fraction: float) -> None:
+            nonlocal done
             if stopped_by:
                 raise _StoppedError(stopped_by[0])
-            bar.show(share)
+            done = fraction
 
-        try:
+        with ProgressDisplay(lambda: (done, f"{100 * done:3.0f} %")):
             return convert(
                 self.motion, out, options, robot=robot, fps=self.fps, on_progress=on_progress
             )
-        finally:
-            bar.clear()
 
     def _check(self, robot: G1) -> int:
         from g1stream.session.motions import check_motion_file
@@ -170,29 +168,6 @@ class Convert(Command):
         else:
             print(_findings(report))
         return EXIT_OK if report.passed else EXIT_STOPPED
-
-
-class _Bar:
-    """A progress bar on standard error, if that is a terminal."""
-
-    def __init__(self) -> None:
-        self._shown = sys.stderr.isatty()
-        self._percent = -1
-
-    def show(self, share: float) -> None:
-        """Show how much is done, 0 to 1."""
-        percent = int(100 * share)
-        if self._shown and percent != self._percent:
-            self._percent = percent
-            filled = "#" * round(share * _BAR)
-            sys.stderr.write(f"\r[{filled:.<{_BAR}}] {percent:3d} %")
-            sys.stderr.flush()
-
-    def clear(self) -> None:
-        """Take the bar away."""
-        if self._shown:
-            sys.stderr.write("\r\x1b[K")
-            sys.stderr.flush()
 
 
 def _frames(text: str) -> tuple[int | None, int | None]:

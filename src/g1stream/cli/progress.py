@@ -1,94 +1,81 @@
-"""Shows the progress and the events of a loop, from threads that the loop never waits for."""
+"""The progress of a run, on standard error."""
 
 from __future__ import annotations
 
-import logging
 import sys
 import threading
-from contextlib import contextmanager
-from typing import TYPE_CHECKING
-
-from g1stream.events import handled_by
-from g1stream.types import Phase
+from contextlib import suppress
+from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
 
     from g1stream.control.loop import StreamLoop
     from g1stream.motion.motion import Motion
 
-__all__ = ["Watch", "showing_progress"]
+__all__ = ["ProgressDisplay", "loop_progress"]
 
-_PERIOD_S = 0.2
-_PATIENCE_S = 1.0
-_BAR = 30
+_PERIOD_S: Final = 0.5
+_JOIN_TIMEOUT_S: Final = 1.0
+#: Drawing holds the GIL for half a millisecond; a real-time loop gets it back after this.
+_SWITCH_INTERVAL_S: Final = 1e-4
 
 
-class Watch:
-    """Shows a progress bar on standard error, if that is a terminal.
+class ProgressDisplay:
+    """A progress bar on standard error if that is a terminal, for the length of a `with`.
+
+    What is printed on standard error meanwhile appears above the bar. A thread draws it, so that a
+    slow or closed terminal does not hold up what it shows.
 
     Args:
-        loop: what is watched, until it is done.
-        motion: what it plays.
+        progress: returns what fraction is done, 0 to 1, and a text; called a few times a second.
     """
 
-    def __init__(self, loop: StreamLoop, motion: Motion) -> None:
-        self._loop = loop
-        self._motion = motion
-        self._clear = "\r\x1b[K" if sys.stderr.isatty() else ""
-        self._over = threading.Event()
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
+    def __init__(self, progress: Callable[[], tuple[float, str]]) -> None:
+        self._progress = progress
+        self._done = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="progress", daemon=True)
 
-    def finish(self) -> None:
-        """Remove the bar; waits 1 s at most."""
-        self._over.set()
-        self._thread.join(_PATIENCE_S)
+    def __enter__(self) -> ProgressDisplay:
+        self._switch_interval = sys.getswitchinterval()
+        if sys.stderr.isatty():
+            import rich.progress  # noqa: F401  # now, and not when the loop already runs
+
+            sys.setswitchinterval(min(_SWITCH_INTERVAL_S, self._switch_interval))
+            self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._done.set()
+        if self._thread.ident is not None:
+            self._thread.join(_JOIN_TIMEOUT_S)
+        sys.setswitchinterval(self._switch_interval)
 
     def _run(self) -> None:
-        while self._loop.state.phase is not Phase.DONE:
-            if self._clear:
-                _write(f"{self._clear}{_bar(self._loop, self._motion)}")
-            if self._over.wait(_PERIOD_S):
-                break
-        _write(self._clear)
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, TextColumn
+
+        bar = Progress(
+            BarColumn(30),
+            TextColumn("{task.description}", markup=False),
+            console=Console(stderr=True, highlight=False),
+            auto_refresh=False,
+            transient=True,
+            redirect_stdout=False,  # which may be a file with JSON
+        )
+        task, done = bar.add_task("", total=1.0), False
+        with suppress(OSError), bar:
+            while not done:
+                done = self._done.wait(_PERIOD_S)
+                fraction, text = self._progress()
+                bar.update(task, completed=fraction, description=text, refresh=True)
 
 
-class _Console(logging.Handler):
-    """Prints events on standard error, above the progress bar."""
-
-    def emit(self, record: logging.LogRecord) -> None:
-        prefix = "" if record.levelno <= logging.INFO else f"{record.levelname.lower()}: "
-        clear = "\r\x1b[K" if sys.stderr.isatty() else ""
-        _write(f"{clear}{prefix}{record.getMessage()}\n")
-
-
-@contextmanager
-def showing_progress() -> Iterator[Callable[[StreamLoop, Motion], None]]:
-    """Print events, and yield what is to be called when a loop begins, to show its progress."""
-    watches: list[Watch] = []
-    try:
-        with handled_by(_Console()):
-            yield lambda loop, motion: watches.append(Watch(loop, motion))
-    finally:
-        for watch in watches:
-            watch.finish()
-
-
-def _bar(loop: StreamLoop, motion: Motion) -> str:
-    part = min(1.0, loop.motion_time / motion.duration) if motion.duration else 1.0
-    filled = round(part * _BAR)
-    late = loop.report.lateness.maximum_ns / 1e6
-    return (
-        f"{loop.state.phase.name:<5} [{'#' * filled}{'.' * (_BAR - filled)}] "
-        f"{loop.motion_time:6.1f} / {motion.duration:.1f} s   worst lateness {late:.2f} ms"
+def loop_progress(loop: StreamLoop, motion: Motion) -> tuple[float, str]:
+    """How much of a motion a loop has played, with phase, time and worst lateness."""
+    fraction = min(1.0, loop.motion_time / motion.duration) if motion.duration else 1.0
+    lateness = loop.report.lateness.maximum_ns / 1e6
+    return fraction, (
+        f"{loop.state.phase.name:<5}{loop.motion_time:6.1f} / {motion.duration:.1f} s, "
+        f"worst lateness {lateness:.2f} ms"
     )
-
-
-def _write(text: str) -> None:
-    # A closed pipe or terminal must not end what it only shows.
-    try:
-        sys.stderr.write(text)
-        sys.stderr.flush()
-    except OSError:
-        return

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +10,7 @@ from pathlib import Path
 from g1stream.cli.command import SettingsCommand, announce_wire, on_signals
 from g1stream.cli.flags import argument, flag
 from g1stream.cli.summary import exit_code, print_summary
-from g1stream.events import console_handler, handled_by
+from g1stream.events import ConsoleHandler, handled_by
 from g1stream.realtime import lower_priority
 
 __all__ = ["Record"]
@@ -48,7 +49,7 @@ class Record(SettingsCommand):
             announce_wire(config, commands=False)
             print(f"Recording {self.file}. Ctrl-C ends it.", file=sys.stderr)
 
-        with handled_by(console_handler("record")):
+        with handled_by(ConsoleHandler(logging.WARNING)):
             summary = record(
                 self.file,
                 config,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import sys
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
@@ -15,7 +14,7 @@ from g1stream.cli.command import (
     print_json,
 )
 from g1stream.cli.flags import flag
-from g1stream.events import console_handler, handled_by
+from g1stream.events import ConsoleHandler, handled_by
 
 if TYPE_CHECKING:
     from g1stream.sim.robot import SimReport
@@ -62,7 +61,7 @@ class Sim(SettingsCommand):
             held = _HELD[config.sim.support]
             print(f"Simulating a G1, {held}. Ctrl-C ends it.", file=sys.stderr)
 
-        with handled_by(console_handler("sim", logging.INFO)):
+        with handled_by(ConsoleHandler()):
             report = simulate(config, should_stop=lambda: bool(stopped), on_ready=begun)
         if self.json:
             print_json(asdict(report))

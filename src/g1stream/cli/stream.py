@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,9 +14,10 @@ from g1stream.cli.command import (
     print_warning,
 )
 from g1stream.cli.flags import argument, flag, flag_name
-from g1stream.cli.progress import showing_progress
+from g1stream.cli.progress import ProgressDisplay, loop_progress
 from g1stream.cli.summary import exit_code, print_summary
 from g1stream.errors import ConfigError
+from g1stream.events import ConsoleHandler, handled_by
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -31,13 +32,17 @@ __all__ = ["PlayCommand", "Replay", "Stream", "playing"]
 
 @contextmanager
 def playing(config: Config) -> Iterator[Callable[[StreamLoop, Motion], None]]:
-    """Give what prepares a loop: say where it goes, end it on signals, show its progress."""
-    with showing_progress() as show:
+    """Print events, and yield a function to call with a loop before it runs.
+
+    It announces where the loop publishes, lets signals stop it and displays its progress.
+    """
+    with ExitStack() as stack:
+        stack.enter_context(handled_by(ConsoleHandler()))
 
         def prepare(loop: StreamLoop, motion: Motion) -> None:
             announce_wire(config)
             on_signals(loop.request_stop)
-            show(loop, motion)
+            stack.enter_context(ProgressDisplay(lambda: loop_progress(loop, motion)))
 
         yield prepare
 

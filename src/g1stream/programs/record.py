@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import socket
 import time
 from importlib.metadata import version
@@ -15,7 +16,7 @@ from g1stream.config import Config
 from g1stream.dds.domain import Participant
 from g1stream.dds.topics import LOWCMD, REFERENCE
 from g1stream.errors import RecordingError, WireError
-from g1stream.events import console_handler, handled_by
+from g1stream.events import ConsoleHandler, handled_by
 from g1stream.files import timestamped
 from g1stream.foxglove.pipeline import MessagePipeline
 from g1stream.programs.child_process import run_child
@@ -164,7 +165,7 @@ def _metadata(config: Config, session: SessionInfo) -> dict[str, Any]:
 def _run_child(parent: Parent) -> RecorderSummary | None:
     """Record for a stream: the startup message has arguments of `record`."""
     lower_priority()
-    with handled_by(console_handler("record")):
+    with handled_by(ConsoleHandler(logging.WARNING, "record")):
         summary = record(
             **parent.startup_message,
             should_stop=parent.done.is_set,

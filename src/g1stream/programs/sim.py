@@ -13,7 +13,7 @@ from g1stream.clock import SystemClock
 from g1stream.config import Config
 from g1stream.dds.domain import Participant
 from g1stream.dds.log_handler import DdsLogHandler
-from g1stream.events import console_handler, handled_by
+from g1stream.events import ConsoleHandler, handled_by
 from g1stream.programs.child_process import run_child
 from g1stream.realtime import describe, on_time
 from g1stream.robot.model import G1
@@ -69,7 +69,7 @@ def simulate(
 
 def _run_child(parent: Parent) -> SimReport:
     """Simulate for a parent: the startup message is the config."""
-    with handled_by(console_handler("sim", logging.INFO)):
+    with handled_by(ConsoleHandler(program="sim")):
         return simulate(
             parent.startup_message, should_stop=parent.done.is_set, on_ready=parent.ready
         )

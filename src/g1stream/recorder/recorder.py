@@ -178,7 +178,9 @@ class Recorder:
         self._check_losses()
         self._check_clock()
         self._write_events()
-        self._writer.flush_if_due(time.time_ns())
+        # Chunks that would be due before the next batch are written now: all samples of a batch
+        # together, and none later than the writer's limit.
+        self._writer.flush_if_due(time.time_ns() + round(self._batch_s * 1e9))
 
     def _write_events(self) -> None:
         for record in self._events.pop_events():

@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 
-.PHONY: demo test test-fast lint lock clean
+.PHONY: demo test test-fast lint docs lock clean
 .DEFAULT_GOAL := help
 
 help:
@@ -11,6 +11,7 @@ help:
 	@echo "make test   install, then run the whole test suite"
 	@echo "make test-fast   the tests that need no DDS and no integration, in a minute"
 	@echo "make lint   ruff, mypy --strict, import contracts"
+	@echo "make docs   write docs/api.md and configs/sim.toml from the code"
 	@echo "make lock   resolve constraints.txt anew"
 	@echo "make clean  remove the virtual environment and caches"
 
@@ -39,6 +40,10 @@ lint: $(VENV)/.dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+docs: $(VENV)/.run
+	$(BIN)/python tools/make_api_docs.py
+	$(BIN)/python tools/make_sim_toml.py
 
 lock:
 	$(PYTHON) -m pip install --quiet uv

@@ -20,10 +20,11 @@ from g1stream._version import __version__
 if TYPE_CHECKING:
     from g1stream.analysis.tracking import Tracking
     from g1stream.config import Config, load_config
+    from g1stream.dds.messages import Samples
     from g1stream.errors import G1StreamError
     from g1stream.motion.motion import Motion
     from g1stream.motion.trajectory import Trajectory, TrajectoryPoint
-    from g1stream.programs.convert import Conversion, convert
+    from g1stream.programs.convert import Conversion, ConvertReport, convert
     from g1stream.programs.record import record
     from g1stream.programs.replay import replay
     from g1stream.programs.rollout import rollout
@@ -42,7 +43,8 @@ if TYPE_CHECKING:
         Stream,
         TorsoImu,
     )
-    from g1stream.session.summary import PhaseInterval, Summary
+    from g1stream.session.summary import PhaseInterval, Summary, TrackingSummary
+    from g1stream.sim.robot import SimReport
 
 __all__ = [
     "G1",
@@ -51,6 +53,7 @@ __all__ = [
     "Command",
     "Config",
     "Conversion",
+    "ConvertReport",
     "G1StreamError",
     "LogEvent",
     "Measured",
@@ -58,11 +61,14 @@ __all__ = [
     "Motion",
     "PhaseInterval",
     "Reference",
+    "Samples",
     "Session",
+    "SimReport",
     "Stream",
     "Summary",
     "TorsoImu",
     "Tracking",
+    "TrackingSummary",
     "Trajectory",
     "TrajectoryPoint",
     "__version__",
@@ -82,6 +88,7 @@ _HOME = {
     "Command": "session.streams",
     "Config": "config",
     "Conversion": "programs.convert",
+    "ConvertReport": "programs.convert",
     "G1": "robot.model",
     "G1StreamError": "errors",
     "JOINT_NAMES": "robot.joints",
@@ -91,11 +98,14 @@ _HOME = {
     "Motion": "motion.motion",
     "PhaseInterval": "session.summary",
     "Reference": "session.streams",
+    "Samples": "dds.messages",
     "Session": "session.session",
+    "SimReport": "sim.robot",
     "Stream": "session.streams",
     "Summary": "session.summary",
     "TorsoImu": "session.streams",
     "Tracking": "analysis.tracking",
+    "TrackingSummary": "session.summary",
     "Trajectory": "motion.trajectory",
     "TrajectoryPoint": "motion.trajectory",
     "convert": "programs.convert",

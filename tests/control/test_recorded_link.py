@@ -9,8 +9,8 @@ from g1stream.control.link import DdsLink
 from g1stream.dds.domain import Participant
 from g1stream.dds.messages import LowCmd, Reference
 from g1stream.errors import SafetyError
-from g1stream.replay.commands import MAX_STEP_TIME, RecordedCommands
-from g1stream.replay.recorded_link import RecordedLink
+from g1stream.exact_replay.commands import MAX_STEP_TIME, RecordedCommands
+from g1stream.exact_replay.recorded_link import RecordedLink
 from g1stream.types import Phase
 
 TIMES = np.array([0.0, 0.002, 0.004, 0.010])

@@ -290,7 +290,7 @@ def test_without_a_reference_no_reference_is_recommended(write, handed):
 
 
 def test_every_block_of_commands_is_checked(write, handed, monkeypatch):
-    monkeypatch.setattr("g1stream.replay.commands._BLOCK", 7)
+    monkeypatch.setattr("g1stream.exact_replay.commands._BLOCK", 7)
     commands = [command(i) for i in range(N)]
     exactly(write(commands, PHASES))
     recorded = handed[0][1]["recorded"]

@@ -9,8 +9,8 @@ import numpy as np
 
 from g1stream.config import Config
 from g1stream.errors import ConfigError, RecordingError
+from g1stream.exact_replay.commands import recorded_commands
 from g1stream.programs.stream import stream
-from g1stream.replay.commands import recorded_commands
 from g1stream.robot.model import G1
 from g1stream.session.session import Session, open_session
 from g1stream.session.session_to_motion import commanded_motion
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from g1stream.control.loop import StreamLoop
+    from g1stream.exact_replay.commands import RecordedCommands
     from g1stream.motion.motion import Motion
-    from g1stream.replay.commands import RecordedCommands
     from g1stream.session.summary import Summary
 
 __all__ = ["replay"]

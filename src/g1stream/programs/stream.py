@@ -22,13 +22,13 @@ from g1stream.doctor.matching import explain_no_robot
 from g1stream.doctor.wire import inspect_participant
 from g1stream.errors import SafetyError, WireError
 from g1stream.events import handled_by
+from g1stream.exact_replay.recorded_link import RecordedLink
 from g1stream.files import timestamped
 from g1stream.motion.limits import Interval, measure_limits
 from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.programs.child_process import Child, ChildError
 from g1stream.realtime import describe, on_time
-from g1stream.replay.recorded_link import RecordedLink
 from g1stream.robot.model import G1
 from g1stream.session.motions import load_motion
 from g1stream.session.parts import check_recording_path, remove_recording
@@ -47,8 +47,8 @@ if TYPE_CHECKING:
     from g1stream.config import RecordConfig
     from g1stream.control.loop import LoopReport
     from g1stream.doctor.facts import Finding
+    from g1stream.exact_replay.commands import RecordedCommands
     from g1stream.realtime import Grant
-    from g1stream.replay.commands import RecordedCommands
 
 __all__ = ["stream"]
 

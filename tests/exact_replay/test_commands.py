@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from g1stream.replay.commands import _JITTER, find_jump
+from g1stream.exact_replay.commands import _JITTER, find_jump
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.model import G1
 

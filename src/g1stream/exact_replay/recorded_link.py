@@ -9,7 +9,7 @@ import numpy as np
 from g1stream.control.link import DdsLink
 from g1stream.dds.messages import LowCmd, Reference
 from g1stream.errors import SafetyError
-from g1stream.replay.commands import MAX_STEP_TIME
+from g1stream.exact_replay.commands import MAX_STEP_TIME
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.types import Phase
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from g1stream.dds.domain import Participant
-    from g1stream.replay.commands import RecordedCommands
+    from g1stream.exact_replay.commands import RecordedCommands
 
 __all__ = ["RecordedLink"]
 

@@ -180,7 +180,7 @@ def test_a_full_disk_ends_the_recording_but_not_the_stream(domain_id, small_disk
     outcome = json.loads(said)
     assert outcome["stream"]["reason"] == ""
     assert "No space left on device" in outcome["recorder"]["stopped"]
-    assert f"record: {outcome['recorder']['stopped']}" in told
+    assert f"record: error: {outcome['recorder']['stopped']}" in told
     assert stream.returncode == 1
     session = open_session(path)
     assert session.complete

@@ -30,7 +30,7 @@ from mcap.reader import make_reader
 HERE = Path(__file__).parent
 CLIP = HERE.parent.parent / "shared" / "lafan1" / "joints_labeled.csv"
 DEMO = HERE.parent / "src" / "g1stream" / "motion" / "demo.csv"
-URDF = HERE.parent / "src" / "g1stream" / "robot" / "g1_29dof.urdf"
+URDF = HERE.parent / "src" / "g1stream" / "robot" / "g1_29dof_rev_1_0.urdf"
 
 
 class Run(NamedTuple):

@@ -251,9 +251,10 @@ class Config(_Table):
 
     robot: Path | None = setting(
         None,
-        "URDF of the robot; the built-in 29-joint G1 if unset",
+        "revision g1_29dof_rev_1_0 or g1_29dof (which unitree_mujoco simulates), or a URDF file "
+        "of the robot; if unset, g1_29dof_rev_1_0, and for feed-forward the one that fits better",
         flag=_ROBOT,
-        example="g1_29dof.urdf",
+        example="g1_29dof",
         strict=False,
     )
     dds: DdsConfig = DdsConfig()

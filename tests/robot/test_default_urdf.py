@@ -11,6 +11,8 @@ import mujoco
 import numpy as np
 import pytest
 
+from g1stream.robot.model import G1
+
 TOOL = Path(__file__).parents[2] / "tools/make_robot_urdf.py"
 FEET = ("left_ankle_roll_link", "right_ankle_roll_link")
 
@@ -48,7 +50,15 @@ def test_the_tool_generates_the_committed_file(reference_urdf, robot, tmp_path):
     reference = reference_urdf("g1_29dof_rev_1_0.urdf")
     command = [sys.executable, str(TOOL), "--reference", str(reference), "--out", str(tmp_path)]
     subprocess.run(command, check=True)
-    assert (tmp_path / "g1_29dof.urdf").read_text(encoding="utf-8") == robot.urdf
+    assert (tmp_path / "g1_29dof_rev_1_0.urdf").read_text(encoding="utf-8") == robot.urdf
+
+
+def test_the_other_revision_weighs_what_unitree_mujocos_weighs(compile_mujoco):
+    """Its MJCF counts the head and the hands to the links that they are fixed to."""
+    model = compile_mujoco(G1.load("g1_29dof").urdf)
+    assert model.body_mass.sum() == pytest.approx(35.112142)
+    assert model.body("torso_link").mass == pytest.approx(9.598)
+    assert model.body("head_link").mass < 1e-6
 
 
 def sole_geoms(model):

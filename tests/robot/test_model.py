@@ -13,7 +13,7 @@ import pytest
 
 from g1stream.errors import RobotError
 from g1stream.robot.joints import JOINT_NAMES
-from g1stream.robot.model import DEFAULT_URDF, G1
+from g1stream.robot.model import DEFAULT_URDF, G1, REVISIONS
 
 
 def assert_same_model(a: G1, b: G1, *, but: tuple[str, ...] = ()) -> None:
@@ -80,7 +80,17 @@ def test_an_unknown_link_is_named_with_the_known_ones(robot):
 
 
 def test_repr(robot):
-    assert repr(robot) == "G1(name='g1_29dof', source='default', links=39)"
+    assert repr(robot) == "G1(name='g1_29dof_rev_1_0', source='default', links=39)"
+
+
+def test_both_revisions_are_loaded_by_name(robot):
+    default, other = (G1.load(name) for name in REVISIONS)
+    assert_same_model(default, robot)
+    assert other is G1.load(REVISIONS[1])
+    assert (other.link_names, other.joint_names) == (robot.link_names, robot.joint_names)
+    torso = other.link_index("waist_roll_link")
+    assert other.origin_pos[torso].tolist() == [-0.0039635, 0.0, 0.035]
+    assert other.urdf != robot.urdf
 
 
 def test_fingers_are_held_at_zero_and_named(reference_urdf):
@@ -96,7 +106,7 @@ def test_unitrees_own_urdf_is_the_default_robot(robot, reference_urdf):
     """Meshes it names are not there under these paths, and need not be."""
     theirs = G1.load(reference_urdf("g1_29dof_rev_1_0.urdf"))
     assert theirs.name == "g1_29dof_rev_1_0"
-    assert_same_model(theirs, robot, but=("name",))
+    assert_same_model(theirs, robot)
 
 
 def test_order_of_elements_does_not_matter(robot, tmp_path):

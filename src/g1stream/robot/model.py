@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 from functools import cache, cached_property
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -21,9 +21,12 @@ if TYPE_CHECKING:
 
     from g1stream.types import Floats
 
-__all__ = ["DEFAULT_URDF", "G1"]
+__all__ = ["DEFAULT_URDF", "G1", "REVISIONS"]
 
-DEFAULT_URDF = resources.files(__package__) / "g1_29dof.urdf"
+REVISIONS: Final = ("g1_29dof_rev_1_0", "g1_29dof")
+"""The robots in this package, the default one first; unitree_mujoco simulates the other one."""
+
+DEFAULT_URDF = resources.files(__package__) / f"{REVISIONS[0]}.urdf"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -34,7 +37,7 @@ class G1:
     frame is at the joint's origin, turned by `joint_pos` about the joint's axis.
 
     Attributes:
-        source: path of the URDF, or "default".
+        source: path of the URDF, or "default", or the name of a revision in this package.
         urdf: the URDF's XML text.
         name: the URDF's robot name.
         link_names: (L,) root first, parents before children.
@@ -91,8 +94,14 @@ class G1:
         return cls._read(DEFAULT_URDF.read_text(encoding="utf-8"), "default")
 
     @classmethod
+    @cache
+    def _revision(cls, name: str) -> G1:
+        urdf = resources.files(__package__) / f"{name}.urdf"
+        return cls._read(urdf.read_text(encoding="utf-8"), name)
+
+    @classmethod
     def load(cls, path: str | Path | None = None) -> G1:
-        """The robot of a URDF file; without a path, the default one.
+        """The robot of a URDF file, or of a name in `REVISIONS`; without a path, the default one.
 
         Mesh files need not exist: only names, frames and limits are read.
 
@@ -101,12 +110,14 @@ class G1:
         """
         if path is None:
             return cls.default()
+        if str(path) in REVISIONS and not Path(path).exists():
+            return cls._revision(str(path))
         try:
             urdf = Path(path).read_text(encoding="utf-8")
         except OSError as error:
             raise RobotError(
                 f"The URDF {path} cannot be read: {error.strerror}.",
-                "Give the path of a URDF file, or leave it out to use the default robot.",
+                f"Give the path of a URDF file, {' or '.join(REVISIONS)}, or leave it out.",
             ) from error
         except UnicodeDecodeError as error:
             raise RobotError(

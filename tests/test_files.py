@@ -109,7 +109,7 @@ from g1stream.errors import RecordingError
 from g1stream.files import check_output_path
 from g1stream.session.format import CHANNELS
 from g1stream.session.parts import SessionFiles, check_recording_path
-from g1stream.session.writer import SessionWriter, SplitLimits
+from g1stream.session.writer import SessionWriter
 os.getuid() or os.setuid(65534)
 path = Path(sys.argv[1])
 try:
@@ -145,7 +145,7 @@ def locked(tmp_path):
         "check_output_path(path, force=True)",
         "check_recording_path(path, split=True, force=True)",
         "SessionWriter(path, force=True)",
-        "SessionWriter(path, force=True, limits=SplitLimits(size=1))",
+        "SessionWriter(path, force=True, split_bytes=1)",
         "SessionWriter(path.with_name('new'))",
     ],
 )

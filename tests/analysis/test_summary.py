@@ -18,7 +18,7 @@ from g1stream.session.summary import (
     StreamSummary,
     Summary,
 )
-from g1stream.session.writer import SessionWriter, SplitLimits
+from g1stream.session.writer import SessionWriter
 from g1stream.types import Phase
 
 STREAM = StreamSummary(
@@ -196,7 +196,7 @@ def test_where_the_motion_was_to_begin(summarise):
 
 def test_a_part_that_cannot_be_read_or_is_missing(play, tmp_path):
     reference = play().reference
-    with SessionWriter(tmp_path / "s", limits=SplitLimits(duration=1)) as writer:
+    with SessionWriter(tmp_path / "s", split_ns=1) as writer:
         for i in range(2):
             times = reference.log_time[i], reference.publish_time[i]
             writer.write("/lowcmd", bytes(8), *times)

@@ -23,7 +23,7 @@ from g1stream.motion.motion import Motion
 from g1stream.programs.convert import Conversion, convert
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import G1
-from g1stream.session.metadata import metadata_from_strings
+from g1stream.session.format import metadata_from_strings
 from g1stream.session.motions import load_motion
 
 T0 = 1_700_000_000_000_000_000

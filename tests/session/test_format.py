@@ -2,16 +2,19 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.descriptor_pool import DescriptorPool
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 from mcap.records import Schema
 from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap_ros2.decoder import DecoderFactory
 
 from g1stream.dds.layout import leaves
 from g1stream.dds.topics import TOPICS
-from g1stream.session.format import CHANNELS
+from g1stream.session.format import CHANNELS, metadata_from_strings, metadata_to_strings
 
 WIRE = [channel for channel in CHANNELS.values() if channel.dds_topic]
 TOPIC = {topic.name: topic for topic in TOPICS}
@@ -100,3 +103,38 @@ def test_a_nested_type_is_defined_once_and_after_the_line_that_ends_the_text_bef
         "float32 tau_est\nint16[2] temperature\nfloat32 vol\nuint32[2] sensor\n"
         "uint32 motorstate\nuint32[4] reserve\n",
     ]
+
+
+# --- metadata survives the map of strings ---
+
+numbers = st.integers() | st.floats(allow_nan=False)
+scalars = st.none() | st.booleans() | numbers | st.text()
+values = st.recursive(scalars, lambda v: st.lists(v) | st.dictionaries(st.text(), v), max_leaves=9)
+
+
+@settings(max_examples=40)
+@given(st.dictionaries(st.text(), values))
+@example({"version": "0.10", "flag": "true", "quoted": '"x"', "nothing": "null", "empty": ""})
+def test_any_json_comes_back_as_it_was(data):
+    strings = metadata_to_strings(data)
+    assert all(isinstance(string, str) for string in strings.values())
+    back = metadata_from_strings(strings)
+    assert back == data
+    assert {k: type(v) for k, v in back.items()} == {k: type(v) for k, v in data.items()}
+
+
+def test_plain_strings_stay_plain():
+    assert metadata_to_strings({"host": "robot-3", "interface": "lo"}) == {
+        "host": "robot-3",
+        "interface": "lo",
+    }
+
+
+def test_numpy_becomes_numbers_and_lists():
+    strings = metadata_to_strings({"kp": np.array([[1.5], [2.0]]), "n": {"at": np.int64(2**60)}})
+    assert metadata_from_strings(strings) == {"kp": [[1.5], [2.0]], "n": {"at": 2**60}}
+
+
+def test_what_json_cannot_say_is_refused():
+    with pytest.raises(TypeError, match="set is not JSON"):
+        metadata_to_strings({"s": {1}})

@@ -12,17 +12,17 @@ from mcap.reader import make_reader
 from g1stream.dds.layout import CDR_HEADER, Layout
 from g1stream.dds.topics import LOWCMD, LOWSTATE
 from g1stream.errors import RecordingError
-from g1stream.session.metadata import metadata_from_strings
+from g1stream.session.format import metadata_from_strings
 from g1stream.session.parts import SessionFiles, check_recording_path, remove_recording
 from g1stream.session.session import open_session
-from g1stream.session.writer import SessionWriter, SplitLimits
+from g1stream.session.writer import SessionWriter
 
 T0 = 1_700_000_000_000_000_000
 MS = 1_000_000
 SECOND = 1000 * MS
 STEP = 100 * MS
 N = 60
-TWO_SECONDS = SplitLimits(duration=2 * SECOND)
+PART_NS = 2 * SECOND
 
 
 @pytest.fixture
@@ -48,7 +48,7 @@ def write_parts(tmp_path, samples):
 
     def write(name="session.mcap", **options):
         path = tmp_path / name
-        with SessionWriter(path, limits=TWO_SECONDS, file_header=file_header, **options) as writer:
+        with SessionWriter(path, split_ns=PART_NS, file_header=file_header, **options) as writer:
             for i in range(N):
                 for topic, data in samples.items():
                     writer.write(topic, data[i], T0 + i * STEP + 9, T0 + i * STEP)
@@ -121,7 +121,8 @@ def test_a_missing_part_is_absent(write_parts, samples):
     writer = write_parts()
     writer.paths[1].unlink()
     session = open_session(writer.path)
-    assert (session.absent_parts, session.unreadable_parts) == ([1], {})
+    assert list(session.absent_parts) == [1]
+    assert str(writer.paths[1]) in session.absent_parts[1]
     assert not session.complete
     assert list(session.replay_bytes("/lowcmd"))[-1] == samples["/lowcmd"][-1]
 
@@ -131,8 +132,8 @@ def test_an_unreadable_part_is_absent_with_its_reason(write_parts, content):
     writer = write_parts()
     writer.paths[2].write_bytes(content)
     session = open_session(writer.path)
-    assert session.absent_parts == [2]
-    assert str(writer.paths[2]) in session.unreadable_parts[2]
+    assert list(session.absent_parts) == [2]
+    assert str(writer.paths[2]) in session.absent_parts[2]
     assert session.paths == writer.paths[:2]
     assert not session.complete
     with pytest.raises(RecordingError):
@@ -158,7 +159,7 @@ def test_the_part_of_a_killed_recorder_is_not_complete(write_parts):
 
 
 def test_parts_are_listed_as_soon_as_they_are_begun(tmp_path, samples):
-    writer = SessionWriter(tmp_path / "s", limits=TWO_SECONDS)
+    writer = SessionWriter(tmp_path / "s", split_ns=PART_NS)
     for i in range(N):
         writer.write("/lowcmd", samples["/lowcmd"][i], T0 + i * STEP, T0 + i * STEP)
         writer.flush_if_due(T0 + i * STEP)
@@ -220,7 +221,7 @@ def record(writer, seconds, payload=bytes(8)):
 
 def test_parts_end_with_the_chunk_that_reaches_their_size(tmp_path):
     noise = np.random.default_rng(1).bytes(10_000)
-    with SessionWriter(tmp_path / "s.mcap", limits=SplitLimits(size=20_000)) as writer:
+    with SessionWriter(tmp_path / "s.mcap", split_bytes=20_000) as writer:
         record(writer, 4, noise)
     sizes = [path.stat().st_size for path in writer.paths]
     assert len(sizes) > 2
@@ -232,8 +233,7 @@ def test_the_file_header_does_not_count_as_size(tmp_path):
     def large(writer):
         writer.attach("robot.urdf", "application/xml", bytes(100_000), T0)
 
-    limits = SplitLimits(size=50_000)
-    with SessionWriter(tmp_path / "s.mcap", limits=limits, file_header=large) as writer:
+    with SessionWriter(tmp_path / "s.mcap", split_bytes=50_000, file_header=large) as writer:
         record(writer, 0.2)
         assert len(writer.paths) == 1
         record(writer, 2, np.random.default_rng(1).bytes(10_000))
@@ -241,7 +241,7 @@ def test_the_file_header_does_not_count_as_size(tmp_path):
 
 
 def test_a_clock_set_back_ends_a_part(tmp_path):
-    with SessionWriter(tmp_path / "s.mcap", limits=SplitLimits(duration=SECOND)) as writer:
+    with SessionWriter(tmp_path / "s.mcap", split_ns=SECOND) as writer:
         record(writer, 0.5)
         writer.flush_if_due(T0 - 3600 * SECOND)
     assert len(writer.paths) == 2
@@ -258,8 +258,7 @@ def test_if_no_part_can_be_begun_the_last_one_takes_the_final_metadata(tmp_path,
             raise RecordingError("The disk is full.", "Make room.")
         headers.append(writer)
 
-    limits = SplitLimits(duration=SECOND)
-    with SessionWriter(tmp_path / "s.mcap", limits=limits, file_header=once) as writer:
+    with SessionWriter(tmp_path / "s.mcap", split_ns=SECOND, file_header=once) as writer:
         with pytest.raises(RecordingError, match="full"):
             record(writer, 2)
         writer.add_metadata({"at": "end"})
@@ -285,7 +284,7 @@ def test_a_recording_is_replaced_only_with_force(write_parts, tmp_path):
         write_parts()
     assert "--force" in error.value.remedy
     assert content(tmp_path) == before
-    with SessionWriter(tmp_path / "session.mcap", limits=TWO_SECONDS, force=True) as writer:
+    with SessionWriter(tmp_path / "session.mcap", split_ns=PART_NS, force=True) as writer:
         assert writer.paths == [tmp_path / "session" / "session_0.mcap"]
     assert sorted(content(tmp_path)) == [writer.path / "metadata.yaml", writer.paths[0]]
 
@@ -300,7 +299,7 @@ def test_the_old_recording_stays_until_the_first_part_stands(write_parts, tmp_pa
         raise RecordingError("The disk is full.", "Make room.")
 
     with pytest.raises(RecordingError, match="full"):
-        SessionWriter(tmp_path / "session.mcap", limits=TWO_SECONDS, force=True, file_header=fail)
+        SessionWriter(tmp_path / "session.mcap", split_ns=PART_NS, force=True, file_header=fail)
     assert content(tmp_path) == before
 
 

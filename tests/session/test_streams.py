@@ -31,10 +31,16 @@ def measured(reads):
     return Measured(load)
 
 
-def reference(phases, latency=0):
-    times = T0 + 100_000_000 * np.arange(len(phases))
+def reference(phases, latency=0, start=0.0):
+    """A sample each 0.1 s; PLAY begins `start` seconds into the motion."""
+    seconds = 0.1 * np.arange(len(phases))
+    times = T0 + np.round(seconds * 1e9).astype(np.int64)
     phase = np.array(phases, np.uint8)
-    return Reference(log_time=times + latency, publish_time=times, phase=phase)
+    first = phases.index(Phase.PLAY) if Phase.PLAY in phases else len(phases)
+    motion_time = start + np.maximum(0, seconds - 0.1 * first)
+    return Reference(
+        log_time=times + latency, publish_time=times, phase=phase, motion_time=motion_time
+    )
 
 
 def test_the_first_column_reads_all_in_one_pass(measured, reads):
@@ -84,10 +90,16 @@ def test_a_part_reads_no_more_columns_than_it_needs(measured, reads):
     assert reads == [["log_time", "publish_time", "q"]]
 
 
-def test_time_is_0_at_the_first_frame_that_was_played():
+def test_time_is_0_at_the_first_frame_of_the_motion():
     stream = reference([Phase.RAMP, Phase.RAMP, Phase.PLAY, Phase.PLAY])
     np.testing.assert_allclose(stream.time, [-0.2, -0.1, 0.0, 0.1])
     np.testing.assert_allclose(reference([Phase.RAMP, Phase.RAMP]).time, [0.0, 0.1])
+
+
+def test_time_is_the_motion_time_where_play_began_later():
+    stream = reference([Phase.RAMP, Phase.PLAY, Phase.PLAY], start=2.5)
+    np.testing.assert_allclose(stream.time, [2.4, 2.5, 2.6])
+    np.testing.assert_allclose(stream.time[1:], stream.motion_time[1:])
 
 
 def test_time_is_on_the_recorders_clock():

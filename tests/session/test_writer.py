@@ -18,9 +18,10 @@ from mcap_ros2.decoder import DecoderFactory as Ros2Decoders
 
 from g1stream.errors import RecordingError
 from g1stream.foxglove.templates import JointStatesTemplate
-from g1stream.session.metadata import metadata_from_strings
+from g1stream.session import writer as writer_module
+from g1stream.session.format import metadata_from_strings
 from g1stream.session.parts import SessionFiles
-from g1stream.session.writer import SessionWriter
+from g1stream.session.writer import SessionWriter, attach_motion
 
 T0 = 1_700_000_000_000_000_000
 MS = 1_000_000
@@ -84,7 +85,7 @@ def test_every_compression_is_read_by_the_stock_reader(tmp_path, compression):
     path = tmp_path / "session.mcap"
     rows = np.arange(600, dtype=np.uint8).reshape(300, 2)
     times = T0 + MS * np.arange(300)
-    with SessionWriter(path, compression=compression, chunk_ns=None) as writer:
+    with SessionWriter(path, compression=compression) as writer:
         for part in (slice(0, 128), slice(128, 300)):
             writer.write_batch("/tf", rows[part], times[part], times[part])
             writer.flush()
@@ -113,19 +114,21 @@ def chunk_spans(path):
     return [c.message_end_time - c.message_start_time for c in chunks]
 
 
-def test_no_chunk_spans_more_than_its_time(tmp_path):
+def test_a_chunk_spans_less_than_its_time(tmp_path):
     path = tmp_path / "session.mcap"
-    times = T0 + 2 * MS * np.arange(1000)
-    with SessionWriter(path, chunk_ns=250 * MS) as writer:
-        writer.write_batch("/lowstate", [b"x"] * 1000, times, times)
-    assert chunk_spans(path) == [248 * MS] * 8
+    with SessionWriter(path) as writer:
+        for times in np.split(T0 + 2 * MS * np.arange(1000), 40):
+            writer.write_batch("/lowstate", [b"x"] * 25, times, times)
+            writer.flush_if_due(int(times[-1]))
+    assert chunk_spans(path) == [198 * MS] * 10
 
 
 def test_a_clock_set_back_does_not_keep_a_chunk_open(tmp_path):
     path = tmp_path / "session.mcap"
-    times = np.concatenate((T0 + 2 * MS * np.arange(10), T0 - 10**12 + 2 * MS * np.arange(10)))
     with SessionWriter(path) as writer:
-        writer.write_batch("/lowstate", [b"x"] * 20, times, times)
+        for start in (T0, T0 - 10**12):
+            times = start + 2 * MS * np.arange(10)
+            writer.write_batch("/lowstate", [b"x"] * 10, times, times)
     assert chunk_spans(path) == [18 * MS, 18 * MS]
 
 
@@ -133,9 +136,9 @@ def test_a_quiet_topic_is_on_disk_once_its_time_has_run_out(tmp_path):
     path = tmp_path / "session.mcap"
     with SessionWriter(path) as writer:
         writer.write("/log", b"x", T0, T0)
-        writer.flush_if_due(T0 + 249 * MS)
+        writer.flush_if_due(T0 + 199 * MS)
         assert readable(path) == []
-        writer.flush_if_due(T0 + 250 * MS)
+        writer.flush_if_due(T0 + 200 * MS)
         assert readable(path) == [T0]
 
 
@@ -170,7 +173,7 @@ def test_a_killed_recorder_loses_less_than_its_chunk(tmp_path):
         process.stdout.read()
     times = readable(path)
     assert times == list(range(0, len(times) * 2 * MS, 2 * MS))
-    assert times[-1] > written - 250 * MS
+    assert times[-1] > written - 200 * MS
 
 
 def test_metadata_and_attachments(tmp_path):
@@ -234,7 +237,8 @@ noise = np.random.default_rng(3).integers(0, 256, (1000, 2096), dtype=np.uint8)
 times = np.arange(1000) * 2_000_000
 with SessionWriter(sys.argv[1]) as writer:
     try:
-        writer.write_batch("/lowstate", noise, times, times)
+        for data, time in zip(noise, times.tolist()):
+            writer.write("/lowstate", data.tobytes(), time, time)
     except RecordingError:
         writer.write("/log", b"full", 10**10, 10**10)
         writer.add_metadata({"stopped": "full"})
@@ -247,7 +251,7 @@ def test_a_write_that_fails_midway_keeps_what_is_whole(tmp_path):
     path = tmp_path / "session.mcap"
     command = [sys.executable, "-c", FULL, str(path)]
     result = subprocess.run(command, capture_output=True, text=True, check=True)
-    kept = list(range(0, 3 * 250 * MS, 2 * MS))
+    kept = list(range(0, 4 * 200 * MS, 2 * MS))
     assert int(result.stdout) == len(kept)
     assert [m.log_time for _, c, m in read_all(path) if c.topic == "/lowstate"] == kept
     assert [m.data for _, c, m in read_all(path) if c.topic == "/log"] == [b"full"]
@@ -274,3 +278,32 @@ def test_channels_are_there_only_once_used(tmp_path):
         summary = make_reader(file).get_summary()
     topics = Counter(channel.topic for channel in summary.channels.values())
     assert topics == {"/lowcmd": 1}
+
+
+class Writer:
+    def __init__(self):
+        self.attached = []
+
+    def attach(self, *attachment):
+        self.attached.append(attachment)
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [("walk.csv", "text/csv"), ("W.CSV", "text/csv"), ("w.npz", "application/octet-stream")],
+)
+def test_a_motion_file_is_attached_with_its_type(tmp_path, name, kind):
+    (tmp_path / name).write_bytes(b"1,2")
+    taker = Writer()
+    attach_motion(taker, tmp_path / name, 7)
+    assert taker.attached == [(name, kind, b"1,2", 7)]
+
+
+def test_neither_a_session_nor_a_large_file_nor_a_missing_one_is_attached(tmp_path, monkeypatch):
+    monkeypatch.setattr(writer_module, "LARGEST_MOTION", 8)
+    (tmp_path / "earlier.mcap").write_bytes(b"\x89MCAP0\r\n")
+    (tmp_path / "large.csv").write_bytes(bytes(9))
+    taker = Writer()
+    for source in (None, *(tmp_path / n for n in ("earlier.mcap", "large.csv", "gone.csv", "."))):
+        attach_motion(taker, source, 7)
+    assert not taker.attached

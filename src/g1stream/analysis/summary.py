@@ -190,9 +190,8 @@ def _recorder_problems(recorder: RecorderSummary) -> Iterator[str]:
 
 
 def _file_problems(session: Session) -> Iterator[str]:
-    for number in session.absent_parts:
-        reason = session.unreadable_parts.get(number)
-        yield f"Part {number} " + (f"cannot be read: {reason}" if reason else "is missing.")
+    for number, reason in session.absent_parts.items():
+        yield f"Part {number} is absent: {reason}"
     if not (session.complete or session.absent_parts):
         yield (
             "The recorder did not close the file: it ends with its last complete chunk, and how "

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -13,38 +13,23 @@ from g1stream.foxglove.measured_base import MeasuredBase
 from g1stream.foxglove.scene import encode_robot_description, encode_scene
 from g1stream.foxglove.templates import JointStatesTemplate
 from g1stream.foxglove.tracking_error import Track, TrackingError
-from g1stream.session.format import CHANNELS
+from g1stream.session.format import CHANNELS, MessageBatch
 from g1stream.types import Ints
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
 
     from numpy.typing import NDArray
 
     from g1stream.dds.messages import Batch
     from g1stream.robot.model import G1
 
-__all__ = ["CHANNEL_OF", "Decimator", "MessagePipeline", "Messages"]
+__all__ = ["CHANNEL_OF", "Decimator", "MessagePipeline"]
 
 CHANNEL_OF: Final = {c.dds_topic: c.topic for c in CHANNELS.values() if c.dds_topic}
 """The topic in the file that holds a DDS topic's samples byte for byte, by the DDS topic's name."""
 
 _REFERENCE_OPACITY: Final = 0.3
-
-
-class Messages(NamedTuple):
-    """Messages of one topic of the file, oldest first.
-
-    Attributes:
-        topic: of the file.
-        payloads: T messages, or (T, size) uint8 with one in each row.
-        log_times, publish_times: (T,) ns since the epoch.
-    """
-
-    topic: str
-    payloads: Sequence[bytes] | NDArray[np.uint8]
-    log_times: Ints
-    publish_times: Ints
 
 
 class Decimator:
@@ -95,7 +80,7 @@ class MessagePipeline:
         self._state_decimator = Decimator(tf_rate)
         self._log = Log()
 
-    def file_header(self, time_ns: int) -> list[Messages]:
+    def file_header(self, time_ns: int) -> list[MessageBatch]:
         """What viewers need once: the scene with both robots, the reference translucent; the URDF.
 
         Args:
@@ -110,9 +95,9 @@ class MessagePipeline:
             "/robot_description": encode_robot_description(self._robot),
         }
         time = np.array([time_ns])
-        return [Messages(topic, [data], time, time) for topic, data in payloads.items()]
+        return [MessageBatch(topic, [data], time, time) for topic, data in payloads.items()]
 
-    def encode(self, batches: Mapping[str, Batch]) -> list[Messages]:
+    def encode(self, batches: Mapping[str, Batch]) -> list[MessageBatch]:
         """The messages of one round of batches.
 
         Args:
@@ -122,7 +107,7 @@ class MessagePipeline:
             ValueError: a sample is not of its topic's type.
         """
         made = [
-            Messages(CHANNEL_OF[name], batch.data, *_times(batch))
+            MessageBatch(CHANNEL_OF[name], batch.data, *_times(batch))
             for name, batch in batches.items()
             if name in CHANNEL_OF
         ]
@@ -139,7 +124,7 @@ class MessagePipeline:
         made.append(self._from_errors(self._tracking_error.take()))
         return [messages for messages in made if len(messages.payloads)]
 
-    def _from_references(self, batch: Batch) -> list[Messages]:
+    def _from_references(self, batch: Batch) -> list[MessageBatch]:
         samples = Samples(REFERENCE, batch.data)
         logged, published = _times(batch)
         q, dq, root_pos = samples["q"], samples["dq"], samples["root_pos"]
@@ -150,11 +135,11 @@ class MessagePipeline:
         few = self._reference_decimator.pick(published)
         tf = self._tf.encode(published[few], q[few], root_pos[few], root_quat[few])
         return [
-            Messages("/reference/joint_states", joints, logged, published),
-            Messages("/tf", tf, logged[few], published[few]),
+            MessageBatch("/reference/joint_states", joints, logged, published),
+            MessageBatch("/tf", tf, logged[few], published[few]),
         ]
 
-    def _from_states(self, batch: Batch) -> list[Messages]:
+    def _from_states(self, batch: Batch) -> list[MessageBatch]:
         samples = Samples(LOWSTATE, batch.data)
         logged, published = _times(batch)
         q, dq, ddq, tau = (
@@ -167,23 +152,23 @@ class MessagePipeline:
         positions, quats = self.base.poses(published[few], imu_quats)
         tf = self._measured_tf.encode(published[few], q[few], positions, quats)
         return [
-            Messages("/measured/joint_states", joints, logged, published),
-            Messages("/measured/tf", tf, logged[few], published[few]),
+            MessageBatch("/measured/joint_states", joints, logged, published),
+            MessageBatch("/measured/tf", tf, logged[few], published[few]),
         ]
 
-    def _from_errors(self, errors: Track) -> Messages:
+    def _from_errors(self, errors: Track) -> MessageBatch:
         payloads = self._error_joints.encode(errors.publish_times, errors.q, errors.dq)
         topic = "/tracking_error/joint_states"
-        return Messages(topic, payloads, errors.log_times, errors.publish_times)
+        return MessageBatch(topic, payloads, errors.log_times, errors.publish_times)
 
-    def _from_log(self, batch: Batch) -> Messages:
+    def _from_log(self, batch: Batch) -> MessageBatch:
         lines = []
         for data, published in zip(batch.data, batch.publish_times, strict=True):
             self._log.load(data)
             lines.append(
                 encode_log(published, int(self._log.level), self._log.name, self._log.text)
             )
-        return Messages("/log", lines, *_times(batch))
+        return MessageBatch("/log", lines, *_times(batch))
 
 
 def _times(batch: Batch) -> tuple[Ints, Ints]:

@@ -18,10 +18,9 @@ from g1stream.foxglove.templates import JointStatesTemplate
 from g1stream.robot.model import G1
 from g1stream.robot.visuals import missing_meshes
 from g1stream.session.format import CHANNELS, Channel
-from g1stream.session.metadata import attach_motion
 from g1stream.session.motions import load_motion
 from g1stream.session.timestamps import frame_timestamps
-from g1stream.session.writer import SessionWriter
+from g1stream.session.writer import SessionWriter, attach_motion
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -153,9 +152,7 @@ def convert(
     channels = _channels(options.topic)
     with (
         complete_file(out, force=options.force) as temporary,
-        SessionWriter(
-            temporary, channels=channels, compression=options.compression, chunk_ns=None
-        ) as writer,
+        SessionWriter(temporary, channels=channels, compression=options.compression) as writer,
     ):
         _write_file_header(writer, motion, robot, options, first)
         for times, joint_pos, root_pos, root_quat, *rates in _poses(motion, options, start, stop):

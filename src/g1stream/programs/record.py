@@ -23,14 +23,12 @@ from g1stream.programs.child_process import run_child
 from g1stream.realtime import lower_priority
 from g1stream.recorder.recorder import Recorder
 from g1stream.robot.model import G1
-from g1stream.session.metadata import attach_motion
 from g1stream.session.summary import SessionInfo
-from g1stream.session.writer import SessionWriter, SplitLimits
+from g1stream.session.writer import SessionWriter, attach_motion
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from g1stream.config import RecordConfig
     from g1stream.programs.child_process import Parent
     from g1stream.session.summary import RecorderSummary, Summary
 
@@ -77,6 +75,7 @@ def record(
     pipeline = MessagePipeline(robot, settings.tf_rate)  # before there is a file: may refuse
     about, now = _metadata(config, session or SessionInfo()), time.time_ns()
     source = session and session.motion and session.motion.source
+    size, duration = settings.split_size, settings.split_duration
 
     def write_file_header(writer: SessionWriter) -> None:
         writer.add_metadata(about)
@@ -89,7 +88,11 @@ def record(
     with (
         Participant(config.dds.domain, config.dds.interface) as participant,
         SessionWriter(
-            path, force=force, limits=_limits(settings), file_header=write_file_header
+            path,
+            force=force,
+            split_bytes=None if size is None else round(size * 1e6),
+            split_ns=None if duration is None else round(duration * 1e9),
+            file_header=write_file_header,
         ) as writer,
     ):
         recorder = Recorder(participant, writer, pipeline, settings.batch)
@@ -103,14 +106,6 @@ def record(
             time.sleep(_POLL_PERIOD)
         _close(writer, report, final_metadata())
     return summarise_run(config, recorder=report)
-
-
-def _limits(settings: RecordConfig) -> SplitLimits:
-    size, duration = settings.split_size, settings.split_duration
-    return SplitLimits(
-        None if size is None else round(size * 1e6),
-        None if duration is None else round(duration * 1e9),
-    )
 
 
 def _close(

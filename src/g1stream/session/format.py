@@ -1,17 +1,22 @@
-"""Which channels a session file has: what each is for, its schema and its encoding.
+"""What a session file is made of: its channels, with their schemas and encodings, and metadata.
 
 The samples of DDS are kept as the bytes that they were, CDR, with ROS 2 message text as schema:
 ROS 2 has the same plain CDR on the wire. Beside them are messages derived from them that viewers
 know. Nothing here loads DDS until the schema of one of its types is built, as `convert` needs none.
+
+Metadata are JSON values, kept in MCAP's map of strings. Strings are kept as they are, so that every
+MCAP tool shows them plainly; everything else becomes JSON. A string that would read as JSON
+(`0.10`, `true`) is quoted, so that it comes back a string.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import json
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
@@ -20,11 +25,39 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
 from g1stream.dds.layout import members
+from g1stream.types import Ints
 
 if TYPE_CHECKING:
+    import numpy as np
     from google.protobuf.message import Message
+    from numpy.typing import NDArray
 
-__all__ = ["CHANNELS", "Channel"]
+__all__ = [
+    "CHANNELS",
+    "METADATA_NAME",
+    "Channel",
+    "MessageBatch",
+    "metadata_from_strings",
+    "metadata_to_strings",
+]
+
+METADATA_NAME: Final = "g1stream"
+"""The name of the record. A file may have several; a later one's values replace an earlier's."""
+
+
+class MessageBatch(NamedTuple):
+    """T messages of one topic, oldest first.
+
+    Attributes:
+        topic: of the file.
+        payloads: the messages, or (T, size) uint8 with one in each row.
+        log_times, publish_times: (T,) int64, ns since the epoch.
+    """
+
+    topic: str
+    payloads: Sequence[bytes] | NDArray[np.uint8]
+    log_times: Ints
+    publish_times: Ints
 
 
 @dataclass(frozen=True)
@@ -158,3 +191,36 @@ _ALL: Final = (
 
 CHANNELS: Final[Mapping[str, Channel]] = MappingProxyType({one.topic: one for one in _ALL})
 """Every channel a session file can have, by its topic."""
+
+
+def metadata_to_strings(values: Mapping[str, Any]) -> dict[str, str]:
+    """Flatten values for MCAP.
+
+    Raises:
+        TypeError: a value is neither JSON nor a numpy array or scalar.
+    """
+    return {key: _to_string(value) for key, value in values.items()}
+
+
+def metadata_from_strings(strings: Mapping[str, str]) -> dict[str, Any]:
+    """The values that `metadata_to_strings` flattened."""
+    return {key: _from_string(string) for key, string in strings.items()}
+
+
+def _to_string(value: Any) -> str:
+    if isinstance(value, str) and _from_string(value) is value:
+        return value
+    return json.dumps(value, default=_from_numpy)
+
+
+def _from_string(string: str) -> Any:
+    try:
+        return json.loads(string)
+    except ValueError:
+        return string
+
+
+def _from_numpy(value: Any) -> Any:
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} is not JSON")

@@ -27,7 +27,7 @@ from mcap.records import Attachment, Channel, Chunk, Metadata, Statistics
 from mcap.stream_reader import get_chunk_data_stream
 
 from g1stream.errors import RecordingError
-from g1stream.session.metadata import METADATA_NAME, metadata_from_strings
+from g1stream.session.format import METADATA_NAME, metadata_from_strings
 from g1stream.session.source import Messages
 
 if TYPE_CHECKING:
@@ -36,7 +36,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["McapFile"]
+__all__ = ["RECOVER", "McapFile"]
+
+RECOVER: Final = "Recover the rest with a tool such as `pymcap-cli recover`."
+"""The remedy for a damaged file."""
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -243,7 +246,7 @@ class McapFile:
             raise RecordingError(
                 f"The file {self.path} is damaged: the record at byte {record.start} cannot be "
                 "decoded.",
-                "Save the rest of it with a tool such as `mcap recover`.",
+                RECOVER,
             ) from error
 
     def _topic(self, channel_id: int) -> str:

@@ -13,24 +13,21 @@ import errno
 import os
 from collections import Counter
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from mcap.writer import CompressionType, IndexType, Writer
 
 from g1stream._version import __version__
 from g1stream.files import output_errors
-from g1stream.session.metadata import METADATA_NAME, metadata_to_strings
+from g1stream.session.format import METADATA_NAME, metadata_to_strings
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
-    import numpy as np
-    from numpy.typing import NDArray
+    from g1stream.session.format import Channel, MessageBatch
 
-    from g1stream.session.format import Channel
-
-__all__ = ["Compression", "McapWriter", "MessageBatch", "OutputFile"]
+__all__ = ["Compression", "McapWriter", "OutputFile", "max_size"]
 
 Compression = Literal["zstd", "lz4", "none"]
 
@@ -50,15 +47,17 @@ if _fallocate is not None:
     _fallocate.argtypes = (ctypes.c_int, ctypes.c_int, ctypes.c_int64, ctypes.c_int64)
 
 
+def max_size(batch: MessageBatch) -> int:
+    """Bytes that messages take in a file, at most."""
+    return sum(map(len, batch.payloads)) + _MESSAGE_BYTES * len(batch.payloads)
+
+
 class OutputFile:
     """A file that is written unbuffered, with disk space reserved and whole pieces only.
 
     Args:
         path: of the file.
         mode: `x` for a new file; `w` to replace one.
-
-    Raises:
-        OSError: it cannot be opened.
     """
 
     def __init__(self, path: Path, mode: Literal["x", "w"]) -> None:
@@ -106,38 +105,11 @@ class OutputFile:
             self._file.truncate(self._committed)
             self._file.seek(self._committed)
 
-    @property
-    def closed(self) -> bool:
-        """Whether it was closed."""
-        closed: bool = self._file.closed
-        return closed
-
     def close(self) -> None:
-        """Release space that was reserved and not used, and close; once is enough."""
-        if not self._file.closed:
-            with suppress(OSError):
-                self._file.truncate(self.tell())
-            self._file.close()
-
-
-class MessageBatch(NamedTuple):
-    """T messages of one topic, oldest first.
-
-    Attributes:
-        payloads: the messages, or (T, size) uint8 with one in each row.
-        log_times, publish_times: (T,) int64, ns since the epoch.
-        sequence: number of the first message.
-    """
-
-    payloads: Sequence[bytes] | NDArray[np.uint8]
-    log_times: NDArray[np.int64]
-    publish_times: NDArray[np.int64]
-    sequence: int
-
-    @property
-    def size(self) -> int:
-        """Bytes that they take in a file, at most."""
-        return sum(map(len, self.payloads)) + _MESSAGE_BYTES * len(self.payloads)
+        """Release space that was reserved and not used, and close."""
+        with suppress(OSError):
+            self._file.truncate(self.tell())
+        self._file.close()
 
 
 class McapWriter:
@@ -188,27 +160,29 @@ class McapWriter:
         """Bytes written."""
         return self._file.tell()
 
-    def write_chunk(self, topic: str, batches: Sequence[MessageBatch], *, last: bool) -> None:
+    def write_chunk(self, batches: Sequence[MessageBatch], sequence: int, *, last: bool) -> None:
         """Write messages of one topic as a chunk; all of them or none.
 
         Args:
-            topic: one of the channels.
             batches: the messages.
+            sequence: number of the first message.
             last: whether this may use the space that is kept for the end of a file.
         """
-        with self._committed(sum(b.size for b in batches) + (0 if last else _FINAL_BYTES)):
+        topic, number = batches[0].topic, sequence
+        with self._committed(sum(map(max_size, batches)) + (0 if last else _FINAL_BYTES)):
             channel_id = self._channel_id(topic)
-            for payloads, log_times, publish_times, sequence in batches:
+            for _, payloads, log_times, publish_times in batches:
                 times = zip(log_times.tolist(), publish_times.tolist(), payloads, strict=True)
-                for number, (logged, published, data) in enumerate(times, start=sequence):
+                for logged, published, data in times:
                     self._mcap.add_message(channel_id, logged, data, published, number)
+                    number += 1
             self._mcap.flush()
         self._n_chunks += 1
+        self.counts[topic] += number - sequence
         for batch in batches:
-            self.counts[topic] += len(batch.payloads)
-            first, last_time = int(batch.log_times.min()), int(batch.log_times.max())
+            first, final = int(batch.log_times.min()), int(batch.log_times.max())
             self.first_log_time = min(first, self.first_log_time or first)
-            self.last_log_time = max(last_time, self.last_log_time or last_time)
+            self.last_log_time = max(final, self.last_log_time or final)
 
     def attach(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
         """Add a file; see `SessionWriter.attach`."""
@@ -222,11 +196,10 @@ class McapWriter:
             self._mcap.add_metadata(METADATA_NAME, strings)
 
     def close(self) -> None:
-        """Write the summary and close the file; once is enough."""
+        """Write the summary and close the file."""
         try:
-            if not self._file.closed:
-                with output_errors(self.path):
-                    self._mcap.finish()
+            with output_errors(self.path):
+                self._mcap.finish()
         finally:
             self._file.close()
 

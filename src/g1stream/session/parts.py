@@ -23,6 +23,7 @@ from g1stream._version import __version__
 from g1stream.errors import RecordingError
 from g1stream.files import check_directory, check_output_path, complete_file, output_errors
 from g1stream.session.mcap_reader import McapFile
+from g1stream.session.source import SessionSource
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -61,58 +62,40 @@ class Part(NamedTuple):
     last_log_time: int | None
 
 
-class SessionFiles:
-    """The files of a session, read as one; a `SessionSource`.
+class SessionFiles(SessionSource):
+    """The files of a session, read as one.
 
     Args:
         path: an MCAP file, or the directory of a split recording.
-
-    Attributes:
-        path: as given.
-        paths: of the files that can be read, oldest first.
-        topics: number of messages by topic.
-        metadata: the values of all metadata records; a later one replaces an earlier one.
-        complete: whether all parts are there and were closed properly.
-        absent_parts: numbers, from 0, of the parts that are missing or unreadable.
-        unreadable_parts: by number of an unreadable part, the reason as a sentence.
 
     Raises:
         RecordingError: the path is not a session, or nothing in it can be read.
     """
 
     def __init__(self, path: Path) -> None:
-        self.path = path
-        self.absent_parts: list[int] = []
-        self.unreadable_parts: dict[int, str] = {}
-        opened = [_open(part) for part in _parts_of(path)]
-        self._files = [file for file in opened if isinstance(file, McapFile)]
-        for number, error in enumerate(opened):
-            if isinstance(error, RecordingError):
-                if not self._files:
-                    raise error
-                self.absent_parts.append(number)
-                if not isinstance(error.__cause__, FileNotFoundError):
-                    self.unreadable_parts[number] = error.cause
+        super().__init__(path)
+        self._files: list[McapFile] = []
+        errors: dict[int, RecordingError] = {}
+        for number, part in enumerate(_parts_of(path)):
+            try:
+                self._files.append(McapFile(part))
+            except RecordingError as error:  # noqa: PERF203
+                errors[number] = error
+        if not self._files:
+            raise errors[0]
+        self.absent_parts = {number: error.cause for number, error in errors.items()}
         self.paths = [file.path for file in self._files]
         self.complete = not self.absent_parts and all(file.complete for file in self._files)
         self.topics = dict(sum((file.counts for file in self._files), Counter[str]()))
         self.metadata = {k: v for file in self._files for k, v in file.metadata.items()}
 
     def batches(self, topics: set[str]) -> Iterator[tuple[str, Messages]]:
-        """The messages of some topics, one batch per topic and chunk, in the order of the files.
-
-        Raises:
-            RecordingError: a chunk is damaged.
-        """
+        """The messages of some topics, one batch per topic and chunk, in the order of the files."""
         for file in self._files:
             yield from file.batches(topics)
 
     def attachments(self) -> dict[str, bytes]:
-        """The attached files by name.
-
-        Raises:
-            RecordingError: one of them is damaged.
-        """
+        """The attached files by name."""
         return {one.name: one.data for file in self._files for one in file.attachments()}
 
 
@@ -268,13 +251,6 @@ def _times(parts: Sequence[Part]) -> dict[str, Any]:
         "starting_time": {"nanoseconds_since_epoch": first},
         "duration": {"nanoseconds": last - first},
     }
-
-
-def _open(part: Path) -> McapFile | RecordingError:
-    try:
-        return McapFile(part)
-    except RecordingError as error:
-        return error
 
 
 def _parts_of(path: Path) -> list[Path]:

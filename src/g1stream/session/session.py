@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
+from itertools import compress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
@@ -10,9 +11,10 @@ import numpy as np
 
 from g1stream.dds.messages import Samples
 from g1stream.errors import RecordingError, WireError
+from g1stream.session.mcap_reader import RECOVER
 from g1stream.session.parts import SessionFiles
 from g1stream.session.streams import Base, Command, LogEvent, Measured, Reference, Stream, TorsoImu
-from g1stream.types import Phase
+from g1stream.types import Floats, Phase
 
 if TYPE_CHECKING:
     import os
@@ -63,7 +65,8 @@ def open_session(path: str | os.PathLike[str]) -> Session:
 class Session:
     """The samples, events, metadata and attachments of one run.
 
-    Columns of a topic are read when they are first used, and kept.
+    Columns of a topic are read when they are first used, and kept. Whatever reads them raises a
+    RecordingError where the file is damaged, or a topic that it needs is not in this session.
 
     Args:
         source: what it is read from; `open_session` gives the files on disk.
@@ -71,8 +74,7 @@ class Session:
     Attributes:
         path: of the file or directory; of a session in memory only a name.
         paths: of the file or its parts, oldest first; empty in memory.
-        absent_parts: numbers of parts that should be there and are not or cannot be read.
-        unreadable_parts: of the latter, the reason, a sentence, by number.
+        absent_parts: by number of a part that is missing or cannot be read: why, a sentence.
         complete: whether everything is there and was closed properly.
         topics: number of messages by topic, in the whole session.
         metadata: what stream and recorder wrote about the session.
@@ -83,7 +85,6 @@ class Session:
         self.path = source.path
         self.paths = source.paths
         self.absent_parts = source.absent_parts
-        self.unreadable_parts = source.unreadable_parts
         self.complete = source.complete
         self.topics = source.topics
         self.metadata = source.metadata
@@ -99,29 +100,17 @@ class Session:
 
     @property
     def reference(self) -> Reference:
-        """The target at each tick, computed from the motion.
-
-        Raises:
-            RecordingError: it was not published in this session.
-        """
+        """The target at each tick, computed from the motion."""
         return self.stream(Reference)
 
     @property
     def command(self) -> Command:
-        """The commands to the motors.
-
-        Raises:
-            RecordingError: no commands were published in this session.
-        """
+        """The commands to the motors."""
         return self.stream(Command)
 
     @property
     def measured(self) -> Measured:
-        """The state of the robot.
-
-        Raises:
-            RecordingError: no robot published its state in this session.
-        """
+        """The state of the robot."""
         return self.stream(Measured)
 
     @property
@@ -139,9 +128,6 @@ class Session:
 
         Args:
             kind: one of the values of `STREAMS`.
-
-        Raises:
-            RecordingError: the topic is not in this session.
         """
         if kind not in self._streams:
             self._streams[kind] = self._make_stream(kind)
@@ -169,11 +155,7 @@ class Session:
 
     @cached_property
     def times(self) -> dict[str, Stream]:
-        """By topic, the times of its messages; of all topics, so it takes a while to read.
-
-        Raises:
-            RecordingError: the file is damaged.
-        """
+        """By topic, the times of its messages; of all topics, so it takes a while to read."""
         return self._read_times([topic for topic, n in sorted(self.topics.items()) if n])
 
     def _read_times(self, topics: Sequence[str]) -> dict[str, Stream]:
@@ -185,22 +167,14 @@ class Session:
         return {topic: stream(columns[topic]) for topic in topics}
 
     def messages(self, topic: str) -> Iterator[Message]:
-        """The messages of any topic, one after the other, in the order of the file.
-
-        Raises:
-            RecordingError: the topic is not in this session, or the file is damaged.
-        """
+        """The messages of any topic, one after the other, in the order of the file."""
         self._require(topic)
         for _, batch in self._source.batches({topic}):
             times = batch.log_times.tolist(), batch.publish_times.tolist()
             yield from map(Message, *times, batch.data)
 
     def replay_bytes(self, topic: str = Command.topic) -> Iterator[bytes]:
-        """The samples of a DDS topic, bit for bit as they were published, in order.
-
-        Raises:
-            RecordingError: the topic is not in this session, or the file is damaged.
-        """
+        """The samples of a DDS topic, bit for bit as they were published, in order."""
         return (message.data for message in self.messages(topic))
 
     def samples(self, kind: type[Stream], data: Sequence[bytes]) -> Samples:
@@ -235,7 +209,7 @@ class Session:
         Empty where there is no reference.
 
         Raises:
-            RecordingError: a number stands for no phase, or the file is damaged.
+            RecordingError: a number stands for no phase.
         """
         return self.reference.phases if self.topics.get(Reference.topic) else []
 
@@ -252,15 +226,32 @@ class Session:
         Raises:
             RecordingError: there is no phase of this name.
         """
-        from g1stream.session.selection import select
+        ranges = [(-np.inf, np.inf)] if phase is None else self._phase_ranges(phase)
+        if time is not None:
+            first = -np.inf if time.start is None else time.start
+            end = np.inf if time.stop is None else np.nextafter(time.stop, np.inf)
+            ranges = [(max(a, first), min(b, end)) for a, b in ranges]
+        return _Selection(self, ranges)
 
-        return select(self, phase, time)
+    def _phase_ranges(self, phase: str | Phase) -> list[tuple[float, float]]:
+        name = phase.name if isinstance(phase, Phase) else phase.upper()
+        if name not in Phase.__members__:
+            raise RecordingError(
+                f"There is no phase {phase!r}.", f"Choose from {', '.join(Phase.__members__)}."
+            )
+        phases = self.phases
+        ends = [*(one.start_s for one in phases[1:]), np.inf][: len(phases)]
+        return [
+            (one.start_s, end)
+            for one, end in zip(phases, ends, strict=True)
+            if one.phase is Phase[name]
+        ]
 
     def tracking(self) -> Tracking:
         """How closely the robot followed the reference in PLAY.
 
         Raises:
-            RecordingError: there is nothing to compare, or the file is damaged.
+            RecordingError: there is nothing to compare.
         """
         if self._tracking is None:
             from g1stream.analysis.tracking import tracking
@@ -269,11 +260,7 @@ class Session:
         return self._tracking
 
     def summary(self) -> Summary:
-        """What is in the session, how well it went, and its problems; `print` shows it as a page.
-
-        Raises:
-            RecordingError: the file is damaged.
-        """
+        """What is in the session, how well it went, and its problems; `print` shows it."""
         from g1stream.analysis.summary import summarise
 
         return summarise(self)
@@ -298,7 +285,7 @@ class Session:
             fps: frames per second; the rate of the reference if None.
 
         Raises:
-            RecordingError: no motion was played in this session, or the file is damaged.
+            RecordingError: no motion was played in this session.
             MotionError: `fps` is not a frame rate, or leaves less than two frames.
         """
         from g1stream.session.session_to_motion import reference_motion
@@ -316,7 +303,7 @@ class Session:
             force: replace a file that is there.
 
         Raises:
-            RecordingError: the file cannot be written, or the session's own file is damaged.
+            RecordingError: the file cannot be written.
         """
         from g1stream.session.export import save
 
@@ -335,8 +322,7 @@ class Session:
             `root_pos.x`, `imu_quat_wxyz.w`. Units are those of the stream.
 
         Raises:
-            RecordingError: pandas is not installed, the topic is not in this session or is not one
-                of those, or the file is damaged.
+            RecordingError: pandas is not installed, or the topic is not one of those.
         """
         from g1stream.session.export import to_dataframe
 
@@ -352,8 +338,7 @@ class Session:
             The files.
 
         Raises:
-            RecordingError: pandas or pyarrow is not installed, the session is damaged, or a file
-                cannot be written.
+            RecordingError: pandas or pyarrow is not installed, or a file cannot be written.
         """
         from g1stream.session.export import to_parquet
 
@@ -385,7 +370,7 @@ class Session:
                 raise RecordingError(
                     f"{self.path} is damaged: of {self.topics[topic]} messages on {topic} it has "
                     f"{found}.",
-                    "Recover the rest with a tool such as `pymcap-cli recover`.",
+                    RECOVER,
                 )
         return {
             topic: {attribute: _joined(columns.pop(attribute)) for attribute in list(columns)}
@@ -419,6 +404,39 @@ class Session:
         if not self.topics:
             return "nor on any other topic"
         return "only on " + ", ".join(sorted(self.topics))
+
+
+class _Selection(Session):
+    """A session restricted to ranges of time (first, end), s, the end excluded."""
+
+    def __init__(self, whole: Session, ranges: list[tuple[float, float]]) -> None:
+        super().__init__(whole._source)
+        self._whole, self._ranges = whole, ranges
+        self.start_ns = whole.start_ns
+
+    def _inside(self, times: Floats) -> NDArray[np.bool_]:
+        inside = np.zeros(len(times), dtype=bool)
+        for first, end in self._ranges:
+            inside |= (times >= first) & (times < end)
+        return inside
+
+    def _make_stream(self, kind: type[StreamT]) -> StreamT:
+        stream = self._whole.stream(kind)
+        return stream[self._inside(stream.time)]
+
+    @cached_property
+    def times(self) -> dict[str, Stream]:
+        return {topic: one[self._inside(one.time)] for topic, one in self._whole.times.items()}
+
+    @cached_property
+    def log(self) -> list[LogEvent]:
+        seconds = np.array([event.time - self.start_ns for event in self._whole.log]) / 1e9
+        return list(compress(self._whole.log, self._inside(seconds)))
+
+    def messages(self, topic: str) -> Iterator[Message]:
+        self._require(topic)
+        times = self._whole._read_times([topic])[topic].time
+        return compress(self._whole.messages(topic), self._inside(times))
 
 
 def _joined(parts: list[NDArray[Any]]) -> NDArray[Any]:

@@ -11,12 +11,13 @@ below serves what was written into it, so that a run in lockstep gives a Session
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from g1stream.session.metadata import metadata_from_strings, metadata_to_strings
+from g1stream.session.format import metadata_from_strings, metadata_to_strings
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -40,7 +41,7 @@ class Messages(NamedTuple):
     data: list[bytes]
 
 
-class SessionSource(Protocol):
+class SessionSource(ABC):
     """The messages, metadata and attachments of one session.
 
     Attributes:
@@ -49,18 +50,19 @@ class SessionSource(Protocol):
         topics: number of messages by topic.
         metadata: the values of all metadata records; a later one replaces an earlier one.
         complete: whether all parts are there and were closed properly.
-        absent_parts: numbers, as in their names, of the parts that are missing or unreadable.
-        unreadable_parts: by number of an unreadable part, the reason as a sentence.
+        absent_parts: by number, as in their names, of the parts that are missing or cannot be
+            read: why, a sentence.
     """
 
-    path: Path
-    paths: list[Path]
-    topics: dict[str, int]
-    metadata: dict[str, Any]
-    complete: bool
-    absent_parts: list[int]
-    unreadable_parts: dict[int, str]
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.paths: list[Path] = []
+        self.topics: dict[str, int] = {}
+        self.metadata: dict[str, Any] = {}
+        self.complete = True
+        self.absent_parts: dict[int, str] = {}
 
+    @abstractmethod
     def batches(self, topics: set[str]) -> Iterator[tuple[str, Messages]]:
         """The messages of some topics, batch by batch; the batches of a topic are in order.
 
@@ -68,6 +70,7 @@ class SessionSource(Protocol):
             RecordingError: the file is damaged.
         """
 
+    @abstractmethod
     def attachments(self) -> dict[str, bytes]:
         """The attached files by name.
 
@@ -76,7 +79,7 @@ class SessionSource(Protocol):
         """
 
 
-class MemorySource:
+class MemorySource(SessionSource):
     """A session in memory: written like a file with `SessionWriter`, read as a `SessionSource`.
 
     Args:
@@ -84,13 +87,7 @@ class MemorySource:
     """
 
     def __init__(self, name: str = "memory") -> None:
-        self.path = Path(name)
-        self.paths: list[Path] = []
-        self.topics: dict[str, int] = {}
-        self.metadata: dict[str, Any] = {}
-        self.complete = True
-        self.absent_parts: list[int] = []
-        self.unreadable_parts: dict[int, str] = {}
+        super().__init__(Path(name))
         self._messages: dict[str, list[tuple[int, int, bytes]]] = {}
         self._attachments: dict[str, bytes] = {}
 

@@ -180,13 +180,16 @@ class Reference(Stream):
 
     @property
     def start_ns(self) -> int:
-        """When the motion's first frame was published, or else the first sample, in ns.
+        """When the motion's first frame was or would have been published, ns since the epoch.
 
-        Since the epoch, on the recorder's clock.
+        On the recorder's clock. Where nothing was played, when the first sample was published.
         """
-        playing = self.read("phase").phase == Phase.PLAY
-        first = self.publish_time[playing] if playing.any() else self.publish_time
-        return int(first.min()) + self.clock_offset
+        playing = np.flatnonzero(self.read("phase", "motion_time").phase == Phase.PLAY)
+        if not len(playing):
+            return super().start_ns
+        first = playing[self.publish_time[playing].argmin()]
+        since_frame_0 = round(float(self.motion_time[first]) * 1e9)
+        return int(self.publish_time[first]) - since_frame_0 + self.clock_offset
 
     @property
     def phases(self) -> list[PhaseInterval]:

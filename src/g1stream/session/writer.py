@@ -1,21 +1,21 @@
 """Writes a session as it happens: into one file, or into a directory of parts.
 
-Messages wait for a quarter of a second of log time and are then written, a chunk for each topic;
-that much at most is lost when the program is killed.
+Messages wait until those of 0.2 s of log time are there and are then written, a chunk for each
+topic. With batches of up to 50 ms, a killed program loses at most a quarter of a second.
 """
 
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from g1stream.errors import RecordingError
-from g1stream.session.format import CHANNELS
-from g1stream.session.mcap_writer import McapWriter, MessageBatch
+from g1stream.files import is_session
+from g1stream.session.format import CHANNELS, MessageBatch
+from g1stream.session.mcap_writer import McapWriter, max_size
 from g1stream.session.parts import (
     Part,
     check_recording_path,
@@ -32,32 +32,16 @@ if TYPE_CHECKING:
 
     from g1stream.session.format import Channel
     from g1stream.session.mcap_writer import Compression
+    from g1stream.session.source import MemorySource
 
-__all__ = ["SessionWriter", "SplitLimits"]
+__all__ = ["LARGEST_MOTION", "SessionWriter", "attach_motion"]
 
-_CHUNK_NS: Final = 250_000_000
-_NEVER: Final = 2**63 - 1
+LARGEST_MOTION: Final = 16 * 2**20
+"""A larger motion file is not attached, bytes; its SHA-256 is in the metadata in any case."""
 
-# Chunks are written by time; by size only if something floods the file.
+_CHUNK_NS: Final = 200_000_000
+#: Chunks are written by time; by size only if something floods the file.
 _CHUNK_BYTES: Final = 32 * 2**20
-
-
-@dataclass(frozen=True)
-class SplitLimits:
-    """When a part of a recording ends: with the first chunks that reach one of these.
-
-    Attributes:
-        size: bytes, without the file header that every part has; None: no limit.
-        duration: log time, ns; None: no limit.
-    """
-
-    size: int | None = None
-    duration: int | None = None
-
-    @property
-    def any(self) -> bool:
-        """Whether there is a limit."""
-        return self.size is not None or self.duration is not None
 
 
 class SessionWriter:
@@ -69,10 +53,10 @@ class SessionWriter:
     Args:
         path: of the file; its directory must exist. Parts go into a directory called after it.
         force: replace a file that is there, or a directory that g1stream recorded.
-        limits: of a part; one file if None.
+        split_bytes: size at which a part ends, without the file header that every part has.
+        split_ns: log time after which a part ends. Without either there is one file.
         file_header: called at the start of each file to write what every part must have.
         channels: those that messages may be written to, by topic.
-        chunk_ns: write the chunks when this much log time has passed, ns; if None, on `flush` only.
         compression: of the chunks.
 
     Attributes:
@@ -81,7 +65,8 @@ class SessionWriter:
         counts: messages taken so far, in all parts, by topic.
 
     Raises:
-        RecordingError: something is there that may not be replaced, or nothing can be written.
+        RecordingError: something is there that may not be replaced. Every method raises it where
+            the disk is full, or the file cannot be written for another reason.
     """
 
     def __init__(
@@ -89,16 +74,16 @@ class SessionWriter:
         path: str | Path,
         *,
         force: bool = False,
-        limits: SplitLimits | None = None,
+        split_bytes: int | None = None,
+        split_ns: int | None = None,
         file_header: Callable[[SessionWriter], None] = lambda _: None,
         channels: Mapping[str, Channel] = CHANNELS,
-        chunk_ns: int | None = _CHUNK_NS,
         compression: Compression = "zstd",
     ) -> None:
-        self._limits = limits or SplitLimits()
+        self._split_bytes, self._split_ns = split_bytes, split_ns
+        self._split = split_bytes is not None or split_ns is not None
         self._file_header = file_header
         self._channels = channels
-        self._chunk_ns = chunk_ns or _NEVER
         self._compression = compression
         self._pending: dict[str, list[MessageBatch]] = {}
         self._pending_bytes = 0
@@ -107,9 +92,9 @@ class SessionWriter:
         self._parts: list[Part] = []
         self._closed = False
         self.counts: dict[str, int] = {}
-        self.path = parts_directory(Path(path)) if self._limits.any else Path(path)
-        check_recording_path(Path(path), split=self._limits.any, force=force)
-        if not self._limits.any:
+        self.path = parts_directory(Path(path)) if self._split else Path(path)
+        check_recording_path(Path(path), split=self._split, force=force)
+        if not self._split:
             self.paths = [self.path]
             self._file = self._open_file(self.path, force=force)
             return
@@ -133,9 +118,6 @@ class SessionWriter:
             data: the message in the encoding of its channel.
             log_time: when it was received, ns since the epoch.
             publish_time: when its producer published it, ns since the epoch.
-
-        Raises:
-            RecordingError: the disk is full, or the file cannot be written for another reason.
         """
         self.write_batch(topic, (data,), (log_time,), (publish_time,))
 
@@ -146,43 +128,30 @@ class SessionWriter:
         log_times: ArrayLike,
         publish_times: ArrayLike,
     ) -> None:
-        """Add messages of one topic, oldest first.
-
-        Args:
-            topic: of one of the channels.
-            payloads: (T,) messages, or (T, size) uint8 with one in each row.
-            log_times: (T,) when they were received, ns since the epoch.
-            publish_times: (T,) when their producer published them, ns since the epoch.
+        """Add messages of one topic, which go into the same chunk; see `MessageBatch`.
 
         Raises:
-            RecordingError: the disk is full, or the file cannot be written for another reason.
             ValueError: the lengths differ.
         """
-        logged = np.asarray(log_times, dtype=np.int64)
-        published = np.asarray(publish_times, dtype=np.int64)
-        if not len(payloads) == len(logged) == len(published):
+        times = np.asarray(log_times, np.int64), np.asarray(publish_times, np.int64)
+        batch = MessageBatch(topic, payloads, *times)
+        if not len(payloads) == len(batch.log_times) == len(batch.publish_times):
             raise ValueError(
-                f"{len(payloads)} payloads with {len(logged)} log times and {len(published)} "
-                "publish times"
+                f"{len(payloads)} payloads with {len(batch.log_times)} log times and "
+                f"{len(batch.publish_times)} publish times"
             )
-        start = 0
-        while start < len(logged):
-            if self._is_due(int(logged[start])):
-                self.flush()
-            if self._chunk_start is None:
-                self._chunk_start = int(logged[start])
-            # The distance, not the difference: a clock may be set back.
-            late = np.abs(logged[start:] - self._chunk_start) >= self._chunk_ns
-            end = start + (int(late.argmax()) if late.any() else len(late))
-            part = slice(start, end)
-            count = self.counts.get(topic, 0)
-            batch = MessageBatch(payloads[part], logged[part], published[part], count + 1)
-            self._pending.setdefault(topic, []).append(batch)
-            self.counts[topic] = count + end - start
-            self._pending_bytes += batch.size
-            if self._pending_bytes > _CHUNK_BYTES:
-                self.flush()
-            start = end
+        if not len(payloads):
+            return
+        start = int(batch.log_times[0])
+        if self._is_due(start):
+            self.flush()
+        if self._chunk_start is None:
+            self._chunk_start = start
+        self._pending.setdefault(topic, []).append(batch)
+        self.counts[topic] = self.counts.get(topic, 0) + len(payloads)
+        self._pending_bytes += max_size(batch)
+        if self._pending_bytes > _CHUNK_BYTES:
+            self.flush()
 
     def attach(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
         """Add a file, such as the URDF.
@@ -192,9 +161,6 @@ class SessionWriter:
             media_type: such as `text/csv`.
             data: its content.
             time_ns: when it was there, ns since the epoch.
-
-        Raises:
-            RecordingError: the disk is full, or the file cannot be written for another reason.
         """
         self._file.attach(name, media_type, data, time_ns)
 
@@ -205,7 +171,6 @@ class SessionWriter:
             values: anything that JSON can say, and numpy arrays.
 
         Raises:
-            RecordingError: the disk is full, or the file cannot be written for another reason.
             TypeError: a value is something else.
         """
         self._file.add_metadata(values)
@@ -215,9 +180,6 @@ class SessionWriter:
 
         Args:
             now_ns: the time on the clock of the log times, ns since the epoch.
-
-        Raises:
-            RecordingError: the disk is full, or the file cannot be written for another reason.
         """
         if self._is_due(now_ns):
             self.flush()
@@ -232,25 +194,23 @@ class SessionWriter:
 
         Args:
             last: whether the space that is kept for the end of a file may be used.
-
-        Raises:
-            RecordingError: the disk is full, or the file cannot be written for another reason.
         """
         pending, self._pending = self._pending, {}
         self._pending_bytes, self._chunk_start = 0, None
+        waiting = {t: sum(len(one.payloads) for one in batches) for t, batches in pending.items()}
         try:
-            for topic in list(pending):
-                self._file.write_chunk(topic, pending[topic], last=last)
-                del pending[topic]
+            for topic, batches in pending.items():
+                first = self.counts[topic] - waiting[topic] + 1
+                self._file.write_chunk(batches, first, last=last)
+                waiting[topic] = 0
         finally:
-            for topic, dropped in pending.items():
-                self.counts[topic] -= sum(len(batch.payloads) for batch in dropped)
+            for topic, dropped in waiting.items():
+                self.counts[topic] -= dropped
 
     def close(self) -> None:
         """Write what waits and the index, and close the file; once is enough.
 
-        Raises:
-            RecordingError: that failed; the file reads up to its last whole chunk.
+        If that fails, the file reads up to its last whole chunk.
         """
         if self._closed:
             return
@@ -259,18 +219,18 @@ class SessionWriter:
             self.flush(last=True)
         finally:
             self._file.close()
-            if self._limits.any:
+            if self._split:
                 with suppress(RecordingError):  # the one written with the last part lists them all
                     self._write_metadata_yaml()
 
     def _is_due(self, now_ns: int) -> bool:
-        return self._chunk_start is not None and abs(now_ns - self._chunk_start) >= self._chunk_ns
+        # The distance, not the difference: a clock may be set back.
+        return self._chunk_start is not None and abs(now_ns - self._chunk_start) >= _CHUNK_NS
 
     def _is_part_full(self, now_ns: int) -> bool:
-        size, duration = self._limits.size, self._limits.duration
-        elapsed = abs(now_ns - (self._part_start or now_ns))
-        return (size is not None and self._file.size - self._header_size >= size) or (
-            duration is not None and elapsed >= duration
+        size, elapsed = self._file.size - self._header_size, abs(now_ns - (self._part_start or 0))
+        return (self._split_bytes is not None and size >= self._split_bytes) or (
+            self._split_ns is not None and elapsed >= self._split_ns
         )
 
     def _open_file(self, path: Path, *, force: bool = False) -> McapWriter:
@@ -278,7 +238,7 @@ class SessionWriter:
         file = McapWriter(path, self._channels, force=force, compression=self._compression)
         self._file = file
         try:
-            if self._limits.any:
+            if self._split:
                 file.add_metadata({"part": len(self._parts)})
             self._file_header(self)
             self.flush()
@@ -314,3 +274,25 @@ class SessionWriter:
 
     def _write_metadata_yaml(self) -> None:
         write_metadata_yaml(self.path, [*self._parts, self._part()], self._channels)
+
+
+def attach_motion(writer: SessionWriter | MemorySource, source: Path | None, time_ns: int) -> None:
+    """Attach the file that a motion came from, unless it is large, gone or a session itself.
+
+    Of a session that is played or converted again, the messages hold all that matters.
+
+    Args:
+        writer: of the session.
+        source: the motion file; None for a motion that came from none.
+        time_ns: the attachment's time, ns since the epoch.
+    """
+    if source is None or is_session(source):
+        return
+    try:
+        if not source.is_file() or source.stat().st_size > LARGEST_MOTION:
+            return
+        data = source.read_bytes()
+    except OSError:  # a file that is gone by now is not worth a recording
+        return
+    kind = "text/csv" if source.suffix.lower() == ".csv" else "application/octet-stream"
+    writer.attach(source.name, kind, data, time_ns)

@@ -69,3 +69,15 @@ def test_a_joint_is_drawn(tmp_path):
         assert "left_knee_joint" in run("plot_joint.py", "left_knee_joint", picture, *arguments)
         assert picture.stat().st_size > 0
         picture.unlink()
+
+
+def test_two_runs_are_compared(tmp_path):
+    kinds = ("velocity", "dynamics")
+    sessions = [
+        rollout("demo", feedforward=kind, seconds=0.5).save(tmp_path / f"{kind}.mcap")
+        for kind in kinds
+    ]
+    printed = run("compare_runs.py", *sessions)
+    overall = printed.splitlines()[-1].split()
+    assert overall[:2] == ["all", "joints"]
+    assert float(overall[4]) < 1.0

@@ -96,7 +96,7 @@ def _session(summary: Summary) -> list[str]:
 
 def _files(summary: Summary) -> str:
     recorder = summary.recorder
-    paths = [*summary.files_bytes] or (recorder.paths if recorder else []) or ["unknown"]
+    paths = [*summary.files_bytes] or (recorder.paths if recorder else []) or ["not saved"]
     more = f" to {Path(paths[-1]).name}, {len(paths)} files" if len(paths) > 1 else ""
     size = f", {_size(sum(summary.files_bytes.values()))}" if summary.files_bytes else ""
     removed = ", removed: nothing was received" if recorder and recorder.removed else ""

@@ -221,7 +221,7 @@ class StreamLoop:
             return
         self._skipped_reported = self.report.skipped
         self._next_overrun_report = deadline + _OVERRUN_REPORT_PERIOD
-        _LOGGER.warning("overrun: %d ticks skipped, %d in total", new, self.report.skipped)
+        _LOGGER.warning("overrun: ticks skipped: %d, %d in total", new, self.report.skipped)
 
     def _catch_up(self, deadline: int) -> None:
         """After skipped ticks: continue on time, or stop if the target has moved too far."""

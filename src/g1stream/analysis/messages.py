@@ -24,13 +24,13 @@ def message_stats(stream: Stream, lost: int | None = None) -> MessageStats:
         stream: with one message at least.
         lost: samples known to be lost.
     """
-    stamps = np.sort(stream.publish_time)
-    intervals = np.diff(stamps) / 1e9
-    span = float(stamps[-1] - stamps[0]) / 1e9
+    times_ns = np.sort(stream.publish_time)
+    intervals = np.diff(times_ns) / 1e9
+    span = float(times_ns[-1] - times_ns[0]) / 1e9
     latency = (stream.log_time - stream.publish_time) / 1e3
     p50, p99, p99_9, longest = np.percentile(latency, (50, 99, 99.9, 100)).tolist()
     return MessageStats(
-        count=len(stamps),
+        count=len(times_ns),
         lost=lost,
         rate_hz=len(intervals) / span if span > 0 else None,
         gaps=int(np.sum(intervals > GAP * np.median(intervals))) if len(intervals) else 0,

@@ -101,20 +101,20 @@ def _has_reference(session: Session) -> bool:
 def _schedule(session: Session) -> tuple[Floats, list[bytes], float]:
     """When each command is due (N,), s from the begin of the motion; the commands; its duration."""
     messages = list(session.messages(Command.topic))
-    stamps = np.array([message.publish_time for message in messages])
+    publish_times = np.array([message.publish_time for message in messages])
     if _has_reference(session):
         reference = session.reference
         playing = np.flatnonzero(reference.phase == Phase.PLAY)
         playing = playing[np.argsort(reference.publish_time[playing], kind="stable")]
         motion_time, of_reference = reference.motion_time[playing], reference.publish_time[playing]
         # A command and its reference have the same publish time.
-        nearest = np.searchsorted(of_reference, stamps).clip(max=max(0, len(playing) - 1))
-        rows = np.flatnonzero(of_reference[nearest] == stamps) if len(playing) else playing
+        nearest = np.searchsorted(of_reference, publish_times).clip(max=max(0, len(playing) - 1))
+        rows = np.flatnonzero(of_reference[nearest] == publish_times) if len(playing) else playing
         times = motion_time[nearest[rows]]
     else:
         kp = session.samples(Command, [message.data for message in messages])["motor_cmd.kp"]
         rows = np.flatnonzero(kp.any(axis=1))
-        times = motion_time = (stamps[rows] - stamps[0]) / 1e9
+        times = motion_time = (publish_times[rows] - publish_times[0]) / 1e9
     if len(rows) < 2:
         raise RecordingError(
             f"{session.path} has no commands that played a motion.",

@@ -34,22 +34,17 @@ class Level(IntEnum):
     """Severity of a finding; the highest one is the exit code."""
 
     OK = 0
-    WARNING = 1
-    PROBLEM = 2
+    WARNING = 1  # may degrade a session
+    PROBLEM = 2  # prevents a session
 
 
 class Finding(summary.Finding):
-    """The result of one check.
-
-    Attributes:
-        level: severity; its lower-case name in JSON.
-        figures: measured values, by name and unit.
-    """
+    """The result of one check; its level is a lower-case name in JSON."""
 
     model_config = ConfigDict(frozen=True)
 
     level: Level
-    figures: dict[str, int | float] = Field(default_factory=dict)
+    figures: dict[str, int | float] = Field(default_factory=dict)  # measured, by name and unit
 
     @field_serializer("level")
     def _level_name(self, level: Level) -> str:
@@ -73,128 +68,76 @@ def problem(about: str, cause: str, remedy: str) -> Finding:
 
 @dataclass(frozen=True)
 class Interface:
-    """A network interface.
-
-    Attributes:
-        name: such as `lo` or `eth0`.
-        up, loopback, multicast: the kernel's flags.
-        address: its IPv4 address; empty where it has none.
-    """
+    """A network interface and the kernel's flags of it."""
 
     name: str
     up: bool = True
     loopback: bool = False
     multicast: bool = True
-    address: str = "127.0.0.1"
+    address: str = "127.0.0.1"  # IPv4; empty where it has none
 
 
 @dataclass(frozen=True)
 class HostFacts:
-    """The machine that the doctor runs on.
-
-    Attributes:
-        interfaces: all of them.
-        uri: the user's CYCLONEDDS_URI; empty where it is not set.
-        cyclonedds: the version of the Python package.
-        rmem_max: the largest receive buffer of a socket, bytes; None where it cannot be read.
-        clock_source: the kernel's; empty where it cannot be read.
-        grants: what the system grants a real-time thread.
-    """
+    """The machine that the doctor runs on; None or empty where a value cannot be read."""
 
     interfaces: tuple[Interface, ...]
-    uri: str
-    cyclonedds: str
-    rmem_max: int | None
-    clock_source: str
-    grants: tuple[Grant, ...]
+    uri: str  # the user's CYCLONEDDS_URI
+    cyclonedds: str  # version of the Python package
+    rmem_max: int | None  # the largest receive buffer of a socket, bytes
+    clock_source: str  # the kernel's
+    grants: tuple[Grant, ...]  # what the system grants a real-time thread
 
 
 @dataclass(frozen=True)
 class WakeupLatency:
-    """How late the kernel wakes a thread that has the loop's rights and does nothing else.
+    """How late the kernel wakes a thread that has the loop's rights and does nothing else."""
 
-    Attributes:
-        rate: deadlines per second, Hz.
-        deadlines: how many there were.
-        missed: at how many the thread ran a whole period late or more.
-        median_ns, worst_ns: latency, ns.
-    """
-
-    rate: float
+    rate: float  # deadlines per second, Hz
     deadlines: int
-    missed: int
+    missed: int  # deadlines at which the thread ran a whole period late or more
     median_ns: int
     worst_ns: int
 
 
 @dataclass(frozen=True)
 class Qos:
-    """The QoS policies that decide whether a writer and a reader match; times in ns.
+    """The QoS policies that decide whether a writer and a reader match."""
 
-    Attributes:
-        reliable: reliable delivery is offered, or requested.
-        durability: 0 volatile, 1 transient local, 2 transient, 3 persistent.
-        deadline: the longest time between two samples.
-        exclusive: exclusive ownership.
-        partitions: names of the partitions; empty: the default one.
-        xcdr1: plain CDR is written, or can be read.
-    """
-
-    reliable: bool = False
-    durability: int = 0
-    deadline: int = 2**63 - 1
-    exclusive: bool = False
-    partitions: tuple[str, ...] = ()
-    xcdr1: bool = True
+    reliable: bool = False  # offered, or requested
+    durability: int = 0  # 0 volatile, 1 transient local, 2 transient, 3 persistent
+    deadline: int = 2**63 - 1  # the longest time between two samples, ns
+    exclusive: bool = False  # ownership
+    partitions: tuple[str, ...] = ()  # empty: the default one
+    xcdr1: bool = True  # plain CDR is written, or can be read
 
 
 @dataclass(frozen=True)
 class Peer:
-    """A writer or reader of another participant.
-
-    Attributes:
-        topic, type_name: as announced.
-        same_type: whether its type is that of g1stream; None where it does not announce one.
-        qos: its policies.
-        owner: its process, or its participant.
-        participant: the GUID of its participant.
-        observer: it announces that it does not act on what it reads, as our recorder does.
-    """
+    """A writer or reader of another participant."""
 
     topic: str
     type_name: str
-    same_type: bool | None = True
+    same_type: bool | None = True  # as that of g1stream; None where none is announced
     qos: Qos = field(default_factory=Qos)
-    owner: str = "an unnamed participant"
-    participant: str = ""
-    observer: bool = False
+    owner: str = "an unnamed participant"  # its process, or its participant
+    participant: str = ""  # GUID
+    observer: bool = False  # announces that it does not act on what it reads
 
 
 @dataclass(frozen=True)
 class StateFacts:
-    """The LowStates that were received while the doctor listened.
+    """The LowStates that were received while the doctor listened."""
 
-    Attributes:
-        seconds: for how long it listened.
-        received: how many LowStates were received.
-        malformed: samples that were not one LowState.
-        ages_ms: reception minus publish time, the median and the longest.
-        tick_step: the usual step of the tick, ms; None where it is constant.
-        missed: samples lost, by their ticks; None where the ticks cannot tell.
-        crc_right, crc_zero: how many had a correct CRC, and how many had 0.
-        mode_machine: of the last.
-        has_rpy, has_motor_modes: whether the last had any of these set.
-    """
-
-    seconds: float
+    seconds: float  # for how long it listened
     received: int = 0
-    malformed: int = 0
-    ages_ms: tuple[float, float] = (0.0, 0.0)
-    tick_step: int | None = None
-    missed: int | None = None
+    malformed: int = 0  # samples that were not one LowState
+    ages_ms: tuple[float, float] = (0.0, 0.0)  # reception minus publish time: median, longest
+    tick_step: int | None = None  # usual, ms; None where the tick is constant
+    missed: int | None = None  # lost by their ticks; None where the ticks cannot tell
     crc_right: int = 0
     crc_zero: int = 0
-    mode_machine: int = 0
+    mode_machine: int = 0  # of the last, as the two below
     has_rpy: bool = False
     has_motor_modes: bool = False
 
@@ -222,24 +165,19 @@ class WireFacts:
     elsewhere: tuple[tuple[int, str, str], ...] = ()
     searched: tuple[tuple[int, str], ...] = ()
 
+    def writers_of(self, topic: str) -> list[Peer]:
+        """The writers of a topic."""
+        return [peer for peer in self.writers if peer.topic == topic]
+
 
 @dataclass(frozen=True)
 class Facts:
-    """Everything the doctor knows.
-
-    Attributes:
-        domain, interface: where it looked.
-        allowed_robots: values of mode_machine that may be commanded.
-        host: this machine.
-        wire: the domain; None where it could not be joined.
-        join_error: why it could not be joined.
-        wakeup_latency: of a thread on this machine; None where it was not measured.
-    """
+    """Everything the doctor knows."""
 
     domain: int
     interface: str
-    allowed_robots: tuple[int, ...]
+    allowed_robots: tuple[int, ...]  # values of mode_machine that may be commanded
     host: HostFacts
-    wire: WireFacts | None
-    join_error: str = ""
-    wakeup_latency: WakeupLatency | None = None
+    wire: WireFacts | None  # None where the domain could not be joined
+    join_error: str = ""  # why it could not be joined
+    wakeup_latency: WakeupLatency | None = None  # None where it was not measured

@@ -135,7 +135,7 @@ def _wakeup(latency: WakeupLatency) -> Finding:
 def _publishers(facts: Facts, wire: WireFacts) -> Iterator[Finding]:
     """Who publishes LowState, here or elsewhere."""
     here = f"in domain {facts.domain} on {facts.interface}"
-    writers = [peer for peer in wire.writers if peer.topic == LOWSTATE.name]
+    writers = wire.writers_of(LOWSTATE.name)
     if writers:
         yield from state_mismatches(wire)
         yield ok("publisher", f"{identify_publisher(wire)}: {owners(writers)}")
@@ -172,7 +172,7 @@ def _states(facts: Facts, wire: WireFacts) -> Iterator[Finding]:
     if not wire.states_matched:
         return
     if not state.received:
-        yield from silent_publisher(wire)
+        yield silent_publisher(state)
         return
     age, oldest = state.ages_ms
     rate = state.received / state.seconds
@@ -222,11 +222,11 @@ def _tick_and_crc(state: StateFacts) -> Iterator[Finding]:
 
 def _base(wire: WireFacts) -> Iterator[Finding]:
     """Whether the position of the pelvis is published."""
-    writers = [peer for peer in wire.writers if peer.topic == SPORTMODESTATE.name]
+    writers = wire.writers_of(SPORTMODESTATE.name)
     yield from writer_mismatches(writers, "SportModeState")
     if writers:
         yield ok("base", f"{SPORTMODESTATE.name} from {owners(writers)}")
-    elif any(peer.topic == LOWSTATE.name for peer in wire.writers):
+    elif wire.writers_of(LOWSTATE.name):
         yield ok("base", "position and velocity not provided")
 
 
@@ -235,13 +235,12 @@ def _commands(wire: WireFacts) -> Iterator[Finding]:
     readers = command_subscribers(wire)
     mismatches = command_mismatches(wire)
     yield from mismatches
-    if not readers and any(peer.topic == LOWSTATE.name for peer in wire.writers):
+    if not readers and wire.writers_of(LOWSTATE.name):
         cause = f"no subscriber on {LOWCMD.name}: commands would move nothing"
         yield problem("LowCmd", cause, _START_ROBOT)
     elif readers and not mismatches:
         yield ok("LowCmd", f"subscriber: {owners(readers)}")
-    writers = [peer for peer in wire.writers if peer.topic == LOWCMD.name]
-    if writers:
+    if writers := wire.writers_of(LOWCMD.name):
         yield warning(
             "LowCmd",
             f"another publisher on {LOWCMD.name}, {owners(writers)}: g1stream stream will refuse "

@@ -43,15 +43,10 @@ def inspect_host(config: RealtimeConfig) -> HostFacts:
 def measure_wakeup_latency(
     realtime: RealtimeConfig, rate: float, seconds: float = 0.5
 ) -> WakeupLatency:
-    """Sleep until absolute deadlines with the rights that the loop gets, and do nothing else.
+    """Sleep until absolute deadlines (Hz) with the rights that the loop gets, and do nothing else.
 
     The priority is one below the loop's: a loop that runs meanwhile, maybe on the same isolated
     CPU, comes first, and no command of it is delayed.
-
-    Args:
-        realtime: what the loop requests of the system.
-        rate: deadlines per second, Hz.
-        seconds: for how long; a machine that stops for longer makes it so much longer.
     """
     with on_time(max(0, realtime.priority - 1), realtime.cpu):
         return wakeup_latency(SystemClock(), round(1e9 / rate), round(seconds * rate))
@@ -62,18 +57,13 @@ def wakeup_latency(clock: Clock, period: int, deadlines: int) -> WakeupLatency:
     ticker = Ticker(clock, period, clock.now() + period)
     lateness, passed = Lateness(), 0
     for k, _ in ticker:
-        # Of the deadline that was slept for, not of the one that replaced it.
+        # The deadline that was slept for, not the one that replaced it.
         lateness.add(clock.now() - (ticker.start + passed * period))
         passed = k + 1
         if passed >= deadlines:
             break
-    return WakeupLatency(
-        rate=1e9 / period,
-        deadlines=passed,
-        missed=ticker.skipped,
-        median_ns=round(lateness.percentile_us(50.0) * 1000.0),
-        worst_ns=lateness.maximum_ns,
-    )
+    median = round(lateness.percentile_us(50.0) * 1000.0)
+    return WakeupLatency(1e9 / period, passed, ticker.skipped, median, lateness.maximum_ns)
 
 
 def _interface(name: str) -> Interface:

@@ -34,37 +34,25 @@ _ROBOT_READS: Final = {"rt/arm_sdk"}
 
 def qos_mismatch(offered: Qos, requested: Qos) -> str:
     """Why a writer's QoS does not serve a reader's, or "" where it does (DDS 1.4, 2.2.3)."""
-    disjoint = set(offered.partitions or ("",)).isdisjoint(requested.partitions or ("",))
-    reasons = (
-        (
-            requested.reliable and not offered.reliable,
-            "the reader requests reliable delivery, the writer offers best effort",
-        ),
-        (
-            requested.durability > offered.durability,
+    if requested.reliable and not offered.reliable:
+        return "the reader requests reliable delivery, the writer offers best effort"
+    if requested.durability > offered.durability:
+        return (
             f"the reader requests durability {_DURABILITIES[requested.durability]}, "
-            f"the writer offers {_DURABILITIES[offered.durability]}",
-        ),
-        (
-            requested.deadline < offered.deadline,
-            f"the reader requests a sample every {requested.deadline / 1e6:g} ms, "
-            "the writer offers no such deadline",
-        ),
-        (
-            requested.exclusive != offered.exclusive,
-            "one has exclusive ownership, the other shared",
-        ),
-        (
-            disjoint,
-            f"the writer is in partition {_listed(offered.partitions)}, "
-            f"the reader in {_listed(requested.partitions)}",
-        ),
-        (
-            requested.xcdr1 != offered.xcdr1,
-            "one uses only the encoding XCDR2, the other XCDR1",
-        ),
-    )
-    return next((reason for mismatched, reason in reasons if mismatched), "")
+            f"the writer offers {_DURABILITIES[offered.durability]}"
+        )
+    if requested.deadline < offered.deadline:
+        every = f"a sample every {requested.deadline / 1e6:g} ms"
+        return f"the reader requests {every}, the writer offers no such deadline"
+    if requested.exclusive != offered.exclusive:
+        return "one has exclusive ownership, the other shared"
+    if set(offered.partitions or ("",)).isdisjoint(requested.partitions or ("",)):
+        offers, requests = (
+            ", ".join(qos.partitions) or "the default one" for qos in (offered, requested)
+        )
+        return f"the writer is in partition {offers}, the reader in {requests}"
+    same = requested.xcdr1 == offered.xcdr1
+    return "" if same else "one uses only the encoding XCDR2, the other XCDR1"
 
 
 def writer_mismatches(writers: Iterable[Peer], message: str) -> list[Finding]:
@@ -75,7 +63,7 @@ def writer_mismatches(writers: Iterable[Peer], message: str) -> list[Finding]:
 
 def state_mismatches(wire: WireFacts) -> list[Finding]:
     """Why publishers of LowState and our reader do not match."""
-    writers = [peer for peer in wire.writers if peer.topic == LOWSTATE.name]
+    writers = wire.writers_of(LOWSTATE.name)
     found = writer_mismatches(writers, "LowState")
     # Cyclone 0.10.2 does not show the types that others announce.
     if writers and not found and not wire.states_matched:
@@ -98,30 +86,27 @@ def command_subscribers(wire: WireFacts) -> list[Peer]:
     return [peer for peer in wire.readers if peer.topic == LOWCMD.name and not peer.observer]
 
 
-def silent_publisher(wire: WireFacts) -> list[Finding]:
+def silent_publisher(state: StateFacts) -> Finding:
     """A publisher of LowState that is matched and sends nothing."""
-    state = wire.state
-    if not wire.states_matched or state.received:
-        return []
     malformed = f"; {state.malformed} samples were no LowState" if state.malformed else ""
-    return [
-        problem(
-            "LowState",
-            f"a publisher of {LOWSTATE.name} is matched, and no LowState was received in "
-            f"{state.seconds:.1f} s{malformed}",
-            "Check whether it hangs or is paused, or whether a firewall drops its packets.",
-        )
-    ]
+    return problem(
+        "LowState",
+        f"a publisher of {LOWSTATE.name} is matched, and no LowState was received in "
+        f"{state.seconds:.1f} s{malformed}",
+        "Check whether it hangs or is paused, or whether a firewall drops its packets.",
+    )
 
 
 def explain_no_robot(domain: int, interface: str, wire: WireFacts) -> list[Finding]:
     """Why a streamer that waited for LowState and for a subscriber of LowCmd had no success."""
-    found = [*state_mismatches(wire), *silent_publisher(wire), *command_mismatches(wire)]
+    found = [*state_mismatches(wire), *command_mismatches(wire)]
+    if wire.states_matched and not wire.state.received:
+        found.append(silent_publisher(wire.state))
     if found:
         return found
     here = f"in domain {domain} on {interface}"
     remedy = f"Run g1stream doctor --domain {domain} --interface {interface}: it searches further."
-    if not any(peer.topic == LOWSTATE.name for peer in wire.writers):
+    if not wire.writers_of(LOWSTATE.name):
         return [problem("publisher", f"no publisher on {LOWSTATE.name} {here}", remedy)]
     if not command_subscribers(wire):
         return [problem("LowCmd", f"no subscriber on {LOWCMD.name} {here}", remedy)]
@@ -141,7 +126,7 @@ def identify_program(written: set[str], read: set[str]) -> str:
 
 def identify_publisher(wire: WireFacts) -> str:
     """Which known publisher of LowState this looks like; "" where there is none."""
-    publishers = {peer.participant for peer in wire.writers if peer.topic == LOWSTATE.name}
+    publishers = {peer.participant for peer in wire.writers_of(LOWSTATE.name)}
     if not publishers:
         return ""
     written = {peer.topic for peer in wire.writers if peer.participant in publishers}
@@ -150,15 +135,13 @@ def identify_publisher(wire: WireFacts) -> str:
         return "g1stream's own bridge"
     if _ROBOT_WRITES & written or _ROBOT_READS & read:
         return "a robot"
-    if wire.state.received and SPORTMODESTATE.name in written:
-        return _simulator(wire.state)
+    state = wire.state
+    if state.received and SPORTMODESTATE.name in written:
+        if state.tick_step is None and state.crc_zero == state.received and not state.has_rpy:
+            return "unitree_mujoco's Python simulator (no tick, CRC or rpy)"
+        if not state.has_motor_modes:
+            return "unitree_mujoco's C++ simulator"
     return "an unknown publisher"
-
-
-def _simulator(state: StateFacts) -> str:
-    if state.tick_step is None and state.crc_zero == state.received and not state.has_rpy:
-        return "unitree_mujoco's Python simulator (no tick, CRC or rpy)"
-    return "an unknown publisher" if state.has_motor_modes else "unitree_mujoco's C++ simulator"
 
 
 def owners(peers: Iterable[Peer]) -> str:
@@ -189,7 +172,3 @@ def _other_type(peers: list[Peer], message: str) -> Finding:
         "its type must differ",
         f"Make it use Unitree's {message}_ as in idl/.",
     )
-
-
-def _listed(partitions: tuple[str, ...]) -> str:
-    return ", ".join(partitions) or "the default one"

@@ -49,7 +49,7 @@ def inspect_domain(
     """
     with Participant(domain, interface) as participant:
         facts = inspect_participant(participant, seconds)
-    if any(writer.topic == LOWSTATE.name for writer in facts.writers):
+    if facts.writers_of(LOWSTATE.name):
         return facts
     # With a CYCLONEDDS_URI we cannot choose the interface.
     others = [] if participant.uses_environment else interfaces
@@ -111,12 +111,9 @@ def _publishers(places: Iterable[tuple[int, str]]) -> Iterator[tuple[int, str, s
         # A place that cannot be joined has no publisher that we could reach.
         with suppress(WireError), Participant(*place) as participant:
             time.sleep(_DISCOVERY_S)
-            writers, programs = participant.writers(), _programs(participant)
-            yield from (
-                (*place, _owner(writer, programs))
-                for writer in writers
-                if writer.topic == LOWSTATE.name
-            )
+            programs = _programs(participant)
+            for writer in participant.writers(LOWSTATE.name):
+                yield (*place, _owner(writer, programs))
 
 
 def _programs(participant: Participant) -> dict[str, str]:

@@ -14,6 +14,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, Final, get_args, get_type_hints
 
 import numpy as np
+from fastcrc import crc32
 
 from g1stream.errors import WireError
 
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["CDR_HEADER", "Field", "Layout", "Leaf", "leaves", "members"]
+__all__ = ["CDR_HEADER", "Crc", "Field", "Layout", "Leaf", "leaves", "members"]
 
 #: Representation identifier of plain CDR, little endian, and no options: the first 4 bytes of a
 #: sample.
@@ -193,6 +194,36 @@ class Layout:
     def of(idl_type: Any) -> Layout:
         """The layout of a type, derived once for each process."""
         return Layout(idl_type)
+
+
+class Crc:
+    """Unitree's checksum: CRC-32/MPEG-2 (polynomial 0x04C11DB7, initial 0xFFFFFFFF) of a C struct.
+
+    The SDK feeds the struct's 32-bit words, all but the last (the checksum itself), most
+    significant bit first. In a little-endian struct that is the byte stream with each group of four
+    reversed.
+
+    Args:
+        layout: of a type whose last field is `crc`.
+    """
+
+    def __init__(self, layout: Layout) -> None:
+        words = layout.struct_bytes.reshape(-1, 4)
+        self._source = np.ascontiguousarray(words[:-1, ::-1]).reshape(-1)
+        self._stored = layout["crc"]
+        # One zero beyond the payload stands for the padding of the C struct.
+        self._padded = np.zeros(layout.size + 1, dtype=np.uint8)
+        self._scratch = np.empty(self._source.size, dtype=np.uint8)
+
+    def compute(self, payload: NDArray[np.uint8]) -> int:
+        """The checksum that a payload (size,) ought to carry."""
+        self._padded[:-1] = payload
+        np.take(self._padded, self._source, out=self._scratch, mode="clip")
+        return crc32.mpeg_2(self._scratch.tobytes())
+
+    def matches(self, payload: NDArray[np.uint8]) -> bool:
+        """Whether a payload (size,) carries its own checksum."""
+        return int(self._stored.read(payload)) == self.compute(payload)
 
 
 def _align(offset: int, alignment: int) -> int:

@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from g1stream.dds import types
-from g1stream.dds.crc import Crc
-from g1stream.dds.layout import CDR_HEADER, Layout
+from g1stream.dds.layout import CDR_HEADER, Crc, Layout
 from g1stream.robot.joints import N_JOINTS
 
 if TYPE_CHECKING:

@@ -30,144 +30,97 @@ float32, float64 = types.float32, types.float64
 array = types.array
 
 
-def _struct(typename: str, fields: dict[str, Any]) -> Any:
+def _struct(typename: str, /, **fields: Any) -> Any:
     """A final, sequentially numbered IDL struct, as the SDK declares all of its own."""
     cls = make_idl_struct(typename.rsplit(".", maxsplit=1)[-1], typename, fields)
     return annotations.final(annotations.autoid("sequential")(cls))
 
 
+def _each(element: Any, names: str) -> dict[str, Any]:
+    """Fields of the same type that follow one another."""
+    return dict.fromkeys(names.split(), element)
+
+
+def _imu(typename: str, temperature: Any) -> Any:
+    """Unitree's IMU; its two packages differ in the type of the temperature."""
+    vectors = _each(array[float32, 3], "gyroscope accelerometer rpy")
+    return _struct(typename, quaternion=array[float32, 4], **vectors, temperature=temperature)
+
+
 MotorCmd_ = _struct(
     "unitree_hg.msg.dds_.MotorCmd_",
-    {
-        "mode": octet,
-        "q": float32,
-        "dq": float32,
-        "tau": float32,
-        "kp": float32,
-        "kd": float32,
-        "reserve": uint32,
-    },
+    mode=octet,
+    **_each(float32, "q dq tau kp kd"),
+    reserve=uint32,
 )
 
 LowCmd_ = _struct(
     "unitree_hg.msg.dds_.LowCmd_",
-    {
-        "mode_pr": octet,
-        "mode_machine": octet,
-        "motor_cmd": array[MotorCmd_, 35],
-        "reserve": array[uint32, 4],
-        "crc": uint32,
-    },
+    **_each(octet, "mode_pr mode_machine"),
+    motor_cmd=array[MotorCmd_, 35],
+    reserve=array[uint32, 4],
+    crc=uint32,
 )
 
-IMUState_ = _struct(
-    "unitree_hg.msg.dds_.IMUState_",
-    {
-        "quaternion": array[float32, 4],
-        "gyroscope": array[float32, 3],
-        "accelerometer": array[float32, 3],
-        "rpy": array[float32, 3],
-        "temperature": int16,
-    },
-)
+IMUState_ = _imu("unitree_hg.msg.dds_.IMUState_", int16)
 
 MotorState_ = _struct(
     "unitree_hg.msg.dds_.MotorState_",
-    {
-        "mode": octet,
-        "q": float32,
-        "dq": float32,
-        "ddq": float32,
-        "tau_est": float32,
-        "temperature": array[int16, 2],
-        "vol": float32,
-        "sensor": array[uint32, 2],
-        "motorstate": uint32,
-        "reserve": array[uint32, 4],
-    },
+    mode=octet,
+    **_each(float32, "q dq ddq tau_est"),
+    temperature=array[int16, 2],
+    vol=float32,
+    sensor=array[uint32, 2],
+    motorstate=uint32,
+    reserve=array[uint32, 4],
 )
 
 LowState_ = _struct(
     "unitree_hg.msg.dds_.LowState_",
-    {
-        "version": array[uint32, 2],
-        "mode_pr": octet,
-        "mode_machine": octet,
-        "tick": uint32,
-        "imu_state": IMUState_,
-        "motor_state": array[MotorState_, 35],
-        "wireless_remote": array[octet, 40],
-        "reserve": array[uint32, 4],
-        "crc": uint32,
-    },
+    version=array[uint32, 2],
+    **_each(octet, "mode_pr mode_machine"),
+    tick=uint32,
+    imu_state=IMUState_,
+    motor_state=array[MotorState_, 35],
+    wireless_remote=array[octet, 40],
+    reserve=array[uint32, 4],
+    crc=uint32,
 )
 
-_TimeSpec = _struct("unitree_go.msg.dds_.TimeSpec_", {"sec": int32, "nanosec": uint32})
-
-_GoIMUState = _struct(
-    "unitree_go.msg.dds_.IMUState_",
-    {
-        "quaternion": array[float32, 4],
-        "gyroscope": array[float32, 3],
-        "accelerometer": array[float32, 3],
-        "rpy": array[float32, 3],
-        "temperature": octet,
-    },
-)
+_TimeSpec = _struct("unitree_go.msg.dds_.TimeSpec_", sec=int32, nanosec=uint32)
 
 _PathPoint = _struct(
-    "unitree_go.msg.dds_.PathPoint_",
-    {
-        "t_from_start": float32,
-        "x": float32,
-        "y": float32,
-        "yaw": float32,
-        "vx": float32,
-        "vy": float32,
-        "vyaw": float32,
-    },
+    "unitree_go.msg.dds_.PathPoint_", **_each(float32, "t_from_start x y yaw vx vy vyaw")
 )
 
 SportModeState_ = _struct(
     "unitree_go.msg.dds_.SportModeState_",
-    {
-        "stamp": _TimeSpec,
-        "error_code": uint32,
-        "imu_state": _GoIMUState,
-        "mode": octet,
-        "progress": float32,
-        "gait_type": octet,
-        "foot_raise_height": float32,
-        "position": array[float32, 3],
-        "body_height": float32,
-        "velocity": array[float32, 3],
-        "yaw_speed": float32,
-        "range_obstacle": array[float32, 4],
-        "foot_force": array[int16, 4],
-        "foot_position_body": array[float32, 12],
-        "foot_speed_body": array[float32, 12],
-        "path_point": array[_PathPoint, 10],
-    },
+    stamp=_TimeSpec,
+    error_code=uint32,
+    imu_state=_imu("unitree_go.msg.dds_.IMUState_", octet),
+    mode=octet,
+    progress=float32,
+    gait_type=octet,
+    foot_raise_height=float32,
+    position=array[float32, 3],
+    body_height=float32,
+    velocity=array[float32, 3],
+    yaw_speed=float32,
+    range_obstacle=array[float32, 4],
+    foot_force=array[int16, 4],
+    **_each(array[float32, 12], "foot_position_body foot_speed_body"),
+    path_point=array[_PathPoint, 10],
 )
 
 Reference_ = _struct(
     "g1stream.msg.dds_.Reference_",
-    {
-        "tick": uint64,
-        "motion_time": float64,
-        "phase": octet,
-        "q": array[float64, 29],
-        "dq": array[float64, 29],
-        "ddq": array[float64, 29],
-        "tau": array[float64, 29],
-        "root_pos": array[float64, 3],
-        "root_quat_wxyz": array[float64, 4],
-        "root_lin_vel": array[float64, 3],
-        "root_ang_vel": array[float64, 3],
-    },
+    tick=uint64,
+    motion_time=float64,
+    phase=octet,
+    **_each(array[float64, 29], "q dq ddq tau"),
+    root_pos=array[float64, 3],
+    root_quat_wxyz=array[float64, 4],
+    **_each(array[float64, 3], "root_lin_vel root_ang_vel"),
 )
 
-Log_ = _struct(
-    "g1stream.msg.dds_.Log_",
-    {"level": octet, "name": array[octet, 16], "text": array[octet, 240]},
-)
+Log_ = _struct("g1stream.msg.dds_.Log_", level=octet, name=array[octet, 16], text=array[octet, 240])

@@ -32,9 +32,8 @@ def test_interfaces_are_the_kernels():
 
 @pytest.mark.parametrize("domain", [-1, 233, 1000])
 def test_a_domain_out_of_range_is_refused(domain):
-    with pytest.raises(WireError, match=str(domain)) as caught:
+    with pytest.raises(WireError, match=str(domain)):
         Participant(domain, "lo")
-    assert "0 to 232" in caught.value.remedy
 
 
 @pytest.mark.parametrize("interface", ["eth7", "", "lo "])

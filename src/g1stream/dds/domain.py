@@ -28,7 +28,6 @@ from g1stream.errors import WireError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
-    from types import TracebackType
 
 __all__ = [
     "OBSERVER",
@@ -153,8 +152,7 @@ class Endpoint:
 class Closable(Protocol):
     """An entity that its participant closes."""
 
-    def close(self) -> None:
-        """Delete the entity."""
+    def close(self) -> None: ...
 
 
 class Participant:
@@ -168,18 +166,14 @@ class Participant:
         uses_environment: a CYCLONEDDS_URI was set, and was used instead of `interface`.
 
     Raises:
-        WireError: no such interface, a domain id out of range, this process is in the domain on
-            another interface, or Cyclone cannot start there.
+        WireError: no such interface, this process is in the domain on another interface, or Cyclone
+            cannot start there.
     """
 
     # Cyclone takes one configuration for each domain id in a process, before its participants.
     _domains: dict[int, tuple[Domain, str, int]] = {}  # noqa: RUF012
 
     def __init__(self, domain: int, interface: str) -> None:
-        if not 0 <= domain <= MAX_DOMAIN:
-            raise WireError(
-                f"DDS has no domain {domain}.", f"Choose a domain from 0 to {MAX_DOMAIN}."
-            )
         if interface not in interfaces():
             raise WireError(
                 f"This machine has no network interface {interface!r}.",
@@ -254,15 +248,19 @@ class Participant:
                 continue
             if sample.participant_key == self.entity.guid:
                 continue
-            about = properties.get(str(sample.participant_key), {})
+            owner = str(sample.participant_key)
+            about = properties.get(owner, {})
+            host, pid, process = (
+                about.get(key, "") for key in ("__Hostname", "__Pid", "__ProcessName")
+            )
             found.append(
                 Endpoint(
                     sample.topic_name,
                     sample.type_name,
-                    str(sample.participant_key),
-                    about.get("__Hostname", ""),
-                    about.get("__Pid", ""),
-                    about.get("__ProcessName", ""),
+                    owner,
+                    host,
+                    pid,
+                    process,
                     sample.qos,
                     sample.type_id,
                 )
@@ -284,12 +282,7 @@ class Participant:
     def __enter__(self) -> Participant:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
 

@@ -13,7 +13,7 @@ from functools import cache
 from typing import Any
 
 from cyclonedds.core import DDSException, Policy, Qos
-from cyclonedds.internal import c_call, dds_c_t
+from cyclonedds.internal import DDS, c_call, dds_c_t
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic as CycloneTopic
@@ -67,60 +67,54 @@ def _raw_type(idl_type: Any) -> type[RawSample]:
     return type(f"Raw{idl_type.__name__}", (RawSample,), {"__slots__": (), **identity})
 
 
-# Cyclone's writer and reader with the counts that the Python classes of 0.10.2 do not show. They
-# could be had from listeners too, but a listener is called from Cyclone's own thread, and one that
-# waits for the interpreter while the interpreter deletes the entity waits for ever.
+class _Statuses(DDS):  # type: ignore[misc]
+    """Counts of an entity that the Python classes of 0.10.2 do not show.
 
-
-class _CountingWriter(DataWriter[Any]):  # type: ignore[misc]
-    """Adds the count of matched readers, which 0.10.2's own class does not show."""
-
-    def matched(self) -> int:
-        """How many peers are matched."""
-        status = dds_c_t.publication_matched_status()
-        self._matched_status(self._ref, ctypes.byref(status))
-        return int(status.current_count)
+    They could be had from listeners too, but a listener is called from Cyclone's own thread, and
+    one that waits for the interpreter while the interpreter deletes the entity waits for ever.
+    """
 
     @c_call("dds_get_publication_matched_status")  # type: ignore[untyped-decorator]
-    def _matched_status(
+    def readers(
         self,
         writer: dds_c_t.entity,
         status: ctypes.POINTER(dds_c_t.publication_matched_status),  # type: ignore[valid-type]
     ) -> dds_c_t.returnv: ...
 
-
-class _CountingReader(DataReader[Any]):  # type: ignore[misc]
-    """Adds the counts of matched writers and of lost samples, which 0.10.2's own does not show."""
-
-    def matched(self) -> int:
-        """How many peers are matched."""
-        status = dds_c_t.subscription_matched_status()
-        self._matched_status(self._ref, ctypes.byref(status))
-        return int(status.current_count)
-
-    def lost(self) -> int:
-        """How many samples DDS reports as lost."""
-        status = dds_c_t.sample_lost_status()
-        self._lost_status(self._ref, ctypes.byref(status))
-        return int(status.total_count)
-
     @c_call("dds_get_subscription_matched_status")  # type: ignore[untyped-decorator]
-    def _matched_status(
+    def writers(
         self,
         reader: dds_c_t.entity,
         status: ctypes.POINTER(dds_c_t.subscription_matched_status),  # type: ignore[valid-type]
     ) -> dds_c_t.returnv: ...
 
     @c_call("dds_get_sample_lost_status")  # type: ignore[untyped-decorator]
-    def _lost_status(
+    def lost(
         self,
         reader: dds_c_t.entity,
         status: ctypes.POINTER(dds_c_t.sample_lost_status),  # type: ignore[valid-type]
     ) -> dds_c_t.returnv: ...
 
 
+_STATUSES = _Statuses(0)
+
+
+def _create(
+    kind: type[DataWriter[Any]] | type[DataReader[Any]],
+    participant: Participant,
+    topic: Topic,
+    user_data: bytes,
+    *policies: Any,
+) -> Any:
+    """Cyclone's writer or reader of a topic whose samples are bytes."""
+    raw_type = _raw_type(topic.message.idl_type)
+    announced = [Policy.Userdata(user_data)] if user_data else []
+    cyclone_topic = CycloneTopic(participant.entity, topic.name, raw_type)
+    return kind(participant.entity, cyclone_topic, Qos(*policies, *announced))
+
+
 class RawWriter:
-    """Publishes samples of one topic as bytes.
+    """Publishes samples of one topic as bytes, until it or its participant is closed.
 
     Reliable and volatile, as the simulators write, so that reliable and best-effort readers match.
     A slow reliable reader never blocks it: what cannot be written at once is counted in `dropped`.
@@ -136,17 +130,11 @@ class RawWriter:
         self.topic = topic
         self.dropped = 0
         self._type = _raw_type(topic.message.idl_type)
-        policies = [Policy.Reliability.Reliable(0), Policy.History.KeepLast(depth)]
-        if user_data:
-            policies.append(Policy.Userdata(user_data))
-        qos = Qos(*policies)
-        self._writer: Any = _CountingWriter(
-            participant.entity, CycloneTopic(participant.entity, topic.name, self._type), qos
-        )
+        policies = Policy.Reliability.Reliable(0), Policy.History.KeepLast(depth)
+        self._writer = _create(DataWriter, participant, topic, user_data, *policies)
         participant.register(self)
 
     def close(self) -> None:
-        """Leave the topic; the participant does this when it closes."""
         self._writer = None
 
     def write(self, data: bytes, timestamp: int | None = None) -> bool:
@@ -171,11 +159,13 @@ class RawWriter:
     @property
     def matched(self) -> int:
         """How many readers are matched."""
-        return int(self._writer.matched())
+        status = dds_c_t.publication_matched_status()
+        _STATUSES.readers(self._writer._ref, ctypes.byref(status))
+        return int(status.current_count)
 
 
 class RawReader:
-    """Receives samples of one topic as bytes.
+    """Receives samples of one topic as bytes, until it or its participant is closed.
 
     Best effort, so that it can never block a writer.
 
@@ -198,22 +188,15 @@ class RawReader:
         user_data: bytes = b"",
     ) -> None:
         self.topic = topic
-        self._type = _raw_type(topic.message.idl_type)
+        self._layout = Layout.of(topic.message.idl_type)
+        self.malformed = 0
         policies = [Policy.Reliability.BestEffort, Policy.History.KeepLast(depth)]
         if ignore_own:
             policies.append(Policy.IgnoreLocal.Participant)
-        if user_data:
-            policies.append(Policy.Userdata(user_data))
-        qos = Qos(*policies)
-        self._layout = Layout.of(topic.message.idl_type)
-        self.malformed = 0
-        self.entity: Any = _CountingReader(
-            participant.entity, CycloneTopic(participant.entity, topic.name, self._type), qos
-        )
+        self.entity = _create(DataReader, participant, topic, user_data, *policies)
         participant.register(self)
 
     def close(self) -> None:
-        """Leave the topic; the participant does this when it closes."""
         self.entity = None
 
     def take(self, most: int = 256) -> Sequence[RawSample]:
@@ -239,9 +222,13 @@ class RawReader:
     @property
     def matched(self) -> int:
         """How many writers are matched."""
-        return int(self.entity.matched())
+        status = dds_c_t.subscription_matched_status()
+        _STATUSES.writers(self.entity._ref, ctypes.byref(status))
+        return int(status.current_count)
 
     @property
     def lost(self) -> int:
         """How many samples DDS reports as lost."""
-        return int(self.entity.lost())
+        status = dds_c_t.sample_lost_status()
+        _STATUSES.lost(self.entity._ref, ctypes.byref(status))
+        return int(status.total_count)

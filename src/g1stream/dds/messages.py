@@ -221,6 +221,24 @@ class Reference(Message):
         self.target = np.frombuffer(self.payload.data, np.float64, offset=start)
 
 
+class _Text:
+    """A string in a field of fixed size: UTF-8, padded with zeros."""
+
+    def __set_name__(self, owner: type[Message], name: str) -> None:
+        self._name = name
+
+    def __get__(self, message: Message, owner: type[Message]) -> str:
+        return message.view(self._name).tobytes().rstrip(b"\0").decode(errors="replace")
+
+    def __set__(self, message: Message, value: str) -> None:
+        # A character cut in two at the end is left out rather than sent broken; what has no UTF-8,
+        # such as bytes in a file's name, becomes a question mark.
+        field = message.view(self._name)
+        encoded = value.encode(errors="replace")[: field.size]
+        cut = encoded.decode(errors="ignore").encode()
+        field[:] = np.frombuffer(cut.ljust(field.size, b"\0"), np.uint8)
+
+
 class Log(Message):
     """One event, topic rt/g1stream/log.
 
@@ -230,43 +248,12 @@ class Log(Message):
     """
 
     idl_type = types.Log_
+    name = _Text()
+    text = _Text()
 
     def __init__(self) -> None:
         super().__init__()
         self.level = self.view("level")
-        self._name = self.view("name")
-        self._text = self.view("text")
-
-    @property
-    def name(self) -> str:
-        """The program that logged it."""
-        return _text_of(self._name)
-
-    @name.setter
-    def name(self, value: str) -> None:
-        _fill(self._name, value)
-
-    @property
-    def text(self) -> str:
-        """What happened."""
-        return _text_of(self._text)
-
-    @text.setter
-    def text(self, value: str) -> None:
-        _fill(self._text, value)
-
-
-def _text_of(field: NDArray[np.uint8]) -> str:
-    return field.tobytes().rstrip(b"\0").decode("utf-8", errors="replace")
-
-
-def _fill(field: NDArray[np.uint8], value: str) -> None:
-    # A character cut in two at the end is left out rather than sent broken; what has no UTF-8, such
-    # as the bytes of a file's name that were none, becomes a question mark.
-    encoded = value.encode(errors="replace")[: field.size]
-    cut = encoded.decode("utf-8", errors="ignore").encode()
-    field[:] = 0
-    field[: len(cut)] = np.frombuffer(cut, np.uint8)
 
 
 @dataclass

@@ -12,8 +12,8 @@ from g1stream.errors import ConfigError, RecordingError
 from g1stream.exact_replay.commands import recorded_commands
 from g1stream.programs.stream import stream
 from g1stream.robot.model import G1
+from g1stream.session.motions import commanded_motion
 from g1stream.session.session import Session, open_session
-from g1stream.session.session_to_motion import commanded_motion
 from g1stream.session.streams import Command, Reference
 
 if TYPE_CHECKING:

@@ -288,7 +288,7 @@ class Session:
             RecordingError: no motion was played in this session.
             MotionError: `fps` is not a frame rate, or leaves less than two frames.
         """
-        from g1stream.session.session_to_motion import reference_motion
+        from g1stream.session.motions import reference_motion
 
         return reference_motion(self.reference, self.path, fps)
 

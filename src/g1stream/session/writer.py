@@ -1,7 +1,7 @@
 """Writes a session as it happens: into one file, or into a directory of parts.
 
-Messages wait until those of 0.2 s of log time are there and are then written, a chunk for each
-topic. With batches of up to 50 ms, a killed program loses at most a quarter of a second.
+Messages wait for a quarter of a second of log time and are then written, a chunk for each topic;
+that much at most is lost when the program is killed.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ __all__ = ["LARGEST_MOTION", "SessionWriter", "attach_motion"]
 LARGEST_MOTION: Final = 16 * 2**20
 """A larger motion file is not attached, bytes; its SHA-256 is in the metadata in any case."""
 
-_CHUNK_NS: Final = 200_000_000
+_CHUNK_NS: Final = 250_000_000
 #: Chunks are written by time; by size only if something floods the file.
 _CHUNK_BYTES: Final = 32 * 2**20
 

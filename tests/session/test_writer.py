@@ -17,7 +17,7 @@ from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoders
 from mcap_ros2.decoder import DecoderFactory as Ros2Decoders
 
 from g1stream.errors import RecordingError
-from g1stream.foxglove.templates import JointStatesTemplate
+from g1stream.foxglove.encoders import JointStatesTemplate
 from g1stream.session import writer as writer_module
 from g1stream.session.format import metadata_from_strings
 from g1stream.session.parts import SessionFiles

@@ -1,24 +1,47 @@
-"""Transforms of a robot's links, and log lines, as Foxglove's messages."""
+"""Poses, joint states and log lines as Foxglove's protobuf messages, a batch at once.
+
+Messages of one channel differ only in their numbers. So one message is serialised by the official
+class with placeholders for the numbers; a batch is encoded by copying these bytes and writing the
+numbers over the placeholders, in numpy.
+
+That needs fields of fixed width. Doubles have 8 bytes. The two varints of a timestamp are padded to
+five bytes, which the protobuf encoding allows and every decoder accepts. Five bytes hold 35 bits:
+all the seconds that 63 bits of nanoseconds can express.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, cast
+import re
+import struct
+from typing import TYPE_CHECKING, Any, Final, cast
 
 import numpy as np
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 from foxglove_schemas_protobuf.Log_pb2 import Log
 
 from g1stream.errors import ConfigError
-from g1stream.foxglove.templates import FrameTransformsTemplate
 from g1stream.robot.kinematics import forward_kinematics, local_transforms
 from g1stream.robot.rotations import quat_conj, quat_mul, quat_rotate
-from g1stream.types import Floats
+from g1stream.types import Floats, Ints
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from google.protobuf.message import Message
+    from google.protobuf.timestamp_pb2 import Timestamp
     from numpy.typing import ArrayLike, NDArray
 
     from g1stream.robot.model import G1
 
-__all__ = ["MEASURED_PREFIX", "WORLD_FRAME", "TransformsEncoder", "encode_log"]
+__all__ = [
+    "MEASURED_PREFIX",
+    "WORLD_FRAME",
+    "FrameTransformsTemplate",
+    "JointStatesTemplate",
+    "TransformsEncoder",
+    "encode_log",
+]
 
 WORLD_FRAME: Final = "world"
 """The default name of the world's frame."""
@@ -26,8 +49,20 @@ WORLD_FRAME: Final = "world"
 MEASURED_PREFIX: Final = "measured/"
 """Prefix of the measured robot's frame names; both robots share the world's frame."""
 
-
 _IDENTITY_WXYZ: Final = np.array([1.0, 0.0, 0.0, 0.0])
+_NS_PER_S: Final = 1_000_000_000
+
+# Every placeholder contains 0xFF, which no UTF-8 text does: no frame name can be taken for one.
+_SECONDS_PLACEHOLDER: Final = 2**35 - 1
+_NANOS_PLACEHOLDER: Final = _NS_PER_S - 1
+_DOUBLE_PLACEHOLDER: Final = struct.Struct("<2sI2s")
+
+#: Of a timestamp: the tags of seconds and nanoseconds, and of each varint the shift of its five
+#: bytes and the bit that says that another follows.
+_TAGS: Final = (0x08, 0x10)
+_SHIFTS: Final = 7 * np.arange(5)
+_MORE: Final = np.array([0x80, 0x80, 0x80, 0x80, 0])
+_TIMESTAMP_SIZE: Final = 12
 
 
 class TransformsEncoder:
@@ -83,9 +118,6 @@ class TransformsEncoder:
 
         Returns:
             (T, size) uint8; each row is one message.
-
-        Raises:
-            ValueError: the shapes do not fit each other, or a time is negative.
         """
         if self._link:
             in_root = forward_kinematics(self._robot, joint_pos, np.zeros(3), _IDENTITY_WXYZ)
@@ -109,3 +141,142 @@ def encode_log(time_ns: int, level: int, name: str, text: str) -> bytes:
     message.timestamp.FromNanoseconds(time_ns)
     data: bytes = message.SerializeToString()
     return data
+
+
+class FrameTransformsTemplate:
+    """Encodes foxglove.FrameTransforms: one transform per link, all of one time.
+
+    Args:
+        parent_frames: (L) name of each link's parent frame.
+        child_frames: (L) name of each link's own frame.
+    """
+
+    def __init__(self, parent_frames: Sequence[str], child_frames: Sequence[str]) -> None:
+        message = FrameTransforms()
+        for link, (parent, child) in enumerate(zip(parent_frames, child_frames, strict=True)):
+            transform = message.transforms.add(parent_frame_id=parent, child_frame_id=child)
+            _set_placeholder(transform.timestamp)
+            x, y, z, qw, qx, qy, qz = (_double_placeholder(7 * link + i) for i in range(7))
+            transform.translation.x, transform.translation.y, transform.translation.z = x, y, z
+            transform.rotation.w, transform.rotation.x = qw, qx
+            transform.rotation.y, transform.rotation.z = qy, qz
+        self._template = _Template(message, (len(child_frames), 7), n_times=len(child_frames))
+
+    def encode(
+        self, times_ns: ArrayLike, translations: Floats, quats_wxyz: Floats
+    ) -> NDArray[np.uint8]:
+        """One serialised message per time.
+
+        Args:
+            times_ns: (T,) int64, ns since the epoch, not negative.
+            translations: (T, L, 3) of each link's frame in its parent's, m.
+            quats_wxyz: (T, L, 4) likewise, unit, wxyz.
+
+        Returns:
+            (T, size) uint8; each row is one message.
+
+        Raises:
+            ValueError: the shapes do not fit each other or the links, or a time is negative.
+        """
+        return self._template.fill(times_ns, np.concatenate((translations, quats_wxyz), axis=2))
+
+
+class JointStatesTemplate:
+    """Encodes foxglove.JointStates: the same fields for every joint.
+
+    Args:
+        joint_names: (J) names.
+        fields: which of `position` (rad), `velocity` (rad/s), `acceleration` (rad/s^2) and `effort`
+            (Nm) the messages carry, in the order in which `encode` takes them.
+    """
+
+    def __init__(self, joint_names: Sequence[str], fields: Sequence[str]) -> None:
+        message = JointStates()
+        _set_placeholder(message.timestamp)
+        for joint, name in enumerate(joint_names):
+            state = message.joints.add(name=name)
+            for i, field in enumerate(fields):
+                setattr(state, field, _double_placeholder(joint * len(fields) + i))
+        self._template = _Template(message, (len(joint_names), len(fields)), n_times=1)
+
+    def encode(self, times_ns: ArrayLike, *columns: ArrayLike) -> NDArray[np.uint8]:
+        """One serialised message per time.
+
+        Args:
+            times_ns: (T,) int64, ns since the epoch, not negative.
+            columns: (T, J) each, one per field, in the order given at construction.
+
+        Returns:
+            (T, size) uint8; each row is one message.
+
+        Raises:
+            ValueError: columns are missing or do not fit the joints, or a time is negative.
+        """
+        return self._template.fill(times_ns, np.stack([np.asarray(c) for c in columns], axis=-1))
+
+
+class _Template:
+    """One serialised message, and where its doubles and its timestamps are."""
+
+    def __init__(self, message: Message, shape: tuple[int, int], n_times: int) -> None:
+        data: bytes = message.SerializeToString()
+        self._bytes = np.frombuffer(data, dtype=np.uint8)
+        self._shape = shape
+        self._doubles = np.concatenate(
+            [_find(data, _double_placeholder_bytes(i), 1) for i in range(shape[0] * shape[1])]
+        )
+        placeholder = np.array([_SECONDS_PLACEHOLDER]), np.array([_NANOS_PLACEHOLDER])
+        self._timestamps = _find(data, _timestamp_bytes(*placeholder).tobytes(), n_times)
+
+    def fill(self, times_ns: ArrayLike, values: NDArray[Any]) -> NDArray[np.uint8]:
+        """(T, size) copies of the message, each with its time and its row of (T, ...) doubles."""
+        times = np.asarray(times_ns, dtype=np.int64)
+        if values.shape != (len(times), *self._shape):
+            raise ValueError(f"shape {values.shape} instead of {(len(times), *self._shape)}")
+        if np.any(times < 0):
+            raise ValueError(f"a time is negative: {times.min()} ns")
+        rows = np.empty((len(times), len(self._bytes)), dtype=np.uint8)
+        rows[:] = self._bytes
+        _windows(rows, "<f8")[:, self._doubles] = values.reshape(len(times), len(self._doubles))
+        packed = _timestamp_bytes(*np.divmod(times, _NS_PER_S)).view(f"V{_TIMESTAMP_SIZE}")
+        _windows(rows, f"V{_TIMESTAMP_SIZE}")[:, self._timestamps] = packed
+        return rows
+
+
+def _windows(rows: NDArray[np.uint8], dtype: str) -> NDArray[Any]:
+    """(T, size) bytes as (T, size - itemsize + 1) unaligned items, one from every byte on."""
+    item = np.dtype(dtype)
+    n_rows, size = rows.shape
+    shape = (n_rows, size - item.itemsize + 1)
+    windows: NDArray[Any] = np.ndarray(shape, item, buffer=rows.data, strides=(size, 1))
+    return windows
+
+
+def _timestamp_bytes(seconds: Ints, nanos: Ints) -> NDArray[np.uint8]:
+    """(T, 12): the body of a google.protobuf.Timestamp, both varints padded to five bytes."""
+    packed = np.empty((len(seconds), 2, _TIMESTAMP_SIZE // 2), dtype=np.uint8)
+    packed[:, :, 0] = _TAGS
+    numbers = np.stack((seconds, nanos), axis=-1)[:, :, np.newaxis]
+    packed[:, :, 1:] = (numbers >> _SHIFTS) & 0x7F | _MORE
+    return packed.reshape(-1, _TIMESTAMP_SIZE)
+
+
+def _set_placeholder(timestamp: Timestamp) -> None:
+    timestamp.seconds, timestamp.nanos = _SECONDS_PLACEHOLDER, _NANOS_PLACEHOLDER
+
+
+def _double_placeholder_bytes(index: int) -> bytes:
+    return _DOUBLE_PLACEHOLDER.pack(b"\xff\xfe", index, b"\xe0\x7f")
+
+
+def _double_placeholder(index: int) -> float:
+    (placeholder,) = struct.unpack("<d", _double_placeholder_bytes(index))
+    return float(placeholder)
+
+
+def _find(data: bytes, placeholder: bytes, count: int) -> NDArray[np.intp]:
+    """The offsets of a placeholder, `count` of them."""
+    offsets = [match.start() for match in re.finditer(re.escape(placeholder), data)]
+    if len(offsets) != count:
+        raise ValueError(f"{len(offsets)} of {count} placeholders found in the serialised message")
+    return np.array(offsets, dtype=np.intp)

@@ -8,10 +8,14 @@ import numpy as np
 
 from g1stream.dds.messages import Log, Samples
 from g1stream.dds.topics import LOG, LOWSTATE, REFERENCE, SPORTMODESTATE
-from g1stream.foxglove.encoders import MEASURED_PREFIX, TransformsEncoder, encode_log
+from g1stream.foxglove.encoders import (
+    MEASURED_PREFIX,
+    JointStatesTemplate,
+    TransformsEncoder,
+    encode_log,
+)
 from g1stream.foxglove.measured_base import MeasuredBase
 from g1stream.foxglove.scene import encode_robot_description, encode_scene
-from g1stream.foxglove.templates import JointStatesTemplate
 from g1stream.foxglove.tracking_error import Track, TrackingError
 from g1stream.session.format import CHANNELS, MessageBatch
 from g1stream.types import Ints

@@ -12,9 +12,8 @@ import numpy as np
 from g1stream._version import __version__
 from g1stream.errors import ConfigError, MotionError, RecordingError, RobotError
 from g1stream.files import complete_file
-from g1stream.foxglove.encoders import WORLD_FRAME, TransformsEncoder
+from g1stream.foxglove.encoders import WORLD_FRAME, JointStatesTemplate, TransformsEncoder
 from g1stream.foxglove.scene import encode_robot_description, encode_scene
-from g1stream.foxglove.templates import JointStatesTemplate
 from g1stream.robot.model import G1
 from g1stream.robot.visuals import missing_meshes
 from g1stream.session.format import CHANNELS, Channel

@@ -37,6 +37,12 @@ def test_a_public_name_is_the_one_of_its_module(name, module):
     assert getattr(g1stream, name) is getattr(importlib.import_module(module), name)
 
 
+def test_no_public_name_is_hidden_by_a_module_of_that_name():
+    """Importing `g1stream.x` anywhere sets the attribute `x` of the package."""
+    modules = {path.stem for path in PACKAGE.iterdir()}
+    assert not modules & set(g1stream.__all__)
+
+
 def classes() -> set[str]:
     """The names of all classes of the package."""
     nodes = (one for path in PACKAGE.rglob("*.py") for one in ast.walk(ast.parse(path.read_text())))

@@ -90,7 +90,7 @@ def _types(hint: Any) -> list[type]:
 
 def _fields(record: type[BaseModel]) -> str:
     """The fields with their types and, where they are settings, their defaults and meanings."""
-    lines = []
+    lines: list[str] = []
     for name, field in record.model_fields.items():
         extra: Any = field.json_schema_extra or {}
         line = f"- `{name}: {record.__annotations__.get(name, Any)}`"
@@ -98,7 +98,7 @@ def _fields(record: type[BaseModel]) -> str:
             unit = f" ({extra['unit']})" if extra.get("unit") else ""
             line += f", by default {field.default}: {field.description}{unit}"
         lines.append(line)
-    return "\n" + "\n".join(lines) + "\n" if lines else ""
+    return "\nFields:\n\n" + "\n".join(lines) + "\n" if lines else ""
 
 
 def _annotation(function: Any) -> str:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from g1stream.cli.command import announce_wire, parse
-from g1stream.cli.flags import flag_name
+from g1stream.cli.command import announce_wire
+from g1stream.cli.flags import flag_name, parse_flags
 from g1stream.cli.record import Record
 from g1stream.cli.sim import Sim
 from g1stream.cli.stream import Replay, Stream
@@ -17,7 +17,7 @@ CLASSES = {"stream": Stream, "replay": Replay, "record": Record, "sim": Sim}
 
 def resolved(command, *arguments):
     given = [*arguments, *([] if command == "sim" else ["x"])]
-    return parse(CLASSES[command], command, "", given).resolve()
+    return parse_flags(CLASSES[command], command, "", given).resolve()
 
 
 @pytest.mark.parametrize("command", CLASSES)
@@ -74,7 +74,7 @@ def test_a_value_that_is_not_accepted_is_named_with_its_flag(command, arguments,
 @pytest.mark.parametrize("arguments", [["x", "--domian", "3"], [], ["x", "--domain"]])
 def test_flags_that_do_not_exist_or_lack_something_are_bad_input(arguments, capsys):
     with pytest.raises(SystemExit) as caught:
-        parse(Stream, "stream", "", arguments)
+        parse_flags(Stream, "stream", "", arguments)
     assert caught.value.code == 2
     printed = capsys.readouterr().err
     assert "g1stream stream --help" in printed

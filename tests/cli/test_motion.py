@@ -1,13 +1,20 @@
-"""`g1stream motion` in words and as JSON, and its exit codes."""
+"""`g1stream motion` as text and as JSON, and its exit codes."""
 
 from __future__ import annotations
 
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+
+from g1stream.cli.motion import render
+from g1stream.motion.check import check_motion
+from g1stream.motion.limits import JointPeak
+from g1stream.robot.model import G1
+from g1stream.session.motions import load_motion
 
 DEMO = Path(__file__).parents[2] / "src" / "g1stream" / "motion" / "demo.csv"
 
@@ -35,18 +42,27 @@ def leaping(tmp_path):
     return path
 
 
+def test_the_text_is_the_snapshot(matches_snapshot):
+    """One motion has no problem, the other one of each kind."""
+    good = check_motion(load_motion("demo"), G1.default())
+    joint = JointPeak("left_knee_joint", 4.0, 3.0, 2.8798, 12)
+    fast = JointPeak("waist_yaw_joint", 5.0, 40.0, 32.0, 3)
+    bad = replace(
+        good,
+        name="leap",
+        frames_beyond=(joint,),
+        streamed=replace(good.streamed, motion="leap", held=(joint,), speeds=(fast,)),
+        warnings=("leap: 3 quaternions were normalised.",),
+    )
+    matches_snapshot("motion", f"{render(good)}\n\n{render(bad)}")
+
+
 def test_the_speed_is_the_one_that_is_streamed():
     report = json.loads(run("demo", "--json").stdout)
     streamed = max(speed["value"] for speed in report["streamed"]["speeds"])
     assert set(report["fastest"]) == {"joint", "time", "value", "limit", "count"}
     assert report["streamed"]["rate"] == 500.0
     assert streamed > report["fastest"]["value"]
-    text = run("demo").stdout
-    fastest = next(line for line in text.splitlines() if line.startswith("  fastest"))
-    assert f"{streamed:.1f} rad/s" in fastest
-    assert "as streamed at 500 Hz" in fastest
-    assert "m along the ground" in text
-    assert text.endswith("all kept\n")
 
 
 def test_held_targets_are_a_warning(leaping):
@@ -56,8 +72,6 @@ def test_held_targets_are_a_warning(leaping):
     assert held["joint"] == "left_wrist_roll_joint"
     assert report["n_held"] == held["count"] > 0
     assert report["within_limits"] is True
-    assert f"{held['count']} joint targets at 500 Hz are held" in done.stdout
-    assert "all kept" not in done.stdout
     assert done.returncode == 0
 
 

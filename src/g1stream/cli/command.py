@@ -1,8 +1,7 @@
-"""What every command is made of: settings under its flags, exit codes, signals, and output."""
+"""What the commands share: settings under flags, exit codes, signals and output."""
 
 from __future__ import annotations
 
-import inspect
 import json
 import os
 import signal
@@ -10,13 +9,13 @@ import sys
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from g1stream.cli.flags import flag, given_settings, parse_flags
+from g1stream.cli.flags import flag, given_settings
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
     from g1stream.config import Config
-    from g1stream.errors import G1StreamError
+    from g1stream.session.summary import Summary
 
 __all__ = [
     "EXIT_BAD_INPUT",
@@ -25,11 +24,11 @@ __all__ = [
     "Command",
     "SettingsCommand",
     "announce_wire",
+    "exit_code",
     "exit_code_of_signal",
     "on_signals",
-    "parse",
-    "print_error",
     "print_json",
+    "print_summary",
     "print_warning",
 ]
 
@@ -49,11 +48,11 @@ class Command:
 
 @dataclass(frozen=True, kw_only=True)
 class SettingsCommand(Command):
-    """A subcommand that has settings; `parse` adds a field for each that has a flag on it."""
+    """A subcommand that has settings; `parse_flags` adds a field for each with a flag on it."""
 
     config: str | None = flag(
         None,
-        "File with settings, or the name of one of g1stream's: robot, sim. Flags go over it.",
+        "File with settings, or a name: robot, sim. Flags override it.",
         "TOML",
     )
 
@@ -70,28 +69,6 @@ class SettingsCommand(Command):
     def overrides(self) -> dict[str, Any]:
         """The flags that were given, keyed like `stream.rate`."""
         return given_settings(self)
-
-
-def parse(kind: type[Command], name: str, purpose: str, arguments: Sequence[str]) -> Command:
-    """Make a command of its arguments; ends the process on --help or an unknown flag.
-
-    Args:
-        kind: the command's class; its docstring is shown below the flags.
-        name: as the user writes it.
-        purpose: one sentence.
-        arguments: what follows the name.
-
-    Raises:
-        ConfigError: a value that its flag does not accept.
-    """
-    try:
-        settings = issubclass(kind, SettingsCommand)
-        command: Command = parse_flags(kind, name, purpose, arguments, settings=settings)
-    except SystemExit as done:
-        if not done.code:  # --help was shown; tyro would join the lines of this
-            print(inspect.cleandoc(kind.__doc__ or ""))
-        raise
-    return command
 
 
 def announce_wire(config: Config, *, commands: bool = True) -> None:
@@ -126,11 +103,6 @@ def exit_code_of_signal(reason: str) -> int | None:
     return names.get(reason)
 
 
-def print_error(error: G1StreamError) -> None:
-    """Print the cause and the remedy, a line each, on standard error."""
-    print(f"error: {error.cause}\n       {error.remedy}", file=sys.stderr)
-
-
 def print_warning(text: str) -> None:
     """Print a warning on standard error."""
     print(f"warning: {text}", file=sys.stderr)
@@ -139,3 +111,25 @@ def print_warning(text: str) -> None:
 def print_json(values: Any) -> None:
     """Print values as one JSON document on standard output."""
     print(json.dumps(values, indent=2))
+
+
+def print_summary(summary: Summary, *, as_json: bool) -> None:
+    """Print a summary, as text or as one JSON document."""
+    if as_json:
+        print_json(summary.model_dump(mode="json"))
+    else:
+        print(summary)
+
+
+def exit_code(summary: Summary) -> int:
+    """The exit code of a run: 0 where it went as asked and was recorded completely.
+
+    128 + n where signal n ended the stream; 1 where something else did, where a recording is known
+    to lack samples or received none, or where its recorder wrote no summary.
+    """
+    reason, recorder = summary.termination.reason, summary.recorder
+    if reason:
+        return exit_code_of_signal(reason) or EXIT_STOPPED
+    if recorder is None:
+        return EXIT_STOPPED if summary.files_bytes else EXIT_OK
+    return EXIT_OK if recorder.complete and recorder.first_ns is not None else EXIT_STOPPED

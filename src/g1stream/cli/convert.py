@@ -16,9 +16,10 @@ from g1stream.cli.command import (
     Command,
     exit_code_of_signal,
     print_json,
+    print_warning,
 )
 from g1stream.cli.flags import argument, flag
-from g1stream.cli.motion import joint_lines
+from g1stream.cli.motion import joint_lines, result_lines
 from g1stream.cli.progress import ProgressDisplay
 from g1stream.errors import ConfigError
 
@@ -27,11 +28,11 @@ if TYPE_CHECKING:
     from g1stream.programs.convert import ConvertReport
     from g1stream.robot.model import G1
 
-__all__ = ["Convert"]
+__all__ = ["Convert", "render_check"]
 
 
 class _StoppedError(BaseException):
-    """A signal came; its name is the argument."""
+    """A signal was received; its name is the argument."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,8 +52,8 @@ class Convert(Command):
 
     Exit codes:
       0        converted, or --check found no problems
-      1        --check: the content is wrong, or beyond a limit
-      2        bad input: nothing to read, or a file of another kind
+      1        --check found a problem
+      2        bad input, such as a file of another kind
       128 + n  ended by signal n, nothing was written: 130 after Ctrl-C
     """
 
@@ -77,7 +78,7 @@ class Convert(Command):
     )
     frames: str = flag(
         ":",
-        "Only frames A up to, but without, B; either may be left out. Each keeps its time.",
+        "Only frames A to B - 1; either may be left out. Each keeps its time.",
         "A:B",
         shown="all",
     )
@@ -109,11 +110,11 @@ class Convert(Command):
             return self._check(robot)
         if self.out is None:
             raise ConfigError(
-                "There is no file to write to.",
-                "Name it after the motion, such as motion.mcap, or give --check to only look.",
+                "The output file is missing.",
+                "Give it after the motion, such as motion.mcap, or add --check to only check.",
             )
-        # Heeded between chunks: an exception out of nowhere could come between making a file and
-        # taking care of it.
+        # Checked between chunks: an exception in a signal handler could come between creating the
+        # temporary file and the code that removes it.
         stopped_by: list[str] = []
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, lambda got, _: stopped_by.append(signal.Signals(got).name))
@@ -123,7 +124,7 @@ class Convert(Command):
             print(f"\nStopped by {stopped}; nothing was written.", file=sys.stderr)
             return exit_code_of_signal(str(stopped)) or EXIT_STOPPED
         for warning in report.warnings:
-            print(f"warning: {warning}", file=sys.stderr)
+            print_warning(warning)
         if self.json:
             print_json(report.as_dict())
         else:
@@ -166,7 +167,7 @@ class Convert(Command):
         if self.json:
             print_json({**asdict(report), "path": str(report.path), "passed": report.passed})
         else:
-            print(_findings(report))
+            print(render_check(report))
         return EXIT_OK if report.passed else EXIT_STOPPED
 
 
@@ -187,27 +188,26 @@ def _summary(report: ConvertReport) -> str:
     )
 
 
-def _findings(report: FileReport) -> str:
-    lines = [f"{report.path}", *_content(report)]
-    if report.motion:
-        motion = report.motion
+def render_check(report: FileReport) -> str:
+    """The report of --check as text."""
+    lines, motion = [f"{report.path}", *_content(report)], report.motion
+    if motion:
         lines.append(
             f"  duration        {motion.duration:.3f} s: {motion.n_frames} frames at "
             f"{motion.fps:g} fps"
         )
         lines += joint_lines(motion)
-    if report.fault:
-        lines += [f"  fault           {report.fault}", f"                  {report.remedy}"]
-    return "\n".join([*lines, f"  {_verdict(report)}"])
+    fault = (report.fault, report.remedy) if report.fault else ()
+    return "\n".join([*lines, *result_lines(motion, fault)])
 
 
 def _content(report: FileReport) -> list[str]:
-    """What is in the file, a line each."""
+    """The lines about the columns of the file."""
     if report.kind == "session":
-        return ["  file            a session; its motion is the reference that was played"]
+        return ["  file            a session; its motion is the recorded reference"]
     header = "named by a header" if report.has_header else "no header"
     if report.mapped and not report.has_header:
-        header += ", taken as LAFAN1's"
+        header += ", columns as in LAFAN1"
     lines = [
         f"  file            {counted(report.n_rows, 'row')}, "
         f"{counted(report.n_columns, 'column')}, {header}",
@@ -221,9 +221,3 @@ def _content(report: FileReport) -> list[str]:
         lowest, highest = report.quat_norms
         lines.append(f"  quaternion norm {lowest:.6f} to {highest:.6f}")
     return lines
-
-
-def _verdict(report: FileReport) -> str:
-    if not report.passed:
-        return "something is wrong"
-    return "well, with a warning" if report.motion and report.motion.warnings else "all well"

@@ -6,10 +6,9 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from g1stream.cli.command import SettingsCommand, print_warning
+from g1stream.cli.command import SettingsCommand, exit_code, print_summary, print_warning
 from g1stream.cli.flags import flag
 from g1stream.cli.stream import playing
-from g1stream.cli.summary import exit_code, print_summary
 
 __all__ = ["Demo"]
 

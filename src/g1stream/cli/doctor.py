@@ -9,14 +9,16 @@ from g1stream.cli.command import SettingsCommand, print_json
 from g1stream.cli.flags import flag
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from g1stream.doctor.facts import Finding
 
-__all__ = ["Doctor"]
+__all__ = ["Doctor", "render"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Doctor(SettingsCommand):
-    """Checks the interface, the DDS domain, robot or simulator, and this machine's punctuality.
+    """Checks the interface, the DDS domain, the robot or simulator, and wake-up latency.
 
     Only subscribes: nothing is published.
 
@@ -34,17 +36,22 @@ class Doctor(SettingsCommand):
     json: bool = flag(False, "Print the findings as JSON on standard output.")
 
     def run(self) -> int:
-        """Look, and return the exit code."""
+        """Diagnose, and return the exit code."""
         from g1stream.programs.doctor import diagnose
 
         findings = diagnose(self.resolve(), self.seconds)
         if self.json:
             print_json([one.model_dump(mode="json") for one in findings])
         else:
-            print("\n".join(map(_text, findings)))
+            print(render(findings))
         return max(one.level for one in findings)
 
 
-def _text(finding: Finding) -> str:
-    line = f"{finding.level.name.lower():<8} {finding.about:<13} {finding.cause}"
-    return f"{line}\n{'':<22} {finding.remedy}" if finding.remedy else line
+def render(findings: Iterable[Finding]) -> str:
+    """The findings as text: cause and remedy, a line each."""
+    lines = []
+    for finding in findings:
+        lines.append(f"{finding.level.name.lower():<8} {finding.about:<13} {finding.cause}")
+        if finding.remedy:
+            lines.append(f"{'':<22} {finding.remedy}")
+    return "\n".join(lines)

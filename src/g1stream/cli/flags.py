@@ -5,6 +5,7 @@ tyro parses the command line and shows the help; pydantic reads the values and c
 
 from __future__ import annotations
 
+import inspect
 from dataclasses import MISSING, dataclass, field, fields, make_dataclass
 from operator import getitem
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import (
     Annotated,
     Any,
     Literal,
+    TypeVar,
     Union,
     get_args,
     get_origin,
@@ -32,6 +34,8 @@ if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
 
 __all__ = ["argument", "flag", "flag_name", "given_settings", "parse_flags"]
+
+CommandT = TypeVar("CommandT")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,32 +147,40 @@ def flag_name(name: str) -> str:
 
 
 def parse_flags(
-    kind: type, name: str, purpose: str, arguments: Sequence[str], *, settings: bool
-) -> Any:
-    """Make an instance of a dataclass of flags; ends the process on --help or an unknown flag.
+    kind: type[CommandT], name: str, purpose: str, arguments: Sequence[str]
+) -> CommandT:
+    """Make a command of its arguments; ends the process on --help or an unknown flag.
 
     Args:
-        kind: the class; each field is made by `flag` or `argument`.
-        name: of the command.
-        purpose: of the command, one sentence.
+        kind: the command's class, a dataclass with a `flag` or an `argument` in each field. Its
+            docstring is shown below the flags. With a `config` it also gets a flag for each setting
+            that has one on this command.
+        name: as the user writes it.
+        purpose: one sentence.
         arguments: what follows the name.
-        settings: whether to add the settings that have a flag on this command.
 
     Raises:
         ConfigError: a value that its flag does not accept.
     """
     hints, members = get_type_hints(kind), []
-    for one in fields(kind):
+    own: Any = fields(kind)  # type: ignore[arg-type]  # mypy cannot say that it is a dataclass
+    for one in own:
         hint = one.metadata["option"].for_tyro(name, one.name, hints[one.name])
         members.append((one.name, hint, field(default=one.default)))
-    members += _setting_fields(name) if settings else []
-    return tyro.cli(
-        make_dataclass(kind.__name__, members, bases=(kind,), frozen=True, kw_only=True),
-        prog=f"g1stream {name}",
-        description=purpose,
-        args=arguments,
-        config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
-    )
+    members += _setting_fields(name) if "config" in hints else []
+    try:
+        command: CommandT = tyro.cli(
+            make_dataclass(kind.__name__, members, bases=(kind,), frozen=True, kw_only=True),
+            prog=f"g1stream {name}",
+            description=purpose,
+            args=arguments,
+            config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
+        )
+    except SystemExit as done:
+        if not done.code:  # --help was shown; tyro would join the lines of this
+            print(inspect.cleandoc(kind.__doc__ or ""))
+        raise
+    return command
 
 
 def given_settings(command: object) -> dict[str, Any]:

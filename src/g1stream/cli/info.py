@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from g1stream.cli.command import EXIT_OK, Command
+from g1stream.cli.command import EXIT_OK, Command, print_summary
 from g1stream.cli.flags import argument, flag
-from g1stream.cli.summary import print_summary
 
 __all__ = ["Info"]
 

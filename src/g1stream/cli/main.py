@@ -92,7 +92,9 @@ def _run(arguments: Sequence[str]) -> int:
     if name not in _COMMANDS:
         close = get_close_matches(name, _COMMANDS, 3) or list(_COMMANDS)
         raise ConfigError(f"There is no command {name}.", f"Choose from {', '.join(close)}.")
-    from g1stream.cli.command import parse
+    from g1stream.cli.flags import parse_flags
 
     module, kind, purpose = _COMMANDS[name]
-    return parse(getattr(import_module(f"g1stream.cli.{module}"), kind), name, purpose, rest).run()
+    command = getattr(import_module(f"g1stream.cli.{module}"), kind)
+    code: int = parse_flags(command, name, purpose, rest).run()
+    return code

@@ -5,21 +5,24 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
+from g1stream.analysis.render import counted
 from g1stream.cli.command import EXIT_OK, EXIT_STOPPED, SettingsCommand, print_json
 from g1stream.cli.flags import argument, flag
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from g1stream.motion.check import MotionReport
 
-__all__ = ["Inspect", "joint_lines"]
+__all__ = ["Inspect", "joint_lines", "render", "result_lines"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Inspect(SettingsCommand):
-    """Prints frames, duration, joints, limits and the fastest joint.
+    """Prints frames, duration, joints, speeds, and what is beyond a limit.
 
-    Warnings do not change the exit code, nor do joint targets between frames that the stream would
-    hold at a limit: they are safe.
+    Warnings do not change the exit code. Joint targets between frames that the stream would hold at
+    a position limit are a warning: they are safe.
 
     Examples:
       g1stream motion dance.csv
@@ -41,7 +44,7 @@ class Inspect(SettingsCommand):
         shown="30; a session's own",
         gt=0,
     )
-    json: bool = flag(False, "Print the findings as JSON.")
+    json: bool = flag(False, "Print the report as JSON.")
 
     def run(self) -> int:
         """Print the report, and return the exit code."""
@@ -67,11 +70,12 @@ class Inspect(SettingsCommand):
                 }
             )
         else:
-            print(_text(report))
+            print(render(report))
         return EXIT_OK if report.within_limits else EXIT_STOPPED
 
 
-def _text(report: MotionReport) -> str:
+def render(report: MotionReport) -> str:
+    """The report as text."""
     root = report.root
     lines = [
         report.name,
@@ -85,28 +89,45 @@ def _text(report: MotionReport) -> str:
         f"    {group:<12}  {lowest:6.2f} to {highest:5.2f} rad"
         for group, (lowest, highest) in report.groups.items()
     ]
-    lines += joint_lines(report)
-    if report.within_limits and not report.streamed.held:
-        lines.append("  limits          all kept")
-    return "\n".join(lines)
+    return "\n".join([*lines, *joint_lines(report), *result_lines(report)])
 
 
 def joint_lines(report: MotionReport) -> list[str]:
-    """What a motion asks of the joints, and where that passes a limit; a line each."""
+    """How fast a motion moves the joints."""
     streamed, frames, step = report.streamed, report.fastest, report.largest_step
     fastest = max(streamed.speeds, key=lambda speed: speed.value)
-    lines = [
-        f"  fastest         {fastest.joint}, {fastest.value:.1f} rad/s at {fastest.time:.2f} s, as "
+    return [
+        f"  fastest         {fastest.joint}, {fastest.value:.1f} rad/s at {fastest.time:.2f} s, "
         f"streamed at {streamed.rate:g} Hz (limit {fastest.limit:g})",
-        f"  of the frames   {frames.joint}, {frames.value:.1f} rad/s at {frames.time:.2f} s, "
+        f"  in the frames   {frames.joint}, {frames.value:.1f} rad/s at {frames.time:.2f} s, "
         "by central differences",
         f"  largest step    {step.joint}, {step.value:.3f} rad from frame {step.frame} to "
         f"{step.frame + 1}",
     ]
-    lines += [
-        f"  frames beyond   {joint.joint}: {joint.value:.3f} rad at frame "
-        f"{joint.time * report.fps:.0f}, limit {joint.limit:.3f} ({joint.count} frames)"
-        for joint in report.frames_beyond
+
+
+def result_lines(report: MotionReport | None, fault: Sequence[str] = ()) -> list[str]:
+    """Each problem and each warning, and how many there are.
+
+    Args:
+        report: None where the file is no motion.
+        fault: why it is none, and what to do about it.
+    """
+    problems, warnings = ["\n                  ".join(fault)] if fault else [], []
+    if report:
+        problems += [
+            f"{joint.joint} is at {joint.value:.3f} rad in frame {joint.time * report.fps:.0f}, "
+            f"limit {joint.limit:.3f} ({counted(joint.count, 'frame')} beyond it)"
+            for joint in report.frames_beyond
+        ]
+        streamed = report.streamed
+        n_held = len(streamed.warnings) - bool(streamed.too_fast)  # the last is about speeds
+        problems += streamed.warnings[n_held:]
+        warnings += [*streamed.warnings[:n_held], *report.warnings]
+    counts = {"problem": len(problems), "warning": len(warnings)}
+    found = ", ".join(counted(n, noun) for noun, n in counts.items() if n)
+    return [
+        *(f"  problem         {text}" for text in problems),
+        *(f"  warning         {text}" for text in warnings),
+        f"  result          {found or 'no problems found'}",
     ]
-    warnings = (*streamed.warnings, *report.warnings)
-    return lines + [f"  warning         {text}" for text in warnings]

@@ -7,9 +7,14 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from g1stream.cli.command import SettingsCommand, announce_wire, on_signals
+from g1stream.cli.command import (
+    SettingsCommand,
+    announce_wire,
+    exit_code,
+    on_signals,
+    print_summary,
+)
 from g1stream.cli.flags import argument, flag
-from g1stream.cli.summary import exit_code, print_summary
 from g1stream.events import ConsoleHandler, handled_by
 from g1stream.realtime import lower_priority
 
@@ -45,7 +50,7 @@ class Record(SettingsCommand):
         on_signals(stopped.append)
         config = self.resolve()
 
-        def begun() -> None:
+        def on_ready() -> None:
             announce_wire(config, commands=False)
             print(f"Recording {self.file}. Ctrl-C ends it.", file=sys.stderr)
 
@@ -55,7 +60,7 @@ class Record(SettingsCommand):
                 config,
                 force=self.force,
                 should_stop=lambda: bool(stopped),
-                on_ready=begun,
+                on_ready=on_ready,
             )
         print_summary(summary, as_json=self.json)
         return exit_code(summary)

@@ -19,19 +19,19 @@ from g1stream.events import ConsoleHandler, handled_by
 if TYPE_CHECKING:
     from g1stream.sim.robot import SimReport
 
-__all__ = ["Sim"]
+__all__ = ["Sim", "render"]
 
-_HELD = {
+_SUPPORT = {
     "bolted": "its pelvis bolted to the world",
     "hanging": "hanging from an elastic band",
     "follow": "its pelvis driven along the reference",
-    "free": "let go of when a motion begins",
+    "free": "released when a motion begins",
 }
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sim(SettingsCommand):
-    """Publishes rt/lowstate, rt/sportmodestate and rt/secondary_imu; obeys rt/lowcmd.
+    """Publishes rt/lowstate, rt/sportmodestate and rt/secondary_imu; subscribes to rt/lowcmd.
 
     Ctrl-C ends it. A robot that has fallen stays on the floor, and the next stream refuses it as
     tilted: start the simulation again.
@@ -56,30 +56,30 @@ class Sim(SettingsCommand):
         on_signals(stopped.append)
         config = self.resolve()
 
-        def begun() -> None:
+        def on_ready() -> None:
             announce_wire(config, commands=False)
-            held = _HELD[config.sim.support]
-            print(f"Simulating a G1, {held}. Ctrl-C ends it.", file=sys.stderr)
+            support = _SUPPORT[config.sim.support]
+            print(f"Simulating a G1, {support}. Ctrl-C ends it.", file=sys.stderr)
 
         with handled_by(ConsoleHandler()):
-            report = simulate(config, should_stop=lambda: bool(stopped), on_ready=begun)
+            report = simulate(config, should_stop=lambda: bool(stopped), on_ready=on_ready)
         if self.json:
             print_json(asdict(report))
         else:
-            print(_summary(report))
+            print(render(report))
         return EXIT_OK
 
 
-def _summary(report: SimReport) -> str:
+def render(report: SimReport) -> str:
+    """The report as text."""
     lines = [
         f"simulated {report.simulated:.1f} s in {report.elapsed:.1f} s",
         f"  states    {report.states} published",
-        f"  commands  {report.commands} obeyed, {sum(report.refused.values())} refused",
+        f"  commands  {report.commands} accepted, {sum(report.refused.values())} refused",
     ]
     lines += [f"            {count} x {why}" for why, count in report.refused.items()]
     if report.timeouts:
-        times = "once" if report.timeouts == 1 else f"{report.timeouts} times"
-        lines.append(f"  timeout   {times} no LowCmd came any more, and the motors only damped")
+        lines.append(f"  timeouts  {report.timeouts}: no LowCmd, so that the motors only damped")
     if report.behind:
-        lines.append(f"  behind    {report.behind:.2f} s skipped: this machine is too slow")
+        lines.append(f"  skipped   {report.behind:.2f} s, because this machine is too slow")
     return "\n".join(lines)

@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any
 from g1stream.cli.command import (
     SettingsCommand,
     announce_wire,
+    exit_code,
     on_signals,
+    print_summary,
     print_warning,
 )
 from g1stream.cli.flags import argument, flag, flag_name
 from g1stream.cli.progress import ProgressDisplay, loop_progress
-from g1stream.cli.summary import exit_code, print_summary
 from g1stream.errors import ConfigError
 from g1stream.events import ConsoleHandler, handled_by
 

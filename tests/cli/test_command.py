@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from g1stream.cli.summary import exit_code, print_summary
+from g1stream.cli.command import exit_code, print_summary
 from g1stream.session.summary import RecorderSummary, Summary, Termination
 
 

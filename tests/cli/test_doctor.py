@@ -2,10 +2,21 @@
 
 import json
 
+from g1stream.cli.doctor import render
 from g1stream.cli.main import main
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.topics import LOWSTATE
+from g1stream.doctor.facts import ok, problem, warning
+
+
+def test_the_text_is_the_snapshot(matches_snapshot):
+    findings = [
+        ok("interface", "lo is up"),
+        warning("priority", "SCHED_FIFO is not permitted", "Raise the limit rtprio."),
+        problem("LowState", "no publisher on rt/lowstate in domain 1", "Start a bridge."),
+    ]
+    matches_snapshot("doctor", render(findings))
 
 
 def doctor(domain, *flags):

@@ -40,7 +40,7 @@ PAUSE = 0.002
 def parts() -> dict[str, Callable[[int], object]]:
     """Name -> one part of tick k."""
     robot, config = G1.default(), Config()
-    targets = Targets(Trajectory(load_motion("demo", robot)), start=0.0, play=None, ramp=1.0)
+    targets = Targets(Trajectory(load_motion("demo")), start=0.0, play=None, ramp=1.0)
     envelope, limit = Envelope(robot, config.safety), np.full(29, 100.0)
     composer = Composer(envelope, resolve_gains(config.gains), 3.0)
     still = np.zeros(29, np.float32)

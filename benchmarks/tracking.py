@@ -35,7 +35,6 @@ from g1stream.programs.child_process import Child
 from g1stream.programs.rollout import rollout
 from g1stream.programs.stream import stream
 from g1stream.robot.joints import JOINT_NAMES
-from g1stream.robot.model import G1
 from g1stream.session.motions import load_motion
 from g1stream.session.session import open_session
 
@@ -209,7 +208,7 @@ def parsed() -> argparse.Namespace:
 
 def main() -> None:
     arguments = parsed()
-    motion = load_motion(arguments.motion, G1.default())
+    motion = load_motion(arguments.motion)
     seconds = min(arguments.seconds, motion.duration)
 
     cells: dict[str, dict[str, Cell]] = {}

@@ -17,7 +17,7 @@ from g1stream.control.safety import Envelope
 from g1stream.control.targets import Targets
 from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
-from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
+from g1stream.robot.joints import N_JOINTS
 from g1stream.robot.model import G1
 from g1stream.testing import FakeClock, FakeLink
 from g1stream.types import Phase
@@ -123,7 +123,6 @@ def motion() -> Motion:
     return Motion(
         name="made",
         fps=50.0,
-        joint_names=JOINT_NAMES,
         joint_pos=0.1 * np.sin(4.0 * time + phase),
         root_pos=np.hstack([0.3 * time, 0.1 * time**2, 0.8 + 0.0 * time]),
         root_quat_wxyz=np.hstack(

@@ -293,7 +293,7 @@ def test_the_announced_support_is_not_checked(model, target, imu):
 
 def play(robot, support, told, seconds=4.0, *, kind="dynamics", announced=True):
     """Play a piece of the demo in lockstep; gives the RMSE while it played, and the loop."""
-    trajectory = Trajectory(load_motion("demo", robot))
+    trajectory = Trajectory(load_motion("demo"))
     errors, world = [], World(robot, support)
 
     def look(topic, data, stamp):

@@ -38,7 +38,6 @@ def make_motion() -> MakeMotion:
         return Motion(
             name="made",
             fps=fps,
-            joint_names=JOINT_NAMES,
             joint_pos=joints,
             root_pos=np.zeros((n_frames, 3)) if root_pos is None else root_pos,
             root_quat_wxyz=np.tile([1.0, 0, 0, 0], (n_frames, 1)) if quat is None else quat,

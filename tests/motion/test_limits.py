@@ -168,7 +168,7 @@ def test_the_stream_warns_before_the_first_command(spike, domain_id, monkeypatch
 
 
 def test_a_real_clip_is_faster_than_its_frames_and_overshoots(real_clip, robot):
-    report = measured(load_motion(real_clip, robot), robot)
+    report = measured(load_motion(real_clip), robot)
     assert report.too_fast == ()
     fastest = max(report.speeds, key=lambda speed: speed.value)
     assert fastest.joint == "left_shoulder_pitch_joint"

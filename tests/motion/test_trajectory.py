@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation, RotationSpline
 from g1stream.errors import MotionError
 from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory, resample
-from g1stream.robot.joints import JOINT_NAMES
 from g1stream.session.motions import load_motion
 
 
@@ -211,7 +210,6 @@ def made(n_frames, fps=30.0):
     return Motion(
         name="walk",
         fps=fps,
-        joint_names=JOINT_NAMES,
         joint_pos=rng.normal(scale=0.1, size=(n_frames, 29)).cumsum(axis=0),
         root_pos=rng.normal(scale=0.01, size=(n_frames, 3)).cumsum(axis=0),
         root_quat_wxyz=np.array([1.0, 0.0, 0.0, 0.0]) + turning,

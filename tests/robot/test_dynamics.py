@@ -304,7 +304,7 @@ def test_a_simulation_with_the_same_support_follows_with_small_gains(
         self._forces[self._torso, :3] = self._share * weight
 
     monkeypatch.setattr(Hanging, "hold", pull)
-    trajectory = Trajectory(load_motion("demo", robot))
+    trajectory = Trajectory(load_motion("demo"))
     world = World(robot, support, joint_pos=trajectory.sample(0.0).joint_pos, timestep=2.5e-4)
     world.model.dof_frictionloss[:] = 0.0
     errors = []

@@ -39,11 +39,10 @@ class Demo(SettingsCommand):
     def run(self) -> int:
         """Run it, and return the exit code."""
         from g1stream.programs.demo import FIGURE, demo
-        from g1stream.robot.model import G1
         from g1stream.session.motions import load_motion
 
         config = self.resolve()
-        motion = load_motion(self.motion, G1.load(config.robot))
+        motion = load_motion(self.motion)
         for warning in motion.warnings:
             print_warning(warning)
         with playing(config) as prepare:

@@ -54,7 +54,7 @@ class Inspect(SettingsCommand):
 
         config = self.resolve()
         robot = G1.load(config.robot)
-        motion = load_motion(self.motion, robot, fps=self.fps)
+        motion = load_motion(self.motion, fps=self.fps)
         report = check_motion(
             motion,
             robot,

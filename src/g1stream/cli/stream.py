@@ -125,11 +125,10 @@ class Stream(PlayCommand):
     def run(self) -> int:
         """Play, and return the exit code."""
         from g1stream.programs.stream import stream
-        from g1stream.robot.model import G1
         from g1stream.session.motions import load_motion
 
         config = self.resolve()
-        motion = load_motion(self.motion, G1.load(config.robot), fps=self.fps)
+        motion = load_motion(self.motion, fps=self.fps)
         for warning in motion.warnings:
             print_warning(warning)
         with playing(config) as prepare:

@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from g1stream.errors import MotionError
-from g1stream.motion.csv import ROOT_COLUMNS
 from g1stream.motion.files import open_motion_file
 from g1stream.motion.limits import JointPeak, LimitReport, frame_peaks, measure_limits
 from g1stream.motion.motion import check_fps
 from g1stream.motion.trajectory import Trajectory
-from g1stream.robot.joints import JOINT_GROUPS
+from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
 from g1stream.types import STREAM_RATE
 
 if TYPE_CHECKING:
@@ -159,24 +158,19 @@ def check_file(
         check_fps(fps, file.path.stem)
     motion, fault = None, None
     try:
-        motion = check_motion(file.motion(robot, fps=fps), robot)
+        motion = check_motion(file.motion(fps), robot)
     except MotionError as error:
         fault = error
-    joints = {
-        name: column
-        for column, name in enumerate(file.columns, start=1)
-        if name and name not in ROOT_COLUMNS
-    }
     return FileReport(
         path=file.path,
         n_rows=file.n_rows,
         n_columns=file.n_columns,
         has_header=file.has_header,
-        mapped={name: joints[name] for name in joints if name in robot.joint_names},
-        not_in_robot=tuple(name for name in joints if name not in robot.joint_names),
-        not_in_file=tuple(
-            name for name in robot.joint_names if file.columns and name not in joints
-        ),
+        mapped={
+            name: column for column, name in enumerate(file.columns, start=1) if name in JOINT_NAMES
+        },
+        not_in_robot=tuple(file.unknown),
+        not_in_file=tuple(file.missing if file.columns else ()),
         quat_norms=_norms(file),
         motion=motion,
         fault=fault.cause if fault else "",
@@ -194,11 +188,7 @@ def check_motion(
         robot: whose limits.
         rate: joint targets per second when it is streamed, Hz.
         position_margin: rad, kept from position limits when it is streamed.
-
-    Raises:
-        MotionError: the motion's joints are not the robot's, in motor order.
     """
-    motion.require_joints_of(robot)
     frames_beyond, fastest = frame_peaks(motion, robot)
     streamed = measure_limits(Trajectory(motion), robot, rate=rate, position_margin=position_margin)
     return MotionReport(

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import hashlib
 from functools import cached_property
-from io import StringIO
 from math import isfinite
 from typing import TYPE_CHECKING, Final
 
@@ -31,7 +30,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from g1stream.robot.model import G1
     from g1stream.types import Floats
 
 __all__ = ["DEFAULT_FPS", "ROOT_COLUMNS", "CsvFile", "to_csv"]
@@ -99,10 +97,8 @@ class CsvFile:
         if not self.n_rows:
             raise self._error("there is a header but no frame", "Give it a line per frame.")
         try:
-            text = StringIO(self._text)
-            values = np.loadtxt(
-                text, delimiter=",", comments=None, skiprows=int(self.has_header), ndmin=2
-            )
+            lines = self._text.split("\n")[self.has_header :]
+            values = np.loadtxt(lines, delimiter=",", comments=None, ndmin=2)
         except ValueError:
             raise self._first_fault() from None
         if values.shape != (self.n_rows, self.n_columns) or not np.isfinite(values).all():
@@ -116,26 +112,20 @@ class CsvFile:
             return None
         return self._take(_QUAT_XYZW)
 
-    def motion(self, robot: G1 | None = None, *, fps: float | None = None) -> Motion:
-        """The motion in the file, its joints in motor order.
-
-        Args:
-            robot: whose joints it must have; the 29-dof G1 if None.
-            fps: frames per second, `DEFAULT_FPS` if None.
+    def motion(self, fps: float | None = None) -> Motion:
+        """The motion in the file, its joints in motor order; at `DEFAULT_FPS` if `fps` is None.
 
         Raises:
             MotionError: a column or a value is missing, unknown or wrong; names line and column.
         """
-        joint_names = JOINT_NAMES if robot is None else robot.joint_names
         self._check_header()
-        self._check_columns(joint_names)
+        self._check_columns()
         self._check_frame_numbers()
         quat = self._take(_QUAT_XYZW)
         return Motion(
             name=self.path.stem,
             fps=DEFAULT_FPS if fps is None else fps,
-            joint_names=joint_names,
-            joint_pos=self._take(joint_names),
+            joint_pos=self._take(JOINT_NAMES),
             root_pos=self._take(_POSITION),
             root_quat_wxyz=wxyz_from_xyzw(quat),
             source=self.path,
@@ -145,6 +135,18 @@ class CsvFile:
 
     def _take(self, columns: Sequence[str]) -> Floats:
         return self.values.take([self.columns.index(name) for name in columns], axis=1)
+
+    @property
+    def missing(self) -> list[str]:
+        """Columns of the layout that the file lacks."""
+        wanted = (*ROOT_COLUMNS, *JOINT_NAMES) if self.has_header else _LAFAN1
+        return [name for name in wanted if name not in self.columns]
+
+    @property
+    def unknown(self) -> list[str]:
+        """Columns of the file that neither belong to the layout nor are joints."""
+        known = (*ROOT_COLUMNS, *JOINT_NAMES)
+        return [name for name in self.columns if name and name not in known]
 
     def _error(
         self, cause: str, remedy: str, *, line: int | None = None, column: int | None = None
@@ -159,7 +161,6 @@ class CsvFile:
         return MotionError(f"{where}: {cause}.", remedy)
 
     def _line(self, row: int) -> int:
-        """The line, counted from 1, of a row of the values."""
         return row + 1 + self.has_header
 
     def _decode(self, content: bytes) -> str:
@@ -177,9 +178,7 @@ class CsvFile:
                 f"byte {text.index(chr(0))} of this binary file is zero",
                 "Give a CSV file or a session file.",
             )
-        if "\r" in text:
-            text = text.replace("\r\n", "\n").replace("\r", "\n")
-        text = text.rstrip()
+        text = text.replace("\r\n", "\n").replace("\r", "\n").rstrip()
         if not text:
             raise self._error(
                 "the file is empty", "Give a CSV file with a line per frame, or a session file."
@@ -187,7 +186,6 @@ class CsvFile:
         return text
 
     def _check_header(self) -> None:
-        """Every column has a name of its own."""
         if not self.columns:
             raise self._error(
                 f"no header names the {self.n_columns} column{'s' * (self.n_columns != 1)}",
@@ -228,25 +226,19 @@ class CsvFile:
                     )
         return self._error("numpy cannot read it as numbers", "Give a plain CSV file.")
 
-    def _check_columns(self, joint_names: tuple[str, ...]) -> None:
-        """The columns are those of the layout and the joints of the robot."""
-        wanted = (*(ROOT_COLUMNS if self.has_header else ()), *joint_names)
-        missing = [name for name in wanted if name not in self.columns]
-        unknown = [
-            name for name in self.columns if name not in ROOT_COLUMNS and name not in joint_names
-        ]
-        if missing or unknown:
-            faults = [f"missing columns: {', '.join(missing)}"] if missing else []
-            faults += [f"columns that are no joint: {', '.join(unknown)}"] if unknown else []
+    def _check_columns(self) -> None:
+        if self.missing or self.unknown:
+            faults = [f"missing columns: {', '.join(self.missing)}"] if self.missing else []
+            faults += [f"columns that are no joint: {', '.join(self.unknown)}"] * bool(self.unknown)
             raise self._error(
                 "; ".join(faults),
-                f"Name the columns {','.join(ROOT_COLUMNS)} and the {len(joint_names)} joints of "
-                "the robot's URDF, in any order; or use the 36 columns of LAFAN1 and no header.",
-                line=1 if self.has_header else None,
+                f"Name the columns {','.join(ROOT_COLUMNS)} and the {len(JOINT_NAMES)} joints, in "
+                "any order; or use the 36 columns of LAFAN1 and no header.",
+                line=1,
             )
 
     def _check_frame_numbers(self) -> None:
-        """Frame numbers are whole and rise by one. The first may be any, as in a clip."""
+        # Whole numbers that rise by one. The first may be any, as in a clip.
         if _FRAME not in self.columns:
             return
         numbers = self._take([_FRAME])[:, 0]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import ArrayLike
 
-    from g1stream.robot.model import G1
     from g1stream.types import Floats
 
 __all__ = ["Motion", "check_fps"]
@@ -27,14 +26,13 @@ __all__ = ["Motion", "check_fps"]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Motion:
-    """Poses of the robot at `fps` frames per second. The arrays are read-only float64 copies.
+    """Poses of the 29 joints and the pelvis. The arrays are read-only float64 copies.
 
     Attributes:
         name: of the motion; that of the file without its suffix.
         fps: frames per second, above 0.
-        joint_names: one for each column of `joint_pos`; from `load_motion` and `from_arrays` the 29
-            joints in motor order.
-        joint_pos: (T, len(joint_names)) joint angles, rad, T >= 2.
+        joint_names: `g1stream.JOINT_NAMES`, one for each column of `joint_pos`.
+        joint_pos: (T, 29) joint angles in motor order, rad, T >= 2.
         root_pos: (T, 3) position of the pelvis in the world frame, m.
         root_quat_wxyz: (T, 4) orientation of the pelvis in the world frame, unit, w first. Its sign
             is continuous: of q and -q, the one nearer to the previous frame.
@@ -49,13 +47,13 @@ class Motion:
 
     name: str
     fps: float
-    joint_names: tuple[str, ...]
     joint_pos: Floats
     root_pos: Floats
     root_quat_wxyz: Floats
     source: Path | None = None
     sha256: str | None = None
     warnings: tuple[str, ...] = ()
+    joint_names: ClassVar = JOINT_NAMES
 
     @classmethod
     def from_arrays(
@@ -97,7 +95,7 @@ class Motion:
             root_pos = np.zeros((n_frames, 3))
         if root_quat_wxyz is None:
             root_quat_wxyz = np.tile([1.0, 0.0, 0.0, 0.0], (n_frames, 1))
-        return cls(name, fps, JOINT_NAMES, angles, np.asarray(root_pos), np.asarray(root_quat_wxyz))
+        return cls(name, fps, angles, np.asarray(root_pos), np.asarray(root_quat_wxyz))
 
     def __post_init__(self) -> None:
         check_fps(self.fps, self.name)
@@ -107,7 +105,7 @@ class Motion:
                 f"The motion {self.name} has {n_frames} frame{'s' * (n_frames != 1)}.",
                 "Give it two frames or more.",
             )
-        joint_pos = self._array("joint_pos", (n_frames, len(self.joint_names)))
+        joint_pos = self._array("joint_pos", (n_frames, len(JOINT_NAMES)))
         root_pos = self._array("root_pos", (n_frames, 3))
         quat = self._array("root_quat_wxyz", (n_frames, 4))
         norms = np.linalg.norm(quat, axis=1, keepdims=True)
@@ -121,7 +119,6 @@ class Motion:
         quat = np.where(np.abs(norms - 1.0) <= 4.0 * np.finfo(float).eps, quat, quat / norms)
         set_field = object.__setattr__
         set_field(self, "fps", float(self.fps))
-        set_field(self, "joint_names", tuple(self.joint_names))
         for field, values in (
             ("joint_pos", joint_pos),
             ("root_pos", root_pos),
@@ -133,12 +130,11 @@ class Motion:
     def __repr__(self) -> str:
         return (
             f"Motion(name={self.name!r}, fps={self.fps:g}, n_frames={self.n_frames}, "
-            f"duration={self.duration:.2f} s, joints={len(self.joint_names)})"
+            f"duration={self.duration:.2f} s)"
         )
 
     @property
     def n_frames(self) -> int:
-        """How many frames there are."""
         return len(self.joint_pos)
 
     @property
@@ -147,7 +143,7 @@ class Motion:
         return (self.n_frames - 1) / self.fps
 
     def frames(self, start: int, stop: int) -> Motion:
-        """The motion made of the frames `start` up to, but without, `stop`.
+        """The frames `start` up to, but without, `stop`.
 
         Raises:
             MotionError: these are not two frames or more of this motion.
@@ -170,9 +166,6 @@ class Motion:
         """The motion at another frame rate: the spline of `Trajectory` at the times i / fps.
 
         It starts at the first frame and ends at or less than 1 / fps before the last one.
-
-        Args:
-            fps: frames per second of the result.
 
         Raises:
             MotionError: `fps` is not positive, or leaves fewer than two frames.
@@ -203,25 +196,25 @@ class Motion:
         """
         from matplotlib.figure import Figure
 
-        unknown = [joint for joint in joints or () if joint not in self.joint_names]
+        unknown = [joint for joint in joints or () if joint not in JOINT_NAMES]
         if unknown:
             raise MotionError(
                 f"The motion {self.name} has no joint {', '.join(unknown)}.",
-                f"Its joints are {', '.join(self.joint_names)}.",
+                f"Its joints are {', '.join(JOINT_NAMES)}.",
             )
-        panels = {"": list(joints or self.joint_names)}
-        if joints is None and self.joint_names == JOINT_NAMES:
-            panels = {
-                limb.replace("_", " "): [JOINT_NAMES[i] for i in motors]
-                for limb, motors in JOINT_GROUPS.items()
-            }
+        panels = {
+            limb.replace("_", " "): [JOINT_NAMES[i] for i in motors]
+            for limb, motors in JOINT_GROUPS.items()
+        }
+        if joints is not None:
+            panels = {"": list(joints)}
         figure = Figure(figsize=(9.0, 1.0 + 2.4 * len(panels)), layout="constrained")
         figure.suptitle(self.name)
         times = np.arange(self.n_frames) / self.fps
         axes = figure.subplots(len(panels), sharex=True, squeeze=False)[:, 0]
         for axis, (limb, names) in zip(axes, panels.items(), strict=True):
             for joint in names:
-                axis.plot(times, self.joint_pos[:, self.joint_names.index(joint)], label=joint)
+                axis.plot(times, self.joint_pos[:, JOINT_NAMES.index(joint)], label=joint)
             axis.set(title=limb, ylabel="angle (rad)")
             axis.grid(alpha=0.3)
             axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize="small")
@@ -233,14 +226,7 @@ class Motion:
 
         The file has a header and 37 columns: frame number, root position (m), root quaternion
         (xyzw) and the joints (rad). It has no frame rate: give `load_motion` the `fps` of the
-        motion if it is not 30.
-
-        Args:
-            path: of the file, ending in .csv.
-            force: replace a file that exists.
-
-        Returns:
-            The path.
+        motion if it is not 30. With `force` it replaces a file that exists.
 
         Raises:
             MotionError: the path does not end in .csv.
@@ -256,18 +242,6 @@ class Motion:
         with complete_file(path, force=force) as temporary:
             temporary.write_text(to_csv(self), encoding="utf-8")
         return path
-
-    def require_joints_of(self, robot: G1) -> None:
-        """Refuse a robot that has other joints, or these in another order.
-
-        Raises:
-            MotionError: the motion's joints are not the robot's.
-        """
-        if self.joint_names != robot.joint_names:
-            raise MotionError(
-                f"The joints of the motion {self.name} are not those of the robot {robot.name}.",
-                "Load the motion for this robot: load_motion(path, robot).",
-            )
 
     def _array(self, field: str, shape: tuple[int, int]) -> Floats:
         values = np.array(getattr(self, field), dtype=np.float64, order="C")

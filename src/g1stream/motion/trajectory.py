@@ -22,6 +22,7 @@ import numpy as np
 
 from g1stream.errors import MotionError
 from g1stream.motion.blend import seam_frames
+from g1stream.robot.joints import N_JOINTS
 from g1stream.robot.rotations import xyzw_from_wxyz
 
 if TYPE_CHECKING:
@@ -114,7 +115,6 @@ class Trajectory:
         own = slice(n_wrap, len(coefficients) - n_wrap)
         self._coefficients = np.ascontiguousarray(coefficients[own])
         self._quats = np.ascontiguousarray(quat[:-1][own])
-        self._n_joints = motion.joint_pos.shape[1]
         self._n_segments = len(self._coefficients)
         self.period = self._n_segments / motion.fps
 
@@ -159,7 +159,7 @@ class Trajectory:
         ang_vel: Floats,
         ang_acc: Floats,
     ) -> TrajectoryPoint:
-        joints, root = value[..., : self._n_joints], value[..., self._n_joints : -3]
+        joints, root = value[..., :N_JOINTS], value[..., N_JOINTS:-3]
         return TrajectoryPoint(
             joints[0], joints[1], joints[2], root[0], root[1], root[2], quat, ang_vel, ang_acc
         )

@@ -176,8 +176,7 @@ def convert(
 
 def _load(motion: Motion | str | Path, robot: G1, fps: float | None) -> Motion:
     if isinstance(motion, str | Path):
-        return load_motion(motion, robot, fps=fps)
-    motion.require_joints_of(robot)
+        return load_motion(motion, fps=fps)
     return motion if fps is None else replace(motion, fps=fps)
 
 

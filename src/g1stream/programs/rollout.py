@@ -86,7 +86,7 @@ def rollout(
     config = _resolve(config or Config(), support, feedforward, seconds)
     robot = G1.load(config.robot)
     if not isinstance(motion, Motion):
-        motion = load_motion(motion, robot)
+        motion = load_motion(motion)
     pipeline = MessagePipeline(robot, config.record.tf_rate)
     world = World(robot, config.sim.support, timestep=physics_timestep(config.sim.rate))
     simulated = SimulatedRobot(world, config.sim, noise=noise)

@@ -93,7 +93,7 @@ def stream(
         _check_recording_path(session, config.record, force)
     robot = G1.load(config.robot)
     if not isinstance(motion, Motion):
-        motion = load_motion(motion, robot)
+        motion = load_motion(motion)
     interval = Interval.from_config(config.stream, motion)
     clock = SystemClock()
     with Participant(config.dds.domain, config.dds.interface) as participant:

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from g1stream.errors import MotionError, RecordingError
+from g1stream.errors import RecordingError
 from g1stream.files import is_session
 from g1stream.motion.files import open_motion_file
 from g1stream.motion.motion import Motion, check_fps
-from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
+from g1stream.robot.joints import N_JOINTS
 from g1stream.robot.rotations import wxyz_from_xyzw, xyzw_from_wxyz
 from g1stream.types import Floats, Phase
 
@@ -25,16 +25,13 @@ if TYPE_CHECKING:
 __all__ = ["check_motion_file", "commanded_motion", "load_motion", "reference_motion"]
 
 
-def load_motion(
-    path_or_name: str | os.PathLike[str], robot: G1 | None = None, *, fps: float | None = None
-) -> Motion:
+def load_motion(path_or_name: str | os.PathLike[str], *, fps: float | None = None) -> Motion:
     """Read a motion file, a session file, or a bundled motion by its name (`demo`).
 
     Args:
         path_or_name: a CSV file of 37 columns with a header (Foxglove) or of 36 without (LAFAN1 for
             the G1); a session file, whose motion is the reference that was played; or the name of a
             bundled motion.
-        robot: whose joints a motion file must have; the 29-dof G1 if None.
         fps: frames per second. A CSV file cannot say it: 30 if None. A session is sampled at it, at
             the rate of its reference if None.
 
@@ -53,7 +50,7 @@ def load_motion(
     file = open_motion_file(path_or_name)
     if fps is not None:
         check_fps(fps, file.path.stem)
-    return file.motion(robot, fps=fps)
+    return file.motion(fps)
 
 
 def check_motion_file(
@@ -63,7 +60,7 @@ def check_motion_file(
 
     Args:
         path_or_name: as for `load_motion`.
-        robot: whose joints and limits.
+        robot: whose limits.
         fps: as for `load_motion`.
 
     Raises:
@@ -75,11 +72,8 @@ def check_motion_file(
     path = Path(path_or_name)
     if not is_session(path):
         return check_file(path_or_name, robot, fps=fps)
-    motion = load_motion(path, fps=fps)
-    try:
-        return FileReport(path, kind="session", motion=check_motion(motion, robot))
-    except MotionError as error:
-        return FileReport(path, kind="session", fault=error.cause, remedy=error.remedy)
+    motion = check_motion(load_motion(path, fps=fps), robot)
+    return FileReport(path, kind="session", motion=motion)
 
 
 def reference_motion(reference: Reference, path: Path, fps: float | None = None) -> Motion:
@@ -145,7 +139,6 @@ def _resampled(
     return Motion(
         name=path.stem,
         fps=rate,
-        joint_names=JOINT_NAMES,
         joint_pos=sampled[:, :N_JOINTS],
         root_pos=sampled[:, N_JOINTS:],
         root_quat_wxyz=wxyz_from_xyzw(Slerp(times, rotations)(grid).as_quat()),

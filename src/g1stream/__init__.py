@@ -18,10 +18,12 @@ from typing import TYPE_CHECKING, Any
 from g1stream._version import __version__
 
 if TYPE_CHECKING:
+    from g1stream.analysis.learning import learn
     from g1stream.analysis.tracking import Tracking
     from g1stream.config import Config, load_config
     from g1stream.dds.messages import Samples
     from g1stream.errors import G1StreamError
+    from g1stream.motion.correction import Correction
     from g1stream.motion.motion import Motion
     from g1stream.motion.trajectory import Trajectory, TrajectoryPoint
     from g1stream.programs.convert import Conversion, ConvertReport, convert
@@ -54,6 +56,7 @@ __all__ = [
     "Config",
     "Conversion",
     "ConvertReport",
+    "Correction",
     "G1StreamError",
     "LogEvent",
     "Measured",
@@ -73,6 +76,7 @@ __all__ = [
     "TrajectoryPoint",
     "__version__",
     "convert",
+    "learn",
     "load_config",
     "load_motion",
     "open_session",
@@ -89,6 +93,7 @@ _HOME = {
     "Config": "config",
     "Conversion": "programs.convert",
     "ConvertReport": "programs.convert",
+    "Correction": "motion.correction",
     "G1": "robot.model",
     "G1StreamError": "errors",
     "JOINT_NAMES": "robot.joints",
@@ -109,6 +114,7 @@ _HOME = {
     "Trajectory": "motion.trajectory",
     "TrajectoryPoint": "motion.trajectory",
     "convert": "programs.convert",
+    "learn": "analysis.learning",
     "load_config": "config",
     "load_motion": "session.motions",
     "open_session": "session.session",

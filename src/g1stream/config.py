@@ -156,6 +156,14 @@ class StreamConfig(_Table):
         ge=0.0,
         le=0.1,
     )
+    correction: Path | None = setting(
+        None,
+        "correction of the joint targets that `g1stream learn` made; refused for another motion, "
+        "rate, gains, support or feed-forward",
+        flag=("stream",),
+        example="better.npz",
+        strict=False,
+    )
 
 
 class RealtimeConfig(_Table):

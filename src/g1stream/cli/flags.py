@@ -47,6 +47,7 @@ class _Option:
     note: str
     limits: tuple[Any, ...] = ()
     positional: bool = False
+    aliases: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, setting: FieldInfo) -> _Option:
@@ -74,9 +75,14 @@ class _Option:
             return Annotated[bool, tyro.conf.arg(help=self.text, help_behavior_hint=hint)]
         choices = _choices(kind)
         metavar = f"{{{','.join(choices)}}}" if choices else self.metavar or _metavar(kind)
-        arg = tyro.conf.arg(metavar=metavar, help=self.text, help_behavior_hint=hint)
+        arg = tyro.conf.arg(
+            metavar=metavar, help=self.text, help_behavior_hint=hint, aliases=self.aliases or None
+        )
+        several = get_origin(kind) is tuple  # of paths or names
 
         def read(texts: list[str]) -> Any:
+            if several:
+                return tuple(map(get_args(kind)[0], texts))
             plain = _kinds(kind)[0]
             if plain in (str, Path) and not self.limits:
                 return plain(texts[0])  # `convert` starts without pydantic
@@ -94,11 +100,11 @@ class _Option:
                 ) from None
 
         spec = PrimitiveConstructorSpec[Any](
-            nargs=1,
+            nargs="*" if several else 1,
             metavar="VALUE",
             instance_from_str=read,
             is_instance=lambda value: True,
-            str_from_instance=lambda value: [str(value)],
+            str_from_instance=lambda value: list(map(str, value)) if several else [str(value)],
         )
         marks = (tyro.conf.Positional,) if self.positional else ()
         # The type is for pydantic; tyro would load a type checker for it, which takes 60 ms.
@@ -113,6 +119,7 @@ def flag(
     shown: str = "",
     positional: bool = False,
     gt: float | None = None,
+    aliases: tuple[str, ...] = (),
 ) -> Any:
     """A flag of a command, as a field of its dataclass.
 
@@ -123,6 +130,7 @@ def flag(
         shown: the default, in words where it needs some.
         positional: whether it is given by position, without its name.
         gt: the value must be greater than this.
+        aliases: other names, such as `-o`.
     """
     if not shown and default not in (None, False, MISSING):
         shown = _text(default)
@@ -132,6 +140,7 @@ def flag(
         note=f"default: {shown}" if shown else "",
         limits=() if gt is None else (Gt(gt),),
         positional=positional,
+        aliases=aliases,
     )
     return field(default=default, metadata={"option": option})
 

@@ -23,6 +23,7 @@ _COMMANDS: Final = {
     "sim": ("sim", "Sim", "Simulate a G1 on DDS: a MuJoCo bridge on the topics of the robot."),
     "record": ("record", "Record", "Record what is on DDS into a session file (MCAP)."),
     "replay": ("stream", "Replay", "Play a recorded session again."),
+    "learn": ("learn", "Learn", "Learn from sessions of a motion to follow it more closely."),
     "convert": ("convert", "Convert", "Convert a motion file into an MCAP for Foxglove or Rerun."),
     "info": ("info", "Info", "Print what is in a session file, and how well it went."),
     "motion": ("motion", "Inspect", "Check a motion file: frames, joints, limits."),

@@ -102,6 +102,7 @@ class Stream(PlayCommand):
     Examples:
       g1stream stream demo
       g1stream stream dance.csv --record dance.mcap --support hanging
+      g1stream stream dance.csv --correction better.npz --record second.mcap
       g1stream stream dance.csv --config robot --interface eth0 --duration 5
 
     Exit codes:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 from dataclasses import replace
 from itertools import islice
+from math import inf
 from typing import TYPE_CHECKING, Final
 
 from g1stream.clock import Ticker
@@ -21,15 +22,17 @@ from g1stream.control.targets import Targets
 from g1stream.dds.messages import LowCmd, LowState, Reference
 from g1stream.dds.topics import LOWCMD
 from g1stream.motion.blend import minimum_jerk
+from g1stream.motion.correction import Conditions, CorrectionSpline
 from g1stream.motion.limits import Interval
 from g1stream.types import Phase
 
 if TYPE_CHECKING:
     from g1stream.clock import Clock
-    from g1stream.config import Config
+    from g1stream.config import Config, StreamConfig
     from g1stream.control.gains import Gains
     from g1stream.control.link import Link
     from g1stream.control.targets import Target
+    from g1stream.motion.correction import Correction
     from g1stream.motion.trajectory import Trajectory
     from g1stream.robot.model import G1
 
@@ -124,6 +127,8 @@ class StreamLoop:
         damp_kd: kd in DAMP, Nm s/rad.
         allow_second_writer: play although there is another publisher of LowCmd.
         feedforward: what a command carries beside the position; the velocity alone if left out.
+        correction: added to the joint targets of the commands, not to the published reference;
+            needs a feed-forward.
 
     Attributes:
         state: the current phase.
@@ -144,6 +149,7 @@ class StreamLoop:
         damp_kd: float,
         allow_second_writer: bool = False,
         feedforward: FeedForward | None = None,
+        correction: CorrectionSpline | None = None,
     ) -> None:
         self._link = link
         self._clock = clock
@@ -155,6 +161,7 @@ class StreamLoop:
         self._period = period
         self._allow_second_writer = allow_second_writer
         self._feedforward = feedforward
+        self._correction = correction
         self._low_state = state = LowState()
         self._imu = ImuReading(state.quaternion, state.gyroscope, state.accelerometer)
         self._measured: Measured | None = None
@@ -302,6 +309,8 @@ class StreamLoop:
         report.feedforward = "recorded" if feedforward.recorded else feedforward.kind
         report.support = feedforward.support
         report.saturated, report.feedforward_changes = feedforward.saturated, feedforward.changes
+        if self._correction and feedforward.kind:  # nothing has been commanded yet
+            self._correction.correction.require_feedforward(feedforward.kind, feedforward.support)
 
     def _prepare(self, deadline: int) -> None:
         phase, elapsed = self.state.phase, self.state.elapsed(deadline) / 1e9
@@ -309,9 +318,16 @@ class StreamLoop:
         if self._feedforward and self._measured and phase is not Phase.DAMP:
             preview = self._feedforward.preview
             effective = self._target_at(deadline + round(preview * 1e9)) if preview else due
+            effective = self._corrected(effective)
             age = (self._clock.now() - self._measured.received) / 1e9
             commanded = self._feedforward.command(phase, elapsed, effective, self._imu, age)
         self._compose(due, commanded, deadline)
+
+    def _corrected(self, target: Target) -> Target:
+        if self._correction is None:
+            return target
+        q, dq, ddq = self._correction.at(target.motion_time)
+        return target.replace(q=target.q + q, dq=target.dq + dq, ddq=target.ddq + ddq)
 
     def _target_at(self, then: int) -> Target:
         """The target at a later time, in the phase of that time, if the session continues."""
@@ -363,6 +379,7 @@ def make_loop(
     *,
     settle: int = _SETTLE,
     recorded: bool = False,
+    correction: Correction | None = None,
 ) -> StreamLoop:
     """The loop that plays a trajectory as configured, not yet running.
 
@@ -374,23 +391,52 @@ def make_loop(
         clock: now, stamp and sleep_until.
         settle: how long other publishers are waited for before the first command, ns.
         recorded: the link replaces the commands of PLAY by recorded ones.
+        correction: of the joint targets.
 
     Raises:
-        ConfigError: the interval to play, the gains or the margin to the limits are invalid.
+        ConfigError: the interval to play, the gains or the margin to the limits are invalid, or
+            the correction is not for this motion and these settings.
         RobotError: the inverse dynamics of this robot cannot be computed.
     """
     settings = config.stream
     interval = Interval.from_config(settings, trajectory.motion)
     period = round(1e9 / settings.rate)  # whole, because deadlines are
+    gains = resolve_gains(config.gains)
+    spline = None
+    if correction:
+        _require_fit(correction, settings, robot, trajectory, gains)
+        stop = inf if interval.length is None else interval.start + interval.length
+        spline = CorrectionSpline(correction, interval.start, stop)
     return StreamLoop(
         link,
         clock,
         Targets(trajectory, start=interval.start, play=interval.length, ramp=settings.ramp),
         Envelope(robot, config.safety),
         Timing.from_config(settings, interval.length, settle=settle + period),
-        resolve_gains(config.gains),
+        gains,
         period=period,
         damp_kd=settings.damp_kd,
         allow_second_writer=config.safety.allow_second_writer,
         feedforward=FeedForward.from_config(settings, robot, period / 1e9, recorded=recorded),
+        correction=spline,
+    )
+
+
+def _require_fit(
+    correction: Correction, settings: StreamConfig, robot: G1, trajectory: Trajectory, gains: Gains
+) -> None:
+    """Refuse a correction for another motion or settings, as far as they are known now."""
+    learned, motion = correction.conditions, trajectory.motion
+    correction.require(
+        Conditions(
+            motion=motion.name,
+            motion_sha256=motion.content_sha256,
+            robot=robot.name,
+            rate=settings.rate,
+            kp=gains.kp,
+            kd=gains.kd,
+            # Without a setting, both are decided when the robot's state and support are known.
+            feedforward=settings.feedforward or learned.feedforward,
+            support=settings.support or learned.support,
+        )
     )

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
+from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
@@ -141,6 +143,17 @@ class Motion:
     def duration(self) -> float:
         """Seconds from the first frame to the last."""
         return (self.n_frames - 1) / self.fps
+
+    @cached_property
+    def content_sha256(self) -> str:
+        """SHA-256 of frame rate, joint angles and root positions, in hex: which motion this is.
+
+        Other than `sha256` it tells parts of a file apart, and there is one without a file.
+        """
+        digest = sha256(repr(self.fps).encode())
+        for values in (self.joint_pos, self.root_pos):
+            digest.update(values.astype("<f8").tobytes())
+        return digest.hexdigest()
 
     def frames(self, start: int, stop: int) -> Motion:
         """The frames `start` up to, but without, `stop`.

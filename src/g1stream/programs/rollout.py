@@ -18,6 +18,7 @@ from g1stream.dds.messages import Batch
 from g1stream.dds.topics import LOG
 from g1stream.errors import ConfigError
 from g1stream.foxglove.pipeline import MessagePipeline
+from g1stream.motion.correction import ATTACHMENT_NAME, Correction
 from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.programs.sim import physics_timestep
@@ -35,7 +36,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-    from g1stream.control.gains import Gains
     from g1stream.dds.messages import LowState
     from g1stream.dds.topics import Topic
     from g1stream.types import FeedForwardKind, Support
@@ -54,6 +54,7 @@ def rollout(
     config: Config | None = None,
     seconds: float | None = None,
     announced: Support | None = None,
+    correction: Correction | str | Path | None = None,
     noise: Callable[[LowState], None] = lambda state: None,
 ) -> Session:
     """Play a motion on a simulated robot, faster than real time, and return the session.
@@ -75,6 +76,7 @@ def rollout(
         config: all settings; the defaults if None. `dds` and `realtime` have no effect.
         seconds: how much of the motion to play; `config.stream.duration` if None.
         announced: how the simulated robot announces that it is held, where that shall be wrong.
+        correction: of the joint targets, or its file; `config.stream.correction` if None.
         noise: may change each LowState before it is published, as the noise of sensors does.
 
     Returns:
@@ -100,11 +102,18 @@ def rollout(
 
     link = Lockstep(simulated, announced or config.sim.support, on_sample=on_sample)
     trajectory = Trajectory(motion, loop=config.stream.loop)
-    loop = make_loop(config, robot, trajectory, link, link, settle=0)
+    if not isinstance(correction, Correction):
+        path = correction or config.stream.correction
+        correction = Correction.load(path) if path else None
+    loop = make_loop(config, robot, trajectory, link, link, settle=0, correction=correction)
     with _log_to(lambda data, _: on_sample(LOG, data, link.stamp())):
         loop.run()
     source = MemorySource(f"rollout of {motion.name}")
-    _write_header(source, config, robot, motion, resolve_gains(config.gains))
+    info = SessionInfo.of(config, motion, resolve_gains(config.gains)._asdict(), correction)
+    _write_header(source, config, robot, motion, info)
+    if correction:
+        data = correction.to_bytes()
+        source.attach(ATTACHMENT_NAME, "application/octet-stream", data, EPOCH)
     for messages in (*pipeline.file_header(EPOCH), *pipeline.encode(batches)):
         source.write_batch(*messages)
     stream = loop.report.summary().model_copy(update={"start_s": config.stream.start})
@@ -169,10 +178,9 @@ def _log_to(publish: Callable[[bytes, int], object]) -> Iterator[None]:
 
 
 def _write_header(
-    source: MemorySource, config: Config, robot: G1, motion: Motion, gains: Gains
+    source: MemorySource, config: Config, robot: G1, motion: Motion, info: SessionInfo
 ) -> None:
     packages = ("mujoco", "numpy")
-    info = SessionInfo.of(config, motion, gains._asdict())
     source.add_metadata(
         {
             "g1stream": __version__,

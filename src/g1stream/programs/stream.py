@@ -24,6 +24,7 @@ from g1stream.errors import SafetyError, WireError
 from g1stream.events import handled_by
 from g1stream.exact_replay.recorded_link import RecordedLink
 from g1stream.files import timestamped
+from g1stream.motion.correction import Correction
 from g1stream.motion.limits import Interval, measure_limits
 from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
@@ -95,6 +96,7 @@ def stream(
     if not isinstance(motion, Motion):
         motion = load_motion(motion)
     interval = Interval.from_config(config.stream, motion)
+    correction = Correction.load(path) if (path := config.stream.correction) else None
     clock = SystemClock()
     with Participant(config.dds.domain, config.dds.interface) as participant:
         joined = clock.now()
@@ -111,12 +113,20 @@ def stream(
         link = RecordedLink(participant, recorded) if recorded else DdsLink(participant)
         events = DdsLogHandler(participant, "stream")
         local = _with_safe_feedforward(config)
-        loop = make_loop(local, robot, trajectory, link, clock, recorded=recorded is not None)
+        loop = make_loop(
+            local,
+            robot,
+            trajectory,
+            link,
+            clock,
+            recorded=recorded is not None,
+            correction=correction,
+        )
         if on_loop:
             on_loop(loop)
         recorder = None
         if session:
-            info = SessionInfo.of(config, motion, resolve_gains(config.gains)._asdict())
+            info = SessionInfo.of(config, motion, resolve_gains(config.gains)._asdict(), correction)
             recorder = _RecorderChild(session, force, config, info)
         recording = None
         granted: list[Grant] = []

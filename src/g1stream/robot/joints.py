@@ -6,7 +6,7 @@ Motor order is the order of the motors in LowCmd and LowState. All arrays are re
 from __future__ import annotations
 
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
 
@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from g1stream.types import Floats
+
+N = TypeVar("N", int, float)
 
 __all__ = [
     "ARMATURE",
@@ -63,9 +65,9 @@ JOINT_GROUPS: Final[Mapping[str, tuple[int, ...]]] = MappingProxyType(
 """Limb name to the motor indices of that limb; together the groups hold each joint once."""
 
 
-def by_joint(ticks: Sequence[int]) -> dict[str, int]:
-    """Joint name to ticks of (29,) ticks, highest first, without the joints that have none."""
-    counted = [(name, n) for name, n in zip(JOINT_NAMES, ticks, strict=True) if n]
+def by_joint(values: Sequence[N]) -> dict[str, N]:
+    """Joint name to value of (29,) numbers, highest first, without the joints that have 0."""
+    counted = [(name, n) for name, n in zip(JOINT_NAMES, values, strict=True) if n]
     return dict(sorted(counted, key=lambda one: -one[1]))
 
 

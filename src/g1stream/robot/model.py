@@ -91,13 +91,13 @@ class G1:
 
         Every call returns the same object.
         """
-        return cls._read(DEFAULT_URDF.read_text(encoding="utf-8"), "default")
+        return cls.from_urdf(DEFAULT_URDF.read_text(encoding="utf-8"), "default")
 
     @classmethod
     @cache
     def _revision(cls, name: str) -> G1:
         urdf = resources.files(__package__) / f"{name}.urdf"
-        return cls._read(urdf.read_text(encoding="utf-8"), name)
+        return cls.from_urdf(urdf.read_text(encoding="utf-8"), name)
 
     @classmethod
     def load(cls, path: str | Path | None = None) -> G1:
@@ -124,10 +124,15 @@ class G1:
                 f"The URDF {path} is not text: its byte {error.start} is not UTF-8.",
                 "Give a URDF in XML, saved as UTF-8.",
             ) from error
-        return cls._read(urdf, str(path))
+        return cls.from_urdf(urdf, str(path))
 
     @classmethod
-    def _read(cls, urdf: str, source: str) -> G1:
+    def from_urdf(cls, urdf: str, source: str) -> G1:
+        """The robot of a URDF's XML text; `source` is where it came from.
+
+        Raises:
+            RobotError: it does not describe a 29-joint G1.
+        """
         kinematics = read_kinematics(parse_urdf(urdf, source), source)
         return cls(source=source, urdf=urdf, **kinematics)
 

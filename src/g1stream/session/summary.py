@@ -26,11 +26,13 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from g1stream.config import Config
+    from g1stream.motion.correction import Correction
     from g1stream.motion.motion import Motion
     from g1stream.types import Floats
 
 __all__ = [
     "ClockStep",
+    "CorrectionInfo",
     "FeedForwardChange",
     "Finding",
     "JointTracking",
@@ -116,6 +118,7 @@ class MotionInfo(_Record):
         fps: frames per second of its file.
         frames: how many.
         sha256: of its file.
+        content_sha256: of its frames, see `Motion.content_sha256`.
         source: path of its file.
     """
 
@@ -123,6 +126,7 @@ class MotionInfo(_Record):
     fps: Annotated[float, Field(gt=0)] | None = None
     frames: Int | None = None
     sha256: str | None = None
+    content_sha256: str | None = None
     source: str | None = None
 
     @classmethod
@@ -133,6 +137,7 @@ class MotionInfo(_Record):
             fps=motion.fps,
             frames=motion.n_frames,
             sha256=motion.sha256,
+            content_sha256=motion.content_sha256,
             source=str(motion.source) if motion.source else None,
         )
 
@@ -140,6 +145,29 @@ class MotionInfo(_Record):
     def duration_s(self) -> float | None:
         """From the first frame to the last, s."""
         return (self.frames - 1) / self.fps if self.frames and self.fps else None
+
+
+class CorrectionInfo(_Record):
+    """The correction with which a motion was played; the file itself is attached.
+
+    Attributes:
+        source: path of its file.
+        repetitions: of the motion that it was learned from.
+        largest_rad: the largest correction, either way.
+    """
+
+    source: str | None = None
+    repetitions: Int | None = None
+    largest_rad: float | None = None
+
+    @classmethod
+    def of(cls, correction: Correction) -> CorrectionInfo:
+        """Of a correction in memory."""
+        return cls(
+            source=str(correction.source) if correction.source else None,
+            repetitions=len(correction.history),
+            largest_rad=correction.largest,
+        )
 
 
 class SessionInfo(_Record):
@@ -152,6 +180,7 @@ class SessionInfo(_Record):
         motion: what is played.
         gains: kp in Nm/rad and kd in Nm s/rad, 29 each, motor order.
         config: all settings of the streamer.
+        correction: of the joint targets; None: without.
     """
 
     g1stream: str | None = None
@@ -162,14 +191,22 @@ class SessionInfo(_Record):
     motion: MotionInfo | None = None
     gains: dict[str, list[float]] | None = None
     config: dict[str, Any] | None = None
+    correction: CorrectionInfo | None = None
 
     @classmethod
-    def of(cls, config: Config, motion: Motion, gains: Mapping[str, Floats]) -> SessionInfo:
+    def of(
+        cls,
+        config: Config,
+        motion: Motion,
+        gains: Mapping[str, Floats],
+        correction: Correction | None = None,
+    ) -> SessionInfo:
         """Of a motion that is about to be played; `gains` are arrays by the names in `Gains`."""
         return cls(
             motion=MotionInfo.of(motion),
             gains={name: values.tolist() for name, values in gains.items()},
             config=config.model_dump(mode="json"),
+            correction=correction and CorrectionInfo.of(correction),
         )
 
 

@@ -1,0 +1,312 @@
+"""Learn from sessions of one motion how to follow it more closely the next time.
+
+Iterative learning control of P-type: after each repetition the joint targets are corrected by the
+error of the one before, c' = Q(c + gain * e), with a zero-phase low-pass Q. S. Arimoto, S. Kawamura
+and F. Miyazaki, "Bettering operation of robots by learning", Journal of Robotic Systems 1(2), 1984;
+D. A. Bristow, M. Tharayil and A. G. Alleyne, "A survey of iterative learning control", IEEE Control
+Systems Magazine 26(3), 2006. What is corrected is the reference, not the torque, so that whatever
+computes the torque sees a consistent motion.
+
+Two rules keep it from making anything worse. It continues from the best repetition that it is
+given. And where an error did not respond to a change of the correction, as in a limb that presses
+against another, that joint's correction is taken back there, to what it was before, and stays.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from g1stream.errors import RecordingError
+from g1stream.motion.correction import (
+    ATTACHMENT_NAME,
+    LARGEST_CORRECTION,
+    Conditions,
+    Correction,
+    CorrectionSpline,
+    grid,
+)
+from g1stream.robot.joints import N_JOINTS
+from g1stream.robot.model import G1
+from g1stream.session.session import Session, open_session
+from g1stream.session.summary import SessionInfo, StreamSummary, read_record
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from g1stream.types import Floats
+
+__all__ = ["Repetition", "improve", "learn"]
+
+#: Cut-off of the zero-phase low-pass, Hz. The model's torque makes a joint follow up to some 5 Hz;
+#: a servo of Unitree's gains alone moves a leg at less than 1 Hz without lag or resonance.
+_CUTOFF: Final = 5.0
+_CUTOFF_WITHOUT_TORQUE: Final = 0.5
+#: The error is sampled this often for the low-pass, Hz.
+_RATE: Final = 500.0
+#: Share of the error that the first repetition corrects; later ones less, as there is more of what
+#: does not repeat in what is left.
+_GAIN: Final = 0.8
+_GAIN_DECAY: Final = 0.6
+#: Whether an error responds is judged over this time, s.
+_WINDOW: Final = 0.5
+#: ... where the correction has changed by more than this, rms, rad.
+_LEAST_CHANGE: Final = 0.002
+#: An error that changes by less than this share of the correction's change does not respond.
+_LEAST_RESPONSE: Final = 0.25
+#: ... and has not fallen to this share of its square.
+_LEAST_FALL: Final = 0.7
+#: A correction that is taken back blends into its surroundings over this time, s.
+_BLEND: Final = 0.2
+#: Intervals that were played may differ by this, s: a few LowStates.
+_SAME_INTERVAL: Final = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Repetition:
+    """One or several sessions with the same correction, on the time grid of the correction.
+
+    Attributes:
+        values: (T, 29) rad, the correction that was played.
+        error: (T, 29) rad, low-pass filtered error, reference - measured.
+        rmse: of all joints, rad, unfiltered.
+        frozen: (T, 29) bool, of the correction that was played.
+        history: RMSE of the repetitions that its correction was learned from, rad.
+    """
+
+    values: Floats
+    error: Floats
+    rmse: float
+    frozen: NDArray[np.bool_]
+    history: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class _Played:
+    """What learning takes from a session."""
+
+    conditions: Conditions
+    path: Path
+    start: float
+    stop: float
+    time: Floats  # (N,) motion time, s
+    error: Floats  # (N, 29) rad
+    reference: Floats  # (N, 29) rad
+    rmse: float
+    correction: Correction | None
+    lower: Floats
+    upper: Floats
+
+
+def learn(sessions: Sequence[Session | str | Path] | Session | str | Path) -> Correction:
+    """Learn a correction of the joint targets from one or several sessions of a motion.
+
+    Sessions that were themselves played with a correction carry it, so that each repetition
+    continues from the ones before. Give all of them: the best one counts, and two or more show
+    where correcting does not help. Sessions with the same correction are averaged.
+
+    Args:
+        sessions: sessions or their files, recorded by `g1stream stream --record` or made by
+            `rollout`, of the same motion, rate, gains, support and feed-forward.
+
+    Raises:
+        RecordingError: a session cannot be learned from, or they differ; names in what.
+        ConfigError: the correction in a session is damaged.
+    """
+    given = [sessions] if isinstance(sessions, (Session, str, Path)) else list(sessions)
+    if not given:
+        raise RecordingError("There is no session to learn from.", "Give one or more.")
+    played = [_read(one if isinstance(one, Session) else open_session(one)) for one in given]
+    first = played[0]
+    for other in played[1:]:
+        _require_same(first, other)
+    time = grid(first.start, min(one.stop for one in played))
+    repetitions = _repetitions(played, time)
+    reference = _interpolated(time, first.time, first.reference)
+    values, frozen, history = improve(
+        repetitions, time, first.lower - reference, first.upper - reference
+    )
+    return Correction(first.conditions, time, values, frozen, np.array(history))
+
+
+def improve(
+    repetitions: Sequence[Repetition], time: Floats, lower: Floats, upper: Floats
+) -> tuple[Floats, NDArray[np.bool_], tuple[float, ...]]:
+    """The next correction from those before and what they have brought; pure.
+
+    Args:
+        repetitions: at least one, all on the same grid.
+        time: (T,) the grid, s.
+        lower: (T, 29) rad, from the joint targets to their lower limits.
+        upper: (T, 29) rad, to their upper limits.
+
+    Returns:
+        The correction (T, 29) rad, where it is frozen (T, 29), and the RMSE of each repetition.
+    """
+    in_order = sorted(repetitions, key=lambda one: len(one.history))
+    history = (*in_order[-1].history, in_order[-1].rmse)
+    gain = _GAIN / (1.0 + _GAIN_DECAY * (len(history) - 1))
+    best = min(in_order, key=lambda one: one.rmse)
+    values = best.values + gain * best.error
+    # The first change without effect is taken back last, so that it counts.
+    held = [(_unresponsive(*pair, time), pair[0].values) for pair in pairwise(in_order)][::-1]
+    held += [(one.frozen, one.values) for one in in_order[::-1]]
+    for where, before in held:
+        weight = _blend(where, time)
+        values = weight * before + (1.0 - weight) * values
+    limit = LARGEST_CORRECTION
+    values = np.clip(values, np.clip(lower, -limit, 0.0), np.clip(upper, 0.0, limit))
+    return values, np.logical_or.reduce([where for where, _ in held]), history
+
+
+def _unresponsive(before: Repetition, after: Repetition, time: Floats) -> NDArray[np.bool_]:
+    """(T, 29) where the correction changed, and the error did not respond.
+
+    A joint that follows its target moves by the change of the correction, and its error changes by
+    minus that. The share is the regression of one on the other over a window.
+    """
+    change, answer = after.values - before.values, before.error - after.error
+    power = _smooth(change * change, time, _WINDOW)
+    response = _smooth(change * answer, time, _WINDOW)
+    left, was = (_smooth(one.error**2, time, _WINDOW) for one in (after, before))
+    found: NDArray[np.bool_] = power > _LEAST_CHANGE**2
+    found &= (response < _LEAST_RESPONSE * power) & (left > _LEAST_FALL * was)
+    return found & ~before.frozen & ~after.frozen
+
+
+def _blend(where: NDArray[np.bool_], time: Floats) -> Floats:
+    """(T, 29) 1 where it is true, falling smoothly to 0 around it."""
+    near = _smooth(where.astype(np.float64), time, _BLEND) > 0.0
+    return _smooth(near.astype(np.float64), time, _BLEND)
+
+
+def _smooth(values: Floats, time: Floats, window: float) -> Floats:
+    """(T, J) weighted means over `window` seconds around each time (Hann)."""
+    length = 2 * max(1, round(window / (time[1] - time[0]) / 2)) + 1
+    weights = np.hanning(length + 2)[1:-1]
+    norm = np.convolve(np.ones(len(time)), weights, "same")
+    return np.column_stack([np.convolve(column, weights, "same") / norm for column in values.T])
+
+
+def _repetitions(played: Sequence[_Played], time: Floats) -> list[Repetition]:
+    """The sessions by the correction that they were played with, on one grid."""
+    groups: dict[bytes, list[Repetition]] = {}
+    for one in played:
+        values, frozen, history = np.zeros((len(time), N_JOINTS)), None, ()
+        if one.correction:
+            values = CorrectionSpline(one.correction, one.start, one.stop).at_many(time)
+            nearest = np.abs(one.correction.time[:, np.newaxis] - time).argmin(axis=0)
+            frozen = one.correction.frozen[nearest]
+            history = tuple(one.correction.history.tolist())
+        if frozen is None:
+            frozen = np.zeros(values.shape, dtype=np.bool_)
+        error = _filtered(one, time)
+        # Rounded: the last bit depends on the interval that was played.
+        group = groups.setdefault(np.round(values, 9).tobytes(), [])
+        group.append(Repetition(values, error, one.rmse, frozen, history))
+    return [
+        Repetition(
+            group[0].values,
+            np.mean([one.error for one in group], axis=0),
+            float(np.mean([one.rmse for one in group])),
+            group[0].frozen,
+            group[0].history,
+        )
+        for group in groups.values()
+    ]
+
+
+def _filtered(played: _Played, time: Floats) -> Floats:
+    """(T, 29) the error, low-pass filtered without delay."""
+    from scipy.signal import butter, filtfilt
+
+    with_torque = played.conditions.feedforward == "dynamics"
+    cutoff = _CUTOFF if with_torque else _CUTOFF_WITHOUT_TORQUE
+    numerator, denominator = butter(2, cutoff / (_RATE / 2))
+    fine = np.arange(time[0], time[-1] + 1.0 / _RATE, 1.0 / _RATE)
+    error = _interpolated(fine, played.time, played.error)
+    padding = min(len(fine) - 1, round(_RATE / cutoff))
+    smooth = filtfilt(numerator, denominator, error, axis=0, padlen=padding)
+    return _interpolated(time, fine, smooth)
+
+
+def _interpolated(at: Floats, times: Floats, values: Floats) -> Floats:
+    return np.column_stack([np.interp(at, times, column) for column in values.T])
+
+
+def _read(session: Session) -> _Played:
+    """A session with all that learning needs, which must be there."""
+    info, _ = read_record(SessionInfo, dict(session.metadata))
+    stream, _ = read_record(StreamSummary, session.metadata.get("stream"))
+    motion = info and info.motion
+    if not (info and motion and motion.content_sha256 and info.gains and info.config and stream):
+        raise _cannot(session, "it does not say what was streamed and how", "record it with")
+    settings: dict[str, Any] = info.config.get("stream", {})
+    problems = {
+        "it was ended early": stream.reason,
+        "its motion was looped": settings.get("loop"),
+        "its commands were recorded ones": stream.feedforward == "recorded",
+        "its feed-forward was switched off while it played": stream.feedforward_changes,
+        "its recording is not complete": not session.complete,
+    }
+    if reasons := [reason for reason, found in problems.items() if found]:
+        raise _cannot(session, reasons[0], "repeat it, in one piece, with")
+    data = session.attachments.get(ATTACHMENT_NAME)
+    if info.correction and data is None:
+        raise _cannot(
+            session, "the correction that it was played with is missing", "repeat it with"
+        )
+    correction = None if data is None else Correction.from_bytes(data, session.path)
+    robot = G1.from_urdf(session.attachments["robot.urdf"].decode(), str(session.path))
+    tracking = session.tracking()
+    kp, kd = (np.array(info.gains[name], dtype=np.float64) for name in ("kp", "kd"))
+    return _Played(
+        Conditions(
+            motion=motion.name or "",
+            motion_sha256=motion.content_sha256,
+            robot=robot.name,
+            rate=float(settings.get("rate") or 0.0),
+            kp=kp,
+            kd=kd,
+            feedforward=stream.feedforward if stream.feedforward != "recorded" else None,
+            support=stream.support,
+        ),
+        session.path,
+        float(tracking.motion_time[0]),
+        float(tracking.motion_time[-1]),
+        tracking.motion_time,
+        tracking.error,
+        tracking.reference,
+        tracking.overall,
+        correction,
+        robot.lower,
+        robot.upper,
+    )
+
+
+def _require_same(first: _Played, other: _Played) -> None:
+    different = first.conditions.differences(other.conditions)
+    if max(abs(first.start - other.start), abs(first.stop - other.stop)) > _SAME_INTERVAL:
+        different.append(
+            f"played from {first.start:.2f} to {first.stop:.2f} s and from {other.start:.2f} to "
+            f"{other.stop:.2f} s"
+        )
+    if different:
+        raise RecordingError(
+            f"{first.path} and {other.path} are not repetitions of the same: "
+            f"{'; '.join(different)}.",
+            "Learn from sessions of one motion, played in the same way.",
+        )
+
+
+def _cannot(session: Session, reason: str, remedy: str) -> RecordingError:
+    return RecordingError(
+        f"{session.path} cannot be learned from: {reason}.",
+        f"{remedy.capitalize()} `g1stream stream MOTION --record FILE`.",
+    )

@@ -1,0 +1,92 @@
+"""`g1stream learn`: a correction of the joint targets, from sessions of one motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from g1stream.cli.command import EXIT_OK, Command, print_json
+from g1stream.cli.flags import argument, flag
+from g1stream.errors import ConfigError
+from g1stream.files import check_output_path
+
+if TYPE_CHECKING:
+    from g1stream.motion.correction import Correction
+
+__all__ = ["Learn"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Learn(Command):
+    """Corrects the joint targets by the error that repeats, for `stream --correction`.
+
+    Give all sessions of the motion so far: it continues from the best one, and leaves alone what
+    did not respond. They must agree in motion, rate, gains, support and feed-forward.
+
+    Examples:
+      g1stream stream dance.csv --record first.mcap
+      g1stream learn first.mcap -o better.npz
+      g1stream stream dance.csv --correction better.npz --record second.mcap
+      g1stream learn first.mcap second.mcap -o better2.npz
+
+    Exit codes:
+      0  learned
+      2  bad input: sessions that do not fit together, or cannot be learned from
+    """
+
+    sessions: tuple[Path, ...] = argument("Session files of one motion.", "SESSION...")
+    output: Path | None = flag(None, "The file to write.", "NPZ", aliases=("-o",))
+    force: bool = flag(False, "Replace a file that exists already.")
+    json: bool = flag(False, "Print what was learned as JSON.")
+
+    def run(self) -> int:
+        """Learn and write the file, and return the exit code."""
+        from g1stream.analysis.learning import learn
+
+        if self.output is None or not self.sessions:
+            raise ConfigError(
+                "Sessions to learn from and a file to write are needed.",
+                "Give both: g1stream learn SESSION... -o better.npz.",
+            )
+        check_output_path(self.output, force=self.force)
+        correction = learn(self.sessions)
+        correction.save(self.output, force=self.force)
+        if self.json:
+            print_json(_record(correction, self.output))
+        else:
+            print(_text(correction, self.output))
+        return EXIT_OK
+
+
+def _record(correction: Correction, path: Path) -> dict[str, Any]:
+    conditions = correction.conditions
+    return {
+        "path": str(path),
+        "motion": conditions.motion,
+        "rate_hz": conditions.rate,
+        "feedforward": conditions.feedforward,
+        "support": conditions.support,
+        "start_s": float(correction.time[0]),
+        "stop_s": float(correction.time[-1]),
+        "rmse_history_rad": correction.history.tolist(),
+        "largest_rad": correction.largest,
+        "frozen_share": float(correction.frozen.mean()),
+        "frozen_s": correction.frozen_seconds,
+    }
+
+
+def _text(correction: Correction, path: Path) -> str:
+    conditions, history = correction.conditions, correction.history.tolist()
+    lines = [
+        f"{path}: for {conditions.motion}, {correction.time[0]:.2f} to "
+        f"{correction.time[-1]:.2f} s, {conditions.rate:g} Hz, "
+        f"feed-forward {conditions.feedforward}, support {conditions.support or 'unknown'}",
+        f"  RMSE so far     {', '.join(f'{rmse:.4f}' for rmse in history)} rad",
+        f"  correction      {correction.largest:.4f} rad at most",
+    ]
+    lines += [
+        f"  left alone      {joint}, {seconds:.1f} s: its error did not respond"
+        for joint, seconds in correction.frozen_seconds.items()
+    ]
+    return "\n".join(lines)

@@ -42,6 +42,8 @@ LARGEST_CORRECTION: Final = 0.15
 _FADE: Final = 0.3
 #: Two times of the grid of a correction are at most this far apart, s.
 _STEP: Final = 0.02
+#: Times that are added at both ends, with no correction.
+_PADDING: Final = 4
 #: Largest relative difference of gains and rates that count as equal.
 _EQUAL: Final = 1e-9
 
@@ -278,6 +280,10 @@ class CorrectionSpline:
         self.correction = correction
         time, values = correction.time, correction.values
         values = values * fade(time, max(start, time[0]), min(stop, time[-1]))[:, np.newaxis]
+        # Zeros on both sides, where what a natural end of a spline leaves of its slope dies away.
+        step = (time[-1] - time[0]) / (len(time) - 1)
+        time = time[0] + step * np.arange(-_PADDING, len(time) + _PADDING)
+        values = np.pad(values, ((_PADDING, _PADDING), (0, 0)))
         spline = CubicSpline(time, values, bc_type="natural")
         self._coefficients = np.ascontiguousarray(np.moveaxis(spline.c, 0, 1))
         self._first, self._last = float(time[0]), float(time[-1])
@@ -319,7 +325,9 @@ def fade(time: Floats, start: float, stop: float) -> Floats:
 
 
 def _numbers(arrays: dict[str, NDArray[Any]], name: str, shape: tuple[int, ...] = ()) -> Floats:
-    values = np.asarray(arrays[name], dtype=np.float64)
+    if arrays[name].dtype.kind not in "fiu":
+        raise ValueError(f"{name} is of type {arrays[name].dtype}")
+    values = arrays[name].astype(np.float64)
     if shape and values.shape != shape:
         raise ValueError(f"{name} has the shape {values.shape}, not {shape}")
     if not np.isfinite(values).all():

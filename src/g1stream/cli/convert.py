@@ -18,7 +18,7 @@ from g1stream.cli.command import (
     print_json,
     print_warning,
 )
-from g1stream.cli.flags import argument, flag
+from g1stream.cli.flags import MOTION, argument, flag, fps_flag
 from g1stream.cli.motion import joint_lines, result_lines
 from g1stream.cli.progress import ProgressDisplay
 from g1stream.errors import ConfigError
@@ -57,20 +57,12 @@ class Convert(Command):
       128 + n  ended by signal n, nothing was written: 130 after Ctrl-C
     """
 
-    motion: str = argument(
-        "Motion file (CSV), session file, or the name of a bundled motion: demo.", "MOTION"
-    )
+    motion: str = argument(MOTION, "MOTION")
     out: Path | None = flag(
         None, "The file to write; not needed with --check.", "MCAP", positional=True
     )
     check: bool = flag(False, "Only check the motion file, and print what is in it.")
-    fps: float | None = flag(
-        None,
-        "Frames per second of the motion file, which does not contain it.",
-        "HZ",
-        shown="30; a session's own",
-        gt=0,
-    )
+    fps: float | None = fps_flag()
     base_time: str = flag(
         "0",
         "Time of frame 0: ns since 1970, or ISO 8601 with a zone (2026-03-01T12:00:00Z).",

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from g1stream.cli.command import SettingsCommand, exit_code, print_summary, print_warning
-from g1stream.cli.flags import flag
+from g1stream.cli.flags import MOTION, flag
 from g1stream.cli.stream import playing
 
 __all__ = ["Demo"]
@@ -29,9 +29,7 @@ class Demo(SettingsCommand):
       128 + n  ended by signal n: 130 after Ctrl-C
     """
 
-    motion: str = flag(
-        "demo", "Motion file (CSV), session file, or the name of a bundled motion: demo.", "MOTION"
-    )
+    motion: str = flag("demo", MOTION, "MOTION")
     out: Path = flag(Path("demo-out"), "Directory for session.mcap and tracking.png.", "DIR")
     force: bool = flag(False, "Replace files that exist already.")
     json: bool = flag(False, "Print the summary as JSON on standard output.")

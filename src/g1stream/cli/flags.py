@@ -33,9 +33,12 @@ if TYPE_CHECKING:
 
     from pydantic.fields import FieldInfo
 
-__all__ = ["argument", "flag", "flag_name", "given_settings", "parse_flags"]
+__all__ = ["MOTION", "argument", "flag", "flag_name", "fps_flag", "given_settings", "parse_flags"]
 
 CommandT = TypeVar("CommandT")
+
+#: Help of a flag or argument that names a motion.
+MOTION = "Motion file (CSV), session file, or the name of a bundled motion: demo."
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,9 +61,7 @@ class _Option:
         text, default = setting.description or "", setting.default
         notes = [] if _choices(setting.annotation) else [accepted(setting)]
         if default is not None and default is not False:
-            notes.append(
-                f"default: {default:g}" if isinstance(default, float) else f"default: {default}"
-            )
+            notes.append(f"default: {_text(default)}")
         return cls(
             text=f"{text[0].upper()}{text[1:]}.",
             metavar=about["unit"].upper(),
@@ -148,6 +149,12 @@ def flag(
 def argument(text: str, metavar: str) -> Any:
     """What must be given, by position."""
     return flag(MISSING, text, metavar, positional=True)
+
+
+def fps_flag() -> Any:
+    """The flag --fps of commands that read a motion."""
+    text = "Frames per second of the motion file, or to sample a session at."
+    return flag(None, text, "HZ", shown="30; a session's own", gt=0)
 
 
 def flag_name(name: str) -> str:

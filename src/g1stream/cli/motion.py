@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from g1stream.analysis.render import counted
 from g1stream.cli.command import EXIT_OK, EXIT_STOPPED, SettingsCommand, print_json
-from g1stream.cli.flags import argument, flag
+from g1stream.cli.flags import MOTION, argument, flag, fps_flag
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -34,16 +34,8 @@ class Inspect(SettingsCommand):
       2  bad input: not a motion
     """
 
-    motion: str = argument(
-        "Motion file (CSV), session file, or the name of a bundled motion: demo.", "MOTION"
-    )
-    fps: float | None = flag(
-        None,
-        "Frames per second of the motion file, or to sample a session at.",
-        "HZ",
-        shown="30; a session's own",
-        gt=0,
-    )
+    motion: str = argument(MOTION, "MOTION")
+    fps: float | None = fps_flag()
     json: bool = flag(False, "Print the report as JSON.")
 
     def run(self) -> int:

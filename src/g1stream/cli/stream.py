@@ -15,7 +15,7 @@ from g1stream.cli.command import (
     print_summary,
     print_warning,
 )
-from g1stream.cli.flags import argument, flag, flag_name
+from g1stream.cli.flags import MOTION, argument, flag, flag_name, fps_flag
 from g1stream.cli.progress import ProgressDisplay, loop_progress
 from g1stream.errors import ConfigError
 from g1stream.events import ConsoleHandler, handled_by
@@ -112,16 +112,8 @@ class Stream(PlayCommand):
       128 + n  ended by signal n: 130 after Ctrl-C
     """
 
-    motion: str = argument(
-        "Motion file (CSV), session file, or the name of a bundled motion: demo.", "MOTION"
-    )
-    fps: float | None = flag(
-        None,
-        "Frames per second of the motion file, or to sample a session at.",
-        "HZ",
-        shown="30; a session's own",
-        gt=0,
-    )
+    motion: str = argument(MOTION, "MOTION")
+    fps: float | None = fps_flag()
 
     def run(self) -> int:
         """Play, and return the exit code."""

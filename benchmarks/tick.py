@@ -55,8 +55,11 @@ def parts() -> dict[str, Callable[[int], object]]:
         feed.begin(support)
         return lambda k: feed.command(Phase.PLAY, k * PERIOD, target, imu, 0.001)
 
+    def check(now: int) -> str:
+        return envelope.implausible(now, measured) or envelope.verdict(measured)
+
     return {
-        "check the state": lambda k: envelope.verdict(k, measured),
+        "check the state": check,
         "sample the motion": lambda k: targets.at(Phase.PLAY, k * PERIOD % 10.0),
         "torque, bolted": torque("bolted"),
         "torque, hanging": torque("hanging"),

@@ -13,7 +13,9 @@ import pytest
 from hatchling.builders.wheel import WheelBuilder
 
 from g1stream.config import SHIPPED, Config, load_config, settings
+from g1stream.control.safety import STATE_TIMEOUT
 from g1stream.errors import ConfigError
+from g1stream.programs.stream import for_wire
 
 ROOT = Path(__file__).parents[1]
 
@@ -282,7 +284,8 @@ def test_robot_toml_is_more_careful_than_the_defaults():
     assert robot.stream.ramp > default.stream.ramp
     assert robot.stream.damp > default.stream.damp
     assert robot.safety.position_margin > default.safety.position_margin
-    assert robot.safety.state_timeout <= default.safety.state_timeout
+    assert robot.safety.state_timeout == STATE_TIMEOUT
+    assert for_wire(default).safety.state_timeout == 0.5  # loopback: a simulator
     assert robot.safety.max_tilt < default.safety.max_tilt
     assert robot.safety.max_joint_speed < default.safety.max_joint_speed
     assert robot.safety.mode_machine == (5,)

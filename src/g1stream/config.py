@@ -181,7 +181,14 @@ class SafetyConfig(_Table):
     position_margin: float = setting(
         0.0, "how far targets are kept from the joint limits", "rad", ge=0.0, le=0.5
     )
-    state_timeout: float = setting(0.1, "age of the last LowState that stops", "s", gt=0.0)
+    state_timeout: float | None = setting(
+        None,
+        "age of the last LowState that stops, and longest stall of the loop; 0.1 s if unset, and "
+        "0.5 s on the loopback interface, where a simulator shares this machine",
+        "s",
+        example=0.1,
+        gt=0.0,
+    )
     max_tilt: float = setting(1.0, "pelvis tilt that stops", "rad", gt=0.0, le=3.2)
     max_joint_speed: float = setting(60.0, "measured joint speed that stops", "rad/s", gt=0.0)
     mode_machine: tuple[int, ...] = setting(

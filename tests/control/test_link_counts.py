@@ -3,17 +3,19 @@
 import pytest
 
 from g1stream.control.link import DdsLink
-from g1stream.dds.domain import Participant
+from g1stream.dds.domain import Participant, user_data_of_support
 from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.messages import LowState
 from g1stream.dds.topics import LOWSTATE
 
 
 @pytest.fixture
-def ends(domain_id, until):
-    """Our link, and a writer of LowState in a participant of its own."""
+def ends(domain_id, until, request):
+    """Our link, and a writer of LowState in a participant of its own, by default our bridge's."""
+    user_data = getattr(request, "param", user_data_of_support("bolted"))
     with Participant(domain_id, "lo") as ours, Participant(domain_id, "lo") as theirs:
-        link, writer = DdsLink(ours), RawWriter(theirs, LOWSTATE, depth=100)
+        link = DdsLink(ours)
+        writer = RawWriter(theirs, LOWSTATE, depth=100, user_data=user_data)
         until(lambda: writer.matched, "a match")
         yield link, writer
 
@@ -42,6 +44,16 @@ def test_a_gap_in_the_ticks_is_told(ends, until):
     counts = link.counts()
     assert (counts["states_received"], counts["states_lost"]) == (5, 3)
     assert counts["states_malformed"] == counts["state_restarts"] == 0
+
+
+@pytest.mark.parametrize("ends", [b""], indirect=True)
+def test_the_ticks_of_another_publisher_show_no_loss(ends, until):
+    link, writer = ends
+    state = LowState()
+    publish(writer, [2, 4, 4, 6, 14, 16])
+    until(lambda: link.receive(state) and int(state.tick) == 16, "the last state")
+    counts = link.counts()
+    assert (counts["states_lost"], counts["dds_lost"], counts["tick_jumps"]) == (None, 0, 1)
 
 
 def test_unknown_where_nobody_counts(ends, until):

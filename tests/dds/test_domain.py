@@ -12,6 +12,7 @@ from cyclonedds.core import Entity
 from g1stream.dds.domain import (
     Endpoint,
     Participant,
+    identify_program,
     interfaces,
     is_loopback,
     support_announced,
@@ -192,6 +193,24 @@ def test_an_endpoint_is_named_as_well_as_can_be():
     assert str(Endpoint("rt/lowcmd", LOWCMD_TYPE, "guid")) == "participant guid"
     nameless = Endpoint("rt/lowcmd", LOWCMD_TYPE, "guid", pid="7")
     assert str(nameless) == "process (pid 7 on an unknown host)"
+
+
+@pytest.mark.parametrize(
+    ("written", "read", "program"),
+    [
+        ({"rt/lowstate", "rt/g1stream/log"}, {"rt/lowcmd"}, "g1stream sim"),
+        (
+            {"rt/lowcmd", "rt/g1stream/reference", "rt/g1stream/log"},
+            {"rt/lowstate"},
+            "g1stream stream",
+        ),
+        (set(), {"rt/lowcmd", "rt/g1stream/log", "rt/g1stream/reference"}, "g1stream record"),
+        ({"rt/lowstate"}, {"rt/lowcmd"}, ""),
+        (set(), {"rt/lowcmd"}, ""),
+    ],
+)
+def test_our_programs_are_identified_by_their_topics(written, read, program):
+    assert identify_program(written, read) == program
 
 
 def test_on_loopback_samples_go_to_their_readers_alone(domain_id, peer_on, until):

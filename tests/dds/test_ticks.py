@@ -38,6 +38,12 @@ def test_unknown_where_nothing_counts(ticks):
     assert counted(ticks).step is None
 
 
+def test_simulated_time_that_repeats_and_jumps():
+    """As the C++ simulator stamps it: twice as many states as steps of 2 ms."""
+    gaps = counted([0, 2, 2, 4, 8, 8, 10, 12, 12, 18])
+    assert (gaps.step, gaps.jumps) == (2, 2)
+
+
 def test_a_restart_is_no_gap():
     gaps = counted([1000, 1002, 1004, 0, 2, 4])
     assert (gaps.missed, gaps.restarts, gaps.step) == (0, 1, 2)

@@ -74,6 +74,13 @@ CASES = {
 }
 
 
+def test_jumping_ticks_of_another_publisher_are_no_problem(changed):
+    facts = changed(state={"missed": None, "tick_jumps": 55})
+    (found,) = [one for one in evaluate(facts) if one.about == "tick"]
+    assert found.level is Level.OK
+    assert "55" in found.cause
+
+
 def test_no_problem(healthy):
     assert {finding.level for finding in evaluate(healthy)} == {Level.OK}
 

@@ -6,12 +6,7 @@ import pytest
 
 from g1stream.doctor.facts import Level, Peer, Qos, StateFacts, WireFacts
 from g1stream.doctor.findings import evaluate
-from g1stream.doctor.matching import (
-    explain_no_robot,
-    identify_program,
-    identify_publisher,
-    qos_mismatch,
-)
+from g1stream.doctor.matching import explain_no_robot, identify_publisher, qos_mismatch
 
 STATE = Peer("rt/lowstate", "LowState_", owner="bridge (pid 7 on here)", participant="bridge")
 SPORT = Peer("rt/sportmodestate", "SportModeState_", participant="bridge")
@@ -98,24 +93,6 @@ def test_a_robot_that_appears_too_late():
 def test_a_recorder_does_not_act_on_commands(changed):
     (found,) = [one for one in evaluate(changed(wire={"readers": (RECORDER,)})) if one.level]
     assert (found.level, found.about) == (Level.PROBLEM, "LowCmd")
-
-
-@pytest.mark.parametrize(
-    ("written", "read", "program"),
-    [
-        ({"rt/lowstate", "rt/g1stream/log"}, {"rt/lowcmd"}, "g1stream sim"),
-        (
-            {"rt/lowcmd", "rt/g1stream/reference", "rt/g1stream/log"},
-            {"rt/lowstate"},
-            "g1stream stream",
-        ),
-        (set(), {"rt/lowcmd", "rt/g1stream/log", "rt/g1stream/reference"}, "g1stream record"),
-        ({"rt/lowstate"}, {"rt/lowcmd"}, ""),
-        (set(), {"rt/lowcmd"}, ""),
-    ],
-)
-def test_our_programs_are_identified_by_their_topics(written, read, program):
-    assert identify_program(written, read) == program
 
 
 @pytest.mark.parametrize(

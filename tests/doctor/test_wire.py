@@ -14,7 +14,7 @@ from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 
 from g1stream.dds import types
-from g1stream.dds.domain import Participant
+from g1stream.dds.domain import Participant, user_data_of_support
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import LowState
 from g1stream.dds.topics import LOG, LOWCMD, LOWSTATE
@@ -46,12 +46,15 @@ def test_silent_publisher(domain_id):
     assert {reader.topic for reader in facts.readers} == {"rt/lowcmd"}
 
 
-def test_what_is_published(domain_id):
+@pytest.mark.parametrize(
+    ("user_data", "missed"), [(user_data_of_support("hanging"), 2), (b"", None)]
+)
+def test_what_is_published(domain_id, user_data, missed):
     state = LowState()
     state.mode_machine[()] = 5
     state.rpy[:] = 0.1
     with Participant(domain_id, "lo") as peer:
-        writer = RawWriter(peer, LOWSTATE, depth=100)
+        writer = RawWriter(peer, LOWSTATE, depth=100, user_data=user_data)
 
         def publish():
             while not writer.matched:
@@ -65,7 +68,7 @@ def test_what_is_published(domain_id):
         facts = inspect_domain(domain_id, "lo", [LO], 1.0)
         thread.join()
     said = facts.state
-    assert (said.received, said.tick_step, said.missed) == (4, 2, 2)
+    assert (said.received, said.tick_step, said.tick_jumps, said.missed) == (4, 2, 1, missed)
     assert (said.crc_right, said.crc_zero, said.mode_machine) == (4, 0, 5)
     assert said.has_rpy
     assert 0.0 <= said.ages_ms[0] <= said.ages_ms[1]

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from g1stream.dds.domain import Participant
+from g1stream.dds.domain import Participant, user_data_of_support
 from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.messages import LowState, Reference
 from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE
@@ -26,13 +26,17 @@ from g1stream.session.writer import SessionWriter
 S = 1_000_000_000
 
 
+BRIDGE = user_data_of_support("bolted")
+
+
 class Publisher:
     """Publishes numbered samples of some topics and remembers their bytes."""
 
-    def __init__(self, participant, *topics):
+    def __init__(self, participant, *topics, user_data=BRIDGE):
         self.sent = {topic.name: [] for topic in topics}
         self._made = [
-            (topic, RawWriter(participant, topic, 100), topic.message()) for topic in topics
+            (topic, RawWriter(participant, topic, 100, user_data=user_data), topic.message())
+            for topic in topics
         ]
 
     def matched(self):
@@ -147,7 +151,7 @@ def test_another_publishers_session_is_recorded(record):
 
 
 def test_gaps_in_the_ticks_are_logged_and_written_into_the_file(record, caplog):
-    report, path, _ = record((LOWSTATE,), lambda p: p.run([*range(100), *range(107, 200)]))
+    report, path, _ = record((LOWSTATE,), lambda p: p.run([*range(100), *range(107, 1000)]))
     assert report.lost["/lowstate"] == 7
     assert not report.complete
     (event,) = open_session(path).log

@@ -31,16 +31,26 @@ def test_two_writers_on_one_topic_are_counted_apart():
             both.writers += one.writers
             both.publish_times += one.publish_times
     losses.add(REFERENCE.name, both)
-    assert losses.update({REFERENCE.name: 0}) == {}
+    assert losses.update({REFERENCE.name: 0}, own_bridge=True) == {}
 
 
 def test_losses_known_to_dds_and_to_the_ticks_are_not_added_up():
     losses = Losses()
     losses.add(LOWSTATE.name, batch(LowState(), [*range(100), *range(105, 150)]))
-    assert losses.update({LOWSTATE.name: 3, LOWCMD.name: 2}) == {LOWSTATE.name: 5, LOWCMD.name: 2}
-    assert losses.update({LOWSTATE.name: 5, LOWCMD.name: 2}) == {}
-    assert losses.update({LOWSTATE.name: 9, LOWCMD.name: 2}) == {LOWSTATE.name: 4}
+    assert losses.update({LOWSTATE.name: 3, LOWCMD.name: 2}, own_bridge=True) == {
+        LOWSTATE.name: 5,
+        LOWCMD.name: 2,
+    }
+    assert losses.update({LOWSTATE.name: 5, LOWCMD.name: 2}, own_bridge=True) == {}
+    assert losses.update({LOWSTATE.name: 9, LOWCMD.name: 2}, own_bridge=True) == {LOWSTATE.name: 4}
     assert losses.lost == {LOWSTATE.name: 9, LOWCMD.name: 2}
+
+
+def test_ticks_of_another_bridge_are_no_loss():
+    losses = Losses()
+    losses.add(LOWSTATE.name, batch(LowState(), [*range(100), *range(105, 150)]))
+    assert losses.update({LOWSTATE.name: 0}, own_bridge=False) == {}
+    assert losses.update({LOWSTATE.name: 2}, own_bridge=False) == {LOWSTATE.name: 2}
 
 
 def test_a_reference_without_its_command_is_a_command_lost():
@@ -58,7 +68,7 @@ def test_commands_without_references_are_no_loss_and_are_not_kept_for_ever():
     losses = Losses()
     commands = Batch(publish_times=list(range(0, 10**10, 10**7)))
     losses.add(LOWCMD.name, commands)
-    assert losses.update({LOWCMD.name: 0}) == {}
+    assert losses.update({LOWCMD.name: 0}, own_bridge=True) == {}
     missing = MissingCommands()
     missing.add_commands(commands.publish_times)
     missing.add_references([10**10])

@@ -204,8 +204,8 @@ def _stream(stream: StreamSummary) -> list[str]:
     if stream.lateness_us:
         lines.append(_line("lateness", _percentiles(stream.lateness_us)))
     if stream.states_received is not None:
-        lost = "unknown" if stream.states_lost is None else str(stream.states_lost)
-        lines.append(_line("states", f"{stream.states_received} received, {lost} lost"))
+        lost = "" if stream.states_lost is None else f", {stream.states_lost} lost"
+        lines.append(_line("states", f"{stream.states_received} received{lost}"))
     if stream.feedforward:
         lines.append(_line("feed-forward", _feedforward(stream)))
     for label, what, ticks in (

@@ -54,6 +54,7 @@ class DdsLink:
         self._states = RawReader(participant, LOWSTATE, depth=_STATE_DEPTH)
         self._others = RawReader(participant, LOWCMD, ignore_own=True, user_data=OBSERVER)
         self._gaps = TickGaps()
+        self._own_bridge = False
         tick = Layout.of(LOWSTATE.message.idl_type)["tick"]
         start = len(CDR_HEADER) + int(tick.offsets)
         self._tick_bytes = slice(start, start + tick.dtype.itemsize)
@@ -70,12 +71,14 @@ class DdsLink:
         """Names of other publishers of LowCmd."""
         if not self._others.matched:
             return []
-        named = [str(writer) for writer in self._participant.writers(LOWCMD.name)]
+        named = [self._participant.owner(one) for one in self._participant.writers(LOWCMD.name)]
         return named or ["an unnamed participant"]
 
     def support(self) -> str | None:
         """How the bridge announces to hold the robot; None if it does not."""
-        return support_announced(self._participant.writers(LOWSTATE.name))
+        support = support_announced(self._participant.writers(LOWSTATE.name))
+        self._own_bridge = self._own_bridge or support is not None
+        return support
 
     def receive(self, state: LowState) -> bool:
         """Load the newest LowState since the last call; False if there is none."""
@@ -100,9 +103,11 @@ class DdsLink:
 
     def counts(self) -> dict[str, int | None]:
         """What was received and lost: the fields of `StreamSummary` with these names."""
+        self.support()
         return {
             "states_received": self._gaps.received,
-            "states_lost": self._gaps.missed,
+            "states_lost": self._gaps.missed if self._own_bridge else None,
+            "tick_jumps": self._gaps.jumps,
             "dds_lost": self._states.lost,
             "states_malformed": self._states.malformed,
             "state_restarts": self._gaps.restarts,

@@ -165,6 +165,7 @@ class StreamLoop:
         self._low_state = state = LowState()
         self._imu = ImuReading(state.quaternion, state.gyroscope, state.accelerometer)
         self._measured: Measured | None = None
+        self._skipped_when_measured = 0
         self._target: Target | None = None
         self._prepared: tuple[bytes, bytes] | None = None
         self._prepared_for = 0
@@ -259,26 +260,39 @@ class StreamLoop:
         if not self._link.receive(state):
             return
         self.report.states += 1
+        self._skipped_when_measured = self.report.skipped
         self._measured = Measured(state.q, state.dq, state.quaternion, int(state.mode_machine), now)
 
     def _advance(self, now: int, deadline: int) -> None:
         before = self.state
-        missing = self._missing() if before.phase is Phase.WAIT else ""
-        inputs = Inputs(missing, self._reason_to_stop(now))
+        unknown = self._robot_unknown(now)
+        missing = unknown or self._no_subscriber() if before.phase is Phase.WAIT else ""
+        inputs = Inputs(missing, self._reason_to_stop(now, unknown))
         self.state = step(deadline, before, inputs, self._timing)
         if self.state.phase is not before.phase:
             self._enter_phase(before.phase)
 
-    def _missing(self) -> str:
-        if self._measured is None:
-            return "no LowState received"
+    def _no_subscriber(self) -> str:
         return "" if self._link.subscribers() else f"no subscriber on {LOWCMD.name}"
 
-    def _reason_to_stop(self, now: int) -> str:
-        if self._stop_reason or self.state.phase >= Phase.DAMP:
+    def _robot_unknown(self, now: int) -> str:
+        """Why nothing is known of the robot now, or "" where it is."""
+        if self._measured is None:
+            return "no LowState received"
+        fault = self._envelope.implausible(now, self._measured)
+        skipped = self.report.skipped - self._skipped_when_measured
+        if fault and skipped:
+            fault += f"; this machine stalled: the loop skipped {skipped} ticks meanwhile"
+        return fault
+
+    def _reason_to_stop(self, now: int, unknown: str) -> str:
+        phase = self.state.phase
+        if self._stop_reason or phase >= Phase.DAMP:
             return self._stop_reason
-        verdict = self._envelope.verdict(now, self._measured) if self._measured else ""
-        return verdict or self._other_publisher(now)
+        if unknown and phase is not Phase.WAIT:
+            return unknown
+        wrong = self._envelope.verdict(self._measured) if self._measured and not unknown else ""
+        return wrong or self._other_publisher(now)
 
     def _other_publisher(self, now: int) -> str:
         if self._allow_second_writer or now < self._next_publisher_check:

@@ -105,7 +105,8 @@ def _leave_wait(now: int, state: PhaseState, inputs: Inputs, timing: Timing) -> 
     if not inputs.missing and elapsed >= timing.settle:
         return PhaseState(Phase.RAMP, now)
     if inputs.missing and elapsed >= timing.wait:
-        return PhaseState(Phase.DONE, now, f"{inputs.missing} within {timing.wait / 1e9:g} s")
+        waited = f"waited for stream.wait = {timing.wait / 1e9:g} s"
+        return PhaseState(Phase.DONE, now, f"{inputs.missing} ({waited})")
     return state
 
 

@@ -21,7 +21,18 @@ if TYPE_CHECKING:
     from g1stream.config import SafetyConfig
     from g1stream.robot.model import G1
 
-__all__ = ["Envelope", "ImuReading", "Measured", "all_finite", "is_unit", "tilt_of"]
+__all__ = [
+    "STATE_TIMEOUT",
+    "Envelope",
+    "ImuReading",
+    "Measured",
+    "all_finite",
+    "is_unit",
+    "tilt_of",
+]
+
+STATE_TIMEOUT: Final = 0.1
+"""Age of the last LowState that stops, s, where `safety.state_timeout` is unset: of a robot."""
 
 #: Allowed deviation of the norm of the IMU's quaternion from 1.
 _LENGTH_TOLERANCE: Final = 0.05
@@ -91,6 +102,7 @@ class Envelope:
 
     def __init__(self, robot: G1, config: SafetyConfig) -> None:
         self._config = config
+        self._state_timeout = config.state_timeout or STATE_TIMEOUT
         self._lower = robot.lower + config.position_margin
         self._upper = robot.upper - config.position_margin
         self._begun: Floats = (robot.lower + robot.upper) / 2
@@ -162,24 +174,37 @@ class Envelope:
 
     def stalled(self, gap: int) -> str:
         """Why the session must end after a gap of `gap` ns between two ticks, or ""."""
-        limit = self._config.state_timeout
+        limit = self._state_timeout
         if gap / 1e9 <= limit:
             return ""
-        return f"the loop stalled for {gap / 1e9:.3f} s (limit {limit:g} s)"
+        return f"the loop stalled for {gap / 1e9:.3f} s on this machine ({self._limit})"
 
-    def verdict(self, now: int, state: Measured) -> str:
-        """Why the session must end, or "".
+    def implausible(self, now: int, state: Measured) -> str:
+        """Why nothing is known of the robot now, or "".
+
+        Before the first command that is waited out, because the first LowStates of a simulator may
+        be all zeros; afterwards it ends the session.
 
         Args:
             now: ns, same clock as `state.received`.
             state: the newest measurement.
         """
         age = (now - state.received) / 1e9
-        if age > self._config.state_timeout:
-            return f"no LowState for {age:.3f} s (limit {self._config.state_timeout:g} s)"
+        if age > self._state_timeout:
+            return f"no LowState for {age:.3f} s ({self._limit})"
         if not (all_finite(state.q) and all_finite(state.dq)):
             return "LowState contains a joint position or velocity that is NaN or infinite"
+        if not is_unit(state.quat_wxyz):
+            return f"the IMU quaternion has norm {math.hypot(*state.quat_wxyz.tolist()):.3f}"
+        return ""
+
+    def verdict(self, state: Measured) -> str:
+        """Why the session must end with a plausible measurement, or ""."""
         return self._wrong_robot(state) or self._tilted(state) or self._too_fast(state)
+
+    @property
+    def _limit(self) -> str:
+        return f"limit safety.state_timeout = {self._state_timeout:g} s"
 
     def _wrong_robot(self, state: Measured) -> str:
         allowed = self._config.mode_machine
@@ -191,8 +216,6 @@ class Envelope:
         )
 
     def _tilted(self, state: Measured) -> str:
-        if not is_unit(state.quat_wxyz):
-            return f"the IMU quaternion has norm {math.hypot(*state.quat_wxyz.tolist()):.3f}"
         tilt = tilt_of(state.quat_wxyz)
         if tilt <= self._config.max_tilt:
             return ""

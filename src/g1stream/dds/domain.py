@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import os
 import socket
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntFlag
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Protocol
@@ -24,6 +24,7 @@ from cyclonedds.builtin import (
 from cyclonedds.core import DDSException, InstanceState, Policy
 from cyclonedds.domain import Domain, DomainParticipant
 
+from g1stream.dds.topics import LOG, LOWSTATE, REFERENCE
 from g1stream.errors import WireError
 
 if TYPE_CHECKING:
@@ -34,6 +35,7 @@ __all__ = [
     "Endpoint",
     "InterfaceFlags",
     "Participant",
+    "identify_program",
     "interface_flags",
     "interfaces",
     "is_local_only",
@@ -108,7 +110,10 @@ def user_data_of_support(support: str) -> bytes:
 
 
 def support_announced(writers: Iterable[Endpoint]) -> str | None:
-    """The support that writers of LowState announce; None where none does or they differ."""
+    """The support that writers of LowState announce; None where none does or they differ.
+
+    Only our own bridge announces one, and only its ticks number its LowStates.
+    """
     found = {
         writer.user_data.removeprefix(_SUPPORT).decode(errors="replace")
         for writer in writers
@@ -147,6 +152,17 @@ class Endpoint:
         if not self.pid:
             return f"participant {self.participant}"
         return f"{self.process or 'process'} (pid {self.pid} on {self.host or 'an unknown host'})"
+
+
+def identify_program(written: set[str], read: set[str]) -> str:
+    """Which program of ours writes and reads these topics, or "" where none does."""
+    if REFERENCE.name in written:
+        return "g1stream stream"
+    if {LOG.name, LOWSTATE.name} <= written:
+        return "g1stream sim"
+    if {LOG.name, REFERENCE.name} <= read and not written:
+        return "g1stream record"
+    return ""
 
 
 class Closable(Protocol):
@@ -236,6 +252,14 @@ class Participant:
     def readers(self, topic: str | None = None) -> list[Endpoint]:
         """Readers of a topic, or of all, discovered so far; without this participant's."""
         return self._endpoints(self._readers, topic)
+
+    def owner(self, endpoint: Endpoint) -> str:
+        """The process or participant of an endpoint; one of ours, which is `python`, by command."""
+        program = identify_program(
+            {one.topic for one in self.writers() if one.participant == endpoint.participant},
+            {one.topic for one in self.readers() if one.participant == endpoint.participant},
+        )
+        return str(replace(endpoint, process=program) if program else endpoint)
 
     def _endpoints(self, reader: Any, topic: str | None) -> list[Endpoint]:
         properties = {

@@ -1,4 +1,4 @@
-"""Lost samples, counted by the ticks of those that arrived."""
+"""What the ticks of received samples say about those that did not arrive."""
 
 from __future__ import annotations
 
@@ -14,9 +14,12 @@ _MAX_LOST = 10_000
 class TickGaps:
     """Counts samples and, from the steps of their ticks, those that never came.
 
-    Publishers differ in what a tick is: a robot or bridge counts milliseconds by its own step, and
-    one of the simulators leaves it 0. So the step that is seen most is taken for that between two
-    neighbours. Memory does not grow with what is counted beyond the number of different steps.
+    Publishers differ in what a tick is: our own bridge counts milliseconds by its own step;
+    unitree_mujoco's C++ bridge stamps simulated time faster than that advances, so that ticks
+    repeat and jump without a loss; its Python bridge leaves the tick 0. So `missed` is a number of
+    lost samples only where the publisher is our own; elsewhere `jumps` is a hint at most. The step
+    that is seen most is taken for that between two neighbours. Memory does not grow with what is
+    counted beyond the number of different steps.
 
     Attributes:
         received: samples counted.
@@ -47,8 +50,14 @@ class TickGaps:
         return -max(moving)[1] if moving else None
 
     @property
+    def jumps(self) -> int:
+        """How many steps skipped at least one tick of the usual step."""
+        usual = self.step
+        return 0 if usual is None else sum(n for k, n in self._steps.items() if k >= 2 * usual)
+
+    @property
     def missed(self) -> int | None:
-        """How many samples were published and did not come; None where the tick cannot tell."""
+        """How many samples did not come if every one had its tick; None where ticks stand still."""
         usual = self.step
         if usual is None:
             return None

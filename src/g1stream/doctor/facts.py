@@ -134,7 +134,8 @@ class StateFacts:
     malformed: int = 0  # samples that were not one LowState
     ages_ms: tuple[float, float] = (0.0, 0.0)  # reception minus publish time: median, longest
     tick_step: int | None = None  # usual, ms; None where the tick is constant
-    missed: int | None = None  # lost by their ticks; None where the ticks cannot tell
+    tick_jumps: int = 0  # steps that skipped a tick; without our bridge no more than a hint
+    missed: int | None = None  # lost by their ticks; None without our bridge
     crc_right: int = 0
     crc_zero: int = 0
     mode_machine: int = 0  # of the last, as the two below

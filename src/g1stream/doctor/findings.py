@@ -199,7 +199,13 @@ def _states(facts: Facts, wire: WireFacts) -> Iterator[Finding]:
 
 def _tick_and_crc(state: StateFacts) -> Iterator[Finding]:
     if state.tick_step is None:
-        yield ok("tick", "not provided: lost samples cannot be counted")
+        yield ok("tick", "not provided")
+    elif state.missed is None:
+        yield ok(
+            "tick",
+            f"steps of {state.tick_step} ms, {state.tick_jumps} larger; only g1stream's own bridge "
+            "numbers its samples",
+        )
     elif state.missed:
         yield warning(
             "tick",

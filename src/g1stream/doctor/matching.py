@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from g1stream.dds.topics import LOG, LOWCMD, LOWSTATE, REFERENCE, SPORTMODESTATE
+from g1stream.dds.topics import LOG, LOWCMD, LOWSTATE, SPORTMODESTATE
 from g1stream.doctor.facts import Finding, Peer, Qos, StateFacts, WireFacts, problem, warning
 
 if TYPE_CHECKING:
@@ -14,7 +14,6 @@ __all__ = [
     "command_mismatches",
     "command_subscribers",
     "explain_no_robot",
-    "identify_program",
     "identify_publisher",
     "owners",
     "qos_mismatch",
@@ -111,17 +110,6 @@ def explain_no_robot(domain: int, interface: str, wire: WireFacts) -> list[Findi
     if not command_subscribers(wire):
         return [problem("LowCmd", f"no subscriber on {LOWCMD.name} {here}", remedy)]
     return [warning("wire", f"a robot appeared {here} after the wait ended", "Stream again.")]
-
-
-def identify_program(written: set[str], read: set[str]) -> str:
-    """Which program of ours writes and reads these topics, or "" where none does."""
-    if REFERENCE.name in written:
-        return "g1stream stream"
-    if {LOG.name, LOWSTATE.name} <= written:
-        return "g1stream sim"
-    if {LOG.name, REFERENCE.name} <= read and not written:
-        return "g1stream record"
-    return ""
 
 
 def identify_publisher(wire: WireFacts) -> str:

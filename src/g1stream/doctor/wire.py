@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections import defaultdict
 from contextlib import suppress
 from dataclasses import replace
 from statistics import median
@@ -11,13 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 from cyclonedds.core import Policy
 
-from g1stream.dds.domain import MAX_DOMAIN, OBSERVER, Participant
+from g1stream.dds.domain import MAX_DOMAIN, OBSERVER, Participant, support_announced
 from g1stream.dds.endpoints import RawReader
 from g1stream.dds.messages import LowState
 from g1stream.dds.ticks import TickGaps
 from g1stream.dds.topics import LOWSTATE, TOPICS
 from g1stream.doctor.facts import Peer, Qos, StateFacts, WireFacts
-from g1stream.doctor.matching import identify_program
 from g1stream.errors import WireError
 
 if TYPE_CHECKING:
@@ -61,10 +59,12 @@ def inspect_participant(participant: Participant, seconds: float) -> WireFacts:
     """Listen in a participant's domain for some seconds."""
     reader = RawReader(participant, LOWSTATE, depth=4096)
     state = _listen(reader, seconds)
-    programs = _programs(participant)
+    writers = participant.writers()
+    if support_announced(one for one in writers if one.topic == LOWSTATE.name) is None:
+        state = replace(state, missed=None)
     return WireFacts(
-        writers=tuple(_peers(participant.writers(), programs)),
-        readers=tuple(_peers(participant.readers(), programs)),
+        writers=tuple(_peers(participant, writers)),
+        readers=tuple(_peers(participant, participant.readers())),
         state=state,
         states_matched=reader.matched,
     )
@@ -89,6 +89,7 @@ def _listen(reader: RawReader, seconds: float) -> StateFacts:
         malformed=reader.malformed,
         ages_ms=(median(ages), max(ages)) if ages else (0.0, 0.0),
         tick_step=gaps.step,
+        tick_jumps=gaps.jumps,
         missed=gaps.missed,
         crc_right=right,
         crc_zero=zero,
@@ -111,29 +112,11 @@ def _publishers(places: Iterable[tuple[int, str]]) -> Iterator[tuple[int, str, s
         # A place that cannot be joined has no publisher that we could reach.
         with suppress(WireError), Participant(*place) as participant:
             time.sleep(_DISCOVERY_S)
-            programs = _programs(participant)
             for writer in participant.writers(LOWSTATE.name):
-                yield (*place, _owner(writer, programs))
+                yield (*place, participant.owner(writer))
 
 
-def _programs(participant: Participant) -> dict[str, str]:
-    """Which programs of ours there are, by participant; their process name is only `python`."""
-    written: dict[str, set[str]] = defaultdict(set)
-    read: dict[str, set[str]] = defaultdict(set)
-    for found, endpoints in ((written, participant.writers()), (read, participant.readers())):
-        for endpoint in endpoints:
-            found[endpoint.participant].add(endpoint.topic)
-    named = {one: identify_program(written[one], read[one]) for one in {*written, *read}}
-    return {one: name for one, name in named.items() if name}
-
-
-def _owner(endpoint: Endpoint, programs: dict[str, str]) -> str:
-    """The process or participant that an endpoint belongs to."""
-    program = programs.get(endpoint.participant)
-    return str(replace(endpoint, process=program) if program else endpoint)
-
-
-def _peers(endpoints: Iterable[Endpoint], programs: dict[str, str]) -> Iterator[Peer]:
+def _peers(participant: Participant, endpoints: Iterable[Endpoint]) -> Iterator[Peer]:
     """The endpoints on a robot's topics, without those of discovery itself."""
     for endpoint in endpoints:
         if endpoint.topic.startswith("rt/"):
@@ -142,7 +125,7 @@ def _peers(endpoints: Iterable[Endpoint], programs: dict[str, str]) -> Iterator[
                 type_name=endpoint.type_name,
                 same_type=_same_type(endpoint),
                 qos=qos_facts(endpoint.qos),
-                owner=_owner(endpoint, programs),
+                owner=participant.owner(endpoint),
                 participant=endpoint.participant,
                 observer=endpoint.user_data == OBSERVER,
             )

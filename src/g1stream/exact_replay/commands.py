@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from g1stream.config import MAX_KD, MAX_KP
-from g1stream.control.safety import Envelope
+from g1stream.control.safety import STATE_TIMEOUT, Envelope
 from g1stream.dds.layout import CDR_HEADER, Layout
 from g1stream.dds.messages import LowCmd
 from g1stream.errors import RecordingError, SafetyError
@@ -88,7 +88,7 @@ def recorded_commands(
         q[block] = samples["motor_cmd.q"]
     # Motion times of a reference are exact, however late the ticks were.
     jitter = 0.0 if _has_reference(session) else _JITTER / speed
-    problem = _find_gap(times, duration, safety.state_timeout)
+    problem = _find_gap(times, duration, safety.state_timeout or STATE_TIMEOUT)
     if problem := problem or find_jump(times, q, robot.velocity, jitter):
         raise _refused(session, problem)
     return RecordedCommands(times, data, q, robot.velocity)

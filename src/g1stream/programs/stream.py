@@ -51,10 +51,15 @@ if TYPE_CHECKING:
     from g1stream.exact_replay.commands import RecordedCommands
     from g1stream.realtime import Grant
 
-__all__ = ["stream"]
+__all__ = ["for_wire", "stream"]
 
 _LOGGER = logging.getLogger(__name__)
 
+#: Age of the last LowState that stops in simulation, s. There, two programs and the physics share
+#: one machine, and silences above a robot's 0.1 s are common on two CPUs; nothing breaks meanwhile:
+#: the torque of the feed-forward fades out after 20 ms, and the position servo holds. Half of the
+#: 1 s after which Unitree's own programs stop.
+_STATE_TIMEOUT_OF_SIMULATOR: Final = 0.5
 #: How long other publishers are looked for before we become one ourselves, ns.
 _DISCOVERY: Final = 300_000_000
 #: How long the wire is listened to for a diagnosis when nothing answered, s.
@@ -112,9 +117,8 @@ def stream(
             _refuse_if_commanded(participant)
         link = RecordedLink(participant, recorded) if recorded else DdsLink(participant)
         events = DdsLogHandler(participant, "stream")
-        local = _with_safe_feedforward(config)
         loop = make_loop(
-            local,
+            for_wire(config),
             robot,
             trajectory,
             link,
@@ -211,17 +215,25 @@ def _refuse_if_commanded(participant: Participant) -> None:
     others = participant.writers(LOWCMD.name)
     if others:
         raise SafetyError(
-            f"There is another publisher on {LOWCMD.name}: {', '.join(map(str, others))}.",
+            f"There is another publisher on {LOWCMD.name}: "
+            f"{', '.join(map(participant.owner, others))}.",
             "Stop it, or pass --allow-second-writer to publish commands beside it.",
         )
 
 
-def _with_safe_feedforward(config: Config) -> Config:
-    """Unless asked for, no torque from the model is sent to another machine."""
-    if config.stream.feedforward or is_local_only(config.dds.interface):
-        return config
-    settings = config.stream.model_copy(update={"feedforward": "velocity"})
-    return config.model_copy(update={"stream": settings})
+def for_wire(config: Config) -> Config:
+    """A config whose unset values that depend on the wire are set.
+
+    On loopback there is a simulator, which may be silent for longer than a robot. Unless asked for,
+    no torque from the model is sent to another machine.
+    """
+    settings, safety = config.stream, config.safety
+    if is_local_only(config.dds.interface):
+        timeout = safety.state_timeout or _STATE_TIMEOUT_OF_SIMULATOR
+        safety = safety.model_copy(update={"state_timeout": timeout})
+    elif settings.feedforward is None:
+        settings = settings.model_copy(update={"feedforward": "velocity"})
+    return config.model_copy(update={"stream": settings, "safety": safety})
 
 
 def _diagnose(

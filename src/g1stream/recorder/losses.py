@@ -1,8 +1,10 @@
 """Counts samples that were published and did not arrive.
 
 A best-effort reader is not told by DDS what was lost on the way. So there are four sources: what
-the reader itself knows, the ticks that some messages carry, the publish time that a Reference
-shares with its LowCmd, and how many datagrams the kernel discarded because a buffer was full.
+the reader itself knows, the ticks with which our own programs number Reference and LowState, the
+publish time that a Reference shares with its LowCmd, and how many datagrams the kernel discarded
+because a buffer was full. The tick of another publisher's LowState proves nothing: that of
+unitree_mujoco's C++ bridge repeats and jumps while no sample is lost.
 """
 
 from __future__ import annotations
@@ -107,18 +109,20 @@ class Losses:
         """Count, after the last batch, the LowCmds that were still waited for."""
         self._commands.finish()
 
-    def update(self, lost_by_reader: Mapping[str, int]) -> dict[str, int]:
+    def update(self, lost_by_reader: Mapping[str, int], *, own_bridge: bool) -> dict[str, int]:
         """Combine all sources.
 
         Args:
             lost_by_reader: samples that the readers know to be lost so far, by topic name.
+            own_bridge: LowState comes from our own bridge, whose ticks number it.
 
         Returns:
             How many more are lost than at the last update, where any are.
         """
         more = {}
         for name, by_reader in lost_by_reader.items():
-            counters = self._ticks[name].values()
+            numbered = name != LOWSTATE.name or own_bridge
+            counters = self._ticks[name].values() if numbered else ()
             by_ticks = sum(c.missed or 0 for c in counters if c.received > _MIN_TICKS)
             by_reference = self._commands.count if name == LOWCMD.name else 0
             lost, before = max(by_reader, by_ticks, by_reference), self.lost.get(name, 0)

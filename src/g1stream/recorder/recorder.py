@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from g1stream.dds.topics import TOPICS
+from g1stream.dds.domain import support_announced
+from g1stream.dds.topics import LOWSTATE, TOPICS
 from g1stream.errors import RecordingError
 from g1stream.events import severity
 from g1stream.foxglove.encoders import encode_log
@@ -64,17 +65,20 @@ class Publishers(NamedTuple):
     Attributes:
         names: of the programs, as far as they announce them.
         hosts: that they are on, likewise.
+        support: that our own bridge announces; None from other publishers.
     """
 
     names: list[str]
     hosts: list[str]
+    support: str | None
 
     @classmethod
     def of(cls, participant: Participant, topic: str) -> Publishers:
         """The present publishers of a DDS topic."""
         writers = participant.writers(topic)
         hosts = {writer.host for writer in writers if writer.host}
-        return cls(sorted({str(writer) for writer in writers}), sorted(hosts))
+        names = {participant.owner(writer) for writer in writers}
+        return cls(sorted(names), sorted(hosts), support_announced(writers))
 
     @property
     def remote(self) -> bool:
@@ -205,7 +209,7 @@ class Recorder:
             )
 
     def _check_losses(self) -> None:
-        for name, number in self._losses.update(self._receiver.lost()).items():
+        for name, number in self._update_losses().items():
             _LOGGER.warning("%d samples of %s were lost", number, CHANNEL_OF.get(name, name))
         if time.monotonic() >= self._drops_due:
             self._drops_due = time.monotonic() + _DROPS_PERIOD
@@ -213,6 +217,12 @@ class Recorder:
             if more > 0:
                 self.report.dropped_datagrams += more
                 _LOGGER.warning("%d datagrams were dropped: the socket buffer was full", more)
+
+    def _update_losses(self) -> dict[str, int]:
+        """How many more samples are lost, by topic."""
+        states = self._publishers.get(LOWSTATE.name)
+        own_bridge = states is not None and states.support is not None
+        return self._losses.update(self._receiver.lost(), own_bridge=own_bridge)
 
     def _check_clock(self) -> None:
         if step := self._steps.observe(self._clocks()):
@@ -234,8 +244,10 @@ class Recorder:
         report = self.report
         report.counts = {topic: n for topic, n in sorted(self._writer.counts.items()) if n}
         report.absent = [t for t in CHANNEL_OF.values() if t not in report.counts]
+        for name in self._delays.keys() - self._publishers.keys():
+            self._publishers[name] = Publishers.of(self._participant, name)
         self._losses.finish()
-        self._losses.update(self._receiver.lost())
+        self._update_losses()
         report.lost = {
             CHANNEL_OF[name]: n for name, n in self._losses.lost.items() if name in CHANNEL_OF
         }
@@ -249,8 +261,7 @@ class Recorder:
         report.path = str(self._writer.path)
         report.paths = [str(path) for path in self._writer.paths]
         for name, delay in self._delays.items():
-            publishers = self._publishers.get(name) or Publishers.of(self._participant, name)
-            median = delay.median()
+            publishers, median = self._publishers[name], delay.median()
             report.delays[CHANNEL_OF[name]] = TopicDelay(
                 hosts=publishers.hosts,
                 median_ns=median,

@@ -258,8 +258,10 @@ class StreamSummary(_Record):
         states_used: LowStates that were the newest at a tick.
         states_received: all of them.
         states_lost: LowStates that did not arrive, by the ticks of those that did; None where the
-            publisher does not count.
+            publisher is not our own bridge, whose ticks number its LowStates.
         dds_lost: LowStates that DDS itself reports as lost.
+        tick_jumps: steps of LowState's tick that skipped at least one; of another publisher than
+            our bridge no more than a hint, because unitree_mujoco's ticks jump without a loss.
         states_malformed: samples on the topic that were no LowState.
         state_restarts: how often the ticks of LowState began anew.
         commands_dropped: LowCmds that could not be written at once.
@@ -285,6 +287,7 @@ class StreamSummary(_Record):
     states_received: Int | None = None
     states_lost: Int | None = None
     dds_lost: Int | None = None
+    tick_jumps: Int | None = None
     states_malformed: Int | None = None
     state_restarts: Int | None = None
     commands_dropped: Int | None = None

@@ -10,7 +10,7 @@ import numpy as np
 from g1stream.config import Config
 from g1stream.errors import ConfigError, RecordingError
 from g1stream.exact_replay.commands import recorded_commands
-from g1stream.programs.stream import for_wire, stream
+from g1stream.programs.stream import stream
 from g1stream.robot.model import G1
 from g1stream.session.motions import commanded_motion
 from g1stream.session.session import Session, open_session
@@ -70,7 +70,7 @@ def replay(
         session = open_session(session)
     recorded = None
     if exact:
-        recorded = recorded_commands(session, G1.load(config.robot), for_wire(config).safety, speed)
+        recorded = recorded_commands(session, G1.load(config.robot), config.safety, speed)
     motion = _motion(session, recorded, speed)
     return stream(
         motion,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -45,51 +46,29 @@ class JointStep:
 
 @dataclass(frozen=True)
 class RootTravel:
-    """Where the root goes.
+    """Where the root goes, m."""
 
-    Attributes:
-        path: m, length of its path over the ground.
-        displacement: m, from its start to its end over the ground.
-        lowest: m, its lowest height.
-        highest: m, its highest height.
-    """
-
-    path: float
-    displacement: float
+    path: float  # length of its path over the ground
+    displacement: float  # from its start to its end over the ground
     lowest: float
     highest: float
 
 
 @dataclass(frozen=True)
 class MotionReport:
-    """A motion's size and what it asks of the robot.
-
-    Attributes:
-        name: of the motion.
-        n_frames: how many frames it has.
-        fps: frames per second.
-        duration: s.
-        frames_beyond: joints beyond a position limit in the frames, furthest first.
-        fastest: the highest joint velocity at the frames, by central differences as most tools
-            compute it.
-        streamed: what the spline through the frames asks of the joints when it is streamed.
-        largest_step: between two neighbouring frames.
-        root: where the root goes.
-        groups: lowest and highest angle by limb, rad.
-        warnings: of the reader, as the motion has them.
-    """
+    """A motion's size and what it asks of the robot."""
 
     name: str
     n_frames: int
     fps: float
-    duration: float
-    frames_beyond: tuple[JointPeak, ...]
-    fastest: JointPeak
-    streamed: LimitReport
+    duration: float  # s
+    frames_beyond: tuple[JointPeak, ...]  # beyond a position limit in the frames, furthest first
+    fastest: JointPeak  # at the frames, by central differences as most tools compute it
+    streamed: LimitReport  # of the spline through the frames
     largest_step: JointStep
     root: RootTravel
-    groups: dict[str, tuple[float, float]]
-    warnings: tuple[str, ...]
+    groups: dict[str, tuple[float, float]]  # lowest and highest angle by limb, rad
+    warnings: tuple[str, ...]  # of the reader
 
     @property
     def within_limits(self) -> bool:
@@ -102,35 +81,22 @@ class MotionReport:
 
 @dataclass(frozen=True)
 class FileReport:
-    """What is in a motion file or a session file.
+    """What is in a motion file, or in a session, of which only `motion` is known.
 
-    Attributes:
-        path: of the file.
-        kind: a table of numbers; or a session, of which only `motion` and `fault` are known.
-        n_rows: lines below the header.
-        n_columns: columns of the first line.
-        has_header: whether the first line names them; 36 columns without a header are LAFAN1's.
-        mapped: the column, counted from 1, of each joint of the robot, in the order of the file.
-        not_in_robot: joints of the file that the robot does not have.
-        not_in_file: joints of the robot that the file does not have.
-        quat_norms: lowest and highest norm of the root's quaternions in the file; None where it has
-            no readable ones.
-        motion: None where the file is not a motion of this robot.
-        fault: why it is not, in a sentence; empty where it is.
-        remedy: what to do about the fault, in a sentence.
+    Columns are counted from 1, in the order of the file.
     """
 
     path: Path
     kind: Literal["table", "session"] = "table"
-    n_rows: int = 0
-    n_columns: int = 0
+    n_rows: int = 0  # below the header
+    n_columns: int = 0  # of the first line
     has_header: bool = False
-    mapped: dict[str, int] = field(default_factory=dict)
-    not_in_robot: tuple[str, ...] = ()
+    mapped: dict[str, int] = field(default_factory=dict)  # joint of the robot -> column
+    not_in_robot: tuple[str, ...] = ()  # columns
     not_in_file: tuple[str, ...] = ()
-    quat_norms: tuple[float, float] | None = None
-    motion: MotionReport | None = None
-    fault: str = ""
+    quat_norms: tuple[float, float] | None = None  # lowest and highest; None: not readable
+    motion: MotionReport | None = None  # None: the file is not a motion
+    fault: str = ""  # why it is not, in a sentence
     remedy: str = ""
 
     @property
@@ -143,11 +109,6 @@ def check_file(
     path_or_name: str | os.PathLike[str], robot: G1, *, fps: float | None = None
 ) -> FileReport:
     """Check a motion file, or a bundled motion by its name.
-
-    Args:
-        path_or_name: which file.
-        robot: whose joints and limits.
-        fps: frames per second of the file; the format's default if None.
 
     Raises:
         MotionError: no report is possible: there is no such file, it cannot be read, is empty or is
@@ -184,8 +145,8 @@ def check_motion(
     """Measure a motion against the robot's limits.
 
     Args:
-        motion: which.
-        robot: whose limits.
+        motion: its frames.
+        robot: has the limits.
         rate: joint targets per second when it is streamed, Hz.
         position_margin: rad, kept from position limits when it is streamed.
     """
@@ -223,11 +184,10 @@ def _root_travel(root_pos: Floats) -> RootTravel:
 
 
 def _norms(file: CsvFile) -> tuple[float, float] | None:
-    try:
-        quat = file.quat_xyzw
-    except MotionError:  # a fault of the table, which the report has already
-        return None
-    return None if quat is None else _range(np.linalg.norm(quat, axis=1))
+    with suppress(MotionError):  # a fault of the table, which the report has already
+        if (quat := file.quat_xyzw) is not None:
+            return _range(np.linalg.norm(quat, axis=1))
+    return None
 
 
 def _range(values: Floats) -> tuple[float, float]:

@@ -37,11 +37,8 @@ POSITION_TOLERANCE: Final = 1e-6
 """An angle this far beyond a position limit still counts as at the limit, rad.
 
 The only threshold, for frames, for the spline and for the targets that the safety envelope counts
-as held. Motion files have six decimals, so that a joint at a limit such as 1.614429558 rad is
-written up to 5e-7 rad beyond it, and the spline through such frames differs by a rounding error
-more. Anything larger is reported: a wider tolerance would leave out joint targets that the stream
-holds and counts, and report and summary would disagree. How far a target is beyond its limit stands
-in the report, so that a reader can tell an overshoot of 0.01 rad from a fault of the motion.
+as held: with a wider one, report and summary would disagree. Motion files have six decimals, so
+that a joint at a limit such as 1.614429558 rad is written up to 5e-7 rad beyond it.
 """
 
 #: Targets sampled at once, so that a long motion takes no more memory than a short one.
@@ -52,19 +49,12 @@ _NAMED: Final = 3
 
 @dataclass(frozen=True)
 class Interval:
-    """The part of a motion to be played.
+    """The part of a motion to be played."""
 
-    Attributes:
-        start: where in the motion it begins, s.
-        length: how long it is, s; None: without end.
-        motion: duration of the whole motion, s.
-        loop: whether the motion repeats.
-    """
-
-    start: float
-    length: float | None
-    motion: float
-    loop: bool = False
+    start: float  # where in the motion it begins, s
+    length: float | None  # s; None: without end
+    motion: float  # duration of the whole motion, s
+    loop: bool = False  # the motion repeats
 
     @classmethod
     def from_config(cls, settings: StreamConfig, motion: Motion) -> Interval:
@@ -88,52 +78,32 @@ class Interval:
 
 @dataclass(frozen=True)
 class JointPeak:
-    """Where a joint's position or speed is furthest beyond a limit, or closest to it.
-
-    Attributes:
-        joint: its name.
-        time: s from frame 0.
-        value: position, rad, or speed in either direction, rad/s.
-        limit: the limit that it is beyond or closest to, of the same unit.
-        count: how many frames or streamed targets are beyond a limit.
-    """
+    """Where a joint's position or speed is furthest beyond a limit, or closest to it."""
 
     joint: str
-    time: float
-    value: float
-    limit: float
-    count: int
+    time: float  # s from frame 0
+    value: float  # position, rad, or speed in either direction, rad/s
+    limit: float  # the one that it is beyond or closest to
+    count: int  # frames or streamed targets beyond a limit
 
 
 @dataclass(frozen=True)
 class LimitReport:
-    """What a streamed motion asks of the joints.
-
-    Attributes:
-        motion: its name.
-        duration: s, from frame 0 to the last frame.
-        rate: joint targets per second, Hz.
-        position_margin: rad, by which position limits are narrowed.
-        speeds: the highest speed of each joint, largest share of its limit first.
-        held: the joints with targets beyond a position limit, furthest first; the stream holds them
-            at the limit.
-    """
+    """What a streamed motion asks of the joints."""
 
     motion: str
-    duration: float
-    rate: float
-    position_margin: float
-    speeds: tuple[JointPeak, ...]
-    held: tuple[JointPeak, ...]
+    duration: float  # s, from frame 0 to the last frame
+    rate: float  # joint targets per second, Hz
+    position_margin: float  # rad, by which position limits are narrowed
+    speeds: tuple[JointPeak, ...]  # the highest of each joint, largest share of its limit first
+    held: tuple[JointPeak, ...]  # joints with targets held at a position limit, furthest first
 
     @property
     def too_fast(self) -> tuple[JointPeak, ...]:
-        """Joints asked to move faster than their limit, the worst first."""
         return tuple(speed for speed in self.speeds if speed.count)
 
     @property
     def n_held(self) -> int:
-        """How many joint targets are held at a limit."""
         return sum(joint.count for joint in self.held)
 
     @property
@@ -213,7 +183,7 @@ def frame_peaks(motion: Motion, robot: G1) -> tuple[tuple[JointPeak, ...], Joint
 
 
 class _Peaks:
-    """Accumulates the peak of each joint between a lower and an upper limit."""
+    """Accumulates the peak of each joint, from values (N, J) at times (N,)."""
 
     def __init__(self, robot: G1, lower: Floats, upper: Floats) -> None:
         self._names, self._lower, self._upper = robot.joint_names, lower, upper
@@ -222,30 +192,21 @@ class _Peaks:
         self._count = np.zeros(len(lower), dtype=np.int64)
 
     def update(self, times: Floats, values: Floats) -> None:
-        """Take in values (N, J) at times (N,)."""
         excess = np.maximum(self._lower - values, values - self._upper)
         self._count += (excess > POSITION_TOLERANCE).sum(axis=0)
         row, joint = excess.argmax(axis=0), np.arange(len(self._names))
         higher = excess[row, joint] > self._excess
-        for peak, found in (
-            (self._excess, excess[row, joint]),
-            (self._time, times[row]),
-            (self._value, values[row, joint]),
-        ):
-            peak[higher] = found[higher]
+        self._excess[higher] = excess[row, joint][higher]
+        self._time[higher] = times[row][higher]
+        self._value[higher] = values[row, joint][higher]
 
     def all(self) -> list[JointPeak]:
         """The peak of each joint, furthest beyond its limit first."""
         middle = (self._lower + self._upper) / 2
         limit = np.where(self._value < middle, self._lower, self._upper)
+        columns = (self._time, self._value, limit, self._count)
         return [
-            JointPeak(
-                self._names[j],
-                float(self._time[j]),
-                float(self._value[j]),
-                float(limit[j]),
-                int(self._count[j]),
-            )
+            JointPeak(self._names[j], *(column[j].item() for column in columns))
             for j in np.argsort(-self._excess, kind="stable")
         ]
 

@@ -152,17 +152,8 @@ class Trajectory:
         rotation = _rotation_state(self._quats[k].T, *np.moveaxis(value[..., -3:], -1, 1))
         return self._point(value, *(np.stack(part, axis=-1) for part in rotation))
 
-    def _point(
-        self,
-        value: Floats,
-        quat: Floats,
-        ang_vel: Floats,
-        ang_acc: Floats,
-    ) -> TrajectoryPoint:
-        joints, root = value[..., :N_JOINTS], value[..., N_JOINTS:-3]
-        return TrajectoryPoint(
-            joints[0], joints[1], joints[2], root[0], root[1], root[2], quat, ang_vel, ang_acc
-        )
+    def _point(self, value: Floats, *rotation: Floats) -> TrajectoryPoint:
+        return TrajectoryPoint(*value[..., :N_JOINTS], *value[..., N_JOINTS:-3], *rotation)
 
 
 def resample(

@@ -8,9 +8,10 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from g1stream.dds.layout import members
-from g1stream.dds.topics import REFERENCE, SPORTMODESTATE
+from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE, SECONDARY_IMU, SPORTMODESTATE
 from g1stream.errors import RecordingError
 from g1stream.session.session import LogEvent, open_session
+from g1stream.session.streams import STREAMS
 from g1stream.session.writer import SessionWriter
 
 T0 = 1_700_000_000_000_000_000
@@ -57,24 +58,42 @@ def test_the_reference_is_what_cyclonedds_serialised(make_sample, write_session)
         np.testing.assert_array_equal(getattr(reference, name), [getattr(s, name) for s in sent])
 
 
-def test_the_base_is_there_where_somebody_knew_it(cdr, make_sample, write_session):
-    sent = [make_sample(SPORTMODESTATE) for _ in range(3)]
-    session = open_session(
-        write_session(
-            ("/lowstate", cdr["/lowstate"]), ("/sportmodestate", [s.serialize() for s in sent])
-        )
-    )
-    np.testing.assert_array_equal(session.base.position, [s.position for s in sent])
-    np.testing.assert_array_equal(session.base.velocity, [s.velocity for s in sent])
-    without = write_session(("/lowstate", cdr["/lowstate"]), name="robot.mcap")
-    assert open_session(without).base is None
+@pytest.mark.parametrize(
+    ("source", "attribute", "fields"),
+    [
+        (SPORTMODESTATE, "base", {"position": "position", "velocity": "velocity"}),
+        (
+            SECONDARY_IMU,
+            "torso_imu",
+            {
+                "imu_quat_wxyz": "quaternion",
+                "gyroscope": "gyroscope",
+                "accelerometer": "accelerometer",
+            },
+        ),
+    ],
+)
+def test_topics_that_not_every_robot_publishes(
+    cdr, make_sample, on_the_wire, write_session, source, attribute, fields
+):
+    sent = [make_sample(source) for _ in range(3)]
+    topic = source.name.removeprefix("rt")
+    states = ("/lowstate", cdr["/lowstate"])
+    path = write_session(states, (topic, [on_the_wire(s) for s in sent]))
+    stream = getattr(open_session(path), attribute)
+    for name, field in fields.items():
+        np.testing.assert_array_equal(getattr(stream, name), [getattr(s, field) for s in sent])
+    assert getattr(open_session(write_session(states, name="without.mcap")), attribute) is None
 
 
 def test_the_two_clocks_are_kept_apart(cdr, write_session):
-    measured = open_session(write_session(("/lowstate", cdr["/lowstate"]))).measured
+    session = open_session(write_session(("/lowstate", cdr["/lowstate"])))
     publish_times = T0 + STEP * np.arange(6)
-    np.testing.assert_array_equal(measured.publish_time, publish_times)
-    np.testing.assert_array_equal(measured.log_time, publish_times + DELAY)
+    np.testing.assert_array_equal(session.measured.publish_time, publish_times)
+    np.testing.assert_array_equal(session.measured.log_time, publish_times + DELAY)
+    messages = list(session.messages("/lowstate"))
+    assert [message.publish_time for message in messages] == publish_times.tolist()
+    assert all(message.log_time - message.publish_time == DELAY for message in messages)
 
 
 def test_what_surrounds_the_samples(cdr, write_session):
@@ -167,8 +186,9 @@ def test_whatever_byte_is_wrong_there_is_no_traceback(cdr, write_session, tmp_pa
 
 def test_a_missing_topic_is_named_with_those_there_are(cdr, write_session):
     session = open_session(write_session(("/lowcmd", cdr["/lowcmd"])))
-    with pytest.raises(RecordingError, match=r"/lowstate.*/log, /lowcmd"):
-        _ = session.measured
+    for read in (lambda: session.measured, lambda: next(session.replay_bytes("/lowstate"))):
+        with pytest.raises(RecordingError, match=r"/lowstate.*/log, /lowcmd"):
+            read()
 
 
 def test_samples_of_another_layout_are_refused(cdr, write_session):
@@ -238,3 +258,52 @@ def test_the_repr_has_path_and_counts(cdr, write_session):
     path = write_session(("/lowcmd", cdr["/lowcmd"]))
     assert repr(open_session(path)).startswith(f"<Session {str(path)!r}: ")
     assert f"/lowcmd {len(cdr['/lowcmd'])}" in repr(open_session(path))
+
+
+# --- bit for bit ---
+
+TOPICS = {
+    "/lowcmd": LOWCMD,
+    "/lowstate": LOWSTATE,
+    "/reference": REFERENCE,
+    "/sportmodestate": SPORTMODESTATE,
+    "/secondary_imu": SECONDARY_IMU,
+}
+
+
+@pytest.fixture
+def sent(make_sample, on_the_wire):
+    return {
+        name: [on_the_wire(make_sample(topic)) for _ in range(17)] for name, topic in TOPICS.items()
+    }
+
+
+def test_the_bytes_come_back(sent, write_session):
+    session = open_session(write_session(*sent.items()))
+    for topic, samples in sent.items():
+        assert list(session.replay_bytes(topic)) == samples
+    assert list(session.replay_bytes()) == sent["/lowcmd"]
+
+
+def test_every_topic_has_its_times(sent, write_session):
+    times = open_session(write_session(*sent.items())).times
+    assert list(times) == sorted([*TOPICS, "/log"])
+    for topic in TOPICS:
+        np.testing.assert_array_equal(times[topic].publish_time, T0 + STEP * np.arange(17))
+        np.testing.assert_array_equal(times[topic].log_time, times[topic].publish_time + DELAY)
+
+
+def test_a_stream_is_read_once_and_alone(sent, write_session):
+    path = write_session(*sent.items())
+    session = open_session(path)
+    q = session.measured.q
+    path.unlink()
+    assert session.measured.q is q
+    assert session.measured.dq.shape == (17, 29)
+    with pytest.raises(RecordingError, match="cannot be read"):
+        _ = session.command.q
+
+
+def test_every_dds_topic_of_a_session_has_a_stream():
+    assert STREAMS.keys() == TOPICS.keys()
+    assert {topic: kind.source for topic, kind in STREAMS.items()} == TOPICS

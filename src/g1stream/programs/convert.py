@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from difflib import get_close_matches
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from g1stream._version import __version__
-from g1stream.errors import ConfigError, MotionError, RecordingError, RobotError
+from g1stream.errors import ConfigError, MotionError, RecordingError
 from g1stream.files import complete_file
 from g1stream.foxglove.encoders import WORLD_FRAME, JointStatesTemplate, TransformsEncoder
 from g1stream.foxglove.scene import encode_robot_description, encode_scene
@@ -41,8 +41,6 @@ _TF, _JOINTS, _SCENE, _DESCRIPTION = (
 _RESAMPLED_FIELDS: Final = ("position", "velocity", "acceleration")
 #: Position and quaternion, wxyz.
 _WORLD_ORIGIN: Final = (np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
-#: Link names that an error about an unknown one lists; a robot has dozens.
-_N_SIMILAR: Final = 5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,17 +95,13 @@ class ConvertReport:
     rate: float
     start_ns: int
     end_ns: int
-    counts: dict[str, int] = field(default_factory=dict)
-    warnings: tuple[str, ...] = ()
+    counts: dict[str, int]
+    warnings: tuple[str, ...]
 
     def as_dict(self) -> dict[str, Any]:
         """The report as JSON values."""
-        return {
-            **vars(self),
-            "path": str(self.path),
-            "duration_s": (self.end_ns - self.start_ns) / 1e9,
-            "warnings": list(self.warnings),
-        }
+        duration = (self.end_ns - self.start_ns) / 1e9
+        return {**vars(self), "path": str(self.path), "duration_s": duration}
 
 
 def convert(
@@ -137,7 +131,6 @@ def convert(
     """
     options = options or Conversion()
     robot = robot or G1.default()
-    _check_link(options.root_link, robot)
     motion = _load(motion, robot, fps)
     start, stop = _frame_range(motion, options.frames)
     first, last = frame_timestamps(options.base_time_ns, (start, stop - 1), motion.fps).tolist()
@@ -161,6 +154,12 @@ def convert(
             writer.write_batch(_JOINTS, joint_states.encode(times, joint_pos, *rates), times, times)
             writer.flush()
             on_progress((int(times[-1]) - first) / max(1, last - first))
+    warnings = motion.warnings
+    if missing := missing_meshes(robot):
+        warnings += (
+            f"{robot.source}: {len(missing)} meshes were not found, such as {missing[0]}; the "
+            "scene has only their names.",
+        )
     return ConvertReport(
         path=out,
         size=out.stat().st_size,
@@ -170,7 +169,7 @@ def convert(
         start_ns=first,
         end_ns=last,
         counts=writer.counts,
-        warnings=(*motion.warnings, *_mesh_warnings(robot)),
+        warnings=warnings,
     )
 
 
@@ -178,19 +177,6 @@ def _load(motion: Motion | str | Path, robot: G1, fps: float | None) -> Motion:
     if isinstance(motion, str | Path):
         return load_motion(motion, fps=fps)
     return motion if fps is None else replace(motion, fps=fps)
-
-
-def _check_link(name: str | None, robot: G1) -> None:
-    links = robot.link_names
-    if name is None or name in links:
-        return
-    similar = [link for link in links if name and name in link] or get_close_matches(
-        name, links, n=_N_SIMILAR, cutoff=0.0
-    )
-    raise RobotError(
-        f"The robot {robot.name!r} has no link {name!r}.",
-        f"Choose one of its {len(links)} links, such as {', '.join(similar[:_N_SIMILAR])}.",
-    )
 
 
 def _frame_range(motion: Motion, frames: tuple[int | None, int | None]) -> tuple[int, int]:
@@ -206,18 +192,12 @@ def _frame_range(motion: Motion, frames: tuple[int | None, int | None]) -> tuple
 
 def _check_not_a_source(out: Path, motion: Motion, robot: G1) -> None:
     for source in (motion.source, Path(robot.source)):
-        if source and _is_same(out, source):
-            raise RecordingError(
-                f"The output path {out} is the input file.",
-                "Choose another output path, such as motion.mcap.",
-            )
-
-
-def _is_same(path: Path, other: Path) -> bool:
-    try:
-        return path.samefile(other)
-    except OSError:  # one of them does not exist, or cannot be accessed
-        return False
+        with suppress(OSError):  # one of them does not exist, or cannot be accessed
+            if source and out.samefile(source):
+                raise RecordingError(
+                    f"The output path {out} is the input file.",
+                    "Choose another output path, such as motion.mcap.",
+                )
 
 
 def _poses(motion: Motion, options: Conversion, start: int, stop: int) -> Iterator[tuple[Any, ...]]:
@@ -288,13 +268,3 @@ def _metadata(motion: Motion, robot: G1, options: Conversion) -> dict[str, Any]:
         "robot": robot.name,
         "conversion": how,
     }
-
-
-def _mesh_warnings(robot: G1) -> tuple[str, ...]:
-    missing = missing_meshes(robot)
-    if not missing:
-        return ()
-    return (
-        f"{robot.source}: {len(missing)} meshes were not found, such as {missing[0]}; the scene "
-        "has only their names.",
-    )

@@ -19,7 +19,6 @@ __all__ = ["ClockReading", "DelayEstimator", "StepDetector", "read_clocks"]
 
 _SECOND: Final = 1_000_000_000
 _MIN_STEP: Final = 2_000_000
-_READINGS: Final = 5
 
 
 class ClockReading(NamedTuple):
@@ -31,15 +30,9 @@ class ClockReading(NamedTuple):
 
 def read_clocks() -> ClockReading:
     """Read both clocks at nearly the same instant: the closest of several readings."""
-    best = _SECOND
-    reading = ClockReading(0, 0)
-    for _ in range(_READINGS):
-        before = time.monotonic_ns()
-        realtime = time.time_ns()
-        after = time.monotonic_ns()
-        if after - before < best:
-            best, reading = after - before, ClockReading(realtime, (before + after) // 2)
-    return reading
+    readings = [(time.monotonic_ns(), time.time_ns(), time.monotonic_ns()) for _ in range(5)]
+    before, realtime, after = min(readings, key=lambda one: one[2] - one[0])
+    return ClockReading(realtime, (before + after) // 2)
 
 
 @dataclass

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import threading
 import time
+from collections import Counter
 from typing import TYPE_CHECKING, Any, Final
 
 from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState, WaitSet
@@ -27,6 +28,8 @@ _WAIT_NS: Final = 20_000_000
 #: How long the writing thread may delay the receiving one, s. With CPython's default of 5 ms many a
 #: log time would be late by that much.
 _SWITCH_INTERVAL: Final = 1e-4
+#: Samples of a topic that may wait while this process is not scheduled.
+_DEPTH: Final = 4096
 
 
 class Receiver:
@@ -35,17 +38,13 @@ class Receiver:
     Args:
         participant: in the domain.
         topics: what to receive.
-        depth: samples of a topic that may wait while this process is not scheduled.
     """
 
-    def __init__(
-        self, participant: Participant, topics: Sequence[Topic], depth: int = 4096
-    ) -> None:
-        self._depth = depth
+    def __init__(self, participant: Participant, topics: Sequence[Topic]) -> None:
         self._readers = [
-            RawReader(participant, topic, depth, user_data=OBSERVER) for topic in topics
+            RawReader(participant, topic, _DEPTH, user_data=OBSERVER) for topic in topics
         ]
-        self._overflows = dict.fromkeys((topic.name for topic in topics), 0)
+        self._overflows: Counter[str] = Counter()
         self._batches = {topic.name: Batch() for topic in topics}
         self._lock = threading.Lock()
         self._stop = threading.Event()
@@ -114,11 +113,11 @@ class Receiver:
 
     def _take(self) -> None:
         for reader in self._readers:
-            samples = reader.take(self._depth)
+            samples = reader.take(_DEPTH)
             if not samples:
                 continue
             now = time.time_ns()
-            if len(samples) >= self._depth:
+            if len(samples) >= _DEPTH:
                 self._overflows[reader.topic.name] += 1
             with self._lock:
                 batch = self._batches[reader.topic.name]

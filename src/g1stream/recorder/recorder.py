@@ -5,8 +5,10 @@ from __future__ import annotations
 import logging
 import socket
 import time
-from collections import defaultdict, deque
+from collections import defaultdict
 from contextlib import suppress
+from logging.handlers import QueueHandler
+from queue import SimpleQueue
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -39,24 +41,8 @@ _LOGGER = logging.getLogger(__name__)
 _MAX_DELAY_NS: Final = 20_000_000
 #: Between two readings of the kernel's count of discarded datagrams, s.
 _DROPS_PERIOD: Final = 1.0
-
-
-class _EventBuffer(logging.Handler):
-    """Keeps the recorder's own log records until they are written into the file.
-
-    They may be logged in any thread; only the recorder's writes the file.
-    """
-
-    def __init__(self) -> None:
-        super().__init__(logging.INFO)
-        self._records: deque[logging.LogRecord] = deque()
-
-    def emit(self, record: logging.LogRecord) -> None:
-        self._records.append(record)
-
-    def pop_events(self) -> list[logging.LogRecord]:
-        """The records since the last call, oldest first."""
-        return [self._records.popleft() for _ in range(len(self._records))]
+#: How long to go on after the end, for samples still in transit, s.
+_LINGER: Final = 0.3
 
 
 class Publishers(NamedTuple):
@@ -115,7 +101,8 @@ class Recorder:
         self._clocks = clocks
         self._receiver = Receiver(participant, TOPICS)
         self._pipeline = pipeline
-        self._events = _EventBuffer()
+        # Events may be logged in any thread; only this one's writes the file.
+        self._events: SimpleQueue[logging.LogRecord] = SimpleQueue()
         self._losses = Losses()
         self._steps = StepDetector()
         self._delays: dict[str, DelayEstimator] = defaultdict(DelayEstimator)
@@ -130,7 +117,6 @@ class Recorder:
     def run(
         self,
         should_stop: Callable[[], bool],
-        linger: float = 0.3,
         on_started: Callable[[], None] = lambda: None,
     ) -> RecorderSummary:
         """Record until told to stop, or until nothing can be received or written any more.
@@ -139,18 +125,19 @@ class Recorder:
 
         Args:
             should_stop: asked at every batch.
-            linger: how long to go on afterwards, for samples still in transit, s.
             on_started: called when samples are being received; may take its time, or raise.
         """
         room = logging.getLogger("g1stream.recorder")
-        room.addHandler(self._events)
+        handler = QueueHandler(self._events)
+        handler.setLevel(logging.INFO)
+        room.addHandler(handler)
         self._receiver.start()
         try:
             on_started()
             while not should_stop():
                 time.sleep(self._batch_s)
                 self._write_batches()
-            time.sleep(linger)
+            time.sleep(_LINGER)
             # Twice: a receiver that failed says so once all its samples have been drained.
             for _ in range(2):
                 self._write_batches()
@@ -162,7 +149,7 @@ class Recorder:
                 self._write_events()
         finally:
             self._receiver.stop()
-            room.removeHandler(self._events)
+            room.removeHandler(handler)
         self._fill_report()
         return self.report
 
@@ -187,7 +174,8 @@ class Recorder:
         self._writer.flush_if_due(time.time_ns() + round(self._batch_s * 1e9))
 
     def _write_events(self) -> None:
-        for record in self._events.pop_events():
+        while not self._events.empty():
+            record = self._events.get()
             logged = int(record.created * 1e9)
             line = encode_log(logged, severity(record), "record", record.getMessage())
             self._writer.write("/log", line, time.time_ns(), logged)

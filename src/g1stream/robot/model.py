@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from difflib import get_close_matches
 from functools import cache, cached_property
 from importlib import resources
 from pathlib import Path
@@ -148,9 +149,13 @@ class G1:
             RobotError: there is no link of this name.
         """
         if name not in self.link_names:
+            similar = [link for link in self.link_names if name in link] or get_close_matches(
+                name, self.link_names, n=5, cutoff=0.0
+            )
             raise RobotError(
                 f"The robot {self.name!r} has no link {name!r}.",
-                f"Its links are {', '.join(self.link_names)}.",
+                f"Choose one of its {len(self.link_names)} links, such as "
+                f"{', '.join(similar[:5])}.",
             )
         return self.link_names.index(name)
 

@@ -15,8 +15,6 @@ Alternatives:
 
 from __future__ import annotations
 
-from collections import Counter
-from dataclasses import dataclass
 from functools import lru_cache
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Final
@@ -33,22 +31,8 @@ if TYPE_CHECKING:
 
 __all__ = ["numbers", "parse_urdf", "read_kinematics"]
 
-_USE_29_JOINTS: Final = "Use the URDF of a G1 with 29 joints, such as g1_29dof_rev_1_0.urdf."
-_MAKE_ONE_TREE: Final = "Connect all links to one root link, each by one joint to its parent."
 _LIMITS: Final = ("lower", "upper", "velocity", "effort")
 _AXIS_TOLERANCE: Final = 1e-3  # more than rounding to four digits
-
-
-@dataclass(frozen=True)
-class _Joint:
-    name: str
-    type: str
-    parent: str | None
-    child: str | None
-    xyz: list[float]
-    rpy: list[float]
-    axis: list[float]
-    limits: list[float]  # those that are given, in the order of _LIMITS
 
 
 @lru_cache(maxsize=4)
@@ -106,25 +90,24 @@ def read_kinematics(root: ET.Element, source: str) -> dict[str, Any]:
     Raises:
         RobotError: the links are not one tree, or the joints are not a G1's.
     """
-    links = [_name(element, source) for element in root.findall("link")]
-    joints = [_read_joint(element, source) for element in root.findall("joint")]
-    _check_names(links, joints, source)
-    by_name = {joint.name: joint for joint in joints}
-    _check_joints(by_name, source)
-    link_names, joint_above = _sort_links(links, joints, source)
-
+    joints = {joint.get("name", ""): joint for joint in root.findall("joint")}
+    _check_joints(joints, source)
+    link_names, joint_above = _sort_links(root, source)
     n_links = len(link_names)
     parent, joint_of_link = np.full(n_links, -1), np.full(n_links, -1)
     xyz, rpy, axis = np.zeros((3, n_links, 3))
-    for link, name in enumerate(link_names[1:], start=1):
-        joint = joint_above[name]
-        parent[link] = link_names.index(str(joint.parent))
-        xyz[link], rpy[link] = joint.xyz, joint.rpy
-        if joint.name in JOINT_NAMES:
-            joint_of_link[link] = JOINT_NAMES.index(joint.name)
-            axis[link] = _unit_axis(joint, source)
-    limits = np.array([_check_limits(by_name[name], source) for name in JOINT_NAMES])
-    lower, upper, velocity, effort = limits.T.copy()
+    for link, link_name in enumerate(link_names[1:], start=1):
+        joint = joint_above[link_name]
+        name = joint.get("name", "")
+        where = f"{source}: the joint {name!r}"
+        parent[link] = link_names.index(_end(joint, "parent"))
+        xyz[link] = numbers(joint.find("origin"), "xyz", 3, where, "0 0 0")
+        rpy[link] = numbers(joint.find("origin"), "rpy", 3, where, "0 0 0")
+        if name in JOINT_NAMES:
+            joint_of_link[link] = JOINT_NAMES.index(name)
+            axis[link] = _unit_axis(joint, where)
+    limits = [_limits(joints[name], f"{source}: the joint {name!r}") for name in JOINT_NAMES]
+    lower, upper, velocity, effort = np.transpose(limits).copy()
     return {
         "name": root.get("name", ""),
         "link_names": link_names,
@@ -139,141 +122,76 @@ def read_kinematics(root: ET.Element, source: str) -> dict[str, Any]:
         "velocity": velocity,
         "effort": effort,
         "ignored_joints": tuple(
-            joint.name
-            for joint in joints
-            if joint.type != "fixed" and joint.name not in JOINT_NAMES
+            name
+            for name, joint in joints.items()
+            if joint.get("type") != "fixed" and name not in JOINT_NAMES
         ),
     }
 
 
-def _name(element: ET.Element, source: str) -> str:
-    name = element.get("name")
-    if name is None:
-        raise RobotError(f"{source} has a {element.tag} without a name.", "Name it.")
-    return name
-
-
-def _read_joint(element: ET.Element, source: str) -> _Joint:
-    name = _name(element, source)
-    where = f"{source}: the joint {name!r}"
-    ends = []
-    for tag in ("parent", "child"):
-        end = element.find(tag)
-        if end is None:
-            raise RobotError(f"{where} has no <{tag}>.", _MAKE_ONE_TREE)
-        ends.append(end.get("link"))
-    origin, axis, limit = (element.find(tag) for tag in ("origin", "axis", "limit"))
-    return _Joint(
-        name=name,
-        type=element.get("type", ""),
-        parent=ends[0],
-        child=ends[1],
-        xyz=numbers(origin, "xyz", 3, where, "0 0 0"),
-        rpy=numbers(origin, "rpy", 3, where, "0 0 0"),
-        axis=numbers(axis, "xyz", 3, where, "1 0 0"),
-        limits=[
-            numbers(limit, key, 1, where)[0]
-            for key in _LIMITS
-            if limit is not None and key in limit.attrib
-        ],
-    )
-
-
-def _check_names(links: list[str], joints: list[_Joint], source: str) -> None:
-    """Names are unique, and joints connect links that exist."""
-    for kind, names in (("link", links), ("joint", [joint.name for joint in joints])):
-        for name, count in Counter(names).items():
-            if count > 1:
-                raise RobotError(
-                    f"{source} has {count} {kind}s named {name!r}.", f"Give each {kind} one name."
-                )
-    for joint in joints:
-        for link in (joint.parent, joint.child):
-            if link not in links:
-                raise RobotError(
-                    f"{source}: the joint {joint.name!r} names a link {link!r} that does not "
-                    "exist.",
-                    "Correct the link's name, or add the link.",
-                )
-
-
-def _check_joints(joints: Mapping[str, _Joint], source: str) -> None:
+def _check_joints(joints: Mapping[str, ET.Element], source: str) -> None:
     """The 29 joints exist and turn; all others stay where they are at zero."""
-    missing = [n for n in JOINT_NAMES if n not in joints or joints[n].type == "fixed"]
+    types = {name: joint.get("type") for name, joint in joints.items()}
+    missing = [name for name in JOINT_NAMES if types.get(name) != "revolute"]
     if missing:
         raise RobotError(
-            f"{source} lacks {len(missing)} of the G1's {len(JOINT_NAMES)} moving joints: "
+            f"{source} lacks {len(missing)} of the G1's {len(JOINT_NAMES)} revolute joints: "
             f"{', '.join(missing)}.",
-            _USE_29_JOINTS,
+            "Use the URDF of a G1 with 29 joints, such as g1_29dof_rev_1_0.urdf.",
         )
-    for name, joint in joints.items():
-        if name in JOINT_NAMES and joint.type != "revolute":
+    for name, kind in types.items():
+        if kind in ("floating", "planar"):
             raise RobotError(
-                f"{source}: the joint {name!r} is of type {joint.type!r}, not 'revolute'.",
-                _USE_29_JOINTS,
-            )
-        if joint.type in ("floating", "planar"):
-            raise RobotError(
-                f"{source}: the joint {name!r} is {joint.type}.",
+                f"{source}: the joint {name!r} is {kind}.",
                 "Remove it and the link above it: the root link moves freely without it.",
             )
 
 
-def _sort_links(
-    links: list[str], joints: list[_Joint], source: str
-) -> tuple[tuple[str, ...], dict[str | None, _Joint]]:
-    """The links, depth first in the file's order, and the joint above each but the root."""
-    joint_above: dict[str | None, _Joint] = {}
-    for joint in joints:
-        if other := joint_above.get(joint.child):
-            raise RobotError(
-                f"{source}: the link {joint.child!r} has two parents, through the joints "
-                f"{other.name!r} and {joint.name!r}.",
-                _MAKE_ONE_TREE,
-            )
-        joint_above[joint.child] = joint
+def _end(joint: ET.Element, tag: str) -> str:
+    """The parent or child link of a joint."""
+    end = joint.find(tag)
+    return "" if end is None else end.get("link", "")
 
-    roots = [link for link in links if link not in joint_above]
-    if len(roots) != 1:
-        raise RobotError(
-            f"{source} has {len(roots)} root links{': ' if roots else ''}{', '.join(roots)}.",
-            _MAKE_ONE_TREE,
-        )
+
+def _sort_links(root: ET.Element, source: str) -> tuple[tuple[str, ...], dict[str, ET.Element]]:
+    """The links, depth first in the file's order, and the joint above each but the root."""
+    links = [link.get("name", "") for link in root.findall("link")]
+    joints = root.findall("joint")
+    joint_above = {_end(joint, "child"): joint for joint in joints}
     ordered: list[str] = []
-    waiting = roots
-    while waiting:
+    waiting = [link for link in links if link not in joint_above][:1]
+    while waiting and len(ordered) <= len(links):
         ordered.append(waiting.pop())
-        below = [str(joint.child) for joint in joints if joint.parent == ordered[-1]]
+        below = [_end(joint, "child") for joint in joints if _end(joint, "parent") == ordered[-1]]
         waiting.extend(reversed(below))
-    if unreached := [link for link in links if link not in ordered]:
+    named = {*links, *joint_above, *(_end(joint, "parent") for joint in joints)}
+    wrong = [one for one in sorted(named) if not ordered.count(one) == links.count(one) == 1]
+    if wrong:
         raise RobotError(
-            f"{source}: the links {', '.join(unreached)} are not connected to the root.",
-            _MAKE_ONE_TREE,
+            f"{source}: these links are not in one tree, once each: {', '.join(map(repr, wrong))}.",
+            "Connect all links to one root link, each by one joint to its parent.",
         )
     return tuple(ordered), joint_above
 
 
-def _unit_axis(joint: _Joint, source: str) -> Any:
-    length = float(np.linalg.norm(joint.axis))
+def _unit_axis(joint: ET.Element, where: str) -> Any:
+    axis = np.array(numbers(joint.find("axis"), "xyz", 3, where, "1 0 0"))
+    length = float(np.linalg.norm(axis))
     if abs(length - 1) > _AXIS_TOLERANCE:
         raise RobotError(
-            f"{source}: the axis of the joint {joint.name!r} is {joint.axis}, not a unit vector.",
-            "Scale it to length 1.",
+            f"{where} has the axis {axis}, not a unit vector.", "Scale it to length 1."
         )
-    return np.array(joint.axis) / length
+    return axis / length
 
 
-def _check_limits(joint: _Joint, source: str) -> list[float]:
-    if len(joint.limits) < len(_LIMITS):
-        raise RobotError(
-            f"{source}: the joint {joint.name!r} lacks a limit.",
-            f"Give it a <limit> with {', '.join(_LIMITS)}.",
-        )
-    lower, upper, velocity, effort = joint.limits
+def _limits(joint: ET.Element, where: str) -> list[float]:
+    lower, upper, velocity, effort = limits = [
+        numbers(joint.find("limit"), key, 1, where)[0] for key in _LIMITS
+    ]
     if lower >= upper or velocity <= 0 or effort <= 0:
         raise RobotError(
-            f"{source}: the joint {joint.name!r} cannot move: lower {lower}, upper {upper}, "
-            f"velocity {velocity}, effort {effort}.",
+            f"{where} cannot move: lower {lower}, upper {upper}, velocity {velocity}, "
+            f"effort {effort}.",
             "Make lower less than upper, velocity and effort positive.",
         )
-    return joint.limits
+    return limits

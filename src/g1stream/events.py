@@ -11,7 +11,8 @@ import sys
 from contextlib import contextmanager, suppress
 from logging.handlers import QueueHandler, QueueListener
 from queue import SimpleQueue
-from typing import TYPE_CHECKING
+from threading import Lock
+from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -21,6 +22,20 @@ __all__ = ["ConsoleHandler", "handled_by", "severity"]
 _LOGGER = logging.getLogger("g1stream")
 _LOGGER.addHandler(logging.NullHandler())
 _LOGGER.setLevel(logging.INFO)
+_LOCK = Lock()
+_HANDLING_TIMEOUT_S: Final = 2.0
+
+
+class _Listener(QueueListener):
+    """Hands records to handlers, each of which may fail without harm to the others."""
+
+    def handle(self, record: logging.LogRecord) -> None:
+        for handler in self.handlers:
+            if record.levelno >= handler.level:
+                try:
+                    handler.handle(record)
+                except Exception:  # what cannot be shown must not end what runs
+                    handler.handleError(record)
 
 
 @contextmanager
@@ -28,26 +43,35 @@ def handled_by(*handlers: logging.Handler) -> Iterator[None]:
     """Pass events to handlers in a thread of its own, for the length of a `with`.
 
     The thread that logs only puts the record into a queue, so that a slow disk or terminal cannot
-    block a real-time loop. Handlers of the root logger get the records the same way. At the end
-    every record that was logged has been handled.
+    block a real-time loop. Handlers of the root logger and of `g1stream` get the records the same
+    way. At the end every record has been handled, unless a handler blocks for more than 2 s.
 
     Args:
         handlers: each gets the records of its level and above.
     """
     records: SimpleQueue[logging.LogRecord] = SimpleQueue()
     queue = QueueHandler(records)
-    propagate = _LOGGER.propagate  # False within another `with`, which serves the root's handlers
-    root = logging.getLogger().handlers if propagate else ()
-    listener = QueueListener(records, *handlers, *root, respect_handler_level=True)
-    _LOGGER.addHandler(queue)
-    _LOGGER.propagate = False
+    with _LOCK:
+        before, propagate = _LOGGER.handlers[:], _LOGGER.propagate
+        # Within another `with` there is only its queue, which goes on getting the records.
+        direct = [one for one in before if not isinstance(one, QueueHandler)]
+        root = logging.getLogger().handlers if propagate else []
+        listener = _Listener(records, *handlers, *direct, *root, respect_handler_level=True)
+        _LOGGER.handlers = [*(one for one in before if one not in direct), queue]
+        _LOGGER.propagate = False
     listener.start()
     try:
         yield
     finally:
-        _LOGGER.removeHandler(queue)
-        _LOGGER.propagate = propagate
-        listener.stop()
+        with _LOCK:
+            _LOGGER.removeHandler(queue)
+            for one in direct:
+                _LOGGER.addHandler(one)
+            if propagate:
+                _LOGGER.propagate = True
+        listener.enqueue_sentinel()
+        if thread := listener._thread:
+            thread.join(_HANDLING_TIMEOUT_S)
 
 
 class ConsoleHandler(logging.Handler):
@@ -65,7 +89,7 @@ class ConsoleHandler(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         """Print an event."""
         severity = "" if record.levelno <= logging.INFO else f"{record.levelname.lower()}: "
-        with suppress(OSError):  # a closed terminal must not end what it only shows
+        with suppress(OSError, ValueError):  # a closed terminal must not end what it only shows
             sys.stderr.write(f"{self._prefix}{severity}{record.getMessage()}\n")
             sys.stderr.flush()
 

@@ -298,6 +298,43 @@ def test_an_error_in_damping_damps_again(make_loop, link, events):
     assert events()[-1] == (logging.INFO, "HOLD -> DAMP")
 
 
+@pytest.mark.parametrize("error", [BrokenError, KeyboardInterrupt])
+def test_errors_while_damping_do_not_shorten_it(make_loop, link, error, monkeypatch):
+    """The wire fails, and then thrice while the robot is damped because of it."""
+    send = link.send
+
+    def fail(*sample):
+        sent = send(*sample)
+        if len(link.sent) in (121, 122, 126, 127):
+            raise error("no wire")
+        return sent
+
+    monkeypatch.setattr(link, "send", fail)
+    loop = make_loop()
+    with pytest.raises(error, match="no wire"):
+        loop.run()
+    assert len(link.sent) == 121 + DAMP
+    for sent in link.sent[127:]:
+        assert int(sent.reference.phase) == Phase.DAMP
+        assert not sent.command.kp.any()
+    assert loop.state.phase is Phase.DONE
+
+
+def test_an_error_between_damp_and_its_gains_damps(make_loop, link, monkeypatch):
+    loop = make_loop()
+    enter_phase = loop._enter_phase
+
+    def interrupted(before):
+        if loop.state.phase is Phase.DAMP:
+            raise KeyboardInterrupt
+        enter_phase(before)
+
+    monkeypatch.setattr(loop, "_enter_phase", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        loop.run()
+    link.assert_damped()
+
+
 def test_an_error_before_the_first_command_sends_nothing(make_loop, link, events, monkeypatch):
     def subscribers():
         raise BrokenError("no wire")

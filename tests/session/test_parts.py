@@ -286,7 +286,12 @@ def test_a_recording_is_replaced_only_with_force(write_parts, tmp_path):
     assert content(tmp_path) == before
     with SessionWriter(tmp_path / "session.mcap", split_ns=PART_NS, force=True) as writer:
         assert writer.paths == [tmp_path / "session" / "session_0.mcap"]
-    assert sorted(content(tmp_path)) == [writer.path / "metadata.yaml", writer.paths[0]]
+        writer.write("/log", b"", T0, T0)
+        writer.flush()
+        assert content(tmp_path).items() >= before.items()
+        writer.write("/lowstate", b"x", T0, T0)
+        writer.flush()
+        assert sorted(content(tmp_path)) == [writer.path / "metadata.yaml", writer.paths[0]]
 
 
 def test_the_old_recording_stays_until_the_first_part_stands(write_parts, tmp_path):
@@ -338,10 +343,24 @@ def test_nothing_else_is_replaced(write_parts, tmp_path, change):
     assert content(tmp_path) == before
 
 
-def test_a_whole_recording_can_be_removed(write_parts, tmp_path):
-    remove_recording(write_parts().paths)
-    with SessionWriter(tmp_path / "one.mcap") as writer:
+@pytest.mark.parametrize("split_ns", [None, PART_NS])
+def test_a_recording_without_a_sample_replaces_nothing(tmp_path, split_ns):
+    def write(**options):
+        return SessionWriter(tmp_path / "session.mcap", split_ns=split_ns, **options)
+
+    with write() as writer:
+        writer.write("/lowstate", b"x", T0, T0)
+    before = content(tmp_path)
+    with write(force=True, file_header=file_header) as writer:
+        writer.write("/log", b"", T0, T0)
+    assert writer.paths == []
+    assert content(tmp_path) == before
+
+
+@pytest.mark.parametrize("split_ns", [None, PART_NS])
+def test_a_whole_recording_can_be_removed(tmp_path, split_ns):
+    with SessionWriter(tmp_path / "session.mcap", split_ns=split_ns) as writer:
         pass
     (tmp_path / "other").touch()
-    remove_recording(writer.paths)
+    remove_recording(writer.path)
     assert list(tmp_path.iterdir()) == [tmp_path / "other"]

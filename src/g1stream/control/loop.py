@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
-from itertools import islice
 from math import inf
 from typing import TYPE_CHECKING, Final
 
@@ -363,7 +362,7 @@ class StreamLoop:
         return minimum_jerk(self.state.elapsed(now) / self._timing.ramp)[0]
 
     def _abort(self, error: BaseException) -> None:
-        """The loop itself has failed: damp at the last valid target, without any check."""
+        """The loop itself has failed: damp at the last valid target, whatever its state was."""
         before, start = self.state.phase, self._clock.now()
         # No target yet means that nothing was commanded.
         last = self._target if before < Phase.DONE else None
@@ -373,15 +372,27 @@ class StreamLoop:
             if before < Phase.DAMP:
                 self._enter_phase(before)
         finally:
-            if last:
-                self._damp(last.at_rest(), start)
-            self.state = replace(self.state, phase=Phase.DONE)
+            try:
+                if last:
+                    self._damp(last.at_rest(), start)
+            finally:
+                self.state = replace(self.state, phase=Phase.DONE)
 
-    def _damp(self, target: Target, start: int) -> None:
-        n_ticks = -(-self._timing.damp // self._period)
-        for _, deadline in islice(Ticker(self._clock, self._period, start), n_ticks):
-            self._compose(target, target, deadline)
-            self._publish(deadline)
+    def _damp(self, target: Target, deadline: int) -> None:
+        """Damp for as long as configured, and only then raise what failed meanwhile."""
+        self._composer.damp()  # the loop may have failed between DAMP and its gains
+        failure: BaseException | None = None
+        for _ in range(-(-self._timing.damp // self._period)):
+            try:
+                self._clock.sleep_until(deadline)
+                self._compose(target, target, deadline)
+                self._publish(deadline)
+                deadline = max(deadline + self._period, self._clock.now())
+            except BaseException as error:  # noqa: PERF203  a second Ctrl-C too: damping goes on
+                failure = failure or error
+                deadline += self._period
+        if failure:
+            raise failure
 
 
 def make_loop(

@@ -123,6 +123,7 @@ def _close(
         values = {**final_metadata, "recorder": recorder, "measured_tf": recorder["measured_tf"]}
         writer.add_metadata(values)
         writer.close()
+        report.paths = [str(path) for path in writer.paths]
     except RecordingError as error:
         report.stopped = report.stopped or error.cause
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import time
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -196,9 +195,9 @@ class _RecorderChild:
             path = str(self._path)
             return RecorderSummary(path=path, paths=[path], stopped=error.cause)
         if remove_if_empty and summary.counts.keys() <= _WITHOUT_SAMPLES:
-            with suppress(OSError):  # the outcome is reported all the same
-                remove_recording([Path(path) for path in summary.paths])
-                summary.removed = True
+            summary.removed = True
+            if summary.paths:  # else its writer has removed it, and left an older one in place
+                remove_recording(Path(summary.path))
         return summary
 
 

@@ -56,12 +56,11 @@ class OutputFile:
     """A file that is written unbuffered, with disk space reserved and whole pieces only.
 
     Args:
-        path: of the file.
-        mode: `x` for a new file; `w` to replace one.
+        path: of the file, which must not exist.
     """
 
-    def __init__(self, path: Path, mode: Literal["x", "w"]) -> None:
-        self._file: Any = path.open(f"{mode}b", buffering=0)
+    def __init__(self, path: Path) -> None:
+        self._file: Any = path.open("xb", buffering=0)
         self._committed = 0
         self._reserved = 0
 
@@ -118,7 +117,6 @@ class McapWriter:
     Args:
         path: of the file; its directory must exist.
         channels: those that messages may be written to, by topic.
-        force: replace an existing file.
         compression: of the chunks.
 
     Attributes:
@@ -132,7 +130,6 @@ class McapWriter:
         path: Path,
         channels: Mapping[str, Channel],
         *,
-        force: bool = False,
         compression: Compression = "zstd",
     ) -> None:
         self.path = path
@@ -145,7 +142,7 @@ class McapWriter:
         self._n_chunks = 0
         self._compression = CompressionType[compression.upper()]
         with output_errors(path):
-            self._file = OutputFile(path, "w" if force else "x")
+            self._file = OutputFile(path)
         self._mcap = self._library_writer(summary=True)
         try:
             with self._committed(0):

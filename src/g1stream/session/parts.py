@@ -15,7 +15,7 @@ import errno
 import os
 import shutil
 from collections import Counter
-from contextlib import contextmanager
+from contextlib import suppress
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -35,10 +35,11 @@ __all__ = [
     "Part",
     "SessionFiles",
     "check_recording_path",
-    "new_directory",
     "part_path",
     "parts_directory",
     "remove_recording",
+    "replace_recording",
+    "temporary_path",
     "write_metadata_yaml",
 ]
 
@@ -151,48 +152,30 @@ def check_recording_path(path: Path, *, split: bool, force: bool) -> None:
         )
 
 
-@contextmanager
-def new_directory(directory: Path) -> Iterator[Path]:
-    """Fill a directory under a temporary name, then put it in the place of an old one.
-
-    The old directory is removed last; on any exception it stays, and the temporary one is removed.
-
-    Args:
-        directory: of the recording; what is there was checked by `check_recording_path`.
-
-    Yields:
-        The temporary directory.
-
-    Raises:
-        RecordingError: the directory cannot be created.
-    """
-    new = directory.with_name(f".{directory.name}.{os.getpid()}.part")
-    old = new.with_suffix(".old")
-    try:
-        with output_errors(directory):
-            new.mkdir()
-            yield new
-            if directory.exists():
-                directory.rename(old)
-            new.rename(directory)
-    except BaseException:
-        shutil.rmtree(new, ignore_errors=True)
-        raise
-    shutil.rmtree(old, ignore_errors=True)
+def temporary_path(path: Path) -> Path:
+    """Where a recording is written until it replaces the one at `path`."""
+    return path.with_name(f".{path.name}.{os.getpid()}.part")
 
 
-def remove_recording(paths: Sequence[Path]) -> None:
-    """Remove the files of a recording, and the directory of a split one.
+def replace_recording(new: Path, path: Path) -> None:
+    """Put a new file or directory in the place of an old one; an old directory is removed last."""
+    with output_errors(path):
+        if not path.is_dir():
+            new.replace(path)
+            return
+        old = new.with_suffix(".old")
+        path.rename(old)
+        new.rename(path)
+        shutil.rmtree(old, ignore_errors=True)
 
-    Raises:
-        OSError: one cannot be removed.
-    """
-    for path in paths:
-        path.unlink(missing_ok=True)
-    directory = paths[0].parent
-    if paths[0] == part_path(directory, 0):
-        (directory / _METADATA).unlink(missing_ok=True)
-        directory.rmdir()
+
+def remove_recording(path: Path) -> None:
+    """Remove the file, or the directory, of a recording that g1stream just wrote."""
+    with suppress(OSError):
+        if path.is_dir():
+            shutil.rmtree(path)
+        else:
+            path.unlink()
 
 
 def write_metadata_yaml(

@@ -6,6 +6,7 @@ that much at most is lost when the program is killed.
 
 from __future__ import annotations
 
+import os
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -13,15 +14,17 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from g1stream.errors import RecordingError
-from g1stream.files import is_session
+from g1stream.files import is_session, output_errors
 from g1stream.session.format import CHANNELS, MessageBatch
 from g1stream.session.mcap_writer import McapWriter, max_size
 from g1stream.session.parts import (
     Part,
     check_recording_path,
-    new_directory,
     part_path,
     parts_directory,
+    remove_recording,
+    replace_recording,
+    temporary_path,
     write_metadata_yaml,
 )
 
@@ -94,14 +97,21 @@ class SessionWriter:
         self.counts: dict[str, int] = {}
         self.path = parts_directory(Path(path)) if self._split else Path(path)
         check_recording_path(Path(path), split=self._split, force=force)
-        if not self._split:
-            self.paths = [self.path]
-            self._file = self._open_file(self.path, force=force)
-            return
-        self.paths = [part_path(self.path, 0)]
-        with new_directory(self.path) as temporary:
-            self._file = self._open_file(temporary / self.paths[0].name)
-            write_metadata_yaml(temporary, [self._part()], channels)
+        self.paths = [part_path(self.path, 0) if self._split else self.path]
+        # An old recording stays until the first sample of the new one is written.
+        self._replaces = os.path.lexists(self.path)
+        self._place = temporary_path(self.path) if self._replaces else self.path
+        try:
+            if self._split:
+                with output_errors(self.path):
+                    self._place.mkdir()
+                self._open_file(self._place / self.paths[0].name)
+                self._write_metadata_yaml()
+            else:
+                self._open_file(self._place)
+        except BaseException:
+            remove_recording(self._place)
+            raise
         self._file.path = self.paths[0]
 
     def __enter__(self) -> SessionWriter:
@@ -185,7 +195,7 @@ class SessionWriter:
             self.flush()
         if self._part_start is None:
             self._part_start = now_ns
-        if self._is_part_full(now_ns):
+        if self._is_part_full(now_ns) and not self._replaces:
             self._start_next_part()
             self._part_start = now_ns
 
@@ -206,11 +216,14 @@ class SessionWriter:
         finally:
             for topic, dropped in waiting.items():
                 self.counts[topic] -= dropped
+        if self._replaces and any(self._channels[topic].dds_topic for topic in pending):
+            self._replace()
 
     def close(self) -> None:
         """Write what waits and the index, and close the file; once is enough.
 
-        If that fails, the file reads up to its last whole chunk.
+        If that fails, the file reads up to its last whole chunk. A recording without a sample does
+        not replace an old one: it is removed, and `paths` is empty.
         """
         if self._closed:
             return
@@ -219,9 +232,16 @@ class SessionWriter:
             self.flush(last=True)
         finally:
             self._file.close()
-            if self._split:
+            if self._replaces:
+                remove_recording(self._place)
+                self.paths = []
+            elif self._split:
                 with suppress(RecordingError):  # the one written with the last part lists them all
                     self._write_metadata_yaml()
+
+    def _replace(self) -> None:
+        replace_recording(self._place, self.path)
+        self._place, self._replaces = self.path, False
 
     def _is_due(self, now_ns: int) -> bool:
         # The distance, not the difference: a clock may be set back.
@@ -233,9 +253,9 @@ class SessionWriter:
             self._split_ns is not None and elapsed >= self._split_ns
         )
 
-    def _open_file(self, path: Path, *, force: bool = False) -> McapWriter:
+    def _open_file(self, path: Path) -> None:
         """Start a file with what every part has; while that is written, it is the current one."""
-        file = McapWriter(path, self._channels, force=force, compression=self._compression)
+        file = McapWriter(path, self._channels, compression=self._compression)
         self._file = file
         try:
             if self._split:
@@ -247,7 +267,6 @@ class SessionWriter:
                 file.close()
             raise
         self._header_size = file.size
-        return file
 
     def _start_next_part(self) -> None:
         """Go on in a new file; if none can be started, the current one stays in use."""
@@ -273,7 +292,7 @@ class SessionWriter:
         return Part(file.path.name, dict(file.counts), file.first_log_time, file.last_log_time)
 
     def _write_metadata_yaml(self) -> None:
-        write_metadata_yaml(self.path, [*self._parts, self._part()], self._channels)
+        write_metadata_yaml(self._place, [*self._parts, self._part()], self._channels)
 
 
 def attach_motion(writer: SessionWriter | MemorySource, source: Path | None, time_ns: int) -> None:

@@ -1,6 +1,7 @@
 """How closely the simulated robot follows: each feed-forward on each support, in one table.
 
     python benchmarks/tracking.py [--motion CSV] [--seconds 20] [--dds] [--plot PNG] [--json]
+    python benchmarks/tracking.py --peers [--runs 10] [--stream-flags "..."] [--json]
 
 Every cell is the RMSE over all joints, rad, while the motion is played with the gains of Unitree's
 example; then the worst joint's. "30 Hz nearest frame" is what scripts do: no spline, q only.
@@ -10,12 +11,15 @@ and a cell comes out the same every time. What is measured is distorted by a gen
 seed: encoders by 0.1 mrad and 10 mrad/s, the gyroscope by 10 mrad/s, the accelerometer by
 0.1 m/s^2. `--dds` adds the same on our bridge over DDS in real time. What a wrong support does is
 measured in lockstep, with the check that would notice it left out.
+
+`--peers` plays the motion on Unitree's own simulators instead, see tracking_peers.py.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import shlex
 import statistics
 import sys
 import tempfile
@@ -28,6 +32,7 @@ from unittest.mock import patch
 
 import numpy as np
 
+import tracking_peers
 from g1stream.config import load_config
 from g1stream.control.feedforward import FeedForward
 from g1stream.motion.trajectory import Trajectory
@@ -203,13 +208,36 @@ def parsed() -> argparse.Namespace:
     parser.add_argument("--domain", type=int, default=79, help="DDS domain for --dds")
     parser.add_argument("--plot", type=Path, help="draw three joints into this PNG")
     parser.add_argument("--json", action="store_true", help="print every cell as JSON")
+    parser.add_argument("--peers", action="store_true", help="on Unitree's own simulators")
+    parser.add_argument("--runs", type=int, default=1, help="how often, for --peers")
+    parser.add_argument(
+        "--stream-flags", default="", help="more flags of `g1stream stream`, for --peers"
+    )
     return parser.parse_args()
+
+
+def on_peers(motion: Motion, seconds: float, arguments: argparse.Namespace) -> None:
+    """Print the table of Unitree's own simulators, or why it cannot be measured."""
+    if reason := tracking_peers.missing():
+        print(f"skipped: {reason}")
+        return
+    flags, path = shlex.split(arguments.stream_flags), Path(motion.source or "")
+    runs = tracking_peers.run_table(path, seconds, arguments.runs, flags)
+    if arguments.json:
+        table = {"motion": motion.name, "seconds": seconds, "rmse": tracking_peers.as_json(runs)}
+        print(json.dumps(table, indent=2))
+        return
+    print(f"{motion.name}, {seconds:g} s: RMSE over all joints, rad; median, every run\n")
+    print(tracking_peers.as_text(runs))
 
 
 def main() -> None:
     arguments = parsed()
     motion = load_motion(arguments.motion)
     seconds = min(arguments.seconds, motion.duration)
+    if arguments.peers:
+        on_peers(motion, seconds, arguments)
+        return
 
     cells: dict[str, dict[str, Cell]] = {}
     shown: dict[str, Session] = {}

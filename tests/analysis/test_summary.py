@@ -112,12 +112,18 @@ def test_tracking_is_the_sessions(play, write_session):
     assert session.summary().tracking.delay_s == pytest.approx(0.04, abs=1e-4)
 
 
+LATENESS = Percentiles(p50=20.0, p99=90.0, p99_9=900.0, max=24_000.0)
+
+
 @pytest.mark.parametrize(
     ("records", "named"),
     [
         ({"stream": {"reason": "SIGINT"}}, ["SIGINT"]),
-        ({"stream": {"skipped_ticks": 12}}, ["12 ticks"]),
-        ({"stream": {"clamped_ticks": {"left_knee_joint": 40}}}, ["left_knee_joint 40"]),
+        ({"stream": {"commands": 10_000, "skipped_ticks": 120}}, ["120 ticks"]),
+        (
+            {"stream": {"skipped_ticks": 12, "lateness_us": LATENESS.model_dump()}},
+            ["12 ticks"],
+        ),
         ({"stream": {"saturated_ticks": {"left_elbow_joint": 8}}}, ["left_elbow_joint 8"]),
         (
             {"stream": {"findings": [Finding(about="x", cause="C.", remedy="R.").model_dump()]}},
@@ -133,6 +139,14 @@ def test_tracking_is_the_sessions(play, write_session):
 def test_a_problem_is_a_sentence(summarise, records, named):
     (problem,) = summarise(metadata=changed(**records)).problems
     assert all(word in problem for word in named)
+
+
+@pytest.mark.parametrize(
+    "stream",
+    [{"commands": 10_000, "skipped_ticks": 12}, {"clamped_ticks": {"left_knee_joint": 40}}],
+)
+def test_what_a_robot_does_not_notice_is_no_problem(summarise, stream):
+    assert summarise(metadata=changed(stream=stream)).problems == []
 
 
 def test_gaps_and_clocks_that_differ_are_problems(play, take, summarise):

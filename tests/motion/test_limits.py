@@ -145,6 +145,15 @@ def test_warnings_snapshot(spike, robot):
     )
 
 
+@pytest.mark.parametrize(("excess", "level"), [(0.01, logging.INFO), (0.03, logging.WARNING)])
+def test_a_slight_excess_is_not_logged_as_a_warning(make_motion, robot, excess, level):
+    angles = np.zeros((61, 29))
+    angles[:, KNEE] = robot.upper[KNEE] + excess
+    ((logged, text),) = measured(make_motion(angles), robot).events
+    assert logged == level
+    assert "left_knee_joint" in text
+
+
 @pytest.mark.dds
 def test_the_stream_warns_before_the_first_command(spike, domain_id, monkeypatch):
     config = Config.model_validate({"dds": {"domain": domain_id}, "stream": {"wait": 1.0}})

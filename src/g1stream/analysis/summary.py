@@ -36,6 +36,12 @@ __all__ = ["FEEDFORWARD", "find_problems", "summarise", "summarise_run"]
 FEEDFORWARD: Final = "feed-forward: "
 """What the stream logs of its feed-forward begins with this."""
 
+# What a robot does not notice is in the figures and is no problem.
+#: A gap between publish times, s: after this a robot's silence ends a session.
+_LONG_GAP: Final = 0.1
+#: A command this late, s, or this share of commands left out.
+_LONG_OVERRUN: Final = 0.02
+_MOST_SKIPPED: Final = 0.01
 #: A recording that goes on for so long, ns, after the last reference has not merely ended first.
 _SILENCE: Final = 500_000_000
 
@@ -148,7 +154,8 @@ def find_problems(summary: Summary) -> Iterator[str]:
         if summary.first_ns is None:
             yield "Nothing was received."
         yield from _recorder_problems(recorder)
-    if gaps := {topic: stats for topic, stats in summary.topics.items() if stats.gaps}:
+    gaps = {t: s for t, s in summary.topics.items() if (s.longest_interval_s or 0.0) >= _LONG_GAP}
+    if gaps:
         longest = max(stats.longest_interval_s or 0.0 for stats in gaps.values()) * 1e3
         numbers = ", ".join(f"{topic} {stats.gaps}" for topic, stats in gaps.items())
         yield f"Gaps between publish times: {numbers}; the longest {longest:.1f} ms."
@@ -165,10 +172,11 @@ def _samplesproblems(stream: StreamSummary) -> Iterator[str]:
         yield f"The stream ended early: {stream.reason}."
     for finding in stream.findings:
         yield f"{finding.cause.rstrip('.')}. {finding.remedy}".strip()
-    if stream.skipped_ticks:
+    late = stream.lateness_us.max if stream.lateness_us else 0.0
+    if stream.skipped_ticks and (
+        late >= _LONG_OVERRUN * 1e6 or stream.skipped_ticks > _MOST_SKIPPED * (stream.commands or 0)
+    ):
         yield f"{counted(stream.skipped_ticks, 'tick')} skipped by the stream."
-    if stream.clamped_ticks:
-        yield f"Joint targets clamped at their limits, ticks: {most(stream.clamped_ticks)}."
     if stream.saturated_ticks:
         ticks = most(stream.saturated_ticks)
         yield f"Feed-forward torques clamped at their limits, ticks: {ticks}."

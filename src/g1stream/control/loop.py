@@ -45,6 +45,8 @@ _SETTLE: Final = 100_000_000
 _PUBLISHER_CHECK_PERIOD: Final = 100_000_000
 #: How often it reports skipped ticks, ns.
 _OVERRUN_REPORT_PERIOD: Final = 1_000_000_000
+#: A servo holds its last target for that long without harm, ns; more within a second is a warning.
+_LONG_OVERRUN: Final = 20_000_000
 #: Longer than any session, ns.
 _FOREVER: Final = 1 << 62
 
@@ -228,7 +230,8 @@ class StreamLoop:
             return
         self._skipped_reported = self.report.skipped
         self._next_overrun_report = deadline + _OVERRUN_REPORT_PERIOD
-        _LOGGER.warning("overrun: ticks skipped: %d, %d in total", new, self.report.skipped)
+        level = logging.WARNING if new * self._period >= _LONG_OVERRUN else logging.INFO
+        _LOGGER.log(level, "overrun: ticks skipped: %d, %d in total", new, self.report.skipped)
 
     def _catch_up(self, deadline: int) -> None:
         """After skipped ticks: continue on time, or stop if the target has moved too far."""

@@ -6,6 +6,7 @@ than the frames show, and it may pass a position limit that both frames keep.
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from math import floor
 from typing import TYPE_CHECKING, Final
@@ -41,6 +42,8 @@ as held: with a wider one, report and summary would disagree. Motion files have 
 that a joint at a limit such as 1.614429558 rad is written up to 5e-7 rad beyond it.
 """
 
+#: Holding a joint at its limit changes the motion by less than a robot follows it, up to this, rad.
+_SLIGHT: Final = 0.02
 #: Targets sampled at once, so that a long motion takes no more memory than a short one.
 _BLOCK: Final = 4096
 #: Joints that a warning names beside the worst one.
@@ -126,6 +129,15 @@ class LimitReport:
                 "Joints that cannot follow lag behind."
             )
         return tuple(warnings)
+
+    @property
+    def events(self) -> tuple[tuple[int, str], ...]:
+        """The warnings with the level at which to log them: INFO for targets slightly beyond."""
+        slight = self.held and abs(self.held[0].value - self.held[0].limit) <= _SLIGHT
+        return tuple(
+            (logging.INFO if slight and not number else logging.WARNING, text)
+            for number, text in enumerate(self.warnings)
+        )
 
     def _when(self, time: float) -> str:
         if time > self.duration:  # only a loop has samples there

@@ -106,11 +106,11 @@ def stream(
         joined = clock.now()
         # Done now, because it takes as long as the discovery of other publishers.
         trajectory = Trajectory(motion, loop=config.stream.loop)
-        warnings: Sequence[str] = ()
+        exceeded: Sequence[tuple[int, str]] = ()
         if recorded is None:  # recorded commands beyond a limit were refused
             rate, margin = config.stream.rate, config.safety.position_margin
             limits = measure_limits(trajectory, robot, interval, rate=rate, position_margin=margin)
-            warnings = limits.warnings
+            exceeded = limits.events
         if not config.safety.allow_second_writer:
             clock.sleep_until(joined + _DISCOVERY)
             _refuse_if_commanded(participant)
@@ -137,8 +137,8 @@ def stream(
         try:
             # All events have been published when the recorder is told to finish.
             with handled_by(events):
-                for warning in warnings:
-                    _LOGGER.warning("%s", warning)
+                for level, text in exceeded:
+                    _LOGGER.log(level, "%s", text)
                 with on_time(config.realtime.priority, config.realtime.cpu) as granted:
                     _LOGGER.info("real time: %s", describe(granted))
                     report = loop.run()

@@ -156,7 +156,14 @@ def _run(command: Sequence[str | Path], seconds: float, **variables: str) -> tup
 def _script(motion: Path, seconds: float, rate: int) -> Run:
     with tempfile.TemporaryDirectory() as directory:
         output = Path(directory, "run.npz")
-        command = [PEERS / "sdk/bin/python", PEERS / "sdkplay.py", str(rate), str(seconds), output]
+        script = PEERS / "sdkplay.py"
+        command: list[str | Path] = [
+            PEERS / "sdk/bin/python",
+            script,
+            str(rate),
+            str(seconds),
+            output,
+        ]
         text, failure = _run(command, seconds, MOTION=str(motion))
     found = re.search(r"RMSE (\S+) rad", text)
     if failure or not found:

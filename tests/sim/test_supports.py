@@ -8,7 +8,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from g1stream.errors import SimError
 from g1stream.robot.rotations import quat_rotate
 from g1stream.sim.supports import Root
 from g1stream.sim.world import World
@@ -85,11 +84,6 @@ def test_band_pulls_at_the_torso_by_its_law(
     weight = np.array([0.0, 0.0, -GRAVITY * model.body_subtreemass[1]])
     assert force == pytest.approx(band + weight, abs=0.002 * np.linalg.norm(band))
     assert moment == pytest.approx(np.cross(arm, band), abs=0.002 * np.linalg.norm(band))
-
-
-def test_unknown_support_is_refused(robot: G1) -> None:
-    with pytest.raises(SimError, match="floating"):
-        World(robot, "floating")
 
 
 def root_at(time: float, *, playing: bool = True) -> Root:

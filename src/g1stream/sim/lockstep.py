@@ -23,17 +23,17 @@ EPOCH: Final = 946_684_800_000_000_000
 """The publish time at simulated time 0, ns: 2000-01-01 00:00 UTC, so that it is not taken for a
 real one."""
 
+_LAG: Final = 1_000_000  # ns from a command to the robot's tick that uses it
+
 
 class Lockstep:
     """Clock and link of a loop at once: while the loop sleeps, the simulated robot advances.
 
-    The robot works as on DDS, at the same period. Its ticks are between those of the loop, `lag`
-    after them.
+    The robot works as on DDS, at the same period. Its ticks are 1 ms after those of the loop.
 
     Args:
         robot: the simulated robot.
         support: how it is held, as it announces to the loop; None: it does not announce it.
-        lag: ns from a command to the robot's tick that uses it.
         on_sample: called with every sample that is published by either side: its topic, its bytes
             and its publish time, ns.
     """
@@ -43,14 +43,13 @@ class Lockstep:
         robot: SimulatedRobot,
         support: Support | None,
         *,
-        lag: int = 1_000_000,
         on_sample: Callable[[Topic, bytes, int], None] = lambda topic, data, stamp: None,
     ) -> None:
         self._robot = robot
         self._support = support
         self._on_sample = on_sample
         self._now = 0
-        self._due = lag
+        self._due = _LAG
         self._low_state = b""
         self._command = self._reference = b""
 

@@ -23,9 +23,7 @@ _FLOOR: Final = 1  # the contact bit of the floor and of what collides with it
 _HIDDEN: Final = 3  # the first group of shapes that MuJoCo's viewer hides by default
 
 
-def build_model(
-    robot: G1, *, floating: bool, driven: bool = False, timestep: float, gravity: float
-) -> Any:
+def build_model(robot: G1, *, floating: bool, driven: bool, timestep: float) -> Any:
     """Compile a `mujoco.MjModel` of the robot above a floor at height 0.
 
     Motors are servos in motor order: with control c and `actuator_biasprm` (0, -kp, -kd) a motor's
@@ -42,7 +40,6 @@ def build_model(
         floating: give the base a free joint; otherwise it is fixed to the world.
         driven: weld the base to a mocap body `base_target`, by an equality of that name.
         timestep: s.
-        gravity: m/s², downward.
 
     Raises:
         SimError: MuJoCo does not accept the URDF.
@@ -52,7 +49,6 @@ def build_model(
     try:
         spec = mujoco_spec(robot, floating=floating, shapes=True)
         spec.option.timestep = timestep
-        spec.option.gravity = [0.0, 0.0, -gravity]
         # Damping, the servos' included, is taken implicitly: any kd is stable at any timestep.
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         _set_contacts(spec)
@@ -141,24 +137,20 @@ def _add_sensors(spec: Any) -> None:
     import mujoco
 
     base, torso = spec.worldbody.first_body(), spec.joint("waist_pitch_joint").parent
-    _add_imu(spec, "imu", spec.body("imu_in_pelvis") or base)
-    _add_imu(spec, "secondary_imu", spec.body("imu_in_torso") or torso)
+    sensor, obj = mujoco.mjtSensor, mujoco.mjtObj
     for name, kind in (
-        ("frame_pos", mujoco.mjtSensor.mjSENS_FRAMEPOS),
-        ("frame_vel", mujoco.mjtSensor.mjSENS_FRAMELINVEL),
+        ("frame_pos", sensor.mjSENS_FRAMEPOS),
+        ("frame_vel", sensor.mjSENS_FRAMELINVEL),
     ):
-        spec.add_sensor(name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_XBODY, objname=base.name)
-
-
-def _add_imu(spec: Any, name: str, body: Any) -> None:
-    import mujoco
-
-    body.add_site(name=name)
-    for part, kind in (
-        ("quat", mujoco.mjtSensor.mjSENS_FRAMEQUAT),
-        ("gyro", mujoco.mjtSensor.mjSENS_GYRO),
-        ("acc", mujoco.mjtSensor.mjSENS_ACCELEROMETER),
+        spec.add_sensor(name=name, type=kind, objtype=obj.mjOBJ_XBODY, objname=base.name)
+    for imu, body in (
+        ("imu", spec.body("imu_in_pelvis") or base),
+        ("secondary_imu", spec.body("imu_in_torso") or torso),
     ):
-        spec.add_sensor(
-            name=f"{name}_{part}", type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=name
-        )
+        body.add_site(name=imu)
+        for part, kind in (
+            ("quat", sensor.mjSENS_FRAMEQUAT),
+            ("gyro", sensor.mjSENS_GYRO),
+            ("acc", sensor.mjSENS_ACCELEROMETER),
+        ):
+            spec.add_sensor(name=f"{imu}_{part}", type=kind, objtype=obj.mjOBJ_SITE, objname=imu)

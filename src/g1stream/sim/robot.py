@@ -41,8 +41,7 @@ class SimReport:
         commands: LowCmds accepted, of those that were the newest at a tick.
         refused: reason -> LowCmds refused for it.
         timeouts: how often LowCmds stopped coming.
-        simulated: s of simulated time.
-        elapsed: s of wall time.
+        simulated, elapsed: s of simulated and of wall time.
         behind: s of wall time that the simulation skipped, because it could not keep up.
     """
 

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from math import sqrt
-from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple
 
 import numpy as np
 
-from g1stream.errors import SimError
 from g1stream.robot.rotations import quat_mul, quat_normalize
 from g1stream.sim.model import BASE_BODY, BASE_TARGET
 
@@ -16,44 +15,36 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["BaseSupport", "Bolted", "Follow", "Free", "Hanging", "Root", "find_support"]
+    from g1stream.types import Support
+
+__all__ = ["SUPPORTS", "BaseSupport", "Bolted", "Follow", "Free", "Hanging", "Root"]
 
 
 class Root(NamedTuple):
-    """The base pose and velocity of a reference.
+    """The base pose and velocity of a reference."""
 
-    Attributes:
-        pos: (3,) m, world.
-        quat_wxyz: (4,) base to world.
-        lin_vel: (3,) m/s, world.
-        ang_vel: (3,) rad/s, base frame.
-        playing: whether the motion is being played; False before that.
-    """
-
-    pos: NDArray[np.float64]
-    quat_wxyz: NDArray[np.float64]
-    lin_vel: NDArray[np.float64]
-    ang_vel: NDArray[np.float64]
-    playing: bool
+    pos: NDArray[np.float64]  # (3,) m, world
+    quat_wxyz: NDArray[np.float64]  # (4,) base to world
+    lin_vel: NDArray[np.float64]  # (3,) m/s, world
+    ang_vel: NDArray[np.float64]  # (3,) rad/s, base frame
+    playing: bool  # the motion is being played; False before that
 
 
-class BaseSupport(Protocol):
-    """One way to hold the base, made for a compiled model and its data.
+class BaseSupport:
+    """One way to hold the base, made for a compiled model and its data."""
 
-    Attributes:
-        floating: whether the base needs a free joint.
-        driven: whether the base is welded to a mocap body.
-        height: where the base starts by default, m.
-    """
+    floating: ClassVar = True  # the base needs a free joint
+    driven: ClassVar = False  # the base is welded to a mocap body
+    # Where the base starts by default, m: a stretched leg and its foot reach 0.8 m down.
+    height = 1.0
 
-    floating: ClassVar[bool]
-    driven: ClassVar[bool]
-    height: float
-
-    def __init__(self, model: Any, data: Any) -> None: ...
+    def __init__(self, model: Any, data: Any) -> None:
+        self._base_pose, self._base_vel = data.qpos[:7], data.qvel[:6]
 
     def place(self, height: float) -> None:
-        """Put the base, upright, at x = y = 0 and this height, m."""
+        """Put the base, upright and at rest, at x = y = 0 and this height, m."""
+        self._base_pose[:] = 0.0, 0.0, height, 1.0, 0.0, 0.0, 0.0
+        self._base_vel[:] = 0.0
 
     def hold(self) -> None:
         """Set the outer forces of the next physics step."""
@@ -62,29 +53,19 @@ class BaseSupport(Protocol):
         """Take the base pose of a reference."""
 
 
-class Bolted:
+class Bolted(BaseSupport):
     """The base is part of the world and never moves."""
 
-    floating: ClassVar[bool] = False
-    driven: ClassVar[bool] = False
-    height = 1.0  # a stretched leg and its foot reach 0.8 m down, so the feet stay off the floor
+    floating = False
 
     def __init__(self, model: Any, data: Any) -> None:
-        del data
         self._base_pos = model.body_pos[BASE_BODY]
 
     def place(self, height: float) -> None:
-        """Bolt the base at this height, m."""
         self._base_pos[:] = 0.0, 0.0, height
 
-    def hold(self) -> None:
-        """Does nothing: the world holds it."""
 
-    def set_reference(self, root: Root) -> None:
-        """Does nothing: it stays."""
-
-
-class Hanging:
+class Hanging(BaseSupport):
     """The base floats, and an elastic band carries the torso, as in unitree_mujoco.
 
     The band runs from the point (0, 0, 3) to the base: along that line it pulls with 200 N/m times
@@ -93,8 +74,6 @@ class Hanging:
     swing. The base starts where the band carries the robot's weight.
     """
 
-    floating: ClassVar[bool] = True
-    driven: ClassVar[bool] = False
     _TOP: Final = 3.0
     _STIFFNESS: Final = 200.0
     _DAMPING: Final = 100.0
@@ -102,7 +81,7 @@ class Hanging:
     def __init__(self, model: Any, data: Any) -> None:
         weight = -model.opt.gravity[2] * model.body_subtreemass[BASE_BODY]
         self.height = float(self._TOP - weight / self._STIFFNESS)
-        self._base_pos, self._base_vel = data.qpos[:3], data.qvel[:3]
+        super().__init__(model, data)
         torso = model.body_weldid == model.joint("waist_pitch_joint").bodyid
         # Pulling each body of the torso in proportion to its mass pulls at their common centre.
         self._torso = np.flatnonzero(torso)
@@ -110,15 +89,9 @@ class Hanging:
         self._forces = data.xfrc_applied
         self._force = np.zeros(3)
 
-    def place(self, height: float) -> None:
-        """Let the base start at this height, m, at rest."""
-        self._base_pos[:] = 0.0, 0.0, height
-        self._base_vel[:] = 0.0
-
     def hold(self) -> None:
-        """Set the force of the band at the torso."""
-        x, y, z = self._base_pos.tolist()
-        vx, vy, vz = self._base_vel.tolist()
+        x, y, z = self._base_pose[:3].tolist()
+        vx, vy, vz = self._base_vel[:3].tolist()
         dx, dy, dz = -x, -y, self._TOP - z
         length = max(sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
         speed = (vx * dx + vy * dy + vz * dz) / length
@@ -126,11 +99,8 @@ class Hanging:
         self._force[:] = pull * dx, pull * dy, pull * dz
         self._forces[self._torso, :3] = self._share * self._force
 
-    def set_reference(self, root: Root) -> None:
-        """Does nothing: the band alone holds it."""
 
-
-class Follow:
+class Follow(BaseSupport):
     """The base is driven along the reference's root pose.
 
     There is no contact with the floor, which the feet of retargeted motions go through. Without a
@@ -138,14 +108,12 @@ class Follow:
     moved there at once. When references stop coming it stands still.
     """
 
-    floating: ClassVar[bool] = True
-    driven: ClassVar[bool] = True
-    height = 1.0
+    driven = True
     _LEAP: Final = 0.2  # m between two references, beyond any speed
     _TIMEOUT: Final = 0.1  # s without a reference, after which the base stands still
 
     def __init__(self, model: Any, data: Any) -> None:
-        self._base_pose, self._base_vel = data.qpos[:7], data.qvel[:6]
+        super().__init__(model, data)
         target = model.body_mocapid[model.body(BASE_TARGET).id]
         self._pos, self._quat = data.mocap_pos[target], data.mocap_quat[target]
         self._timestep = model.opt.timestep
@@ -155,13 +123,10 @@ class Follow:
         model.geom_contype[floor] = model.geom_conaffinity[floor] = 0
 
     def place(self, height: float) -> None:
-        """Put the base at this height, m."""
-        self._base_pose[:] = 0.0, 0.0, height, 1.0, 0.0, 0.0, 0.0
-        self._base_vel[:] = 0.0
+        super().place(height)
         self._pos[:], self._quat[:] = self._base_pose[:3], self._base_pose[3:]
 
     def hold(self) -> None:
-        """Extrapolate the reference by a step, unless it has timed out."""
         self._reference_age += self._timestep
         if self._reference_age > self._TIMEOUT:
             return
@@ -170,7 +135,6 @@ class Follow:
         self._quat[:] = quat_normalize(quat_mul(self._quat, np.array([1.0, *(turn / 2)])))
 
     def set_reference(self, root: Root) -> None:
-        """Drive the base to the reference; move it there at once if that is far."""
         if np.abs(root.pos - self._pos).max() > self._LEAP:
             self._move_base(root)
         self._pos[:], self._quat[:] = root.pos, root.quat_wxyz
@@ -196,12 +160,10 @@ class Free(Follow):
         self._weld = data.eq_active[model.equality(BASE_TARGET).id :][:1]
 
     def hold(self) -> None:
-        """Extrapolate the reference by a step, while the base is held."""
         if self._weld[0]:
             super().hold()
 
     def set_reference(self, root: Root) -> None:
-        """Release the base when the motion begins, and hold it when another session begins."""
         if root.playing:
             self._weld[0] = False
             return
@@ -211,20 +173,9 @@ class Free(Follow):
         super().set_reference(root)
 
 
-_SUPPORTS: Final[Mapping[str, type[BaseSupport]]] = {
+SUPPORTS: Final[Mapping[Support, type[BaseSupport]]] = {
     "bolted": Bolted,
     "hanging": Hanging,
     "follow": Follow,
     "free": Free,
 }
-
-
-def find_support(name: str) -> type[BaseSupport]:
-    """The class of a support.
-
-    Raises:
-        SimError: there is no support of this name.
-    """
-    if name not in _SUPPORTS:
-        raise SimError(f"There is no support {name!r}.", f"Choose from {', '.join(_SUPPORTS)}.")
-    return _SUPPORTS[name]

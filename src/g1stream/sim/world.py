@@ -15,7 +15,7 @@ import numpy as np
 from g1stream.errors import SimError
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.sim.model import build_model
-from g1stream.sim.supports import find_support
+from g1stream.sim.supports import SUPPORTS
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -28,45 +28,32 @@ __all__ = ["Imu", "MotorCommand", "World", "WorldState"]
 
 
 class MotorCommand(NamedTuple):
-    """Commands to the motors, motor order: tau + kp (q - measured q) + kd (dq - measured dq).
+    """Commands to the motors, (29,) in motor order.
 
-    Attributes:
-        enabled: (29,) bool; a motor that is not enabled gives no torque.
-        q: (29,) rad.
-        dq: (29,) rad/s.
-        tau: (29,) N·m.
-        kp: (29,) N·m/rad.
-        kd: (29,) N·m·s/rad.
+    The torque of a motor is tau + kp (q - measured q) + kd (dq - measured dq).
     """
 
-    enabled: NDArray[np.bool_]
-    q: NDArray[np.floating[Any]]
-    dq: NDArray[np.floating[Any]]
-    tau: NDArray[np.floating[Any]]
-    kp: NDArray[np.floating[Any]]
-    kd: NDArray[np.floating[Any]]
+    enabled: NDArray[np.bool_]  # a motor that is not enabled gives no torque
+    q: NDArray[np.floating[Any]]  # rad
+    dq: NDArray[np.floating[Any]]  # rad/s
+    tau: NDArray[np.floating[Any]]  # N·m
+    kp: NDArray[np.floating[Any]]  # N·m/rad
+    kd: NDArray[np.floating[Any]]  # N·m·s/rad
 
     @classmethod
     def off(cls) -> MotorCommand:
-        """Every motor disabled."""
         return cls(np.zeros(N_JOINTS, dtype=np.bool_), *np.zeros((5, N_JOINTS)))
 
 
 class Imu(NamedTuple):
-    """What an IMU measures.
+    """What an IMU measures."""
 
-    Attributes:
-        quat_wxyz: (4,) attitude in the world.
-        gyroscope: (3,) rad/s, in the IMU's frame.
-        accelerometer: (3,) m/s², in the IMU's frame, gravity included: upward 9.81 at rest.
-    """
-
-    quat_wxyz: NDArray[np.float64]
-    gyroscope: NDArray[np.float64]
+    quat_wxyz: NDArray[np.float64]  # (4,) attitude in the world
+    gyroscope: NDArray[np.float64]  # (3,) rad/s, in the IMU's frame
+    # (3,) m/s², in the IMU's frame, gravity included: upward 9.81 at rest.
     accelerometer: NDArray[np.float64]
 
     def copy(self) -> Imu:
-        """A copy of the arrays."""
         return Imu(*(part.copy() for part in self))
 
 
@@ -75,28 +62,17 @@ class WorldState(NamedTuple):
 
     Positions, velocities and attitudes are those at `time`; accelerations and torques are those of
     the step that led there.
-
-    Attributes:
-        time: s of simulated time.
-        q: (29,) rad.
-        dq: (29,) rad/s.
-        ddq: (29,) rad/s².
-        tau_est: (29,) N·m that the motors applied, limits included.
-        imu: the IMU in the pelvis.
-        torso_imu: the IMU in the torso.
-        base_pos: (3,) m, the base's origin in the world.
-        base_lin_vel: (3,) m/s, of that origin, in the world.
     """
 
-    time: float
-    q: NDArray[np.float64]
-    dq: NDArray[np.float64]
-    ddq: NDArray[np.float64]
-    tau_est: NDArray[np.float64]
-    imu: Imu
+    time: float  # s of simulated time
+    q: NDArray[np.float64]  # (29,) rad
+    dq: NDArray[np.float64]  # (29,) rad/s
+    ddq: NDArray[np.float64]  # (29,) rad/s²
+    tau_est: NDArray[np.float64]  # (29,) N·m that the motors applied, limits included
+    imu: Imu  # in the pelvis
     torso_imu: Imu
-    base_pos: NDArray[np.float64]
-    base_lin_vel: NDArray[np.float64]
+    base_pos: NDArray[np.float64]  # (3,) m, the base's origin in the world
+    base_lin_vel: NDArray[np.float64]  # (3,) m/s, of that origin, in the world
 
 
 class World:
@@ -109,7 +85,6 @@ class World:
         base_height: m, where the base starts; by default as the support prefers.
         timestep: s. With 1 ms, half the period of LowState at 500 Hz, a dance differs by 0.3 mrad
             RMS from that with a step twenty times finer.
-        gravity: m/s², downward.
 
     Attributes:
         model: the `mujoco.MjModel`.
@@ -117,7 +92,7 @@ class World:
         timestep: s.
 
     Raises:
-        SimError: the robot cannot be simulated, or an argument is out of range.
+        SimError: the robot cannot be simulated.
     """
 
     def __init__(
@@ -128,20 +103,21 @@ class World:
         joint_pos: ArrayLike | None = None,
         base_height: float | None = None,
         timestep: float = 1e-3,
-        gravity: float = 9.81,
     ) -> None:
         import mujoco
 
-        kind = find_support(support)
-        self.timestep = _checked("timestep", timestep)
+        kind = SUPPORTS[support]
+        self.timestep = timestep
         self.model: Any = build_model(
-            robot, floating=kind.floating, driven=kind.driven, timestep=timestep, gravity=gravity
+            robot, floating=kind.floating, driven=kind.driven, timestep=timestep
         )
         self.data: Any = mujoco.MjData(self.model)
         self._support = kind(self.model, self.data)
-        height = self._support.height if base_height is None else base_height
-        self._support.place(_checked("base height", height))
-        self._place_joints(joint_pos)
+        self._support.place(self._support.height if base_height is None else base_height)
+        joints = [self.model.joint(name) for name in JOINT_NAMES]
+        self._dofs = np.array([joint.dofadr[0] for joint in joints])
+        if joint_pos is not None:
+            self.data.qpos[[joint.qposadr[0] for joint in joints]] = joint_pos
         self._imu, self._torso_imu = self._find_imu("imu"), self._find_imu("secondary_imu")
         self._base_pos = self.data.sensor("frame_pos").data
         self._base_lin_vel = self.data.sensor("frame_vel").data
@@ -151,28 +127,12 @@ class World:
         self._support.hold()
         mujoco.mj_forward(self.model, self.data)
 
-    def _place_joints(self, joint_pos: ArrayLike | None) -> None:
-        joints = [self.model.joint(name) for name in JOINT_NAMES]
-        self._dofs = np.array([joint.dofadr[0] for joint in joints])
-        if joint_pos is None:
-            return
-        pose = np.asarray(joint_pos, dtype=np.float64)
-        if pose.shape != (N_JOINTS,) or not np.isfinite(pose).all():
-            raise SimError(
-                f"The start pose of shape {pose.shape} is not {N_JOINTS} finite angles.",
-                "Give one angle in radians for each joint, in motor order.",
-            )
-        self.data.qpos[[joint.qposadr[0] for joint in joints]] = pose
-
     def _find_imu(self, name: str) -> Imu:
         """The arrays of an IMU, which MuJoCo updates in place."""
         return Imu(*(self.data.sensor(f"{name}_{part}").data for part in ("quat", "gyro", "acc")))
 
     def step(self, command: MotorCommand) -> None:
-        """Advance by one timestep under a command.
-
-        Each motor gives tau + kp (q - measured q) + kd (dq - measured dq), clipped at
-        `g1stream.robot.joints.TORQUE_LIMIT`.
+        """Advance by one timestep; torques are clipped at `g1stream.robot.joints.TORQUE_LIMIT`.
 
         Raises:
             SimError: the command is not finite, or the state can no longer be integrated.
@@ -224,9 +184,3 @@ class World:
             base_pos=self._base_pos.copy(),
             base_lin_vel=self._base_lin_vel.copy(),
         )
-
-
-def _checked(what: str, value: float) -> float:
-    if not (isfinite(value) and value > 0):
-        raise SimError(f"The {what} {value} is not a positive number.", "Give a positive number.")
-    return value

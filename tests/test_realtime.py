@@ -80,17 +80,13 @@ def test_a_missing_permission_has_a_remedy(monkeypatch):
         raise PermissionError
 
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
-    grant = realtime._ask_for_fifo(50, [])
-    assert not grant.granted
-    assert "rtprio 50" in grant.remedy
-    assert grant.cost
-
-
-def test_the_remedy_of_a_user_without_a_name(monkeypatch):
-    for name in ("LOGNAME", "USER", "LNAME", "USERNAME"):
+    for name in ("LOGNAME", "USER", "LNAME", "USERNAME"):  # a user without a name
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(os, "getuid", lambda: 1_234_567)
-    assert realtime._user() == ":1234567"
+    grant = realtime._ask_for_fifo(50, [])
+    assert not grant.granted
+    assert ":1234567 - rtprio 50" in grant.remedy
+    assert grant.cost
 
 
 def test_priority_0_is_normal_scheduling():

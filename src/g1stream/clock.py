@@ -42,15 +42,12 @@ class SystemClock:
         self._early = 0
 
     def now(self) -> int:
-        """CLOCK_MONOTONIC, ns."""
         return time.monotonic_ns()
 
     def stamp(self) -> int:
-        """CLOCK_REALTIME, ns since the epoch."""
         return time.time_ns()
 
     def sleep_until(self, deadline: int) -> None:
-        """Sleep until `now()` has reached `deadline`; signals are handled meanwhile."""
         alarm = deadline - self._early
         asleep = False
         while (left := alarm - time.monotonic_ns()) > 0:

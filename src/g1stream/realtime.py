@@ -28,21 +28,13 @@ _BACKGROUND_NICE = 5
 
 @dataclass(frozen=True)
 class Grant:
-    """The result of one request to the system.
-
-    Attributes:
-        what: its name.
-        granted: whether it was granted.
-        detail: the setting now, or why it was not granted.
-        cost: the effect of not having it.
-        remedy: how to get it, on one line; empty if it was granted.
-    """
+    """The result of one request to the system."""
 
     what: str
     granted: bool
-    detail: str
-    cost: str = ""
-    remedy: str = ""
+    detail: str  # the setting now, or why it was not granted
+    cost: str = ""  # the effect of not having it
+    remedy: str = ""  # how to get it, on one line
 
 
 @contextmanager
@@ -120,13 +112,11 @@ def _ask_for_fifo(priority: int, helpers: list[int]) -> Grant:
             with suppress(ProcessLookupError):
                 os.sched_setscheduler(thread, policy, os.sched_param(max(1, priority - 1)))
     except PermissionError:
-        return Grant(
+        return _denied(
             what,
-            granted=False,
-            detail=f"no permission for priority {priority} (RLIMIT_RTPRIO, CAP_SYS_NICE)",
-            cost="other processes can delay a command by milliseconds",
-            remedy=f"Put the line '{_user()} - rtprio {priority}' into "
-            "/etc/security/limits.d/g1stream.conf and log in again.",
+            f"no permission for priority {priority} (RLIMIT_RTPRIO, CAP_SYS_NICE)",
+            "other processes can delay a command by milliseconds",
+            f"rtprio {priority}",
         )
     return Grant(what, granted=True, detail=f"priority {priority}")
 
@@ -150,13 +140,11 @@ def _ask_for_memory() -> Grant:
     # Only current pages: with a limit on locked memory, MCL_FUTURE would make a later allocation
     # fail.
     if _libc().mlockall(_MCL_CURRENT | _MCL_ONFAULT):
-        return Grant(
+        return _denied(
             what,
-            granted=False,
-            detail="no permission to lock all of it (RLIMIT_MEMLOCK, CAP_IPC_LOCK)",
-            cost="when memory is short, a command can be delayed by paging",
-            remedy=f"Put the line '{_user()} - memlock unlimited' into "
-            "/etc/security/limits.d/g1stream.conf and log in again.",
+            "no permission to lock all of it (RLIMIT_MEMLOCK, CAP_IPC_LOCK)",
+            "when memory is short, a command can be delayed by paging",
+            "memlock unlimited",
         )
     return Grant(what, granted=True, detail="locked")
 
@@ -208,11 +196,14 @@ def _listed(cpus: set[int]) -> str:
     return ", ".join(map(str, sorted(cpus)))
 
 
-def _user() -> str:
-    """The user in the syntax of limits.conf(5); `:uid` for one without a name, as in containers."""
+def _denied(what: str, detail: str, cost: str, limit: str) -> Grant:
+    """A request for which the user needs a line in limits.conf(5)."""
     import getpass
 
     try:
-        return getpass.getuser()
-    except (KeyError, OSError):
-        return f":{os.getuid()}"
+        user = getpass.getuser()
+    except (KeyError, OSError):  # one without a name, as in containers
+        user = f":{os.getuid()}"
+    line, file = f"'{user} - {limit}'", "/etc/security/limits.d/g1stream.conf"
+    remedy = f"Put the line {line} into {file} and log in again."
+    return Grant(what, granted=False, detail=detail, cost=cost, remedy=remedy)

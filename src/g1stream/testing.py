@@ -35,7 +35,8 @@ class FakeClock:
     """A clock whose time passes only by sleeping and by `work`.
 
     Args:
-        limit: the longest time that may pass, ns, so that a loop that does not end fails.
+        limit: the longest time that may pass, ns; more is an AssertionError, so that a loop that
+            does not end fails.
 
     Attributes:
         time: what `now` returns, ns.
@@ -50,19 +51,12 @@ class FakeClock:
         self._end = self.time + limit
 
     def now(self) -> int:
-        """The time, ns; for deadlines."""
         return self.time
 
     def stamp(self) -> int:
-        """The time since the epoch, ns; for timestamps of messages."""
         return _EPOCH + self.time
 
     def sleep_until(self, deadline: int) -> None:
-        """Let time pass until a deadline, and for as long as it is overslept.
-
-        Raises:
-            AssertionError: that is beyond the limit.
-        """
         self.deadlines.append(deadline)
         if deadline > self.time:
             self.time = deadline + self.oversleeps.get(deadline, 0)
@@ -75,16 +69,10 @@ class FakeClock:
 
 
 class Sent(NamedTuple):
-    """One LowCmd with its Reference, as a `FakeLink` got them.
+    """One LowCmd with its Reference, as a `FakeLink` got them."""
 
-    Attributes:
-        time: when it was sent, ns of the clock.
-        stamp: its publish time, ns since the epoch.
-        command, reference: the messages.
-    """
-
-    time: int
-    stamp: int
+    time: int  # ns of the clock
+    stamp: int  # publish time, ns since the epoch
     command: LowCmd
     reference: Reference
 
@@ -119,19 +107,15 @@ class FakeLink:
         self._published: bytes | None = None
 
     def subscribers(self) -> int:
-        """Number of subscribers of LowCmd."""
         return self.subscriber_count
 
     def other_publishers(self) -> list[str]:
-        """Names of other publishers of LowCmd."""
         return list(self.others)
 
     def support(self) -> str | None:
-        """How the robot announces that it is held."""
         return self.announced
 
     def receive(self, state: LowState) -> bool:
-        """Load the newest LowState; False if there is none."""
         data = self._published if self.silent else self.robot.tobytes()
         self._published = None
         if data is None:
@@ -140,7 +124,6 @@ class FakeLink:
         return True
 
     def send(self, command: bytes, reference: bytes, stamp: int) -> int:
-        """Keep a LowCmd and its Reference in `sent`."""
         sent = Sent(self._clock.now(), stamp, LowCmd(), Reference())
         sent.command.load(command)
         sent.reference.load(reference)

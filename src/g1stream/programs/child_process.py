@@ -59,7 +59,6 @@ class Child:
 
     @property
     def alive(self) -> bool:
-        """Whether the process still runs."""
         return self._process.poll() is None
 
     def wait_until_ready(self, timeout: float = 20.0) -> None:
@@ -138,7 +137,6 @@ class Parent:
         threading.Thread(target=self._wait, name="parent", daemon=True).start()
 
     def ready(self) -> None:
-        """Say that the program is ready."""
         self._send("ready", None)
 
     def _wait(self) -> None:

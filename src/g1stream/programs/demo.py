@@ -68,13 +68,7 @@ def demo(
     sim = Child("sim", config)
     try:
         sim.wait_until_ready()
-        played = stream(
-            motion,
-            config,
-            record=session_path,
-            force=force,
-            on_loop=on_loop,
-        )
+        played = stream(motion, config, record=session_path, force=force, on_loop=on_loop)
         sim.finish()
     finally:
         sim.kill()
@@ -89,11 +83,9 @@ def demo(
 def _check_local_only(interface: str) -> None:
     if is_local_only(interface):
         return
-    what = (
-        f"the interface {interface} is not the loopback"
-        if not is_loopback(interface)
-        else "CYCLONEDDS_URI is set, which could lead elsewhere"
-    )
+    what = "CYCLONEDDS_URI is set, which could lead elsewhere"
+    if not is_loopback(interface):
+        what = f"the interface {interface} is not the loopback"
     raise ConfigError(
         f"A demo is local to this machine, but {what}.",
         "Leave that out; to play on a robot use `g1stream stream`.",

@@ -54,15 +54,12 @@ class Lockstep:
         self._command = self._reference = b""
 
     def now(self) -> int:
-        """Simulated time, ns."""
         return self._now
 
     def stamp(self) -> int:
-        """Simulated time since `EPOCH`, ns since the epoch."""
         return EPOCH + self._now
 
     def sleep_until(self, deadline: int) -> None:
-        """Let the robot do all its ticks before the deadline."""
         while self._due < deadline:
             self._now = self._due
             self._tick()
@@ -82,26 +79,21 @@ class Lockstep:
         self._robot.step(self._now)
 
     def subscribers(self) -> int:
-        """The robot is always there."""
         return 1
 
     def other_publishers(self) -> list[str]:
-        """There is no other publisher."""
         return []
 
     def support(self) -> str | None:
-        """How the robot is held, as given."""
         return self._support
 
     def receive(self, state: LowState) -> bool:
-        """Load the newest LowState since the last call; False where none came."""
         data, self._low_state = self._low_state, b""
         if data:
             state.load(data)
         return bool(data)
 
     def send(self, command: bytes, reference: bytes, stamp: int) -> int:
-        """Publish a LowCmd and the Reference beside it; the robot's next tick receives them."""
         self._command, self._reference = command, reference
         self._on_sample(LOWCMD, command, stamp)
         self._on_sample(REFERENCE, reference, stamp)

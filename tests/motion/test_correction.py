@@ -79,7 +79,7 @@ def test_another_file_is_refused(tmp_path, content):
 
 
 def test_the_spline_is_smooth_and_zero_at_both_ends_of_what_is_played():
-    correction, dt = make(), 1e-4
+    correction, dt = make(), 5e-4
     for start, stop in ((1.0, 5.0), (2.01, 4.003), (0.0, 99.0)):
         spline = CorrectionSpline(correction, start, stop)
         times = np.arange(0.9, 5.1, dt)
@@ -88,7 +88,7 @@ def test_the_spline_is_smooth_and_zero_at_both_ends_of_what_is_played():
         outside = (times < max(start, 1.0) - dt) | (times > min(stop, 5.0) + dt)
         assert np.abs(c[outside]).max(initial=0.0) < 1e-5
         # C2: each derivative is that of the one before.
-        assert np.abs(np.diff(c, axis=0) / dt - rate[1:]).max() < 1e-3
+        assert np.abs(np.diff(c, axis=0) / dt - rate[1:]).max() < 2e-3
         assert np.abs(np.diff(rate, axis=0) / dt - acceleration[1:]).max() < 0.2
         middle = (times > max(start, 1.0) + 0.4) & (times < min(stop, 5.0) - 0.4)
         expected = 0.05 * np.sin(3.0 * times[middle, np.newaxis] + np.arange(29))

@@ -54,6 +54,9 @@ _RATE: Final = 500.0
 #: does not repeat in what is left.
 _GAIN: Final = 0.8
 _GAIN_DECAY: Final = 0.6
+#: No correction changes by more than this in one repetition, rad: what a stall of a machine leaves
+#: in a single session is not believed as it is.
+_LARGEST_STEP: Final = 0.05
 #: Whether an error responds is judged over this time, s.
 _WINDOW: Final = 0.5
 #: ... where the correction has changed by more than this, rms, rad.
@@ -64,6 +67,8 @@ _LEAST_RESPONSE: Final = 0.25
 _LEAST_FALL: Final = 0.7
 #: A correction that is taken back blends into its surroundings over this time, s.
 _BLEND: Final = 0.2
+#: The torque may have been off for this long, s, such as after a late LowState.
+_LONGEST_DROPOUT: Final = 0.5
 #: Intervals that were played may differ by this, s: a few LowStates.
 _SAME_INTERVAL: Final = 0.1
 
@@ -153,7 +158,7 @@ def improve(
     history = (*in_order[-1].history, in_order[-1].rmse)
     gain = _GAIN / (1.0 + _GAIN_DECAY * (len(history) - 1))
     best = min(in_order, key=lambda one: one.rmse)
-    values = best.values + gain * best.error
+    values = best.values + np.clip(gain * best.error, -_LARGEST_STEP, _LARGEST_STEP)
     # The first change without effect is taken back last, so that it counts.
     held = [(_unresponsive(*pair, time), pair[0].values) for pair in pairwise(in_order)][::-1]
     held += [(one.frozen, one.values) for one in in_order[::-1]]
@@ -252,7 +257,7 @@ def _read(session: Session) -> _Played:
         "it was ended early": stream.reason,
         "its motion was looped": settings.get("loop"),
         "its commands were recorded ones": stream.feedforward == "recorded",
-        "its feed-forward was switched off while it played": stream.feedforward_changes,
+        "its feed-forward was switched off while it played": _switched_off(stream),
         "its recording is not complete": not session.complete,
     }
     if reasons := [reason for reason, found in problems.items() if found]:
@@ -288,6 +293,14 @@ def _read(session: Session) -> _Played:
         robot.lower,
         robot.upper,
     )
+
+
+def _switched_off(stream: StreamSummary) -> bool:
+    """Whether the torque was off for longer than a moment."""
+    off = 0.0
+    for change in stream.feedforward_changes:
+        off += change.motion_time_s if change.kind == "dynamics" else -change.motion_time_s
+    return not 0.0 <= off <= _LONGEST_DROPOUT  # negative: never switched on again
 
 
 def _require_same(first: _Played, other: _Played) -> None:

@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Learn"]
 
+#: Joints that are named where a correction stays as it is.
+_SHOWN = 3
+
 
 @dataclass(frozen=True, kw_only=True)
 class Learn(Command):
@@ -85,8 +88,8 @@ def _text(correction: Correction, path: Path) -> str:
         f"  RMSE so far     {', '.join(f'{rmse:.4f}' for rmse in history)} rad",
         f"  correction      {correction.largest:.4f} rad at most",
     ]
-    lines += [
-        f"  left alone      {joint}, {seconds:.1f} s: its error did not respond"
-        for joint, seconds in correction.frozen_seconds.items()
-    ]
+    frozen = [f"{joint} {s:.1f} s" for joint, s in correction.frozen_seconds.items()]
+    if frozen:
+        more = f", {len(frozen) - _SHOWN} more" if len(frozen) > _SHOWN else ""
+        lines.append(f"  did not respond {', '.join(frozen[:_SHOWN])}{more}: stays as it is there")
     return "\n".join(lines)

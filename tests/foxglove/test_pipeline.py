@@ -63,18 +63,13 @@ def test_batches_become_raw_and_derived_messages():
     assert pipeline.encode({}) == []
 
 
-@pytest.mark.parametrize(("rate", "wanted", "kept"), [(500, 100, 100), (1000, 100, 100)])
-def test_decimator_thins_a_fast_stream_evenly(rate, wanted, kept):
-    stamps = 1_700_000_000_000_000_000 + np.arange(rate) * (1_000_000_000 // rate)
-    decimator = Decimator(wanted)
+@pytest.mark.parametrize(("rate", "kept"), [(500, 100), (1000, 100), (100, 100), (30, 30)])
+def test_decimator_thins_a_fast_stream_evenly_and_keeps_a_slow_one(rate, kept):
+    stamps = T0 + np.arange(rate) * (1_000_000_000 // rate)
+    decimator = Decimator(100)
     picked = np.concatenate([part[decimator.pick(part)] for part in np.array_split(stamps, 20)])
     assert len(picked) == kept
-    assert set(np.diff(picked)) == {1_000_000_000 // wanted}
-
-
-def test_decimator_keeps_all_of_a_slow_stream():
-    stamps = np.arange(30) * 33_333_333
-    assert len(Decimator(100).pick(stamps)) == 30
+    assert set(np.diff(picked)) == {1_000_000_000 // kept}
 
 
 def test_decimator_of_an_empty_batch():

@@ -163,7 +163,7 @@ class Session:
             made = Stream(lambda _: columns, lambda: made.since(self.start_ns))
             return made
 
-        columns = self._columns({topic: lambda _: {} for topic in topics})
+        columns = self._columns(topics, lambda _: {})
         return {topic: stream(columns[topic]) for topic in topics}
 
     def messages(self, topic: str) -> Iterator[Message]:
@@ -353,16 +353,16 @@ class Session:
             samples = self.samples(kind, messages.data)
             return {name: samples[path] for name, path in paths.items()}
 
-        return self._columns({kind.topic: decode})[kind.topic]
+        return self._columns([kind.topic], decode)[kind.topic]
 
     def _columns(
-        self, decoders: Mapping[str, Callable[[Messages], dict[str, NDArray[Any]]]]
+        self, topics: Sequence[str], decode: Callable[[Messages], dict[str, NDArray[Any]]]
     ) -> dict[str, dict[str, NDArray[Any]]]:
         """By topic and attribute, what all messages of some topics have; read in one pass."""
-        parts: dict[str, dict[str, list[NDArray[Any]]]] = {topic: {} for topic in decoders}
-        for topic, messages in self._source.batches(set(decoders)):
+        parts: dict[str, dict[str, list[NDArray[Any]]]] = {topic: {} for topic in topics}
+        for topic, messages in self._source.batches(set(topics)):
             times = {"log_time": messages.log_times, "publish_time": messages.publish_times}
-            for attribute, values in (times | decoders[topic](messages)).items():
+            for attribute, values in (times | decode(messages)).items():
                 parts[topic].setdefault(attribute, []).append(values)
         for topic, columns in parts.items():
             found = sum(map(len, columns.get("log_time", ())))

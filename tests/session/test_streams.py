@@ -102,6 +102,11 @@ def test_time_is_the_motion_time_where_play_began_later():
     np.testing.assert_allclose(stream.time[1:], stream.motion_time[1:])
 
 
+@pytest.mark.parametrize("start", [np.nan, np.inf, 1e300])
+def test_motion_times_that_cannot_be_are_passed_over(start):
+    np.testing.assert_allclose(reference([Phase.PLAY] * 2, start=start).time, [0.0, 0.1])
+
+
 def test_time_is_on_the_recorders_clock():
     stream = reference([Phase.PLAY] * 3, latency=3_200_000_000)
     assert stream.start_ns == T0 + 3_200_000_000

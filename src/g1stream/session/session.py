@@ -195,8 +195,8 @@ class Session:
     def start_ns(self) -> int:
         """Time 0 of the motion's clock, ns since the epoch on the recorder's clock.
 
-        That is when the motion's first frame was published; where nothing was played, the first
-        sample of the reference, or else of the commands or the state.
+        That is when the motion's first frame was or would have been published; where nothing was
+        played, the first sample of the reference, or else of the commands or the state.
         """
         kinds = Reference, Command, Measured
         return self.stream(next(k for k in kinds if self.topics.get(k.topic))).start_ns

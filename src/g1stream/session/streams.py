@@ -26,6 +26,8 @@ _TIMES: Final = ("log_time", "publish_time")
 
 #: If half of the messages take longer than this, ns, it is the clocks that differ.
 _SLOWEST_WIRE: Final = 20_000_000
+#: A motion time beyond this, s, which no motion of ours has, is passed over.
+_LONGEST_MOTION: Final = 1e9
 
 Columns = Mapping[str, "NDArray[Any]"]
 StreamT = TypeVar("StreamT", bound="Stream")
@@ -184,7 +186,9 @@ class Reference(Stream):
 
         On the recorder's clock. Where nothing was played, when the first sample was published.
         """
-        playing = np.flatnonzero(self.read("phase", "motion_time").phase == Phase.PLAY)
+        self.read("phase", "motion_time")
+        sane = np.abs(self.motion_time) < _LONGEST_MOTION
+        playing = np.flatnonzero((self.phase == Phase.PLAY) & sane)
         if not len(playing):
             return super().start_ns
         first = playing[self.publish_time[playing].argmin()]

@@ -88,14 +88,9 @@ def _foxglove(topic: str, message_class: type[Message], description: str) -> Cha
     return Channel(topic, name, "protobuf", "protobuf", description, build)
 
 
-def _ros(
-    topic: str, name: str, description: str, build: Callable[[], bytes], dds_topic: str | None
-) -> Channel:
-    return Channel(topic, name, "ros2msg", "cdr", description, build, dds_topic)
-
-
 def _dds(topic: str, dds_topic: str, name: str, description: str) -> Channel:
-    return _ros(topic, name, description, partial(_ros2_schema, dds_topic), dds_topic)
+    build = partial(_ros2_schema, dds_topic)
+    return Channel(topic, name, "ros2msg", "cdr", description, build, dds_topic)
 
 
 def _protobuf_schema(message_class: type[Message]) -> bytes:
@@ -103,10 +98,9 @@ def _protobuf_schema(message_class: type[Message]) -> bytes:
     files: dict[str, Any] = {}
 
     def collect(file: Any) -> None:
-        if file.name not in files:
-            for imported in file.dependencies:
-                collect(imported)
-            files[file.name] = file
+        for imported in file.dependencies:
+            collect(imported)
+        files[file.name] = file
 
     collect(message_class.DESCRIPTOR.file)
     collected = FileDescriptorSet()
@@ -165,12 +159,13 @@ _ALL: Final = (
     _foxglove("/log", Log, "phase changes, safety events, gaps and overruns"),
     _foxglove("/scene", SceneUpdate, "the robot's shapes, each locked to the frame of its link"),
     # In ROS's own message, as that is what viewers look for under this topic.
-    _ros(
+    Channel(
         "/robot_description",
         "std_msgs/msg/String",
+        "ros2msg",
+        "cdr",
         "the robot's URDF",
         lambda: b"string data\n",
-        None,
     ),
     _dds("/lowcmd", "rt/lowcmd", "unitree_hg/msg/LowCmd", "commands to the motors"),
     _dds("/lowstate", "rt/lowstate", "unitree_hg/msg/LowState", "state of motors and IMU"),

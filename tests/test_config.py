@@ -131,6 +131,7 @@ OUT_OF_RANGE = {
     "stream.start": ["-0.001", "inf"],
     "stream.duration": ["0.0", "-1.0", "nan"],
     "stream.preview": ["-0.01", "0.2"],
+    "stream.time_scale": ["0.4", "1.1"],
     "realtime.priority": ["-1", "100"],
     "realtime.cpu": ["-1"],
     "safety.position_margin": ["-0.1", "0.6", "nan"],

@@ -149,8 +149,8 @@ class StreamConfig(_Table):
     )
     preview: float | None = setting(
         None,
-        "commands are ahead of the motion by this, as they act a little later; one period of "
-        "them if unset",
+        "commands are ahead of the motion by this, as they act a little later; if unset, one "
+        "period of them for g1stream's own simulator, and 0 otherwise",
         "s",
         example=0.002,
         ge=0.0,
@@ -163,6 +163,14 @@ class StreamConfig(_Table):
         flag=("stream",),
         example="better.npz",
         strict=False,
+    )
+    time_scale: float | None = setting(
+        None,
+        "simulated over real time, which velocities are corrected by; measured from the joints if "
+        "unset; 1 on a robot",
+        example=1.0,
+        ge=0.5,
+        le=1.05,
     )
 
 

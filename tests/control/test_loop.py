@@ -84,6 +84,8 @@ def feedforward(kind, *args, **other):
 class ConstantTorque:
     """A model of the robot with the same torque for every state."""
 
+    name = "constant"
+
     def solve(self, support, q, dq, ddq, base, *, force=None):
         return Solution(np.full(29, 8.0), np.zeros(3), np.zeros(3))
 

@@ -31,6 +31,8 @@ WIDTH: Final = 80
 _LABEL: Final = 14
 _MOST_JOINTS: Final = 3
 _MOST_PROBLEMS: Final = 10
+#: A time scale this far from 1 is shown.
+_SLOW: Final = 0.02
 #: Played to within this of the end of the motion, s, it was played to its end.
 _WHOLE: Final = 0.1
 
@@ -208,6 +210,8 @@ def _stream(stream: StreamSummary) -> list[str]:
         lines.append(_line("states", f"{stream.states_received} received{lost}"))
     if stream.feedforward:
         lines.append(_line("feed-forward", _feedforward(stream)))
+    if stream.time_scale is not None and abs(stream.time_scale - 1.0) > _SLOW:
+        lines.append(_line("time", f"the simulator ran at {stream.time_scale:.2f} of real time"))
     for label, what, ticks in (
         ("clamped", "joint targets", stream.clamped_ticks),
         ("saturated", "feed-forward torques", stream.saturated_ticks),
@@ -223,7 +227,7 @@ def _stream(stream: StreamSummary) -> list[str]:
 def _feedforward(stream: StreamSummary) -> str:
     text = f"{stream.feedforward}"
     if stream.support and stream.feedforward == "dynamics":
-        text += f" ({stream.support})"
+        text += f" ({stream.support}{f', robot {stream.robot}' if stream.robot else ''})"
     if not stream.feedforward_changes:
         return text
     first, *more = stream.feedforward_changes

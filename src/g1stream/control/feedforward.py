@@ -10,19 +10,21 @@ from typing import TYPE_CHECKING, Final, get_args
 
 import numpy as np
 
-from g1stream.control.safety import all_finite, is_unit
+from g1stream.control.revision import RevisionFit
+from g1stream.control.safety import ImuReading, all_finite, is_unit
 from g1stream.control.support import ForceObserver, SupportCheck
+from g1stream.control.time_scale import TimeScale
 from g1stream.motion.blend import minimum_jerk
 from g1stream.robot.dynamics import BaseMotion, InverseDynamics
 from g1stream.robot.joints import N_JOINTS
+from g1stream.robot.model import G1, REVISIONS
 from g1stream.session.summary import FeedForwardChange
 from g1stream.types import FeedForwardKind, Floats, Ints, Phase, Support
 
 if TYPE_CHECKING:
     from g1stream.config import StreamConfig
-    from g1stream.control.safety import ImuReading
     from g1stream.control.targets import Target
-    from g1stream.robot.model import G1
+    from g1stream.dds.messages import LowState
 
 __all__ = ["FeedForward"]
 
@@ -34,6 +36,8 @@ _MAX_GYROSCOPE: Final = 30.0
 _STALE: Final = 0.02
 #: The torque fades out, and in again, in this time, s.
 _FADE: Final = 0.1
+#: The revision of the robot is decided on when this share of RAMP has passed.
+_DECISION: Final = 0.8
 
 
 class FeedForward:
@@ -41,24 +45,32 @@ class FeedForward:
 
     With `dynamics`, the torque is that of the inverse dynamics of the reference for the given
     support: joint motion from the reference, attitude and rate of the pelvis from the IMU. It fades
-    in with RAMP. While the IMU is stale or implausible, and once the pelvis does not move as the
-    support predicts, the torque is faded out and the velocity remains.
+    in with RAMP. While the IMU is stale or implausible, and once the robot does not move as the
+    support lets it, the torque is faded out and the velocity remains.
+
+    Velocities are given in the robot's time, which in a simulator that is short of CPU is slower
+    than the clock: the reference's velocity is divided by the time scale, its acceleration by the
+    square of it.
 
     Args:
         kind: what commands carry beside q; None: `dynamics` where the bridge announces how it holds
             the robot, `velocity` elsewhere.
         support: how the robot is held; None: as the bridge announces.
         dynamics: the model; needed for `dynamics`.
+        alternative: another model, of another revision of the robot. During RAMP the measured
+            torques are compared with both, and the one that fits better is used from then on.
         limit: (29,) N·m, the largest torque in either direction.
         period: s between commands.
         ramp: s, length of RAMP; the torque fades in during its first half.
         preview: s by which the target of a command is ahead of its publish time, because it takes
-            effect later.
+            effect later; None: a period for a bridge that announces its support, otherwise 0.
+        time_scale: simulated over real time; None: it is measured.
         recorded: the commands of PLAY are recorded ones, so that this applies to RAMP and HOLD.
 
     Attributes:
         kind, support: as given; after `begin`, as decided.
-        preview, recorded: as given.
+        recorded: as given.
+        scale: the measured time scale; None where it is given.
         saturated: (29,) int64, ticks at which each joint's torque was held at its limit.
         changes: when the torque was switched off and on again, in order.
     """
@@ -69,19 +81,23 @@ class FeedForward:
         support: Support | None = None,
         *,
         dynamics: InverseDynamics | None = None,
+        alternative: InverseDynamics | None = None,
         limit: Floats,
         period: float,
         ramp: float,
-        preview: float = 0.0,
+        preview: float | None = 0.0,
+        time_scale: float | None = 1.0,
         recorded: bool = False,
     ) -> None:
         self.kind = kind
         self.support = support
-        self.preview = preview
         self.recorded = recorded
+        self.scale = TimeScale() if time_scale is None else None
         self.saturated: Ints = np.zeros(N_JOINTS, dtype=np.int64)
         self.changes: list[FeedForwardChange] = []
+        self._given_preview, self._given_scale = preview, time_scale or 1.0
         self._dynamics = dynamics
+        self._alternative = alternative
         self._limit = limit
         self._period = period
         self._ramp = ramp
@@ -90,6 +106,30 @@ class FeedForward:
         self._tau = np.zeros(N_JOINTS)
         self._observer: ForceObserver | None = None
         self._check: SupportCheck | None = None
+        self._fit: RevisionFit | None = None
+        self._announced = self._trusted = False
+        self._phase = Phase.WAIT
+        self._expected_rate = np.zeros(3)
+
+    @property
+    def preview(self) -> float:
+        """How far commands are ahead of the motion, s."""
+        if self._given_preview is not None:
+            return self._given_preview
+        # Our bridge's servo runs at the rate of commands: it reads one half a period after it
+        # arrived on average, and holds it for a whole one. unitree_mujoco's bridges run at another
+        # rate or on the arrival of a command, with measurements that are older by a step.
+        return self._period if self._announced else 0.0
+
+    @property
+    def median_time_scale(self) -> float | None:
+        """Of simulated over real time, where it is measured."""
+        return self.scale.median if self.scale else None
+
+    @property
+    def robot(self) -> str | None:
+        """The name of the model that torques are computed with; None without torques."""
+        return self._dynamics.name if self._dynamics and self.kind == "dynamics" else None
 
     @classmethod
     def from_config(
@@ -101,16 +141,18 @@ class FeedForward:
             RobotError: the inverse dynamics of this robot cannot be computed.
         """
         kind = settings.feedforward
+        torque = kind in (None, "dynamics")
+        other = G1.load(REVISIONS[1]) if torque and robot is G1.default() else None
         return cls(
             kind,
             settings.support,
-            dynamics=InverseDynamics(robot) if kind in (None, "dynamics") else None,
+            dynamics=InverseDynamics(robot) if torque else None,
+            alternative=InverseDynamics(other) if other else None,
             limit=robot.torque_limit,
             period=period,
             ramp=settings.ramp,
-            # A servo at the same rate reads a command half a period after it arrived on average,
-            # and holds it for a whole one.
-            preview=period if settings.preview is None else settings.preview,
+            preview=settings.preview,
+            time_scale=settings.time_scale,
             recorded=recorded,
         )
 
@@ -121,6 +163,8 @@ class FeedForward:
             announced: the support that the bridge announces; None if it does not.
         """
         given = self.support
+        self._announced = announced is not None
+        self._trusted = given in (None, announced)
         self.support = given or next((s for s in get_args(Support) if s == announced), None)
         if self.kind is None:
             held = self.support not in (None, "free")  # ground contact is not in the model
@@ -143,12 +187,39 @@ class FeedForward:
                 announced,
                 given,
             )
-        if self._dynamics is None or self.recorded:
+        if self._dynamics is None or self.support is None or self.recorded:
             return  # observer and check need every tick
+        if self._alternative:
+            self._fit = RevisionFit(self.support, (self._dynamics, self._alternative))
+        self._use(self._dynamics)
+
+    def _use(self, dynamics: InverseDynamics) -> None:
+        """Compute torques with this model, and check the support by it."""
+        self._dynamics = dynamics
         # What the bridge announces about itself needs no check.
-        self._check = SupportCheck(self._period) if self.support != announced else None
+        told = self.support and not self._trusted
+        self._check = SupportCheck(dynamics, self.support) if told and self.support else None
         if self.support == "hanging":
-            self._observer = ForceObserver(self._dynamics, self._period)
+            self._observer = ForceObserver(dynamics, self._period)
+
+    def observe(self, time: float, state: LowState) -> None:
+        """Take a new LowState, received at `time`, s, into account."""
+        phase = self._phase
+        if phase is Phase.WAIT or (self.recorded and phase is Phase.PLAY):
+            return
+        if self.scale:
+            self.scale.add(time, state.q, state.dq)
+        imu = ImuReading(state.quaternion, state.gyroscope, state.accelerometer)
+        if self._fit and phase is Phase.RAMP:
+            self._fit.add(time, state.q, state.dq, state.tau_est, imu, self.time_scale)
+        elif self._check and phase is Phase.PLAY:
+            expected = self._expected_rate
+            self._check.add(time, state.q, state.dq, imu, expected, self.time_scale)
+
+    @property
+    def time_scale(self) -> float:
+        """Simulated over real time, as given or measured."""
+        return self.scale.value if self.scale else self._given_scale
 
     def command(
         self, phase: Phase, elapsed: float, target: Target, imu: ImuReading, age: float
@@ -162,10 +233,18 @@ class FeedForward:
             imu: the newest reading.
             age: s since it was received.
         """
+        self._phase = phase
         if self.kind == "none":
             return target.replace(dq=0.0)
-        if self.kind != "dynamics" or (self.recorded and phase is Phase.PLAY):
+        if self.recorded and phase is Phase.PLAY:
             return target
+        target = target.slowed(self.time_scale)
+        if self.kind != "dynamics":
+            return target
+        if self._fit and (phase is not Phase.RAMP or elapsed > _DECISION * self._ramp):
+            self._decide(self._fit.position)
+            self._fit = None
+        self._expected_rate = target.root_ang_vel
         # Within half the ramp: the rest of it corrects the sag under a partial torque.
         blend = minimum_jerk(2.0 * elapsed / self._ramp)[0] if phase is Phase.RAMP else 1.0
         fault = self._find_fault(imu, age)
@@ -176,10 +255,24 @@ class FeedForward:
         self._log_change(fault, target.motion_time)
         return target.replace(tau=self._limited(blend * self._weight * self._tau))
 
+    def _decide(self, position: float | None) -> None:
+        """Continue with the model that the measured torques are nearer to."""
+        first, second = self._dynamics, self._alternative
+        if first is None or second is None:
+            return
+        if position is not None and position > 0.5:
+            self._use(second)
+        why = (
+            "too little is known of its torques to tell"
+            if position is None
+            else f"measured torques at {position:.2f}, {first.name} at 0, {second.name} at 1"
+        )
+        _LOGGER.info("feed-forward: robot %s: %s", self.robot, why)
+
     def _find_fault(self, imu: ImuReading, age: float) -> str:
         """Why no torque can be computed from the newest reading; empty if it can."""
         if self._check and self._check.wrong:
-            return f"the pelvis does not move as with support {self.support}; correct --support"
+            return f"the robot does not move as with support {self.support}; correct --support"
         if age > _STALE:
             return f"LowState is older than {_STALE:g} s"
         if not all(map(all_finite, imu)):
@@ -213,8 +306,6 @@ class FeedForward:
         solution = dynamics.solve(support, target.q, target.dq, target.ddq, base, force=force)
         if self._observer:
             self._observer.expect(dynamics.specific_force(solution, base))
-        if self._check:
-            self._check.add(target.motion_time, imu.gyroscope, solution.ang_acc)
         return solution.tau
 
     def _limited(self, tau: Floats) -> Floats:

@@ -193,6 +193,9 @@ class StreamLoop:
             raise
         finally:
             self.report.reason = self.state.reason
+            if self._feedforward:
+                self.report.robot = self._feedforward.robot
+                self.report.time_scale = self._feedforward.median_time_scale
         return self.report
 
     def _play(self) -> None:
@@ -264,6 +267,8 @@ class StreamLoop:
         self.report.states += 1
         self._skipped_when_measured = self.report.skipped
         self._measured = Measured(state.q, state.dq, state.quaternion, int(state.mode_machine), now)
+        if self._feedforward:
+            self._feedforward.observe(now / 1e9, state)
 
     def _advance(self, now: int, deadline: int) -> None:
         before = self.state

@@ -62,6 +62,8 @@ class LoopReport:
         feedforward, support: of the commands, and how the robot was taken to be held; None until
             RAMP begins.
         feedforward_changes: when the torque was switched off and on again, in order.
+        robot: name of the model that torques were computed with.
+        time_scale: median of simulated over real time, as measured.
         commands: LowCmds written.
         states: LowStates received, of those that were the newest at a tick.
         first_stamp, last_stamp: publish times of the first and last LowCmd, ns since the epoch.
@@ -77,6 +79,8 @@ class LoopReport:
     feedforward: FeedForwardKind | Literal["recorded"] | None = None
     support: Support | None = None
     feedforward_changes: list[FeedForwardChange] = field(default_factory=list)
+    robot: str | None = None
+    time_scale: float | None = None
     commands: int = 0
     states: int = 0
     first_stamp: int = 0
@@ -111,6 +115,8 @@ class LoopReport:
             feedforward=self.feedforward,
             support=self.support,
             feedforward_changes=self.feedforward_changes,
+            robot=self.robot,
+            time_scale=self.time_scale,
             states_used=self.states,
             lateness_histogram_us=late.sparse(),
         )

@@ -1,11 +1,13 @@
-"""What the IMU in the pelvis shows about how the robot is held; pure."""
+"""What measurements show about how the robot is held; pure."""
 
 from __future__ import annotations
 
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from g1stream.robot.dynamics import BaseMotion, Momentum
 from g1stream.robot.rotations import quat_rotate
 from g1stream.types import Floats
 
@@ -14,6 +16,7 @@ if TYPE_CHECKING:
 
     from g1stream.control.safety import ImuReading
     from g1stream.robot.dynamics import InverseDynamics
+    from g1stream.types import Support
 
 __all__ = ["ForceObserver", "SupportCheck"]
 
@@ -59,69 +62,133 @@ class ForceObserver:
 
 
 class SupportCheck:
-    """Detects that the pelvis does not rotate as the assumed support predicts.
+    """Detects that the robot does not move as the assumed support lets it.
 
-    The change of the gyroscope's reading over a short window is compared with the model's
-    prediction. A support is wrong if the prediction misses most of the change in most of 50
-    windows, one second. In simulation the correct support fails in up to a sixth of the windows of
-    a dance, a wrong one in most of them within seconds; `free` for a hanging robot is the hardest
-    to detect.
+    A change that is measured over windows of 60 ms is compared with its prediction:
+
+    - hanging: the angular momentum about the centre of mass, from joints and IMU, with the moment
+      of a force at the torso's centre of mass. The force is that of the whole robot's linear
+      momentum, from joints and accelerometer. Forces between links, self-contact for one, change
+      neither momentum.
+    - free: the angular momentum, with that of no force.
+    - bolted: the angular velocity of the pelvis, with that of rest.
+    - follow: the angular velocity of the pelvis, with that of the reference.
+
+    A support is wrong if the prediction misses most of the change for two seconds on end, where
+    anything moves. In simulation, unitree_mujoco's included, the correct support misses less than a
+    quarter of it, and a wrong one most of it, or more.
 
     Args:
-        period: s between ticks.
+        dynamics: the model.
+        support: as assumed.
 
     Attributes:
         wrong: whether the support was found to be wrong; stays True.
     """
 
-    _WINDOW: Final = 0.02
-    _SPAN: Final = 50  # windows
-    #: The last prediction is used for up to this many periods without a tick; a longer stall is
-    #: not evaluated.
-    _GAP: Final = 3
-    #: Allowed difference for noise and the play of a real mount, rad/s per window.
-    _FLOOR: Final = 0.03
+    _STEP: Final = 0.0095  # s between evaluations
+    _WINDOW: Final = 0.06  # s
+    _SPAN: Final = 16  # windows that are judged together
+    _SPANS: Final = 2  # of them in a row that must fail
+    #: A window with a longer gap between readings is not used, s.
+    _GAP: Final = 0.03
+    #: Change that is not judged, per window: N·m·s of the momentum, rad/s of the pelvis.
+    _FLOOR: Final = MappingProxyType({"hanging": 0.1, "free": 0.1, "bolted": 0.03, "follow": 0.03})
+    #: The part of a window by which a simulator's time may differ from what it should be.
+    _STALL: Final = 0.5
     #: Fraction of the change that a correct model may miss.
-    _UNEXPLAINED: Final = 0.7
-    #: Fraction of the windows in which it may miss more than that.
-    _MOST: Final = 0.5
+    _UNEXPLAINED: Final = 0.5
 
-    def __init__(self, period: float) -> None:
+    def __init__(self, dynamics: InverseDynamics, support: Support) -> None:
         self.wrong = False
-        self._gap = (self._GAP + 0.5) * period
-        self._window = max(self._WINDOW, period) - period / 2.0
-        self._last, self._ang_acc = -np.inf, np.zeros(3)
-        self._begun, self._rate, self._predicted = 0.0, np.zeros(3), np.zeros(3)
+        self._dynamics = dynamics
+        self._support = support
+        self._floor = self._FLOOR[support]
+        self._start = self._last = self._received = -np.inf
+        self._specific, self._readings = np.zeros(3), 0
+        self._expected = self._from = self._predicted = self._carried = np.zeros(3)
+        self._momentum = Momentum(np.zeros(3), np.zeros(3), np.zeros(3))
+        self._missed = self._changed = 0.0
         self._windows = self._failed = 0
 
-    def add(self, time: float, gyroscope: NDArray[np.floating], ang_acc: Floats) -> None:
-        """Add the reading and the prediction of another tick.
+    def add(
+        self,
+        time: float,
+        q: NDArray[np.floating],
+        dq: NDArray[np.floating],
+        imu: ImuReading,
+        expected: Floats,
+        scale: float = 1.0,
+    ) -> None:
+        """Add a reading.
 
         Args:
-            time: of the tick, s.
-            gyroscope: (3,) the measured rate, rad/s.
-            ang_acc: (3,) its predicted rate of change from then on, rad/s².
+            time: when it was received, s.
+            q: (29,) measured, rad, motor order.
+            dq: (29,) rad/s.
+            imu: of the pelvis.
+            expected: (3,) rad/s, angular velocity of the pelvis in the reference.
+            scale: simulated over real time.
         """
+        if not 0.0 <= time - self._received <= self._GAP:
+            self._start = -np.inf
+        self._received = time
+        self._specific = self._specific + imu.accelerometer
+        self._readings += 1
         passed = time - self._last
+        if 0.0 <= passed < self._STEP and np.isfinite(self._start):
+            return
+        value, impulse = self._evaluate(q, dq, imu, expected, passed * scale)
         self._last = time
-        if 0.0 < passed <= self._gap:
-            self._predicted += passed * self._ang_acc
-            if time - self._begun >= self._window:
-                self._judge(gyroscope - self._rate)
-                self._begin(time, gyroscope)
-        else:
-            self._begin(time, gyroscope)
-        self._ang_acc = ang_acc
+        self._specific, self._readings = np.zeros(3), 0
+        if not np.isfinite(self._start):
+            self._begin(time, value)
+            return
+        self._predicted = self._predicted + impulse
+        if time - self._start >= self._WINDOW:
+            self._judge(value - self._from)
+            self._begin(time, value)
 
-    def _begin(self, time: float, gyroscope: NDArray[np.floating]) -> None:
-        self._begun, self._rate = time, gyroscope.astype(np.float64)
-        self._predicted = np.zeros(3)
+    def _evaluate(
+        self,
+        q: NDArray[np.floating],
+        dq: NDArray[np.floating],
+        imu: ImuReading,
+        expected: Floats,
+        passed: float,
+    ) -> tuple[Floats, Floats]:
+        """The quantity that is compared, and its predicted change since the last evaluation."""
+        rate = imu.gyroscope.astype(np.float64)
+        if self._support in ("bolted", "follow"):
+            turned, self._expected = expected - self._expected, expected
+            return rate, turned if self._support == "follow" else np.zeros(3)
+        quat = imu.quat_wxyz.astype(np.float64)
+        momentum = self._dynamics.momentum(
+            q.astype(np.float64), dq.astype(np.float64), BaseMotion(quat, rate)
+        )
+        before, self._momentum = self._momentum, momentum
+        if self._support == "free" or not np.isfinite(self._start):
+            return momentum.angular, np.zeros(3)
+        lever = 0.5 * self._dynamics.mass * (before.lever + momentum.lever)
+        carried = quat_rotate(quat, self._specific / self._readings) * passed
+        self._carried = self._carried + np.cross(lever, carried)
+        return momentum.angular, np.cross(lever, momentum.velocity - before.velocity)
+
+    def _begin(self, time: float, value: Floats) -> None:
+        self._start, self._from = time, value
+        self._predicted, self._carried = np.zeros(3), np.zeros(3)
 
     def _judge(self, change: Floats) -> None:
-        unexplained = float(np.linalg.norm(change - self._predicted))
-        allowed = np.hypot(self._FLOOR, self._UNEXPLAINED * float(np.linalg.norm(change)))
-        self._failed += unexplained > allowed
+        # A simulator that stalls, or catches up, has not taken the time that has passed.
+        left = change - self._predicted
+        square = max(float(self._carried @ self._carried), 1e-12)
+        taken = np.clip((left @ self._carried) / square, 1.0 - self._STALL, 1.0 + self._STALL)
+        self._missed += float(np.linalg.norm(left - taken * self._carried))
+        self._changed += float(np.linalg.norm(change))
         self._windows += 1
         if self._windows == self._SPAN:
-            self.wrong |= self._failed > self._MOST * self._SPAN
-            self._windows = self._failed = 0
+            allowed = self._UNEXPLAINED * self._changed + self._floor * self._SPAN
+            self._failed = self._failed + 1 if self._missed > allowed else 0
+            self.wrong |= self._failed >= self._SPANS
+            self._missed = self._changed = 0.0
+            self._windows = 0

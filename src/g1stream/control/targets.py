@@ -96,6 +96,19 @@ class Target:
             getattr(other, name)[:] = values
         return other
 
+    def slowed(self, scale: float) -> Target:
+        """The target in a time that passes `scale` times as fast; the same object if that is 1."""
+        if scale == 1.0:
+            return self
+        return self.replace(
+            dq=self.dq / scale,
+            ddq=self.ddq / scale**2,
+            root_lin_vel=self.root_lin_vel / scale,
+            root_ang_vel=self.root_ang_vel / scale,
+            root_lin_acc=self.root_lin_acc / scale**2,
+            root_ang_acc=self.root_ang_acc / scale**2,
+        )
+
     def at_rest(self) -> Target:
         """A copy with the same pose and zero velocity, acceleration and torque."""
         moving = ("root_lin_vel", "root_ang_vel", "root_lin_acc", "root_ang_acc")

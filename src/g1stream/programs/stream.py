@@ -224,14 +224,18 @@ def for_wire(config: Config) -> Config:
     """A config whose unset values that depend on the wire are set.
 
     On loopback there is a simulator, which may be silent for longer than a robot. Unless asked for,
-    no torque from the model is sent to another machine.
+    no torque from the model is sent to another machine, and its time is that of the clock.
     """
     settings, safety = config.stream, config.safety
     if is_local_only(config.dds.interface):
         timeout = safety.state_timeout or _STATE_TIMEOUT_OF_SIMULATOR
         safety = safety.model_copy(update={"state_timeout": timeout})
-    elif settings.feedforward is None:
-        settings = settings.model_copy(update={"feedforward": "velocity"})
+    else:
+        update = {
+            "feedforward": settings.feedforward or "velocity",
+            "time_scale": settings.time_scale or 1.0,
+        }
+        settings = settings.model_copy(update=update)
     return config.model_copy(update={"stream": settings, "safety": safety})
 
 

@@ -28,7 +28,7 @@ import numpy as np
 from g1stream.errors import RobotError
 from g1stream.robot.joints import DAMPING, FRICTION, JOINT_NAMES
 from g1stream.robot.mujoco_spec import mujoco_spec
-from g1stream.robot.rotations import quat_rotate_inverse
+from g1stream.robot.rotations import quat_rotate, quat_rotate_inverse
 from g1stream.types import Floats
 
 if TYPE_CHECKING:
@@ -37,9 +37,10 @@ if TYPE_CHECKING:
     from g1stream.robot.model import G1
     from g1stream.types import Support
 
-__all__ = ["BaseMotion", "InverseDynamics", "Solution", "friction_torque"]
+__all__ = ["BaseMotion", "InverseDynamics", "Momentum", "Solution", "friction_torque"]
 
 _BASE: Final = 6
+_ROOT: Final = 1  # the base, after the world
 _GRAVITY: Final = 9.81
 
 #: Dry friction reaches its full value at about twice this speed, rad/s.
@@ -76,6 +77,20 @@ class Solution(NamedTuple):
     ang_acc: Floats
 
 
+class Momentum(NamedTuple):
+    """The motion of the whole robot, independent of the base's linear velocity.
+
+    Attributes:
+        angular: (3,) N·m·s, world, about the centre of mass.
+        velocity: (3,) m/s, world, of the centre of mass relative to the IMU.
+        lever: (3,) m, world, from the centre of mass to the carrier's.
+    """
+
+    angular: Floats
+    velocity: Floats
+    lever: Floats
+
+
 class InverseDynamics:
     """The inverse dynamics of one robot.
 
@@ -85,6 +100,7 @@ class InverseDynamics:
         gravity: m/s², downward.
 
     Attributes:
+        name: of the robot.
         mass: kg, of the whole robot.
         gravity: as given.
 
@@ -114,6 +130,7 @@ class InverseDynamics:
         self._q = np.array([joint.qposadr[0] for joint in joints])
         self._v = np.array([joint.dofadr[0] for joint in joints])
         self._rigid_part = _rigid_part(model, carrier)
+        self.name = robot.name
         self.mass = float(model.body_mass.sum())
         self.gravity = gravity
         self._up = np.array([0.0, 0.0, gravity])
@@ -198,6 +215,26 @@ class InverseDynamics:
         inward = ang_vel * (ang_vel @ self._imu_pos) - self._imu_pos * (ang_vel @ ang_vel)
         measured: Floats = upward + swing + inward
         return measured
+
+    def momentum(self, q: Floats, dq: Floats, base: BaseMotion) -> Momentum:
+        """How the whole robot moves, as seen from its IMU.
+
+        Args:
+            q: (29,) rad, motor order.
+            dq: (29,) rad/s.
+            base: of the pelvis, without its accelerations.
+        """
+        data = self._data
+        self._place(q, dq, base)
+        self._mujoco.mj_subtreeVel(self._model, data)
+        bodies, share = self._rigid_part
+        (x, y, z), (wx, wy, wz) = self._imu_pos.tolist(), base.ang_vel.tolist()
+        imu_vel = np.array([wy * z - wz * y, wz * x - wx * z, wx * y - wy * x])
+        return Momentum(
+            data.subtree_angmom[_ROOT].copy(),
+            data.subtree_linvel[_ROOT] - quat_rotate(base.quat_wxyz, imu_vel),
+            share @ data.xipos[bodies] - data.subtree_com[_ROOT],
+        )
 
     def _carried(self, force: Floats | None) -> Floats:
         """The generalised force (35,) of a force at the carrier's centre of mass."""

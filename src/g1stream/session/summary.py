@@ -255,6 +255,8 @@ class StreamSummary(_Record):
             replay sent recorded commands.
         support: how the robot was taken to be held.
         feedforward_changes: when the torque was switched off and on again, in order.
+        robot: name of the model that feed-forward torques were computed with.
+        time_scale: median of simulated over real time, where it was measured.
         states_used: LowStates that were the newest at a tick.
         states_received: all of them.
         states_lost: LowStates that did not arrive, by the ticks of those that did; None where the
@@ -283,6 +285,8 @@ class StreamSummary(_Record):
     feedforward: FeedForwardKind | Literal["recorded"] | None = None
     support: Support | None = None
     feedforward_changes: list[FeedForwardChange] = []
+    robot: str | None = None
+    time_scale: float | None = None
     states_used: Int | None = None
     states_received: Int | None = None
     states_lost: Int | None = None

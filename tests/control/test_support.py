@@ -1,0 +1,74 @@
+"""Right and wrong supports: on our simulator, and in extracts of sessions on unitree_mujoco."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from g1stream.config import load_config
+from g1stream.control.safety import ImuReading
+from g1stream.control.support import SupportCheck
+from g1stream.control.time_scale import TimeScale
+from g1stream.programs.rollout import rollout
+from g1stream.robot.dynamics import InverseDynamics
+from g1stream.robot.model import G1
+
+EXTRACTS = Path(__file__).parents[1] / "data" / "unitree_mujoco"
+SETTINGS = {"safety.max_tilt": 3.1, "safety.max_joint_speed": 1e3, "stream.hold": 0.0}
+
+
+def changes(held, told, seconds=5.0):
+    """What a streamer reports of a support that the bridge does not announce."""
+    config = load_config(None, SETTINGS | {"stream.support": told})
+    session = rollout("demo", support=held, feedforward="dynamics", config=config, seconds=seconds)
+    return session.summary().stream.feedforward_changes
+
+
+@pytest.mark.parametrize(
+    ("held", "told"),
+    [
+        ("hanging", "bolted"),
+        ("hanging", "follow"),
+        ("hanging", "free"),
+        ("bolted", "hanging"),
+        ("free", "hanging"),
+    ],
+)
+def test_a_wrong_support_is_found(held, told):
+    (change,) = changes(held, told)
+    assert change.kind == "velocity"
+    assert told in change.reason
+    assert 1.5 < change.motion_time_s < 5.0
+
+
+def judged(check, name):
+    """Whether the support of an extract is found to be wrong."""
+    scale = TimeScale()
+    with np.load(EXTRACTS / f"{name}.npz") as recorded:
+        columns = [recorded[key] for key in ("time", "q", "dq", "quat", "gyro", "accelerometer")]
+    for time, q, dq, quat, gyroscope, accelerometer in zip(*columns, strict=True):
+        scale.add(float(time), q, dq)
+        imu = ImuReading(quat, gyroscope, accelerometer)
+        check.add(float(time), q, dq, imu, np.zeros(3), scale.value)
+    return check.wrong
+
+
+@pytest.mark.parametrize("simulator", ["cpp", "python"])
+@pytest.mark.parametrize("support", ["hanging", "free", "bolted", "follow"])
+def test_a_robot_that_hangs_in_unitree_mujoco_is_taken_to_hang(simulator, support):
+    """Though the arms press on the torso, time is slow and jitters, and states are repeated."""
+    check = SupportCheck(InverseDynamics(G1.load("g1_29dof")), support)
+    assert judged(check, simulator) == (support != "hanging")
+
+
+@pytest.mark.parametrize("support", ["bolted", "hanging", "follow", "free"])
+def test_a_robot_that_does_not_move_is_not_judged(support):
+    check = SupportCheck(InverseDynamics(G1.default()), support)
+    rng, rest = np.random.default_rng(3), np.zeros(29, np.float32)
+    for k in range(3000):
+        turning = rng.normal(0.0, 0.01, 3)
+        imu = ImuReading(np.array([1.0, 0, 0, 0]), turning, np.array([0, 0, 9.81]))
+        check.add(k * 0.002, rest, rng.normal(0.0, 0.01, 29), imu, np.zeros(3))
+    assert not check.wrong or support == "hanging"  # which a pose that does not hang level is not

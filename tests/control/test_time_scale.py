@@ -1,0 +1,64 @@
+"""The scale of the robot's time, from joints that move as a simulator of known speed moves them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from g1stream.control.time_scale import TimeScale
+
+
+def estimate(scale, rate=500.0, seconds=4.0, jitter=0.0, noise=0.0, amplitude=0.4, missing=()):
+    """The estimate after joints have swung in a time that is `scale` times the real one."""
+    rng = np.random.default_rng(7)
+    frequency, start = rng.uniform(2.0, 6.0, 29), rng.uniform(0.0, 6.0, 29)
+    estimator = TimeScale()
+    for k in range(round(seconds * rate)):
+        if k in missing:
+            continue
+        sampled = k / rate
+        phase = frequency * scale * sampled + start
+        q = amplitude * np.sin(phase) + 1e-2 * noise * rng.normal(size=29)
+        dq = amplitude * frequency * np.cos(phase) + noise * rng.normal(size=29)
+        received = sampled + jitter * rng.uniform()
+        estimator.add(received, q.astype(np.float32), dq.astype(np.float32))
+    return estimator
+
+
+@pytest.mark.parametrize("rate", [200.0, 500.0])
+@pytest.mark.parametrize("scale", [0.7, 0.88, 0.95, 1.0, 1.04])
+def test_a_known_scale_is_found(scale, rate):
+    found = estimate(scale, rate)
+    assert found.value == pytest.approx(scale, abs=0.003)
+    assert found.median == pytest.approx(scale, abs=0.01)
+
+
+@pytest.mark.parametrize("scale", [0.88, 1.0])
+def test_noise_and_jitter_do_not_bias_it(scale):
+    assert estimate(scale, 200.0, jitter=0.002, noise=0.01).value == pytest.approx(scale, abs=0.01)
+
+
+def test_it_is_one_while_nothing_moves():
+    found = estimate(0.8, amplitude=0.0, noise=0.01)
+    assert found.value == pytest.approx(1.0, abs=0.03)
+    assert TimeScale().value == 1.0
+    assert TimeScale().median is None
+
+
+def test_it_is_bounded():
+    assert estimate(0.2).value == 0.5
+    assert estimate(3.0).value == 1.05
+
+
+def test_gaps_are_left_out():
+    missing = {k for k in range(2000) if k % 300 < 120}
+    assert estimate(0.9, missing=missing).value == pytest.approx(0.9, abs=0.003)
+
+
+def test_a_span_with_a_reading_that_is_not_finite_is_left_out():
+    found = estimate(0.9)
+    before = found.value
+    for k in range(200):
+        q = np.full(29, np.nan if k < 100 else 0.0, np.float32)
+        found.add(4.0 + k / 500, q, np.zeros(29, np.float32))
+    assert found.value == pytest.approx(before, abs=1e-3)

@@ -22,9 +22,10 @@ from g1stream.session.summary import FeedForwardChange
 from g1stream.types import FeedForwardKind, Floats, Ints, Phase, Support
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from g1stream.config import StreamConfig
     from g1stream.control.targets import Target
-    from g1stream.dds.messages import LowState
 
 __all__ = ["FeedForward"]
 
@@ -202,19 +203,32 @@ class FeedForward:
         if self.support == "hanging":
             self._observer = ForceObserver(dynamics, self._period)
 
-    def observe(self, time: float, state: LowState) -> None:
-        """Take a new LowState, received at `time`, s, into account."""
+    def observe(
+        self,
+        time: float,
+        q: NDArray[np.floating],
+        dq: NDArray[np.floating],
+        tau: NDArray[np.floating],
+        imu: ImuReading,
+    ) -> None:
+        """Take a new LowState into account.
+
+        Args:
+            time: when it was received, s.
+            q: (29,) rad, motor order.
+            dq: (29,) rad/s.
+            tau: (29,) N·m.
+            imu: its reading.
+        """
         phase = self._phase
         if phase is Phase.WAIT or (self.recorded and phase is Phase.PLAY):
             return
         if self.scale:
-            self.scale.add(time, state.q, state.dq)
-        imu = ImuReading(state.quaternion, state.gyroscope, state.accelerometer)
+            self.scale.add(time, q, dq)
         if self._fit and phase is Phase.RAMP:
-            self._fit.add(time, state.q, state.dq, state.tau_est, imu, self.time_scale)
+            self._fit.add(time, q, dq, tau, imu, self.time_scale)
         elif self._check and phase is Phase.PLAY:
-            expected = self._expected_rate
-            self._check.add(time, state.q, state.dq, imu, expected, self.time_scale)
+            self._check.add(time, q, dq, imu, self._expected_rate, self.time_scale)
 
     @property
     def time_scale(self) -> float:

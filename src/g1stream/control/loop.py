@@ -268,7 +268,7 @@ class StreamLoop:
         self._skipped_when_measured = self.report.skipped
         self._measured = Measured(state.q, state.dq, state.quaternion, int(state.mode_machine), now)
         if self._feedforward:
-            self._feedforward.observe(now / 1e9, state)
+            self._feedforward.observe(now / 1e9, state.q, state.dq, state.tau_est, self._imu)
 
     def _advance(self, now: int, deadline: int) -> None:
         before = self.state

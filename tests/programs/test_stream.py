@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import threading
 from contextlib import contextmanager
 
@@ -19,10 +20,10 @@ from g1stream.cli.main import main
 from g1stream.config import Config
 from g1stream.dds import types
 from g1stream.dds.domain import Participant
-from g1stream.dds.endpoints import RawWriter
-from g1stream.dds.messages import SecondaryImu
-from g1stream.dds.topics import LOWCMD, LOWSTATE, SECONDARY_IMU
-from g1stream.errors import RecordingError
+from g1stream.dds.endpoints import RawReader, RawWriter
+from g1stream.dds.messages import LowState, SecondaryImu
+from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE, SECONDARY_IMU
+from g1stream.errors import RecordingError, SafetyError
 from g1stream.programs import stream as program
 from g1stream.programs.child_process import ChildError
 from g1stream.programs.stream import stream
@@ -52,6 +53,37 @@ def background(publish):
 def fail(child, _):
     child.kill()
     raise ChildError("It hangs.", "")
+
+
+@pytest.mark.parametrize("ready", [True, False])
+def test_a_simulator_whose_first_states_are_zeros_is_waited_for(domain_id, config, ready):
+    """As both of unitree_mujoco's bridges do; if nothing else comes, the reason says what came."""
+    with Participant(domain_id, "lo") as peer:
+        commands, states, published = RawReader(peer, LOWCMD), RawWriter(peer, LOWSTATE), []
+
+        def publish():
+            state = LowState()
+            if ready and len(published) > 25:
+                state.quaternion[0] = 1.0
+            published.append(state.tobytes())
+            states.write(published[-1])
+
+        parts = {"wait": 2.0, "ramp": 0.2, "duration": 0.1, "hold": 0.0, "damp": 0.5}
+        quick = config.model_copy(update={"stream": config.stream.model_copy(update=parts)})
+        with background(publish):
+            summary = stream("demo", quick)
+        assert bool(commands.take()) == ready
+    assert (summary.stream.reason == "") == ready
+    assert ready or "norm 0.000" in summary.stream.reason
+
+
+def test_the_process_of_another_stream_is_named_as_the_doctor_does(domain_id, config):
+    with Participant(domain_id, "lo") as peer:
+        writers = [RawWriter(peer, LOWCMD), RawWriter(peer, REFERENCE)]
+        with pytest.raises(SafetyError) as error:
+            stream("demo", config)
+        assert f"g1stream stream (pid {os.getpid()} on" in error.value.cause
+        del writers
 
 
 def test_a_publisher_of_another_type_is_named(domain_id, config):

@@ -12,10 +12,14 @@ import g1stream
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("sessions", nargs="*", help="two recorded sessions; rollouts if left out")
     args = parser.parse_args()
 
+    if len(args.sessions) not in (0, 2):
+        parser.error("give two sessions, or none")
     if args.sessions:
         first, second = (g1stream.open_session(path).tracking() for path in args.sessions)
     else:

@@ -15,7 +15,9 @@ import g1stream
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("joint", choices=g1stream.JOINT_NAMES, metavar="joint", help="its name")
     parser.add_argument("picture", type=Path, help="the PNG to draw into")
     parser.add_argument("session", nargs="?", help="a recorded session; a rollout if left out")
@@ -29,8 +31,8 @@ def main() -> None:
     played = session.sel("PLAY")
 
     axes = (figure := Figure(figsize=(10, 4), layout="constrained")).add_subplot()
-    axes.plot(played.reference.time, played.reference.q[:, joint], "k", label="reference")
     axes.plot(played.measured.time, played.measured.q[:, joint], label="measured")
+    axes.plot(played.reference.time, played.reference.q[:, joint], "k--", label="reference")
     axes.set(title=args.joint, xlabel="time, s", ylabel="position, rad")
     axes.legend()
     figure.savefig(args.picture)

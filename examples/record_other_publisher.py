@@ -17,7 +17,9 @@ import g1stream
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("session", type=Path, help="the MCAP to record into")
     parser.add_argument("--domain", type=int, default=1, help="DDS domain")
     parser.add_argument("--interface", default="lo", help="network interface")

@@ -12,7 +12,9 @@ import g1stream
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("motion", nargs="?", default="demo", help="CSV file, or a bundled motion")
     parser.add_argument("--kp", type=float, nargs="+", default=[20, 40, 80, 160], help="Nm/rad")
     parser.add_argument("--support", choices=["bolted", "hanging", "follow"], default="bolted")

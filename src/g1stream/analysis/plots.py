@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from dataclasses import dataclass
+from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -128,12 +129,12 @@ def draw(session: Session, path: str | Path) -> None:
         _save(plot(session), Path(path))
 
 
-def plot(session: Session, joints: Sequence[str] | None = None) -> Figure:
+def plot(session: Session, joints: Sequence[str] | str | None = None) -> Figure:
     """The joints that move most, the error over time and each joint's RMSE.
 
     Args:
         session: with reference and state.
-        joints: names of up to six joints to show instead of those that move most.
+        joints: one name, or up to six, to show instead of the joints that move most.
 
     Raises:
         RecordingError: the session lacks references or states, or there is no such joint.
@@ -151,13 +152,14 @@ def plot(session: Session, joints: Sequence[str] | None = None) -> Figure:
     return figure
 
 
-def _indices(joints: Sequence[str]) -> list[int]:
-    unknown = [name for name in joints if name not in JOINT_NAMES]
-    if unknown or not 0 < len(joints) <= _PANELS:
-        raise RecordingError(
-            f"There is no joint {unknown[0]!r}." if unknown else f"{len(joints)} joints to plot.",
-            f"Choose one to {_PANELS} of {', '.join(JOINT_NAMES)}.",
-        )
+def _indices(joints: Sequence[str] | str) -> list[int]:
+    joints = [joints] if isinstance(joints, str) else joints
+    if not 0 < len(joints) <= _PANELS:
+        raise RecordingError(f"{len(joints)} joints to plot.", f"Choose one to {_PANELS}.")
+    for name in joints:
+        if name not in JOINT_NAMES:
+            close = get_close_matches(name, JOINT_NAMES) or JOINT_NAMES
+            raise RecordingError(f"There is no joint {name!r}.", f"Choose from {', '.join(close)}.")
     return [JOINT_NAMES.index(name) for name in joints]
 
 
@@ -227,8 +229,10 @@ def _draw_panels(figure: Figure, data: _Data, joints: list[int], worst: int | No
     cells = figure.add_gridspec(
         3, 3, left=0.045, right=0.985, top=0.885, bottom=0.055, wspace=0.16, hspace=0.34
     )
+    rows = 1 if len(joints) <= 3 else 2
+    panels = cells[:2, :].subgridspec(rows, -(-len(joints) // rows), wspace=0.16, hspace=0.34)
     for i, joint in enumerate(joints):
-        axes = figure.add_subplot(cells[divmod(i, 3)])
+        axes = figure.add_subplot(panels[divmod(i, panels.ncols)])
         _draw_joint(axes, data, joint)
         remark = ", worst of the others" if joint == worst else ""
         axes.set_title(JOINT_NAMES[joint].removesuffix("_joint") + remark, weight="bold")

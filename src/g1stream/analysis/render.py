@@ -176,10 +176,12 @@ def _delay(tracking: TrackingSummary) -> str:
     if tracking.delay_s is None:
         return "not determined: too little moves, or no delay explains the error"
     side = "behind" if tracking.delay_s >= 0 else "ahead of"
+    # A command is published `stream.preview` before its target is due.
+    ahead = "" if tracking.delay_s >= 0 else " (commands are sent ahead by stream.preview)"
     return (
-        f"the robot is {abs(tracking.delay_s) * 1e3:.1f} ms {side} the reference; RMSE without "
-        f"the delay {tracking.rmse_without_delay_rad:.4f} rad, and without each joint's mean "
-        f"error {tracking.rmse_without_delay_and_mean_rad:.4f} rad"
+        f"the robot is {abs(tracking.delay_s) * 1e3:.1f} ms {side} the reference{ahead}; RMSE "
+        f"without the delay {tracking.rmse_without_delay_rad:.4f} rad, and without each joint's "
+        f"mean error {tracking.rmse_without_delay_and_mean_rad:.4f} rad"
     )
 
 

@@ -151,7 +151,7 @@ def find_problems(summary: Summary) -> Iterator[str]:
     if stream:
         yield from _samplesproblems(stream)
     if recorder:
-        if summary.first_ns is None:
+        if summary.first_ns is None and not recorder.stopped:
             yield "Nothing was received."
         yield from _recorder_problems(recorder)
     gaps = {t: s for t, s in summary.topics.items() if (s.longest_interval_s or 0.0) >= _LONG_GAP}

@@ -105,8 +105,10 @@ class Child:
         try:
             kind, value = self._connection.recv()
         except (EOFError, OSError):
+            code = self._process.wait()
+            how = f"with exit code {code}" if code >= 0 else f"by {signal.Signals(-code).name}"
             raise ChildError(
-                f"g1stream {self.name} ended with exit code {self._process.wait()}.",
+                f"g1stream {self.name} ended {how}.",
                 f"Run g1stream {self.name} by itself to see why.",
             ) from None
         if kind == "error":

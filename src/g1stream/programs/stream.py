@@ -32,6 +32,7 @@ from g1stream.realtime import describe, on_time
 from g1stream.robot.model import G1
 from g1stream.session.motions import load_motion
 from g1stream.session.parts import check_recording_path, remove_recording
+from g1stream.session.session import open_session
 from g1stream.session.summary import (
     MotionInfo,
     RecorderSummary,
@@ -149,6 +150,8 @@ def stream(
             if recorder:
                 alone = not (played.commands or played.states_used)
                 recording = recorder.finish(played, remove_if_empty=alone)
+    if recording and not recording.stopped and recording.first_ns is not None:
+        return open_session(recording.path).summary()
     return summarise_run(
         config,
         motion=MotionInfo.of(motion),
@@ -243,7 +246,8 @@ def _diagnose(
     config: Config, participant: Participant, link: DdsLink, report: LoopReport
 ) -> list[Finding]:
     """Why there was no robot to play on; also logged, so that it is in the recording."""
-    if report.commands or (report.states and link.subscribers()):
+    waited = "stream.wait" in report.reason
+    if report.commands or not waited or (report.states and link.subscribers()):
         return []
     try:
         wire = inspect_participant(participant, _LISTEN)

@@ -265,7 +265,7 @@ class Session:
 
         return summarise(self)
 
-    def plot(self, joints: Sequence[str] | None = None) -> Figure:
+    def plot(self, joints: Sequence[str] | str | None = None) -> Figure:
         """Reference and measurement of some joints, and the errors of all, as one figure.
 
         Args:
@@ -386,6 +386,11 @@ class Session:
 
     def _without_essentials(self) -> RecordingError:
         none = f"{', '.join(_ESSENTIAL[:-1])} or {_ESSENTIAL[-1]}"
+        if not self.complete:
+            return RecordingError(
+                f"{self.path} was cut off before the first sample of {none}.",
+                "Copy it again, or record again.",
+            )
         if "started_ns" in self.metadata:  # a recording without samples
             where = f"domain {self.metadata['domain']}", str(self.metadata["interface"])
             return RecordingError(

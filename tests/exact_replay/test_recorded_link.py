@@ -1,16 +1,20 @@
 """Recorded commands go out in place of the loop's own while the motion plays, and only then."""
 
-from contextlib import ExitStack
-
 import numpy as np
 import pytest
 
+from g1stream.config import load_config
 from g1stream.control.link import DdsLink
+from g1stream.control.loop import make_loop
 from g1stream.dds.domain import Participant
 from g1stream.dds.messages import LowCmd, Reference
 from g1stream.errors import SafetyError
 from g1stream.exact_replay.commands import MAX_STEP_TIME, RecordedCommands
 from g1stream.exact_replay.recorded_link import RecordedLink
+from g1stream.motion.motion import Motion
+from g1stream.motion.trajectory import Trajectory
+from g1stream.robot.model import G1
+from g1stream.testing import FakeClock, FakeLink
 from g1stream.types import Phase
 
 TIMES = np.array([0.0, 0.002, 0.004, 0.010])
@@ -116,40 +120,41 @@ def test_nothing_prevents_damping(link, sent, before):
 
 
 @pytest.fixture
-def play(domain_id, monkeypatch, bare_link, make_loop, clock):
+def play(domain_id, monkeypatch):
     """Play at 500 Hz what was recorded: all joints go up by 2 rad and down again, at full speed.
 
-    Gives when each command of PLAY went out, s, and its joint targets, rad.
+    Gives the report, the times of the commands of PLAY, s, their joint targets, rad, and the link.
     """
     times = np.arange(250) * 0.002
     q = 2.0 - 20.0 * np.abs(0.1 - times.clip(max=0.2))
-    link = bare_link
-    monkeypatch.setattr(DdsLink, "send", lambda _, *sent: type(link).send(link, *sent))
-    link.silent = False
-    with ExitStack() as stack:
-        participant = stack.enter_context(Participant(domain_id, "lo"))
-        stack.enter_context(link.subscribed())
+    clock = FakeClock()
+    link = FakeLink(clock)
+    monkeypatch.setattr(DdsLink, "send", lambda _, *sent: FakeLink.send(link, *sent))
+    config = load_config(over={"stream.ramp": 0.2, "stream.feedforward": "none"})
+    still = Trajectory(Motion.from_arrays(np.zeros((26, 29)), fps=50))
+    with Participant(domain_id, "lo") as participant:
         replayed = RecordedLink(participant, recorded(times, [command(one) for one in q]))
         link.send = replayed.send
 
         def run(stall):
             """The loop is not scheduled for so long, s, from 50 ms of the motion on."""
-            first_of_play = clock.now() + 302_000_000 + 100_000_000
-            clock.oversleeps[first_of_play + 50_000_000] = round(stall * 1e9)
-            report = make_loop(link=link).run()
+
+            def after_send(n):
+                if len(link.in_phase(Phase.PLAY)) == 25:
+                    clock.oversleeps[clock.now() + 2_000_000] = round(stall * 1e9)
+
+            link.on_send = after_send
+            report = make_loop(config, G1.default(), still, link, clock).run()
             sent = link.in_phase(Phase.PLAY)
-            return (
-                report,
-                np.array([one.time for one in sent]) / 1e9,
-                np.array([one.command.q[0] for one in sent]),
-            )
+            when = np.array([one.time for one in sent]) / 1e9
+            return report, when, np.array([one.command.q[0] for one in sent]), link
 
         yield run
 
 
 def test_what_was_due_while_the_loop_stood_still_is_skipped(play):
     """The next is where the joint can be by now, though that is more than a leap."""
-    report, times, q = play(0.04)
+    report, times, q, _ = play(0.04)
     assert report.skipped == 20
     assert not report.reason
     steps, between = np.abs(np.diff(q)), np.diff(times)
@@ -158,8 +163,8 @@ def test_what_was_due_while_the_loop_stood_still_is_skipped(play):
     assert (steps <= 20.0 * between + 1e-5).all()
 
 
-def test_not_after_longer_than_the_state_timeout(play, bare_link):
-    report, _, q = play(0.102)
+def test_not_after_longer_than_the_state_timeout(play):
+    report, _, q, link = play(0.102)
     assert "the loop stalled" in report.reason
     assert np.abs(np.diff(q)).max() == pytest.approx(0.04, abs=1e-5)
-    assert bare_link.in_phase(Phase.DAMP)
+    assert link.in_phase(Phase.DAMP)

@@ -8,16 +8,13 @@ import subprocess
 import sys
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
 from g1stream.dds import types
 from g1stream.dds.layout import Layout, members
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
 
 IDL_DIR = Path(__file__).parents[2] / "idl"
 
@@ -35,7 +32,7 @@ class Declared(NamedTuple):
 
 
 @pytest.fixture(scope="session")
-def declared() -> dict[str, Declared]:
+def declared():
     """Every struct of idl/ by its full name, such as `unitree_hg.msg.dds_.LowCmd_`."""
     found: dict[str, Declared] = {}
     for file in sorted(IDL_DIR.glob("*/*.idl")):
@@ -43,7 +40,7 @@ def declared() -> dict[str, Declared]:
     return found
 
 
-def _parse(text: str) -> dict[str, Declared]:
+def _parse(text):
     """The IDL in use: modules, annotated structs, primitives, and arrays of fixed length."""
     text = re.sub(r"//.*|/\*.*?\*/|^\s*#.*", "", text, flags=re.MULTILINE)
     found: dict[str, Declared] = {}
@@ -73,7 +70,7 @@ def _parse(text: str) -> dict[str, Declared]:
     return found
 
 
-def _parse_fields(body: str) -> dict[str, tuple[str, int | None]]:
+def _parse_fields(body):
     fields: dict[str, tuple[str, int | None]] = {}
     *fields_text, rest = body.split(";")
     assert not rest.strip()
@@ -84,7 +81,7 @@ def _parse_fields(body: str) -> dict[str, tuple[str, int | None]]:
     return fields
 
 
-def all_types() -> list[Any]:
+def all_types():
     """Every cyclonedds class of ours, those inside others included."""
     found = {}
     pending = [getattr(types, name) for name in types.__all__]
@@ -98,13 +95,13 @@ def all_types() -> list[Any]:
 
 
 @pytest.fixture(params=all_types(), ids=lambda t: t.__idl_typename__)
-def idl_type(request: pytest.FixtureRequest) -> Any:
+def idl_type(request):
     """Each type in turn."""
     return request.param
 
 
 @pytest.fixture(scope="session")
-def our_types() -> list[Any]:
+def our_types():
     return all_types()
 
 
@@ -130,10 +127,10 @@ PRIMITIVES = {
 
 
 @pytest.fixture(scope="session")
-def c_struct() -> Callable[[Any], Any]:
+def c_struct():
     """The ctypes.Structure of a type, laid out as the C compiler of this machine would."""
 
-    def build(element: Any) -> Any:
+    def build(element):
         if isinstance(element, str):
             return CTYPES[PRIMITIVES[element]]
         fields = [
@@ -146,20 +143,20 @@ def c_struct() -> Callable[[Any], Any]:
 
 
 @pytest.fixture(scope="session")
-def random_instance() -> Callable[..., Any]:
+def random_instance():
     """An instance of a cyclonedds class, every value in it drawn at random.
 
     Returns the instance, and its values by dotted path as the layout names them.
     """
 
-    def draw(rng: np.random.Generator, element: str) -> Any:
+    def draw(rng, element):
         dtype = np.dtype(PRIMITIVES[element])
         if dtype.kind == "f":
             return rng.normal(scale=1e3, size=1).astype(dtype)[0].item()
         bounds = np.iinfo(dtype)
         return int(rng.integers(bounds.min, bounds.max, endpoint=True, dtype=dtype))
 
-    def build(rng: np.random.Generator, element: Any, path: str, values: dict[str, Any]) -> Any:
+    def build(rng, element, path, values):
         if isinstance(element, str):
             value = draw(rng, element)
             values.setdefault(path, []).append(value)
@@ -173,7 +170,7 @@ def random_instance() -> Callable[..., Any]:
                 parts[name] = [build(rng, member, below, values) for _ in range(length)]
         return element(**parts)
 
-    def make(idl_type: Any, seed: int) -> tuple[Any, dict[str, Any]]:
+    def make(idl_type, seed):
         values: dict[str, Any] = {}
         return build(np.random.default_rng(seed), idl_type, "", values), values
 
@@ -181,7 +178,7 @@ def random_instance() -> Callable[..., Any]:
 
 
 @pytest.fixture(scope="session")
-def random_payload() -> Callable[[Any, int], Any]:
+def random_payload():
     """Random bytes as long as a type's payload."""
     return lambda idl_type, seed: np.random.default_rng(seed).integers(
         0, 256, Layout.of(idl_type).size, dtype=np.uint8
@@ -210,22 +207,22 @@ with Participant(int(sys.argv[1]), "lo") as participant:
 class Peer:
     """Another process of ours, with a writer of every topic and a reader of LowCmd."""
 
-    def __init__(self, process: subprocess.Popen[str]) -> None:
+    def __init__(self, process):
         self._process = process
         self.pid = process.pid
 
-    def write(self, topic: str, stamp: int, data: bytes) -> None:
+    def write(self, topic, stamp, data):
         assert self._process.stdin
         self._process.stdin.write(f"{topic} {stamp} {data.hex()}\n")
         self._process.stdin.flush()
 
 
 @pytest.fixture
-def peer_on() -> Callable[[int], Any]:
+def peer_on():
     """Starts a Peer on a domain, for the length of a `with`; it must end in good order."""
 
     @contextmanager
-    def start(domain_id: int) -> Iterator[Peer]:
+    def start(domain_id):
         with subprocess.Popen(
             [sys.executable, "-c", PEER, str(domain_id)],
             stdin=subprocess.PIPE,

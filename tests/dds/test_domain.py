@@ -229,7 +229,7 @@ def test_on_loopback_samples_go_to_their_readers_alone(domain_id, peer_on, until
             bystander.recv(65536)
 
 
-def _multicast_port(domain: int) -> int:
+def _multicast_port(domain):
     """Where samples to everybody in a domain would go (RTPS 2.5, section 9.6.2)."""
     return 7400 + 250 * domain + 1
 

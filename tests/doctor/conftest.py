@@ -20,7 +20,7 @@ BRIDGE = {"owner": "python (pid 7 on here)", "participant": "bridge"}
 
 
 @pytest.fixture
-def healthy() -> Facts:
+def healthy():
     host = HostFacts(
         interfaces=(
             Interface("lo", loopback=True, multicast=False),

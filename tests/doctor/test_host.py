@@ -15,7 +15,7 @@ MS = 1_000_000
 PERIOD = 2 * MS
 
 
-def late_clock(late: dict[int, int] | None = None) -> FakeClock:
+def late_clock(late=None):
     """A clock that oversleeps the k-th deadline, ns."""
     clock = FakeClock()
     clock.oversleeps = {clock.time + (k + 1) * PERIOD: ns for k, ns in (late or {}).items()}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 import pytest
@@ -16,21 +16,19 @@ SHARED_CLIP = Path(__file__).parents[3] / "shared" / "lafan1" / "joints_labeled.
 
 
 class MakeMotion(Protocol):
-    def __call__(
-        self, joint_pos: Any, root_pos: Any = ..., quat: Any = ..., fps: float = ...
-    ) -> Motion: ...
+    def __call__(self, joint_pos, root_pos=..., quat=..., fps=...): ...
 
 
 @pytest.fixture(scope="session")
-def robot() -> G1:
+def robot():
     return G1.default()
 
 
 @pytest.fixture
-def make_motion() -> MakeMotion:
+def make_motion():
     """A motion of which only some is given; joints not given are still, so is the root."""
 
-    def make(joint_pos: Any, root_pos: Any = None, quat: Any = None, fps: float = 30.0) -> Motion:
+    def make(joint_pos, root_pos=None, quat=None, fps=30.0):
         given = np.atleast_2d(np.asarray(joint_pos, dtype=float))
         joints = np.zeros((len(given), len(JOINT_NAMES)))
         joints[:, : given.shape[1]] = given
@@ -47,7 +45,7 @@ def make_motion() -> MakeMotion:
 
 
 @pytest.fixture
-def wild_motion(make_motion: MakeMotion) -> Motion:
+def wild_motion(make_motion):
     """Forty frames in which everything turns and moves, ends included."""
     rng = np.random.default_rng(7)
     quat = np.array([1.0, 0.3, -0.2, 0.5]) + np.cumsum(rng.normal(size=(40, 4)) * 0.08, axis=0)
@@ -56,7 +54,7 @@ def wild_motion(make_motion: MakeMotion) -> Motion:
 
 
 @pytest.fixture(scope="session")
-def real_clip() -> Path:
+def real_clip():
     """3,945 frames of a dance at 30 fps, retargeted to the G1; too big a file of others to ship."""
     if not SHARED_CLIP.exists():
         pytest.skip(f"the LAFAN1 clip is not at {SHARED_CLIP}")

@@ -18,7 +18,7 @@ from g1stream.motion.correction import (
 from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP
 
 
-def make(**changed) -> Correction:
+def make(**changed):
     time = grid(1.0, 5.0)
     values = 0.05 * np.sin(3.0 * time[:, np.newaxis] + np.arange(29))
     frozen = np.zeros(values.shape, dtype=bool)

@@ -20,14 +20,14 @@ COLUMNS = ("Frame", "X", "Y", "Z", "QX", "QY", "QZ", "QW", *JOINT_NAMES)
 KNEE = COLUMNS.index("left_knee_joint")
 
 
-def rows_of(n_frames: int, seed: int = 0) -> list[list[float]]:
+def rows_of(n_frames, seed=0):
     rng = np.random.default_rng(seed)
     values = rng.normal(size=(n_frames, 36))
     values[:, 3:7] = Rotation.random(n_frames, rng=rng).as_quat()
     return [[frame, *row] for frame, row in enumerate(values.tolist())]
 
 
-def csv(rows, columns=COLUMNS, end="\n") -> str:
+def csv(rows, columns=COLUMNS, end="\n"):
     lines = [",".join(map(str, row)) for row in rows]
     return end.join([",".join(columns), *lines, ""])
 
@@ -44,7 +44,7 @@ def load(tmp_path):
     return load_content
 
 
-def changed(line: int, column: int, cell: str) -> str:
+def changed(line, column, cell):
     """Five good frames but for one cell; lines and columns counted from 1."""
     lines = csv(rows_of(5)).split("\n")
     cells = lines[line - 1].split(",")

@@ -13,7 +13,7 @@ from g1stream.config import Config
 from g1stream.control.loop import StreamLoop
 from g1stream.control.safety import Envelope
 from g1stream.events import handled_by
-from g1stream.motion.limits import POSITION_TOLERANCE, Interval, LimitReport, measure_limits
+from g1stream.motion.limits import POSITION_TOLERANCE, Interval, measure_limits
 from g1stream.motion.trajectory import Trajectory
 from g1stream.programs.stream import stream
 from g1stream.robot.joints import JOINT_NAMES
@@ -23,7 +23,7 @@ KNEE, WAIST = JOINT_NAMES.index("left_knee_joint"), JOINT_NAMES.index("waist_yaw
 ELBOW = JOINT_NAMES.index("left_elbow_joint")
 
 
-def measured(motion, robot, interval=None, *, loop=False, **options) -> LimitReport:
+def measured(motion, robot, interval=None, *, loop=False, **options):
     return measure_limits(Trajectory(motion, loop=loop), robot, interval, **options)
 
 

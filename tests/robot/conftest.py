@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sysconfig
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -14,8 +14,6 @@ from scipy.spatial.transform import Rotation
 from g1stream.robot.model import G1
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import NDArray
 
     Array = NDArray[np.float64]
@@ -32,15 +30,15 @@ class Frames(NamedTuple):
 
 
 @pytest.fixture(scope="session")
-def robot() -> G1:
+def robot():
     return G1.default()
 
 
 @pytest.fixture(scope="session")
-def reference_urdf() -> Callable[[str], Path]:
+def reference_urdf():
     """Path of a URDF of the PyPI package example-robot-data."""
 
-    def find(name: str) -> Path:
+    def find(name):
         path = REFERENCE_DIR / "urdf" / name
         if not path.exists():
             pytest.skip(f"needs {name} of the package example-robot-data (extra `meshes`)")
@@ -50,7 +48,7 @@ def reference_urdf() -> Callable[[str], Path]:
 
 
 @pytest.fixture
-def random_frames(robot: G1) -> Frames:
+def random_frames(robot):
     """Twelve frames anywhere within the joint limits, the root anywhere and turned any way."""
     rng = np.random.default_rng(29)
     quat_xyzw = Rotation.random(12, rng=rng).as_quat()
@@ -62,11 +60,11 @@ def random_frames(robot: G1) -> Frames:
 
 
 @pytest.fixture(scope="session")
-def compile_mujoco() -> Callable[..., Any]:
+def compile_mujoco():
     """Compiles a URDF text to a MuJoCo model with a free root and all links, but no meshes."""
     import mujoco
 
-    def compile_urdf(urdf: str, *, ground: bool = False) -> Any:
+    def compile_urdf(urdf, *, ground=False):
         root = ET.fromstring(urdf)
         for link in root.iter("link"):
             link[:] = [part for part in link if part.find("geometry/mesh") is None]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import TYPE_CHECKING
 from xml.etree import ElementTree as ET
 
 import mujoco
@@ -22,16 +21,13 @@ from g1stream.session.motions import load_motion
 from g1stream.sim.supports import Hanging
 from g1stream.sim.world import MotorCommand, World
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
 GRAVITY = np.array([0.0, 0.0, 9.81])
 UPRIGHT = BaseMotion(np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3))
 STEP = 1e-4
 
 
 @pytest.fixture(scope="module")
-def inverse(robot) -> InverseDynamics:
+def inverse(robot):
     return InverseDynamics(robot)
 
 
@@ -48,7 +44,7 @@ def moving(robot):
     )
 
 
-def bodies_of(robot: G1):
+def bodies_of(robot):
     """Index, mass, mass centre and inertia about it, link frame, of each link that has mass."""
     for link in ET.fromstring(robot.urdf).iter("link"):
         inertial = link.find("inertial")
@@ -236,7 +232,7 @@ KNEE, ANKLE = JOINT_NAMES.index("left_knee_joint"), JOINT_NAMES.index("left_ankl
 
 
 @pytest.fixture(scope="module")
-def two_links(tmp_path_factory) -> G1:
+def two_links(tmp_path_factory):
     """A G1 of which only the left shin and the left ankle have a mass."""
     root = ET.fromstring(G1.default().urdf)
     for link in root.iter("link"):
@@ -261,12 +257,12 @@ def test_two_links_by_hand(two_links):
     q[[KNEE, ANKLE]], dq[[KNEE, ANKLE]], ddq[[KNEE, ANKLE]] = (0.9, -0.4), (2.0, -3.0), (7.0, 11.0)
     poses = forward_kinematics(two_links, q[None], np.zeros(3), UPRIGHT.quat_wxyz)
 
-    def place(link: str, offset: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> NDArray:
+    def place(link, offset=(0.0, 0.0, 0.0)):
         index = two_links.link_index(link)
         turn = Rotation.from_quat(poses.quat_wxyz[0, index][[1, 2, 3, 0]])
         return poses.pos[0, index] + turn.apply(offset)
 
-    def swung(arm: NDArray, rate: float, acceleration: float) -> NDArray:
+    def swung(arm, rate, acceleration):
         """Acceleration of an arm's end against its root, turning about y."""
         return np.cross([0.0, acceleration, 0.0], arm) - rate**2 * (arm * [1.0, 0.0, 1.0])
 
@@ -300,7 +296,7 @@ def test_a_simulation_with_the_same_support_follows_with_small_gains(
     monkeypatch.setattr(module, "FRICTION", np.zeros(N_JOINTS))
     weight = inverse.mass * GRAVITY
 
-    def pull(self: Hanging) -> None:
+    def pull(self):
         self._forces[self._torso, :3] = self._share * weight
 
     monkeypatch.setattr(Hanging, "hold", pull)

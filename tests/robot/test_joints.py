@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
 import numpy as np
 import pytest
 
@@ -16,22 +14,15 @@ from g1stream.robot.joints import (
     by_joint,
 )
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
-    from g1stream.robot.model import G1
-
-
-def test_motor_order_is_the_order_of_joints_in_the_compiled_model(
-    robot: G1, compile_mujoco: Callable[..., Any]
-) -> None:
+def test_motor_order_is_the_order_of_joints_in_the_compiled_model(robot, compile_mujoco):
     model = compile_mujoco(robot.urdf)
     names = [model.joint(i).name for i in range(1, model.njnt)]  # 0 is the free root
     assert tuple(names) == JOINT_NAMES
     assert len(JOINT_NAMES) == N_JOINTS == 29
 
 
-def test_groups_hold_each_joint_once_in_motor_order() -> None:
+def test_groups_hold_each_joint_once_in_motor_order():
     assert [i for group in JOINT_GROUPS.values() for i in group] == list(range(N_JOINTS))
     assert {name: len(group) for name, group in JOINT_GROUPS.items()} == {
         "left_leg": 6,
@@ -45,7 +36,7 @@ def test_groups_hold_each_joint_once_in_motor_order() -> None:
         assert all(JOINT_NAMES[i].startswith(side) for i in group)
 
 
-def test_example_gains_per_joint() -> None:
+def test_example_gains_per_joint():
     stiffness = dict(zip(JOINT_NAMES, EXAMPLE_KP.tolist(), strict=True))
     assert stiffness["right_hip_yaw_joint"] == 60
     assert stiffness["left_knee_joint"] == 100
@@ -59,7 +50,7 @@ def test_example_gains_per_joint() -> None:
     ]
 
 
-def test_constants_cannot_be_changed() -> None:
+def test_constants_cannot_be_changed():
     for gains in (EXAMPLE_KP, EXAMPLE_KD):
         assert gains.dtype == np.float64
         with pytest.raises(ValueError, match="read-only"):
@@ -68,7 +59,7 @@ def test_constants_cannot_be_changed() -> None:
         JOINT_GROUPS["tail"] = ()  # type: ignore[index]
 
 
-def test_by_joint_sorts_and_leaves_out_zeros() -> None:
+def test_by_joint_sorts_and_leaves_out_zeros():
     ticks = [0] * N_JOINTS
     ticks[3], ticks[12] = 2, 7
     assert list(by_joint(ticks).items()) == [("waist_yaw_joint", 7), ("left_knee_joint", 2)]

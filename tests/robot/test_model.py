@@ -16,7 +16,7 @@ from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import DEFAULT_URDF, G1, REVISIONS
 
 
-def assert_same_model(a: G1, b: G1, *, but: tuple[str, ...] = ()) -> None:
+def assert_same_model(a, b, *, but=()):
     for field in fields(G1):
         if field.name not in ("source", "urdf", *but):
             np.testing.assert_array_equal(

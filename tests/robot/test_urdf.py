@@ -65,7 +65,7 @@ EDITS = {
 
 @pytest.fixture
 def load(tmp_path):
-    def load_text(text: str) -> G1:
+    def load_text(text):
         path = tmp_path / "some.urdf"
         path.write_text(text, encoding="utf-8")
         return G1.load(path)

@@ -13,11 +13,7 @@ from g1stream.robot.model import G1
 from g1stream.sim.world import MotorCommand
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import ArrayLike, NDArray
-
-    from g1stream.sim.world import World
+    from numpy.typing import NDArray
 
 
 class Mass(NamedTuple):
@@ -27,24 +23,24 @@ class Mass(NamedTuple):
 
 
 @pytest.fixture(scope="session")
-def robot() -> G1:
+def robot():
     return G1.default()
 
 
 @pytest.fixture
-def rng() -> np.random.Generator:
+def rng():
     return np.random.default_rng(7)
 
 
 @pytest.fixture
-def inner_pose(robot: G1, rng: np.random.Generator) -> NDArray[np.float64]:
+def inner_pose(robot, rng):
     """A pose well inside every joint's limits."""
     middle, span = (robot.lower + robot.upper) / 2, robot.upper - robot.lower
     return middle + span * rng.uniform(-0.3, 0.3, N_JOINTS)
 
 
 @pytest.fixture(scope="session")
-def masses(robot: G1) -> list[Mass]:
+def masses(robot):
     """Each link's mass and its centre in the link's own frame, read from the URDF."""
     found = []
     for link in ET.fromstring(robot.urdf).iter("link"):
@@ -56,17 +52,10 @@ def masses(robot: G1) -> list[Mass]:
 
 
 @pytest.fixture(scope="session")
-def servo() -> Callable[..., MotorCommand]:
+def servo():
     """Makes a command, Unitree's gains and zero targets unless given."""
 
-    def make(
-        q: ArrayLike = 0.0,
-        dq: ArrayLike = 0.0,
-        tau: ArrayLike = 0.0,
-        kp: ArrayLike = EXAMPLE_KP,
-        kd: ArrayLike = EXAMPLE_KD,
-        enabled: ArrayLike = True,
-    ) -> MotorCommand:
+    def make(q=0.0, dq=0.0, tau=0.0, kp=EXAMPLE_KP, kd=EXAMPLE_KD, enabled=True):
         numbers = (np.broadcast_to(value, N_JOINTS).astype(float) for value in (q, dq, tau, kp, kd))
         return MotorCommand(np.broadcast_to(enabled, N_JOINTS), *numbers)
 
@@ -74,10 +63,10 @@ def servo() -> Callable[..., MotorCommand]:
 
 
 @pytest.fixture(scope="session")
-def run() -> Callable[[World, MotorCommand, float], None]:
+def run():
     """Advances a world by seconds of its time under one command."""
 
-    def advance(world: World, command: MotorCommand, seconds: float) -> None:
+    def advance(world, command, seconds):
         for _ in range(round(seconds / world.timestep)):
             world.step(command)
 

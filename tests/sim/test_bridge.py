@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import time
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -20,13 +19,10 @@ from g1stream.sim.bridge import Bridge
 from g1stream.sim.robot import MODE_MACHINE_29, SimulatedRobot
 from g1stream.sim.world import World
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
 KNEE = 3
 
 
-def good_command() -> LowCmd:
+def good_command():
     command = LowCmd()
     command.motor_mode = 1
     command.mode_machine[()] = MODE_MACHINE_29
@@ -35,11 +31,11 @@ def good_command() -> LowCmd:
     return command
 
 
-def stop_after(ticks: int, at_tick: Callable[[], object] = lambda: None) -> Callable[[], bool]:
+def stop_after(ticks, at_tick=lambda: None):
     """Ends a run after so many ticks; `at_tick` is called before each."""
     left = iter(range(ticks))
 
-    def should_stop() -> bool:
+    def should_stop():
         at_tick()
         return next(left, None) is None
 
@@ -94,10 +90,10 @@ def test_events_are_published_and_logged(domain_id, caplog):
 
 def test_a_slow_simulation_skips_time(domain_id):
     class SlowClock(SystemClock):
-        def now(self) -> int:
+        def now(self):
             return super().now() * 3  # all takes three times as long
 
-        def sleep_until(self, deadline: int) -> None:
+        def sleep_until(self, deadline):
             """Return at once: it is late anyway."""
 
     robot = SimulatedRobot(World(G1.default()), SimConfig())
@@ -108,7 +104,7 @@ def test_a_slow_simulation_skips_time(domain_id):
         bridge = Bridge(participant, robot, "bolted", clock)
         late = iter([False] * 5)
 
-        def should_stop() -> bool:
+        def should_stop():
             time.sleep(0.03)
             return next(late, True)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sysconfig
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -16,10 +15,6 @@ from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.model import G1
 from g1stream.sim.world import MotorCommand, World
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-
 UNITREE_URDFS = Path(
     sysconfig.get_path("purelib"),
     "cmeel.prefix/share/example-robot-data/robots/g1_description/urdf",
@@ -27,9 +22,7 @@ UNITREE_URDFS = Path(
 GRAVITY = 9.81
 
 
-def test_torque_limits_are_those_of_unitree_mujoco(
-    robot: G1, servo: Callable[..., MotorCommand]
-) -> None:
+def test_torque_limits_are_those_of_unitree_mujoco(robot, servo):
     kinds = {
         "hip": 88,
         "knee": 139,
@@ -51,7 +44,7 @@ def test_torque_limits_are_those_of_unitree_mujoco(
         assert world.state().tau_est[motor] == felt[motor] == limit, name
 
 
-def test_joint_mechanics_are_those_of_unitree_mujoco(robot: G1) -> None:
+def test_joint_mechanics_are_those_of_unitree_mujoco(robot):
     model = World(robot).model
     for name in JOINT_NAMES:
         dof = model.joint(name).dofadr[0]
@@ -62,9 +55,7 @@ def test_joint_mechanics_are_those_of_unitree_mujoco(robot: G1) -> None:
 
 
 @pytest.mark.parametrize("motor", range(N_JOINTS))
-def test_motor_order_is_joint_order(
-    robot: G1, motor: int, servo: Callable[..., MotorCommand]
-) -> None:
+def test_motor_order_is_joint_order(robot, motor, servo):
     world = World(robot)
     world.step(MotorCommand.off())
     at_rest = world.state().ddq
@@ -76,9 +67,7 @@ def test_motor_order_is_joint_order(
     assert world.data.qacc[joint.dofadr[0]] == pytest.approx(pushed[motor] + at_rest[motor])
 
 
-def test_links_may_come_in_any_order(
-    robot: G1, servo: Callable[..., MotorCommand], run: Callable[..., None]
-) -> None:
+def test_links_may_come_in_any_order(robot, servo, run):
     urdf = ET.fromstring(robot.urdf)
     urdf[:] = reversed(urdf)
     shuffled = replace(robot, urdf=ET.tostring(urdf, encoding="unicode"))
@@ -92,7 +81,7 @@ def test_links_may_come_in_any_order(
     assert other.state().tau_est == pytest.approx(one.state().tau_est, abs=1e-3)
 
 
-def test_robot_meets_the_floor_but_not_itself(robot: G1, rng: np.random.Generator) -> None:
+def test_robot_meets_the_floor_but_not_itself(robot, rng):
     for _ in range(20):
         pose = rng.uniform(robot.lower, robot.upper)
         assert World(robot, joint_pos=pose, base_height=2.0).data.ncon == 0
@@ -104,9 +93,7 @@ def test_robot_meets_the_floor_but_not_itself(robot: G1, rng: np.random.Generato
     assert World(robot).data.ncon == 0
 
 
-def test_feet_stop_at_the_floor(
-    robot: G1, servo: Callable[..., MotorCommand], run: Callable[..., None]
-) -> None:
+def test_feet_stop_at_the_floor(robot, servo, run):
     """A robot bolted too low for its legs cannot stretch them."""
     bent = np.zeros(N_JOINTS)
     for side in ("left", "right"):
@@ -120,7 +107,7 @@ def test_feet_stop_at_the_floor(
     assert world.data.ncon > 0
 
 
-def feet(world: World) -> list[int]:
+def feet(world):
     """The shapes of the feet that meet the floor."""
     return [
         geom
@@ -131,9 +118,7 @@ def feet(world: World) -> list[int]:
 
 
 @pytest.mark.parametrize("name", ["g1_29dof_rev_1_0", "g1_29dof_with_hand_rev_1_0"])
-def test_urdf_with_meshes_and_fingers(
-    name: str, servo: Callable[..., MotorCommand], run: Callable[..., None]
-) -> None:
+def test_urdf_with_meshes_and_fingers(name, servo, run):
     urdf = UNITREE_URDFS / f"{name}.urdf"
     if not urdf.exists():
         pytest.skip(f"{name} is in example-robot-data, of the extra `meshes`")
@@ -144,12 +129,12 @@ def test_urdf_with_meshes_and_fingers(
     assert np.isfinite(world.state().q).all()
 
 
-def altered(robot: G1, old: str, new: str) -> G1:
+def altered(robot, old, new):
     assert old in robot.urdf
     return replace(robot, source="mine.urdf", urdf=robot.urdf.replace(old, new))
 
 
-def test_without_imu_frames_they_sit_in_pelvis_and_torso(robot: G1) -> None:
+def test_without_imu_frames_they_sit_in_pelvis_and_torso(robot):
     renamed = altered(robot, "imu_in_", "frame_in_")
     state = World(renamed).state()
     assert state.imu.accelerometer == pytest.approx([0, 0, GRAVITY])
@@ -157,6 +142,6 @@ def test_without_imu_frames_they_sit_in_pelvis_and_torso(robot: G1) -> None:
     assert model.body(model.site("secondary_imu").bodyid[0]).name == "torso_link"
 
 
-def test_link_without_mass_is_refused(robot: G1) -> None:
+def test_link_without_mass_is_refused(robot):
     with pytest.raises(SimError, match=r"mine\.urdf"):
         World(altered(robot, '<mass value="1.932"', '<mass value="0"'))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -13,26 +12,21 @@ from g1stream.dds.messages import LowCmd, LowState, SecondaryImu, SportModeState
 from g1stream.sim.robot import MODE_MACHINE_29, SimulatedRobot
 from g1stream.sim.world import World
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from g1stream.robot.model import G1
-
 KNEE = 3
 PERIOD = 2_000_000
 
 
 @pytest.fixture
-def world(robot: G1) -> World:
+def world(robot):
     return World(robot)
 
 
 @pytest.fixture
-def simulated(world: World) -> SimulatedRobot:
+def simulated(world):
     return SimulatedRobot(world, SimConfig())
 
 
-def run(simulated: SimulatedRobot, ticks: range, data: bytes | None = None) -> None:
+def run(simulated, ticks, data=None):
     """Simulate, with the same LowCmd at every tick."""
     for tick in ticks:
         if data is not None:
@@ -76,7 +70,7 @@ def test_simulated_time_is_a_multiple_of_the_period(robot, rate):
 
 
 def test_noise_is_in_what_is_published_only(world):
-    def noise(state: LowState) -> None:
+    def noise(state):
         state.q[:] = 0.25
 
     simulated = SimulatedRobot(world, SimConfig(), noise=noise)
@@ -87,7 +81,7 @@ def test_noise_is_in_what_is_published_only(world):
     assert not world.state().q.any()
 
 
-def good_command() -> LowCmd:
+def good_command():
     command = LowCmd()
     command.motor_mode = 1
     command.mode_machine[()] = MODE_MACHINE_29
@@ -105,14 +99,14 @@ def test_a_valid_command_moves_the_joint(simulated, world, caplog):
     assert [record.levelname for record in caplog.records] == ["INFO"]
 
 
-def altered(change: Callable[[LowCmd], None], *, sealed: bool = True) -> bytes:
+def altered(change, *, sealed=True):
     command = good_command()
     command.seal()
     change(command)
     return command.seal() if sealed else command.tobytes()
 
 
-def set_q(value: float) -> Callable[[LowCmd], None]:
+def set_q(value):
     return lambda command: command.q.__setitem__(KNEE, value)
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
 import mujoco
 import numpy as np
 import pytest
@@ -12,25 +10,15 @@ from g1stream.robot.rotations import quat_rotate
 from g1stream.sim.supports import Root
 from g1stream.sim.world import World
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from g1stream.robot.model import G1
-    from g1stream.sim.world import MotorCommand
-    from g1stream.types import Support
-
-
 GRAVITY = 9.81
 
 
-def base_tilt(quat_wxyz: NDArray[np.float64]) -> float:
+def base_tilt(quat_wxyz):
     """Angle between the base's z axis and the world's, rad."""
     return float(np.arccos(quat_rotate(quat_wxyz, np.array([0.0, 0.0, 1.0]))[2]))
 
 
-def test_start_pose_and_height(robot: G1, inner_pose: NDArray[np.float64]) -> None:
+def test_start_pose_and_height(robot, inner_pose):
     pose = inner_pose
     for support in ("bolted", "hanging"):
         state = World(robot, support, joint_pos=pose, base_height=1.2).state()
@@ -39,9 +27,7 @@ def test_start_pose_and_height(robot: G1, inner_pose: NDArray[np.float64]) -> No
         assert state.time == 0
 
 
-def test_hanging_robot_settles_upright_where_the_band_carries_it(
-    robot: G1, servo: Callable[..., MotorCommand], masses: list[Any]
-) -> None:
+def test_hanging_robot_settles_upright_where_the_band_carries_it(robot, servo, masses):
     world = World(robot, "hanging")
     weight = GRAVITY * sum(mass for _, mass, _ in masses)
     height, tilt = [], []
@@ -54,16 +40,14 @@ def test_hanging_robot_settles_upright_where_the_band_carries_it(
     assert max(tilt) < 0.15
 
 
-def test_band_pulls_at_the_torso_by_its_law(
-    robot: G1, servo: Callable[..., MotorCommand], run: Callable[..., None]
-) -> None:
+def test_band_pulls_at_the_torso_by_its_law(robot, servo, run):
     """Newton and Euler on the whole robot: what changes its momenta must be band and weight."""
     world = World(robot, "hanging", base_height=1.1)
     world.data.qpos[0] = 0.5  # so that it pulls sideways too, and turns the robot
     run(world, servo(q=0.2), 0.2)
     model, data = world.model, world.data
 
-    def momenta() -> NDArray[np.float64]:
+    def momenta():
         mujoco.mj_subtreeVel(model, data)
         return np.concatenate(
             [model.body_subtreemass[1] * data.subtree_linvel[1], data.subtree_angmom[1]]
@@ -86,7 +70,7 @@ def test_band_pulls_at_the_torso_by_its_law(
     assert moment == pytest.approx(np.cross(arm, band), abs=0.002 * np.linalg.norm(band))
 
 
-def root_at(time: float, *, playing: bool = True) -> Root:
+def root_at(time, *, playing=True):
     """A base that runs around a circle of 0.4 m in 4 s, turning with it."""
     rate, angle = np.pi / 2, np.pi / 2 * time
     return Root(
@@ -98,9 +82,7 @@ def root_at(time: float, *, playing: bool = True) -> Root:
     )
 
 
-def test_a_followed_base_is_where_the_reference_is(
-    robot: G1, servo: Callable[..., MotorCommand]
-) -> None:
+def test_a_followed_base_is_where_the_reference_is(robot, servo):
     world = World(robot, "follow")
     before = world.state().q
     for tick in range(1000):  # a reference comes at every other step
@@ -117,21 +99,14 @@ def test_a_followed_base_is_where_the_reference_is(
 
 
 @pytest.mark.parametrize("support", ["follow", "free"])
-def test_a_base_stays_where_it_is_until_a_reference_comes(
-    robot: G1,
-    support: Support,
-    servo: Callable[..., MotorCommand],
-    run: Callable[..., None],
-) -> None:
+def test_a_base_stays_where_it_is_until_a_reference_comes(robot, support, servo, run):
     world = World(robot, support)
     run(world, servo(), 0.3)
     assert world.state().base_pos == pytest.approx([0, 0, 1.0], abs=0.003)
     assert base_tilt(world.state().imu.quat_wxyz) < 0.003
 
 
-def test_a_free_base_is_let_go_when_the_motion_begins(
-    robot: G1, servo: Callable[..., MotorCommand], run: Callable[..., None]
-) -> None:
+def test_a_free_base_is_let_go_when_the_motion_begins(robot, servo, run):
     world = World(robot, "free")
     world.set_reference(
         root_at(0.0, playing=False)._replace(lin_vel=np.zeros(3), ang_vel=np.zeros(3))
@@ -147,9 +122,7 @@ def test_a_free_base_is_let_go_when_the_motion_begins(
 
 
 @pytest.mark.parametrize("support", ["follow", "free"])
-def test_a_base_stands_still_when_the_reference_has_stopped_coming(
-    robot: G1, support: Support, servo: Callable[..., MotorCommand], run: Callable[..., None]
-) -> None:
+def test_a_base_stands_still_when_the_reference_has_stopped_coming(robot, support, servo, run):
     world = World(robot, support)
     world.set_reference(root_at(0.0, playing=False))  # at 0.63 m/s
     run(world, servo(), 0.3)
@@ -159,9 +132,7 @@ def test_a_base_stands_still_when_the_reference_has_stopped_coming(
     assert world.state().base_lin_vel == pytest.approx([0, 0, 0], abs=0.01)
 
 
-def test_a_free_base_is_held_again_by_the_next_session(
-    robot: G1, servo: Callable[..., MotorCommand], run: Callable[..., None]
-) -> None:
+def test_a_free_base_is_held_again_by_the_next_session(robot, servo, run):
     world = World(robot, "free")
     rest = root_at(0.0, playing=False)._replace(lin_vel=np.zeros(3), ang_vel=np.zeros(3))
     world.set_reference(rest)
@@ -174,9 +145,7 @@ def test_a_free_base_is_held_again_by_the_next_session(
     assert base_tilt(world.state().imu.quat_wxyz) < 0.01
 
 
-def test_only_a_followed_robot_passes_through_the_floor(
-    robot: G1, servo: Callable[..., MotorCommand], run: Callable[..., None]
-) -> None:
+def test_only_a_followed_robot_passes_through_the_floor(robot, servo, run):
     world = World(robot, "follow", base_height=0.3)
     run(world, servo(), 0.1)
     assert world.data.ncon == 0

@@ -13,7 +13,7 @@ from g1stream.sim.world import World
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="displays are looked up otherwise")
-def test_a_missing_display_is_an_error_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_display_is_an_error_at_once(monkeypatch):
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with pytest.raises(SimError, match="display"):

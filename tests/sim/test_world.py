@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -17,24 +16,11 @@ from g1stream.robot.rotations import quat_rotate, quat_rotate_inverse
 from g1stream.sim.model import TORQUE_LIMIT
 from g1stream.sim.world import MotorCommand, World
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from g1stream.robot.model import G1
-
-
 LAFAN = Path(__file__).parents[2].parent / "shared" / "lafan1" / "joints_labeled.csv"
 GRAVITY = 9.81
 
 
-def test_servo_law_and_torque_limits(
-    robot: G1,
-    rng: np.random.Generator,
-    servo: Callable[..., MotorCommand],
-    inner_pose: NDArray[np.float64],
-) -> None:
+def test_servo_law_and_torque_limits(robot, rng, servo, inner_pose):
     world = World(robot, joint_pos=inner_pose)
     saturated = np.zeros(N_JOINTS, dtype=bool)
     for _ in range(200):
@@ -58,23 +44,21 @@ def test_servo_law_and_torque_limits(
     assert saturated.all()
 
 
-def test_only_enabled_motors_move(robot: G1, servo: Callable[..., MotorCommand]) -> None:
+def test_only_enabled_motors_move(robot, servo):
     enabled = np.arange(N_JOINTS) % 2 == 0
     world = World(robot)
     world.step(servo(tau=3.0, kp=0.0, kd=0.0, enabled=enabled))
     assert (world.state().tau_est == np.where(enabled, 3.0, 0.0)).all()
 
 
-def test_imu_at_rest_reads_gravity_upward(robot: G1) -> None:
+def test_imu_at_rest_reads_gravity_upward(robot):
     state = World(robot).state()
     assert state.imu.quat_wxyz == pytest.approx([1, 0, 0, 0])
     assert state.imu.gyroscope == pytest.approx([0, 0, 0])
     assert state.imu.accelerometer == pytest.approx([0, 0, GRAVITY])
 
 
-def test_torso_imu_turns_with_the_waist(
-    robot: G1, servo: Callable[..., MotorCommand], run: Callable[..., None]
-) -> None:
+def test_torso_imu_turns_with_the_waist(robot, servo, run):
     pose = np.zeros(N_JOINTS)
     pose[[JOINT_NAMES.index("waist_yaw_joint"), JOINT_NAMES.index("waist_pitch_joint")]] = 0.7, 0.4
     world = World(robot, joint_pos=pose)
@@ -96,10 +80,8 @@ def test_torso_imu_turns_with_the_waist(
 
 
 @pytest.mark.parametrize("support", ["bolted", "hanging"])
-def test_same_commands_give_the_same_bits(
-    robot: G1, support: str, servo: Callable[..., MotorCommand]
-) -> None:
-    def play() -> bytes:
+def test_same_commands_give_the_same_bits(robot, support, servo):
+    def play():
         rng = np.random.default_rng(3)
         world, states = World(robot, support), b""
         for _ in range(200):
@@ -114,12 +96,7 @@ def test_same_commands_give_the_same_bits(
     assert play() == play()
 
 
-def test_float32_commands_are_obeyed_alike(
-    robot: G1,
-    rng: np.random.Generator,
-    servo: Callable[..., MotorCommand],
-    run: Callable[..., None],
-) -> None:
+def test_float32_commands_are_obeyed_alike(robot, rng, servo, run):
     exact = servo(q=rng.uniform(-0.3, 0.3, N_JOINTS), tau=0.7)
     wire = MotorCommand(exact.enabled, *(values.astype(np.float32) for values in exact[1:]))
     worlds = World(robot), World(robot)
@@ -128,7 +105,7 @@ def test_float32_commands_are_obeyed_alike(
     assert worlds[1].state().q == pytest.approx(worlds[0].state().q, abs=1e-6)
 
 
-def test_states_are_the_callers_own(robot: G1, run: Callable[..., None]) -> None:
+def test_states_are_the_callers_own(robot, run):
     world = World(robot)
     first = world.state()
     run(world, MotorCommand.off(), 0.1)
@@ -137,9 +114,7 @@ def test_states_are_the_callers_own(robot: G1, run: Callable[..., None]) -> None
     assert first.imu.accelerometer == pytest.approx([0, 0, GRAVITY])
 
 
-def test_command_that_is_not_finite_is_refused(
-    robot: G1, servo: Callable[..., MotorCommand]
-) -> None:
+def test_command_that_is_not_finite_is_refused(robot, servo):
     world = World(robot)
     command = servo()
     command.q[JOINT_NAMES.index("left_knee_joint")] = np.nan
@@ -149,13 +124,7 @@ def test_command_that_is_not_finite_is_refused(
     assert np.isfinite(world.state().q).all()
 
 
-def test_a_state_that_cannot_be_integrated_is_an_error(
-    robot: G1,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    servo: Callable[..., MotorCommand],
-    run: Callable[..., None],
-) -> None:
+def test_a_state_that_cannot_be_integrated_is_an_error(robot, tmp_path, monkeypatch, servo, run):
     monkeypatch.chdir(tmp_path)  # MuJoCo writes a log there
     world = World(robot)
     run(world, servo(), 0.01)
@@ -167,9 +136,7 @@ def test_a_state_that_cannot_be_integrated_is_an_error(
 # Against mechanics done without MuJoCo.
 
 
-def potential_energy(
-    robot: G1, masses: list[Any], joint_pos: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def potential_energy(robot, masses, joint_pos):
     """Of poses (T, 29), J, from the URDF's masses and our own kinematics, pelvis at the origin."""
     n_poses = len(joint_pos)
     links = forward_kinematics(
@@ -183,7 +150,7 @@ def potential_energy(
     return energy
 
 
-def gravity_torque(robot: G1, masses: list[Any], pose: NDArray[np.float64]) -> NDArray[np.float64]:
+def gravity_torque(robot, masses, pose):
     """The torque (29,) that holds a pose still, N·m: the slope of the potential energy."""
     step = 1e-5
     poses = pose + step * np.concatenate([np.eye(N_JOINTS), -np.eye(N_JOINTS)])
@@ -191,13 +158,7 @@ def gravity_torque(robot: G1, masses: list[Any], pose: NDArray[np.float64]) -> N
     return (up - down) / (2 * step)
 
 
-def test_acceleration_agrees_with_inverse_dynamics(
-    robot: G1,
-    rng: np.random.Generator,
-    servo: Callable[..., MotorCommand],
-    run: Callable[..., None],
-    inner_pose: NDArray[np.float64],
-) -> None:
+def test_acceleration_agrees_with_inverse_dynamics(robot, rng, servo, run, inner_pose):
     world = World(robot, joint_pos=inner_pose)
     run(world, servo(kp=20.0), 0.05)
     inverse = mujoco.MjData(world.model)
@@ -210,13 +171,7 @@ def test_acceleration_agrees_with_inverse_dynamics(
     assert inverse.qfrc_inverse[dofs] == pytest.approx(after.tau_est, abs=1e-3)
 
 
-def test_pose_is_held_with_the_static_error_that_kp_predicts(
-    robot: G1,
-    servo: Callable[..., MotorCommand],
-    run: Callable[..., None],
-    inner_pose: NDArray[np.float64],
-    masses: list[Any],
-) -> None:
+def test_pose_is_held_with_the_static_error_that_kp_predicts(robot, servo, run, inner_pose, masses):
     target = inner_pose
     world = World(robot, joint_pos=target)
     world.model.dof_frictionloss[:] = 0  # it would hold the joints anywhere near
@@ -230,9 +185,7 @@ def test_pose_is_held_with_the_static_error_that_kp_predicts(
     assert at_rest.tau_est == pytest.approx(holding, abs=1e-3)
 
 
-def test_limp_robot_gets_no_torque_and_loses_energy(
-    robot: G1, servo: Callable[..., MotorCommand], inner_pose: NDArray[np.float64]
-) -> None:
+def test_limp_robot_gets_no_torque_and_loses_energy(robot, servo, inner_pose):
     world = World(robot, joint_pos=inner_pose)
     limp = servo(q=1.0, tau=5.0, enabled=False)
     energy = []
@@ -246,7 +199,7 @@ def test_limp_robot_gets_no_torque_and_loses_energy(
     assert energy[-1] < energy[0] - 1
 
 
-def test_a_free_pendulum_keeps_its_energy(robot: G1, masses: list[Any]) -> None:
+def test_a_free_pendulum_keeps_its_energy(robot, masses):
     world = World(robot, joint_pos=np.where(np.array(JOINT_NAMES) == "left_knee_joint", 0.8, 0.0))
     world.model.dof_frictionloss[:] = 0
     world.model.dof_damping[:] = 0
@@ -264,9 +217,7 @@ def test_a_free_pendulum_keeps_its_energy(robot: G1, masses: list[Any]) -> None:
     assert np.abs(lost).max() < 0.02 * max(swing)
 
 
-def test_velocities_are_the_slopes_of_positions_at_the_same_time(
-    robot: G1, servo: Callable[..., MotorCommand], run: Callable[..., None]
-) -> None:
+def test_velocities_are_the_slopes_of_positions_at_the_same_time(robot, servo, run):
     world = World(robot, "hanging", joint_pos=np.full(N_JOINTS, 0.1))
     run(world, servo(q=-0.1), 0.1)
     before = world.state()
@@ -280,12 +231,10 @@ def test_velocities_are_the_slopes_of_positions_at_the_same_time(
     assert np.abs(speed).max() > 1e-3
 
 
-def test_trajectory_converges_with_the_timestep(
-    robot: G1, servo: Callable[..., MotorCommand], run: Callable[..., None]
-) -> None:
+def test_trajectory_converges_with_the_timestep(robot, servo, run):
     """To first order, so half the timestep has half the error."""
 
-    def play(timestep: float) -> NDArray[np.float64]:
+    def play(timestep):
         world = World(robot, timestep=timestep)
         poses = []
         for tick in range(50):
@@ -301,9 +250,7 @@ def test_trajectory_converges_with_the_timestep(
 
 
 @pytest.mark.parametrize("kd", [10.0, 50.0])
-def test_strong_damping_does_not_chatter(
-    robot: G1, kd: float, servo: Callable[..., MotorCommand], run: Callable[..., None]
-) -> None:
+def test_strong_damping_does_not_chatter(robot, kd, servo, run):
     world = World(robot, joint_pos=np.full(N_JOINTS, 0.1))
     run(world, servo(kp=20.0, kd=kd), 0.5)
     speeds = []
@@ -315,13 +262,7 @@ def test_strong_damping_does_not_chatter(
 
 @pytest.mark.skipif(not LAFAN.exists(), reason="../shared/lafan1 is not there")
 @pytest.mark.parametrize(("support", "worst"), [("bolted", 0.09), ("hanging", 0.047)])
-def test_dance_is_followed_as_by_unitree_mujoco(
-    robot: G1,
-    support: str,
-    worst: float,
-    servo: Callable[..., MotorCommand],
-    run: Callable[..., None],
-) -> None:
+def test_dance_is_followed_as_by_unitree_mujoco(robot, support, worst, servo, run):
     """Unitree's gains, q and dq at 500 Hz; the bounds are what their simulators reach."""
     fps = 30
     with LAFAN.open() as file:

@@ -1,5 +1,6 @@
 """Overruns: ticks are skipped, counted and logged."""
 
+import logging
 from itertools import pairwise
 
 import pytest
@@ -19,6 +20,7 @@ def tick(clock, n):
 @pytest.fixture
 def overruns(caplog):
     """The events of overruns: skipped ticks since the last one, and in total."""
+    caplog.set_level(logging.INFO, logger="g1stream")
     return lambda: [record.args for record in caplog.records if "overrun" in record.msg]
 
 
@@ -34,6 +36,18 @@ def test_an_overrun_is_logged_in_its_tick(make_loop, link, clock, overruns):
     make_loop().run()
     assert overruns() == [(5, 5)]
     assert (seen[100], seen[101]) == ([], [(5, 5)])
+
+
+@pytest.mark.parametrize(("periods", "level"), [(9, logging.INFO), (10, logging.WARNING)])
+def test_an_overrun_that_a_servo_notices_is_a_warning(make_loop, clock, caplog, periods, level):
+    """20 ms; short ones do not add up to a warning."""
+    caplog.set_level(logging.INFO, logger="g1stream")
+    clock.oversleeps[tick(clock, 100)] = 3 * PERIOD
+    for n in (120, 140, 200):
+        clock.oversleeps[tick(clock, n)] = periods * PERIOD
+    make_loop().run()
+    levels = [record.levelno for record in caplog.records if "overrun" in record.msg]
+    assert levels == [logging.INFO, level]
 
 
 def test_more_of_them_are_logged_once_a_second_and_none_is_left_out(make_loop, clock, overruns):

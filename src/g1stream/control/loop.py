@@ -45,7 +45,7 @@ _SETTLE: Final = 100_000_000
 _PUBLISHER_CHECK_PERIOD: Final = 100_000_000
 #: How often it reports skipped ticks, ns.
 _OVERRUN_REPORT_PERIOD: Final = 1_000_000_000
-#: A servo holds its last target for that long without harm, ns; more within a second is a warning.
+#: A servo holds its last target for that long without harm, ns; a longer overrun is a warning.
 _LONG_OVERRUN: Final = 20_000_000
 #: Longer than any session, ns.
 _FOREVER: Final = 1 << 62
@@ -172,7 +172,7 @@ class StreamLoop:
         self._prepared_for = 0
         self._stop_reason = ""
         self._next_publisher_check = 0
-        self._skipped_reported = self._next_overrun_report = 0
+        self._skipped_reported = self._next_overrun_report = self._longest_overrun = 0
         self.state = PhaseState(Phase.WAIT, 0)
         self.motion_time = 0.0
         self.report = LoopReport(period, envelope.clamped)
@@ -233,12 +233,14 @@ class StreamLoop:
             return
         self._skipped_reported = self.report.skipped
         self._next_overrun_report = deadline + _OVERRUN_REPORT_PERIOD
-        level = logging.WARNING if new * self._period >= _LONG_OVERRUN else logging.INFO
+        level = logging.WARNING if self._longest_overrun >= _LONG_OVERRUN else logging.INFO
+        self._longest_overrun = 0
         _LOGGER.log(level, "overrun: ticks skipped: %d, %d in total", new, self.report.skipped)
 
     def _catch_up(self, deadline: int) -> None:
         """After skipped ticks: continue on time, or stop if the target has moved too far."""
         gap = deadline - self._prepared_for
+        self._longest_overrun = max(self._longest_overrun, gap)
         if self.state.phase is Phase.DAMP:
             # The length of DAMP counts commands, not time without any.
             self.state = replace(self.state, since=self.state.since + gap)

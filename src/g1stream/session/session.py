@@ -388,7 +388,7 @@ class Session:
         none = f"{', '.join(_ESSENTIAL[:-1])} or {_ESSENTIAL[-1]}"
         if not self.complete:
             return RecordingError(
-                f"{self.path} was cut off before the first sample of {none}.",
+                f"The session file {self.path} was cut off before the first sample of {none}.",
                 "Copy it again, or record again.",
             )
         if "started_ns" in self.metadata:  # a recording without samples

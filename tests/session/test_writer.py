@@ -297,11 +297,3 @@ def test_neither_a_session_nor_a_large_file_nor_a_missing_one_is_attached(tmp_pa
     for source in (None, *(tmp_path / n for n in ("earlier.mcap", "large.csv", "gone.csv", "."))):
         attach_motion(taker, source, 7)
     assert not taker.attached
-
-
-def test_lengths_that_differ_are_refused(tmp_path):
-    with (
-        SessionWriter(tmp_path / "session.mcap") as writer,
-        pytest.raises(ValueError, match="1 publish times"),
-    ):
-        writer.write_batch("/lowstate", [b"a", b"b"], [T0, T0], [T0])

@@ -6,7 +6,7 @@ import pytest
 
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawReader
-from g1stream.dds.log_handler import DdsLogHandler
+from g1stream.dds.log_handler import dds_log_handler
 from g1stream.dds.messages import Log
 from g1stream.dds.topics import LOG
 from g1stream.events import handled_by
@@ -20,7 +20,7 @@ def test_records_are_published_with_level_name_text_and_the_time_they_were_logge
     keep = logging.Handler()
     keep.emit = records.append
     with Participant(domain_id, "lo") as ours, Participant(domain_id, "lo") as other:
-        handler = DdsLogHandler(other, "stream")
+        handler = dds_log_handler(other, "stream")
         reader = RawReader(ours, LOG, depth=10)
         until(lambda: reader.matched, "the writer of events")
         samples = []

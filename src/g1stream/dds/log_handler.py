@@ -1,4 +1,4 @@
-"""Logging handlers that publish events as samples of rt/g1stream/log."""
+"""The logging handler that publishes events as samples of rt/g1stream/log."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from g1stream.dds.domain import Participant
 
-__all__ = ["DdsLogHandler", "LogHandler"]
+__all__ = ["LogHandler", "dds_log_handler"]
 
 
 class LogHandler(logging.Handler):
@@ -33,7 +33,6 @@ class LogHandler(logging.Handler):
         self._message.name = name
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Publish one record; a text too long for the message is cut."""
         try:
             self._message.level[()] = severity(record)
             self._message.text = record.getMessage()
@@ -42,15 +41,9 @@ class LogHandler(logging.Handler):
             self.handleError(record)
 
 
-class DdsLogHandler(LogHandler):
-    """Publishes log records on DDS.
+def dds_log_handler(participant: Participant, name: str) -> LogHandler:
+    """A handler that publishes on DDS.
 
     It leaves the topic with its participant, so records must be handled before that closes.
-
-    Args:
-        participant: to publish from.
-        name: of the program, such as `stream`.
     """
-
-    def __init__(self, participant: Participant, name: str) -> None:
-        super().__init__(name, RawWriter(participant, LOG, depth=100).write)
+    return LogHandler(name, RawWriter(participant, LOG, depth=100).write)

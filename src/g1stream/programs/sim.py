@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from g1stream.clock import SystemClock
 from g1stream.config import Config
 from g1stream.dds.domain import Participant
-from g1stream.dds.log_handler import DdsLogHandler
+from g1stream.dds.log_handler import dds_log_handler
 from g1stream.events import ConsoleHandler, handled_by
 from g1stream.programs.child_process import run_child
 from g1stream.realtime import describe, on_time
@@ -56,7 +56,7 @@ def simulate(
     world = World(G1.load(config.robot), settings.support, timestep=physics_timestep(settings.rate))
     with ExitStack() as stack:
         participant = stack.enter_context(Participant(config.dds.domain, config.dds.interface))
-        stack.enter_context(handled_by(DdsLogHandler(participant, "sim")))
+        stack.enter_context(handled_by(dds_log_handler(participant, "sim")))
         view = _viewer(world, stack) if settings.viewer else None
         robot = SimulatedRobot(world, settings)
         bridge = Bridge(participant, robot, settings.support, SystemClock(), view=view)
@@ -81,16 +81,10 @@ def _priority(config: Config) -> int:
     With one CPU, a simulation that is too slow for it would; with a viewer, it would wait for the
     thread that draws.
     """
-    if config.sim.viewer or _cpus() < 2:
+    cpus = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if config.sim.viewer or cpus < 2:
         return 0
     return max(0, config.realtime.priority - _BELOW_LOOP)
-
-
-def _cpus() -> int:
-    """How many CPUs this process may run on."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def physics_timestep(rate: float) -> float:

@@ -15,7 +15,7 @@ from g1stream.control.gains import resolve_gains
 from g1stream.control.link import DdsLink
 from g1stream.control.loop import StreamLoop, make_loop
 from g1stream.dds.domain import Participant, is_local_only
-from g1stream.dds.log_handler import DdsLogHandler
+from g1stream.dds.log_handler import dds_log_handler
 from g1stream.dds.topics import LOWCMD
 from g1stream.doctor.matching import explain_no_robot
 from g1stream.doctor.wire import inspect_participant
@@ -116,7 +116,7 @@ def stream(
             clock.sleep_until(joined + _DISCOVERY)
             _refuse_if_commanded(participant)
         link = RecordedLink(participant, recorded) if recorded else DdsLink(participant)
-        events = DdsLogHandler(participant, "stream")
+        events = dds_log_handler(participant, "stream")
         loop = make_loop(
             for_wire(config),
             robot,

@@ -4,13 +4,8 @@ A URDF has two readers. This one parses the XML once with ElementTree; the shape
 the text for MuJoCo (mujoco_spec.py) are made from the same elements. The other is MuJoCo, which
 reads masses and inertias, in programs that simulate or compute torques.
 
-Alternatives:
-
-- yourdfpy takes a second to import, because of trimesh, and does not check what it reads. All that
-  it would save after those checks is the conversion of three attributes. It is the independent
-  reader that the tests compare this one with.
-- MuJoCo alone takes long to import, and fails on missing meshes.
-- A file compiled from the default URDF would save 3 of the 4 ms that reading it takes.
+yourdfpy, which takes a second to import and does not check what it reads, is the independent reader
+that the tests compare this one with. MuJoCo alone is slow to import, and fails on missing meshes.
 """
 
 from __future__ import annotations

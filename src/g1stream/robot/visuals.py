@@ -26,27 +26,16 @@ _GREY: Final = (0.7, 0.7, 0.7, 1.0)
 
 @dataclass(frozen=True)
 class Visual:
-    """One shape of a link.
-
-    Attributes:
-        link: the link that it belongs to.
-        kind: box, cylinder (its axis along z), sphere or mesh.
-        pos: (3,) m, its centre in the link's frame; for a mesh, its origin.
-        quat_wxyz: (4,) its orientation in the link's frame.
-        size: (3,) m, along its own axes, with diameters for round shapes; for a mesh, its scale.
-        rgba: (4,) each from 0 to 1; grey where the URDF names no colour.
-        coloured: whether the URDF names a colour.
-        mesh: the mesh's file as the URDF names it; empty for other kinds.
-    """
+    """One shape of a link."""
 
     link: str
-    kind: Kind
-    pos: tuple[float, ...]
-    quat_wxyz: tuple[float, ...]
-    size: tuple[float, ...]
-    rgba: tuple[float, ...]
-    coloured: bool
-    mesh: str = ""
+    kind: Kind  # a cylinder's axis is along z
+    pos: tuple[float, ...]  # (3,) m, its centre in the link's frame; a mesh's origin
+    quat_wxyz: tuple[float, ...]  # (4,) in the link's frame
+    size: tuple[float, ...]  # (3,) m, with diameters for round shapes; a mesh's scale
+    rgba: tuple[float, ...]  # (4,) each from 0 to 1; grey where the URDF names no colour
+    coloured: bool  # the URDF names a colour
+    mesh: str = ""  # the file as the URDF names it; empty for other kinds
 
 
 def read_visuals(robot: G1) -> tuple[Visual, ...]:

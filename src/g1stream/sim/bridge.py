@@ -76,7 +76,12 @@ class Bridge:
                 if not self._view():
                     break
             due += robot.period
-            due += self._skipped(now - due, now)
+            # A little is caught up at once, so that simulated time is wall time; more would
+            # freeze the robot's answers for as long as it takes to catch up.
+            if (late := now - due) > _CATCH_UP:
+                due = now
+                robot.report.behind += late / 1e9
+                robot.log(logging.WARNING, "the simulation cannot keep up with the wall clock", now)
         robot.report.elapsed = (self._clock.now() - start) / 1e9
         return robot.report
 
@@ -94,15 +99,3 @@ class Bridge:
         reference = self._references.take_latest()
         if reference is not None:
             self._robot.receive_reference(reference.data)
-
-    def _skipped(self, late: int, now: int) -> int:
-        """How much of the time by which it is late the simulation skips, ns.
-
-        A little is caught up at once, so that simulated time is wall time; more would freeze the
-        robot's answers for as long as catching up takes.
-        """
-        if late <= _CATCH_UP:
-            return 0
-        self._robot.report.behind += late / 1e9
-        self._robot.log(logging.WARNING, "the simulation cannot keep up with the wall clock", now)
-        return late

@@ -147,10 +147,10 @@ def stream(
         finally:
             about = {"start_s": interval.start, "realtime": granted, "findings": findings}
             played = loop.report.summary().model_copy(update={**about, **link.counts()})
+            alone = not (played.commands or played.states_used)
             if recorder:
-                alone = not (played.commands or played.states_used)
                 recording = recorder.finish(played, remove_if_empty=alone)
-    if recording and not recording.stopped and recording.first_ns is not None:
+    if recording and not alone and not recording.stopped and recording.first_ns is not None:
         return open_session(recording.path).summary()
     return summarise_run(
         config,

@@ -146,7 +146,19 @@ def test_a_recorder_that_cannot_start_keeps_the_stream_from_starting(tmp_path, d
 
 @pytest.mark.parametrize(
     "command",
-    ["demo", "stream", "sim", "record", "replay", "learn", "convert", "info", "motion", "doctor"],
+    [
+        "demo",
+        "stream",
+        "sim",
+        "record",
+        "replay",
+        "learn",
+        "identify",
+        "convert",
+        "info",
+        "motion",
+        "doctor",
+    ],
 )
 def test_help_has_examples_and_exit_codes_within_80_columns(command):
     assert f"\n  {command} " in run("--help").stdout

@@ -24,6 +24,7 @@ _COMMANDS: Final = {
     "record": ("record", "Record", "Record what is on DDS into a session file (MCAP)."),
     "replay": ("stream", "Replay", "Play a recorded session again."),
     "learn": ("learn", "Learn", "Learn from sessions of a motion to follow it more closely."),
+    "identify": ("identify", "Identify", "Tell which robot a session was recorded on."),
     "convert": ("convert", "Convert", "Convert a motion file into an MCAP for Foxglove or Rerun."),
     "info": ("info", "Info", "Print what is in a session file, and how well it went."),
     "motion": ("motion", "Inspect", "Check a motion file: frames, joints, limits."),

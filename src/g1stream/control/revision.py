@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from g1stream.robot.dynamics import BaseMotion, friction_torque
 from g1stream.robot.joints import FRICTION
-from g1stream.robot.rotations import quat_normalize, quat_rotate
+from g1stream.robot.rotations import quat_rotate
 from g1stream.types import Floats
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -20,7 +20,77 @@ if TYPE_CHECKING:
     from g1stream.robot.dynamics import InverseDynamics
     from g1stream.types import Support
 
-__all__ = ["RevisionFit"]
+__all__ = ["RevisionFit", "Window"]
+
+
+#: Of a measured torque from that of the true model, N·m.
+_DEVIATION: Final = 0.15
+#: Below about this speed dry friction may take any value up to its full one, rad/s.
+_STICTION_SPEED: Final = 0.05
+
+
+class Window(NamedTuple):
+    """The means of some readings.
+
+    Attributes:
+        q, dq, ddq, tau: (29,) rad, rad/s, rad/s², N·m, motor order.
+        quat_wxyz: (4,) pelvis to world.
+        rate: (3,) rad/s, of the gyroscope.
+        specific: (3,) m/s², of the accelerometer.
+        friction: (29,) N·m, by which the mean friction differs from that at the mean speed.
+    """
+
+    q: Floats
+    dq: Floats
+    ddq: Floats
+    tau: Floats
+    quat_wxyz: Floats
+    rate: Floats
+    specific: Floats
+    friction: Floats
+
+    @classmethod
+    def of(cls, readings: Sequence[tuple[Floats, ...]], passed: float) -> Window | None:
+        """Of tuples of q, dq, tau and an `ImuReading`, over `passed` s of the robot's time.
+
+        The acceleration is the change of velocity. None if a value is not finite.
+        """
+        columns = [np.array(column) for column in zip(*readings, strict=True)]
+        q, dq, tau, quat, rate, specific = (column.mean(axis=0) for column in columns)
+        norm = float(np.linalg.norm(quat))
+        if not np.isfinite(np.concatenate((q, dq, tau, rate, specific, [norm]))).all() or not norm:
+            return None
+        speeds = columns[1]
+        friction = np.mean([friction_torque(speed) for speed in speeds], axis=0)
+        return cls(
+            q,
+            dq,
+            (speeds[-1] - speeds[0]) / passed,
+            tau,
+            quat / norm,
+            rate,
+            specific,
+            friction - friction_torque(dq),
+        )
+
+    @property
+    def deviation(self) -> Floats:
+        """(29,) N·m, that of a measured torque: for a joint that hardly moves, its dry friction."""
+        stuck = FRICTION * (1.0 - np.tanh(np.abs(self.dq) / _STICTION_SPEED))
+        return np.hypot(_DEVIATION, stuck)
+
+    def solve(self, model: InverseDynamics, support: Support) -> Iterator[Floats]:
+        """Predicted torques (29,), N·m, better with each iteration; the last one counts.
+
+        The force that carries a hanging robot becomes that which the accelerometer shows.
+        """
+        base = BaseMotion(self.quat_wxyz, self.rate)
+        force = np.array([0.0, 0.0, model.mass * model.gravity])
+        for _ in range(3 if support == "hanging" else 1):
+            solution = model.solve(support, self.q, self.dq, self.ddq, base, force=force)
+            missing = self.specific - model.specific_force(solution, base)
+            force = force + model.mass * quat_rotate(base.quat_wxyz, missing)
+            yield solution.tau + self.friction
 
 
 class RevisionFit:
@@ -33,8 +103,7 @@ class RevisionFit:
 
         a = sum((t - t1) . (t2 - t1) / s²) / sum((t2 - t1)² / s²)
 
-    It is 0 for the first model and 1 for the second. s is the deviation of a measured torque:
-    that of the model, and for a joint that hardly moves its dry friction.
+    It is 0 for the first model and 1 for the second. s is the deviation of a measured torque.
 
     Args:
         support: how the robot is held.
@@ -42,9 +111,8 @@ class RevisionFit:
     """
 
     WINDOW: Final = 0.1  # s
-    _GAP: Final = 0.03  # s between readings, beyond which a window is not used
-    _DEVIATION: Final = 0.15  # N·m
-    _FEWEST: Final = 8  # readings in a window
+    GAP: Final = 0.03  # s between readings, beyond which a window is not used
+    FEWEST: Final = 8  # readings in a window
     #: The least information that decides, 1 / variance of a.
     _ENOUGH: Final = 10.0
 
@@ -82,39 +150,28 @@ class RevisionFit:
             scale: simulated over real time.
         """
         next(self._work, None)
-        if not 0.0 < time - self._last <= self._GAP:
+        if not 0.0 < time - self._last <= self.GAP:
             self._readings, self._start = [], time
         self._last = time
         self._readings.append(tuple(part.astype(np.float64) for part in (q, dq, tau, *imu)))
         passed = (time - self._start) * scale
         if time - self._start >= self.WINDOW:
-            if len(self._readings) >= self._FEWEST:
+            if len(self._readings) >= self.FEWEST:
                 self._work = self._evaluate(self._readings, passed)
             self._readings, self._start = self._readings[-1:], time
 
     def _evaluate(self, readings: list[tuple[Floats, ...]], passed: float) -> Iterator[None]:
         """Compare a window, in steps of one solution each."""
-        columns = [np.array(column) for column in zip(*readings, strict=True)]
-        q, dq, tau, quat, rate, specific = (column.mean(axis=0) for column in columns)
-        speeds = columns[1]
-        ddq = (speeds[-1] - speeds[0]) / passed
-        friction = np.mean([friction_torque(speed) for speed in speeds], axis=0)
-        friction -= friction_torque(dq)
-        if not all(np.isfinite(part).all() for part in (q, dq, tau, quat, rate, specific)):
+        window = Window.of(readings, passed)
+        if window is None:
             return
-        base = BaseMotion(quat_normalize(quat), rate)
         predicted = []
         for model in self._models:
-            force = np.array([0.0, 0.0, model.mass * model.gravity])
-            for _ in range(3 if self._support == "hanging" else 1):
-                solution = model.solve(self._support, q, dq, ddq, base, force=force)
-                missing = specific - model.specific_force(solution, base)
-                force = force + model.mass * quat_rotate(base.quat_wxyz, missing)
+            for tau in window.solve(model, self._support):
+                latest = tau
                 yield
-            predicted.append(solution.tau + friction)
+            predicted.append(latest)
         first, second = predicted
-        stuck = FRICTION * (1.0 - np.tanh(np.abs(dq) / 0.05))
-        weight = 1.0 / (self._DEVIATION**2 + stuck**2)
-        apart = second - first
-        self._products += float((weight * apart) @ (tau - first))
+        apart, weight = second - first, 1.0 / window.deviation**2
+        self._products += float((weight * apart) @ (window.tau - first))
         self._information += float((weight * apart) @ apart)

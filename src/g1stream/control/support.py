@@ -68,8 +68,8 @@ class SupportCheck:
 
     - hanging: the angular momentum about the centre of mass, from joints and IMU, with the moment
       of a force at the torso's centre of mass. The force is that of the whole robot's linear
-      momentum, from joints and accelerometer. Forces between links, self-contact for one, change
-      neither momentum.
+      momentum, from joints and accelerometer, averaged. Forces between links, self-contact for
+      one, change neither momentum.
     - free: the angular momentum, with that of no force.
     - bolted: the angular velocity of the pelvis, with that of rest.
     - follow: the angular velocity of the pelvis, with that of the reference.
@@ -94,6 +94,9 @@ class SupportCheck:
     _GAP: Final = 0.03
     #: Change that is not judged, per window: N·m·s of the momentum, rad/s of the pelvis.
     _FLOOR: Final = MappingProxyType({"hanging": 0.1, "free": 0.1, "bolted": 0.03, "follow": 0.03})
+    #: The force that carries a hanging robot is averaged over about this time, s: a band swings
+    #: slowly, and an accelerometer misses much of an impact when LowState is late or repeated.
+    _SWING: Final = 0.15
     #: The part of a window by which a simulator's time may differ from what it should be.
     _STALL: Final = 0.5
     #: Fraction of the change that a correct model may miss.
@@ -108,6 +111,7 @@ class SupportCheck:
         self._specific, self._readings = np.zeros(3), 0
         self._expected = self._from = self._predicted = self._carried = np.zeros(3)
         self._momentum = Momentum(np.zeros(3), np.zeros(3), np.zeros(3))
+        self._force = np.array([0.0, 0.0, dynamics.gravity])  # per kg
         self._missed = self._changed = 0.0
         self._windows = self._failed = 0
 
@@ -169,10 +173,12 @@ class SupportCheck:
         before, self._momentum = self._momentum, momentum
         if self._support == "free" or not np.isfinite(self._start):
             return momentum.angular, np.zeros(3)
+        specific = quat_rotate(quat, self._specific / self._readings)
+        force = specific + (momentum.velocity - before.velocity) / passed
+        self._force = self._force + (force - self._force) * min(1.0, passed / self._SWING)
         lever = 0.5 * self._dynamics.mass * (before.lever + momentum.lever)
-        carried = quat_rotate(quat, self._specific / self._readings) * passed
-        self._carried = self._carried + np.cross(lever, carried)
-        return momentum.angular, np.cross(lever, momentum.velocity - before.velocity)
+        self._carried = self._carried + np.cross(lever, self._force) * passed
+        return momentum.angular, np.zeros(3)
 
     def _begin(self, time: float, value: Floats) -> None:
         self._start, self._from = time, value

@@ -17,7 +17,7 @@ from g1stream.control.loop import StreamLoop, make_loop
 from g1stream.dds.domain import Participant, is_local_only
 from g1stream.dds.log_handler import dds_log_handler
 from g1stream.dds.topics import LOWCMD
-from g1stream.doctor.matching import explain_no_robot
+from g1stream.doctor.findings import explain_no_robot
 from g1stream.doctor.wire import inspect_participant
 from g1stream.errors import SafetyError, WireError
 from g1stream.events import handled_by

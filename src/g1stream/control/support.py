@@ -94,9 +94,10 @@ class SupportCheck:
     _GAP: Final = 0.03
     #: Change that is not judged, per window: N·m·s of the momentum, rad/s of the pelvis.
     _FLOOR: Final = MappingProxyType({"hanging": 0.1, "free": 0.1, "bolted": 0.03, "follow": 0.03})
-    #: The force that carries a hanging robot is averaged over about this time, s: a band swings
-    #: slowly, and an accelerometer misses much of an impact when LowState is late or repeated.
-    _SWING: Final = 0.15
+    #: The force that carries a hanging robot is averaged over about these times, s, and the one
+    #: that explains more counts: an accelerometer misses much of an impact when LowState is late or
+    #: repeated, and a force that swings fast is lost in a long average.
+    _AVERAGES: Final = np.array([[0.03], [0.15]])
     #: The part of a window by which a simulator's time may differ from what it should be.
     _STALL: Final = 0.5
     #: Fraction of the change that a correct model may miss.
@@ -109,10 +110,11 @@ class SupportCheck:
         self._floor = self._FLOOR[support]
         self._start = self._last = self._received = -np.inf
         self._specific, self._readings = np.zeros(3), 0
-        self._expected = self._from = self._predicted = self._carried = np.zeros(3)
+        self._expected = self._from = self._predicted = np.zeros(3)
         self._momentum = Momentum(np.zeros(3), np.zeros(3), np.zeros(3))
-        self._force = np.array([0.0, 0.0, dynamics.gravity])  # per kg
-        self._missed = self._changed = 0.0
+        self._force = np.tile([0.0, 0.0, dynamics.gravity], (2, 1))  # per kg
+        self._carried = np.zeros((2, 3))
+        self._missed, self._changed = np.zeros(2), 0.0
         self._windows = self._failed = 0
 
     def add(
@@ -175,26 +177,26 @@ class SupportCheck:
             return momentum.angular, np.zeros(3)
         specific = quat_rotate(quat, self._specific / self._readings)
         force = specific + (momentum.velocity - before.velocity) / passed
-        self._force = self._force + (force - self._force) * min(1.0, passed / self._SWING)
+        self._force = self._force + (force - self._force) * np.minimum(1.0, passed / self._AVERAGES)
         lever = 0.5 * self._dynamics.mass * (before.lever + momentum.lever)
         self._carried = self._carried + np.cross(lever, self._force) * passed
         return momentum.angular, np.zeros(3)
 
     def _begin(self, time: float, value: Floats) -> None:
         self._start, self._from = time, value
-        self._predicted, self._carried = np.zeros(3), np.zeros(3)
+        self._predicted, self._carried = np.zeros(3), np.zeros((2, 3))
 
     def _judge(self, change: Floats) -> None:
         # A simulator that stalls, or catches up, has not taken the time that has passed.
         left = change - self._predicted
-        square = max(float(self._carried @ self._carried), 1e-12)
-        taken = np.clip((left @ self._carried) / square, 1.0 - self._STALL, 1.0 + self._STALL)
-        self._missed += float(np.linalg.norm(left - taken * self._carried))
+        square = np.maximum((self._carried**2).sum(axis=1), 1e-12)
+        taken = np.clip(self._carried @ left / square, 1.0 - self._STALL, 1.0 + self._STALL)
+        self._missed += np.linalg.norm(left - taken[:, np.newaxis] * self._carried, axis=1)
         self._changed += float(np.linalg.norm(change))
         self._windows += 1
         if self._windows == self._SPAN:
             allowed = self._UNEXPLAINED * self._changed + self._floor * self._SPAN
-            self._failed = self._failed + 1 if self._missed > allowed else 0
+            self._failed = self._failed + 1 if self._missed.min() > allowed else 0
             self.wrong |= self._failed >= self._SPANS
-            self._missed = self._changed = 0.0
+            self._missed, self._changed = np.zeros(2), 0.0
             self._windows = 0

@@ -34,6 +34,11 @@ class _Part:
         return part
 
 
+#: Parts of `Target.values` that have the units of a velocity, and of an acceleration.
+_VELOCITIES: Final = (slice(_N, 2 * _N), slice(4 * _N + 7, 4 * _N + 13))
+_ACCELERATIONS: Final = (slice(2 * _N, 3 * _N), slice(4 * _N + 13, 4 * _N + 19))
+
+
 @dataclass(frozen=True)
 class Target:
     """The desired state of joints and root at one instant, as one array with named parts.
@@ -100,14 +105,12 @@ class Target:
         """The target in a time that passes `scale` times as fast; the same object if that is 1."""
         if scale == 1.0:
             return self
-        return self.replace(
-            dq=self.dq / scale,
-            ddq=self.ddq / scale**2,
-            root_lin_vel=self.root_lin_vel / scale,
-            root_ang_vel=self.root_ang_vel / scale,
-            root_lin_acc=self.root_lin_acc / scale**2,
-            root_ang_acc=self.root_ang_acc / scale**2,
-        )
+        values = self.values.copy()
+        for part in _VELOCITIES:
+            values[part] *= 1.0 / scale
+        for part in _ACCELERATIONS:
+            values[part] *= 1.0 / scale**2
+        return Target(self.motion_time, values)
 
     def at_rest(self) -> Target:
         """A copy with the same pose and zero velocity, acceleration and torque."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import sys
@@ -12,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from g1stream.errors import RecordingError
-from g1stream.files import check_output_path, complete_file, is_session, timestamped
+from g1stream.files import check_output_path, complete_file, is_session, read_file, timestamped
 
 
 @pytest.mark.parametrize(
@@ -65,12 +66,41 @@ def test_a_failure_leaves_what_was_there(tmp_path, old, error):
     assert [p.read_bytes() for p in tmp_path.iterdir()] == ([old] if old else [])
 
 
-def test_a_link_stays_a_link(tmp_path):
+@pytest.mark.parametrize("target", ["f", "nowhere", "directory"])
+@pytest.mark.parametrize("force", [False, True])
+def test_no_file_is_written_through_a_link(tmp_path, target, force):
     (tmp_path / "f").write_bytes(b"old")
-    (tmp_path / "link").symlink_to("f")
-    write(tmp_path / "link")
+    (tmp_path / "directory").mkdir()
+    (tmp_path / "link").symlink_to(target)
+    with pytest.raises(RecordingError) as error:
+        write(tmp_path / "link", force=force)
+    assert str(tmp_path / "link") in error.value.cause
     assert (tmp_path / "link").is_symlink()
-    assert (tmp_path / "f").read_bytes() == b"new"
+    assert (tmp_path / "f").read_bytes() == b"old"
+    assert not (tmp_path / "nowhere").exists()
+
+
+def test_a_link_in_the_place_of_the_temporary_file_is_not_followed(tmp_path):
+    (tmp_path / "f").write_bytes(b"old")
+    (tmp_path / f".new.{os.getpid()}.part").symlink_to("f")
+    write(tmp_path / "new")
+    assert (tmp_path / "f").read_bytes() == b"old"
+
+
+def test_a_file_is_read_up_to_a_size(tmp_path):
+    (tmp_path / "f").write_bytes(bytes(100))
+    assert read_file(tmp_path / "f", 100) == bytes(100)
+    with pytest.raises(OSError, match="MiB") as error:
+        read_file(tmp_path / "f", 99)
+    assert error.value.errno == errno.EFBIG
+
+
+@pytest.mark.parametrize("name", ["pipe", "/dev/zero", "null\0"])
+def test_only_regular_files_are_read(tmp_path, name):
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(OSError, match=r"regular|null") as error:
+        read_file(tmp_path / name)
+    assert error.value.errno == errno.EINVAL
 
 
 def test_a_file_is_replaced_only_when_forced(tmp_path):

@@ -1,4 +1,4 @@
-"""Writes configs/sim.toml, every setting with its default, from the fields of g1stream.config.
+"""Writes configs/sim.toml, every setting with its default, from the fields of g1stream.settings.
 
 python tools/make_sim_toml.py
 """
@@ -9,7 +9,8 @@ import json
 import textwrap
 from typing import TYPE_CHECKING, Any
 
-from g1stream.config import SHIPPED, Config, accepted, settings
+from g1stream.config import SHIPPED, Config, settings
+from g1stream.settings import accepted
 
 if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
@@ -18,7 +19,7 @@ _HEAD = """\
 # Every setting, with its default: what g1stream does without any config file.
 # Copy what you want to change; what a file leaves out keeps its default, and flags go over it.
 # Settings that are unset by default are commented out.
-# Made by tools/make_sim_toml.py from g1stream/config.py; edit the settings there.
+# Made by tools/make_sim_toml.py from g1stream/settings.py; edit the settings there.
 """
 
 

@@ -11,6 +11,9 @@
 
 Each says what is wrong in one sentence and what to do in another. The command line prints the two
 and exits with code 2; a traceback therefore always means a bug of ours.
+
+Both may quote a file or a peer on DDS, and are shown on a terminal: `printable` escapes what a
+terminal would obey.
 """
 
 __all__ = [
@@ -22,7 +25,15 @@ __all__ = [
     "SafetyError",
     "SimError",
     "WireError",
+    "printable",
 ]
+
+
+def printable(text: str) -> str:
+    r"""The text with line breaks, control and invisible characters as escapes, such as `\x1b`."""
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 class G1StreamError(Exception):
@@ -34,9 +45,9 @@ class G1StreamError(Exception):
     """
 
     def __init__(self, cause: str, remedy: str) -> None:
-        super().__init__(f"{cause} {remedy}")
-        self.cause = cause
-        self.remedy = remedy
+        self.cause = printable(cause)
+        self.remedy = printable(remedy)
+        super().__init__(f"{self.cause} {self.remedy}")
 
 
 class ConfigError(G1StreamError):

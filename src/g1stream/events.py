@@ -14,6 +14,8 @@ from queue import SimpleQueue
 from threading import Lock
 from typing import TYPE_CHECKING, Final
 
+from g1stream.errors import printable
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -90,7 +92,7 @@ class ConsoleHandler(logging.Handler):
         """Print an event."""
         severity = "" if record.levelno <= logging.INFO else f"{record.levelname.lower()}: "
         with suppress(OSError, ValueError):  # a closed terminal must not end what it only shows
-            sys.stderr.write(f"{self._prefix}{severity}{record.getMessage()}\n")
+            sys.stderr.write(f"{self._prefix}{severity}{printable(record.getMessage())}\n")
             sys.stderr.flush()
 
 

@@ -1,4 +1,4 @@
-"""Output files: path checks, and files that get their name only when they are complete."""
+"""Files: input of bounded size, path checks, output that gets its name when it is complete."""
 
 from __future__ import annotations
 
@@ -21,10 +21,40 @@ __all__ = [
     "complete_file",
     "is_session",
     "output_errors",
+    "read_file",
     "timestamped",
 ]
 
 _MCAP: Final = b"\x89MCAP"
+#: A config, gains file, URDF, mesh, correction or metadata.yaml has no more bytes than this.
+_LARGEST: Final = 16 * 2**20
+
+
+def read_file(path: Path, most: int = _LARGEST) -> bytes:
+    """The content of a file.
+
+    Args:
+        path: of a regular file: reading a pipe or a device may block, or never end.
+        most: bytes that it may have.
+
+    Raises:
+        OSError: it is larger or not a regular file, or cannot be read; `strerror` says why.
+    """
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    except ValueError as error:  # a null character in the name
+        raise OSError(errno.EINVAL, str(error)) from error
+    with open(descriptor, "rb") as file:  # noqa: PTH123
+        about = os.fstat(descriptor)
+        if stat.S_ISDIR(about.st_mode):
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+        if not stat.S_ISREG(about.st_mode):
+            raise OSError(errno.EINVAL, "it is not a regular file")
+        # Files in /proc have the size 0 and a content.
+        content = file.read(min(about.st_size or _LARGEST, most) + 1)
+    if len(content) > most:
+        raise OSError(errno.EFBIG, f"it has more than {most / 2**20:g} MiB")
+    return content
 
 
 def is_session(path: Path) -> bool:
@@ -58,19 +88,24 @@ def check_output_path(path: Path, *, force: bool) -> None:
     """Check that a file can be written to a path, without touching anything.
 
     Args:
-        path: of the file; a link is followed.
+        path: of the file.
         force: whether an existing file may be replaced.
 
     Raises:
         RecordingError: the directory is missing or not writable, or the path is taken: by a file
-            without `force`, or by something that is not a regular file.
+            without `force`, or by something that is not a regular file, such as a symbolic link.
     """
     with output_errors(path):
         check_directory(path.parent)
         try:
-            mode = path.stat().st_mode
+            mode = path.lstat().st_mode
         except FileNotFoundError:
             return
+        if stat.S_ISLNK(mode):
+            raise RecordingError(
+                f"{path} is a symbolic link to {path.readlink()}.",
+                "Name the file that it leads to, or remove the link.",
+            )
         if stat.S_ISDIR(mode):
             raise IsADirectoryError
         if not stat.S_ISREG(mode):
@@ -100,7 +135,7 @@ def complete_file(path: Path, *, force: bool = True) -> Iterator[Path]:
     On any exception, Ctrl-C included, the temporary file is removed and `path` stays as it was.
 
     Args:
-        path: of the file; a link is followed.
+        path: of the file.
         force: whether an existing file may be replaced.
 
     Yields:
@@ -113,9 +148,10 @@ def complete_file(path: Path, *, force: bool = True) -> Iterator[Path]:
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         with output_errors(path):
+            temporary.unlink(missing_ok=True)  # left by a killed process with the same id
             yield temporary
             check_output_path(path, force=force)
-            temporary.replace(path.resolve())
+            temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -134,6 +170,10 @@ def output_errors(path: Path) -> Iterator[None]:
             f"{path} exists already.", "Choose another name, or give --force to replace it."
         ) from error
     except FileNotFoundError as error:
+        if path.parent.is_dir():  # such as /proc, which takes no files
+            raise RecordingError(
+                f"{path.parent} takes no new files.", "Choose another directory."
+            ) from error
         raise RecordingError(
             f"The directory {path.parent} does not exist.", f"Create it: mkdir -p {path.parent}"
         ) from error

@@ -1,4 +1,4 @@
-"""What every room shares and no room owns: array types, log levels, phases of a session."""
+"""Types that all rooms share: arrays, phases of a session, the values of settings, stream rate."""
 
 from __future__ import annotations
 
@@ -10,13 +10,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 __all__ = [
-    "ERROR",
-    "INFO",
     "STREAM_RATE",
-    "WARNING",
+    "BeyondLimits",
     "FeedForwardKind",
     "Floats",
     "Ints",
+    "OnboardMode",
     "Phase",
     "Support",
 ]
@@ -28,14 +27,14 @@ Support = Literal["bolted", "hanging", "follow", "free"]
 """How the pelvis is held."""
 FeedForwardKind = Literal["none", "velocity", "dynamics"]
 """What a command carries beside the position: nothing, velocity, or velocity and torque."""
+BeyondLimits = Literal["refuse", "scale-time", "clamp", "anyway"]
+"""What to do about a motion beyond the robot's limits."""
+
+OnboardMode = Literal["ai", "normal", "advanced"]
+"""A controller of the robot's own, by its name in the motion service."""
 
 STREAM_RATE: Final = 500.0
 """LowCmds per second unless `stream.rate` is set, Hz."""
-
-INFO: Final = 2
-"""Severity of an event, as foxglove.Log and the Log on the wire number it."""
-WARNING: Final = 3
-ERROR: Final = 4
 
 
 class Phase(IntEnum):

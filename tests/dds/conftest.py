@@ -75,14 +75,14 @@ def _parse_fields(body):
     *fields_text, rest = body.split(";")
     assert not rest.strip()
     for text in fields_text:
-        match = re.fullmatch(r"\s*([\w\s]+?)\s+(\w+)\s*(?:\[(\d+)\])?\s*", text)
+        match = re.fullmatch(r"\s*([\w\s<>]+?)\s+(\w+)\s*(?:\[(\d+)\])?\s*", text)
         assert match, f"not in the subset of IDL: {text}"
         fields[match[2]] = (" ".join(match[1].split()), int(match[3]) if match[3] else None)
     return fields
 
 
 def all_types():
-    """Every cyclonedds class of ours, those inside others included."""
+    """Every cyclonedds class of ours with a fixed size, those inside others included."""
     found = {}
     pending = [getattr(types, name) for name in types.__all__]
     while pending:

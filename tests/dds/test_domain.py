@@ -15,8 +15,9 @@ from g1stream.dds.domain import (
     identify_program,
     interfaces,
     is_loopback,
+    robot_announced,
     support_announced,
-    user_data_of_support,
+    user_data_of_bridge,
 )
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import LowCmd
@@ -238,11 +239,13 @@ def test_a_support_is_discovered_and_forgotten(domain_id, until):
     with Participant(domain_id, "lo") as ours:
         assert support_announced(ours.writers(LOWSTATE.name)) is None
         with Participant(domain_id, "lo") as bridge:
-            RawWriter(bridge, LOWSTATE, user_data=user_data_of_support("hanging"))
+            announced = user_data_of_bridge("hanging", "g1_29dof")
+            RawWriter(bridge, LOWSTATE, user_data=announced)
             until(
                 lambda: support_announced(ours.writers(LOWSTATE.name)) == "hanging",
                 "the bridge to say how it holds",
             )
+            assert robot_announced(ours.writers(LOWSTATE.name)) == "g1_29dof"
         until(
             lambda: support_announced(ours.writers(LOWSTATE.name)) is None, "the bridge to be gone"
         )
@@ -259,14 +262,14 @@ def test_a_writer_that_says_something_else_says_nothing(domain_id, until, user_d
 def test_two_that_contradict_each_other_say_nothing(domain_id, until):
     with Participant(domain_id, "lo") as ours, Participant(domain_id, "lo") as bridge:
         for support in ("bolted", "hanging"):
-            RawWriter(bridge, LOWSTATE, user_data=user_data_of_support(support))
+            RawWriter(bridge, LOWSTATE, user_data=user_data_of_bridge(support))
         until(lambda: len(ours.writers(LOWSTATE.name)) == 2, "both writers to be discovered")
         assert support_announced(ours.writers(LOWSTATE.name)) is None
 
 
 def test_user_data_does_not_keep_a_reader_from_matching(domain_id, until):
     with Participant(domain_id, "lo") as ours, Participant(domain_id, "lo") as bridge:
-        writer = RawWriter(bridge, LOWSTATE, user_data=user_data_of_support("bolted"))
+        writer = RawWriter(bridge, LOWSTATE, user_data=user_data_of_bridge("bolted"))
         RawReader(ours, LOWSTATE)
         until(lambda: writer.matched, "the reader of LowState to match")
         assert support_announced(ours.writers(LOWSTATE.name)) == "bolted"

@@ -10,6 +10,7 @@ from cyclonedds.idl._support import Endianness
 from g1stream.dds import types
 from g1stream.dds.layout import members
 from g1stream.dds.messages import LowCmd, LowState, SecondaryImu, SportModeState
+from g1stream.dds.motion_switcher import Request_, Response_
 
 MESSAGES = {
     "lowcmd": LowCmd,
@@ -110,7 +111,14 @@ def test_checksum_notices_any_byte(sample):
 
 @pytest.mark.parametrize(
     "idl_type",
-    [types.LowCmd_, types.LowState_, types.IMUState_, types.SportModeState_],
+    [
+        types.LowCmd_,
+        types.LowState_,
+        types.IMUState_,
+        types.SportModeState_,
+        Request_,
+        Response_,
+    ],
     ids=lambda t: t.__idl_typename__,
 )
 def test_discovery_announces_the_very_type_of_the_sdk(idl_type):

@@ -40,6 +40,10 @@ def random_sample(random_payload):
     return make
 
 
+#: Attributes of messages that are no view of a single field.
+_NO_FIELDS = ("payload", "_modes", "target", "_buttons", "_words", "_reading_words")
+
+
 @each_message
 def test_bytes_go_in_and_out_unaltered(cls, random_sample):
     message = cls()
@@ -61,15 +65,27 @@ def test_every_attribute_shows_the_field_of_its_name(cls, random_sample):
     message = cls()
     message.load(random_sample(cls))
     shown = {k: v for k, v in vars(message).items() if isinstance(v, np.ndarray)}
-    shown = {k: v for k, v in shown.items() if k not in ("payload", "_modes", "target")}
+    shown = {k: v for k, v in shown.items() if k not in _NO_FIELDS}
     assert shown
     for name, view in shown.items():
-        (path,) = (p for p in message.layout.fields if p.split(".")[-1] == name.lstrip("_"))
+        paths = [p for p in message.layout.fields if p.split(".")[-1] == name]
+        (path,) = paths if len(paths) == 1 else (p for p in paths if p.startswith("motor_"))
         whole = message.layout[path].read(message.payload)
         assert view.tobytes() == whole[tuple(slice(n) for n in view.shape)].tobytes(), name
         view[...] = 7
         part = message.layout[path].read(message.payload)[tuple(slice(n) for n in view.shape)]
         assert (part == 7).all()
+
+
+def test_readings_are_what_the_loop_uses_of_a_state(random_sample):
+    state = LowState()
+    state.load(random_sample(LowState))
+    fields = (state.q, state.dq, state.tau_est)
+    imu = (state.quaternion, state.gyroscope, state.accelerometer)
+    readings = state.readings()
+    assert readings.tobytes() == np.concatenate([*fields, *imu]).tobytes()
+    state.q[:] = 7.0
+    assert not (readings == 7.0).any()  # a copy
 
 
 def test_a_target_is_the_fields_of_a_reference_from_q_on(random_sample):

@@ -24,14 +24,16 @@ from cyclonedds.builtin import (
 from cyclonedds.core import DDSException, InstanceState, Policy
 from cyclonedds.domain import Domain, DomainParticipant
 
-from g1stream.dds.topics import LOG, LOWSTATE, REFERENCE
+from g1stream.dds.topics import LOG, LOWCMD, LOWSTATE, REFERENCE
 from g1stream.errors import WireError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
 __all__ = [
+    "DISCOVERY",
     "OBSERVER",
+    "SETTLE",
     "Endpoint",
     "InterfaceFlags",
     "Participant",
@@ -40,8 +42,12 @@ __all__ = [
     "interfaces",
     "is_local_only",
     "is_loopback",
+    "network_name",
+    "require_interface",
+    "robot_announced",
     "support_announced",
-    "user_data_of_support",
+    "user_data_of_bridge",
+    "user_data_of_guard",
 ]
 
 #: The ports of a higher domain id would be above 65535 (RTPS 2.5, 9.6.2).
@@ -64,9 +70,29 @@ _LOOPBACK_DISCOVERY: Final = (
 )
 
 
+DISCOVERY: Final = 0.3
+"""Time in which a new participant discovers those that were in its domain before it, s."""
+
+SETTLE: Final = 0.1
+"""Further time in which one that joined at the same time is discovered, s."""
+
+
 def interfaces() -> list[str]:
     """The names of this machine's network interfaces."""
     return [name for _, name in socket.if_nameindex()]
+
+
+def require_interface(interface: str) -> None:
+    """Refuse a network interface that does not exist.
+
+    Raises:
+        WireError: this machine has no interface of that name.
+    """
+    if interface not in interfaces():
+        raise WireError(
+            f"This machine has no network interface {interface!r}.",
+            f"Choose one of {', '.join(interfaces())}.",
+        )
 
 
 class InterfaceFlags(IntFlag):
@@ -95,6 +121,11 @@ def is_local_only(interface: str) -> bool:
     return not os.environ.get("CYCLONEDDS_URI") and is_loopback(interface)
 
 
+def network_name(interface: str) -> str:
+    """What selects the network in use: the interface, or a CYCLONEDDS_URI where one is set."""
+    return "CYCLONEDDS_URI" if os.environ.get("CYCLONEDDS_URI") else interface
+
+
 # What our programs announce in the user data of their writers and readers. It is part of discovery
 # (DDS 1.4, 2.2.3.1): it costs no topic and no message, takes no part in matching, and peers that do
 # not know it ignore it. A robot and unitree_mujoco announce nothing.
@@ -102,11 +133,19 @@ OBSERVER: Final = b"g1stream.observer"
 """The user data of a reader of LowCmd that does not obey it."""
 
 _SUPPORT: Final = b"g1stream.support="
+_ROBOT: Final = b";robot="
+_GUARD: Final = b"g1stream.guard="
+_PUBLISHING: Final = b" publishing"
 
 
-def user_data_of_support(support: str) -> bytes:
-    """The user data with which a bridge announces how it holds the robot."""
-    return _SUPPORT + support.encode()
+def user_data_of_bridge(support: str, robot: str = "") -> bytes:
+    """The user data with which a bridge announces how it holds the robot, and which robot it is."""
+    return _SUPPORT + support.encode() + (_ROBOT + robot.encode() if robot else b"")
+
+
+def user_data_of_guard(stream: int, *, publishing: bool = False) -> bytes:
+    """The user data with which the guard of a stream with this pid announces its LowCmd writer."""
+    return _GUARD + str(stream).encode() + (_PUBLISHING if publishing else b"")
 
 
 def support_announced(writers: Iterable[Endpoint]) -> str | None:
@@ -114,12 +153,24 @@ def support_announced(writers: Iterable[Endpoint]) -> str | None:
 
     Only our own bridge announces one, and only its ticks number its LowStates.
     """
+    return _announced(writers)[0]
+
+
+def robot_announced(writers: Iterable[Endpoint]) -> str | None:
+    """The name of the robot that writers of LowState announce, as `support_announced`."""
+    return _announced(writers)[1]
+
+
+def _announced(writers: Iterable[Endpoint]) -> tuple[str | None, str | None]:
     found = {
-        writer.user_data.removeprefix(_SUPPORT).decode(errors="replace")
+        writer.user_data.removeprefix(_SUPPORT).partition(_ROBOT)
         for writer in writers
         if writer.user_data.startswith(_SUPPORT)
     }
-    return found.pop() if len(found) == 1 else None
+    if len(found) != 1:
+        return None, None
+    support, _, robot = found.pop()
+    return support.decode(errors="replace"), robot.decode(errors="replace") or None
 
 
 @dataclass(frozen=True)
@@ -148,6 +199,11 @@ class Endpoint:
         """What it announces beside the topic; empty where it announces nothing."""
         return next((p.data for p in self.qos or () if isinstance(p, Policy.Userdata)), b"")
 
+    @property
+    def idle_guard(self) -> bool:
+        """Whether it is the writer of a guard that publishes nothing."""
+        return self.user_data.startswith(_GUARD) and not self.user_data.endswith(_PUBLISHING)
+
     def __str__(self) -> str:
         if not self.pid:
             return f"participant {self.participant}"
@@ -160,6 +216,8 @@ def identify_program(written: set[str], read: set[str]) -> str:
         return "g1stream stream"
     if {LOG.name, LOWSTATE.name} <= written:
         return "g1stream sim"
+    if {LOG.name, LOWCMD.name} <= written:
+        return "g1stream guard"
     if {LOG.name, REFERENCE.name} <= read and not written:
         return "g1stream record"
     return ""
@@ -190,11 +248,7 @@ class Participant:
     _domains: dict[int, tuple[Domain, str, int]] = {}  # noqa: RUF012
 
     def __init__(self, domain: int, interface: str) -> None:
-        if interface not in interfaces():
-            raise WireError(
-                f"This machine has no network interface {interface!r}.",
-                f"Choose one of {', '.join(interfaces())}.",
-            )
+        require_interface(interface)
         self.domain = domain
         self.interface = interface
         self.uses_environment = bool(os.environ.get("CYCLONEDDS_URI"))
@@ -252,6 +306,10 @@ class Participant:
     def readers(self, topic: str | None = None) -> list[Endpoint]:
         """Readers of a topic, or of all, discovered so far; without this participant's."""
         return self._endpoints(self._readers, topic)
+
+    def commanders(self) -> list[Endpoint]:
+        """Writers of LowCmd discovered so far, without idle guards and this participant's."""
+        return [writer for writer in self.writers(LOWCMD.name) if not writer.idle_guard]
 
     def owner(self, endpoint: Endpoint) -> str:
         """The process or participant of an endpoint; one of ours, which is `python`, by command."""

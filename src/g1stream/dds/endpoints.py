@@ -156,6 +156,10 @@ class RawWriter:
             return False
         return True
 
+    def announce(self, user_data: bytes) -> None:
+        """Change what is announced in discovery."""
+        self._writer.set_qos(Qos(Policy.Userdata(user_data)))
+
     @property
     def matched(self) -> int:
         """How many readers are matched."""
@@ -222,9 +226,14 @@ class RawReader:
     @property
     def matched(self) -> int:
         """How many writers are matched."""
+        return self.matches[0]
+
+    @property
+    def matches(self) -> tuple[int, int]:
+        """How many writers are matched, and how many ever were."""
         status = dds_c_t.subscription_matched_status()
         _STATUSES.writers(self.entity._ref, ctypes.byref(status))
-        return int(status.current_count)
+        return int(status.current_count), int(status.total_count)
 
     @property
     def lost(self) -> int:

@@ -16,6 +16,7 @@ import numpy as np
 
 from g1stream.dds import types
 from g1stream.dds.layout import CDR_HEADER, Crc, Layout
+from g1stream.dds.remote import BUTTONS_AT
 from g1stream.robot.joints import N_JOINTS
 
 if TYPE_CHECKING:
@@ -139,10 +140,19 @@ class LowState(_Motors):
         rpy: (3,) float32, rad.
         tick: () uint32, ms.
         mode_pr, mode_machine: () uint8.
+        temperature: (29, 2) int16, of casing and winding, °C.
+        vol: (29,) float32, supply of the motor, V.
+        motorstate: (29,) uint32, faults of the motor, one bit each.
+        wireless_remote: (40,) uint8, see `g1stream.dds.remote`.
     """
 
     idl_type = types.LowState_
     motors = "motor_state"
+
+    _READINGS: ClassVar = (
+        *(f"motor_state.{name}" for name in ("q", "dq", "tau_est")),
+        *(f"imu_state.{name}" for name in ("quaternion", "gyroscope", "accelerometer")),
+    )
 
     def __init__(self) -> None:
         super().__init__()
@@ -154,6 +164,23 @@ class LowState(_Motors):
         self.q, self.dq, self.ddq, self.tau_est = map(
             self.motor_view, ("q", "dq", "ddq", "tau_est")
         )
+        self.temperature, self.vol, self.motorstate = map(
+            self.motor_view, ("temperature", "vol", "motorstate")
+        )
+        self.wireless_remote = self.view("wireless_remote")
+        self._buttons = self.wireless_remote[BUTTONS_AT]
+        fields = [self.layout[path].offsets for path in self._READINGS]
+        self._reading_words = np.concatenate([one[:N_JOINTS] for one in fields]) // 4
+        self._words = self.payload.view(np.float32)
+
+    @property
+    def buttons(self) -> int:
+        """The remote's buttons, one bit each in the order of `g1stream.dds.remote.BUTTONS`."""
+        return int.from_bytes(self._buttons.tobytes(), "little")
+
+    def readings(self) -> NDArray[np.float32]:
+        """(97,) float32, a copy: q, dq, tau_est, quaternion, gyroscope, accelerometer."""
+        return self._words.take(self._reading_words)
 
 
 class SecondaryImu(Message):

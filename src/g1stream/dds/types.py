@@ -1,4 +1,4 @@
-"""The types on the wire, as cyclonedds classes; idl/ is their source, kept in step by a test.
+"""The types of the robot's topics as cyclonedds classes, kept in step with idl/ by a test.
 
 They exist to give topics their names and type information, and to derive the fixed layouts from.
 No sample is ever built from them: see `g1stream.dds.endpoints`.
@@ -30,7 +30,7 @@ float32, float64 = types.float32, types.float64
 array = types.array
 
 
-def _struct(typename: str, /, **fields: Any) -> Any:
+def idl_struct(typename: str, /, **fields: Any) -> Any:
     """A final, sequentially numbered IDL struct, as the SDK declares all of its own."""
     cls = make_idl_struct(typename.rsplit(".", maxsplit=1)[-1], typename, fields)
     return annotations.final(annotations.autoid("sequential")(cls))
@@ -44,17 +44,17 @@ def _each(element: Any, names: str) -> dict[str, Any]:
 def _imu(typename: str, temperature: Any) -> Any:
     """Unitree's IMU; its two packages differ in the type of the temperature."""
     vectors = _each(array[float32, 3], "gyroscope accelerometer rpy")
-    return _struct(typename, quaternion=array[float32, 4], **vectors, temperature=temperature)
+    return idl_struct(typename, quaternion=array[float32, 4], **vectors, temperature=temperature)
 
 
-MotorCmd_ = _struct(
+MotorCmd_ = idl_struct(
     "unitree_hg.msg.dds_.MotorCmd_",
     mode=octet,
     **_each(float32, "q dq tau kp kd"),
     reserve=uint32,
 )
 
-LowCmd_ = _struct(
+LowCmd_ = idl_struct(
     "unitree_hg.msg.dds_.LowCmd_",
     **_each(octet, "mode_pr mode_machine"),
     motor_cmd=array[MotorCmd_, 35],
@@ -64,7 +64,7 @@ LowCmd_ = _struct(
 
 IMUState_ = _imu("unitree_hg.msg.dds_.IMUState_", int16)
 
-MotorState_ = _struct(
+MotorState_ = idl_struct(
     "unitree_hg.msg.dds_.MotorState_",
     mode=octet,
     **_each(float32, "q dq ddq tau_est"),
@@ -75,7 +75,7 @@ MotorState_ = _struct(
     reserve=array[uint32, 4],
 )
 
-LowState_ = _struct(
+LowState_ = idl_struct(
     "unitree_hg.msg.dds_.LowState_",
     version=array[uint32, 2],
     **_each(octet, "mode_pr mode_machine"),
@@ -87,13 +87,13 @@ LowState_ = _struct(
     crc=uint32,
 )
 
-_TimeSpec = _struct("unitree_go.msg.dds_.TimeSpec_", sec=int32, nanosec=uint32)
+_TimeSpec = idl_struct("unitree_go.msg.dds_.TimeSpec_", sec=int32, nanosec=uint32)
 
-_PathPoint = _struct(
+_PathPoint = idl_struct(
     "unitree_go.msg.dds_.PathPoint_", **_each(float32, "t_from_start x y yaw vx vy vyaw")
 )
 
-SportModeState_ = _struct(
+SportModeState_ = idl_struct(
     "unitree_go.msg.dds_.SportModeState_",
     stamp=_TimeSpec,
     error_code=uint32,
@@ -112,7 +112,7 @@ SportModeState_ = _struct(
     path_point=array[_PathPoint, 10],
 )
 
-Reference_ = _struct(
+Reference_ = idl_struct(
     "g1stream.msg.dds_.Reference_",
     tick=uint64,
     motion_time=float64,
@@ -123,4 +123,6 @@ Reference_ = _struct(
     **_each(array[float64, 3], "root_lin_vel root_ang_vel"),
 )
 
-Log_ = _struct("g1stream.msg.dds_.Log_", level=octet, name=array[octet, 16], text=array[octet, 240])
+Log_ = idl_struct(
+    "g1stream.msg.dds_.Log_", level=octet, name=array[octet, 16], text=array[octet, 240]
+)

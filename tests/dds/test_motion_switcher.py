@@ -1,0 +1,188 @@
+"""The motion service's types against idl/ and the SDK's bytes, and the client against a server."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import threading
+import time
+from contextlib import contextmanager
+from typing import get_args, get_type_hints
+
+import pytest
+
+from g1stream.dds.domain import Participant
+from g1stream.dds.motion_switcher import (
+    ApiEndpoint,
+    ApiId,
+    ErrorCode,
+    MotionSwitcherClient,
+    OnboardStatus,
+    Request_,
+    Response_,
+    response_to,
+)
+from g1stream.errors import WireError
+
+IDL_NAMES = {
+    str: "string",
+    bool: "boolean",
+    "int32": "long",
+    "int64": "long long",
+    "byte": "octet",
+    "uint8": "octet",  # on cyclonedds 0.10
+}
+
+
+def idl_name(hint):
+    mark = hint if hint in IDL_NAMES else (get_args(hint)[1:] or (hint,))[0]
+    if hasattr(mark, "subtype"):
+        return f"sequence<{idl_name(mark.subtype)}>"
+    return IDL_NAMES.get(mark) or mark.__idl_typename__.rpartition(".")[2]
+
+
+def structs(idl_type):
+    """A type and those in it, by name, with the IDL name of each field's type."""
+    hints = get_type_hints(idl_type, include_extras=True)
+    found = {idl_type.__idl_typename__: {name: idl_name(hint) for name, hint in hints.items()}}
+    for hint in hints.values():
+        if hasattr(hint, "__idl_typename__"):
+            found |= structs(hint)
+    return found
+
+
+def test_types_are_those_of_the_idl(declared):
+    expected = {
+        name: {field: element for field, (element, _) in struct.fields.items()}
+        for name, struct in declared.items()
+        if name.startswith("unitree_api.")
+    }
+    assert structs(Request_) | structs(Response_) == expected
+
+
+@pytest.mark.parametrize(
+    ("idl_type", "name"), [(Request_, "api_request"), (Response_, "api_response")]
+)
+def test_bytes_are_the_sdks(idl_type, name, golden):
+    (sample,) = golden[name]
+    data = bytes.fromhex(sample["cdr"])
+    decoded = idl_type.deserialize(data)
+    assert decoded.serialize() == data
+    fields = dataclasses.asdict(decoded)
+    assert {**fields, "binary": list(fields["binary"])} == {
+        key: value for key, value in sample.items() if key != "cdr"
+    }
+
+
+@contextmanager
+def service(domain_id, answer):
+    """A service in a thread that answers with `answer(api id, parameter)`: code, data or None."""
+    done = threading.Event()
+    calls = []
+    with Participant(domain_id, "lo") as participant:
+        endpoint = ApiEndpoint(participant, serves=True)
+
+        def serve():
+            while not done.wait(0.002):
+                for request in endpoint.take():
+                    api = request.header.identity.api_id
+                    calls.append((api, json.loads(request.parameter)))
+                    given = answer(api, request.parameter)
+                    if given:
+                        endpoint.write(response_to(request, *given))
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        try:
+            yield calls
+        finally:
+            done.set()
+            thread.join()
+
+
+def status(name="ai", form="0"):
+    return ErrorCode.DONE, json.dumps({"form": form, "name": name})
+
+
+def test_check_reads_form_and_name(domain_id):
+    with service(domain_id, lambda *_: status("normal", "1")), Participant(domain_id, "lo") as ours:
+        assert MotionSwitcherClient(ours).check() == OnboardStatus(form="1", name="normal")
+
+
+def test_release_and_select_are_sent_once_and_waited_for(domain_id):
+    active = ["ai"]
+
+    def answer(api, parameter):
+        if api == ApiId.CHECK_MODE:
+            return status(active[0])
+        active[0] = json.loads(parameter).get("name", "")
+        return ErrorCode.DONE, ""
+
+    with service(domain_id, answer) as calls, Participant(domain_id, "lo") as ours:
+        client = MotionSwitcherClient(ours)
+        client.release()
+        assert active == [""]
+        client.select("advanced")
+        assert active == ["advanced"]
+    changes = [call for call in calls if call[0] != ApiId.CHECK_MODE]
+    assert changes == [(ApiId.RELEASE_MODE, {}), (ApiId.SELECT_MODE, {"name": "advanced"})]
+
+
+@pytest.mark.parametrize(
+    ("given", "named"),
+    [
+        ((ErrorCode.BUSY, ""), "7002"),
+        ((4242, ""), "4242"),
+        ((ErrorCode.DONE, "no JSON"), "no JSON"),
+        ((ErrorCode.DONE, "[1]"), "[1]"),
+        ((ErrorCode.DONE, '{"form": "0"}'), "form"),
+        (None, "CheckMode"),
+    ],
+)
+def test_an_answer_that_is_no_status_is_an_error(given, named, domain_id):
+    with service(domain_id, lambda *_: given), Participant(domain_id, "lo") as ours:
+        client = MotionSwitcherClient(ours, timeout=1.5)
+        with pytest.raises(WireError) as caught:
+            client.check()
+    assert named in caught.value.cause
+
+
+def test_a_mode_that_stays_active_is_an_error(domain_id):
+    with (
+        service(domain_id, lambda *_: status("ai")),
+        Participant(domain_id, "lo") as ours,
+        pytest.raises(WireError) as caught,
+    ):
+        MotionSwitcherClient(ours, timeout=1.0).release()
+    assert "ai" in caught.value.cause
+
+
+def test_no_service_is_told_from_one_that_does_not_answer(domain_id):
+    begun = time.monotonic()
+    with Participant(domain_id, "lo") as ours, pytest.raises(WireError) as caught:
+        MotionSwitcherClient(ours, timeout=0.5).check()
+    assert time.monotonic() - begun >= 0.5
+    assert "no subscriber" in caught.value.cause
+
+
+def test_answers_to_others_are_ignored(domain_id):
+    with Participant(domain_id, "lo") as theirs:
+        endpoint = ApiEndpoint(theirs, serves=True)
+        done = threading.Event()
+
+        def serve():
+            while not done.wait(0.002):
+                for request in endpoint.take():
+                    mine = response_to(request, *status("ai"))
+                    other = response_to(request, *status("other"))
+                    other.header.identity = type(other.header.identity)(id=1, api_id=1001)
+                    endpoint.write(other)
+                    endpoint.write(mine)
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        with Participant(domain_id, "lo") as ours:
+            found = MotionSwitcherClient(ours).check()
+        done.set()
+        thread.join()
+    assert found.name == "ai"

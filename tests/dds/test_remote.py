@@ -1,0 +1,80 @@
+"""The remote control, from bytes made by hand."""
+
+import struct
+
+import pytest
+
+from g1stream.dds.messages import LowState
+from g1stream.dds.remote import BUTTONS, Operator, Remote, button_mask
+from g1stream.errors import ConfigError
+
+#: Byte and bit of each button, as the SDK's joystick class lists them, highest bit first.
+IN_BYTE_2 = ("", "", "L2", "R2", "select", "start", "L1", "R1")
+IN_BYTE_3 = ("left", "down", "right", "up", "Y", "X", "B", "A")
+
+
+def made(pressed=(), lx=0.0, rx=0.0, ry=0.0, ly=0.0):
+    data = bytearray(40)
+    for byte, names in ((2, IN_BYTE_2), (3, IN_BYTE_3)):
+        for i, name in enumerate(names):
+            if name in pressed:
+                data[byte] |= 0x80 >> i
+    for at, value in ((4, lx), (8, rx), (12, ry), (20, ly)):
+        data[at : at + 4] = struct.pack("<f", value)
+    return bytes(data)
+
+
+def bits(*pressed):
+    return int.from_bytes(made(pressed)[2:4], "little")
+
+
+@pytest.mark.parametrize("name", [name for name in (*IN_BYTE_2, *IN_BYTE_3) if name])
+def test_each_button_is_its_own_bit(name):
+    assert Remote.decode(made([name])).pressed == (name,)
+    assert button_mask(name, "x") == bits(name) == 1 << BUTTONS.index(name)
+
+
+def test_sticks_and_buttons_together():
+    remote = Remote.decode(made(("L2", "B"), lx=-1.0, rx=0.25, ry=0.5, ly=1.0))
+    assert remote == Remote(("L2", "B"), lx=-1.0, ly=1.0, rx=0.25, ry=0.5)
+
+
+def test_without_a_remote_nothing_is_pressed():
+    assert Remote.decode(bytes(40)) == Remote((), 0.0, 0.0, 0.0, 0.0)
+
+
+def test_the_buttons_of_a_low_state():
+    state = LowState()
+    state.wireless_remote[:] = list(made(("L2", "B", "left")))
+    assert state.buttons == bits("L2", "B", "left")
+    assert Remote.decode(state.wireless_remote.tobytes()).pressed == ("L2", "B", "left")
+
+
+def test_a_combination_needs_all_its_buttons():
+    operator = Operator(("L2+B", "select"), None)
+    for pressed in ((), ("L2",), ("B",), ("start", "A")):
+        assert operator.verdict(bits(*pressed)) == ""
+        assert operator.missing(bits(*pressed)) == ""
+    assert operator.verdict(bits("L2", "B", "up")).startswith("L2+B was pressed")
+    assert operator.verdict(bits("select")).startswith("select was pressed")
+
+
+def test_a_dead_man_switch_is_waited_for_and_stops_when_released():
+    operator = Operator((), "R1")
+    assert "safety.deadman" in operator.missing(bits("L1"))
+    assert operator.missing(bits("R1", "A")) == operator.verdict(bits("R1")) == ""
+    assert operator.verdict(0).startswith("R1 was released")
+
+
+def test_an_unknown_button_is_refused():
+    with pytest.raises(ConfigError, match=r"safety\.deadman = 'R1\+Z'.*'Z'"):
+        Operator((), "R1+Z")
+    with pytest.raises(ConfigError, match=r"safety\.stop_buttons"):
+        Operator(("",), None)
+    assert button_mask("l2 + b", "x") == bits("L2", "B")
+
+
+def test_a_pressed_stop_button_keeps_from_the_first_command():
+    operator = Operator(("L2+B",), None)
+    assert operator.missing(0) == ""
+    assert "L2+B" in operator.missing(bits("L2", "B"))

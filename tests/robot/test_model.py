@@ -123,3 +123,34 @@ def test_order_of_elements_does_not_matter(robot, tmp_path):
         assert turned.parent[theirs] < theirs
         np.testing.assert_array_equal(turned.origin_pos[theirs], robot.origin_pos[ours])
         assert robot.link_names[robot.parent[ours]] == turned.link_names[turned.parent[theirs]]
+
+
+def test_limits_of_a_urdf_that_are_wider_than_a_robots_are_narrowed(tmp_path, robot):
+    """And those that are narrower are kept."""
+    root = ET.fromstring(robot.urdf)
+    wider, narrower = JOINT_NAMES[3], JOINT_NAMES[12]
+    for joint in root.iter("joint"):
+        if joint.get("name") == wider:
+            joint.find("limit").attrib.update(lower="-9", upper="9", velocity="900", effort="5000")
+        elif joint.get("name") == narrower:
+            joint.find("limit").attrib.update(lower="-1", upper="1", velocity="5", effort="20")
+    path = tmp_path / "strong.urdf"
+    path.write_text(ET.tostring(root, encoding="unicode"))
+    loaded, own = G1.load(path), G1.load(path, own_limits=True)
+    for name in ("lower", "upper", "velocity", "effort"):
+        widest = max if name != "lower" else min
+        builtin = [getattr(G1.load(revision), name) for revision in REVISIONS]
+        assert getattr(loaded, name)[3] == widest(limit[3] for limit in builtin)
+        assert getattr(loaded, name)[12] == getattr(own, name)[12]
+    assert (own.upper[3], own.velocity[3], own.effort[3]) == (9.0, 900.0, 5000.0)
+    assert (loaded.capped, own.capped) == ((wider,), ())
+    assert wider in loaded.warning
+    assert own.warning == ""
+
+
+@pytest.mark.parametrize("revision", REVISIONS)
+def test_the_limits_of_a_robot_in_this_package_are_its_own(tmp_path, revision):
+    path, builtin = tmp_path / "robot.urdf", G1.load(revision)
+    path.write_text(builtin.urdf)
+    assert G1.load(path).warning == ""
+    assert_same_model(G1.load(path), builtin)

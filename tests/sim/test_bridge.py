@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from g1stream.clock import SystemClock
-from g1stream.config import Config, SimConfig
+from g1stream.config import Config
 from g1stream.dds.domain import Participant, support_announced
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import Log, LowCmd, LowState
 from g1stream.dds.topics import LOG, LOWCMD, LOWSTATE, SECONDARY_IMU, SPORTMODESTATE
 from g1stream.robot.model import G1
+from g1stream.settings import SimConfig
 from g1stream.sim.bridge import Bridge
 from g1stream.sim.robot import MODE_MACHINE_29, SimulatedRobot
 from g1stream.sim.world import World

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -81,16 +82,58 @@ def test_links_may_come_in_any_order(robot, servo, run):
     assert other.state().tau_est == pytest.approx(one.state().tau_est, abs=1e-3)
 
 
-def test_robot_meets_the_floor_but_not_itself(robot, rng):
-    for _ in range(20):
-        pose = rng.uniform(robot.lower, robot.upper)
-        assert World(robot, joint_pos=pose, base_height=2.0).data.ncon == 0
+def links_in_contact(world):
+    """The moving links of each contact; what is fixed to a link counts as that link."""
+    model = world.model
+    moving = model.body_weldid[model.geom_bodyid[world.data.contact.geom]]
+    return {tuple(model.body(link).name for link in sorted(pair)) for pair in moving}
+
+
+def test_feet_meet_the_floor(robot):
     low = World(robot, base_height=0.78)
-    feet = {
-        low.model.body(low.model.geom_bodyid[pair.max()]).name for pair in low.data.contact.geom
-    }
-    assert feet == {"left_ankle_roll_link", "right_ankle_roll_link"}
+    feet = {f"{side}_ankle_roll_link" for side in ("left", "right")}
+    assert links_in_contact(low) == {("world", foot) for foot in feet}
     assert World(robot).data.ncon == 0
+
+
+@pytest.mark.parametrize("support", ["bolted", "hanging"])
+def test_links_with_one_joint_between_never_collide(robot, rng, support):
+    adjacent, seen = set(), set()
+    world = World(robot, support)
+    for name in JOINT_NAMES:
+        child = world.model.joint(name).bodyid[0]
+        parent = world.model.body_weldid[world.model.body_parentid[child]]
+        adjacent.add((world.model.body(parent).name, world.model.body(child).name))
+    for _ in range(100):
+        pose = rng.uniform(robot.lower, robot.upper)
+        world.data.qpos[[world.model.joint(name).qposadr[0] for name in JOINT_NAMES]] = pose
+        mujoco.mj_forward(world.model, world.data)
+        seen |= links_in_contact(world)
+    assert len(seen) > 20
+    assert not seen & adjacent
+
+
+@pytest.mark.parametrize("self_collision", [True, False])
+def test_arms_pressed_together(robot, servo, run, self_collision):
+    """Both forearms are commanded through each other, in front of the chest."""
+    pose = np.zeros(N_JOINTS)
+    for side, inward in (("left", -1.0), ("right", 1.0)):
+        for joint, angle in (("shoulder_pitch", -0.6), ("shoulder_yaw", 0.9 * inward)):
+            pose[JOINT_NAMES.index(f"{side}_{joint}_joint")] = angle
+    world = World(robot, self_collision=self_collision)
+    left, right = (world.data.body(f"{side}_wrist_yaw_link").xpos for side in ("left", "right"))
+    assert left[1] - right[1] > 0.2
+    depths = []
+    for way in (*np.linspace(0, 1, 20), *np.ones(10)):
+        run(world, servo(q=way * pose), 0.05)
+        depths.append(-min(world.data.contact.dist, default=0.0))
+    if self_collision:
+        assert ("left_wrist_yaw_link", "right_wrist_yaw_link") in links_in_contact(world)
+        assert left[1] - right[1] > 0.05
+        assert 0.0 < max(depths) < 0.005
+    else:
+        assert left[1] - right[1] < -0.02
+        assert max(depths) == 0.0
 
 
 def test_feet_stop_at_the_floor(robot, servo, run):
@@ -124,7 +167,9 @@ def test_urdf_with_meshes_and_fingers(name, servo, run):
         pytest.skip(f"{name} is in example-robot-data, of the extra `meshes`")
     world = World(G1.load(urdf), "hanging")
     assert world.model.nv == 6 + N_JOINTS
-    assert world.model.nmesh == 0
+    assert {
+        world.model.mesh(mesh).name.rpartition("_hull_")[1] for mesh in range(world.model.nmesh)
+    } == {"_hull_"}
     run(world, servo(), 0.1)
     assert np.isfinite(world.state().q).all()
 

@@ -7,8 +7,8 @@ import logging
 import numpy as np
 import pytest
 
-from g1stream.config import SimConfig
 from g1stream.dds.messages import LowCmd, LowState, SecondaryImu, SportModeState
+from g1stream.settings import SimConfig
 from g1stream.sim.robot import MODE_MACHINE_29, SimulatedRobot
 from g1stream.sim.world import World
 

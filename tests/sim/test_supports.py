@@ -137,7 +137,7 @@ def test_a_free_base_is_held_again_by_the_next_session(robot, servo, run):
     rest = root_at(0.0, playing=False)._replace(lin_vel=np.zeros(3), ang_vel=np.zeros(3))
     world.set_reference(rest)
     world.set_reference(rest._replace(playing=True))
-    run(world, servo(enabled=False), 1.0)
+    run(world, servo(enabled=False), 2.0)
     assert world.state().base_pos[2] < 0.7
     world.set_reference(rest)
     run(world, servo(), 0.5)

@@ -1,14 +1,16 @@
-"""The viewer where there is nothing to show it on."""
+"""What the viewer looks at, and the viewer where there is nothing to show it on."""
 
 from __future__ import annotations
 
 import sys
 
+import mujoco
+import numpy as np
 import pytest
 
 from g1stream.errors import SimError
 from g1stream.robot.model import G1
-from g1stream.sim.viewer import open_viewer
+from g1stream.sim.viewer import follow, open_viewer
 from g1stream.sim.world import World
 
 
@@ -18,3 +20,28 @@ def test_a_missing_display_is_an_error_at_once(monkeypatch):
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with pytest.raises(SimError, match="display"):
         open_viewer(World(G1.default()))
+
+
+@pytest.mark.parametrize("moved", [0.0, 5.0])
+def test_the_whole_robot_is_in_view(moved):
+    world = World(G1.default())
+    data, model = world.data, world.model
+    camera, scene = mujoco.MjvCamera(), mujoco.MjvScene(model, 2000)
+    follow(world, camera)
+    mujoco.mj_forward(model, data)
+    points = data.xpos[1:] + np.array([moved, 0.0, 0.0])  # as if the robot had walked
+    data.subtree_com[:] += [moved, 0.0, 0.0]
+    data.xpos[1:] = points
+    options, perturb = mujoco.MjvOption(), mujoco.MjvPerturb()
+    for _ in range(300):  # the camera comes after the robot
+        mujoco.mjv_updateScene(
+            *(model, data, options, perturb, camera, mujoco.mjtCatBit.mjCAT_ALL, scene)
+        )
+    eye = np.mean([side.pos for side in scene.camera], axis=0)
+    forward, up = scene.camera[0].forward, scene.camera[0].up
+    depth = (points - eye) @ forward
+    across = np.stack([(points - eye) @ up, (points - eye) @ np.cross(forward, up)])
+    angles = np.degrees(np.arctan2(np.abs(across), depth))
+    assert depth.min() > 0.5
+    assert 5.0 < angles[0].max() < model.vis.global_.fovy / 2 - 3.0
+    assert angles[1].max() < model.vis.global_.fovy / 2

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from difflib import get_close_matches
 from functools import cache, cached_property
 from importlib import resources
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from g1stream.errors import RobotError
+from g1stream.files import read_file
 from g1stream.robot.joints import TORQUE_LIMIT
 from g1stream.robot.urdf import parse_urdf, read_kinematics
 
@@ -28,6 +29,9 @@ REVISIONS: Final = ("g1_29dof_rev_1_0", "g1_29dof")
 """The robots in this package, the default one first; unitree_mujoco simulates the other one."""
 
 DEFAULT_URDF = resources.files(__package__) / f"{REVISIONS[0]}.urdf"
+
+#: Limits in URDFs are rounded, rad, rad/s, N·m.
+_ROUNDING: Final = 1e-3
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -53,6 +57,8 @@ class G1:
         velocity: (29,) rad/s, highest speed in either direction.
         effort: (29,) N·m, highest torque in either direction.
         ignored_joints: moving joints that are not the G1's own (fingers); they are held at zero.
+        capped: joints whose limits in the URDF are wider than those of every robot in this package,
+            and were narrowed to these.
     """
 
     source: str
@@ -70,6 +76,7 @@ class G1:
     velocity: Floats
     effort: Floats
     ignored_joints: tuple[str, ...]
+    capped: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -79,6 +86,17 @@ class G1:
 
     def __repr__(self) -> str:
         return f"G1(name={self.name!r}, source={self.source!r}, links={len(self.link_names)})"
+
+    @property
+    def warning(self) -> str:
+        """About limits of the URDF that were narrowed, or ""."""
+        if not self.capped:
+            return ""
+        others = f" and {len(self.capped) - 3} more" if len(self.capped) > 3 else ""
+        return (
+            f"{self.source} has wider limits than a G1 for {', '.join(self.capped[:3])}{others}; "
+            "those of a G1 are kept (safety.urdf_limits = true takes the URDF's)"
+        )
 
     @property
     def torque_limit(self) -> Floats:
@@ -101,10 +119,16 @@ class G1:
         return cls.from_urdf(urdf.read_text(encoding="utf-8"), name)
 
     @classmethod
-    def load(cls, path: str | Path | None = None) -> G1:
+    def load(cls, path: str | Path | None = None, *, own_limits: bool = False) -> G1:
         """The robot of a URDF file, or of a name in `REVISIONS`; without a path, the default one.
 
-        Mesh files need not exist: only names, frames and limits are read.
+        Mesh files need not exist: only names, frames and limits are read. Limits that are wider
+        than those of every robot in this package are narrowed to these: a motor does not get
+        stronger by what a file says.
+
+        Args:
+            path: of the URDF, or a name.
+            own_limits: keep the URDF's limits however wide they are.
 
         Raises:
             RobotError: there is no such file, or it does not describe a 29-joint G1.
@@ -114,7 +138,7 @@ class G1:
         if str(path) in REVISIONS and not Path(path).exists():
             return cls._revision(str(path))
         try:
-            urdf = Path(path).read_text(encoding="utf-8")
+            urdf = read_file(Path(path)).decode("utf-8")
         except OSError as error:
             raise RobotError(
                 f"The URDF {path} cannot be read: {error.strerror}.",
@@ -125,7 +149,24 @@ class G1:
                 f"The URDF {path} is not text: its byte {error.start} is not UTF-8.",
                 "Give a URDF in XML, saved as UTF-8.",
             ) from error
-        return cls.from_urdf(urdf, str(path))
+        robot = cls.from_urdf(urdf, str(path))
+        return robot if own_limits else robot._within_builtin()
+
+    def _within_builtin(self) -> G1:
+        builtin = [self._revision(name) for name in REVISIONS]
+        limits = {
+            "lower": np.maximum(self.lower, np.min([robot.lower for robot in builtin], axis=0)),
+            "upper": np.minimum(self.upper, np.max([robot.upper for robot in builtin], axis=0)),
+            "velocity": np.minimum(
+                self.velocity, np.max([robot.velocity for robot in builtin], axis=0)
+            ),
+            "effort": np.minimum(self.effort, np.max([robot.effort for robot in builtin], axis=0)),
+        }
+        wider = np.zeros(len(self.joint_names), dtype=bool)
+        for name, limit in limits.items():
+            wider |= np.abs(getattr(self, name) - limit) > _ROUNDING
+        capped = tuple(name for name, capped in zip(self.joint_names, wider, strict=True) if capped)
+        return replace(self, **limits, capped=capped)
 
     @classmethod
     def from_urdf(cls, urdf: str, source: str) -> G1:

@@ -14,6 +14,7 @@ import numpy as np
 from g1stream.types import Floats
 
 __all__ = [
+    "UNIT_TOLERANCE",
     "quat_conj",
     "quat_from_axis_angle",
     "quat_from_rpy",
@@ -26,6 +27,9 @@ __all__ = [
     "xyzw_from_wxyz",
     "yaw_of",
 ]
+
+UNIT_TOLERANCE: Final = 0.05
+"""How far the norm of a measured quaternion may be from 1: an IMU that is not ready sends zeros."""
 
 
 def _bilinear(table: list[list[int]], n: int) -> Floats:

@@ -11,7 +11,6 @@ that the tests compare this one with. MuJoCo alone is slow to import, and fails 
 from __future__ import annotations
 
 from functools import lru_cache
-from math import isfinite
 from typing import TYPE_CHECKING, Any, Final
 from xml.etree import ElementTree as ET
 
@@ -28,6 +27,20 @@ __all__ = ["numbers", "parse_urdf", "read_kinematics"]
 
 _LIMITS: Final = ("lower", "upper", "velocity", "effort")
 _AXIS_TOLERANCE: Final = 1e-3  # more than rounding to four digits
+#: Of a URDF; a G1 with hands has some 60 links, and no figure of it is near the second.
+_MOST_LINKS: Final = 1000
+_LARGEST: Final = 1e6
+
+
+class _DocumentTypeError(ValueError):
+    """A document type declaration, which may define entities."""
+
+
+class _TreeBuilder(ET.TreeBuilder):
+    """Refuses entities: nested ones fill the memory, external ones name other files."""
+
+    def doctype(self, name: str, pubid: str | None, system: str | None) -> None:
+        raise _DocumentTypeError
 
 
 @lru_cache(maxsize=4)
@@ -38,7 +51,12 @@ def parse_urdf(text: str, source: str) -> ET.Element:
         RobotError: it is not XML, or not a URDF.
     """
     try:
-        root = ET.fromstring(text)
+        root: ET.Element = ET.fromstring(text, ET.XMLParser(target=_TreeBuilder()))
+    except _DocumentTypeError as error:
+        raise RobotError(
+            f"{source} has a document type declaration (<!DOCTYPE).",
+            "Remove it: a URDF needs none, and the entities it may define are not supported.",
+        ) from error
     except ET.ParseError as error:
         line, column = error.position
         raise RobotError(
@@ -59,18 +77,18 @@ def numbers(
     """The numbers in an attribute of an element, or those of `default` where it is missing.
 
     Raises:
-        RobotError: they are not `count` finite numbers; says where.
+        RobotError: they are not `count` numbers of a sane size; says where.
     """
     text = default if element is None else element.get(key, default)
     try:
         values = [float(word) for word in text.split()]
     except ValueError:
         values = []
-    if len(values) != count or not all(map(isfinite, values)):
+    if len(values) != count or not all(abs(value) <= _LARGEST for value in values):
         tag = "" if element is None else f" in its <{element.tag}>"
         raise RobotError(
-            f"{where} has {key}={text!r}{tag}.",
-            f"Give {count} finite number{'s' * (count > 1)}.",
+            f"{where} has {key}={text!r:.80}{tag}.",
+            f"Give {count} finite number{'s' * (count > 1)}, at most {_LARGEST:g}.",
         )
     return values
 
@@ -152,6 +170,11 @@ def _sort_links(root: ET.Element, source: str) -> tuple[tuple[str, ...], dict[st
     """The links, depth first in the file's order, and the joint above each but the root."""
     links = [link.get("name", "") for link in root.findall("link")]
     joints = root.findall("joint")
+    if max(len(links), len(joints)) > _MOST_LINKS:
+        raise RobotError(
+            f"{source} has {len(links)} links and {len(joints)} joints.",
+            f"Give the URDF of one robot, with {_MOST_LINKS} of each at most.",
+        )
     joint_above = {_end(joint, "child"): joint for joint in joints}
     ordered: list[str] = []
     waiting = [link for link in links if link not in joint_above][:1]

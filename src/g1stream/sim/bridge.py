@@ -5,9 +5,10 @@ from __future__ import annotations
 import logging
 from typing import TYPE_CHECKING, Final
 
-from g1stream.dds.domain import user_data_of_support
+from g1stream.dds.domain import user_data_of_bridge
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE, SECONDARY_IMU, SPORTMODESTATE
+from g1stream.sim.onboard import MotionService
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
     from g1stream.clock import Clock
     from g1stream.dds.domain import Participant
     from g1stream.sim.robot import SimReport, SimulatedRobot
-    from g1stream.types import Support
+    from g1stream.types import OnboardMode, Support
 
 __all__ = ["Bridge"]
 
@@ -31,6 +32,8 @@ class Bridge:
         robot: the simulated robot.
         support: how it is held; announced to the streamer.
         clock: now, stamp and sleep_until.
+        model: name of the robot that is simulated; announced, too, unless empty.
+        onboard: the mode of its motion service that is active from the start.
         view: shows the world, called some 50 times a second; False ends the run.
     """
 
@@ -41,6 +44,8 @@ class Bridge:
         support: Support,
         clock: Clock,
         *,
+        model: str = "",
+        onboard: OnboardMode | None = None,
         view: Callable[[], bool] | None = None,
     ) -> None:
         self._robot = robot
@@ -48,10 +53,11 @@ class Bridge:
         self._view = view
         self._commands = RawReader(participant, LOWCMD)
         self._references = RawReader(participant, REFERENCE)
-        announcement = user_data_of_support(support)
+        announcement = user_data_of_bridge(support, model)
         self._low_state = RawWriter(participant, LOWSTATE, user_data=announcement)
         self._sport_mode_state = RawWriter(participant, SPORTMODESTATE)
         self._secondary_imu = RawWriter(participant, SECONDARY_IMU)
+        self._motion_service = MotionService(participant, onboard)
 
     def run(self, should_stop: Callable[[], bool]) -> SimReport:
         """Simulate until told to stop.
@@ -91,6 +97,7 @@ class Bridge:
         self._low_state.write(published.low_state, stamp)
         self._sport_mode_state.write(published.sport_mode_state, stamp)
         self._secondary_imu.write(published.secondary_imu, stamp)
+        self._motion_service.step(published.low_state, stamp)
 
     def _receive(self, now: int) -> None:
         command = self._commands.take_latest()

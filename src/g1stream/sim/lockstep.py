@@ -87,14 +87,27 @@ class Lockstep:
     def support(self) -> str | None:
         return self._support
 
-    def receive(self, state: LowState) -> bool:
+    def model(self) -> str | None:
+        return None  # the loop finds out
+
+    def receive(self, state: LowState) -> int | None:
         data, self._low_state = self._low_state, b""
-        if data:
-            state.load(data)
-        return bool(data)
+        if not data:
+            return None
+        state.load(data)
+        return 1
+
+    def state_publishers(self) -> list[str]:
+        return []
 
     def send(self, command: bytes, reference: bytes, stamp: int) -> int:
         self._command, self._reference = command, reference
         self._on_sample(LOWCMD, command, stamp)
         self._on_sample(REFERENCE, reference, stamp)
         return self._now
+
+    def unguarded(self) -> str:
+        return ""
+
+    def replaced(self) -> str:
+        return ""

@@ -5,13 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 from g1stream.errors import SimError
+from g1stream.robot.hulls import add_hulls, never_collide, read_hulls
 from g1stream.robot.joints import DAMPING, JOINT_NAMES, TORQUE_LIMIT
 from g1stream.robot.mujoco_spec import mujoco_spec
 
 if TYPE_CHECKING:
     from g1stream.robot.model import G1
 
-__all__ = ["BASE_BODY", "BASE_TARGET", "build_model"]
+__all__ = ["BASE_BODY", "BASE_TARGET", "add_floor_and_light", "build_model"]
 
 BASE_BODY: Final = 1
 """The body of the URDF's root link: the world is body 0, and the root comes next."""
@@ -20,10 +21,13 @@ BASE_TARGET: Final = "base_target"
 """The mocap body that a base is welded to, and the weld between the two."""
 
 _FLOOR: Final = 1  # the contact bit of the floor and of what collides with it
+_LINKS: Final = 2  # the contact bit of the hulls, which collide with each other
 _HIDDEN: Final = 3  # the first group of shapes that MuJoCo's viewer hides by default
 
 
-def build_model(robot: G1, *, floating: bool, driven: bool, timestep: float) -> Any:
+def build_model(
+    robot: G1, *, floating: bool, driven: bool, timestep: float, self_collision: bool
+) -> Any:
     """Compile a `mujoco.MjModel` of the robot above a floor at height 0.
 
     Motors are servos in motor order: with control c and `actuator_biasprm` (0, -kp, -kd) a motor's
@@ -32,14 +36,17 @@ def build_model(robot: G1, *, floating: bool, driven: bool, timestep: float) -> 
     same with `secondary_` in front at its `imu_in_torso` (at the base and the torso where it has no
     such frames), `frame_pos` and `frame_vel` of the base.
 
-    Meshes are left out, and so are the joints of fingers, which stay at zero. The robot's shapes
-    collide with the floor but not with each other: motions retargeted from humans touch themselves.
+    Meshes are left out, and so are the joints of fingers, which stay at zero. The robot's primitive
+    shapes collide with the floor. With each other links collide as in unitree_mujoco: as the convex
+    hulls of their meshes, of the feet the soles and of the hands nothing, with MuJoCo's default
+    contact parameters.
 
     Args:
         robot: whose URDF to use.
         floating: give the base a free joint; otherwise it is fixed to the world.
         driven: weld the base to a mocap body `base_target`, by an equality of that name.
         timestep: s.
+        self_collision: let links collide with each other.
 
     Raises:
         SimError: MuJoCo does not accept the URDF.
@@ -52,7 +59,10 @@ def build_model(robot: G1, *, floating: bool, driven: bool, timestep: float) -> 
         # Damping, the servos' included, is taken implicitly: any kd is stable at any timestep.
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         _set_contacts(spec)
-        _add_scene(spec)
+        if self_collision:
+            solid = [hull for hull in read_hulls(robot) if hull.solid]
+            add_hulls(spec, solid, never_collide(robot), contact_bit=_LINKS)
+        add_floor_and_light(spec)
         _add_motors(spec)
         _add_sensors(spec)
         if driven:
@@ -76,7 +86,7 @@ def _set_contacts(spec: Any) -> None:
             geom.group = _HIDDEN
 
 
-def _add_scene(spec: Any) -> None:
+def add_floor_and_light(spec: Any) -> None:
     """A floor and a light."""
     import mujoco
 

@@ -18,7 +18,7 @@ from g1stream.types import Phase
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from g1stream.config import SimConfig
+    from g1stream.settings import SimConfig
     from g1stream.sim.world import Imu, World
 
 __all__ = ["MODE_MACHINE_29", "Published", "SimReport", "SimulatedRobot"]

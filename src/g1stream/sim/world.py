@@ -83,6 +83,7 @@ class World:
         support: what holds its base.
         joint_pos: (29,) rad, motor order, where the joints start; all zero by default.
         base_height: m, where the base starts; by default as the support prefers.
+        self_collision: links collide with each other, see `g1stream.sim.model.build_model`.
         timestep: s. With 1 ms, half the period of LowState at 500 Hz, a dance differs by 0.3 mrad
             RMS from that with a step twenty times finer.
 
@@ -102,6 +103,7 @@ class World:
         *,
         joint_pos: ArrayLike | None = None,
         base_height: float | None = None,
+        self_collision: bool = True,
         timestep: float = 1e-3,
     ) -> None:
         import mujoco
@@ -109,7 +111,11 @@ class World:
         kind = SUPPORTS[support]
         self.timestep = timestep
         self.model: Any = build_model(
-            robot, floating=kind.floating, driven=kind.driven, timestep=timestep
+            robot,
+            floating=kind.floating,
+            driven=kind.driven,
+            timestep=timestep,
+            self_collision=self_collision,
         )
         self.data: Any = mujoco.MjData(self.model)
         self._support = kind(self.model, self.data)

@@ -1,0 +1,179 @@
+"""Convex hulls of the robot's links, and where they touch each other.
+
+hulls.json has them, made by tools/make_hulls.py from Unitree's meshes. A mesh reaches beyond its
+hull by 0.5 mm at most. A hull fills what is hollow in its link, as MuJoCo does with every mesh that
+collides.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from itertools import combinations
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from g1stream.robot.joints import JOINT_NAMES
+from g1stream.robot.model import REVISIONS
+from g1stream.robot.mujoco_spec import mujoco_spec
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import ArrayLike
+
+    from g1stream.robot.model import G1
+    from g1stream.types import Floats
+
+__all__ = ["Contact", "Hull", "SelfCollision", "add_hulls", "never_collide", "read_hulls"]
+
+
+@dataclass(frozen=True, eq=False)
+class Hull:
+    """The convex hull of a link's mesh, or of a part of it.
+
+    Attributes:
+        link: name of the link.
+        solid: Unitree's own models collide it: all but the outlines of feet and rubber hands. Of a
+            foot they collide four small spheres under the sole, which have a solid hull together.
+        vertices: (V, 3) m in the link's frame; read-only.
+    """
+
+    link: str
+    solid: bool
+    vertices: Floats
+
+
+class Contact(NamedTuple):
+    """Two links that touch, in the robot's order of links."""
+
+    link: str
+    other: str
+    depth: float  # m that the one has to be moved until they only touch
+
+
+@cache
+def read_hulls(robot: G1) -> tuple[Hull, ...]:
+    """The hulls of a robot's links; a link may have none or several.
+
+    They are those of the revision that the robot's URDF is named after, and of the default one if
+    after neither, by the names of its links: a URDF of other makes gets those of links that it has.
+    """
+    revision = robot.name if robot.name in REVISIONS else REVISIONS[0]
+    text = resources.files(__package__).joinpath("hulls.json").read_text(encoding="utf-8")
+    hulls = []
+    for one in json.loads(text):
+        if revision in one["revisions"] and one["link"] in robot.link_names:
+            vertices = np.array(one["vertices"]).reshape(-1, 3)
+            vertices.setflags(write=False)
+            hulls.append(Hull(one["link"], one["solid"], vertices))
+    return tuple(hulls)
+
+
+@cache
+def never_collide(robot: G1) -> frozenset[tuple[str, str]]:
+    """Pairs of links whose contact means nothing, in the robot's order of links.
+
+    These are links that do not move relative to each other, links with one joint between them,
+    whose hulls overlap there, and links whose hulls touch with all joints at 0.
+    """
+    moved_with = np.arange(len(robot.link_names))
+    for link, joint in enumerate(robot.joint_of_link):
+        if joint < 0 and robot.parent[link] >= 0:
+            moved_with[link] = moved_with[robot.parent[link]]
+    carrier = np.where(robot.parent >= 0, moved_with[robot.parent], -1)[moved_with]
+    adjacent = frozenset(
+        (robot.link_names[one], robot.link_names[other])
+        for one, other in combinations(range(len(moved_with)), 2)
+        if moved_with[one] in (moved_with[other], carrier[other])
+        or carrier[one] == moved_with[other]
+    )
+    neutral = SelfCollision(robot, read_hulls(robot), adjacent).contacts(np.zeros(len(JOINT_NAMES)))
+    return adjacent | {contact[:2] for contact in neutral}
+
+
+def add_hulls(
+    spec: Any, hulls: Iterable[Hull], apart: Iterable[tuple[str, str]], *, contact_bit: int
+) -> None:
+    """Add hulls to the bodies of a `mujoco.MjSpec`, as massless geoms that collide by themselves.
+
+    Args:
+        spec: with a body for each link.
+        hulls: to add.
+        apart: pairs of links that do not collide.
+        contact_bit: the only bit of their `contype` and `conaffinity`.
+    """
+    import mujoco
+
+    links = set()
+    for number, hull in enumerate(hulls):
+        links.add(hull.link)
+        name = f"{hull.link}_hull_{number}"
+        spec.add_mesh(name=name, uservert=hull.vertices.ravel())
+        spec.body(hull.link).add_geom(
+            name=name,
+            type=mujoco.mjtGeom.mjGEOM_MESH,
+            meshname=name,
+            mass=0,
+            contype=contact_bit,
+            conaffinity=contact_bit,
+            group=3,  # the first that MuJoCo's viewer hides
+        )
+    for one, other in sorted(apart):
+        if one in links and other in links:
+            spec.add_exclude(bodyname1=one, bodyname2=other)
+
+
+class SelfCollision:
+    """Finds where a robot's links touch each other in a pose; 0.1 ms a pose.
+
+    Args:
+        robot: the G1.
+        hulls: those to look at; by default all.
+        apart: pairs of links to leave out, in the robot's order; `never_collide(robot)` by default.
+
+    Raises:
+        ValueError: MuJoCo does not accept the URDF.
+    """
+
+    def __init__(
+        self,
+        robot: G1,
+        hulls: Iterable[Hull] | None = None,
+        apart: Iterable[tuple[str, str]] | None = None,
+    ) -> None:
+        import mujoco
+
+        spec = mujoco_spec(robot, floating=True, shapes=False)
+        add_hulls(
+            spec,
+            read_hulls(robot) if hulls is None else hulls,
+            never_collide(robot) if apart is None else apart,
+            contact_bit=1,
+        )
+        self._model = spec.compile()
+        self._data = mujoco.MjData(self._model)
+        self._joints = [self._model.joint(name).qposadr[0] for name in JOINT_NAMES]
+        self._order = {name: index for index, name in enumerate(robot.link_names)}
+
+    def contacts(self, joint_pos: ArrayLike) -> tuple[Contact, ...]:
+        """The links that touch, each pair once with its greatest depth.
+
+        Args:
+            joint_pos: (29,) rad, motor order.
+        """
+        import mujoco
+
+        model, data = self._model, self._data
+        data.qpos[self._joints] = joint_pos
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_collision(model, data)
+        depths: dict[tuple[str, str], float] = {}
+        for geoms, distance in zip(data.contact.geom, data.contact.dist, strict=True):
+            links = (model.body(model.geom_bodyid[geom]).name for geom in geoms)
+            one, other = sorted(links, key=self._order.__getitem__)
+            depths[one, other] = max(depths.get((one, other), 0.0), -float(distance))
+        return tuple(Contact(*links, depth) for links, depth in sorted(depths.items()))

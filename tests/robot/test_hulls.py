@@ -1,0 +1,153 @@
+"""Hulls against the meshes, contacts against figures by hand and against unitree_mujoco's scene."""
+
+from __future__ import annotations
+
+import csv
+import os
+import tempfile
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+import trimesh
+
+from g1stream.robot.hulls import Hull, SelfCollision, never_collide, read_hulls
+from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
+from g1stream.robot.kinematics import forward_kinematics
+from g1stream.robot.model import G1, REVISIONS
+
+LAFAN = Path(__file__).parents[3] / "shared" / "lafan1" / "joints_labeled.csv"
+PEERS = Path(os.environ.get("PEERS") or Path(tempfile.gettempdir(), "peers"))
+SCENE = PEERS / "unitree_mujoco/unitree_robots/g1/scene_29dof.xml"
+HANDS = ("left_rubber_hand", "right_rubber_hand")
+RNG = np.random.default_rng(10)
+UPRIGHT = (np.zeros((1, 3)), np.array([[1.0, 0.0, 0.0, 0.0]]))
+
+
+def box(link, half_size):
+    corners = np.array(np.meshgrid(*[(-size, size) for size in half_size])).reshape(3, -1).T
+    return Hull(link, True, corners)
+
+
+def reach(points, directions):
+    """How far points reach in each direction."""
+    return (points @ directions.T).max(axis=0)
+
+
+@pytest.mark.parametrize("revision", REVISIONS)
+def test_moving_links_have_hulls(revision):
+    robot = G1.load(revision)
+    hulls = read_hulls(robot)
+    solid = {hull.link for hull in hulls if hull.solid}
+    limbs = [name for name in JOINT_NAMES if "waist_yaw" not in name and "waist_roll" not in name]
+    assert {name.replace("_joint", "_link") for name in limbs} - {"waist_pitch_link"} <= solid
+    assert "torso_link" in solid
+    for hull in hulls:
+        assert not hull.vertices.flags.writeable
+        assert 8 <= len(hull.vertices) <= 400, hull.link
+        assert np.abs(hull.vertices).max() < 0.6, hull.link
+
+
+def test_hulls_fit_the_meshes_of_their_links(robot, reference_urdf):
+    meshes = reference_urdf("g1_29dof_rev_1_0.urdf").parents[1] / "meshes"
+    directions = RNG.normal(size=(2000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    compared = 0
+    for hull in read_hulls(robot):
+        file = "torso_link_rev_1_0" if hull.link == "torso_link" else hull.link
+        sole = hull.link.endswith("ankle_roll_link") and hull.solid
+        if sole or "shoulder_pitch" in file or "shoulder_roll" in file:
+            continue  # Unitree's spheres and cylinders, not the meshes
+        mesh = trimesh.load(meshes / f"{file}.STL").convex_hull
+        beyond = reach(mesh.vertices, directions) - reach(hull.vertices, directions)
+        assert beyond.min() > -2e-6, hull.link
+        assert beyond.max() < 0.51e-3, hull.link
+        own = trimesh.PointCloud(hull.vertices).convex_hull.volume
+        assert 0.97 < own / mesh.volume < 1.0, hull.link
+        compared += 1
+    assert compared == 28
+
+
+def test_depth_is_the_way_apart(robot):
+    pos, quat = forward_kinematics(robot, np.zeros((1, N_JOINTS)), *UPRIGHT)
+    left, right = (robot.link_index(hand) for hand in HANDS)
+    assert np.abs(quat[0, [left, right], 1:]).max() < 0.01
+    apart = pos[0, left, 1] - pos[0, right, 1]
+    for overlap in (0.004, -0.004):
+        boxes = [box(hand, (0.05, (apart + overlap) / 2, 0.05)) for hand in HANDS]
+        contacts = SelfCollision(robot, boxes).contacts(np.zeros(N_JOINTS))
+        if overlap < 0:
+            assert contacts == ()
+        else:
+            (contact,) = contacts
+            assert contact[:2] == HANDS
+            assert contact.depth == pytest.approx(overlap, abs=2e-4)
+
+
+@pytest.mark.parametrize("revision", REVISIONS)
+def test_neutral_pose_is_free_of_contacts(revision):
+    robot = G1.load(revision)
+    pairs = never_collide(robot)
+    assert SelfCollision(robot).contacts(np.zeros(N_JOINTS)) == ()
+    for link, parent in enumerate(robot.parent[1:], start=1):
+        assert (robot.link_names[parent], robot.link_names[link]) in pairs
+    # Two joints lie between them, and the foot's outline reaches around the ankle.
+    assert ("left_knee_link", "left_ankle_roll_link") in pairs
+    assert ("left_hip_pitch_link", "left_wrist_yaw_link") not in pairs
+
+
+def test_random_poses_touch_as_the_mirrored_ones_do(robot):
+    """The robot is symmetric but for fractions of a millimetre."""
+    mirrored = [JOINT_NAMES.index(swapped(name)) for name in JOINT_NAMES]
+    sign = np.array(
+        [-1.0 if name.endswith(("roll_joint", "yaw_joint")) else 1.0 for name in JOINT_NAMES]
+    )
+    collision = SelfCollision(robot)
+    touched = 0
+    for _ in range(60):
+        pose = RNG.uniform(robot.lower, robot.upper)
+        here = {frozenset(c[:2]): c.depth for c in collision.contacts(pose)}
+        there = {
+            frozenset(map(swapped, c[:2])): c.depth
+            for c in collision.contacts((sign * pose)[mirrored])
+        }
+        for pair in here.keys() | there.keys():
+            assert here.get(pair, 0.0) == pytest.approx(there.get(pair, 0.0), abs=0.003), pair
+            touched += 1
+    assert touched > 50
+
+
+def swapped(name):
+    """The name of the same part on the other side."""
+    sides = {"left": "right", "right": "left"}
+    return "_".join(sides.get(word, word) for word in name.split("_"))
+
+
+@pytest.mark.skipif(not LAFAN.exists(), reason="../shared/lafan1 is not there")
+@pytest.mark.skipif(not SCENE.exists(), reason="unitree_mujoco is not set up in PEERS")
+def test_dance_touches_itself_as_in_unitree_mujoco():
+    """The same links in the same frames, none deeper, and shallower by twice 0.5 mm at most."""
+    robot = G1.load("g1_29dof")
+    collision = SelfCollision(robot, [hull for hull in read_hulls(robot) if hull.solid])
+    model = mujoco.MjModel.from_xml_path(str(SCENE))
+    data = mujoco.MjData(model)
+    joints = [model.joint(name).qposadr[0] for name in JOINT_NAMES]
+    with LAFAN.open() as file:
+        rows = list(csv.reader(file))
+    assert tuple(rows[0][8:]) == JOINT_NAMES
+    compared = 0
+    for pose in np.array(rows[1:601], dtype=float)[:, 8:]:
+        data.qpos[2], data.qpos[joints] = 5.0, pose
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_collision(model, data)
+        theirs: dict[frozenset[str], float] = {}
+        for geoms, distance in zip(data.contact.geom, data.contact.dist, strict=True):
+            pair = frozenset(model.body(model.geom_bodyid[geom]).name for geom in geoms)
+            theirs[pair] = max(theirs.get(pair, 0.0), -distance)
+        ours = {frozenset(contact[:2]): contact.depth for contact in collision.contacts(pose)}
+        assert ours.keys() <= theirs.keys()
+        for pair, depth in theirs.items():
+            assert -0.001 < ours.get(pair, 0.0) - depth < 0.0002, pair
+            compared += 1
+    assert compared > 80

@@ -98,11 +98,7 @@ def test_columns_may_be_in_any_order(load, order, seed):
     np.testing.assert_array_equal(motion.root_quat_wxyz, expected.root_quat_wxyz)
 
 
-@given(
-    cells=st.lists(
-        st.floats(allow_nan=False, allow_infinity=False), min_size=29 * 2, max_size=29 * 2
-    )
-)
+@given(cells=st.lists(st.floats(-1e9, 1e9), min_size=29 * 2, max_size=29 * 2))
 @settings(max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_numbers_are_read_to_the_last_bit(load, cells):
     rows = [[frame, 0.0, 0.0, 0.8, 0.0, 0.0, 0.0, 1.0, *cells[frame::2]] for frame in (0, 1)]

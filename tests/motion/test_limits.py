@@ -1,4 +1,4 @@
-"""What the streamed spline asks for, against the spline itself and the envelope that holds it."""
+"""What the streamed spline asks for, against the spline itself and the limits that hold it."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from g1stream.config import Config
+from g1stream.control.commands import CommandLimits
 from g1stream.control.loop import StreamLoop
-from g1stream.control.safety import Envelope
 from g1stream.events import handled_by
 from g1stream.motion.limits import POSITION_TOLERANCE, Interval, measure_limits
 from g1stream.motion.trajectory import Trajectory
@@ -46,18 +46,18 @@ def spike(make_motion, robot):
 
 @pytest.mark.parametrize("rate", [500.0, 90.0])
 @pytest.mark.parametrize("margin", [0.0, 0.05])
-def test_as_many_targets_are_reported_as_the_envelope_holds(wild_motion, robot, rate, margin):
+def test_as_many_targets_are_reported_as_are_held(wild_motion, robot, rate, margin):
     joints = np.clip(8 * wild_motion.joint_pos, robot.lower, robot.upper)
     joints[10:20, WAIST] = np.round(robot.upper[WAIST], 6)
     motion = replace(wild_motion, joint_pos=joints)
-    envelope = Envelope(robot, Config().safety.model_copy(update={"position_margin": margin}))
+    limits = CommandLimits(robot, Config().safety.model_copy(update={"position_margin": margin}))
     trajectory = Trajectory(motion)
     for i in range(int(motion.duration * rate + 1e-6) + 1):
-        envelope.limit(trajectory.sample(i / rate).joint_pos)
+        limits.limit_position(trajectory.sample(i / rate).joint_pos)
     report = measured(motion, robot, rate=rate, position_margin=margin)
     held = {joint.joint: joint.count for joint in report.held}
-    assert held == {n: int(c) for n, c in zip(JOINT_NAMES, envelope.clamped, strict=True) if c}
-    assert report.n_held == envelope.clamped.sum() > 10
+    assert held == {n: int(c) for n, c in zip(JOINT_NAMES, limits.clamped, strict=True) if c}
+    assert report.n_held == limits.clamped.sum() > 10
 
 
 def test_an_overshoot_is_reported_where_it_is_furthest_out(steps, robot):
@@ -156,7 +156,9 @@ def test_a_slight_excess_is_not_logged_as_a_warning(make_motion, robot, excess, 
 
 @pytest.mark.dds
 def test_the_stream_warns_before_the_first_command(spike, domain_id, monkeypatch):
-    config = Config.model_validate({"dds": {"domain": domain_id}, "stream": {"wait": 1.0}})
+    config = Config.model_validate(
+        {"dds": {"domain": domain_id}, "stream": {"wait": 1.0, "beyond_limits": "clamp"}}
+    )
     events = []
     run = StreamLoop.run
 

@@ -17,20 +17,21 @@ from g1stream.types import Floats
 if TYPE_CHECKING:
     T = TypeVar("T", float, Floats)
 
-__all__ = ["COAST", "coast", "minimum_jerk", "seam_frames"]
+__all__ = ["COAST", "MINIMUM_JERK_PEAK", "coast", "minimum_jerk", "seam_frames"]
 
 COAST: Final = 0.2
 """Seconds in which a velocity at either end of a motion dies away or is built up.
 
 The overshoot of a velocity v is 0.2 * 0.2 s * v at most."""
 
+MINIMUM_JERK_PEAK: Final = 15 / 8
+"""Peak speed of a minimum-jerk path of length 1 in time 1."""
+
 #: Highest speed of the minimum-jerk part of a seam: joints and the root's rotation in rad/s, the
 #: root's translation in m/s.
 _PEAK_SPEED: Final = 1.5
 #: No seam is shorter, s: room for both coasts and a blend between them.
 _SHORTEST: Final = 0.5
-#: Peak speed of a minimum-jerk path of length 1 in time 1.
-_MINIMUM_JERK_PEAK: Final = 15 / 8
 
 
 def minimum_jerk(s: T) -> tuple[T, T, T]:
@@ -85,7 +86,7 @@ def seam_frames(linear: Floats, quat: Floats, fps: float) -> tuple[Floats, Float
     way = linear[0] - linear[-1]
     turn = (rotation[-1].inv() * rotation[0]).as_rotvec()
     furthest = max(float(np.abs(way).max()), float(np.linalg.norm(turn)))
-    seconds = max(_SHORTEST, furthest * _MINIMUM_JERK_PEAK / _PEAK_SPEED)
+    seconds = max(_SHORTEST, furthest * MINIMUM_JERK_PEAK / _PEAK_SPEED)
     n_steps = ceil(seconds * fps)
     steps = np.arange(1.0, n_steps)[:, np.newaxis]
     blend = minimum_jerk(steps / n_steps)[0]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     import os
 
     from g1stream.motion.csv import CsvFile
+    from g1stream.motion.limits import Interval
     from g1stream.motion.motion import Motion
     from g1stream.robot.model import G1
     from g1stream.types import Floats
@@ -33,6 +34,14 @@ __all__ = [
     "check_file",
     "check_motion",
 ]
+
+
+#: Twice around: no joint of a G1 gets so far, but an angle in degrees soon does, rad.
+_LARGEST_ANGLE: Final = 4.0 * np.pi
+#: Larger numbers are no degrees either.
+_LARGEST_DEGREES: Final = 720.0
+#: A step from one frame to the next that is no movement of a joint, rad; a LAFAN1 dance has 1.08.
+_LARGE_STEP: Final = 0.5
 
 
 @dataclass(frozen=True)
@@ -69,6 +78,8 @@ class MotionReport:
     root: RootTravel
     groups: dict[str, tuple[float, float]]  # lowest and highest angle by limb, rad
     warnings: tuple[str, ...]  # of the reader
+    in_radians: bool = True
+    suspicion: str = ""  # what a limit that is passed looks like: "frame 7 is a spike of 2.4 rad"
 
     @property
     def within_limits(self) -> bool:
@@ -106,9 +117,14 @@ class FileReport:
 
 
 def check_file(
-    path_or_name: str | os.PathLike[str], robot: G1, *, fps: float | None = None
+    path_or_name: str | os.PathLike[str],
+    robot: G1,
+    *,
+    fps: float | None = None,
+    rate: float = STREAM_RATE,
+    position_margin: float = 0.0,
 ) -> FileReport:
-    """Check a motion file, or a bundled motion by its name.
+    """Check a motion file, or a bundled motion by its name; `rate` and so on as `check_motion`.
 
     Raises:
         MotionError: no report is possible: there is no such file, it cannot be read, is empty or is
@@ -119,7 +135,7 @@ def check_file(
         check_fps(fps, file.path.stem)
     motion, fault = None, None
     try:
-        motion = check_motion(file.motion(fps), robot)
+        motion = check_motion(file.motion(fps), robot, rate=rate, position_margin=position_margin)
     except MotionError as error:
         fault = error
     return FileReport(
@@ -140,7 +156,13 @@ def check_file(
 
 
 def check_motion(
-    motion: Motion, robot: G1, *, rate: float = STREAM_RATE, position_margin: float = 0.0
+    motion: Motion,
+    robot: G1,
+    *,
+    rate: float = STREAM_RATE,
+    position_margin: float = 0.0,
+    trajectory: Trajectory | None = None,
+    interval: Interval | None = None,
 ) -> MotionReport:
     """Measure a motion against the robot's limits.
 
@@ -149,9 +171,18 @@ def check_motion(
         robot: has the limits.
         rate: joint targets per second when it is streamed, Hz.
         position_margin: rad, kept from position limits when it is streamed.
+        trajectory: through its frames, which repeats if the motion does; made if None.
+        interval: the part whose limits count; all of it if None.
     """
-    frames_beyond, fastest = frame_peaks(motion, robot)
-    streamed = measure_limits(Trajectory(motion), robot, rate=rate, position_margin=position_margin)
+    trajectory = trajectory or Trajectory(motion)
+    frames_beyond, fastest = frame_peaks(motion, robot, interval)
+    streamed = measure_limits(
+        trajectory, robot, interval, rate=rate, position_margin=position_margin
+    )
+    in_radians = float(np.abs(motion.joint_pos).max()) <= _LARGEST_ANGLE
+    suspicion = ""
+    if frames_beyond or streamed.too_fast:
+        suspicion = _suspicion(motion, (*frames_beyond, *streamed.too_fast)[0])
     return MotionReport(
         name=motion.name,
         n_frames=motion.n_frames,
@@ -164,7 +195,35 @@ def check_motion(
         root=_root_travel(motion.root_pos),
         groups={name: _range(motion.joint_pos[:, joints]) for name, joints in JOINT_GROUPS.items()},
         warnings=motion.warnings,
+        in_radians=in_radians,
+        suspicion=suspicion,
     )
+
+
+def _suspicion(motion: Motion, worst: JointPeak) -> str:
+    """What a motion beyond a limit looks like, as far as that can be told; or ""."""
+    angles = motion.joint_pos
+    row, column = divmod(int(np.abs(angles).argmax()), angles.shape[1])
+    largest = f"{motion.joint_names[column]} is at {angles[row, column]:g} in frame {row}"
+    if abs(angles[row, column]) > _LARGEST_DEGREES:
+        return f"a cell were no angle: {largest}"
+    if abs(angles[row, column]) > _LARGEST_ANGLE:
+        return f"the angles were in degrees: {largest}"
+    one = angles[:, motion.joint_names.index(worst.joint)]
+    steps = np.diff(one)
+    near = max(0, round(worst.time * motion.fps) - 2)
+    frame = near + int(np.abs(steps[near : near + 4]).argmax()) if near < len(steps) else near
+    if frame >= len(steps) or abs(steps[frame]) < _LARGE_STEP:
+        return ""
+    for spike in (frame, frame + 1):  # the large step leads to it, or away from it
+        around = one[[max(0, spike - 1), min(len(one) - 1, spike + 1)]]
+        height = np.abs(one[spike] - around).min()
+        if height > _LARGE_STEP and abs(around[1] - around[0]) < height / 2:
+            return f"frame {spike} were a spike of {height:.2f} rad"
+    before, after = steps[max(0, frame - 1)], steps[min(len(steps) - 1, frame + 1)]
+    if max(abs(before), abs(after)) > abs(steps[frame]) / 3.0:
+        return ""  # a movement, though a fast one
+    return f"two motions were joined: {steps[frame]:+.2f} rad from frame {frame} to {frame + 1}"
 
 
 def _largest_step(motion: Motion) -> JointStep:

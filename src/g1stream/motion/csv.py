@@ -16,13 +16,12 @@ from __future__ import annotations
 
 import hashlib
 from functools import cached_property
-from math import isfinite
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from g1stream.errors import MotionError
-from g1stream.motion.motion import Motion
+from g1stream.motion.motion import LARGEST, SMALLEST_QUAT, Motion
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.rotations import wxyz_from_xyzw, xyzw_from_wxyz
 
@@ -101,7 +100,8 @@ class CsvFile:
             values = np.loadtxt(lines, delimiter=",", comments=None, ndmin=2)
         except ValueError:
             raise self._first_fault() from None
-        if values.shape != (self.n_rows, self.n_columns) or not np.isfinite(values).all():
+        shape = (self.n_rows, self.n_columns)
+        if values.shape != shape or not (np.abs(values) <= LARGEST).all():
             raise self._first_fault()
         return values
 
@@ -219,7 +219,7 @@ class CsvFile:
             for column, cell in enumerate(cells):
                 if not _is_number(cell):
                     return self._error(
-                        f"{cell.strip()!r} is not a finite number",
+                        f"{cell.strip()!r:.60} is not a number of at most {LARGEST:g}",
                         "Write a decimal number there, such as -0.25.",
                         line=number,
                         column=column,
@@ -256,7 +256,7 @@ class CsvFile:
         """A warning about quaternion norms (T,) that are not 1; an error for one that is 0."""
         off = np.abs(norms - 1.0)
         worst = int(np.argmax(off))
-        if not norms.all():
+        if norms.min() <= SMALLEST_QUAT:
             row = int(np.argmin(norms))
             raise self._error(
                 "the quaternion QX,QY,QZ,QW is zero",
@@ -284,10 +284,10 @@ def to_csv(motion: Motion) -> str:
 
 
 def _is_number(cell: str) -> bool:
-    """Whether a cell holds a finite decimal number."""
+    """Whether a cell holds a decimal number of a sane size."""
     if "_" in cell or not cell.isascii():
         return False
     try:
-        return isfinite(float(cell))
+        return abs(float(cell)) <= LARGEST
     except ValueError:
         return False

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from g1stream.errors import MotionError
+from g1stream.files import read_file
 from g1stream.motion.csv import CsvFile
 
 if TYPE_CHECKING:
@@ -20,6 +21,9 @@ __all__ = ["BUNDLED_MOTIONS", "open_motion_file"]
 
 BUNDLED_MOTIONS: Final = ("demo",)
 """Names of the motions in this package."""
+
+#: Bytes of a motion file; an hour at 500 Hz has as many.
+_LARGEST: Final = 2**30
 
 
 def open_motion_file(path_or_name: str | os.PathLike[str]) -> CsvFile:
@@ -36,10 +40,7 @@ def open_motion_file(path_or_name: str | os.PathLike[str]) -> CsvFile:
 
 def _read(path: Path) -> bytes:
     try:
-        # A motion file is read again for its attachment, and a pipe gives its content only once.
-        if path.exists() and not (path.is_file() or path.is_dir()):
-            raise MotionError(f"{path} is not a regular file.", "Save the motion to a file first.")
-        return path.read_bytes()
+        return read_file(path, _LARGEST)
     except FileNotFoundError:
         raise MotionError(
             f"There is no motion file {path}.",
@@ -49,5 +50,5 @@ def _read(path: Path) -> bytes:
     except OSError as error:
         raise MotionError(
             f"The motion file {path} cannot be read: {error.strerror}.",
-            "Give the path of one CSV file that you may read.",
+            "Give the path of a CSV file that you may read; save what comes from a pipe first.",
         ) from None

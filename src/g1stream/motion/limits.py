@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
-from math import floor
+from math import ceil, floor
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -19,10 +19,10 @@ from g1stream.types import STREAM_RATE
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from g1stream.config import StreamConfig
     from g1stream.motion.motion import Motion
     from g1stream.motion.trajectory import Trajectory
     from g1stream.robot.model import G1
+    from g1stream.settings import StreamConfig
     from g1stream.types import Floats
 
 __all__ = [
@@ -37,9 +37,9 @@ __all__ = [
 POSITION_TOLERANCE: Final = 1e-6
 """An angle this far beyond a position limit still counts as at the limit, rad.
 
-The only threshold, for frames, for the spline and for the targets that the safety envelope counts
-as held: with a wider one, report and summary would disagree. Motion files have six decimals, so
-that a joint at a limit such as 1.614429558 rad is written up to 5e-7 rad beyond it.
+The only threshold, for frames, for the spline and for the targets that are counted as held:
+with a wider one, report and summary would disagree. Motion files have six decimals, so that a
+joint at a limit such as 1.614429558 rad is written up to 5e-7 rad beyond it.
 """
 
 #: Holding a joint at its limit changes the motion by less than a robot follows it, up to this, rad.
@@ -181,14 +181,20 @@ def measure_limits(
     )
 
 
-def frame_peaks(motion: Motion, robot: G1) -> tuple[tuple[JointPeak, ...], JointPeak]:
-    """The joints beyond a position limit in the frames of a motion, and the fastest joint.
+def frame_peaks(
+    motion: Motion, robot: G1, interval: Interval | None = None
+) -> tuple[tuple[JointPeak, ...], JointPeak]:
+    """The joints beyond a position limit in the frames of an interval, and the fastest joint.
 
-    Speeds at the frames are central differences, as most tools compute them.
+    Speeds at the frames, of the whole motion, are central differences, as most tools compute them.
     """
     times = np.arange(motion.n_frames) / motion.fps
     positions = _Peaks(robot, robot.lower, robot.upper)
-    positions.update(times, motion.joint_pos)
+    played = slice(None)
+    if interval and interval.length is not None and not interval.loop:
+        first, last = (t * motion.fps for t in (interval.start, interval.start + interval.length))
+        played = slice(floor(first + 1e-6), ceil(last - 1e-6) + 1)
+    positions.update(times[played], motion.joint_pos[played])
     speeds = _Peaks(robot, -robot.velocity, robot.velocity)
     speeds.update(times, np.abs(np.gradient(motion.joint_pos, axis=0)) * motion.fps)
     return positions.beyond(), max(speeds.all(), key=lambda speed: speed.value)

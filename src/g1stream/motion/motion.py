@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Final
 
 import numpy as np
 
@@ -23,7 +23,14 @@ if TYPE_CHECKING:
 
     from g1stream.types import Floats
 
-__all__ = ["Motion", "check_fps"]
+__all__ = ["LARGEST", "SMALLEST_QUAT", "Motion", "check_fps"]
+
+LARGEST: Final = 1e9
+"""No value of a motion is larger, rad or m, so that nothing computed from them overflows."""
+SMALLEST_QUAT: Final = 1e-6
+"""A quaternion whose norm is not above this counts as zero."""
+#: Frames per second of a motion, lowest and highest.
+_FPS: Final = (1e-3, 1e6)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -43,8 +50,8 @@ class Motion:
         warnings: what a reader corrected, a sentence each.
 
     Raises:
-        MotionError: the shapes do not fit together, there is only one frame, a value is not finite,
-            a quaternion is zero, or `fps` is not positive.
+        MotionError: the shapes do not fit together, there is only one frame, a value is not finite
+            or beyond `LARGEST`, a quaternion is zero, or `fps` is not a frame rate.
     """
 
     name: str
@@ -111,7 +118,7 @@ class Motion:
         root_pos = self._array("root_pos", (n_frames, 3))
         quat = self._array("root_quat_wxyz", (n_frames, 4))
         norms = np.linalg.norm(quat, axis=1, keepdims=True)
-        if not norms.all():
+        if norms.min() <= SMALLEST_QUAT:
             raise MotionError(
                 f"The motion {self.name} has a zero quaternion in frame {int(np.argmin(norms))}.",
                 "Give every frame an orientation; without rotation it is 1, 0, 0, 0 (wxyz).",
@@ -263,21 +270,22 @@ class Motion:
                 f"The motion {self.name} has {field} of shape {values.shape}.",
                 f"Give it shape {shape}, a row per frame.",
             )
-        if not np.isfinite(values).all():
-            frame = int(np.argwhere(~np.isfinite(values))[0, 0])
+        valid = np.abs(values) <= LARGEST  # NaN is not
+        if not valid.all():
+            frame, column = np.argwhere(~valid)[0].tolist()
             raise MotionError(
-                f"The motion {self.name} has a value that is not finite in {field}, frame {frame}.",
-                "Give it finite numbers only.",
+                f"The motion {self.name} has {values[frame, column]:g} in {field}, frame {frame}.",
+                f"Give it finite numbers, at most {LARGEST:g}.",
             )
         return values
 
 
 def check_fps(fps: float, name: str) -> None:
-    """Raise MotionError unless `fps` is a frame rate: finite and above 0."""
-    if not (np.isfinite(fps) and fps > 0):
+    """Raise MotionError unless `fps` is a frame rate: between 0.001 and a million."""
+    if not _FPS[0] <= fps <= _FPS[1]:
         raise MotionError(
             f"The motion {name} cannot have {fps} frames per second.",
-            "Give a frame rate above 0, such as 30.",
+            f"Give a frame rate between {_FPS[0]:g} and {_FPS[1]:g}, such as 30.",
         )
 
 

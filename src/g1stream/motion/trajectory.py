@@ -153,7 +153,11 @@ class Trajectory:
         return self._point(value, *(np.stack(part, axis=-1) for part in rotation))
 
     def _point(self, value: Floats, *rotation: Floats) -> TrajectoryPoint:
-        return TrajectoryPoint(*value[..., :N_JOINTS], *value[..., N_JOINTS:-3], *rotation)
+        joints, root = value[..., :N_JOINTS], value[..., N_JOINTS:-3]
+        # By index, because unpacking an array takes 1 us more, of every tick.
+        return TrajectoryPoint(
+            joints[0], joints[1], joints[2], root[0], root[1], root[2], *rotation
+        )
 
 
 def resample(

@@ -1,0 +1,135 @@
+"""Whether a motion fits the robot that is to play it, and a motion that is slowed until it does."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+from math import ceil
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from g1stream.errors import ConfigError, MotionError, SafetyError
+from g1stream.motion.check import MotionReport, check_motion
+from g1stream.motion.limits import Interval
+from g1stream.motion.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from g1stream.config import Config
+    from g1stream.motion.motion import Motion
+    from g1stream.robot.model import G1
+
+__all__ = ["Playable", "fit_to_robot"]
+
+#: Joints that an error names.
+_NAMED: Final = 3
+#: A slowed motion is measured at other times than before, and may need to be slowed once more.
+_ATTEMPTS: Final = 5
+
+
+class Playable(NamedTuple):
+    """A motion that may be played.
+
+    Attributes:
+        trajectory: of the motion, or of the slowed one.
+        interval: the part to play.
+        slowed: factor by which it was slowed; 1 where it was not.
+        events: what is to be logged about it, with the level.
+    """
+
+    trajectory: Trajectory
+    interval: Interval
+    slowed: float = 1.0
+    events: tuple[tuple[int, str], ...] = ()
+
+
+def fit_to_robot(motion: Motion, robot: G1, config: Config, *, simulated: bool) -> Playable:
+    """The motion as it may be played with these settings.
+
+    With `stream.beyond_limits` = `scale-time`, a motion that is too fast is slowed evenly, as a
+    whole, until every joint keeps its velocity limit; `stream.start` and `stream.duration` count in
+    the time of the slowed motion.
+
+    Args:
+        motion: to be played.
+        robot: whose limits apply.
+        config: the part to play, the rate, the margin and `stream.beyond_limits`.
+        simulated: nothing but a simulator is reached, so that `anyway` is allowed.
+
+    Raises:
+        ConfigError: `anyway` is not allowed here, or the interval is not within the motion.
+        MotionError: the joint angles cannot be radians.
+        SafetyError: a frame is beyond a position limit, or the motion faster than a joint.
+    """
+    beyond = config.stream.beyond_limits
+    if beyond == "anyway" and not simulated:
+        raise ConfigError(
+            f"stream.beyond_limits = anyway on {config.dds.interface}: there may be a robot.",
+            "Use --scale-time or --clamp, or the loopback interface lo.",
+        )
+    playable, report = _check(motion, robot, config, 1.0)
+    if not report.in_radians:
+        raise MotionError(
+            f"{motion.name} is not in radians: it looks as if {report.suspicion}.",
+            "Convert the joint angles to radians.",
+        )
+    for _ in range(_ATTEMPTS * (beyond == "scale-time")):
+        if report.frames_beyond or report.within_limits:
+            break
+        # The whole motion decides, so that each part of it is slowed alike.
+        whole = check_motion(playable.trajectory.motion, robot, rate=config.stream.rate)
+        fastest = max(
+            (report.streamed.speeds[0], whole.streamed.speeds[0]), key=lambda s: s.value / s.limit
+        )
+        factor = ceil(1000.0 * playable.slowed * fastest.value / fastest.limit) / 1000.0
+        playable, report = _check(motion, robot, config, factor)
+    if beyond not in ("clamp", "anyway") and not report.within_limits:
+        raise _refused(report, slowing=beyond == "scale-time")
+    return playable
+
+
+def _check(
+    motion: Motion, robot: G1, config: Config, slowed: float
+) -> tuple[Playable, MotionReport]:
+    events: list[tuple[int, str]] = []
+    if robot.warning:
+        events.append((logging.WARNING, robot.warning))
+    if slowed != 1.0:
+        motion = replace(motion, fps=motion.fps / slowed)
+        text = f"{motion.name} is played {slowed:g} times slower, to fit the joints' speeds"
+        events.append((logging.WARNING, text))
+    interval = Interval.from_config(config.stream, motion)
+    trajectory = Trajectory(motion, loop=config.stream.loop)
+    report = check_motion(
+        motion,
+        robot,
+        rate=config.stream.rate,
+        position_margin=config.safety.position_margin,
+        trajectory=trajectory,
+        interval=interval,
+    )
+    return Playable(trajectory, interval, slowed, (*events, *report.streamed.events)), report
+
+
+def _refused(report: MotionReport, *, slowing: bool) -> SafetyError:
+    if report.frames_beyond:
+        worst, others = report.frames_beyond[0], report.frames_beyond[1:]
+        cause = (
+            f"{report.name} has {worst.joint} at {worst.value:.3f} rad in frame "
+            f"{worst.time * report.fps:.0f}, limit {worst.limit:.3f}"
+        )
+    else:
+        worst, others = report.streamed.too_fast[0], report.streamed.too_fast[1:]
+        cause = (
+            f"{report.name} asks {worst.joint} for {worst.value:.1f} rad/s at {worst.time:.2f} s, "
+            f"frame {worst.time * report.fps:.0f}, limit {worst.limit:g}"
+        )
+    if others:
+        more = f" and {len(others) - _NAMED} more" if len(others) > _NAMED else ""
+        cause += f"; also {', '.join(joint.joint for joint in others[:_NAMED])}{more}"
+    if report.suspicion:
+        cause += f". It looks as if {report.suspicion}"
+    slower = "" if report.frames_beyond or slowing else "--scale-time to play it slower, "
+    return SafetyError(
+        f"{cause}.",
+        f"See `g1stream motion` and correct it, or give {slower}--clamp to hold its targets at the "
+        "limits, or --anyway on the loopback interface.",
+    )

@@ -1,0 +1,111 @@
+"""What is refused, what it looks like, and a motion that is slowed until it fits."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from g1stream.config import load_config
+from g1stream.errors import ConfigError, G1StreamError, MotionError, SafetyError
+from g1stream.motion.fit import fit_to_robot
+from g1stream.motion.motion import Motion
+from g1stream.robot.joints import JOINT_NAMES
+from g1stream.robot.model import G1
+from g1stream.session.motions import load_motion
+
+ROBOT = G1.default()
+KNEE = JOINT_NAMES.index("left_knee_joint")
+
+
+@pytest.fixture(scope="module")
+def demo():
+    return load_motion("demo")
+
+
+def with_knee(motion, frames, change):
+    joints = motion.joint_pos.copy()
+    joints[frames, KNEE] = np.clip(joints[frames, KNEE] + change, 0.0, 2.8)
+    return replace(motion, joint_pos=joints)
+
+
+def fitted(motion, simulated=True, **settings):
+    over = {f"stream.{name}": value for name, value in settings.items()}
+    return fit_to_robot(motion, ROBOT, load_config(over=over), simulated=simulated)
+
+
+@pytest.mark.parametrize("loop", [False, True])
+def test_the_demo_is_played_as_it_is(demo, loop):
+    playable = fitted(demo, loop=loop)
+    assert playable.trajectory.motion is demo
+    assert playable.trajectory.loop is loop
+    assert playable.slowed == 1.0
+
+
+def test_a_real_dance_is_played_as_it_is(real_clip):
+    assert fitted(load_motion(real_clip)).slowed == 1.0
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "looks"),
+    [
+        (lambda m: replace(m, joint_pos=np.degrees(m.joint_pos)), MotionError, "in degrees"),
+        (lambda m: with_knee(m, slice(100, 101), 2.4), SafetyError, "frame 100 were a spike"),
+        (lambda m: with_knee(m, slice(200, None), 1.0), SafetyError, "joined: .* 199 to 200"),
+        (lambda m: replace(m, fps=300.0), SafetyError, "left_knee_joint for .* rad/s"),
+        (lambda m: replace(m, joint_pos=m.joint_pos + 1.5), SafetyError, "rad in frame"),
+    ],
+)
+def test_a_motion_that_no_robot_should_play_is_refused(demo, change, error, looks):
+    with pytest.raises(error, match=looks):
+        fitted(change(demo))
+
+
+def test_no_setting_plays_what_is_not_in_radians(demo):
+    joints = demo.joint_pos.copy()
+    joints[100, KNEE] = 9e8
+    for motion in (replace(demo, joint_pos=joints), replace(demo, joint_pos=50 * demo.joint_pos)):
+        for beyond in ("refuse", "scale-time", "clamp", "anyway"):
+            with pytest.raises(MotionError, match="not in radians"):
+                fitted(motion, beyond_limits=beyond)
+
+
+def test_only_the_part_that_is_played_counts(demo):
+    spike = with_knee(demo, slice(300, 301), 2.4)
+    assert fitted(spike, duration=5.0).slowed == 1.0
+    assert fitted(spike, start=11.0).slowed == 1.0
+    with pytest.raises(SafetyError):
+        fitted(spike, start=8.0)
+
+
+@pytest.mark.parametrize("loop", [False, True])
+def test_a_motion_is_slowed_evenly_until_it_fits(demo, loop):
+    fast = replace(demo, fps=300.0)
+    playable = fitted(fast, beyond_limits="scale-time", loop=loop)
+    motion = playable.trajectory.motion
+    assert motion.fps == fast.fps / playable.slowed
+    assert motion.joint_pos.tolist() == fast.joint_pos.tolist()
+    times = np.arange(0.0, motion.duration, 1e-3)
+    share = np.abs(playable.trajectory.sample_many(times).joint_vel) / ROBOT.velocity
+    assert 0.99 < share.max() <= 1.0
+    assert playable.events[0][1].startswith("demo")
+    assert fitted(motion).slowed == 1.0
+
+
+def test_slowing_moves_no_joint_within_its_position_limit(demo):
+    with pytest.raises(SafetyError, match="rad in frame"):
+        fitted(replace(demo, joint_pos=demo.joint_pos + 1.5), beyond_limits="scale-time")
+
+
+def test_anyway_is_for_a_simulator_only(demo):
+    fast = replace(demo, fps=300.0)
+    assert fitted(fast, beyond_limits="anyway").trajectory.motion is fast
+    with pytest.raises(ConfigError, match="anyway"):
+        fitted(fast, simulated=False, beyond_limits="anyway")
+    assert fitted(fast, simulated=False, beyond_limits="clamp").trajectory.motion is fast
+
+
+def test_every_refusal_has_a_remedy():
+    still = Motion.from_arrays(np.full((10, 29), 3.0), fps=50)
+    with pytest.raises(G1StreamError) as refused:
+        fitted(still)
+    assert refused.value.remedy

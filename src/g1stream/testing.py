@@ -5,7 +5,7 @@ be asserted to the nanosecond:
 
     clock = FakeClock()
     link = FakeLink(clock)
-    loop = make_loop(config, robot, trajectory, link, clock)  # g1stream.control.loop
+    loop = make_loop(config, robot, trajectory, link, clock)  # g1stream.control.make_loop
     loop.run()
     assert link.phases()["DAMP"] == 500
 
@@ -89,6 +89,10 @@ class FakeLink:
         silent: the robot publishes nothing but by `publish_state`.
         subscriber_count: of LowCmd.
         others: names of other publishers of LowCmd.
+        publisher: identity of the publisher of LowState.
+        state_others: names of the publishers of LowState, where there are several.
+        guard_missing: why there is no guard process yet; "" if there is or none is needed.
+        guard_took_over: why the guard process damps the robot; "" while it does not.
         announced: how the robot announces that it is held.
         on_send: called after each `send`, with the number of those before.
     """
@@ -101,6 +105,9 @@ class FakeLink:
         self.silent = False
         self.subscriber_count = 1
         self.others: list[str] = []
+        self.publisher = 1
+        self.state_others: list[str] = []
+        self.guard_missing = self.guard_took_over = ""
         self.announced: str | None = None
         self.on_send: Callable[[int], object] = lambda n: None
         self._clock = clock
@@ -115,13 +122,19 @@ class FakeLink:
     def support(self) -> str | None:
         return self.announced
 
-    def receive(self, state: LowState) -> bool:
+    def model(self) -> str | None:
+        return None
+
+    def receive(self, state: LowState) -> int | None:
         data = self._published if self.silent else self.robot.tobytes()
         self._published = None
         if data is None:
-            return False
+            return None
         state.load(data)
-        return True
+        return self.publisher
+
+    def state_publishers(self) -> list[str]:
+        return list(self.state_others)
 
     def send(self, command: bytes, reference: bytes, stamp: int) -> int:
         sent = Sent(self._clock.now(), stamp, LowCmd(), Reference())
@@ -130,6 +143,12 @@ class FakeLink:
         self.sent.append(sent)
         self.on_send(len(self.sent) - 1)
         return self._clock.now()
+
+    def unguarded(self) -> str:
+        return self.guard_missing
+
+    def replaced(self) -> str:
+        return self.guard_took_over
 
     def publish_state(self, data: bytes) -> None:
         """Let a silent robot publish one LowState."""

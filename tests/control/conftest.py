@@ -9,16 +9,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from g1stream.config import SafetyConfig
+from g1stream.control.commands import CommandLimits, Composer
 from g1stream.control.gains import Gains
 from g1stream.control.loop import StreamLoop
+from g1stream.control.overruns import Overruns
 from g1stream.control.phases import Timing
-from g1stream.control.safety import Envelope
+from g1stream.control.safety import Safety
 from g1stream.control.targets import Targets
 from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.joints import N_JOINTS
 from g1stream.robot.model import G1
+from g1stream.safety_settings import SafetyConfig
 from g1stream.testing import FakeClock, FakeLink
 from g1stream.types import Phase
 
@@ -160,15 +162,18 @@ def make_loop(
     """A loop at 500 Hz over the fake link; keyword arguments replace its parts."""
 
     def make(safety: SafetyConfig | None = None, **other: Any) -> StreamLoop:
+        safety = safety or SafetyConfig()
+        # Soft: the robot of the fake link does not move, and no torque limit is to be reached.
+        gains = Gains(np.arange(29) / 8.0 + 4.0, np.arange(29) / 100.0 + 0.1)
         parts: dict[str, Any] = {
             "link": link,
             "clock": clock,
             "targets": Targets(trajectory, start=0.0, play=0.5, ramp=0.1),
-            "envelope": Envelope(robot, safety or SafetyConfig()),
+            "safety": Safety(robot, safety),
+            "overruns": Overruns(2 * MS, safety),
             "timing": timing,
-            "gains": Gains(np.arange(29) + 40.0, np.arange(29) / 10.0 + 1.0),
+            "composer": Composer(CommandLimits(robot, safety), gains, damp_kd=3.0),
             "period": 2 * MS,
-            "damp_kd": 3.0,
         }
         return StreamLoop(**(parts | other))
 

@@ -7,12 +7,14 @@ import logging
 import numpy as np
 import pytest
 
-from g1stream.config import SafetyConfig, SimConfig
+from g1stream.control.commands import CommandLimits, Composer
 from g1stream.control.feedforward import FeedForward
 from g1stream.control.gains import Gains
 from g1stream.control.loop import StreamLoop
+from g1stream.control.overruns import Overruns
 from g1stream.control.phases import Timing
-from g1stream.control.safety import Envelope, ImuReading
+from g1stream.control.safety import Safety
+from g1stream.control.state_checks import ImuReading
 from g1stream.control.support import ForceObserver
 from g1stream.control.targets import Targets
 from g1stream.dds.topics import LOWSTATE
@@ -20,7 +22,9 @@ from g1stream.motion.blend import minimum_jerk
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.dynamics import InverseDynamics, Solution
 from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP
+from g1stream.safety_settings import SafetyConfig
 from g1stream.session.motions import load_motion
+from g1stream.settings import SimConfig
 from g1stream.sim.lockstep import Lockstep
 from g1stream.sim.robot import SimulatedRobot
 from g1stream.sim.world import World
@@ -277,11 +281,11 @@ def play(robot, support, told, seconds=4.0, *, kind="dynamics", announced=True):
         link,
         link,
         Targets(trajectory, start=0.0, play=seconds, ramp=1.0),
-        Envelope(robot, SafetyConfig(max_tilt=3.0)),
+        Safety(robot, SafetyConfig(max_tilt=3.0)),
+        Overruns(2_000_000, SafetyConfig()),
         Timing(*ns),
-        Gains(EXAMPLE_KP, EXAMPLE_KD),
+        Composer(CommandLimits(robot, SafetyConfig()), Gains(EXAMPLE_KP, EXAMPLE_KD), damp_kd=3.0),
         period=2_000_000,
-        damp_kd=3.0,
         feedforward=feed,
     )
     loop.run()

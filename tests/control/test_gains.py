@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from g1stream.config import GainsConfig
 from g1stream.control.gains import resolve_gains
 from g1stream.errors import ConfigError
 from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP, JOINT_NAMES
+from g1stream.settings import GainsConfig
 
 
 def test_defaults_are_the_example():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from g1stream.control.link import DdsLink
-from g1stream.dds.domain import Participant, user_data_of_support
+from g1stream.dds.domain import Participant, user_data_of_bridge
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import LowCmd, LowState, Reference
 from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE
@@ -61,7 +61,7 @@ class DdsEnds:
 
     @contextmanager
     def held(self, support):
-        data = user_data_of_support(support)
+        data = user_data_of_bridge(support)
         writer = RawWriter(self._theirs, LOWSTATE, user_data=data)
         yield
         writer.close()

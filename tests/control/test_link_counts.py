@@ -3,7 +3,7 @@
 import pytest
 
 from g1stream.control.link import DdsLink
-from g1stream.dds.domain import Participant, user_data_of_support
+from g1stream.dds.domain import Participant, user_data_of_bridge
 from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.messages import LowState
 from g1stream.dds.topics import LOWSTATE
@@ -12,7 +12,7 @@ from g1stream.dds.topics import LOWSTATE
 @pytest.fixture
 def ends(domain_id, until, request):
     """Our link, and a writer of LowState in a participant of its own, by default our bridge's."""
-    user_data = getattr(request, "param", user_data_of_support("bolted"))
+    user_data = getattr(request, "param", user_data_of_bridge("bolted"))
     with Participant(domain_id, "lo") as ours, Participant(domain_id, "lo") as theirs:
         link = DdsLink(ours)
         writer = RawWriter(theirs, LOWSTATE, depth=100, user_data=user_data)

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from g1stream.config import SafetyConfig
 from g1stream.control.feedforward import FeedForward
 from g1stream.control.targets import Target, Targets
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.dynamics import Solution
+from g1stream.safety_settings import SafetyConfig
 from g1stream.types import Phase
 
 MS = 1_000_000
@@ -111,8 +111,8 @@ def link_plays(link):
 def test_gains_hold_until_damping(make_loop, link):
     make_loop().run()
     for sent in link.sent[:-DAMP]:
-        assert sent.command.kp.tolist() == (np.arange(29) + 40.0).tolist()
-        assert sent.command.kd.tolist() == np.float32(np.arange(29) / 10.0 + 1.0).tolist()
+        assert sent.command.kp.tolist() == (np.arange(29) / 8.0 + 4.0).tolist()
+        assert sent.command.kd.tolist() == np.float32(np.arange(29) / 100.0 + 0.1).tolist()
 
 
 def test_command_has_the_mode_machine_of_the_robot(make_loop, link):
@@ -130,9 +130,10 @@ def test_targets_are_clamped_to_the_limits_and_counted(make_loop, link, robot):
     for sent in link.sent:
         assert (sent.command.q >= lower).all()
         assert (sent.command.q <= upper).all()
+    for sent in link.sent[:-DAMP]:
         beyond += (sent.reference.q < robot.lower + 0.25) | (sent.reference.q > robot.upper - 0.25)
     assert beyond.any()
-    assert report.clamped.tolist() == beyond.tolist()
+    assert report.limits.clamped.tolist() == beyond.tolist()
 
 
 def test_a_looping_motion_plays_until_stopped(make_loop, link, motion, timing):
@@ -195,6 +196,18 @@ def test_a_short_stall_skips_ticks_and_the_motion_stays_on_time(make_loop, link,
     assert int(sent.reference.phase) == (Phase.PLAY if at < 290 else Phase.HOLD)
     assert link.sent[at + 1].time == late + 6 * PERIOD
     link.assert_damped()
+
+
+@pytest.mark.parametrize("periods", [9, 10, 30])
+def test_a_stall_delays_the_motion_by_what_is_beyond_20_ms(make_loop, link, clock, periods):
+    at = RAMP + 50
+    clock.oversleeps[clock.now() + SETTLE + PERIOD + at * PERIOD] = periods * PERIOD
+    report = make_loop().run()
+    caught_up = min(periods, 9)
+    assert float(link.sent[at].reference.motion_time) == (50 + caught_up) * PERIOD / 1e9
+    assert report.delay == (periods - caught_up) * PERIOD
+    assert report.commands == 560 - caught_up
+    assert report.reason == ""
 
 
 def test_a_stall_in_the_ramp_shifts_nothing(make_loop, link, clock, trajectory):

@@ -5,9 +5,9 @@ import logging
 import numpy as np
 import pytest
 
-from g1stream.config import SafetyConfig
 from g1stream.control.targets import Targets
 from g1stream.errors import SafetyError
+from g1stream.safety_settings import SafetyConfig
 from g1stream.types import Phase
 
 MS = 1_000_000
@@ -44,6 +44,25 @@ def test_a_stop_before_the_first_command_sends_nothing(make_loop, link, events):
     assert loop.report.rate is None
 
 
+@pytest.mark.parametrize("n", [0, 30, 200, RAMP + PLAY + 3])
+def test_where_the_guard_has_taken_over_only_damping_is_sent(make_loop, link, n):
+    """Also the command that was about to be written: a damping one follows it in the same tick."""
+    link.at_send(n, lambda: setattr(link, "guard_took_over", "the guard damps"))
+    loop = make_loop()
+    assert loop.run().reason == "the guard damps"
+    assert int(link.sent[n + 1].reference.phase) == Phase.DAMP
+    assert link.sent[n + 1].time == link.sent[n].time
+    link.assert_damped()
+    assert loop.damped
+
+
+def test_nothing_is_sent_until_the_guard_is_ready(make_loop, link):
+    link.guard_missing = "the guard is not ready"
+    report = make_loop().run()
+    assert link.sent == []
+    assert report.reason.startswith("the guard is not ready")
+
+
 def test_a_stale_state_damps(make_loop, link):
     link.at_send(99, lambda: setattr(link, "silent", True))
     report = make_loop().run()
@@ -62,7 +81,12 @@ def test_a_stale_state_damps(make_loop, link):
         ("dq", 3, TOO_FAST, "left_knee_joint"),
         ("q", 3, np.nan, "NaN"),
         ("dq", 3, np.inf, "NaN or infinite"),
-        ("mode_machine", (), 4, "mode_machine 4"),
+        ("tau_est", 3, np.nan, "torque of left_knee_joint"),
+        ("gyroscope", 1, np.inf, "gyroscope"),
+        ("accelerometer", 0, np.nan, "accelerometer"),
+        ("q", 3, 100.0, "left_knee_joint is at 100.000 rad"),
+        ("mode_machine", (), 4, "mode_machine changed from 5 to 4"),
+        ("wireless_remote", slice(2, 4), (0x20, 0x02), "L2+B"),
     ],
 )
 def test_a_bad_measurement_stops(make_loop, link, field, place, value, reason):
@@ -73,6 +97,14 @@ def test_a_bad_measurement_stops(make_loop, link, field, place, value, reason):
     report = make_loop().run()
     assert reason in report.reason
     assert report.commands == 121 + DAMP
+    link.assert_damped()
+
+
+def test_an_overheated_motor_stops_within_20_ms(make_loop, link):
+    link.at_send(120, lambda: link.robot.temperature.fill(121))
+    report = make_loop().run()
+    assert "has 121 °C" in report.reason
+    assert 121 <= report.commands - DAMP <= 131
     link.assert_damped()
 
 
@@ -104,6 +136,89 @@ def test_another_publisher_stops_within_a_tenth_of_a_second(make_loop, link):
     report = make_loop().run()
     assert "publisher on rt/lowcmd" in report.reason
     assert 1 <= report.commands - DAMP - 120 <= 51
+    link.assert_damped()
+
+
+def test_two_publishers_of_the_state_are_named(make_loop, link):
+    names = ["a simulator (pid 1)", "another (pid 2)"]
+    link.at_send(120, lambda: setattr(link, "state_others", names))
+    report = make_loop().run()
+    assert report.reason == f"more than one publisher on rt/lowstate: {', '.join(names)}"
+    link.assert_damped()
+
+
+def test_two_publishers_of_the_state_get_no_command(make_loop, link):
+    link.state_others = ["one", "two"]
+    assert "publisher on rt/lowstate: one, two" in make_loop().run().reason
+    assert link.sent == []
+
+
+def test_a_restarted_simulator_is_another_robot(make_loop, link):
+    link.at_send(120, lambda: setattr(link, "publisher", 2))
+    report = make_loop().run()
+    assert "another publisher" in report.reason
+    assert report.commands == 121 + DAMP
+    link.assert_damped()
+
+
+def test_a_pose_beyond_the_limits_is_no_start(make_loop, link):
+    link.robot.q[3] = 100.0
+    report = make_loop().run()
+    assert "left_knee_joint is at 100.000 rad" in report.reason
+    assert "stream.wait" in report.reason
+    assert link.sent == []
+
+
+def test_a_wrong_crc_is_dropped_and_its_content_is_not_used(make_loop, link):
+    """A right CRC was seen, so that there is one; then a knee of 100 rad comes with a wrong one."""
+
+    def corrupt():
+        link.robot.q[3] = 100.0
+        link.robot.crc[()] = 12345
+
+    def mend():
+        link.robot.q[3] = 0.0
+        link.robot.seal()
+
+    link.robot.seal()
+    link.on_send = lambda i: {100: corrupt, 105: mend}.get(i, lambda: None)()
+    loop = make_loop()
+    report = loop.run()
+    assert (report.reason, report.crc_errors) == ("", 5)
+    assert max(abs(sent.command.q[3]) for sent in link.sent) < 0.2
+
+
+def test_many_wrong_crcs_stop(make_loop, link):
+    link.robot.seal()
+    link.at_send(100, lambda: link.robot.crc.fill(1))
+    report = make_loop(SafetyConfig(max_crc_errors=4)).run()
+    assert "safety.max_crc_errors = 4" in report.reason
+    assert report.commands == 101 + 4 + DAMP
+    link.assert_damped()
+
+
+def test_the_first_command_waits_for_the_dead_man_switch(make_loop, link, clock):
+    pressed = clock.now() + 400 * MS
+    sealed = link.robot.tobytes()
+    link.robot.wireless_remote[2] = 1
+    held, receive = link.robot.tobytes(), link.receive
+
+    def receive_with_button(state):
+        link.robot.load(held if clock.now() >= pressed else sealed)
+        return receive(state)
+
+    link.receive = receive_with_button
+    report = make_loop(SafetyConfig(deadman="R1")).run()
+    assert report.reason == ""
+    assert link.sent[0].time >= pressed
+
+
+def test_a_dead_man_switch_that_is_released_damps(make_loop, link):
+    link.robot.wireless_remote[2] = 1
+    link.at_send(120, lambda: link.robot.wireless_remote.fill(0))
+    report = make_loop(SafetyConfig(deadman="R1")).run()
+    assert report.reason == "R1 was released on the remote (safety.deadman)"
+    assert report.commands == 121 + DAMP
     link.assert_damped()
 
 
@@ -174,7 +289,7 @@ def test_a_robot_that_falls_silent_before_the_first_command_is_waited_for(
     bare_link.subscriber_count = 1
 
     def receive_unless_silent(state):
-        return not silent[0] <= clock.now() - start < silent[1] and receive(state)
+        return None if silent[0] <= clock.now() - start < silent[1] else receive(state)
 
     bare_link.receive = receive_unless_silent
     assert make_loop(link=bare_link).run().reason == ""

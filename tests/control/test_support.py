@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from g1stream.config import load_config
-from g1stream.control.safety import ImuReading
+from g1stream.control.state_checks import ImuReading
 from g1stream.control.support import SupportCheck
 from g1stream.control.time_scale import TimeScale
 from g1stream.programs.rollout import rollout

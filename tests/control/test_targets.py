@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 from g1stream.control.targets import Target, Targets
 from g1stream.dds.messages import Reference
 from g1stream.motion.trajectory import Trajectory
+from g1stream.robot.joints import JOINT_NAMES
 from g1stream.types import Phase
 
 STEP = 1e-5
@@ -222,3 +223,29 @@ def test_other_values_leave_the_original_alone(target):
     assert target.values.tolist() == np.arange(135.0).tolist()
     with pytest.raises(ValueError, match="shape"):
         target.replace(q=np.zeros(28))
+
+
+@pytest.mark.parametrize(
+    ("distance", "length", "peak"), [(0.1, 2.0, 0.09375), (3.2, 4.0, 1.5), (-3.2, 4.0, 1.5)]
+)
+def test_a_long_way_takes_a_longer_ramp(trajectory, distance, length, peak):
+    targets = Targets(trajectory, start=0.1, play=0.3, ramp=2.0, ramp_speed=1.5)
+    start = targets.first.q.copy()
+    start[7] -= distance
+    ramp = targets.begin(start)
+    assert ramp.length == pytest.approx(length)
+    assert ramp.peak_speed == pytest.approx(peak)
+    assert (ramp.joint, ramp.distance) == (JOINT_NAMES[7], pytest.approx(distance))
+    times = np.linspace(0.0, ramp.length, 4001)
+    q = np.array([targets.at(Phase.RAMP, t).q[7] for t in times])
+    speed = np.abs(np.diff(q)).max() / times[1]
+    assert speed <= peak + np.abs(targets.first.dq[7])
+    assert q[0] == pytest.approx(start[7])
+    assert q[-1] == pytest.approx(targets.first.q[7])
+
+
+def test_the_ramp_gets_shorter_again_when_it_begins_nearer(trajectory):
+    targets = Targets(trajectory, start=0.0, play=None, ramp=1.0, ramp_speed=0.5)
+    near = targets.first.q
+    assert targets.begin(near + 1.5).length > 3.0
+    assert targets.begin(near).length == 1.0

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final, get_args
 import numpy as np
 
 from g1stream.control.revision import RevisionFit
-from g1stream.control.safety import ImuReading, all_finite, is_unit
+from g1stream.control.state_checks import STALE, ImuReading, all_finite, is_unit
 from g1stream.control.support import ForceObserver, SupportCheck
 from g1stream.control.time_scale import TimeScale
 from g1stream.motion.blend import minimum_jerk
@@ -24,8 +24,8 @@ from g1stream.types import FeedForwardKind, Floats, Ints, Phase, Support
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from g1stream.config import StreamConfig
     from g1stream.control.targets import Target
+    from g1stream.settings import StreamConfig
 
 __all__ = ["FeedForward"]
 
@@ -33,8 +33,6 @@ _LOGGER = logging.getLogger(__name__)
 
 #: No G1 turns faster than this without having fallen, rad/s.
 _MAX_GYROSCOPE: Final = 30.0
-#: LowState older than this is not used, s: ten states at 500 Hz.
-_STALE: Final = 0.02
 #: The torque fades out, and in again, in this time, s.
 _FADE: Final = 0.1
 #: The revision of the robot is decided on when this share of RAMP has passed.
@@ -72,6 +70,7 @@ class FeedForward:
         kind, support: as given; after `begin`, as decided.
         recorded: as given.
         scale: the measured time scale; None where it is given.
+        ramp: as given; it may be set until RAMP begins.
         saturated: (29,) int64, ticks at which each joint's torque was held at its limit.
         changes: when the torque was switched off and on again, in order.
     """
@@ -101,7 +100,7 @@ class FeedForward:
         self._alternative = alternative
         self._limit = limit
         self._period = period
-        self._ramp = ramp
+        self.ramp = ramp
         self._weight = 1.0  # of the torque, 0 while faded out
         self._fault = ""  # the reported one
         self._tau = np.zeros(N_JOINTS)
@@ -157,11 +156,12 @@ class FeedForward:
             recorded=recorded,
         )
 
-    def begin(self, announced: str | None) -> None:
+    def begin(self, announced: str | None, robot: str | None = None) -> None:
         """Decide on kind and support, and log the decision.
 
         Args:
             announced: the support that the bridge announces; None if it does not.
+            robot: the name of the robot that it announces; None if it does not.
         """
         given = self.support
         self._announced = announced is not None
@@ -190,7 +190,9 @@ class FeedForward:
             )
         if self._dynamics is None or self.support is None or self.recorded:
             return  # observer and check need every tick
-        if self._alternative:
+        if self._alternative and robot == self._alternative.name:
+            self._dynamics = self._alternative
+        elif self._alternative and robot is None:
             self._fit = RevisionFit(self.support, (self._dynamics, self._alternative))
         self._use(self._dynamics)
 
@@ -215,10 +217,10 @@ class FeedForward:
 
         Args:
             time: when it was received, s.
-            q: (29,) rad, motor order.
+            q: (29,) measured, rad, motor order.
             dq: (29,) rad/s.
             tau: (29,) N·m.
-            imu: its reading.
+            imu: of the pelvis.
         """
         phase = self._phase
         if phase is Phase.WAIT or (self.recorded and phase is Phase.PLAY):
@@ -255,12 +257,12 @@ class FeedForward:
         target = target.slowed(self.time_scale)
         if self.kind != "dynamics":
             return target
-        if self._fit and (phase is not Phase.RAMP or elapsed > _DECISION * self._ramp):
+        if self._fit and (phase is not Phase.RAMP or elapsed > _DECISION * self.ramp):
             self._decide(self._fit.position)
             self._fit = None
         self._expected_rate = target.root_ang_vel
         # Within half the ramp: the rest of it corrects the sag under a partial torque.
-        blend = minimum_jerk(2.0 * elapsed / self._ramp)[0] if phase is Phase.RAMP else 1.0
+        blend = minimum_jerk(2.0 * elapsed / self.ramp)[0] if phase is Phase.RAMP else 1.0
         fault = self._find_fault(imu, age)
         if not fault:
             self._tau = self._torque(target, imu)
@@ -287,8 +289,8 @@ class FeedForward:
         """Why no torque can be computed from the newest reading; empty if it can."""
         if self._check and self._check.wrong:
             return f"the robot does not move as with support {self.support}; correct --support"
-        if age > _STALE:
-            return f"LowState is older than {_STALE:g} s"
+        if age > STALE:
+            return f"LowState is older than {STALE:g} s"
         if not all(map(all_finite, imu)):
             return "the IMU reports NaN or infinity"
         if not is_unit(imu.quat_wxyz):

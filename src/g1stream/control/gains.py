@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from g1stream.config import GainsConfig
+    from g1stream.settings import GainsConfig
 
 __all__ = ["Gains", "read_gains", "resolve_gains"]
 
@@ -70,7 +70,8 @@ def read_gains(path: Path) -> dict[str, Any]:
     """
     from pydantic import ValidationError
 
-    from g1stream.config import GainsConfig, read_toml
+    from g1stream.config import read_toml
+    from g1stream.settings import GainsConfig
 
     tables = read_toml(path, "gains file")
     try:

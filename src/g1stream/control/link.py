@@ -5,17 +5,19 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING, Final, Protocol
 
-from g1stream.dds.domain import OBSERVER, support_announced
+from g1stream.control.guard import Takeover
+from g1stream.dds.domain import OBSERVER, robot_announced, support_announced
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.layout import CDR_HEADER, Layout
 from g1stream.dds.ticks import TickGaps
 from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE
 
 if TYPE_CHECKING:
+    from g1stream.control.guard import Heartbeat
     from g1stream.dds.domain import Participant
     from g1stream.dds.messages import LowState
 
-__all__ = ["DdsLink", "Link"]
+__all__ = ["DdsLink", "Link", "count_subscribers"]
 
 #: LowStates that are queued while the loop is not scheduled: 64 ms at 1 kHz without a loss.
 _STATE_DEPTH: Final = 64
@@ -33,8 +35,18 @@ class Link(Protocol):
     def support(self) -> str | None:
         """How the bridge announces to hold the robot; None if it does not."""
 
-    def receive(self, state: LowState) -> bool:
-        """Load the newest LowState since the last call; False if there is none."""
+    def model(self) -> str | None:
+        """The name of the robot that the bridge announces to simulate; None if it does not."""
+
+    def receive(self, state: LowState) -> int | None:
+        """Load the newest LowState since the last call.
+
+        Returns:
+            The identity of its publisher; None if there is no LowState.
+        """
+
+    def state_publishers(self) -> list[str]:
+        """Names of the publishers of LowState, if several have published since the last call."""
 
     def send(self, command: bytes, reference: bytes, stamp: int) -> int:
         """Publish a LowCmd and its Reference, both with the publish time `stamp`, ns.
@@ -43,36 +55,66 @@ class Link(Protocol):
             When the LowCmd was written, ns of CLOCK_MONOTONIC.
         """
 
+    def unguarded(self) -> str:
+        """Why the guard process could not damp the robot, or "" if it could or there is none."""
+
+    def replaced(self) -> str:
+        """Why the guard process damps the robot in our place, or ""."""
+
+
+def count_subscribers(participant: Participant, commands: RawWriter) -> int:
+    """Number of subscribers of LowCmd that a writer is matched with, without observers."""
+    matched = commands.matched
+    if not matched:
+        return 0
+    readers = participant.readers(LOWCMD.name)
+    return max(0, matched - sum(reader.user_data == OBSERVER for reader in readers))
+
 
 class DdsLink:
-    """The link over DDS. Every LowState is counted, the newest one is used."""
+    """The link over DDS. Every LowState is counted, the newest one is used.
 
-    def __init__(self, participant: Participant) -> None:
+    Args:
+        participant: whose domain to use.
+        heartbeat: of the guard process; None: there is none.
+    """
+
+    def __init__(self, participant: Participant, heartbeat: Heartbeat | None = None) -> None:
         self._participant = participant
+        self._heartbeat = heartbeat
         self._commands = RawWriter(participant, LOWCMD)
         self._references = RawWriter(participant, REFERENCE)
         self._states = RawReader(participant, LOWSTATE, depth=_STATE_DEPTH)
         self._others = RawReader(participant, LOWCMD, ignore_own=True, user_data=OBSERVER)
         self._gaps = TickGaps()
+        self._heard: set[int] = set()
         self._own_bridge = False
+        self._matches: tuple[int, int] | None = (0, 0)
+        self._other_names: list[str] = []
         tick = Layout.of(LOWSTATE.message.idl_type)["tick"]
         start = len(CDR_HEADER) + int(tick.offsets)
         self._tick_bytes = slice(start, start + tick.dtype.itemsize)
 
     def subscribers(self) -> int:
         """Number of matched subscribers of LowCmd, without recorders and other observers."""
-        matched = self._commands.matched
-        if not matched:
-            return 0
-        readers = self._participant.readers(LOWCMD.name)
-        return max(0, matched - sum(reader.user_data == OBSERVER for reader in readers))
+        return count_subscribers(self._participant, self._commands)
 
     def other_publishers(self) -> list[str]:
         """Names of other publishers of LowCmd."""
-        if not self._others.matched:
-            return []
-        named = [self._participant.owner(one) for one in self._participant.writers(LOWCMD.name)]
-        return named or ["an unnamed participant"]
+        # Asking for names takes a fraction of a tick, so it is done only when a writer has come or
+        # gone since.
+        matches = self._others.matches
+        if matches != self._matches:
+            self._matches = matches
+            participant = self._participant
+            unknown = matches[0] - len(participant.writers(LOWCMD.name))
+            if unknown > 0:  # not announced yet: ask again
+                self._matches = None
+            self._other_names = [
+                *(participant.owner(one) for one in participant.commanders()),
+                *["an unnamed participant"] * max(0, unknown),
+            ]
+        return self._other_names
 
     def support(self) -> str | None:
         """How the bridge announces to hold the robot; None if it does not."""
@@ -80,15 +122,35 @@ class DdsLink:
         self._own_bridge = self._own_bridge or support is not None
         return support
 
-    def receive(self, state: LowState) -> bool:
-        """Load the newest LowState since the last call; False if there is none."""
+    def model(self) -> str | None:
+        """The name of the robot that the bridge announces to simulate; None if it does not."""
+        return robot_announced(self._participant.writers(LOWSTATE.name))
+
+    def receive(self, state: LowState) -> int | None:
+        """Load the newest LowState since the last call.
+
+        Returns:
+            The identity of its publisher; None if there is no LowState.
+        """
         samples = self._states.take(_STATE_DEPTH)
         if not samples:
-            return False
+            return None
         for sample in samples:
             self._gaps.add(int.from_bytes(sample.data[self._tick_bytes], "little"))
+            self._heard.add(sample.sample_info.publication_handle)
         state.load(samples[-1].data)
-        return True
+        return int(samples[-1].sample_info.publication_handle)
+
+    def state_publishers(self) -> list[str]:
+        """Names of the publishers of LowState, if several have published since the last call.
+
+        One that has died does not count, though DDS may show it for a while.
+        """
+        heard, self._heard = len(self._heard), set()
+        if heard < 2:
+            return []
+        named = [self._participant.owner(one) for one in self._participant.writers(LOWSTATE.name)]
+        return named or ["unnamed participants"]
 
     def send(self, command: bytes, reference: bytes, stamp: int) -> int:
         """Publish a LowCmd and its Reference, both with the publish time `stamp`, ns.
@@ -96,10 +158,23 @@ class DdsLink:
         Returns:
             When the LowCmd was written, ns of CLOCK_MONOTONIC.
         """
+        if self._heartbeat:
+            self._heartbeat.beat(command, time.monotonic_ns())
         self._commands.write(command, stamp)
         written = time.monotonic_ns()
         self._references.write(reference, stamp)
         return written
+
+    def unguarded(self) -> str:
+        """Why the guard process could not damp the robot, or "" if it could or there is none."""
+        if self._heartbeat is None or self._heartbeat.subscribers:
+            return ""
+        return f"the guard process has found no subscriber on {LOWCMD.name}"
+
+    def replaced(self) -> str:
+        """Why the guard process damps the robot in our place, or ""."""
+        why = self._heartbeat.takeover if self._heartbeat else Takeover.NONE
+        return f"the guard process damps the robot: this process {why}" if why else ""
 
     def counts(self) -> dict[str, int | None]:
         """What was received and lost: the fields of `StreamSummary` with these names."""

@@ -8,107 +8,39 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
-from math import inf
 from typing import TYPE_CHECKING, Final
 
 from g1stream.clock import Ticker
+from g1stream.control.commands import MAX_STEP_TIME, Composer
 from g1stream.control.feedforward import FeedForward
-from g1stream.control.gains import resolve_gains
+from g1stream.control.overruns import Overruns
 from g1stream.control.phases import Inputs, PhaseState, Timing, step
 from g1stream.control.report import LoopReport
-from g1stream.control.safety import Envelope, ImuReading, Measured
+from g1stream.control.safety import Safety
 from g1stream.control.targets import Targets
-from g1stream.dds.messages import LowCmd, LowState, Reference
-from g1stream.dds.topics import LOWCMD
+from g1stream.dds.messages import LowState
+from g1stream.dds.topics import LOWCMD, LOWSTATE
 from g1stream.motion.blend import minimum_jerk
-from g1stream.motion.correction import Conditions, CorrectionSpline
-from g1stream.motion.limits import Interval
+from g1stream.motion.correction import CorrectionSpline
 from g1stream.types import Phase
 
 if TYPE_CHECKING:
     from g1stream.clock import Clock
-    from g1stream.config import Config, StreamConfig
-    from g1stream.control.gains import Gains
     from g1stream.control.link import Link
+    from g1stream.control.state_checks import Measured
     from g1stream.control.targets import Target
-    from g1stream.motion.correction import Correction
-    from g1stream.motion.trajectory import Trajectory
-    from g1stream.robot.model import G1
+    from g1stream.types import Floats
 
-__all__ = ["Composer", "LoopReport", "StreamLoop", "make_loop"]
+__all__ = ["LoopReport", "StreamLoop"]
 
 _LOGGER = logging.getLogger(__name__)
 
-#: How long other publishers of LowCmd are waited for before the first command, ns.
-_SETTLE: Final = 100_000_000
 #: How often the loop looks for other publishers afterwards, ns.
 _PUBLISHER_CHECK_PERIOD: Final = 100_000_000
-#: How often it reports skipped ticks, ns.
-_OVERRUN_REPORT_PERIOD: Final = 1_000_000_000
-#: A servo holds its last target for that long without harm, ns; a longer overrun is a warning.
-_LONG_OVERRUN: Final = 20_000_000
+#: Time of the motion that one command may pass, ns.
+_CATCH_UP: Final = round(MAX_STEP_TIME * 1e9)
 #: Longer than any session, ns.
 _FOREVER: Final = 1 << 62
-
-
-class Composer:
-    """Makes the LowCmd and the Reference of a tick.
-
-    Args:
-        envelope: the limits of a command.
-        gains: kp and kd in every phase but DAMP.
-        damp_kd: kd in DAMP, Nm s/rad.
-    """
-
-    def __init__(self, envelope: Envelope, gains: Gains, damp_kd: float) -> None:
-        self._envelope = envelope
-        self._gains = gains
-        self._damp_kd = damp_kd
-        self._command, self._reference = LowCmd(), Reference()
-
-    def begin(self, measured: Measured) -> None:
-        """Enable the motors of the measured robot, with the gains of the motion."""
-        self._envelope.begin(measured.q)
-        command = self._command
-        command.motor_mode = 1
-        command.mode_pr[()] = 0  # the other mode changes the meaning of ankle and waist joints
-        command.mode_machine[()] = measured.mode_machine
-        command.kp[:], command.kd[:] = self._gains
-
-    def damp(self) -> None:
-        """Set the gains of DAMP: kp 0."""
-        self._command.kp[:] = 0.0
-        self._command.kd[:] = self._damp_kd
-
-    def compose(
-        self, due: Target, commanded: Target, phase: Phase, tick: int, ramped: float
-    ) -> tuple[bytes, bytes]:
-        """A sealed LowCmd and its Reference, as they go onto the wire.
-
-        Args:
-            due: the target at their publish time; published as Reference.
-            commanded: the target of the LowCmd, which takes effect later; its torque is published
-                in the Reference too.
-            phase: of the session.
-            tick: number of the Reference.
-            ramped: progress of the ramp, 0 to 1.
-
-        Raises:
-            SafetyError: a value of the command is not finite.
-        """
-        command, reference, envelope = self._command, self._reference, self._envelope
-        q, dq, tau = commanded.q, commanded.dq, commanded.tau
-        limited = envelope.limit(q, ramped)
-        if limited is not q:
-            dq, tau = envelope.keep_inward(q - limited, dq, tau)
-        command.q[:], command.dq[:], command.tau[:] = limited, dq, tau
-        envelope.require_finite(q=command.q, dq=command.dq, tau=command.tau)
-        reference.tick[()] = tick
-        reference.phase[()] = phase
-        reference.motion_time[()] = due.motion_time
-        reference.target[:] = due.published
-        reference.tau[:] = commanded.tau
-        return command.seal(), reference.tobytes()
 
 
 class StreamLoop:
@@ -121,19 +53,22 @@ class StreamLoop:
         link: the wire.
         clock: now, stamp and sleep_until.
         targets: the target of each phase.
-        envelope: limits and safety checks.
+        safety: the checks of what is received.
+        overruns: the ticks that the loop misses.
         timing: length of each phase.
-        gains: kp and kd in every phase but DAMP.
+        composer: makes the commands.
         period: ns between commands.
-        damp_kd: kd in DAMP, Nm s/rad.
         allow_second_writer: play although there is another publisher of LowCmd.
         feedforward: what a command carries beside the position; the velocity alone if left out.
+        soft_start: ns of DAMP before RAMP, so that the first commands are not stiff.
         correction: added to the joint targets of the commands, not to the published reference;
             needs a feed-forward.
 
     Attributes:
         state: the current phase.
         motion_time: where in the motion the loop is, s.
+        damped: whether the last command damped; also true before the first one.
+        stop_requests: how often `request_stop` was called, also after the end.
         report: counts and timing so far, and in the end of the whole run.
     """
 
@@ -142,44 +77,49 @@ class StreamLoop:
         link: Link,
         clock: Clock,
         targets: Targets,
-        envelope: Envelope,
+        safety: Safety,
+        overruns: Overruns,
         timing: Timing,
-        gains: Gains,
+        composer: Composer,
         *,
         period: int,
-        damp_kd: float,
         allow_second_writer: bool = False,
         feedforward: FeedForward | None = None,
+        soft_start: int = 0,
         correction: CorrectionSpline | None = None,
     ) -> None:
         self._link = link
         self._clock = clock
         self._targets = targets
-        self._envelope = envelope
+        self._safety = safety
+        self._overruns = overruns
         self._timing = timing
         self._undamped = replace(timing, hold=_FOREVER)
-        self._composer = Composer(envelope, gains, damp_kd)
+        self._composer = composer
         self._period = period
         self._allow_second_writer = allow_second_writer
         self._feedforward = feedforward
+        self._soft_start = soft_start
+        self._soft_until: int | None = None
         self._correction = correction
-        self._low_state = state = LowState()
-        self._imu = ImuReading(state.quaternion, state.gyroscope, state.accelerometer)
+        self._low_state = LowState()
         self._measured: Measured | None = None
         self._skipped_when_measured = 0
         self._target: Target | None = None
         self._prepared: tuple[bytes, bytes] | None = None
-        self._prepared_for = 0
+        self._prepared_for = self._published_for = 0
         self._stop_reason = ""
-        self._next_publisher_check = 0
-        self._skipped_reported = self._next_overrun_report = self._longest_overrun = 0
+        self._next_publisher_check = self._next_state_check = 0
         self.state = PhaseState(Phase.WAIT, 0)
         self.motion_time = 0.0
-        self.report = LoopReport(period, envelope.clamped)
+        self.damped = True
+        self.stop_requests = 0
+        self.report = LoopReport(period, composer.limits)
 
     def request_stop(self, reason: str) -> None:
         """End the run through DAMP; may be called from a signal handler or another thread."""
         self._stop_reason = self._stop_reason or reason
+        self.stop_requests += 1
 
     def run(self) -> LoopReport:
         """Play until DONE.
@@ -193,6 +133,7 @@ class StreamLoop:
             raise
         finally:
             self.report.reason = self.state.reason
+            self.report.crc_errors = self._safety.crc_errors
             if self._feedforward:
                 self.report.robot = self._feedforward.robot
                 self.report.time_scale = self._feedforward.median_time_scale
@@ -209,14 +150,16 @@ class StreamLoop:
                 skipped_waiting = ticker.skipped
             self.report.skipped = ticker.skipped - skipped_waiting
             self._tick(deadline)
-            self._log_overruns(deadline)
+            self._overruns.count(deadline, self.report.skipped, self.state.phase)
             if self.state.phase is Phase.DONE:
                 break
 
     def _tick(self, deadline: int) -> None:
-        if self._prepared is not None:
-            if self._prepared_for != deadline:
-                self._catch_up(deadline)
+        self._yield_to_guard(deadline)
+        if self._prepared and self._prepared_for != deadline:
+            self._catch_up(deadline)
+        self._publish(deadline)
+        if self._yield_to_guard(deadline):  # it began just before our command
             self._publish(deadline)
         begun = self._clock.now()
         self._receive(begun)
@@ -226,26 +169,33 @@ class StreamLoop:
         if self.report.commands:
             self.report.worst_work = max(self.report.worst_work, self._clock.now() - begun)
 
-    def _log_overruns(self, deadline: int) -> None:
-        """Report skipped ticks immediately, then at most once a second."""
-        new = self.report.skipped - self._skipped_reported
-        if not new or (deadline < self._next_overrun_report and self.state.phase is not Phase.DONE):
-            return
-        self._skipped_reported = self.report.skipped
-        self._next_overrun_report = deadline + _OVERRUN_REPORT_PERIOD
-        level = logging.WARNING if self._longest_overrun >= _LONG_OVERRUN else logging.INFO
-        self._longest_overrun = 0
-        _LOGGER.log(level, "overrun: ticks skipped: %d, %d in total", new, self.report.skipped)
+    def _yield_to_guard(self, deadline: int) -> bool:
+        """Change to DAMP if the guard process has begun to damp the robot; whether it has."""
+        if not self._prepared or self.state.phase >= Phase.DAMP:
+            return False
+        if not (reason := self._link.replaced()):
+            return False
+        self.request_stop(reason)
+        self._advance(self._clock.now(), deadline)
+        self._prepare(deadline)
+        return True
 
     def _catch_up(self, deadline: int) -> None:
-        """After skipped ticks: continue on time, or stop if the target has moved too far."""
+        """After skipped ticks: go on a little further in the motion, or stop after too many.
+
+        The target moves on by no more than `MAX_STEP_TIME`; the rest of the time is added to the
+        phase, so that the motion ends later instead of leaping.
+        """
         gap = deadline - self._prepared_for
-        self._longest_overrun = max(self._longest_overrun, gap)
         if self.state.phase is Phase.DAMP:
             # The length of DAMP counts commands, not time without any.
             self.state = replace(self.state, since=self.state.since + gap)
         else:
-            self.request_stop(self._envelope.stalled(gap))
+            if stalled := self._overruns.stalled(gap):
+                self.request_stop(stalled)
+            delay = max(0, gap - max(0, _CATCH_UP - self._period))
+            self.state = replace(self.state, since=self.state.since + delay)
+            self.report.delay += delay
             now = self._clock.now()
             self._receive(now)  # states that arrived meanwhile, before their age is checked
             self._advance(now, deadline)
@@ -257,38 +207,54 @@ class StreamLoop:
         command, reference = self._prepared
         stamp = self._clock.stamp()
         report = self.report
+        self.damped = self.state.phase is Phase.DAMP
         report.lateness.add(self._link.send(command, reference, stamp) - deadline)
         report.commands += 1
+        self._published_for = self._prepared_for
+        self._composer.limits.sent()
         report.first_stamp = report.first_stamp or stamp
         report.last_stamp = stamp
 
     def _receive(self, now: int) -> None:
-        state = self._low_state
-        if not self._link.receive(state):
+        publisher = self._link.receive(self._low_state)
+        if publisher is None:
+            return
+        measured = self._safety.take(self._low_state, publisher, now, self._target_q)
+        if measured is None:
             return
         self.report.states += 1
         self._skipped_when_measured = self.report.skipped
-        self._measured = Measured(state.q, state.dq, state.quaternion, int(state.mode_machine), now)
+        self._measured = measured
         if self._feedforward:
-            self._feedforward.observe(now / 1e9, state.q, state.dq, state.tau_est, self._imu)
+            q, dq, tau = measured.q, measured.dq, measured.tau
+            self._feedforward.observe(now / 1e9, q, dq, tau, measured.imu)
+
+    @property
+    def _target_q(self) -> Floats | None:
+        """(29,) rad, the newest joint targets; None before the first command."""
+        return self._target.q if self._target else None
 
     def _advance(self, now: int, deadline: int) -> None:
         before = self.state
         unknown = self._robot_unknown(now)
-        missing = unknown or self._no_subscriber() if before.phase is Phase.WAIT else ""
+        missing = ""
+        if before.phase is Phase.WAIT:
+            missing = unknown or self._safety.missing() or self._no_subscriber()
         inputs = Inputs(missing, self._reason_to_stop(now, unknown))
         self.state = step(deadline, before, inputs, self._timing)
         if self.state.phase is not before.phase:
             self._enter_phase(before.phase)
+        elif self._soft_until is not None and self.state.phase is Phase.RAMP:
+            self._damp_before_ramp(deadline)
 
     def _no_subscriber(self) -> str:
-        return "" if self._link.subscribers() else f"no subscriber on {LOWCMD.name}"
+        if not self._link.subscribers():
+            return f"no subscriber on {LOWCMD.name}"
+        return self._link.unguarded()
 
     def _robot_unknown(self, now: int) -> str:
         """Why nothing is known of the robot now, or "" where it is."""
-        if self._measured is None:
-            return "no LowState received"
-        fault = self._envelope.implausible(now, self._measured)
+        fault = self._safety.unknown(now, self._target_q)
         skipped = self.report.skipped - self._skipped_when_measured
         if fault and skipped:
             fault += f"; this machine stalled: the loop skipped {skipped} ticks meanwhile"
@@ -299,11 +265,15 @@ class StreamLoop:
         if self._stop_reason or phase >= Phase.DAMP:
             return self._stop_reason
         if unknown and phase is not Phase.WAIT:
-            return unknown
-        wrong = self._envelope.verdict(self._measured) if self._measured and not unknown else ""
-        return wrong or self._other_publisher(now)
+            return self._several_publishers() or unknown
+        wrong = "" if unknown else self._safety.verdict()
+        return wrong or self._overruns.verdict() or self._other_publisher(now)
 
     def _other_publisher(self, now: int) -> str:
+        if now >= self._next_state_check:
+            self._next_state_check = now + _PUBLISHER_CHECK_PERIOD
+            if several := self._several_publishers():
+                return several
         if self._allow_second_writer or now < self._next_publisher_check:
             return ""
         if self.state.phase is not Phase.WAIT:  # while waiting, every tick
@@ -311,12 +281,19 @@ class StreamLoop:
         others = self._link.other_publishers()
         return f"another publisher on {LOWCMD.name}: {', '.join(others)}" if others else ""
 
+    def _several_publishers(self) -> str:
+        names = self._link.state_publishers()
+        return f"more than one publisher on {LOWSTATE.name}: {', '.join(names)}" if names else ""
+
     def _enter_phase(self, before: Phase) -> None:
         phase, measured = self.state.phase, self._measured
         if phase is Phase.RAMP and measured is not None:
-            self._targets.begin(measured.q)
-            self._composer.begin(measured)
+            self._safety.begin()
+            self._begin(measured)
             self._begin_feedforward()
+            if self._soft_start:
+                self._soft_until = self.state.since + self._soft_start
+                self._composer.damp()
         elif phase is Phase.DAMP:
             self._composer.damp()
         if self.state.reason and before < Phase.DAMP:
@@ -324,11 +301,31 @@ class StreamLoop:
         else:
             _LOGGER.info("%s -> %s", before.name, phase.name)
 
+    def _damp_before_ramp(self, deadline: int) -> None:
+        """Begin RAMP anew from the pose measured now, until the soft start is over."""
+        self.state = replace(self.state, since=deadline)
+        if self._measured:
+            self._begin(self._measured)
+        if self._soft_until is not None and deadline < self._soft_until:
+            self._composer.damp()
+            return
+        self._soft_until = None
+        _LOGGER.info("soft start: damped for %g s", self._soft_start / 1e9)
+
+    def _begin(self, measured: Measured) -> None:
+        """Begin RAMP at the measured pose."""
+        self._composer.begin(measured.q, measured.mode_machine)
+        self.report.ramp = ramp = self._targets.begin(measured.q)
+        self._timing = replace(self._timing, ramp=round(ramp.length * 1e9))
+        self._undamped = replace(self._timing, hold=_FOREVER)
+        if self._feedforward:
+            self._feedforward.ramp = ramp.length
+
     def _begin_feedforward(self) -> None:
         feedforward, report = self._feedforward, self.report
         if feedforward is None:
             return
-        feedforward.begin(self._link.support())
+        feedforward.begin(self._link.support(), self._link.model())
         report.feedforward = "recorded" if feedforward.recorded else feedforward.kind
         report.support = feedforward.support
         report.saturated, report.feedforward_changes = feedforward.saturated, feedforward.changes
@@ -338,12 +335,15 @@ class StreamLoop:
     def _prepare(self, deadline: int) -> None:
         phase, elapsed = self.state.phase, self.state.elapsed(deadline) / 1e9
         commanded = due = self._targets.at(phase, elapsed)
-        if self._feedforward and self._measured and phase is not Phase.DAMP:
+        soft = phase is Phase.DAMP or self._soft_until is not None
+        if self._feedforward and self._measured and not soft:
             preview = self._feedforward.preview
             effective = self._target_at(deadline + round(preview * 1e9)) if preview else due
             effective = self._corrected(effective)
             age = (self._clock.now() - self._measured.received) / 1e9
-            commanded = self._feedforward.command(phase, elapsed, effective, self._imu, age)
+            commanded = self._feedforward.command(
+                phase, elapsed, effective, self._measured.imu, age
+            )
         self._compose(due, commanded, deadline)
 
     def _corrected(self, target: Target) -> Target:
@@ -358,9 +358,21 @@ class StreamLoop:
         return self._targets.at(state.phase, state.elapsed(then) / 1e9)
 
     def _compose(self, due: Target, commanded: Target, deadline: int) -> None:
+        phase = self.state.phase if self._soft_until is None else Phase.DAMP
+        since = self._published_for or deadline - self._period
+        measured = self._measured
         self._prepared = self._composer.compose(
-            due, commanded, self.state.phase, self.report.commands, self._ramped(deadline)
+            due,
+            commanded,
+            phase,
+            self.report.commands,
+            elapsed=(deadline - since) / 1e9,
+            ramped=self._ramped(deadline),
+            measured=measured,
+            age=(deadline - measured.received) / 1e9 if measured else 0.0,
         )
+        if fault := self._composer.limits.fault:
+            self.request_stop(fault)
         self._prepared_for = deadline
         self.motion_time = due.motion_time
         self._target = due
@@ -403,75 +415,3 @@ class StreamLoop:
                 deadline += self._period
         if failure:
             raise failure
-
-
-def make_loop(
-    config: Config,
-    robot: G1,
-    trajectory: Trajectory,
-    link: Link,
-    clock: Clock,
-    *,
-    settle: int = _SETTLE,
-    recorded: bool = False,
-    correction: Correction | None = None,
-) -> StreamLoop:
-    """The loop that plays a trajectory as configured, not yet running.
-
-    Args:
-        config: all settings.
-        robot: the robot whose limits and dynamics apply.
-        trajectory: the motion.
-        link: the wire.
-        clock: now, stamp and sleep_until.
-        settle: how long other publishers are waited for before the first command, ns.
-        recorded: the link replaces the commands of PLAY by recorded ones.
-        correction: of the joint targets.
-
-    Raises:
-        ConfigError: the interval to play, the gains or the margin to the limits are invalid, or
-            the correction is not for this motion and these settings.
-        RobotError: the inverse dynamics of this robot cannot be computed.
-    """
-    settings = config.stream
-    interval = Interval.from_config(settings, trajectory.motion)
-    period = round(1e9 / settings.rate)  # whole, because deadlines are
-    gains = resolve_gains(config.gains)
-    spline = None
-    if correction:
-        _require_fit(correction, settings, robot, trajectory, gains)
-        stop = inf if interval.length is None else interval.start + interval.length
-        spline = CorrectionSpline(correction, interval.start, stop)
-    return StreamLoop(
-        link,
-        clock,
-        Targets(trajectory, start=interval.start, play=interval.length, ramp=settings.ramp),
-        Envelope(robot, config.safety),
-        Timing.from_config(settings, interval.length, settle=settle + period),
-        gains,
-        period=period,
-        damp_kd=settings.damp_kd,
-        allow_second_writer=config.safety.allow_second_writer,
-        feedforward=FeedForward.from_config(settings, robot, period / 1e9, recorded=recorded),
-        correction=spline,
-    )
-
-
-def _require_fit(
-    correction: Correction, settings: StreamConfig, robot: G1, trajectory: Trajectory, gains: Gains
-) -> None:
-    """Refuse a correction for another motion or settings, as far as they are known now."""
-    learned, motion = correction.conditions, trajectory.motion
-    correction.require(
-        Conditions(
-            motion=motion.name,
-            motion_sha256=motion.content_sha256,
-            robot=robot.name,
-            rate=settings.rate,
-            kp=gains.kp,
-            kd=gains.kd,
-            # Without a setting, both are decided when the robot's state and support are known.
-            feedforward=settings.feedforward or learned.feedforward,
-            support=settings.support or learned.support,
-        )
-    )

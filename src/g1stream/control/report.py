@@ -12,6 +12,8 @@ from g1stream.session.summary import FeedForwardChange, Percentiles, StreamSumma
 from g1stream.types import Ints
 
 if TYPE_CHECKING:
+    from g1stream.control.commands import CommandLimits
+    from g1stream.control.targets import Ramp
     from g1stream.types import FeedForwardKind, Support
 
 __all__ = ["Lateness", "LoopReport"]
@@ -56,7 +58,7 @@ class LoopReport:
 
     Attributes:
         period: ns between deadlines.
-        clamped: (29,) ticks at which each joint's target was held at its limit.
+        limits: of the commands; they count what they have changed.
         saturated: (29,) ticks at which each joint's feed-forward torque was held at its limit.
         reason: why it ended early; empty when the motion was played to its end.
         feedforward, support: of the commands, and how the robot was taken to be held; None until
@@ -66,14 +68,17 @@ class LoopReport:
         time_scale: median of simulated over real time, as measured.
         commands: LowCmds written.
         states: LowStates received, of those that were the newest at a tick.
+        crc_errors: of these, how many were dropped because of a wrong CRC.
         first_stamp, last_stamp: publish times of the first and last LowCmd, ns since the epoch.
+        ramp: the way to the first frame; None until it begins.
+        delay: by which the motion ended later because of stalls, ns.
         skipped: ticks left out because they were a whole period late or more.
         worst_work: longest time from a write to the end of the tick's computation, ns.
         lateness: of each write against its deadline.
     """
 
     period: int
-    clamped: Ints
+    limits: CommandLimits
     saturated: Ints = field(default_factory=lambda: np.zeros(N_JOINTS, np.int64))
     reason: str = ""
     feedforward: FeedForwardKind | Literal["recorded"] | None = None
@@ -83,8 +88,11 @@ class LoopReport:
     time_scale: float | None = None
     commands: int = 0
     states: int = 0
+    crc_errors: int = 0
     first_stamp: int = 0
     last_stamp: int = 0
+    ramp: Ramp | None = None
+    delay: int = 0
     skipped: int = 0
     worst_work: int = 0
     lateness: Lateness = field(default_factory=Lateness)
@@ -110,7 +118,13 @@ class LoopReport:
             lateness_us=percentiles,
             skipped_ticks=self.skipped,
             worst_work_us=self.worst_work / 1e3,
-            clamped_ticks=by_joint(self.clamped.tolist()),
+            ramp_s=self.ramp.length if self.ramp else None,
+            ramp_speed_rad_s=self.ramp.peak_speed if self.ramp else None,
+            ramp_joint=self.ramp.joint if self.ramp else None,
+            delay_s=self.delay / 1e9,
+            clamped_ticks=by_joint(self.limits.clamped.tolist()),
+            speed_limited_ticks=by_joint(self.limits.speed_limited.tolist()),
+            torque_limited_ticks=by_joint(self.limits.torque_limited.tolist()),
             saturated_ticks=by_joint(self.saturated.tolist()),
             feedforward=self.feedforward,
             support=self.support,
@@ -118,5 +132,6 @@ class LoopReport:
             robot=self.robot,
             time_scale=self.time_scale,
             states_used=self.states,
+            states_wrong_crc=self.crc_errors,
             lateness_histogram_us=late.sparse(),
         )

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from g1stream.control.safety import ImuReading
+    from g1stream.control.state_checks import ImuReading
     from g1stream.robot.dynamics import InverseDynamics
     from g1stream.types import Support
 
@@ -141,13 +141,7 @@ class RevisionFit:
     ) -> None:
         """Add a reading; at most one model is solved for in a call.
 
-        Args:
-            time: when it was received, s.
-            q: (29,) measured, rad, motor order.
-            dq: (29,) rad/s.
-            tau: (29,) N·m.
-            imu: in the pelvis.
-            scale: simulated over real time.
+        `FeedForward.observe` describes the reading; `scale` is simulated over real time.
         """
         next(self._work, None)
         if not 0.0 < time - self._last <= self.GAP:

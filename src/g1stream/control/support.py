@@ -14,7 +14,7 @@ from g1stream.types import Floats
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from g1stream.control.safety import ImuReading
+    from g1stream.control.state_checks import ImuReading
     from g1stream.robot.dynamics import InverseDynamics
     from g1stream.types import Support
 
@@ -128,13 +128,8 @@ class SupportCheck:
     ) -> None:
         """Add a reading.
 
-        Args:
-            time: when it was received, s.
-            q: (29,) measured, rad, motor order.
-            dq: (29,) rad/s.
-            imu: of the pelvis.
-            expected: (3,) rad/s, angular velocity of the pelvis in the reference.
-            scale: simulated over real time.
+        `FeedForward.observe` describes it; `expected` is the angular velocity (3,) of the pelvis in
+        the reference, rad/s; `scale` is simulated over real time.
         """
         if not 0.0 <= time - self._received <= self._GAP:
             self._start = -np.inf

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from math import inf
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from g1stream.motion.blend import COAST, coast, minimum_jerk
-from g1stream.robot.joints import N_JOINTS
+from g1stream.motion.blend import COAST, MINIMUM_JERK_PEAK, coast, minimum_jerk
+from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.rotations import quat_from_axis_angle, quat_mul
 from g1stream.types import Floats, Phase
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
     from g1stream.motion.trajectory import Trajectory, TrajectoryPoint
 
-__all__ = ["Target", "Targets"]
+__all__ = ["Ramp", "Target", "Targets"]
 
 _N: Final = N_JOINTS
 _NO_TORQUE: Final = np.zeros(N_JOINTS)
@@ -74,6 +75,11 @@ class Target:
     root_ang_acc = _Part(4 * _N + 16, 3)
     published = _Part(0, 4 * _N + 13)
 
+    @property
+    def q_dq(self) -> Floats:
+        """(2, 29) q and dq."""
+        return self.values[: 2 * _N].reshape(2, _N)
+
     @staticmethod
     def of(time: float, point: TrajectoryPoint) -> Target:
         """The target at motion time `time`, s, from a sample of the trajectory; zero torque."""
@@ -118,6 +124,39 @@ class Target:
         return self.replace(dq=0.0, ddq=0.0, tau=0.0, **dict.fromkeys(moving, 0.0))
 
 
+class Ramp(NamedTuple):
+    """The way from the measured pose to the first frame.
+
+    Attributes:
+        length: s.
+        joint: the one with the longest way.
+        distance: of that joint, rad, signed.
+    """
+
+    length: float
+    joint: str
+    distance: float
+
+    @property
+    def peak_speed(self) -> float:
+        """Highest speed of that joint, rad/s; its speed at the first frame comes on top."""
+        return MINIMUM_JERK_PEAK * abs(self.distance) / self.length
+
+    @classmethod
+    def of(cls, distance: Floats, least: float, speed: float) -> Ramp:
+        """The shortest ramp of at least `least` seconds in which no joint passes `speed`, rad/s.
+
+        Args:
+            distance: (29,) from the measured pose to the first frame, rad.
+            least: s.
+            speed: rad/s.
+        """
+        joint = int(np.abs(distance).argmax())
+        furthest = float(distance[joint])
+        length = max(least, MINIMUM_JERK_PEAK * abs(furthest) / speed)
+        return cls(length, JOINT_NAMES[joint], furthest)
+
+
 class Targets:
     """The target of each phase at any time.
 
@@ -128,24 +167,38 @@ class Targets:
         trajectory: the motion.
         start: motion time at which PLAY begins, s.
         play: how much of the motion is played, s; None: until stopped.
-        ramp: length of RAMP, s.
+        ramp: shortest length of RAMP, s.
+        ramp_speed: highest speed of a joint on the way to the first frame, rad/s.
+
+    Attributes:
+        first: the target at `start`.
     """
 
     def __init__(
-        self, trajectory: Trajectory, *, start: float, play: float | None, ramp: float
+        self,
+        trajectory: Trajectory,
+        *,
+        start: float,
+        play: float | None,
+        ramp: float,
+        ramp_speed: float = inf,
     ) -> None:
         self._trajectory = trajectory
         self._start = start
         self._play = play
-        self._ramp = ramp
+        self._least_ramp = self._ramp = ramp
+        self._ramp_speed = ramp_speed
         self._from: Floats | None = None
-        self._first = Target.of(start, trajectory.sample(start))
-        self._last = self._first.at_rest()
-        self._sampled = self._first
+        self.first = Target.of(start, trajectory.sample(start))
+        self._last = self.first.at_rest()
+        self._sampled = self.first
 
-    def begin(self, q: NDArray[np.floating]) -> None:
-        """Set the measured pose (29,) from which RAMP starts, rad."""
+    def begin(self, q: NDArray[np.floating]) -> Ramp:
+        """Set the measured pose (29,) from which RAMP starts, rad, and return the ramp."""
         self._from = np.asarray(q, dtype=np.float64).copy()
+        ramp = Ramp.of(self.first.q - self._from, self._least_ramp, self._ramp_speed)
+        self._ramp = ramp.length
+        return ramp
 
     def at(self, phase: Phase, elapsed: float) -> Target:
         """The target `elapsed` seconds into a phase.
@@ -176,11 +229,11 @@ class Targets:
             raise RuntimeError("RAMP has no start pose: call begin() first")
         left = max(0.0, self._ramp - elapsed)
         way, rate, acceleration = coast(left, min(COAST, self._ramp))  # braking in reverse
-        goal = _coasting(self._first, -way, rate, -acceleration)
+        goal = _coasting(self.first, -way, rate, -acceleration)
         progress, speed, change = minimum_jerk(elapsed / self._ramp)
-        distance = self._first.q - self._from
+        distance = self.first.q - self._from
         return goal.replace(
-            q=self._from + progress * distance - way * self._first.dq,
+            q=self._from + progress * distance - way * self.first.dq,
             dq=goal.dq + speed / self._ramp * distance,
             ddq=goal.ddq + change / self._ramp**2 * distance,
         )

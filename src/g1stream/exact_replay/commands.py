@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from g1stream.config import MAX_KD, MAX_KP
-from g1stream.control.safety import STATE_TIMEOUT, Envelope
+from g1stream.control.commands import MAX_STEP_TIME, SPEED_TOLERANCE, CommandLimits
+from g1stream.control.state_checks import STATE_TIMEOUT
 from g1stream.dds.layout import CDR_HEADER, Layout
 from g1stream.dds.messages import LowCmd
 from g1stream.errors import RecordingError, SafetyError
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.session.streams import Command, Reference
+from g1stream.settings import MAX_KD, MAX_KP
 from g1stream.types import Floats, Phase
 
 if TYPE_CHECKING:
@@ -25,15 +26,12 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from g1stream.config import SafetyConfig
     from g1stream.dds.messages import Samples
     from g1stream.robot.model import G1
+    from g1stream.safety_settings import SafetyConfig
     from g1stream.session.session import Session
 
-__all__ = ["MAX_STEP_TIME", "RecordedCommands", "find_jump", "recorded_commands"]
-
-MAX_STEP_TIME: Final = 0.02
-"""A target may move in one step by what its joint can do in this time, s."""
+__all__ = ["RecordedCommands", "find_jump", "recorded_commands"]
 
 #: Tolerance for values that were rounded to float32, relative above 1.
 _ROUNDING: Final = 1e-6
@@ -134,7 +132,7 @@ class _CommandChecks:
     """Checks of single commands against the safety envelope."""
 
     def __init__(self, robot: G1, safety: SafetyConfig) -> None:
-        Envelope(robot, safety)  # raises if the margin leaves no range
+        CommandLimits(robot, safety)  # raises if the margin leaves no range
         margin, zero = safety.position_margin, np.zeros(N_JOINTS)
         self._margin = f" with safety.position_margin = {margin:g} rad" if margin else ""
         self._limits: tuple[tuple[str, str, Floats, Floats], ...] = (
@@ -235,7 +233,7 @@ def find_jump(times: Floats, q: NDArray[np.float32], velocity: Floats, jitter: f
     joints, needed = durations.argmax(axis=1), durations.max(axis=1)
     between, rounding = np.diff(times), _ROUNDING / velocity.min()
     allowed = np.minimum(between + jitter, MAX_STEP_TIME)
-    jumps = np.flatnonzero(needed > 1.001 * allowed + rounding)
+    jumps = np.flatnonzero(needed > (1.0 + SPEED_TOLERANCE) * allowed + rounding)
     if len(jumps):
         i, joint = int(jumps[0]), int(joints[jumps[0]])
         return (
@@ -244,7 +242,7 @@ def find_jump(times: Floats, q: NDArray[np.float32], velocity: Floats, jitter: f
             f"{velocity[joint] * allowed[i]:.3f} rad"
         )
     # The delay of the slowest joint: time that is missing adds up, spare time reduces it to 0.
-    total = np.cumsum(needed - 1.001 * between - rounding)
+    total = np.cumsum(needed - (1.0 + SPEED_TOLERANCE) * between - rounding)
     delay = total - np.minimum(np.minimum.accumulate(total), 0.0)
     late = np.flatnonzero(delay > MAX_STEP_TIME)
     if len(late):

@@ -6,16 +6,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from g1stream.control.commands import MAX_STEP_TIME
 from g1stream.control.link import DdsLink
 from g1stream.dds.messages import LowCmd, Reference
 from g1stream.errors import SafetyError
-from g1stream.exact_replay.commands import MAX_STEP_TIME
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.types import Phase
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from g1stream.control.guard import Heartbeat
     from g1stream.dds.domain import Participant
     from g1stream.exact_replay.commands import RecordedCommands
 
@@ -25,19 +26,22 @@ __all__ = ["RecordedLink"]
 class RecordedLink(DdsLink):
     """Publishes, during PLAY, the recorded command nearest in time, bit for bit.
 
-    RAMP, HOLD, DAMP and the safety checks are the loop's. When the loop skips ticks, commands are
-    skipped with them, and the next step may exceed `MAX_STEP_TIME`: as for any motion,
-    safety.state_timeout limits how long the loop may stall. The commands were checked beforehand,
-    so that each joint can follow in the time that has passed; stopping a moving robot would be
-    worse.
+    RAMP, HOLD, DAMP and the safety checks are the loop's. When the loop skips ticks, at most the
+    commands of `MAX_STEP_TIME` are skipped with them, as of any motion.
 
     Args:
         participant: whose domain to use.
         recorded: the commands.
+        heartbeat: of the guard process; None: there is none.
     """
 
-    def __init__(self, participant: Participant, recorded: RecordedCommands) -> None:
-        super().__init__(participant)
+    def __init__(
+        self,
+        participant: Participant,
+        recorded: RecordedCommands,
+        heartbeat: Heartbeat | None = None,
+    ) -> None:
+        super().__init__(participant, heartbeat)
         # A command is the nearest between the midpoints to its neighbours.
         self._until = (recorded.times[1:] + recorded.times[:-1]) / 2.0
         self._data = recorded.data

@@ -5,6 +5,8 @@ from itertools import pairwise
 
 import pytest
 
+from g1stream.control.overruns import Overruns
+from g1stream.safety_settings import SafetyConfig
 from g1stream.types import Phase
 
 MS = 1_000_000
@@ -57,6 +59,34 @@ def test_more_of_them_are_logged_once_a_second_and_none_is_left_out(make_loop, c
     assert report.skipped == 12
     # The run is over within the second: the rest is logged with the last tick.
     assert overruns() == [(3, 3), (9, 12)]
+
+
+def test_a_stall_has_a_limit():
+    overruns = Overruns(PERIOD, SafetyConfig(state_timeout=0.1))
+    assert overruns.stalled(100 * MS) == ""
+    assert overruns.stalled(100 * MS + 1).startswith("the loop stalled for 0.100 s")
+
+
+@pytest.mark.parametrize(("skips", "gap", "stops"), [(10, 100, False), (11, 90, True)])
+def test_missed_ticks_have_a_budget_for_a_second(skips, gap, stops):
+    """50 of 500 Hz; what was missed more than a second ago does not count."""
+    overruns = Overruns(PERIOD, SafetyConfig(max_missed_ticks=0.1))
+    verdicts = []
+    for i in range(1, skips + 11):
+        overruns.count(i * gap * MS, 5 * i, Phase.PLAY)
+        verdicts.append(overruns.verdict())
+    assert any(verdicts) == stops
+    assert not stops or "missed 55 of 500 ticks" in next(filter(None, verdicts))
+
+
+def test_a_loop_that_misses_too_many_ticks_damps(make_loop, link, clock):
+    """Each second tick; the first half second of the motion is enough."""
+    for n in range(80, 300, 2):
+        clock.oversleeps[tick(clock, n)] = PERIOD
+    report = make_loop(SafetyConfig(max_missed_ticks=0.1)).run()
+    assert "safety.max_missed_ticks = 0.1" in report.reason
+    assert "missed 51 of 500 ticks" in report.reason
+    link.assert_damped()
 
 
 def test_skipped_ticks_are_never_sent_in_a_burst(make_loop, link, clock):

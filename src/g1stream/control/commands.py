@@ -1,0 +1,338 @@
+"""The command of a tick: what is asked of the joints, kept within the robot's limits, as a LowCmd.
+
+docs/safety.md explains every limit.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from g1stream.control.state_checks import STALE, all_finite
+from g1stream.dds.messages import LowCmd, Reference
+from g1stream.errors import ConfigError, SafetyError
+from g1stream.motion.limits import POSITION_TOLERANCE
+from g1stream.robot.joints import N_JOINTS
+from g1stream.types import Floats, Phase
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from g1stream.control.gains import Gains
+    from g1stream.control.state_checks import Measured
+    from g1stream.control.targets import Target
+    from g1stream.robot.model import G1
+    from g1stream.safety_settings import SafetyConfig
+    from g1stream.types import BeyondLimits
+
+__all__ = ["MAX_STEP_TIME", "SPEED_TOLERANCE", "CommandLimits", "Composer"]
+
+MAX_STEP_TIME: Final = 0.02
+"""A joint target may move in one step by what its joint can do in this time, s.
+
+Ten periods at 500 Hz: shorter than a person or a servo notices, and longer than the jitter of a
+loop on an ordinary system. It is also the longest time by which a target may lag behind, because
+its joint is too slow for it, and the most of a motion that is caught up on after a stall.
+"""
+
+SPEED_TOLERANCE: Final = 1e-3
+"""Relative tolerance of a joint's speed: a motion exactly at its limit passes."""
+
+
+class CommandLimits:
+    """Keeps commands within what the robot's joints can do.
+
+    Positions and velocities are the rows of one array (2, 29), which takes half the time of two.
+
+    Args:
+        robot: has the limits.
+        config: the margin to the position limits.
+        beyond: what was asked for a motion beyond the limits: with `refuse`, a target that its
+            joint cannot follow ends the session; with `anyway`, speed and torque are not limited.
+
+    Attributes:
+        clamped: (29,) int64, ticks at which each joint's target was clamped to a position limit; as
+            in `measure_limits`, not those that exceed it by less than `POSITION_TOLERANCE`.
+        speed_limited: (29,) ticks at which its step or velocity was cut to the velocity limit.
+        torque_limited: (29,) ticks at which its target was brought nearer to the measured one.
+        fault: why the session must end: the joint that cannot follow its target; "" otherwise.
+
+    Raises:
+        ConfigError: the margin leaves no range for a joint.
+    """
+
+    def __init__(self, robot: G1, config: SafetyConfig, beyond: BeyondLimits = "refuse") -> None:
+        self._names = robot.joint_names
+        self._lower = robot.lower + config.position_margin
+        self._upper = robot.upper - config.position_margin
+        narrowest = int(np.argmin(robot.upper - robot.lower))
+        if self._lower[narrowest] > self._upper[narrowest]:
+            raise ConfigError(
+                f"safety.position_margin = {config.position_margin:g} rad leaves no range for "
+                f"{self._names[narrowest]}, whose limits are {robot.lower[narrowest]:g} and "
+                f"{robot.upper[narrowest]:g} rad.",
+                "Set a margin below half of that range.",
+            )
+        self._velocity, self._effort = robot.velocity, robot.torque_limit
+        self._beyond = beyond
+        self._begun: Floats = (robot.lower + robot.upper) / 2
+        #: Largest step, rad, and velocity, rad/s.
+        self._reach = np.stack([robot.velocity] * 2) * (1.0 + SPEED_TOLERANCE)
+        self._fastest = self._reach[1].copy()
+        #: Positions of the last command, with zeros for velocities, before the torque was limited.
+        self._aimed, self._next_aimed = np.zeros((2, 2, N_JOINTS))
+        #: Positions of the last command where the torque was limited.
+        self._eased: Floats | None = None
+        self._next_eased: Floats | None = None
+        self._state = np.zeros((2, N_JOINTS))
+        self.clamped, self.speed_limited, self.torque_limited = np.zeros((3, N_JOINTS), np.int64)
+        self.fault = ""
+
+    def begin(self, q: NDArray[np.floating]) -> None:
+        """Set the measured pose (29,) from which RAMP starts, rad; it may violate the limits."""
+        self._begun = np.asarray(q, dtype=np.float64).copy()
+        self._aimed[0], self._eased = q, None
+
+    def apply(
+        self,
+        asked: Floats,
+        tau: Floats,
+        *,
+        elapsed: float,
+        ramped: float = 1.0,
+        gains: Floats | None = None,
+        measured: Measured | None = None,
+        age: float = 0.0,
+    ) -> tuple[Floats, Floats]:
+        """The nearest command within the limits of position, then of speed, then of torque.
+
+        Args:
+            asked: (2, 29) position and velocity, rad and rad/s.
+            tau: (29,) N·m.
+            elapsed: time since the command before, s.
+            ramped: progress of the ramp, 0 to 1.
+            gains: (2, 29) kp and kd, N·m/rad and N·m·s/rad.
+            measured: the newest LowState; None: the torque is not limited.
+            age: of that when the command takes effect, s.
+
+        Returns:
+            As `asked` and `tau`; `asked` itself where nothing is limited.
+        """
+        q = asked[0]
+        limited = self.limit_position(q, ramped)
+        if limited is not q:
+            dq, tau = self.keep_inward(q - limited, asked[1], tau)
+            asked = np.stack([limited, dq])
+        if self._beyond == "anyway":
+            return asked, tau
+        np.multiply(self._fastest, min(elapsed, MAX_STEP_TIME), out=self._reach[0])
+        aimed = eased = self._limit_speed(asked)
+        if gains is not None and measured and age <= STALE + min(elapsed, MAX_STEP_TIME):
+            eased = self._limit_torque(aimed, tau, gains, measured, age)
+        self._next_eased = None
+        if eased is not aimed or self._eased is not None:
+            # To the torque limit and back, too, no target leaps.
+            before, reach = self._aimed[0] if self._eased is None else self._eased, self._reach[0]
+            eased = np.stack([np.clip(eased[0], before - reach, before + reach), eased[1]])
+            if not np.array_equal(eased, aimed):
+                self._next_eased = eased[0]
+        self._next_aimed[0] = aimed[0]
+        return eased, tau
+
+    def sent(self) -> None:
+        """The last command has been sent: the step of the next one begins at it."""
+        self._aimed, self._next_aimed = self._next_aimed, self._aimed
+        self._eased = self._next_eased
+
+    def limit_position(self, q: Floats, ramped: float = 1.0) -> Floats:
+        """Joint targets (29,) clamped to the limits, rad; `q` itself if none is clamped.
+
+        For a joint that starts RAMP outside a limit, the limit moves from the start pose to its
+        final value with the ramp, so that the command has no step.
+
+        Args:
+            q: the targets, rad.
+            ramped: progress of the ramp, 0 to 1.
+        """
+        lower, upper = self._lower, self._upper
+        if ramped < 1.0:
+            begun = self._begun
+            lower = np.minimum(lower, begun + ramped * (lower - begun))
+            upper = np.maximum(upper, begun + ramped * (upper - begun))
+        limited: Floats = np.minimum(np.maximum(q, lower), upper)
+        moved = limited - q
+        if not np.count_nonzero(moved):
+            return q
+        self.clamped += np.abs(moved) > POSITION_TOLERANCE
+        return limited
+
+    @staticmethod
+    def keep_inward(excess: Floats, dq: Floats, tau: Floats) -> tuple[Floats, Floats]:
+        """Velocities and torques (29,) that do not drive a clamped joint into its limit.
+
+        Args:
+            excess: how far each target was above its upper limit, or below its lower one
+                (negative), rad.
+            dq: target velocities, rad/s.
+            tau: feed-forward torques, N·m.
+
+        Returns:
+            dq, zero for clamped joints, and tau, zero for clamped joints that it pushes outward.
+        """
+        return np.where(excess, 0.0, dq), np.where(excess * tau > 0.0, 0.0, tau)
+
+    def require_finite(self, asked: NDArray[np.floating]) -> None:
+        """Refuse a command (3, 29) with NaN or infinity in its q, dq or tau.
+
+        To be called before the limits, which would hide an infinite position.
+
+        Raises:
+            SafetyError: names the first such value and its joint.
+        """
+        if all_finite(asked.ravel()):
+            return
+        row, joint = np.argwhere(~np.isfinite(asked))[0]
+        raise SafetyError(
+            f"The command for {self._names[joint]} has {('q', 'dq', 'tau')[row]} = "
+            f"{asked[row, joint]}.",
+            "Check the motion with `g1stream motion`, and the URDF.",
+        )
+
+    def _limit_speed(self, asked: Floats) -> Floats:
+        """Targets (2, 29) that the joints reach from those before; the same object if these are.
+
+        The rule is that of `g1stream.exact_replay.commands.find_jump`.
+        """
+        change = asked - self._aimed
+        beyond = np.abs(change) > self._reach
+        if not np.count_nonzero(beyond):
+            return asked
+        limited: Floats = self._aimed + np.clip(change, -self._reach, self._reach)
+        self.speed_limited += beyond.any(axis=0)
+        lag = np.abs(asked[0] - limited[0]) / self._velocity
+        joint = int(lag.argmax())
+        if self._beyond == "refuse" and lag[joint] > MAX_STEP_TIME and not self.fault:
+            self.fault = (
+                f"{self._names[joint]} cannot follow its target, {asked[0, joint]:.3f} rad: at "
+                f"{self._velocity[joint]:g} rad/s it would be {lag[joint]:.3f} s late "
+                f"(limit {MAX_STEP_TIME:g} s)"
+            )
+        return limited
+
+    def _limit_torque(
+        self, asked: Floats, tau: Floats, gains: Floats, measured: Measured, age: float
+    ) -> Floats:
+        """Targets (2, 29) with a torque that the motors have; the same object if these have it.
+
+        The servo's torque is kp (q - measured q) + kd (dq - measured dq) + tau. What is too much is
+        taken from the first share, by moving the target towards the measured position, and then
+        from the second. So no torque is added to what was asked for, the servo keeps its damping as
+        far as possible, and a joint that is held back is pushed with what its motor has. `tau` is
+        within the limit by itself.
+        """
+        state = self._state
+        state[0], state[1] = measured.q, measured.dq
+        state[0] += age * state[1]
+        shares = gains * (asked - state)
+        torque = shares[0] + shares[1] + tau
+        if not np.count_nonzero(np.abs(torque) > self._effort):
+            return asked
+        excess = torque - np.clip(torque, -self._effort, self._effort)
+        self.torque_limited += excess != 0.0
+        eased: Floats = asked.copy()
+        for row in (0, 1):
+            less = np.clip(shares[row], np.minimum(excess, 0.0), np.maximum(excess, 0.0))
+            excess = excess - less
+            eased[row] -= np.divide(less, gains[row], out=np.zeros(N_JOINTS), where=less != 0.0)
+        # A robot beyond a position limit draws no target beyond it.
+        lower, upper = np.minimum(asked[0], self._lower), np.maximum(asked[0], self._upper)
+        eased[0] = np.clip(eased[0], lower, upper)
+        return eased
+
+
+class Composer:
+    """Makes the LowCmd and the Reference of a tick.
+
+    Args:
+        limits: of a command.
+        gains: kp and kd in every phase but DAMP.
+        damp_kd: kd in DAMP, Nm s/rad.
+
+    Attributes:
+        limits: as given; it counts what it has changed.
+    """
+
+    def __init__(self, limits: CommandLimits, gains: Gains, damp_kd: float) -> None:
+        self.limits = limits
+        self._gains = gains
+        self._damp_kd = damp_kd
+        self._servo: Floats = np.stack(gains)
+        self._wire = np.zeros((3, N_JOINTS), np.float32)
+        self._command, self._reference = LowCmd(), Reference()
+
+    def begin(self, q: NDArray[np.floating], mode_machine: int) -> None:
+        """Enable the motors of a robot at the measured pose `q` (29,), rad."""
+        self.limits.begin(q)
+        command = self._command
+        command.motor_mode = 1
+        command.mode_pr[()] = 0  # the other mode changes the meaning of ankle and waist joints
+        command.mode_machine[()] = mode_machine
+        command.kp[:], command.kd[:] = self._gains
+        command.q[:] = q
+
+    def damp(self) -> None:
+        """Set the gains of DAMP: kp 0."""
+        self._command.kp[:] = 0.0
+        self._command.kd[:] = self._damp_kd
+
+    def compose(
+        self,
+        due: Target,
+        commanded: Target,
+        phase: Phase,
+        tick: int,
+        *,
+        elapsed: float,
+        ramped: float = 1.0,
+        measured: Measured | None = None,
+        age: float = 0.0,
+    ) -> tuple[bytes, bytes]:
+        """A sealed LowCmd and its Reference, as they go onto the wire.
+
+        Args:
+            due: the target at their publish time; published as Reference.
+            commanded: the target of the LowCmd, which takes effect later; its torque is published
+                in the Reference too.
+            phase: of the session.
+            tick: number of the Reference.
+            elapsed: time since the command before, s.
+            ramped: progress of the ramp, 0 to 1.
+            measured: the newest LowState; None: the torque is not limited.
+            age: of that when the command takes effect, s.
+
+        Raises:
+            SafetyError: a value of the command is not finite.
+        """
+        command, reference = self._command, self._reference
+        if phase is Phase.DAMP:  # asks for no position: the last one stays in the message
+            command.dq[:] = command.tau[:] = 0.0
+        else:
+            self._wire[:2], self._wire[2] = commanded.q_dq, commanded.tau
+            self.limits.require_finite(self._wire)
+            q_dq, tau = self.limits.apply(
+                commanded.q_dq,
+                commanded.tau,
+                elapsed=elapsed,
+                ramped=ramped,
+                gains=self._servo,
+                measured=measured,
+                age=age,
+            )
+            (command.q[:], command.dq[:]), command.tau[:] = q_dq, tau
+        reference.tick[()] = tick
+        reference.phase[()] = phase
+        reference.motion_time[()] = due.motion_time
+        reference.target[:] = due.published
+        reference.tau[:] = commanded.tau
+        return command.seal(), reference.tobytes()

@@ -1,0 +1,112 @@
+"""The loop that a config describes."""
+
+from __future__ import annotations
+
+from math import inf
+from typing import TYPE_CHECKING
+
+from g1stream.control.commands import CommandLimits, Composer
+from g1stream.control.feedforward import FeedForward
+from g1stream.control.gains import resolve_gains
+from g1stream.control.loop import StreamLoop
+from g1stream.control.overruns import Overruns
+from g1stream.control.phases import Timing
+from g1stream.control.safety import Safety
+from g1stream.control.targets import Targets
+from g1stream.dds.domain import SETTLE
+from g1stream.motion.correction import Conditions, CorrectionSpline
+from g1stream.motion.limits import Interval
+
+if TYPE_CHECKING:
+    from g1stream.clock import Clock
+    from g1stream.config import Config
+    from g1stream.control.gains import Gains
+    from g1stream.control.link import Link
+    from g1stream.motion.correction import Correction
+    from g1stream.motion.trajectory import Trajectory
+    from g1stream.robot.model import G1
+    from g1stream.settings import StreamConfig
+
+__all__ = ["make_loop"]
+
+
+def make_loop(
+    config: Config,
+    robot: G1,
+    trajectory: Trajectory,
+    link: Link,
+    clock: Clock,
+    *,
+    settle: int = round(SETTLE * 1e9),
+    recorded: bool = False,
+    correction: Correction | None = None,
+) -> StreamLoop:
+    """The loop that plays a trajectory as configured, not yet running.
+
+    Args:
+        config: all settings.
+        robot: the robot whose limits and dynamics apply.
+        trajectory: the motion.
+        link: the wire.
+        clock: now, stamp and sleep_until.
+        settle: how long other publishers are waited for before the first command, ns.
+        recorded: the link replaces the commands of PLAY by recorded ones.
+        correction: of the joint targets.
+
+    Raises:
+        ConfigError: the interval to play, the gains or the margin to the limits are invalid, or
+            the correction is not for this motion and these settings.
+        RobotError: the inverse dynamics of this robot cannot be computed.
+    """
+    settings = config.stream
+    interval = Interval.from_config(settings, trajectory.motion)
+    period = round(1e9 / settings.rate)  # whole, because deadlines are
+    gains = resolve_gains(config.gains)
+    # Recorded commands were checked, and are sent instead of those that are composed.
+    beyond = "clamp" if recorded else settings.beyond_limits
+    limits = CommandLimits(robot, config.safety, beyond)
+    spline = None
+    if correction:
+        _require_fit(correction, settings, robot, trajectory, gains)
+        stop = inf if interval.length is None else interval.start + interval.length
+        spline = CorrectionSpline(correction, interval.start, stop)
+    return StreamLoop(
+        link,
+        clock,
+        Targets(
+            trajectory,
+            start=interval.start,
+            play=interval.length,
+            ramp=settings.ramp,
+            ramp_speed=settings.ramp_speed,
+        ),
+        Safety(robot, config.safety, period),
+        Overruns(period, config.safety),
+        Timing.from_config(settings, interval.length, settle=settle + period),
+        Composer(limits, gains, settings.damp_kd),
+        period=period,
+        allow_second_writer=config.safety.allow_second_writer,
+        feedforward=FeedForward.from_config(settings, robot, period / 1e9, recorded=recorded),
+        soft_start=round(settings.soft_start * 1e9),
+        correction=spline,
+    )
+
+
+def _require_fit(
+    correction: Correction, settings: StreamConfig, robot: G1, trajectory: Trajectory, gains: Gains
+) -> None:
+    """Refuse a correction for another motion or settings, as far as they are known now."""
+    learned, motion = correction.conditions, trajectory.motion
+    correction.require(
+        Conditions(
+            motion=motion.name,
+            motion_sha256=motion.content_sha256,
+            robot=robot.name,
+            rate=settings.rate,
+            kp=gains.kp,
+            kd=gains.kd,
+            # Without a setting, both are decided when the robot's state and support are known.
+            feedforward=settings.feedforward or learned.feedforward,
+            support=settings.support or learned.support,
+        )
+    )

@@ -1,0 +1,269 @@
+"""Whether the robot is all right: attitude, speed, tracking, motors, temperatures; pure.
+
+docs/safety.md explains every threshold.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from g1stream.robot.joints import N_JOINTS
+from g1stream.types import Floats, Ints
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from g1stream.control.state_checks import Measured
+    from g1stream.dds.messages import LowState
+    from g1stream.robot.model import G1
+    from g1stream.safety_settings import SafetyConfig
+
+__all__ = ["MOTOR_FAULTS", "RobotMonitor", "tilt_of"]
+
+#: All but attitude and speed is checked this often, ns: nothing of it changes faster.
+_PERIOD: Final = 20_000_000
+#: What a new measurement adds to the robot's time at most, ns: the longest step of the simulators.
+_MAX_STEP: Final = 5_000_000
+#: How often a jam is looked for, ns.
+_JAM_PERIOD: Final = 100_000_000
+#: A supply voltage below the limit for this long is no dip, s.
+_VOLTAGE_TIME: Final = 0.5
+#: A jammed joint has moved by less than this share of its target's motion.
+_JAM_SHARE: Final = 0.1
+_NEVER: Final = 1 << 62
+
+MOTOR_FAULTS: Final = {
+    0x1: "overcurrent",
+    0x2: "transient overvoltage",
+    0x4: "sustained overvoltage",
+    0x8: "transient undervoltage",
+    0x10: "chip overheating",
+    0x20: "MOSFET overheating or undercooling",
+    0x40: "MOSFET temperature anomaly",
+    0x80: "casing overheating or undercooling",
+    0x100: "casing temperature anomaly",
+    0x200: "winding overheating",
+    0x400: "rotor encoder 1 error",
+    0x800: "rotor encoder 2 error",
+    0x1000: "output encoder error",
+    0x2000: "calibration or boot data error",
+    0x4000: "abnormal reset",
+    0x8000: "motor locked",
+    0x10000: "chip verification error",
+    0x20000: "calibration mode",
+    0x40000: "communication error",
+    0x80000: "driver version too low",
+    0x40000000: "motor lost the connection to its controller",
+    0x80000000: "controller lost the connection to the motor",
+}
+"""The bits of `motorstate`, from Unitree's list of G1 error codes."""
+
+
+def tilt_of(quat_wxyz: NDArray[np.floating]) -> float:
+    """The angle between the body's z axis and the world's, rad, of a unit quaternion (4,) wxyz.
+
+    The world's z component of the rotated z axis is 1 - 2 (x^2 + y^2).
+    """
+    x, y = float(quat_wxyz[1]), float(quat_wxyz[2])
+    return math.acos(min(1.0, max(-1.0, 1.0 - 2.0 * (x * x + y * y))))
+
+
+class _Lasting:
+    """Since when a condition of each joint holds.
+
+    Args:
+        limit: for how long it may, s.
+    """
+
+    def __init__(self, limit: float) -> None:
+        self._limit = round(limit * 1e9)
+        self._since: Ints = np.full(N_JOINTS, _NEVER, np.int64)
+
+    def beyond(self, now: int, holds: NDArray[np.bool_]) -> int | None:
+        """The joint of which the condition holds for longest, if that is too long."""
+        if not holds.any():
+            self._since[:] = _NEVER
+            return None
+        self._since = np.where(holds, np.minimum(self._since, now), _NEVER)
+        joint = int(np.argmin(self._since))
+        return joint if now - self._since[joint] > self._limit else None
+
+
+class RobotMonitor:
+    """Watches the robot from LowStates that are believed.
+
+    What has to last is measured in the robot's time, which passes only as far as its measurements
+    change: a simulator that a busy machine starves repeats itself, and follows later.
+
+    Args:
+        robot: its limits.
+        config: the thresholds.
+        period: between two looks at LowState, ns.
+    """
+
+    def __init__(self, robot: G1, config: SafetyConfig, period: int = 0) -> None:
+        self._config = config
+        self._max_step = max(_MAX_STEP, period)
+        self._names = robot.joint_names
+        self._lower, self._upper = robot.lower, robot.upper
+        self._torque = (robot.torque_limit * config.max_torque).astype(np.float32)
+        self._faults = _Lasting(config.motor_fault_time)
+        self._off = _Lasting(config.motor_fault_time)
+        self._low_voltage = _Lasting(_VOLTAGE_TIME)
+        self._high_torque = _Lasting(config.torque_time)
+        self._has_modes = False
+        self._error: Floats = np.zeros(N_JOINTS)
+        rows = max(2, round(config.jam_time * 1e9 / _JAM_PERIOD) + 1)
+        self._history = np.zeros((rows, 2, N_JOINTS))
+        self._recorded = 0
+        self._content = b""
+        self._changed = self._next = 0
+        self._time = self._last = self._next_jam = 0  # of the robot
+
+    def verdict(
+        self, state: LowState, measured: Measured, now: int, target: Floats | None = None
+    ) -> str:
+        """Why the session must end, or "".
+
+        Args:
+            state: a LowState.
+            measured: the same.
+            now: ns, monotonic.
+            target: (29,) rad, the joint targets now; None before the first command.
+        """
+        if measured.content != self._content:
+            self._time += min(now - self._changed, self._max_step)
+            self._content, self._changed = measured.content, now
+        urgent = self._tilted(measured) or self._too_fast(measured)
+        if urgent or now < self._next:
+            return urgent
+        self._next = now + _PERIOD
+        found = self._too_hot(state) or self._without_voltage(state, now)
+        if found or target is None:
+            return found
+        target = np.clip(target, self._lower, self._upper)
+        time, passed = self._time, (self._time - self._last) / 1e9
+        self._last = time
+        return (
+            self._motor_off(state, time)
+            or self._motor_fault(state, time)
+            or self._overloaded(measured, time)
+            or self._off_track(measured, target, passed)
+            or self._jammed(measured, target, time)
+        )
+
+    def _tilted(self, measured: Measured) -> str:
+        tilt, limit = tilt_of(measured.imu.quat_wxyz), self._config.max_tilt
+        if tilt <= limit:
+            return ""
+        return f"the pelvis tilt is {tilt:.2f} rad (limit safety.max_tilt = {limit:g} rad)"
+
+    def _too_fast(self, measured: Measured) -> str:
+        limit, dq = self._config.max_joint_speed, measured.dq
+        if max(dq.max(), -dq.min()) <= limit:
+            return ""
+        joint = int(np.argmax(np.abs(dq)))
+        return (
+            f"{self._names[joint]} moves at {abs(dq[joint]):.1f} rad/s "
+            f"(limit safety.max_joint_speed = {limit:g} rad/s)"
+        )
+
+    def _too_hot(self, state: LowState) -> str:
+        config = self._config
+        hottest = state.temperature.max(axis=0)
+        limits = (config.max_casing_temperature, config.max_winding_temperature)
+        for i, (part, limit) in enumerate(zip(("casing", "winding"), limits, strict=True)):
+            if hottest[i] > limit:
+                joint = int(np.argmax(state.temperature[:, i]))
+                return (
+                    f"the {part} of {self._names[joint]} has {hottest[i]} °C "
+                    f"(limit safety.max_{part}_temperature = {limit:g} °C)"
+                )
+        return ""
+
+    def _without_voltage(self, state: LowState, now: int) -> str:
+        volts, limit = state.vol, self._config.min_voltage
+        joint = self._low_voltage.beyond(now, (volts < limit) & (volts > 0.0))
+        if joint is None:
+            return ""
+        return (
+            f"{self._names[joint]} is supplied with {volts[joint]:.1f} V "
+            f"(limit safety.min_voltage = {limit:g} V)"
+        )
+
+    def _motor_off(self, state: LowState, now: int) -> str:
+        modes = state.motor_mode
+        self._has_modes = self._has_modes or bool(modes.any())
+        if not self._has_modes:
+            return ""
+        joint = self._off.beyond(now, modes == 0)
+        if joint is None:
+            return ""
+        return (
+            f"the motor of {self._names[joint]} is off (mode 0) though commanded on, one of "
+            f"{np.count_nonzero(modes == 0)} "
+            f"(limit safety.motor_fault_time = {self._config.motor_fault_time:g} s)"
+        )
+
+    def _motor_fault(self, state: LowState, now: int) -> str:
+        bits = state.motorstate & np.uint32(self._config.motor_fault_mask)
+        joint = self._faults.beyond(now, bits != 0)
+        if joint is None:
+            return ""
+        value = int(bits[joint])
+        named = [text for bit, text in MOTOR_FAULTS.items() if value & bit]
+        return (
+            f"the motor of {self._names[joint]} reports motorstate 0x{value:x}: "
+            f"{', '.join(named) or 'unknown'} "
+            f"(settings safety.motor_fault_mask, safety.motor_fault_time)"
+        )
+
+    def _overloaded(self, measured: Measured, now: int) -> str:
+        torque = np.abs(measured.tau)
+        joint = self._high_torque.beyond(now, torque > self._torque)
+        if joint is None:
+            return ""
+        config = self._config
+        return (
+            f"{self._names[joint]} has {torque[joint]:.1f} Nm for more than "
+            f"safety.torque_time = {config.torque_time:g} s (limit {self._torque[joint]:.1f} Nm: "
+            f"safety.max_torque = {config.max_torque:g} of its own)"
+        )
+
+    def _off_track(self, measured: Measured, target: Floats, passed: float) -> str:
+        config = self._config
+        share = min(1.0, passed / config.tracking_time)
+        self._error += (np.abs(target - measured.q) - self._error) * share
+        joint = int(np.argmax(self._error))
+        if self._error[joint] <= config.max_tracking_error:
+            return ""
+        return (
+            f"{self._names[joint]} is {abs(target[joint] - measured.q[joint]):.2f} rad from its "
+            f"target, {self._error[joint]:.2f} rad on average over safety.tracking_time = "
+            f"{config.tracking_time:g} s (limit safety.max_tracking_error = "
+            f"{config.max_tracking_error:g} rad)"
+        )
+
+    def _jammed(self, measured: Measured, target: Floats, now: int) -> str:
+        if now < self._next_jam:
+            return ""
+        self._next_jam = now + _JAM_PERIOD
+        rows = len(self._history)
+        self._history[self._recorded % rows] = target, measured.q
+        self._recorded += 1
+        if self._recorded < rows:
+            return ""
+        asked, moved = np.ptp(self._history, axis=0)
+        jammed = (asked > self._config.jam_motion) & (moved < _JAM_SHARE * asked)
+        if not jammed.any():
+            return ""
+        joint = int(np.argmax(np.where(jammed, asked, 0.0)))
+        return (
+            f"{self._names[joint]} does not follow: its target moved by {asked[joint]:.2f} rad in "
+            f"{self._config.jam_time:g} s, the joint by {moved[joint]:.2f} rad with "
+            f"{abs(measured.tau[joint]):.1f} Nm "
+            f"(limit safety.jam_motion = {self._config.jam_motion:g} rad)"
+        )

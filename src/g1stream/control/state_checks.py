@@ -1,0 +1,321 @@
+"""Whether a LowState is to be believed; pure.
+
+docs/safety.md explains every threshold.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from g1stream.robot.rotations import UNIT_TOLERANCE
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from g1stream.dds.messages import LowState
+    from g1stream.robot.model import G1
+    from g1stream.safety_settings import SafetyConfig
+    from g1stream.types import Floats
+
+__all__ = [
+    "STALE",
+    "STATE_TIMEOUT",
+    "ImuReading",
+    "Measured",
+    "StateChecks",
+    "all_finite",
+    "is_unit",
+    "state_timeout",
+]
+
+STATE_TIMEOUT: Final = 0.1
+"""Age of the last LowState that stops, s, where `safety.state_timeout` is unset: of a robot."""
+
+STALE: Final = 0.02
+"""No torque is computed from a LowState older than this, s: ten states at 500 Hz, in which a fast
+joint moves by 0.5 rad."""
+
+#: How far beyond its limits a joint may be where RAMP starts, rad: the play of an end stop.
+_START_TOLERANCE: Final = 0.1
+#: Ticks beyond this say nothing of how far a joint may have moved, ms.
+_LONGEST_BURST: Final = 200
+#: Wrong CRCs are counted over this time, ns.
+_CRC_WINDOW: Final = 1_000_000_000
+
+
+class ImuReading(NamedTuple):
+    """A reading of the IMU in the pelvis.
+
+    Attributes:
+        quat_wxyz: (4,) pelvis to world.
+        gyroscope: (3,) rad/s, pelvis frame.
+        accelerometer: (3,) m/s², pelvis frame, gravity included: upward 9.81 at rest.
+    """
+
+    quat_wxyz: NDArray[np.floating]
+    gyroscope: NDArray[np.floating]
+    accelerometer: NDArray[np.floating]
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A LowState as far as the loop uses it; a copy.
+
+    Attributes:
+        q, dq, tau: (29,) rad, rad/s, N·m, motor order.
+        imu: in the pelvis.
+        mode_machine: robot type.
+        received: time of reception, ns of the loop's monotonic clock.
+        content: the numbers above as bytes.
+        finite: none of them is NaN or infinite.
+    """
+
+    q: NDArray[np.float32]
+    dq: NDArray[np.float32]
+    tau: NDArray[np.float32]
+    imu: ImuReading
+    mode_machine: int
+    received: int
+    content: bytes
+    finite: bool
+
+    @classmethod
+    def of(cls, state: LowState, received: int) -> Measured:
+        """Of a LowState that was received at `received`, ns."""
+        values = state.readings()
+        return cls(
+            values[:29],
+            values[29:58],
+            values[58:87],
+            ImuReading(values[87:91], values[91:94], values[94:97]),
+            int(state.mode_machine),
+            received,
+            values.tobytes(),
+            bool(np.isfinite(values).all()),
+        )
+
+
+def all_finite(values: NDArray[np.floating]) -> bool:
+    """Whether no number of a short array is NaN or infinite: either one makes the sum so."""
+    return math.isfinite(sum(values.tolist()))
+
+
+def is_unit(quat_wxyz: NDArray[np.floating]) -> bool:
+    """Whether a measured quaternion (4,) has a norm close to 1; False if it contains NaN."""
+    return abs(math.hypot(*quat_wxyz.tolist()) - 1.0) <= UNIT_TOLERANCE
+
+
+def state_timeout(config: SafetyConfig) -> tuple[float, str]:
+    """The age of the last LowState that stops, s, and the words that name this limit."""
+    limit = config.state_timeout or STATE_TIMEOUT
+    return limit, f"limit safety.state_timeout = {limit:g} s"
+
+
+class StateChecks:
+    """Takes LowStates as they arrive, and says whether the robot is known from them.
+
+    What a bridge provides is learnt from what it sends: a CRC that is not 0 has to be right, and
+    after a right one a 0 is wrong as well; a tick that has advanced has to go on.
+
+    Attributes:
+        measured: the newest LowState with a right CRC; None before the first.
+        crc_errors: LowStates that were dropped because of their CRC.
+    """
+
+    def __init__(self, robot: G1, config: SafetyConfig) -> None:
+        self.measured: Measured | None = None
+        self.crc_errors = 0
+        self._config = config
+        self._robot = robot
+        self._timeout, self._timeout_words = state_timeout(config)
+        self._set_tolerance(min(_START_TOLERANCE, config.limit_excess))
+        self._wrong_crcs: deque[int] = deque(maxlen=config.max_crc_errors + 1)
+        self._begun = False
+        self._publisher: int | None = None
+        self._forget_publisher()
+
+    def _forget_publisher(self) -> None:
+        """Nothing is known of what the publisher provides."""
+        self.measured = None
+        self._has_crc = self._ticks = False
+        self._tick: int | None = None
+        self._tick_since = self._content_since = self._content_tick = 0
+        self._content_target: Floats | None = None
+        self._fault = self._other_robot = ""
+
+    def _set_tolerance(self, tolerance: float) -> None:
+        self._tolerance = tolerance
+        self._lower = (self._robot.lower - tolerance).astype(np.float32)
+        self._upper = (self._robot.upper + tolerance).astype(np.float32)
+
+    def begin(self) -> None:
+        """The first command follows: from now on it has to be the same robot."""
+        self._begun = True
+        self._set_tolerance(self._config.limit_excess)
+
+    def take(
+        self, state: LowState, publisher: int, now: int, target: Floats | None = None
+    ) -> Measured | None:
+        """Check a LowState that was received at `now`, ns; None if it is dropped.
+
+        Args:
+            state: the LowState.
+            publisher: identity of its publisher.
+            now: ns, monotonic.
+            target: (29,) rad, the joint targets now; None before the first command.
+        """
+        if publisher != self._publisher:
+            if self._begun:
+                self._other_robot = (
+                    "LowState comes from another publisher than when RAMP began: the robot or "
+                    "simulator was restarted, or there are two"
+                )
+            else:
+                self._forget_publisher()
+            self._publisher = publisher
+        if not self._crc_is_right(state):
+            self.crc_errors += 1
+            self._wrong_crcs.append(now)
+            return None
+        measured, before = Measured.of(state, now), self.measured
+        self._check_tick(int(state.tick), now)
+        if before is None or measured.content != before.content:
+            self._fault = self._implausible(measured)
+            if self._begun and before and not self._fault:
+                self._fault = self._leap(before, measured, int(state.tick))
+            self._content_since, self._content_target = now, target
+            self._content_tick = int(state.tick)
+        if self._begun and before and measured.mode_machine != before.mode_machine:
+            self._other_robot = self._other_robot or (
+                f"mode_machine changed from {before.mode_machine} to {measured.mode_machine}: "
+                "this is another robot"
+            )
+        self.measured = measured
+        return measured
+
+    def unknown(self, now: int, target: Floats | None = None) -> str:
+        """Why nothing is known of the robot now, or "".
+
+        Before the first command that is waited out, because the first LowStates of a simulator may
+        be all zeros; afterwards it ends the session.
+
+        Args:
+            now: ns, same clock as for `take`.
+            target: (29,) rad, the joint targets now; None before the first command.
+        """
+        dropped = f"; {self.crc_errors} with a wrong CRC were dropped" if self.crc_errors else ""
+        if self.measured is None:
+            return f"no LowState received{dropped}"
+        age = (now - self.measured.received) / 1e9
+        if age > self._timeout:
+            return f"no LowState for {age:.3f} s ({self._timeout_words}){dropped}"
+        return (
+            self._other_robot or self._fault or self._crcs_wrong(now) or self._frozen(now, target)
+        )
+
+    def wrong_robot(self) -> str:
+        """Why this robot may not be commanded, or ""."""
+        allowed = self._config.mode_machine
+        if self.measured is None or self.measured.mode_machine in allowed:
+            return ""
+        return (
+            f"the robot has mode_machine {self.measured.mode_machine} (allowed for 29 joints: "
+            f"{', '.join(map(str, allowed))})"
+        )
+
+    def _crc_is_right(self, state: LowState) -> bool:
+        if not self._has_crc and not int(state.crc):
+            return True  # not provided
+        right = state.crc_matches()
+        self._has_crc = self._has_crc or right
+        return right
+
+    def _crcs_wrong(self, now: int) -> str:
+        most = self._config.max_crc_errors
+        wrong = self._wrong_crcs
+        if len(wrong) <= most or now - wrong[0] > _CRC_WINDOW:
+            return ""
+        return (
+            f"more than {most} LowStates within a second had a wrong CRC "
+            f"(limit safety.max_crc_errors = {most})"
+        )
+
+    def _check_tick(self, tick: int, now: int) -> None:
+        if tick == self._tick:
+            return
+        if self._tick is not None:
+            self._ticks = True
+            if self._begun and (tick - self._tick) % 2**32 >= 2**31:
+                self._other_robot = self._other_robot or (
+                    f"the tick of LowState went back from {self._tick} to {tick}: its publisher "
+                    "was restarted"
+                )
+        self._tick, self._tick_since = tick, now
+
+    def _implausible(self, measured: Measured) -> str:
+        """Why these numbers cannot be those of this robot, or ""."""
+        if not measured.finite:
+            return f"LowState contains a {self._not_finite(measured)} that is NaN or infinite"
+        if not is_unit(quat := measured.imu.quat_wxyz):
+            return f"the IMU quaternion has norm {math.hypot(*quat.tolist()):.3f}"
+        q = measured.q
+        if ((q < self._lower) | (q > self._upper)).any():
+            joint = int(np.argmax(np.maximum(self._lower - q, q - self._upper)))
+            low, high = self._robot.lower[joint], self._robot.upper[joint]
+            return (
+                f"{self._robot.joint_names[joint]} is at {q[joint]:.3f} rad, beyond its limits "
+                f"{low:.3f} and {high:.3f} by more than {self._tolerance:g} rad "
+                f"(limit safety.limit_excess{'' if self._begun else ', at most 0.1 at the start'})"
+            )
+        return ""
+
+    def _not_finite(self, measured: Measured) -> str:
+        """What is not finite, and of which joint."""
+        joints = {"position": measured.q, "velocity": measured.dq, "torque": measured.tau}
+        for what, values in joints.items():
+            if not all_finite(values):
+                return f"{what} of {self._robot.joint_names[int(np.argmin(np.isfinite(values)))]}"
+        imu = zip(("quaternion", "gyroscope", "accelerometer"), measured.imu, strict=True)
+        return "reading of the " + ", ".join(name for name, one in imu if not all_finite(one))
+
+    def _leap(self, before: Measured, measured: Measured, tick: int) -> str:
+        """Why no joint can have moved so since the content changed last, or ""."""
+        step = np.abs(measured.q - before.q)
+        if step.max() <= self._config.max_leap:  # nearly always
+            return ""
+        # A simulator that has fallen behind catches up in a burst; its ticks, in ms, say how far.
+        ticks = min((tick - self._content_tick) % 2**32, _LONGEST_BURST)
+        passed = max((measured.received - self._content_since) / 1e9, ticks / 1e3)
+        allowed = self._robot.velocity * passed + self._config.max_leap
+        if not (step > allowed).any():
+            return ""
+        joint = int(np.argmax(step - allowed))
+        return (
+            f"{self._robot.joint_names[joint]} leapt by {step[joint]:.3f} rad in {passed:.3f} s, "
+            f"{self._robot.velocity[joint]:g} rad/s allow {allowed[joint]:.3f} "
+            f"(limit safety.max_leap = {self._config.max_leap:g} rad)"
+        )
+
+    def _frozen(self, now: int, target: Floats | None) -> str:
+        limit, moved_limit = self._config.frozen_timeout, self._config.frozen_motion
+        still = (now - self._tick_since) / 1e9
+        words = f"limit safety.frozen_timeout = {limit:g} s"
+        if self._ticks and still > limit:
+            return f"the tick of LowState stands still at {self._tick} for {still:.3f} s ({words})"
+        still = (now - self._content_since) / 1e9
+        if still <= limit:
+            return ""
+        start, moved = self._content_target, 0.0
+        if start is not None and target is not None:
+            moved = float(np.abs(target - start).max())
+        if moved < moved_limit or (target is None and moved_limit > 0.0):
+            return ""
+        return (
+            f"LowState repeats itself for {still:.3f} s while the targets moved by {moved:.3f} rad "
+            f"({words}, safety.frozen_motion = {moved_limit:g} rad)"
+        )

@@ -1,0 +1,284 @@
+"""The LowCmd and the Reference of a tick, and the limits of a command."""
+
+import numpy as np
+import pytest
+
+from g1stream.control.commands import MAX_STEP_TIME, CommandLimits, Composer
+from g1stream.control.gains import Gains
+from g1stream.control.state_checks import Measured
+from g1stream.control.targets import Target
+from g1stream.dds.messages import LowCmd, LowState, Reference
+from g1stream.errors import ConfigError, SafetyError
+from g1stream.robot.joints import JOINT_NAMES
+from g1stream.safety_settings import SafetyConfig
+from g1stream.types import Phase
+
+PERIOD = 0.002
+KP, KD = np.arange(29) + 40.0, np.arange(29) / 10 + 1.0
+
+
+@pytest.fixture
+def make_limits(robot):
+    return lambda **settings: CommandLimits(robot, SafetyConfig(**settings))
+
+
+@pytest.fixture
+def composer(robot):
+    composer = Composer(CommandLimits(robot, SafetyConfig()), Gains(KP, KD), damp_kd=3.0)
+    composer.begin(np.zeros(29, np.float32), 5)
+    return composer
+
+
+@pytest.fixture
+def target():
+    return Target(1.25, np.linspace(-0.01, 0.01, 135))
+
+
+def read(command, reference):
+    low_cmd, beside = LowCmd(), Reference()
+    low_cmd.load(command)
+    beside.load(reference)
+    return low_cmd, beside
+
+
+def test_command_and_reference_have_their_own_targets(composer, target):
+    commanded = target.replace(q=0.02, dq=0.3, tau=np.arange(29.0))
+    command, reference = read(*composer.compose(target, commanded, Phase.PLAY, 7, elapsed=PERIOD))
+    assert command.q == pytest.approx(np.full(29, 0.02))
+    assert command.dq == pytest.approx(np.full(29, 0.3))
+    assert command.tau.tolist() == list(range(29))
+    assert (command.kp.tolist(), command.kd.tolist()) == (
+        KP.astype(np.float32).tolist(),
+        KD.astype(np.float32).tolist(),
+    )
+    assert command.motor_mode.tolist() == [1] * 29
+    assert (int(command.mode_machine), int(command.mode_pr)) == (5, 0)
+    assert command.crc_matches()
+    assert (int(reference.tick), int(reference.phase)) == (7, Phase.PLAY)
+    assert float(reference.motion_time) == 1.25
+    assert reference.q.tolist() == target.q.tolist()
+    assert reference.root_ang_vel.tolist() == target.root_ang_vel.tolist()
+    assert reference.tau.tolist() == list(range(29))
+
+
+def test_a_clamped_joint_is_not_driven_outward(composer, target, robot):
+    commanded = target.replace(q=0.0, dq=1.0, tau=5.0)
+    commanded.q[3] = robot.upper[3] + 1.0
+    composer.begin(np.clip(commanded.q, robot.lower, robot.upper), 5)
+    command, _ = read(*composer.compose(target, commanded, Phase.PLAY, 0, elapsed=PERIOD))
+    margin = SafetyConfig().position_margin
+    assert command.q[3] == pytest.approx(robot.upper[3] - margin)
+    assert (command.dq[3], command.tau[3]) == (0.0, 0.0)
+    assert (command.dq[4], command.tau[4]) == (1.0, 5.0)
+
+
+def test_damping_has_kp_0(composer, target):
+    composer.damp()
+    command, _ = read(*composer.compose(target, target, Phase.DAMP, 0, elapsed=PERIOD))
+    assert not command.kp.any()
+    assert command.kd.tolist() == [3.0] * 29
+
+
+def test_a_command_that_is_not_finite_is_refused(composer, target):
+    with pytest.raises(SafetyError, match="tau = nan"):
+        composer.compose(target, target.replace(tau=np.nan), Phase.PLAY, 0, elapsed=PERIOD)
+
+
+def test_targets_within_the_limits_are_left_alone(make_limits, robot):
+    limits = make_limits()
+    for share in (0.0, 0.5, 1.0):
+        q = robot.lower + share * (robot.upper - robot.lower)
+        q = np.clip(q, robot.lower, robot.upper)
+        assert limits.limit_position(q).tolist() == q.tolist()
+    assert not limits.clamped.any()
+
+
+def test_a_held_target_is_not_driven_on_into_its_limit(make_limits):
+    beyond = np.array([0.2, 0.2, -0.2, -0.2, 0.0])
+    dq, tau = np.full(5, 3.0), np.array([5.0, -5.0, 5.0, -5.0, 5.0])
+    held_dq, held_tau = make_limits().keep_inward(beyond, dq, tau)
+    assert held_dq.tolist() == [0.0, 0.0, 0.0, 0.0, 3.0]
+    assert held_tau.tolist() == [0.0, -5.0, 5.0, 0.0, 5.0]
+
+
+@pytest.mark.parametrize("side", ["lower", "upper"])
+def test_a_ramp_from_beyond_a_limit_is_let_in_with_the_ramp(make_limits, robot, side):
+    limits = make_limits(position_margin=0.1)
+    at_stop, inward = getattr(robot, side), 0.1 if side == "lower" else -0.1
+    limits.begin(at_stop)
+    assert limits.limit_position(at_stop, 0.0).tolist() == at_stop.tolist()
+    assert limits.limit_position(at_stop, 0.25) == pytest.approx(at_stop + 0.25 * inward)
+    assert limits.limit_position(at_stop, 1.0) == pytest.approx(at_stop + inward)
+    assert limits.limit_position(at_stop) == pytest.approx(at_stop + inward)
+
+
+def test_targets_beyond_a_limit_are_held_and_counted(make_limits, robot):
+    limits = make_limits(position_margin=0.1)
+    q = (robot.lower + robot.upper) / 2
+    q[3] = robot.upper[3] - 0.1 + 1e-5
+    q[4] = robot.lower[4] + 0.1 - 1e-5
+    q[5] = robot.upper[5] - 0.1 + 1e-9  # a rounding error: held as well, but not counted
+    for _ in range(3):
+        limited = limits.limit_position(q)
+        assert limited[3] == robot.upper[3] - 0.1
+        assert limited[4] == robot.lower[4] + 0.1
+        assert limited[5] == robot.upper[5] - 0.1
+    assert np.delete(limited, [3, 4, 5]).tolist() == np.delete(q, [3, 4, 5]).tolist()
+    assert limits.clamped.tolist() == [3 if i in (3, 4) else 0 for i in range(29)]
+
+
+def test_margin_that_leaves_no_range_is_refused(make_limits, robot):
+    narrowest = np.argmin(robot.upper - robot.lower)
+    half = (robot.upper - robot.lower)[narrowest] / 2
+    make_limits(position_margin=half - 1e-9)
+    with pytest.raises(ConfigError, match=r"position_margin.*" + JOINT_NAMES[narrowest]):
+        make_limits(position_margin=half + 1e-9)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize(("row", "what"), [(0, "q"), (1, "dq"), (2, "tau")])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_a_target_that_is_not_finite_is_refused(make_limits, row, what, bad, dtype):
+    asked = np.ones((3, 29), dtype)
+    make_limits().require_finite(asked)
+    asked[row, 11] = bad
+    with pytest.raises(SafetyError, match=f"{JOINT_NAMES[11]} has {what} = {bad}"):
+        make_limits().require_finite(asked)
+
+
+def test_opposite_infinities_do_not_hide_each_other(make_limits):
+    asked = np.zeros((3, 29))
+    asked[0, 2:4] = np.inf, -np.inf
+    with np.errstate(invalid="ignore"), pytest.raises(SafetyError, match=JOINT_NAMES[2]):
+        make_limits().require_finite(asked)
+
+
+KNEE, WRIST = JOINT_NAMES.index("left_knee_joint"), JOINT_NAMES.index("left_wrist_yaw_joint")
+
+
+def played(limits, asked, elapsed=PERIOD):
+    """What is sent when one joint is asked for these positions, with the velocity of each step."""
+    sent = []
+    for k, q in enumerate(asked):
+        q_dq = np.zeros((2, 29))
+        q_dq[0, KNEE], q_dq[1, KNEE] = q, (q - asked[max(0, k - 1)]) / elapsed
+        limited, _ = limits.apply(q_dq, np.zeros(29), elapsed=elapsed)
+        limits.sent()
+        sent.append(limited[:, KNEE])
+    return np.array(sent)
+
+
+def test_a_motion_at_its_highest_speed_is_left_alone(make_limits, robot):
+    limits = make_limits()
+    limits.begin(np.zeros(29))
+    asked = robot.velocity[KNEE] * PERIOD * np.arange(1, 60)
+    sent = played(limits, asked)
+    assert sent[:, 0].tolist() == asked.tolist()
+    assert not limits.speed_limited.any()
+
+
+def test_a_joint_that_is_asked_for_too_much_comes_as_near_as_it_can(make_limits, robot):
+    """A spike of one command: 0.3 rad, for which the knee needs 15 ms."""
+    limits, speed = make_limits(), robot.velocity[KNEE]
+    limits.begin(np.zeros(29))
+    asked = np.zeros(40)
+    asked[10] = 0.3
+    sent = played(limits, asked)
+    assert np.abs(np.diff(sent[:, 0])).max() == pytest.approx(speed * PERIOD, rel=2e-3)
+    assert np.abs(sent[:, 1]).max() <= speed * 1.001
+    assert sent[12:, 0] == pytest.approx(0.0, abs=1e-6)
+    assert limits.speed_limited.tolist() == [2 if joint == KNEE else 0 for joint in range(29)]
+    assert limits.fault == ""
+
+
+@pytest.mark.parametrize(("beyond", "ends"), [("refuse", True), ("clamp", False)])
+def test_a_joint_that_would_be_more_than_20_ms_late_ends_the_session(robot, beyond, ends):
+    limits = CommandLimits(robot, SafetyConfig(), beyond)
+    limits.begin(np.zeros(29))
+    sent = played(limits, np.full(200, 2.4))
+    assert np.abs(np.diff(sent[:, 0])).max() <= robot.velocity[KNEE] * PERIOD * 1.002
+    assert sent[-1, 0] == pytest.approx(2.4)
+    assert (JOINT_NAMES[KNEE] in limits.fault) is ends
+
+
+def test_a_long_gap_allows_no_more_than_20_ms(make_limits, robot):
+    limits = make_limits()
+    limits.begin(np.zeros(29))
+    sent = played(limits, [2.0], elapsed=0.4)
+    assert sent[0, 0] == pytest.approx(robot.velocity[KNEE] * MAX_STEP_TIME, rel=2e-3)
+
+
+def test_a_motion_played_anyway_keeps_its_speed_but_not_its_positions(robot):
+    limits = CommandLimits(robot, SafetyConfig(), "anyway")
+    limits.begin(np.zeros(29))
+    sent = played(limits, [0.0, 2.4, 9.0])
+    assert sent[:, 0].tolist() == [0.0, 2.4, robot.upper[KNEE]]
+
+
+def measured_at(q, dq=0.0):
+    state = LowState()
+    state.q[:], state.dq[:] = q, dq
+    return Measured.of(state, 0)
+
+
+def predicted(limited, tau, gains, measured, age):
+    state = np.stack([measured.q + age * measured.dq, measured.dq]).astype(np.float64)
+    return (gains * (limited - state)).sum(axis=0) + tau
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_no_command_asks_for_more_torque_than_the_motors_have(make_limits, robot, seed):
+    """Whatever is measured; a joint within its limit is left alone."""
+    random = np.random.default_rng(seed)
+    limits = make_limits()
+    gains = np.stack([np.full(29, 60.0), np.full(29, 2.0)])
+    asked = np.stack([random.uniform(robot.lower, robot.upper), random.uniform(-8, 8, 29)])
+    tau = random.uniform(-0.9, 0.9, 29) * robot.torque_limit
+    q = (asked[0] + random.normal(0.0, 0.5, 29)).clip(robot.lower + 0.1, robot.upper - 0.1)
+    measured = measured_at(q, random.uniform(-8, 8, 29))
+    limits.begin(asked[0])
+    limited, same = limits.apply(
+        asked, tau, elapsed=MAX_STEP_TIME, gains=gains, measured=measured, age=0.003
+    )
+    torque = predicted(limited, tau, gains, measured, 0.003)
+    before = predicted(asked, tau, gains, measured, 0.003)
+    moved = np.abs(limited[0] - asked[0])
+    free = moved < 0.99 * MAX_STEP_TIME * robot.velocity  # a target must not leap for it
+    assert (np.abs(torque[free]) <= robot.torque_limit[free] * (1 + 1e-5)).all()
+    assert same is tau
+    fine = np.abs(before) <= robot.torque_limit
+    assert limited[:, fine].tolist() == asked[:, fine].tolist()
+    assert limits.torque_limited.tolist() == (~fine).astype(int).tolist()
+    assert 0 < fine.sum() < 29
+
+
+def test_a_joint_that_is_held_fast_is_pushed_no_harder_than_its_motor_can(make_limits, robot):
+    """And released without a leap, when it follows again."""
+    limits, gains = make_limits(), np.stack([np.full(29, 40.0), np.ones(29)])
+    start, still = np.zeros(29), np.zeros(29)
+    limits.begin(start)
+    sent = []
+    for k in range(400):
+        asked = np.zeros((2, 29))
+        asked[0, WRIST] = min(k * 0.01, 1.0)
+        measured = measured_at(start if k < 300 else asked[0])
+        limited, _ = limits.apply(
+            asked, still, elapsed=PERIOD, gains=gains, measured=measured, age=PERIOD
+        )
+        limits.sent()
+        sent.append(limited[0, WRIST])
+    assert sent[299] == pytest.approx(robot.torque_limit[WRIST] / 40.0)
+    assert sent[-1] == 1.0
+    assert np.abs(np.diff(sent)).max() <= robot.velocity[WRIST] * PERIOD * 1.002
+    assert limits.fault == ""
+
+
+def test_an_old_measurement_says_nothing_of_the_torque(make_limits):
+    limits, gains = make_limits(), np.stack([np.full(29, 100.0), np.ones(29)])
+    far = measured_at(np.full(29, 9.0))
+    asked = np.zeros((2, 29))
+    limits.begin(asked[0])
+    limited, _ = limits.apply(
+        asked, np.zeros(29), elapsed=PERIOD, gains=gains, measured=far, age=0.021 + PERIOD
+    )
+    assert limited is asked

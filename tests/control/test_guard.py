@@ -1,0 +1,104 @@
+"""When the guard takes over, what it then sends, and what it shares with its stream."""
+
+import os
+
+import numpy as np
+import pytest
+
+from g1stream.control.guard import Heartbeat, Takeover, Watch, damping_command
+from g1stream.dds.messages import LowCmd
+
+MS = 1_000_000
+LIMIT = 40 * MS
+START = 1_000 * MS
+
+
+def running():
+    return Takeover.NONE
+
+
+def stopped():
+    return Takeover.STOPPED
+
+
+@pytest.fixture
+def watch():
+    return Watch(LIMIT)
+
+
+@pytest.fixture
+def heartbeat():
+    own = Heartbeat()
+    yield own
+    own.close()
+
+
+def test_nothing_is_taken_over_before_the_first_command(watch):
+    assert watch.judge(START, START, 0, stopped) is Takeover.NONE
+
+
+@pytest.mark.parametrize(
+    ("silence", "state", "expected"),
+    [
+        (19, stopped, Takeover.NONE),
+        (20, running, Takeover.NONE),
+        (20, stopped, Takeover.STOPPED),
+        (39, running, Takeover.NONE),
+        (40, running, Takeover.SILENT),
+        (40, stopped, Takeover.STOPPED),
+    ],
+)
+def test_silence_and_state_decide(watch, silence, state, expected):
+    now = START + silence * MS
+    assert watch.judge(now, now, START, state) is expected
+
+
+def test_the_guards_own_lateness_is_no_silence(watch):
+    now = START + 100 * MS
+    assert watch.judge(now, START + 20 * MS, START, running) is Takeover.NONE
+    due = watch.next_look(now)
+    assert watch.judge(due, due, START, running) is Takeover.NONE
+    due = START + 120 * MS
+    assert watch.judge(due, due, START, running) is Takeover.SILENT
+
+
+def test_a_late_guard_does_not_excuse_the_next_silence(watch):
+    watch.judge(START + 100 * MS, START + 20 * MS, START, running)
+    again = START + 101 * MS
+    now = again + LIMIT
+    assert watch.judge(now, now, again, running) is Takeover.SILENT
+
+
+def test_a_stream_that_writes_is_looked_at_every_20_ms_and_a_silent_one_at_the_limit(watch):
+    watch.judge(START, START, START, running)
+    assert watch.next_look(START + MS) == START + 20 * MS
+    assert watch.next_look(START + 20 * MS) == START + 30 * MS
+    assert watch.next_look(START + 35 * MS) == START + LIMIT
+    assert watch.next_look(START + LIMIT) > START + LIMIT
+
+
+def test_both_processes_see_the_same_heartbeat(heartbeat):
+    other = Heartbeat(os.dup(heartbeat.descriptor))
+    command = LowCmd().seal()
+    heartbeat.beat(command, START)
+    assert (other.last_write, other.command) == (START, command)
+    assert heartbeat.takeover is Takeover.NONE
+    other.takeover, other.subscribers = Takeover.STOPPED, 2
+    assert (heartbeat.takeover, heartbeat.subscribers) == (Takeover.STOPPED, 2)
+    heartbeat.clear()
+    assert other.last_write == 0
+    other.close()
+
+
+def test_the_guard_damps_where_the_last_command_was():
+    last, damping = LowCmd(), LowCmd()
+    last.motor_mode, last.mode_machine[()] = 1, 5
+    last.q[:] = np.linspace(-1, 1, 29)
+    last.dq[:], last.tau[:], last.kp[:], last.kd[:] = 1.0, 2.0, 100.0, 4.0
+    damping.load(damping_command(last.seal(), 3.0))
+    assert damping.crc_matches()
+    assert np.array_equal(damping.q, last.q)
+    assert np.array_equal((damping.kp, damping.dq, damping.tau), np.zeros((3, 29)))
+    assert (damping.kd == 3.0).all()
+    assert (damping.motor_mode == 1).all()
+    assert damping.mode_machine == 5

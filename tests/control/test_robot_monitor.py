@@ -1,0 +1,243 @@
+"""What ends a session because of the robot, each threshold just on and just beyond it."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from g1stream.control.robot_monitor import RobotMonitor, tilt_of
+from g1stream.control.state_checks import Measured
+from g1stream.dds.messages import LowState
+from g1stream.robot.joints import JOINT_NAMES, TORQUE_LIMIT
+from g1stream.safety_settings import SafetyConfig
+from g1stream.session.motions import load_motion
+
+MS = 1_000_000
+KNEE = JOINT_NAMES.index("left_knee_joint")
+
+
+class Watched:
+    """A robot that publishes every `period` ns, watched."""
+
+    def __init__(self, robot, period=2 * MS, **settings):
+        self.monitor = RobotMonitor(robot, SafetyConfig(**settings), period)
+        self.period = period
+        self.state = LowState()
+        self.state.quaternion[0] = 1.0
+        self.now = 5_000 * MS
+        self.target = np.zeros(29)
+        self.measuring = True
+
+    def after(self, seconds, motion=lambda t: None):
+        """The verdict of a time with what is set now, and how long it took, s."""
+        step = self.period / 1e9
+        for i in range(round(seconds / step)):
+            self.now += self.period
+            if self.measuring:
+                self.state.gyroscope[0] += 0.001
+            motion(i * step)
+            measured = Measured.of(self.state, self.now)
+            if reason := self.monitor.verdict(self.state, measured, self.now, self.target):
+                return reason, (i + 1) * step
+        return "", seconds
+
+
+@pytest.fixture
+def make(robot):
+    return lambda **settings: Watched(robot, **settings)
+
+
+def tilted_by(angle, yaw=0.7):
+    """A body that has turned about the vertical and leans by `angle`; quaternion wxyz."""
+    x, y, z, w = (Rotation.from_euler("z", yaw) * Rotation.from_rotvec([0, angle, 0])).as_quat()
+    return np.array([w, x, y, z])
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.3, 1.0, np.pi / 2, 2.5, np.pi])
+def test_tilt_is_the_lean_whatever_the_heading(angle):
+    for yaw in (-2.0, 0.0, 0.7):
+        quat = tilted_by(angle, yaw)
+        assert tilt_of(quat) == pytest.approx(angle, abs=1e-7)
+        assert tilt_of(-quat) == pytest.approx(angle, abs=1e-7)
+
+
+def test_tilt_is_the_angle_between_the_vertical_axes():
+    for rotation in Rotation.random(50, rng=np.random.default_rng(3)):
+        x, y, z, w = rotation.as_quat()
+        expected = np.arccos(rotation.apply([0, 0, 1])[2])
+        assert tilt_of(np.array([w, x, y, z])) == pytest.approx(expected, abs=1e-7)
+
+
+def test_all_is_well(make):
+    assert make().after(3.0) == ("", 3.0)
+
+
+@pytest.mark.parametrize(("angle", "stops"), [(0.799, False), (0.801, True)])
+def test_tilt(make, angle, stops):
+    it = make(max_tilt=0.8)
+    it.state.quaternion[:] = tilted_by(angle)
+    reason, passed = it.after(0.1)
+    assert ("safety.max_tilt = 0.8 rad" in reason) == stops
+    assert not stops or passed == 0.002
+
+
+@pytest.mark.parametrize(("speed", "stops"), [(-12.5, False), (-12.51, True), (12.51, True)])
+def test_joint_speed(make, speed, stops):
+    it = make(max_joint_speed=12.5)
+    it.state.dq[KNEE] = speed
+    it.state.dq[5] = 12.0
+    reason, passed = it.after(0.1)
+    assert reason.startswith("left_knee_joint moves at 12.5 rad/s") == stops
+    assert not stops or passed == 0.002
+
+
+@pytest.mark.parametrize(("part", "name"), [(0, "casing"), (1, "winding")])
+@pytest.mark.parametrize("commanded", [True, False])
+def test_temperature(make, part, name, commanded):
+    it = make(**{f"max_{name}_temperature": 70.0})
+    it.target = it.target if commanded else None
+    it.state.temperature[KNEE, part] = 70
+    assert it.after(0.1)[0] == ""
+    it.state.temperature[KNEE, part] = 71
+    reason, passed = it.after(0.1)
+    assert f"{name} of left_knee_joint has 71 °C" in reason
+    assert f"safety.max_{name}_temperature" in reason
+    assert passed <= 0.022
+
+
+def test_voltage(make):
+    it = make(min_voltage=42.0)
+    it.state.vol[:] = 48.0
+    it.state.vol[KNEE] = 0.0  # not measured
+    assert it.after(1.0)[0] == ""
+    it.state.vol[KNEE] = 41.5
+    assert it.after(0.45)[0] == ""  # a dip
+    it.state.vol[KNEE] = 48.0
+    assert it.after(0.1)[0] == ""
+    it.state.vol[KNEE] = 41.5
+    reason, passed = it.after(1.0)
+    assert reason.startswith("left_knee_joint is supplied with 41.5 V")
+    assert passed == pytest.approx(0.5, abs=0.042)
+
+
+def test_a_motor_that_is_off(make):
+    it = make(motor_fault_time=0.1)
+    it.state.motor_mode = 0  # a simulator does not say
+    assert it.after(1.0)[0] == ""
+    it.state.motor_mode = 1
+    assert it.after(0.1)[0] == ""
+    it.state.motor_mode = np.where(np.arange(29) == KNEE, 0, 1)
+    reason, passed = it.after(1.0)
+    assert "left_knee_joint is off (mode 0)" in reason
+    assert passed == pytest.approx(0.1, abs=0.042)
+
+
+def test_all_motors_off(make):
+    it = make(motor_fault_time=0.1)
+    it.state.motor_mode = 1
+    it.after(0.1)
+    it.state.motor_mode = 0
+    assert "one of 29" in it.after(1.0)[0]
+
+
+def test_a_motor_that_reports_a_fault(make):
+    it = make(motor_fault_time=0.1)
+    it.state.motorstate[KNEE] = 0x201
+    reason, passed = it.after(1.0)
+    assert "left_knee_joint reports motorstate 0x201: overcurrent, winding overheating" in reason
+    assert passed == pytest.approx(0.1, abs=0.042)
+
+
+def test_a_fault_that_is_masked_or_short_does_not_stop(make):
+    it = make(motor_fault_mask=0xFFFFFFFF & ~0x80000, motor_fault_time=0.1)
+    it.state.motorstate[KNEE] = 0x80000
+    assert it.after(1.0)[0] == ""
+    it.state.motorstate[KNEE] = 0x40000000
+    assert it.after(0.08)[0] == ""
+    it.state.motorstate[KNEE] = 0
+    assert it.after(1.0)[0] == ""
+
+
+def test_torque(make, robot):
+    it = make(max_torque=1.1, torque_time=0.2)
+    limit = min(TORQUE_LIMIT[KNEE], robot.effort[KNEE])
+    it.state.tau_est[KNEE] = -1.09 * limit
+    assert it.after(1.0)[0] == ""
+    it.state.tau_est[KNEE] = -1.11 * limit
+    reason, passed = it.after(1.0)
+    assert reason.startswith(f"left_knee_joint has {1.11 * limit:.1f} Nm")
+    assert passed == pytest.approx(0.2, abs=0.042)
+
+
+def test_tracking_error_is_averaged(make):
+    """A constant error e passes the limit after -T ln(1 - limit / e)."""
+    it = make(max_tracking_error=0.3, tracking_time=1.0)
+    it.target[KNEE] = 0.29
+    assert it.after(10.0)[0] == ""
+    it = make(max_tracking_error=0.3, tracking_time=1.0)
+    it.target[KNEE] = 0.6
+    reason, passed = it.after(10.0)
+    assert reason.startswith("left_knee_joint is 0.60 rad from its target")
+    assert passed == pytest.approx(np.log(2), abs=0.05)
+
+
+def test_a_target_beyond_the_limits_is_no_tracking_error(make, robot):
+    it = make(max_tracking_error=0.3)
+    it.target[KNEE] = 100.0
+    it.state.q[KNEE] = robot.upper[KNEE]
+    assert it.after(3.0)[0] == ""
+
+
+def test_time_without_new_measurements_does_not_count(make):
+    """A starved simulator: one new measurement in 20 ms counts 5 ms."""
+    it = make(max_tracking_error=0.3, tracking_time=1.0)
+    it.target[KNEE] = 0.6
+    it.measuring = False
+    assert it.after(10.0)[0] == ""
+
+    def seldom(t):
+        it.state.gyroscope[0] = t // 0.02
+
+    assert it.after(10.0, seldom)[1] == pytest.approx(4 * np.log(2), rel=0.1)
+
+
+@pytest.mark.parametrize(("share", "stops"), [(0.0, True), (0.09, True), (0.2, False)])
+def test_a_jam(make, share, stops):
+    it = make(jam_time=1.0, jam_motion=0.5, max_tracking_error=6.0)
+
+    def swing(t):
+        it.target[KNEE] = 0.6 + 0.3 * np.sin(4 * t)
+        it.state.q[KNEE] = 0.6 + share * 0.3 * np.sin(4 * t)
+
+    reason, passed = it.after(4.0, swing)
+    assert reason.startswith("left_knee_joint does not follow") == stops
+    assert not stops or passed == pytest.approx(1.0, abs=0.15)
+
+
+def test_a_robot_that_never_moves_does_not_play_the_demo(make):
+    it, motion = make(), load_motion("demo")
+
+    def play(t):
+        it.target[:] = motion.joint_pos[int(t * motion.fps)]
+
+    it.state.q[:] = motion.joint_pos[0]
+    reason, passed = it.after(motion.duration, play)
+    assert reason
+    assert passed < motion.duration / 2
+
+
+def test_a_joint_that_is_to_move_little_is_not_jammed(make):
+    it = make(jam_time=1.0, jam_motion=0.5)
+
+    def swing(t):
+        it.target[KNEE] = 0.24 * np.sin(4 * t)
+
+    assert it.after(4.0, swing)[0] == ""
+
+
+@pytest.mark.parametrize("period", [2 * MS, 20 * MS])
+def test_a_limit_of_time_is_the_same_at_every_rate(make, period):
+    it = make(period=period, motor_fault_time=0.5)
+    it.state.motorstate[KNEE] = 0x400
+    reason, seconds = it.after(3.0)
+    assert "left_knee_joint" in reason
+    assert seconds == pytest.approx(0.5, abs=0.05)

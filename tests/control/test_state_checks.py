@@ -1,0 +1,294 @@
+"""What makes a LowState believed or not, each threshold just on and just beyond it."""
+
+import numpy as np
+import pytest
+
+from g1stream.control.state_checks import Measured, StateChecks, is_unit
+from g1stream.dds.messages import LowState
+from g1stream.safety_settings import SafetyConfig
+
+MS = 1_000_000
+NOW = 5_000 * MS
+
+
+class Robot:
+    """LowStates of a robot at rest, one every 2 ms, into checks."""
+
+    def __init__(self, robot, **settings):
+        self.checks = StateChecks(robot, SafetyConfig(**settings))
+        self.state = LowState()
+        self.state.quaternion[:] = (1, 0, 0, 0)
+        self.state.mode_machine[()] = 5
+        self.now = NOW
+        self.publisher = 1
+        self.sealed = self.moving = self.ticking = True
+
+    def publish(self, *, times=1, target=None):
+        """Publish, and return why the robot is unknown afterwards, or ""."""
+        for _ in range(times):
+            self.now += 2 * MS
+            if self.moving:
+                self.state.gyroscope[0] += 0.001
+            if self.ticking:
+                self.state.tick += np.uint32(2)
+            if self.sealed:
+                self.state.seal()
+            self.checks.take(self.state, self.publisher, self.now, target)
+        return self.checks.unknown(self.now, target)
+
+
+@pytest.fixture
+def make(robot):
+    return lambda **settings: Robot(robot, **settings)
+
+
+@pytest.fixture
+def begun(make):
+    """A robot whose first command follows."""
+
+    def begin(**settings):
+        it = make(**settings)
+        assert it.publish(times=3) == ""
+        it.checks.begin()
+        return it
+
+    return begin
+
+
+def test_nothing_is_known_before_the_first_state(make):
+    assert make().checks.unknown(NOW) == "no LowState received"
+
+
+def test_what_is_measured_is_a_copy(make):
+    it = make()
+    it.state.q[:], it.state.dq[:], it.state.tau_est[:] = 1.0, 2.0, 3.0
+    it.state.accelerometer[:] = (0, 0, 9.81)
+    measured = Measured.of(it.state, NOW)
+    it.state.payload[:] = 0
+    assert measured.q.tolist() == [1.0] * 29
+    assert measured.dq.tolist() == [2.0] * 29
+    assert measured.tau.tolist() == [3.0] * 29
+    assert measured.imu.quat_wxyz.tolist() == [1, 0, 0, 0]
+    assert measured.imu.accelerometer.tolist() == pytest.approx([0, 0, 9.81])
+    assert (measured.mode_machine, measured.received, measured.finite) == (5, NOW, True)
+
+
+def test_a_stale_state(make):
+    it = make(state_timeout=0.1)
+    it.publish()
+    assert it.checks.unknown(it.now + 100 * MS) == ""
+    reason = it.checks.unknown(it.now + 100 * MS + 1)
+    assert reason.startswith("no LowState for 0.100 s")
+    assert "safety.state_timeout = 0.1 s" in reason
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize(
+    ("field", "named"),
+    [
+        ("q", "position of left_ankle_roll_joint"),
+        ("dq", "velocity of left_ankle_roll_joint"),
+        ("tau_est", "torque of left_ankle_roll_joint"),
+        ("quaternion", "quaternion"),
+        ("gyroscope", "gyroscope"),
+        ("accelerometer", "accelerometer"),
+    ],
+)
+def test_a_number_that_is_not_finite(make, field, named, bad):
+    it = make()
+    values = getattr(it.state, field)
+    values[min(5, len(values) - 1)] = bad
+    assert named in it.publish()
+
+
+@pytest.mark.parametrize(
+    ("norm", "fine"), [(1.0, True), (0.951, True), (1.049, True), (0.949, False), (1.051, False)]
+)
+def test_an_attitude_is_a_unit_quaternion(make, norm, fine):
+    it = make()
+    it.state.quaternion *= np.float32(norm)
+    assert is_unit(it.state.quaternion) == fine
+    assert it.publish() == ("" if fine else f"the IMU quaternion has norm {norm:.3f}")
+
+
+def test_a_simulator_that_starts_with_zeros_is_waited_out(make):
+    it = make()
+    it.state.payload[:] = 0
+    it.sealed = it.moving = it.ticking = False
+    assert "norm 0.000" in it.publish(times=100)
+    it.state.quaternion[0] = 1.0
+    assert it.publish() == ""
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_a_pose_beyond_the_limits_is_no_start_and_stops_later(begun, make, robot, side):
+    at_stop = robot.upper if side > 0 else robot.lower
+    for it, most in ((make(), 0.1), (begun(max_leap=1.0, limit_excess=0.3), 0.3)):
+        it.state.q[:] = at_stop + side * (most - 1e-4)
+        it.checks.measured = None  # so that there is no leap
+        assert it.publish() == ""
+        it.state.q[7] = at_stop[7] + side * (most + 1e-3)
+        reason = it.publish()
+        assert reason.startswith(robot.joint_names[7])
+        assert "safety.limit_excess" in reason
+
+
+def test_a_stricter_excess_holds_for_the_start_as_well(make, robot):
+    it = make(limit_excess=0.05)
+    it.state.q[7] = robot.upper[7] + 0.06
+    assert it.publish() != ""
+
+
+@pytest.mark.parametrize("provided", [True, False])
+def test_a_crc_is_required_where_it_is_provided(begun, provided):
+    it = begun()
+    it.sealed = False
+    it.state.crc[()] = 0 if provided else 1
+    if not provided:  # of a bridge that sends none, the first that is not 0 is wrong
+        it.checks._has_crc = False
+    before = it.checks.measured
+    it.publish()
+    assert it.checks.measured is before
+    assert it.checks.crc_errors == 1
+    it.sealed = True
+    assert it.publish() == ""
+    assert it.checks.measured is not before
+
+
+def test_a_bridge_without_crc_is_believed(make):
+    it = make()
+    it.sealed = False
+    assert it.publish(times=1000) == ""
+    assert it.checks.crc_errors == 0
+
+
+def test_only_wrong_crcs_are_no_robot(make):
+    it = make()
+    it.sealed = False
+    it.state.crc[()] = 7
+    reason = it.publish(times=3)
+    assert reason == "no LowState received; 3 with a wrong CRC were dropped"
+
+
+@pytest.mark.parametrize(("gap", "stops"), [(2, True), (400, False)])
+def test_wrong_crcs_have_a_budget_for_a_second(begun, gap, stops):
+    it = begun(max_crc_errors=3)
+    reasons = []
+    for _ in range(6):
+        it.sealed = False
+        it.state.crc[()] = 1
+        it.publish()
+        it.sealed = True
+        reasons.append(it.publish(times=gap // 2))
+    assert [bool(reason) for reason in reasons] == [False] * 3 + [stops] * 3
+    assert not stops or "safety.max_crc_errors = 3" in reasons[-1]
+
+
+def test_a_tick_that_stands_still_where_it_went(begun):
+    it = begun(frozen_timeout=0.1)
+    it.ticking = False
+    assert it.publish(times=50) == ""
+    assert "tick of LowState stands still at 6" in it.publish()
+
+
+def test_a_bridge_without_a_tick_is_believed(make):
+    it = make(frozen_timeout=0.1)
+    it.ticking = False
+    assert it.publish(times=500) == ""
+
+
+@pytest.mark.parametrize(
+    ("frozen_motion", "moved", "stops"),
+    [(0.01, 0.0, False), (0.01, 0.009, False), (0.01, 0.011, True), (0.0, 0.0, True)],
+)
+def test_content_that_repeats_while_the_targets_move(begun, frozen_motion, moved, stops):
+    it = begun(frozen_timeout=0.1, frozen_motion=frozen_motion)
+    start, later = np.zeros(29), np.zeros(29)
+    later[4] = moved
+    it.publish(target=start)
+    it.moving = False
+    assert it.publish(times=50, target=later) == ""
+    reason = it.publish(target=later)
+    assert bool(reason) == stops
+    assert not stops or f"{moved:.3f} rad" in reason
+
+
+def test_a_leap(begun, robot):
+    it = begun(max_leap=0.5)
+    velocity = robot.velocity[3]
+    it.state.q[3] += 0.5 + 0.9 * velocity * 0.002
+    assert it.publish() == ""
+    it.state.q[3] += 0.5 + 1.1 * velocity * 0.002
+    reason = it.publish()
+    assert reason.startswith("left_knee_joint leapt")
+    assert "safety.max_leap = 0.5 rad" in reason
+
+
+def test_a_simulator_that_catches_up_does_not_leap(begun, robot):
+    it = begun(max_leap=0.5)
+    it.state.tick += np.uint32(48)
+    it.state.q[3] += 0.5 + 0.9 * robot.velocity[3] * 0.05
+    assert it.publish() == ""
+    it.state.q[3] -= 0.5 + 1.1 * robot.velocity[3] * 0.002
+    assert "leapt" in it.publish()
+
+
+def test_a_joint_has_moved_since_the_content_changed(begun, robot):
+    """A bridge that publishes faster than it measures repeats its states."""
+    it = begun(max_leap=0.5)
+    it.moving = False
+    assert it.publish(times=50) == ""
+    it.state.q[3] += 0.5 + 0.9 * robot.velocity[3] * 0.1
+    assert it.publish() == ""
+
+
+def test_before_the_first_command_a_robot_may_be_replaced(make):
+    it = make()
+    it.publish(times=3)
+    it.publisher, it.sealed = 2, False
+    it.state.crc[()] = 0
+    it.state.tick[()] = 0
+    it.state.q[3] = 1.5
+    it.state.mode_machine[()] = 0
+    assert it.publish() == ""
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda it: setattr(it, "publisher", 2), "another publisher"),
+        (lambda it: it.state.tick.fill(0), "tick of LowState went back from 6 to 2"),
+        (lambda it: it.state.mode_machine.fill(0), "mode_machine changed from 5 to 0"),
+    ],
+)
+def test_after_the_first_command_it_is_the_same_robot(begun, change, reason):
+    it = begun()
+    change(it)
+    assert reason in it.publish()
+    assert reason in it.publish()  # for good
+
+
+def test_a_tick_that_wraps_is_no_restart(begun):
+    it = begun()
+    it.state.tick[()] = 2**32 - 2
+    it.checks._tick = 2**32 - 4
+    assert it.publish(times=2) == ""
+
+
+@pytest.mark.parametrize(("machine", "allowed"), [(5, True), (0, True), (4, False), (6, False)])
+def test_mode_machine(make, machine, allowed):
+    it = make()
+    it.state.mode_machine[()] = machine
+    assert it.publish() == ""
+    reason = it.checks.wrong_robot()
+    assert (reason == "") is allowed
+    assert allowed or f"mode_machine {machine}" in reason
+
+
+def test_the_fault_of_one_publisher_is_found_with_the_next_one_too(make):
+    it = make()
+    it.moving = it.ticking = it.sealed = False
+    it.state.quaternion[:] = 0.0
+    assert "norm 0.000" in it.publish()
+    it.publisher = 2
+    assert "norm 0.000" in it.publish()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
@@ -11,6 +13,7 @@ from foxglove_schemas_protobuf.Log_pb2 import Log as LogLine
 from g1stream.dds.messages import Batch, Log, LowState, Reference
 from g1stream.dds.topics import LOG, LOWSTATE, REFERENCE
 from g1stream.foxglove.pipeline import Decimator, MessagePipeline
+from g1stream.robot.joints import JOINT_GROUPS
 from g1stream.robot.model import G1
 
 T0 = 1_700_000_000_000_000_000
@@ -43,8 +46,13 @@ def test_batches_become_raw_and_derived_messages():
         "/measured/joint_states": 50,
         "/tf": 10,
         "/measured/tf": 10,
+        "/ghost/tf": 10,
+        "/measured/path": 1,
+        "/timing/commands": 2,
+        "/timing/states": 2,
         "/log": 1,
         "/tracking_error/joint_states": 50,
+        "/tracking_error/limbs": 10,
     }
     assert list(made["/lowstate"].payloads) == batches[LOWSTATE.name].data
     for messages in made.values():
@@ -58,9 +66,38 @@ def test_batches_become_raw_and_derived_messages():
     transforms = FrameTransforms.FromString(bytes(made["/measured/tf"].payloads[1])).transforms
     assert transforms[0].timestamp.ToNanoseconds() == times[5]
     assert transforms[0].child_frame_id == "measured/pelvis"
+    ghost = FrameTransforms.FromString(bytes(made["/ghost/tf"].payloads[1])).transforms
+    root, knee = ghost[0], next(t for t in ghost if t.child_frame_id == "ghost/left_knee_link")
+    assert (root.parent_frame_id, root.child_frame_id) == ("measured/pelvis", "ghost/pelvis")
+    assert (root.rotation.w, root.translation.x, root.translation.z) == (1.0, 0.0, 0.0)
+    reference = FrameTransforms.FromString(bytes(made["/tf"].payloads[1])).transforms
+    same = next(t for t in reference if t.child_frame_id == "left_knee_link")
+    assert knee.rotation == same.rotation
+    limbs = JointStates.FromString(bytes(made["/tracking_error/limbs"].payloads[3]))
+    assert {joint.name: joint.position for joint in limbs.joints} == dict.fromkeys(
+        JOINT_GROUPS, 0.25
+    )
     line = LogLine.FromString(made["/log"].payloads[0])
     assert (line.level, line.name, line.message) == (3, "stream", "late")
     assert pipeline.encode({}) == []
+
+
+def test_timing_has_the_longest_interval_and_latency_of_each_span():
+    pipeline = MessagePipeline(G1.default(), tf_rate=100.0)
+    start = T0 // 50_000_000 * 50_000_000
+    first = [start + 2_000_000 * i for i in range(10)]
+    later = [first[-1] + 30_000_000 + 2_000_000 * i for i in range(5)]
+    found = []
+    for times in (first, later):
+        states = batch(LowState(), times)
+        states.log_times[1] += 400_000
+        made = pipeline.encode({LOWSTATE.name: states})
+        found += [json.loads(p) for m in made if m.topic == "/timing/states" for p in m.payloads]
+    assert found == [
+        {"interval_ms": 2.0, "latency_ms": 0.45},
+        {"interval_ms": 30.0, "latency_ms": 0.05},
+        {"interval_ms": 2.0, "latency_ms": 0.45},
+    ]
 
 
 @pytest.mark.parametrize(("rate", "kept"), [(500, 100), (1000, 100), (100, 100), (30, 30)])

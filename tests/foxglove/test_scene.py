@@ -2,14 +2,15 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
 
 from g1stream.errors import RobotError
-from g1stream.foxglove.encoders import MEASURED_PREFIX
-from g1stream.foxglove.scene import _model, encode_robot_description, encode_scene
+from g1stream.foxglove.encoders import GHOST_PREFIX
+from g1stream.foxglove.scene import PathEncoder, _model, encode_robot_description, encode_scene
 from g1stream.robot.model import G1
 from g1stream.robot.visuals import read_visuals
 from g1stream.session.format import CHANNELS
@@ -27,7 +28,7 @@ def shapes(entity):
 
 
 def test_every_visual_is_an_entity_locked_to_the_frame_of_its_link(robot):
-    entities = SceneUpdate.FromString(encode_scene(T0, robot, {"": 1.0})).entities
+    entities = SceneUpdate.FromString(encode_scene(T0, robot)).entities
     visuals = read_visuals(robot)
     assert {entity.frame_id for entity in entities} == {visual.link for visual in visuals}
     assert len({entity.id for entity in entities}) == len(entities)
@@ -39,7 +40,7 @@ def test_every_visual_is_an_entity_locked_to_the_frame_of_its_link(robot):
 
 
 def test_pose_size_and_colour_are_those_of_the_urdf(robot):
-    entities = SceneUpdate.FromString(encode_scene(T0, robot, {"": 1.0})).entities
+    entities = SceneUpdate.FromString(encode_scene(T0, robot)).entities
     by_frame = {entity.frame_id: entity for entity in entities}
     for kind, field in (("box", "cubes"), ("cylinder", "cylinders"), ("sphere", "spheres")):
         visual = next(v for v in read_visuals(robot) if v.kind == kind)
@@ -53,13 +54,26 @@ def test_pose_size_and_colour_are_those_of_the_urdf(robot):
         assert all(c.top_scale == c.bottom_scale == 1 for c in entity.cylinders)
 
 
-def test_each_prefix_is_one_robot_with_its_opacity(robot):
-    opacities = {"": 0.3, MEASURED_PREFIX: 1.0}
-    entities = SceneUpdate.FromString(encode_scene(T0, robot, opacities)).entities
-    ghost = [e for e in entities if not e.frame_id.startswith(MEASURED_PREFIX)]
-    assert 2 * len(ghost) == len(entities)
-    assert {s.color.a for e in ghost for s in shapes(e)} == {0.3}
-    assert {s.color.a for e in entities if e not in ghost for s in shapes(e)} == {1.0}
+def test_a_ghost_has_its_own_frames_and_one_colour(robot):
+    tint = (0.0, 0.5, 1.0, 0.25)
+    ghost = SceneUpdate.FromString(encode_scene(T0, robot, GHOST_PREFIX, tint)).entities
+    solid = SceneUpdate.FromString(encode_scene(T0, robot)).entities
+    assert [e.frame_id for e in ghost] == [GHOST_PREFIX + e.frame_id for e in solid]
+    colours = {(s.color.r, s.color.g, s.color.b, s.color.a) for e in ghost for s in shapes(e)}
+    assert colours == {tint}
+
+
+def test_a_path_reaches_back_over_batches_and_no_further():
+    path = PathEncoder("path", 1.0, (1.0, 0.0, 0.0, 1.0))
+    drawn = []
+    for start in (0, 10, 20):
+        times = T0 + 100_000_000 * np.arange(start, start + 10)
+        points = np.arange(start, start + 10)[:, np.newaxis] * [1.0, 0.0, 0.0]
+        drawn += path.encode(times, points, times[[5]])
+    (entity,) = SceneUpdate.FromString(drawn[-1]).entities
+    assert entity.timestamp.ToNanoseconds() == T0 + 2_500_000_000
+    assert [point.x for point in entity.lines[0].points] == list(range(16, 26))
+    assert len(SceneUpdate.FromString(drawn[0]).entities[0].lines[0].points) == 6
 
 
 def test_a_mesh_is_embedded_if_its_file_is_found_and_named_otherwise(robot, tmp_path):
@@ -70,7 +84,7 @@ def test_a_mesh_is_embedded_if_its_file_is_found_and_named_otherwise(robot, tmp_
         for name in ("here", "gone")
     )
     made = replace(robot, urdf=f"<robot>{xml}</robot>", source=str(tmp_path / "g1.urdf"))
-    update = SceneUpdate.FromString(encode_scene(T0, made, {"": 1.0}))
+    update = SceneUpdate.FromString(encode_scene(T0, made))
     here, gone = (entity.models[0] for entity in update.entities)
     assert (here.data, here.media_type, here.url) == (b"solid", "model/stl", "")
     assert (gone.data, gone.url) == (b"", "gone.STL")
@@ -93,7 +107,18 @@ def test_the_description_is_a_ros_string(robot, text):
 
 
 def test_a_mesh_that_cannot_be_read_is_named(tmp_path, monkeypatch):
-    monkeypatch.setattr("g1stream.foxglove.scene.find_mesh", lambda robot, name: tmp_path)
+    mesh = tmp_path / "torso.stl"
+    mesh.mkdir()
+    monkeypatch.setattr("g1stream.foxglove.scene.find_mesh", lambda robot, name: mesh)
     robot = G1.load()
-    with pytest.raises(RobotError, match=str(tmp_path)):
+    with pytest.raises(RobotError, match=str(mesh)):
         _model(robot, "torso.stl")
+
+
+def test_a_file_that_is_no_mesh_is_not_embedded(robot, tmp_path):
+    secret, link = tmp_path / "secret.txt", tmp_path / "link.stl"
+    secret.write_bytes(b"secret")
+    link.symlink_to(secret)
+    for name in (f"file://{secret}", f"file://{link}", "secret.txt"):
+        made = replace(robot, source=str(tmp_path / "g1.urdf"))
+        assert _model(made, name) == {"url": name}

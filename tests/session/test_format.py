@@ -71,6 +71,8 @@ def test_encodings_are_mcaps_well_known_ones(channel):
     pair = (channel.schema_encoding, channel.message_encoding)
     if channel.schema_name.startswith("foxglove."):
         assert pair == (SchemaEncoding.Protobuf, MessageEncoding.Protobuf)
+    elif channel.topic.startswith("/timing/"):
+        assert pair == (SchemaEncoding.JSONSchema, MessageEncoding.JSON)
     else:
         assert pair == (SchemaEncoding.ROS2, MessageEncoding.CDR)
     assert channel.description

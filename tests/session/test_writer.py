@@ -19,7 +19,7 @@ from mcap_ros2.decoder import DecoderFactory as Ros2Decoders
 from g1stream.errors import RecordingError
 from g1stream.foxglove.encoders import JointStatesTemplate
 from g1stream.session import writer as writer_module
-from g1stream.session.format import metadata_from_strings
+from g1stream.session.format import CHANNELS, metadata_from_strings
 from g1stream.session.parts import SessionFiles
 from g1stream.session.writer import SessionWriter, attach_motion
 
@@ -188,11 +188,22 @@ def test_metadata_and_attachments(tmp_path):
         records = list(make_reader(file).iter_metadata())
     with path.open("rb") as file:
         (attachment,) = make_reader(file).iter_attachments()
-    assert [record.name for record in records] == ["g1stream", "g1stream"]
+    assert [record.name for record in records] == ["g1stream", "g1stream.2"]
     assert metadata_from_strings(records[0].metadata) == {"domain": 1, "gains": {"kp": [60, 40]}}
     assert metadata_from_strings(records[1].metadata) == {"gaps": []}
     assert (attachment.name, attachment.data) == ("g1.urdf", b"<robot/>")
     assert (attachment.log_time, attachment.media_type) == (T0, "application/xml")
+
+
+@pytest.mark.parametrize(
+    ("topics", "profile"), [(["/lowcmd", "/lowstate"], "ros2"), (CHANNELS, "")]
+)
+def test_the_profile_is_that_of_ros2_where_all_channels_are_cdr(tmp_path, topics, profile):
+    path = tmp_path / "session.mcap"
+    with SessionWriter(path, channels={topic: CHANNELS[topic] for topic in topics}) as writer:
+        writer.write("/lowstate", b"x", T0, T0)
+    with path.open("rb") as file:
+        assert make_reader(file).get_header().profile == profile
 
 
 def test_an_exception_still_leaves_a_whole_file(tmp_path):

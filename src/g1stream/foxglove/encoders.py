@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     from g1stream.robot.model import G1
 
 __all__ = [
+    "GHOST_PREFIX",
+    "IDENTITY_POSE",
     "MEASURED_PREFIX",
     "WORLD_FRAME",
     "FrameTransformsTemplate",
@@ -47,9 +49,14 @@ WORLD_FRAME: Final = "world"
 """The default name of the world's frame."""
 
 MEASURED_PREFIX: Final = "measured/"
-"""Prefix of the measured robot's frame names; both robots share the world's frame."""
+"""Prefix of the measured robot's frame names; it shares the world's frame with the reference."""
 
-_IDENTITY_WXYZ: Final = np.array([1.0, 0.0, 0.0, 0.0])
+GHOST_PREFIX: Final = "ghost/"
+"""Prefix of the frames of the ghost: the reference's joints on the measured pelvis."""
+
+IDENTITY_POSE: Final = (np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
+"""Position (3,) m and quaternion (4,) wxyz of a frame that coincides with its parent."""
+
 _NS_PER_S: Final = 1_000_000_000
 
 # Every placeholder contains 0xFF, which no UTF-8 text does: no frame name can be taken for one.
@@ -120,7 +127,7 @@ class TransformsEncoder:
             (T, size) uint8; each row is one message.
         """
         if self._link:
-            in_root = forward_kinematics(self._robot, joint_pos, np.zeros(3), _IDENTITY_WXYZ)
+            in_root = forward_kinematics(self._robot, joint_pos, *IDENTITY_POSE)
             quat_in_root = in_root.quat_wxyz[:, self._link]
             root_quat_wxyz = quat_mul(root_quat_wxyz, quat_conj(quat_in_root))
             root_pos = root_pos - quat_rotate(root_quat_wxyz, in_root.pos[:, self._link])

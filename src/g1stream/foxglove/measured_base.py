@@ -6,7 +6,13 @@ from typing import Literal
 
 import numpy as np
 
-from g1stream.robot.rotations import quat_from_axis_angle, quat_mul, quat_rotate, yaw_of
+from g1stream.robot.rotations import (
+    UNIT_TOLERANCE,
+    quat_from_axis_angle,
+    quat_mul,
+    quat_rotate,
+    yaw_of,
+)
 from g1stream.session.summary import MeasuredTf
 from g1stream.types import Floats, Ints
 
@@ -15,8 +21,6 @@ __all__ = ["MeasuredBase", "PositionSource"]
 PositionSource = Literal["sportmodestate", "reference", "none"]
 
 _UP = np.array([0.0, 0.0, 1.0])
-#: A quaternion's norm may differ this much from 1: an IMU that is not ready sends zeros.
-_NORM_TOLERANCE = 0.1
 
 
 class MeasuredBase:
@@ -66,7 +70,7 @@ class MeasuredBase:
         positions = np.stack(
             [np.interp(times, self._times, axis) for axis in self._positions.T], axis=-1
         )
-        usable = np.abs(np.linalg.norm(imu_quats_wxyz, axis=-1) - 1.0) <= _NORM_TOLERANCE
+        usable = np.abs(np.linalg.norm(imu_quats_wxyz, axis=-1) - 1.0) <= UNIT_TOLERANCE
         if usable.any() and self.yaw_offset is None and self._reference_yaw is not None:
             first = int(usable.argmax())
             turn = self._reference_yaw - float(yaw_of(imu_quats_wxyz[first]))

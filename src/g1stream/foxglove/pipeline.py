@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -9,16 +10,19 @@ import numpy as np
 from g1stream.dds.messages import Log, Samples
 from g1stream.dds.topics import LOG, LOWSTATE, REFERENCE, SPORTMODESTATE
 from g1stream.foxglove.encoders import (
+    GHOST_PREFIX,
+    IDENTITY_POSE,
     MEASURED_PREFIX,
     JointStatesTemplate,
     TransformsEncoder,
     encode_log,
 )
 from g1stream.foxglove.measured_base import MeasuredBase
-from g1stream.foxglove.scene import encode_robot_description, encode_scene
+from g1stream.foxglove.scene import PathEncoder, encode_robot_description, encode_scene
 from g1stream.foxglove.tracking_error import Track, TrackingError
-from g1stream.session.format import CHANNELS, MessageBatch
-from g1stream.types import Ints
+from g1stream.robot.joints import JOINT_GROUPS
+from g1stream.session.format import CHANNELS, TIMING_FIELDS, MessageBatch
+from g1stream.types import Floats, Ints
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -33,7 +37,14 @@ __all__ = ["CHANNEL_OF", "Decimator", "MessagePipeline"]
 CHANNEL_OF: Final = {c.dds_topic: c.topic for c in CHANNELS.values() if c.dds_topic}
 """The topic in the file that holds a DDS topic's samples byte for byte, by the DDS topic's name."""
 
-_REFERENCE_OPACITY: Final = 0.3
+#: Red, green, blue and opacity of the ghost, and of the reference at its own root.
+_GHOST_TINT: Final = (0.1, 0.6, 1.0, 0.3)
+_REFERENCE_TINT: Final = (1.0, 0.65, 0.1, 0.3)
+_PATH_COLOR: Final = (1.0, 0.85, 0.2, 1.0)
+#: How far back the path of the pelvis reaches, s, its points and its lines per second, Hz.
+_PATH_LENGTH, _PATH_POINTS, _PATH_LINES = 10.0, 20.0, 5.0
+#: What a message of /timing/* is about, ns.
+_TIMING_SPAN: Final = 50_000_000
 
 
 class Decimator:
@@ -78,14 +89,23 @@ class MessagePipeline:
         self._measured_tf = TransformsEncoder(robot, MEASURED_PREFIX)
         fields = ("position", "velocity", "acceleration", "effort")
         self._joints = JointStatesTemplate(robot.joint_names, fields)
+        self._ghost_tf = TransformsEncoder(
+            robot, GHOST_PREFIX, world=MEASURED_PREFIX + robot.link_names[0]
+        )
         self._error_joints = JointStatesTemplate(robot.joint_names, fields[:2])
+        self._error_limbs = JointStatesTemplate(tuple(JOINT_GROUPS), fields[:2])
         self._tracking_error = TrackingError(len(robot.joint_names))
+        self._error_decimator = Decimator(tf_rate)
+        self._path = PathEncoder("measured/path", _PATH_LENGTH, _PATH_COLOR)
+        self._path_points, self._path_lines = Decimator(_PATH_POINTS), Decimator(_PATH_LINES)
+        self._command_timing = _Timing("/timing/commands")
+        self._state_timing = _Timing("/timing/states")
         self._reference_decimator = Decimator(tf_rate)
         self._state_decimator = Decimator(tf_rate)
         self._log = Log()
 
     def file_header(self, time_ns: int) -> list[MessageBatch]:
-        """What viewers need once: the scene with both robots, the reference translucent; the URDF.
+        """What viewers need once: a scene for each robot that is shown, and the URDF.
 
         Args:
             time_ns: log and publish time, ns since the epoch.
@@ -93,10 +113,12 @@ class MessagePipeline:
         Raises:
             RobotError: the URDF has a shape that cannot be read.
         """
-        opacities = {"": _REFERENCE_OPACITY, MEASURED_PREFIX: 1.0}
+        robot = self._robot
         payloads = {
-            "/scene": encode_scene(time_ns, self._robot, opacities),
-            "/robot_description": encode_robot_description(self._robot),
+            "/measured/scene": encode_scene(time_ns, robot, MEASURED_PREFIX),
+            "/ghost/scene": encode_scene(time_ns, robot, GHOST_PREFIX, _GHOST_TINT),
+            "/scene": encode_scene(time_ns, robot, tint=_REFERENCE_TINT),
+            "/robot_description": encode_robot_description(robot),
         }
         time = np.array([time_ns])
         return [MessageBatch(topic, [data], time, time) for topic, data in payloads.items()]
@@ -125,7 +147,7 @@ class MessagePipeline:
             made += self._from_states(batches[LOWSTATE.name])
         if LOG.name in batches:
             made.append(self._from_log(batches[LOG.name]))
-        made.append(self._from_errors(self._tracking_error.take()))
+        made += self._from_errors(self._tracking_error.take())
         return [messages for messages in made if len(messages.payloads)]
 
     def _from_references(self, batch: Batch) -> list[MessageBatch]:
@@ -138,9 +160,12 @@ class MessagePipeline:
         joints = self._joints.encode(published, q, dq, samples["ddq"], samples["tau"])
         few = self._reference_decimator.pick(published)
         tf = self._tf.encode(published[few], q[few], root_pos[few], root_quat[few])
+        ghost = self._ghost_tf.encode(published[few], q[few], *IDENTITY_POSE)
         return [
             MessageBatch("/reference/joint_states", joints, logged, published),
             MessageBatch("/tf", tf, logged[few], published[few]),
+            MessageBatch("/ghost/tf", ghost, logged[few], published[few]),
+            self._command_timing.encode(published, logged),
         ]
 
     def _from_states(self, batch: Batch) -> list[MessageBatch]:
@@ -158,12 +183,28 @@ class MessagePipeline:
         return [
             MessageBatch("/measured/joint_states", joints, logged, published),
             MessageBatch("/measured/tf", tf, logged[few], published[few]),
+            self._path_of(published[few], logged[few], positions),
+            self._state_timing.encode(published, logged),
         ]
 
-    def _from_errors(self, errors: Track) -> MessageBatch:
-        payloads = self._error_joints.encode(errors.publish_times, errors.q, errors.dq)
-        topic = "/tracking_error/joint_states"
-        return MessageBatch(topic, payloads, errors.log_times, errors.publish_times)
+    def _path_of(self, published: Ints, logged: Ints, positions: Floats) -> MessageBatch:
+        few = self._path_points.pick(published)
+        published, logged = published[few], logged[few]
+        drawn = self._path_lines.pick(published)
+        lines = self._path.encode(published, positions[few], published[drawn])
+        return MessageBatch("/measured/path", lines, logged[drawn], published[drawn])
+
+    def _from_errors(self, errors: Track) -> list[MessageBatch]:
+        times, logged = errors.publish_times, errors.log_times
+        joints = self._error_joints.encode(times, errors.q, errors.dq)
+        few = self._error_decimator.pick(times)
+        limbs = self._error_limbs.encode(
+            times[few], _by_limb(errors.q[few]), _by_limb(errors.dq[few])
+        )
+        return [
+            MessageBatch("/tracking_error/joint_states", joints, logged, times),
+            MessageBatch("/tracking_error/limbs", limbs, logged[few], times[few]),
+        ]
 
     def _from_log(self, batch: Batch) -> MessageBatch:
         lines = []
@@ -173,6 +214,33 @@ class MessagePipeline:
                 encode_log(published, int(self._log.level), self._log.name, self._log.text)
             )
         return MessageBatch("/log", lines, *_times(batch))
+
+
+class _Timing:
+    """Longest interval and latency of samples, as messages of `topic`."""
+
+    def __init__(self, topic: str) -> None:
+        self._topic = topic
+        self._last: int | None = None
+
+    def encode(self, published: Ints, logged: Ints) -> MessageBatch:
+        """A message for each span of time, of the samples (T,) in it; times in ns."""
+        starts = np.flatnonzero(np.diff(published // _TIMING_SPAN, prepend=-1))
+        previous = published[0] if self._last is None else self._last
+        self._last = int(published[-1])
+        intervals = np.diff(published, prepend=previous)
+        values = np.stack([intervals, logged - published], axis=-1) / 1e6
+        longest = np.maximum.reduceat(values, starts)
+        rows = (dict(zip(TIMING_FIELDS, row, strict=True)) for row in longest.tolist())
+        payloads = [json.dumps(row).encode() for row in rows]
+        return MessageBatch(self._topic, payloads, logged[starts], published[starts])
+
+
+def _by_limb(values: Floats) -> Floats:
+    """(T, 5) RMS over each limb's joints of (T, 29) values."""
+    means = [(values[:, list(joints)] ** 2).mean(axis=1) for joints in JOINT_GROUPS.values()]
+    limbs: Floats = np.sqrt(np.stack(means, axis=1))
+    return limbs
 
 
 def _times(batch: Batch) -> tuple[Ints, Ints]:

@@ -1,15 +1,20 @@
-"""What viewers draw of the robot: a Foxglove scene of its shapes, and its URDF as ROS sends it."""
+"""What viewers draw: Foxglove scenes of the robot and of its path, and its URDF as ROS sends it."""
 
 from __future__ import annotations
 
 import struct
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
+from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
 from g1stream.dds.layout import CDR_HEADER
 from g1stream.errors import RobotError
+from g1stream.files import read_file
+from g1stream.foxglove.encoders import WORLD_FRAME
 from g1stream.robot.visuals import find_mesh, read_visuals
+from g1stream.types import Floats, Ints
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -19,7 +24,9 @@ if TYPE_CHECKING:
     from g1stream.robot.model import G1
     from g1stream.robot.visuals import Visual
 
-__all__ = ["encode_robot_description", "encode_scene"]
+__all__ = ["PathEncoder", "Rgba", "encode_robot_description", "encode_scene"]
+
+Rgba = tuple[float, float, float, float]
 
 _MEDIA_TYPES: Final = {
     ".stl": "model/stl",
@@ -27,34 +34,88 @@ _MEDIA_TYPES: Final = {
     ".obj": "model/obj",
     ".glb": "model/gltf-binary",
 }
+#: Bytes of a mesh, and of all meshes of a scene as often as they occur in it.
+_LARGEST_MESH: Final = 64 * 2**20
+_LARGEST_SCENE: Final = 256 * 2**20
 
 
-def encode_scene(timestamp_ns: int, robot: G1, opacities: Mapping[str, float]) -> bytes:
+def encode_scene(timestamp_ns: int, robot: G1, prefix: str = "", tint: Rgba | None = None) -> bytes:
     """A foxglove.SceneUpdate with the shapes of a robot, locked to the frames of its links.
 
-    Meshes whose files are found are embedded; others are referred to by name.
+    Meshes are embedded where their files are found and their suffix is one of a mesh; others are
+    referred to by name, so that a URDF cannot bring another file into a session.
 
     Args:
         timestamp_ns: ns since the epoch.
         robot: whose URDF has the shapes.
-        opacities: for each robot to show, the prefix of its frames and how opaque it is, 0 to 1.
+        prefix: of the frames of its links.
+        tint: red, green, blue and opacity of all shapes, 0 to 1; the URDF's colours if None.
 
     Raises:
-        RobotError: the URDF has a shape that cannot be read.
+        RobotError: the URDF has a shape that cannot be read, or its meshes are too large.
     """
     update = SceneUpdate()
     visuals = read_visuals(robot)
     models = {name: _model(robot, name) for name in {v.mesh for v in visuals if v.mesh}}
-    for prefix, opacity in opacities.items():
-        entities: dict[str, SceneEntity] = {}
-        for visual in visuals:
-            frame = prefix + visual.link
-            if frame not in entities:
-                entities[frame] = update.entities.add(id=frame, frame_id=frame, frame_locked=True)
-                entities[frame].timestamp.FromNanoseconds(timestamp_ns)
-            _add(entities[frame], visual, opacity, models)
+    size = sum(len(models.get(v.mesh, {}).get("data", b"")) for v in visuals)
+    if size > _LARGEST_SCENE:
+        raise RobotError(
+            f"The meshes of {robot.source} have {size / 2**20:.0f} MiB.",
+            f"Give it simpler ones, of {_LARGEST_SCENE / 2**20:.0f} MiB at most, or move them away "
+            "to be shown by their names only.",
+        )
+    entities: dict[str, SceneEntity] = {}
+    for visual in visuals:
+        frame = prefix + visual.link
+        if frame not in entities:
+            entities[frame] = update.entities.add(id=frame, frame_id=frame, frame_locked=True)
+            entities[frame].timestamp.FromNanoseconds(timestamp_ns)
+        _add(entities[frame], visual, tint, models)
     data: bytes = update.SerializeToString()
     return data
+
+
+class PathEncoder:
+    """Draws where a frame has been in the last seconds, as foxglove.SceneUpdate with one line.
+
+    Args:
+        entity_id: of the line.
+        seconds: how long the line reaches back.
+        color: red, green, blue and opacity, 0 to 1.
+    """
+
+    def __init__(self, entity_id: str, seconds: float, color: Rgba) -> None:
+        self._id, self._color, self._length = entity_id, color, round(seconds * 1e9)
+        self._times: Ints = np.empty(0, dtype=np.int64)
+        self._points: Floats = np.empty((0, 3))
+
+    def encode(self, times: Ints, points: Floats, instants: Ints) -> list[bytes]:
+        """Take in points, and draw the line at some of their times.
+
+        Args:
+            times: (T,) ns since the epoch.
+            points: (T, 3) m, world.
+            instants: (K,) of the times, at which a line is wanted.
+        """
+        self._times = np.append(self._times, times)
+        self._points = np.concatenate([self._points, points])
+        lines = [self._line(int(instant)) for instant in instants]
+        recent = self._times >= self._times[-1:].max(initial=0) - self._length
+        self._times, self._points = self._times[recent], self._points[recent]
+        return lines
+
+    def _line(self, instant: int) -> bytes:
+        update = SceneUpdate()
+        entity = update.entities.add(id=self._id, frame_id=WORLD_FRAME)
+        entity.timestamp.FromNanoseconds(instant)
+        line = entity.lines.add(type=LinePrimitive.LINE_STRIP, thickness=3.0, scale_invariant=True)
+        line.pose.orientation.w = 1.0
+        line.color.r, line.color.g, line.color.b, line.color.a = self._color
+        drawn = (self._times <= instant) & (self._times > instant - self._length)
+        for x, y, z in self._points[drawn].tolist():
+            line.points.add(x=x, y=y, z=z)
+        data: bytes = update.SerializeToString()
+        return data
 
 
 def encode_robot_description(robot: G1) -> bytes:
@@ -64,7 +125,10 @@ def encode_robot_description(robot: G1) -> bytes:
 
 
 def _add(
-    entity: SceneEntity, visual: Visual, opacity: float, models: Mapping[str, Mapping[str, Any]]
+    entity: SceneEntity,
+    visual: Visual,
+    tint: Rgba | None,
+    models: Mapping[str, Mapping[str, Any]],
 ) -> None:
     """Add a shape to its link's entity."""
     if visual.kind == "box":
@@ -74,8 +138,8 @@ def _add(
     elif visual.kind == "cylinder":
         shape = entity.cylinders.add(bottom_scale=1.0, top_scale=1.0)
     else:
-        # Viewers make a mesh translucent only by overriding its colours with one.
-        override = visual.coloured or opacity < 1.0
+        # Viewers tint a mesh only by overriding its colours with one.
+        override = visual.coloured or tint is not None
         shape = entity.models.add(override_color=override, **models[visual.mesh])
     extent = shape.scale if visual.kind == "mesh" else shape.size
     extent.x, extent.y, extent.z = visual.size
@@ -83,18 +147,17 @@ def _add(
     pose.position.x, pose.position.y, pose.position.z = visual.pos
     q = pose.orientation
     q.w, q.x, q.y, q.z = visual.quat_wxyz
-    colour.r, colour.g, colour.b, alpha = visual.rgba
-    colour.a = alpha * opacity
+    colour.r, colour.g, colour.b, colour.a = tint or visual.rgba
 
 
 def _model(robot: G1, name: str) -> dict[str, Any]:
     """A mesh's content where its file is found, else its name for the viewer to look up."""
     path = find_mesh(robot, name)
-    if path is None:
+    media_type = _MEDIA_TYPES.get(path.resolve().suffix.lower()) if path else None
+    if path is None or media_type is None:
         return {"url": name}
-    media_type = _MEDIA_TYPES.get(path.suffix.lower(), "application/octet-stream")
     try:
-        return {"data": path.read_bytes(), "media_type": media_type}
+        return {"data": read_file(path, _LARGEST_MESH), "media_type": media_type}
     except OSError as error:
         raise RobotError(
             f"The mesh {path} of {robot.name} cannot be read: {error.strerror}.",

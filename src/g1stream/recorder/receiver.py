@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import threading
 import time
 from collections import Counter
@@ -25,9 +24,6 @@ __all__ = ["Receiver"]
 
 #: How long the thread waits for samples before it checks whether to stop, ns.
 _WAIT_NS: Final = 20_000_000
-#: How long the writing thread may delay the receiving one, s. With CPython's default of 5 ms many a
-#: log time would be late by that much.
-_SWITCH_INTERVAL: Final = 1e-4
 #: Samples of a topic that may wait while this process is not scheduled.
 _DEPTH: Final = 4096
 
@@ -57,16 +53,13 @@ class Receiver:
         self._thread = threading.Thread(target=self._receive, name="receiver", daemon=True)
 
     def start(self) -> None:
-        """Begin to receive. Until `stop`, the interpreter switches threads more often."""
-        self._switch_interval = sys.getswitchinterval()
-        sys.setswitchinterval(min(_SWITCH_INTERVAL, self._switch_interval))
+        """Begin to receive. The writing thread should not hold the GIL for long meanwhile."""
         self._thread.start()
 
     def stop(self) -> None:
         """Stop receiving; what has been received can still be drained."""
         self._stop.set()
         self._thread.join()
-        sys.setswitchinterval(self._switch_interval)
         # Before the readers, which the participant closes.
         del self._waitset, self._conditions
 

@@ -19,6 +19,7 @@ from g1stream.errors import RecordingError
 from g1stream.events import severity
 from g1stream.foxglove.encoders import encode_log
 from g1stream.foxglove.pipeline import CHANNEL_OF
+from g1stream.realtime import quick_thread_switches
 from g1stream.recorder.clocks import DelayEstimator, StepDetector, read_clocks
 from g1stream.recorder.losses import Losses, dropped_datagrams
 from g1stream.recorder.receiver import Receiver
@@ -133,14 +134,16 @@ class Recorder:
         room.addHandler(handler)
         self._receiver.start()
         try:
-            on_started()
-            while not should_stop():
-                time.sleep(self._batch_s)
-                self._write_batches()
-            time.sleep(_LINGER)
-            # Twice: a receiver that failed says so once all its samples have been drained.
-            for _ in range(2):
-                self._write_batches()
+            # Else many a log time would be late by the 5 ms for which this thread holds the GIL.
+            with quick_thread_switches():
+                on_started()
+                while not should_stop():
+                    time.sleep(self._batch_s)
+                    self._write_batches()
+                time.sleep(_LINGER)
+                # Twice: a receiver that failed says so once all its samples have been drained.
+                for _ in range(2):
+                    self._write_batches()
         except RecordingError as error:
             self.report.stopped = error.cause
             _LOGGER.error(error.cause)
@@ -156,9 +159,9 @@ class Recorder:
     def _write_batches(self) -> None:
         batches = self._receiver.drain()
         for name, batch in batches.items():
-            self.report.first_ns = self.report.first_ns or batch.log_times[0]
-            self.report.last_ns = max(self.report.last_ns or 0, batch.log_times[-1])
-            if name in CHANNEL_OF:
+            if name in CHANNEL_OF:  # events of a program alone are no recording
+                self.report.first_ns = self.report.first_ns or batch.log_times[0]
+                self.report.last_ns = max(self.report.last_ns or 0, batch.log_times[-1])
                 self._losses.add(name, batch)
                 self._check_delay(name, batch)
         aligned = self._pipeline.base.yaw_offset is not None

@@ -25,7 +25,7 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
 from g1stream.dds.layout import members
-from g1stream.types import Ints
+from g1stream.types import Ints, Phase
 
 if TYPE_CHECKING:
     import numpy as np
@@ -35,14 +35,21 @@ if TYPE_CHECKING:
 __all__ = [
     "CHANNELS",
     "METADATA_NAME",
+    "TIMING_FIELDS",
     "Channel",
     "MessageBatch",
     "metadata_from_strings",
     "metadata_to_strings",
 ]
 
+TIMING_FIELDS: Final = ("interval_ms", "latency_ms")
+"""Of /timing/*: the longest time between two publish times, and from publish time to log time."""
+
 METADATA_NAME: Final = "g1stream"
-"""The name of the record. A file may have several; a later one's values replace an earlier's."""
+"""The name of the first metadata record; the names of later ones end in `.2`, `.3` and so on.
+
+A later record's values replace an earlier's. Tools take two of one name for a mistake.
+"""
 
 
 class MessageBatch(NamedTuple):
@@ -125,6 +132,8 @@ def _ros2_schema(dds_topic: str) -> bytes:
 def _ros2_fields(idl_type: Any) -> str:
     lines = []
     for name, (element, length) in members(idl_type).items():
+        if name == "phase":  # viewers show the constants before a field in place of its values
+            lines += [f"uint8 {phase.name}={phase.value}\n" for phase in Phase]
         size = "" if length is None else f"[{length}]"
         lines.append(f"{_ros2_type(element)}{size} {name}\n")
     return "".join(lines)
@@ -148,16 +157,33 @@ def _nested_structs(idl_type: Any) -> list[Any]:
     return list(found.values())
 
 
+def _timing(topic: str, description: str) -> Channel:
+    properties = {name: {"type": "number"} for name in TIMING_FIELDS}
+    schema = json.dumps({"type": "object", "properties": properties}).encode()
+    return Channel(topic, "g1stream.Timing", "jsonschema", "json", description, lambda: schema)
+
+
 _ALL: Final = (
     _foxglove("/tf", FrameTransforms, "reference pose of every link, from world down the tree"),
     _foxglove("/measured/tf", FrameTransforms, "measured pose of every link, frames measured/*"),
+    _foxglove(
+        "/ghost/tf", FrameTransforms, "reference joints on the measured pelvis, frames ghost/*"
+    ),
     _foxglove("/reference/joint_states", JointStates, "joints of the reference"),
     _foxglove("/measured/joint_states", JointStates, "joints as the motors report them"),
     _foxglove(
         "/tracking_error/joint_states", JointStates, "reference minus measured, at each LowState"
     ),
+    _foxglove(
+        "/tracking_error/limbs", JointStates, "RMS of the tracking error over each limb's joints"
+    ),
+    _timing("/timing/commands", "longest interval and latency of commands, by spans of 0.05 s"),
+    _timing("/timing/states", "longest interval and latency of LowStates, by spans of 0.05 s"),
     _foxglove("/log", Log, "phase changes, safety events, gaps and overruns"),
-    _foxglove("/scene", SceneUpdate, "the robot's shapes, each locked to the frame of its link"),
+    _foxglove("/scene", SceneUpdate, "shapes of the reference, locked to the frames of its links"),
+    _foxglove("/measured/scene", SceneUpdate, "shapes of the measured robot"),
+    _foxglove("/ghost/scene", SceneUpdate, "shapes of the ghost, translucent"),
+    _foxglove("/measured/path", SceneUpdate, "where the measured pelvis was in the last seconds"),
     # In ROS's own message, as that is what viewers look for under this topic.
     Channel(
         "/robot_description",
@@ -211,7 +237,7 @@ def _to_string(value: Any) -> str:
 def _from_string(string: str) -> Any:
     try:
         return json.loads(string)
-    except ValueError:
+    except (ValueError, RecursionError):  # not JSON, or nested more deeply than anything of ours
         return string
 
 

@@ -21,10 +21,11 @@ from typing import IO, TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
 import fastcrc
 import numpy as np
+import zstandard
+from lz4.frame import LZ4FrameDecompressor
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Metadata, Statistics
-from mcap.stream_reader import get_chunk_data_stream
 
 from g1stream.errors import RecordingError
 from g1stream.session.format import METADATA_NAME, metadata_from_strings
@@ -36,7 +37,16 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["RECOVER", "McapFile"]
+__all__ = [
+    "RECOVER",
+    "McapFile",
+    "Record",
+    "content_of",
+    "decompressed",
+    "records_in",
+    "records_of",
+    "stream_of",
+]
 
 RECOVER: Final = "Recover the rest with a tool such as `pymcap-cli recover`."
 """The remedy for a damaged file."""
@@ -61,10 +71,24 @@ _MESSAGE: Final = np.dtype(
         ("publish_time", "<i8"),
     ]
 )
+#: A chunk record without its compression and data; the first fields are its times.
+_CHUNK: Final = struct.Struct("<16xQ")
 _MOST_THREADS: Final = 4
 
+# A few bytes can claim, or decompress to, more than any memory holds. These limits are far above
+# what g1stream writes: a chunk has 32 MiB at most, or one scene with meshes; samples compress to a
+# fifth of their size.
+#: Bytes of a record, of the content of a chunk, and of all attachments together.
+_LARGEST_RECORD: Final = 512 * 2**20
+_LARGEST_ATTACHMENTS: Final = 256 * 2**20
+#: The content of all chunks: bytes in any case, and for each byte of the file.
+_LARGEST_CONTENT: Final = 256 * 2**20
+_LARGEST_RATIO: Final = 100
+#: Times are before this, ns since the epoch (in 2116), so that sums of two are 64-bit numbers.
+_LATEST: Final = 2**62
 
-class _Record(NamedTuple):
+
+class Record(NamedTuple):
     """Where the content of a record is, in bytes from the start of the file or chunk."""
 
     opcode: int
@@ -81,13 +105,13 @@ class _Chunk:
         index: by channel, where the entries of its index are and how many.
     """
 
-    record: _Record
+    record: Record
     index: dict[int, tuple[int, int]] = field(default_factory=dict)
 
-    def add_index(self, file: IO[bytes], record: _Record) -> None:
+    def add_index(self, file: IO[bytes], record: Record) -> None:
         channel, size = _INDEX.unpack(_read_at(file, record.start, _INDEX.size))
         n_entries, rest = divmod(size, _INDEX_ENTRY.itemsize)
-        if rest or size != record.length - _INDEX.size:
+        if rest or size != record.length - _INDEX.size or size > _LARGEST_RECORD:
             raise ValueError("the index of a chunk has another length than it says")
         if n_entries:
             self.index[channel] = (record.start + _INDEX.size, n_entries)
@@ -122,13 +146,17 @@ class McapFile:
         self.metadata: dict[str, Any] = {}
         self._topics: dict[int, str] = {}
         self._chunks: list[_Chunk] = []
-        self._attachments: list[_Record] = []
+        self._attachments: list[Record] = []
+        self._content_size = 0
         self._statistics: Statistics | None = None
         with self._open() as file:
             last = None
-            for last in _records(file):
-                with self._damage_at(last):
+            allowed = _LARGEST_CONTENT + _LARGEST_RATIO * os.fstat(file.fileno()).st_size
+            for last in records_of(file):
+                with self.damage_at(last):
                     self._add_record(file, last)
+                if self._content_size > allowed:
+                    raise self._too_large("chunks", self._content_size)
             # Of the last chunk of a file cut short, a part of the index may be missing.
             if last and last.opcode in {Opcode.CHUNK, Opcode.MESSAGE_INDEX}:
                 self._chunks[-1].index.clear()
@@ -145,7 +173,7 @@ class McapFile:
         chunks = [c for c in self._chunks if not c.index or not channels.isdisjoint(c.index)]
         with self._open() as file:
             for chunk, data in zip(chunks, self._decompressed(file, chunks), strict=True):
-                with self._damage_at(chunk.record):
+                with self.damage_at(chunk.record):
                     found = _messages(file, chunk, data, channels)
                 for channel, messages in found.items():
                     yield self._topic(channel), messages
@@ -156,10 +184,13 @@ class McapFile:
         Raises:
             RecordingError: one of them is damaged.
         """
+        size = sum(record.length for record in self._attachments)
+        if size > _LARGEST_ATTACHMENTS:
+            raise self._too_large("attachments", size)
         with self._open() as file:
             for record in self._attachments:
-                with self._damage_at(record):
-                    attachment = Attachment.read(_stream(file, record))
+                with self.damage_at(record):
+                    attachment = Attachment.read(stream_of(file, record))
                 yield attachment
 
     def _open(self) -> IO[bytes]:
@@ -181,20 +212,23 @@ class McapFile:
             raise RecordingError(f"{self.path} {what}.", "Give a file that g1stream recorded.")
         return file
 
-    def _add_record(self, file: IO[bytes], record: _Record) -> None:
+    def _add_record(self, file: IO[bytes], record: Record) -> None:
         if record.opcode == Opcode.CHUNK:
+            (size,) = _CHUNK.unpack(_read_at(file, record.start, _CHUNK.size))
+            self._content_size += size
             self._chunks.append(_Chunk(record))
         elif record.opcode == Opcode.MESSAGE_INDEX and self._chunks:
             self._chunks[-1].add_index(file, record)
         elif record.opcode == Opcode.CHANNEL:
-            self._add_channel(_content(file, record))
+            self._add_channel(content_of(file, record))
         elif record.opcode == Opcode.STATISTICS:
-            self._statistics = Statistics.read(_stream(file, record))
+            self._statistics = Statistics.read(stream_of(file, record))
         elif record.opcode == Opcode.ATTACHMENT:
             self._attachments.append(record)
         elif record.opcode == Opcode.METADATA:
-            metadata = Metadata.read(_stream(file, record))
-            if metadata.name == METADATA_NAME:
+            metadata = Metadata.read(stream_of(file, record))
+            # Sessions before 0.2 have several records of the first name.
+            if metadata.name.partition(".")[0] == METADATA_NAME:
                 self.metadata |= metadata_from_strings(metadata.metadata)
         elif record.opcode == Opcode.FOOTER:
             self.complete = True
@@ -223,8 +257,8 @@ class McapFile:
     def _search(self, file: IO[bytes], chunk: _Chunk) -> dict[int, int]:
         """Note the channels that a chunk describes, and count its messages by channel."""
         (data,) = self._decompressed(file, [chunk])
-        with self._damage_at(chunk.record):
-            for opcode, start, length in _records_in(data):
+        with self.damage_at(chunk.record):
+            for opcode, start, length in records_in(data):
                 if opcode == Opcode.CHANNEL:
                     self._add_channel(data[start : start + length])
             return {channel: len(found) for channel, found in _message_offsets(data).items()}
@@ -232,14 +266,14 @@ class McapFile:
     def _decompressed(self, file: IO[bytes], chunks: Iterable[_Chunk]) -> Iterator[bytes]:
         """The records of each chunk, decompressed a few chunks ahead."""
 
-        def decompress(item: tuple[_Record, bytes]) -> bytes:
-            with self._damage_at(item[0]):
-                return _decompress(item[1])
+        def decompress(item: tuple[Record, bytes]) -> bytes:
+            with self.damage_at(item[0]):
+                return decompressed(item[1])
 
-        return _prefetch(decompress, ((c.record, _content(file, c.record)) for c in chunks))
+        return _prefetch(decompress, ((c.record, content_of(file, c.record)) for c in chunks))
 
     @contextmanager
-    def _damage_at(self, record: _Record) -> Iterator[None]:
+    def damage_at(self, record: Record) -> Iterator[None]:
         try:
             yield
         except Exception as error:  # every field and each compression has an error of its own
@@ -249,6 +283,13 @@ class McapFile:
                 RECOVER,
             ) from error
 
+    def _too_large(self, what: str, size: int) -> RecordingError:
+        return RecordingError(
+            f"The {what} of {self.path} are said to have {size / 2**20:.0f} MiB, which no session "
+            "of its size has.",
+            "Give a file that g1stream recorded.",
+        )
+
     def _topic(self, channel_id: int) -> str:
         return self._topics.get(channel_id, f"channel {channel_id}")
 
@@ -257,7 +298,7 @@ class McapFile:
         self._topics[channel.id] = channel.topic
 
 
-def _records(file: IO[bytes]) -> Iterator[_Record]:
+def records_of(file: IO[bytes]) -> Iterator[Record]:
     """The whole records of a file, up to its footer or to where it was cut."""
     size = file.seek(0, 2)
     start = len(_MAGIC)
@@ -267,19 +308,21 @@ def _records(file: IO[bytes]) -> Iterator[_Record]:
         # A power cut may leave a tail of zeros, and there is no record of that kind.
         if not opcode or start + length > size:
             return
-        yield _Record(opcode, start, length)
+        yield Record(opcode, start, length)
         if opcode == Opcode.FOOTER:
             return
         start += length
 
 
-def _records_in(data: bytes) -> Iterator[_Record]:
+def records_in(data: bytes) -> Iterator[Record]:
     """The records in a decompressed chunk."""
     start = 0
     while start < len(data):
         opcode, length = _RECORD.unpack_from(data, start)
         start += _RECORD.size
-        yield _Record(opcode, start, length)
+        if not opcode or start + length > len(data):
+            raise ValueError("a chunk has something else than whole records")
+        yield Record(opcode, start, length)
         start += length
 
 
@@ -288,20 +331,41 @@ def _read_at(file: IO[bytes], start: int, size: int) -> bytes:
     return os.pread(file.fileno(), size, start)
 
 
-def _content(file: IO[bytes], record: _Record) -> bytes:
+def content_of(file: IO[bytes], record: Record) -> bytes:
+    """The bytes of a record.
+
+    Raises:
+        ValueError: they are too many.
+    """
+    if record.length > _LARGEST_RECORD:
+        raise ValueError("the record is too large")
     file.seek(record.start)
     return file.read(record.length)
 
 
-def _stream(file: IO[bytes], record: _Record) -> ReadDataStream:
-    return ReadDataStream(BytesIO(_content(file, record)))
+def stream_of(file: IO[bytes], record: Record) -> ReadDataStream:
+    """The bytes of a record, as the classes of `mcap.records` read them."""
+    return ReadDataStream(BytesIO(content_of(file, record)))
 
 
-def _decompress(content: bytes) -> bytes:
+def decompressed(content: bytes) -> bytes:
     """The records in a chunk, from the content of its own record."""
     chunk = Chunk.read(ReadDataStream(BytesIO(content)))
-    stream, size = get_chunk_data_stream(chunk)
-    data = stream.read(size)
+    size = chunk.uncompressed_size
+    if size > _LARGEST_RECORD:
+        raise ValueError("the chunk is too large")
+    data: bytes = chunk.data
+    # Neither decompressor may make more than the chunk says: a frame has a size of its own.
+    if chunk.compression == "zstd":
+        if zstandard.frame_content_size(data) not in (size, -1):
+            raise ValueError("a chunk has another size than it says")
+        data = zstandard.decompress(data, max_output_size=size)
+    elif chunk.compression == "lz4":
+        data = LZ4FrameDecompressor().decompress(data, max_length=size)
+    elif chunk.compression:
+        raise ValueError("the compression of a chunk is not known")
+    if len(data) != size:
+        raise ValueError("a chunk has another size than it says")
     # zlib's crc32, which the library uses, takes half as long as the decompression.
     if chunk.uncompressed_crc and fastcrc.crc32.iso_hdlc(data) != chunk.uncompressed_crc:
         raise ValueError("the checksum of a chunk does not match")
@@ -311,7 +375,7 @@ def _decompress(content: bytes) -> bytes:
 def _message_offsets(data: bytes) -> dict[int, NDArray[np.int64]]:
     """By channel, (N,) where in a decompressed chunk its messages are, without an index."""
     found: dict[int, list[int]] = {}
-    for record in _records_in(data):
+    for record in records_in(data):
         if record.opcode == Opcode.MESSAGE:
             channel = int.from_bytes(data[record.start : record.start + 2], "little")
             found.setdefault(channel, []).append(record.start - _RECORD.size)
@@ -340,6 +404,9 @@ def _messages_at(data: bytes, offsets: NDArray[np.int64], channel: int) -> Messa
     wrong = (heads["opcode"] != Opcode.MESSAGE) | (heads["channel"] != channel)
     if (wrong | (ends < offsets + head) | (ends > size)).any():
         raise ValueError("the index of a chunk points to something else than a message")
+    for times in (heads["log_time"], heads["publish_time"]):
+        if ((times < 0) | (times >= _LATEST)).any():
+            raise ValueError("a message has a time after 2116")
     bounds = zip((offsets + head).tolist(), ends.tolist(), strict=True)
     return Messages(
         np.ascontiguousarray(heads["log_time"]),

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import ctypes
 import errno
+import fcntl
 import os
 from collections import Counter
 from contextlib import contextmanager, suppress
@@ -18,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 from mcap.writer import CompressionType, IndexType, Writer
 
 from g1stream._version import __version__
+from g1stream.errors import RecordingError
 from g1stream.files import output_errors
 from g1stream.session.format import METADATA_NAME, metadata_to_strings
 
@@ -61,6 +63,8 @@ class OutputFile:
 
     def __init__(self, path: Path) -> None:
         self._file: Any = path.open("xb", buffering=0)
+        with suppress(OSError):  # a file system without locks
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # until the recorder ends
         self._committed = 0
         self._reserved = 0
 
@@ -94,6 +98,13 @@ class OutputFile:
         elif (number := ctypes.get_errno()) in {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}:
             raise OSError(number, os.strerror(number))
 
+    def is_at(self, path: Path) -> bool:
+        """Whether a path leads to this file."""
+        try:
+            return os.path.samestat(path.stat(), os.fstat(self._file.fileno()))
+        except FileNotFoundError:
+            return False
+
     def commit(self) -> None:
         """Keep all that has been written so far."""
         self._committed = self.tell()
@@ -121,6 +132,7 @@ class McapWriter:
 
     Attributes:
         path: of the file, as error messages show it.
+        place: where the file is at present.
         counts: messages written, by topic.
         first_log_time, last_log_time: of all messages, ns since the epoch; None before the first.
     """
@@ -132,21 +144,23 @@ class McapWriter:
         *,
         compression: Compression = "zstd",
     ) -> None:
-        self.path = path
+        self.path = self.place = path
         self.counts: Counter[str] = Counter()
         self.first_log_time: int | None = None
         self.last_log_time: int | None = None
         self._channels = channels
         self._channel_ids: dict[str, int] = {}
         self._schema_ids: dict[str, int] = {}
-        self._n_chunks = 0
+        self._n_chunks = self._n_metadata = 0
         self._compression = CompressionType[compression.upper()]
         with output_errors(path):
             self._file = OutputFile(path)
         self._mcap = self._library_writer(summary=True)
+        # Profile ros2 demands CDR in all channels; its readers refuse a file of several encodings.
+        only_ros2 = all(channel.message_encoding == "cdr" for channel in channels.values())
         try:
             with self._committed(0):
-                self._mcap.start(library=f"g1stream {__version__}")
+                self._mcap.start("ros2" if only_ros2 else "", library=f"g1stream {__version__}")
         except BaseException:
             self._file.close()
             path.unlink(missing_ok=True)
@@ -165,6 +179,12 @@ class McapWriter:
             sequence: number of the first message.
             last: whether this may use the space that is kept for the end of a file.
         """
+        with output_errors(self.path):
+            if not self._file.is_at(self.place):
+                raise RecordingError(
+                    f"{self.path} was deleted, renamed or replaced while it was recorded.",
+                    "Record again.",
+                )
         topic, number = batches[0].topic, sequence
         with self._committed(sum(map(max_size, batches)) + (0 if last else _FINAL_BYTES)):
             channel_id = self._channel_id(topic)
@@ -190,7 +210,9 @@ class McapWriter:
         """Add a metadata record; see `SessionWriter.add_metadata`."""
         strings = metadata_to_strings(values)
         with self._committed(sum(len(k) + len(v) + 8 for k, v in strings.items())):
-            self._mcap.add_metadata(METADATA_NAME, strings)
+            number = self._n_metadata + 1
+            self._mcap.add_metadata(METADATA_NAME + (f".{number}" if number > 1 else ""), strings)
+        self._n_metadata = number
 
     def close(self) -> None:
         """Write the summary and close the file."""

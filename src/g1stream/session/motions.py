@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from g1stream.errors import RecordingError
 from g1stream.files import is_session
 from g1stream.motion.files import open_motion_file
-from g1stream.motion.motion import Motion, check_fps
+from g1stream.motion.motion import LARGEST, SMALLEST_QUAT, Motion, check_fps
 from g1stream.robot.joints import N_JOINTS
 from g1stream.robot.rotations import wxyz_from_xyzw, xyzw_from_wxyz
-from g1stream.types import Floats, Phase
+from g1stream.types import STREAM_RATE, Floats, Phase
 
 if TYPE_CHECKING:
     import os
@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     from g1stream.session.streams import Reference
 
 __all__ = ["check_motion_file", "commanded_motion", "load_motion", "reference_motion"]
+
+
+#: A recorded motion has no more frames, or ten for each of its samples.
+_MOST_FRAMES: Final = 500_000
 
 
 def load_motion(path_or_name: str | os.PathLike[str], *, fps: float | None = None) -> Motion:
@@ -54,7 +58,12 @@ def load_motion(path_or_name: str | os.PathLike[str], *, fps: float | None = Non
 
 
 def check_motion_file(
-    path_or_name: str | os.PathLike[str], robot: G1, *, fps: float | None = None
+    path_or_name: str | os.PathLike[str],
+    robot: G1,
+    *,
+    fps: float | None = None,
+    rate: float = STREAM_RATE,
+    position_margin: float = 0.0,
 ) -> FileReport:
     """Check what `load_motion` reads, without raising for a fault in it.
 
@@ -62,6 +71,8 @@ def check_motion_file(
         path_or_name: as for `load_motion`.
         robot: whose limits.
         fps: as for `load_motion`.
+        rate: joint targets per second when it is streamed, Hz.
+        position_margin: rad, kept from position limits when it is streamed.
 
     Raises:
         MotionError: there is no such file, it is empty or not text; or `fps` is not a frame rate.
@@ -71,8 +82,10 @@ def check_motion_file(
 
     path = Path(path_or_name)
     if not is_session(path):
-        return check_file(path_or_name, robot, fps=fps)
-    motion = check_motion(load_motion(path, fps=fps), robot)
+        return check_file(path_or_name, robot, fps=fps, rate=rate, position_margin=position_margin)
+    motion = check_motion(
+        load_motion(path, fps=fps), robot, rate=rate, position_margin=position_margin
+    )
     return FileReport(path, kind="session", motion=motion)
 
 
@@ -123,16 +136,36 @@ def _resampled(
 ) -> Motion:
     """A motion of constant frame rate from N poses, at their usual rate if `fps` is None.
 
-    Of poses of the same time the first is taken. Where the times have the rate `fps`, the frames
-    are the poses.
+    Of poses within the same microsecond the first is taken. Where the times have the rate `fps`,
+    the frames are the poses.
     """
     from scipy.interpolate import CubicSpline
     from scipy.spatial.transform import Rotation, Slerp
 
-    times, first = np.unique(times, return_index=True)
+    numbers = np.column_stack([times, q, root_pos, root_quat_wxyz])
+    norms = np.abs(root_quat_wxyz).max(axis=1)
+    valid = (np.abs(numbers) <= LARGEST).all(axis=1) & (norms > SMALLEST_QUAT)
+    if not valid.all():
+        raise RecordingError(
+            f"The motion of {path} has {int((~valid).sum())} samples with a value that no motion "
+            f"has, the first at {np.argmin(valid)}: one that is not finite or beyond "
+            f"{LARGEST:g}, or a zero quaternion.",
+            "Record the motion again.",
+        )
+    _, first = np.unique(times.round(6), return_index=True)
+    times = times[first]
+    if len(times) < 2:
+        raise RecordingError(
+            f"The motion of {path} stands still at {times[0]:g} s.", "Record the motion again."
+        )
     rate = round(1.0 / float(np.median(np.diff(times))), 3) if fps is None else fps
     check_fps(rate, path.stem)
     n_frames = int((times[-1] - times[0]) * rate + 1e-6) + 1
+    if n_frames > max(_MOST_FRAMES, 10 * len(times)):
+        raise RecordingError(
+            f"The motion of {path} takes {times[-1] - times[0]:g} s, but has {len(times)} samples.",
+            "Record the motion again.",
+        )
     grid = np.minimum(times[0] + np.arange(n_frames) / rate, times[-1])
     sampled = CubicSpline(times, np.hstack([q[first], root_pos[first]]))(grid)
     rotations = Rotation.from_quat(xyzw_from_wxyz(root_quat_wxyz[first]))

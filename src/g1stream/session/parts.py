@@ -21,7 +21,13 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from g1stream._version import __version__
 from g1stream.errors import RecordingError
-from g1stream.files import check_directory, check_output_path, complete_file, output_errors
+from g1stream.files import (
+    check_directory,
+    check_output_path,
+    complete_file,
+    output_errors,
+    read_file,
+)
 from g1stream.session.mcap_reader import McapFile
 from g1stream.session.source import SessionSource
 
@@ -37,6 +43,7 @@ __all__ = [
     "check_recording_path",
     "part_path",
     "parts_directory",
+    "parts_of",
     "remove_recording",
     "replace_recording",
     "temporary_path",
@@ -44,6 +51,8 @@ __all__ = [
 ]
 
 _METADATA: Final = "metadata.yaml"
+#: Its size in bytes, that of thousands of parts.
+_LARGEST_METADATA: Final = 2**20
 #: Of rosbag2's metadata.yaml: the first with `custom_data`, which every ROS 2 since Humble reads.
 _VERSION: Final = 6
 
@@ -77,7 +86,7 @@ class SessionFiles(SessionSource):
         super().__init__(path)
         self._files: list[McapFile] = []
         errors: dict[int, RecordingError] = {}
-        for number, part in enumerate(_parts_of(path)):
+        for number, part in enumerate(parts_of(path)):
             try:
                 self._files.append(McapFile(part))
             except RecordingError as error:  # noqa: PERF203
@@ -98,6 +107,15 @@ class SessionFiles(SessionSource):
     def attachments(self) -> dict[str, bytes]:
         """The attached files by name."""
         return {one.name: one.data for file in self._files for one in file.attachments()}
+
+
+def parts_of(path: Path) -> list[Path]:
+    """The files of a session: a file itself, or those that a directory's metadata.yaml lists."""
+    try:
+        is_directory = path.is_dir()
+    except OSError:  # opening it says why
+        is_directory = False
+    return _listed_parts(path) if is_directory else [path]
 
 
 def parts_directory(path: Path) -> Path:
@@ -143,7 +161,8 @@ def check_recording_path(path: Path, *, split: bool, force: bool) -> None:
     about = _read_metadata_yaml(directory)
     listed = {part.name for part in _listed_parts(directory)}
     foreign = sorted(found - listed - {_METADATA})
-    if foreign or "g1stream" not in (about.get("custom_data") or {}):
+    custom = about.get("custom_data")
+    if foreign or not isinstance(custom, dict) or "g1stream" not in custom:
         raise RecordingError(
             f"{directory} holds {foreign[0]}, which is not a part of the recording in it."
             if foreign
@@ -160,7 +179,7 @@ def temporary_path(path: Path) -> Path:
 def replace_recording(new: Path, path: Path) -> None:
     """Put a new file or directory in the place of an old one; an old directory is removed last."""
     with output_errors(path):
-        if not path.is_dir():
+        if path.is_symlink() or not path.is_dir():  # a link is replaced, not what it leads to
             new.replace(path)
             return
         old = new.with_suffix(".old")
@@ -172,7 +191,7 @@ def replace_recording(new: Path, path: Path) -> None:
 def remove_recording(path: Path) -> None:
     """Remove the file, or the directory, of a recording that g1stream just wrote."""
     with suppress(OSError):
-        if path.is_dir():
+        if path.is_dir() and not path.is_symlink():
             shutil.rmtree(path)
         else:
             path.unlink()
@@ -236,17 +255,8 @@ def _times(parts: Sequence[Part]) -> dict[str, Any]:
     }
 
 
-def _parts_of(path: Path) -> list[Path]:
-    try:
-        is_directory = path.is_dir()
-    except OSError:  # opening it says why
-        is_directory = False
-    return _listed_parts(path) if is_directory else [path]
-
-
 def _listed_parts(directory: Path) -> list[Path]:
-    names = _read_metadata_yaml(directory)["relative_file_paths"]
-    return [directory / PurePath(name).name for name in names]
+    return [directory / name for name in _read_metadata_yaml(directory)["relative_file_paths"]]
 
 
 def _read_metadata_yaml(directory: Path) -> dict[str, Any]:
@@ -254,18 +264,20 @@ def _read_metadata_yaml(directory: Path) -> dict[str, Any]:
 
     path = directory / _METADATA
     try:
-        about = yaml.safe_load(path.read_text("utf-8"))["rosbag2_bagfile_information"]
-        if not about["relative_file_paths"]:
+        text = read_file(path, _LARGEST_METADATA).decode("utf-8")
+        about: dict[str, Any] = dict(yaml.safe_load(text)["rosbag2_bagfile_information"])
+        # Parts are in the directory itself, wherever the paths lead.
+        names = [PurePath(name).name for name in about["relative_file_paths"]]
+        if not names or not all(names):
             raise ValueError("it lists no files")
     except FileNotFoundError as error:
         raise RecordingError(
             f"{directory} is a directory without {_METADATA}.",
             "Give an MCAP file, or the directory of a split recording.",
         ) from error
-    except (OSError, ValueError, KeyError, TypeError, yaml.YAMLError) as error:
+    except Exception as error:  # YAML of any kind, nested as deeply as one likes
         raise RecordingError(
             f"{path} cannot be read: {getattr(error, 'strerror', None) or error}.",
             "Give one of the MCAP files beside it instead.",
         ) from error
-    found: dict[str, Any] = about
-    return found
+    return about | {"relative_file_paths": names}

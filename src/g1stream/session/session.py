@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cached_property
 from itertools import compress
 from pathlib import Path
+from types import NoneType
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
 import numpy as np
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from g1stream.analysis.tracking import Tracking
+    from g1stream.analysis.video import Camera
     from g1stream.motion.motion import Motion
     from g1stream.session.source import Messages, SessionSource
     from g1stream.session.summary import PhaseInterval, Summary
@@ -225,7 +227,10 @@ class Session:
 
         Raises:
             RecordingError: there is no phase of this name.
+            TypeError: `time` is not a slice.
         """
+        if not isinstance(time, (slice, NoneType)):
+            raise TypeError(f"time takes a slice of seconds, such as slice(2.0, 5.0), not {time!r}")
         ranges = [(-np.inf, np.inf)] if phase is None else self._phase_ranges(phase)
         if time is not None:
             first = -np.inf if time.start is None else time.start
@@ -277,6 +282,52 @@ class Session:
         from g1stream.analysis.plots import plot
 
         return plot(self, joints)
+
+    def render(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        start: float | None = None,
+        duration: float | None = None,
+        fps: float = 25.0,
+        size: tuple[int, int] = (640, 480),
+        camera: Camera = "oblique",
+        force: bool = False,
+    ) -> Path:
+        """Write a video or a picture: the measured robot, and over it the reference as a ghost.
+
+        The ghost has the reference's joints on the measured pelvis. Time, phase and the RMS error
+        of all joints are written into each frame. Without a reference or without a measured state,
+        what there is is shown. The robot has the real G1's meshes with the extra `meshes`, else
+        primitive shapes. MP4 needs the extra `render`.
+
+        Args:
+            path: ends in .mp4, .gif, or .png for the frame at `start`.
+            start: s on the motion's clock; the beginning of the session if None.
+            duration: s; to the end if None, or if that comes first.
+            fps: frames per second, in the session's own time.
+            size: width and height, pixels.
+            camera: where it stands around the robot, which it follows.
+            force: replace a file that is there.
+
+        Raises:
+            ConfigError: the suffix, the size or `fps` cannot be used.
+            RecordingError: there is nothing to show there, or the file cannot be written.
+            RobotError: the session's URDF cannot be used.
+            SimError: there is no OpenGL to draw with.
+        """
+        from g1stream.analysis.video import render
+
+        return render(
+            self,
+            Path(path),
+            start=start,
+            duration=duration,
+            fps=fps,
+            size=size,
+            camera=camera,
+            force=force,
+        ).path
 
     def motion(self, fps: float | None = None) -> Motion:
         """The motion that was played, as the reference has it.

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple, TypeVar
 
 import numpy as np
 from foxglove_schemas_protobuf.Log_pb2 import Log
+from google.protobuf.message import DecodeError
 
 from g1stream.dds import topics
 from g1stream.errors import RecordingError
@@ -28,6 +29,8 @@ _TIMES: Final = ("log_time", "publish_time")
 _SLOWEST_WIRE: Final = 20_000_000
 #: A motion time beyond this, s, which no motion of ours has, is passed over.
 _LONGEST_MOTION: Final = 1e9
+#: Times are moved by no more than this, ns, so that the sum is a 64-bit number.
+_LARGEST_SHIFT: Final = 2**62
 
 Columns = Mapping[str, "NDArray[Any]"]
 StreamT = TypeVar("StreamT", bound="Stream")
@@ -81,9 +84,15 @@ class Stream:
         """Read columns of a file in one pass, all if none are named; the stream itself.
 
         Raises:
-            RecordingError: the file is damaged.
+            RecordingError: the file is damaged, or the stream has no such column.
         """
-        wanted = dict.fromkeys((*_TIMES, *(columns or self.wire_fields())))
+        known = self.wire_fields()
+        if unknown := [name for name in columns if name not in known and name not in _TIMES]:
+            raise RecordingError(
+                f"{type(self).__name__} has no column {unknown[0]!r}.",
+                f"Choose from {', '.join((*_TIMES, *known))}.",
+            )
+        wanted = dict.fromkeys((*_TIMES, *(columns or known)))
         missing = [name for name in wanted if name not in self.__dict__]
         if missing:
             if self._load is None:
@@ -104,7 +113,17 @@ class Stream:
     def __getitem__(
         self: StreamT, index: slice | NDArray[np.bool_] | NDArray[np.integer[Any]]
     ) -> StreamT:
-        """The samples of a slice, a boolean mask (N,), or indices."""
+        """The samples of a slice, a boolean mask (N,), or indices.
+
+        Raises:
+            TypeError: the index is a number, which would leave no stream; or a name.
+        """
+        if not isinstance(index, (slice, np.ndarray)):
+            raise TypeError(
+                f"a stream takes a slice or an array, not {index!r}: "
+                f"stream[5:6] is the sixth sample, stream.{next(iter(self.wire_fields()), 'time')} "
+                "a column"
+            )
 
         def load(names: list[str]) -> Columns:
             self.read(*names)
@@ -129,7 +148,9 @@ class Stream:
     def since(self, start_ns: int) -> Floats:
         """(N,) s, publish times on the recorder's clock since a time on it."""
         # Nanoseconds since the epoch need more digits than a float has; the differences do not.
-        return _read_only((self.publish_time + (self.clock_offset - start_ns)) / 1e9)
+        shift = self.clock_offset - start_ns
+        shift = max(-_LARGEST_SHIFT, min(shift, _LARGEST_SHIFT))
+        return _read_only((self.publish_time + shift) / 1e9)
 
     @property
     def clock_offset(self) -> int:
@@ -345,7 +366,17 @@ class LogEvent(NamedTuple):
 
     @classmethod
     def decode(cls, data: bytes) -> LogEvent:
-        """The event in a message of /log."""
-        message = Log.FromString(data)
+        """The event in a message of /log.
+
+        Raises:
+            RecordingError: it is not a foxglove.Log.
+        """
+        try:
+            message = Log.FromString(data)
+        except DecodeError as error:
+            raise RecordingError(
+                f"A message of /log, of {len(data)} bytes, is not a foxglove.Log.",
+                "Read the session with the version of g1stream that recorded it.",
+            ) from error
         level = _LEVELS.get(message.level, "UNKNOWN")
         return cls(message.timestamp.ToNanoseconds(), level, message.name, message.message)

@@ -244,12 +244,19 @@ class StreamSummary(_Record):
     Attributes:
         reason: why it ended early; empty when it ended as asked.
         start_s: where in the motion it was to begin.
+        slowed: factor by which the motion was slowed to fit the joints' speeds; 1 where it was not.
         commands: LowCmds written.
         rate_hz, nominal_rate_hz: LowCmds per second, achieved and asked for.
-        lateness_us: of each write against its deadline.
+        lateness_us: of each write against its deadline; a skipped tick has no write.
         skipped_ticks: left out because they were a whole period late or more.
         worst_work_us: longest time from a write to the end of the tick's computation.
-        clamped_ticks: joint -> ticks at which its target was held at its limit, most first.
+        ramp_s: length of RAMP.
+        ramp_speed_rad_s: highest speed of `ramp_joint`, the joint with the longest way, in it.
+        delay_s: by which the motion ended later, because the loop stalled.
+        clamped_ticks: joint -> ticks at which its target was held at a position limit, most first.
+        speed_limited_ticks: joint -> ticks at which its target was held back to its highest speed.
+        torque_limited_ticks: joint -> ticks at which its target was brought nearer to the measured
+            position, because the servo would have asked for more torque than the motor has.
         saturated_ticks: joint -> ticks at which its feed-forward torque was held at its limit.
         feedforward: what commands carried beside the position when RAMP began; "recorded" where a
             replay sent recorded commands.
@@ -258,6 +265,7 @@ class StreamSummary(_Record):
         robot: name of the model that feed-forward torques were computed with.
         time_scale: median of simulated over real time, where it was measured.
         states_used: LowStates that were the newest at a tick.
+        states_wrong_crc: LowStates that were dropped because of their CRC.
         states_received: all of them.
         states_lost: LowStates that did not arrive, by the ticks of those that did; None where the
             publisher is not our own bridge, whose ticks number its LowStates.
@@ -274,13 +282,20 @@ class StreamSummary(_Record):
 
     reason: str | None = None
     start_s: float | None = None
+    slowed: float | None = None
     commands: Int | None = None
     rate_hz: float | None = None
     nominal_rate_hz: float | None = None
     lateness_us: Percentiles | None = None
     skipped_ticks: Int | None = None
     worst_work_us: float | None = None
+    ramp_s: float | None = None
+    ramp_speed_rad_s: float | None = None
+    ramp_joint: str | None = None
+    delay_s: float | None = None
     clamped_ticks: dict[str, Int] | None = None
+    speed_limited_ticks: dict[str, Int] | None = None
+    torque_limited_ticks: dict[str, Int] | None = None
     saturated_ticks: dict[str, Int] | None = None
     feedforward: FeedForwardKind | Literal["recorded"] | None = None
     support: Support | None = None
@@ -288,6 +303,7 @@ class StreamSummary(_Record):
     robot: str | None = None
     time_scale: float | None = None
     states_used: Int | None = None
+    states_wrong_crc: Int | None = None
     states_received: Int | None = None
     states_lost: Int | None = None
     dds_lost: Int | None = None
@@ -405,6 +421,7 @@ class Termination(_Record):
         reason: why the stream ended early; empty when it ended as asked.
         undamped_in: the phase in which the stream process ended without DAMP; None where it did
             not.
+        guard: what the guard process logged when it damped the robot; None where it did not.
         played_s: how long PLAY lasted.
         motion_s: how long the motion is.
         start_s: where in the motion PLAY was to begin.
@@ -412,6 +429,7 @@ class Termination(_Record):
 
     reason: str | None = None
     undamped_in: PhaseName | None = None
+    guard: str | None = None
     played_s: float | None = None
     motion_s: float | None = None
     start_s: float = 0.0
@@ -466,6 +484,8 @@ class TrackingSummary(_Record):
         compared_states: LowStates that were compared with the reference.
         excluded_states: LowStates in PLAY that lie in a gap of the reference, or are not finite.
         compared_s: length of PLAY, gaps left out.
+        ramp_s: length of RAMP.
+        ramp_speed_rad_s: highest speed of `ramp_joint`, the joint with the longest way, in it.
         delay_s: by which the robot is behind the reference; None where that cannot be determined.
         rmse_without_delay_rad: RMSE with the reference that much later.
         rmse_without_delay_and_mean_rad: the same without each joint's mean error.

@@ -239,9 +239,15 @@ class SessionWriter:
                 with suppress(RecordingError):  # the one written with the last part lists them all
                     self._write_metadata_yaml()
 
+    def part(self) -> Part:
+        """The file in progress, as metadata.yaml lists it."""
+        file = self._file
+        return Part(file.path.name, dict(file.counts), file.first_log_time, file.last_log_time)
+
     def _replace(self) -> None:
         replace_recording(self._place, self.path)
         self._place, self._replaces = self.path, False
+        self._file.place = self.paths[0]
 
     def _is_due(self, now_ns: int) -> bool:
         # The distance, not the difference: a clock may be set back.
@@ -273,7 +279,7 @@ class SessionWriter:
         self.flush()
         full, counts = self._file, dict(self.counts)
         path = part_path(self.path, len(self.paths))
-        self._parts.append(self._part())
+        self._parts.append(self.part())
         try:
             self._open_file(path)
             self.paths.append(path)
@@ -286,13 +292,8 @@ class SessionWriter:
             raise
         full.close()
 
-    def _part(self) -> Part:
-        """The file in progress, as metadata.yaml lists it."""
-        file = self._file
-        return Part(file.path.name, dict(file.counts), file.first_log_time, file.last_log_time)
-
     def _write_metadata_yaml(self) -> None:
-        write_metadata_yaml(self._place, [*self._parts, self._part()], self._channels)
+        write_metadata_yaml(self._place, [*self._parts, self.part()], self._channels)
 
 
 def attach_motion(writer: SessionWriter | MemorySource, source: Path | None, time_ns: int) -> None:

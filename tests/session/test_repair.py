@@ -1,0 +1,119 @@
+"""Sessions of killed recorders, mended, as the stock reader and pymcap-cli's doctor see them."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+import yaml
+from mcap.reader import make_reader
+
+from g1stream.dds.topics import LOWCMD, LOWSTATE
+from g1stream.errors import RecordingError
+from g1stream.session.repair import repair_session
+from g1stream.session.session import open_session
+
+TOPICS = {"/lowcmd": LOWCMD, "/lowstate": LOWSTATE}
+
+
+@pytest.fixture
+def sent(make_sample, on_the_wire):
+    return {t: [on_the_wire(make_sample(topic)) for _ in range(40)] for t, topic in TOPICS.items()}
+
+
+def doctor(path):
+    """The run of pymcap-cli's check of a file."""
+    program = "from sys import exit; from pymcap_cli.cli import main; exit(main())"
+    command = [sys.executable, "-c", program, "doctor", str(path)]
+    return subprocess.run(command, check=False, capture_output=True, text=True, timeout=60)
+
+
+def by_stock_reader(path):
+    """Topic, log time and data of the messages; names of attachments and metadata, by index."""
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        summary = reader.get_summary()
+        found = [(c.topic, m.log_time, m.data) for _, c, m in reader.iter_messages()]
+        assert summary.statistics.message_count == len(found)
+        assert len(summary.chunk_indexes) == summary.statistics.chunk_count
+        names = [one.name for one in reader.iter_attachments()]
+        return found, names, [one.name for one in reader.iter_metadata()]
+
+
+@pytest.mark.parametrize("share", [0.35, 0.8, 0.99, 1.0])
+def test_a_cut_file_gets_its_index_and_keeps_every_message(write_session, sent, share):
+    path = write_session(*sent.items(), close=False)
+    os.truncate(path, int(path.stat().st_size * share))
+    killed = open_session(path)
+    before = {topic: list(killed.messages(topic)) for topic in killed.topics}
+    content = path.read_bytes()
+    (done,) = repair_session(path)
+    assert (done.path, done.messages) == (path, sum(killed.topics.values()))
+    assert path.read_bytes().startswith(content[: len(content) - done.dropped])
+    repaired = open_session(path)
+    assert repaired.complete
+    assert {topic: list(repaired.messages(topic)) for topic in repaired.topics} == before
+    found, attachments, metadata = by_stock_reader(path)
+    assert len(found) == done.messages
+    assert (attachments, metadata) == (["motion.csv"], ["g1stream"])
+    result = doctor(path)
+    assert result.returncode == 0, result.stdout
+    assert "passed" in result.stdout
+    again = path.read_bytes()
+    assert repair_session(path)[0].dropped is None
+    assert path.read_bytes() == again
+
+
+def test_a_complete_file_stays_as_it_is(write_session, sent):
+    path = write_session(*sent.items())
+    about = path.stat()
+    assert repair_session(path)[0].dropped is None
+    assert (path.stat().st_ino, path.stat().st_mtime_ns) == (about.st_ino, about.st_mtime_ns)
+
+
+def test_a_damaged_file_stays_as_it_is(write_session, sent, tmp_path):
+    path = write_session(*sent.items(), close=False)
+    content = bytearray(path.read_bytes())
+    content[content.index(b"zstd") + 40] ^= 0xFF
+    path.write_bytes(content)
+    with pytest.raises(RecordingError, match="damaged"):
+        repair_session(path)
+    assert path.read_bytes() == content
+    assert [one.name for one in tmp_path.iterdir()] == ["session.mcap"]
+
+
+RECORDER = """
+import sys, time
+from g1stream.session.writer import SessionWriter
+writer = SessionWriter(sys.argv[1], split_ns=1_000_000_000)
+for i in range(700):
+    writer.write("/lowcmd", bytes(1008), i * 5_000_000, i * 5_000_000)
+    writer.flush_if_due(i * 5_000_000)
+print("written", flush=True)
+time.sleep(60)
+"""
+
+
+def test_the_parts_of_a_killed_recorder_are_mended_but_not_while_it_records(tmp_path):
+    command = [sys.executable, "-c", RECORDER, str(tmp_path / "s.mcap")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout.readline() == "written\n"
+            with pytest.raises(RecordingError, match="still being recorded"):
+                repair_session(tmp_path / "s")
+        finally:
+            process.send_signal(signal.SIGKILL)
+    done = repair_session(tmp_path / "s")
+    assert [one.dropped for one in done] == [None, None, None, 0]
+    session = open_session(tmp_path / "s")
+    assert session.complete
+    times = [message.log_time for message in session.messages("/lowcmd")]
+    assert times == [i * 5_000_000 for i in range(len(times))]
+    text = (tmp_path / "s" / "metadata.yaml").read_text()
+    about = yaml.safe_load(text)["rosbag2_bagfile_information"]
+    assert about["message_count"] == len(times) == sum(one.messages for one in done)
+    assert about["duration"]["nanoseconds"] == times[-1]
+    assert len(times) > 650

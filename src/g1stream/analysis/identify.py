@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from g1stream.control.revision import RevisionFit, Window
-from g1stream.control.safety import ImuReading
+from g1stream.control.state_checks import ImuReading
 from g1stream.control.time_scale import TimeScale
 from g1stream.errors import RecordingError
 from g1stream.robot.dynamics import InverseDynamics
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Identification", "identify"]
 
+#: A reading with a value, in SI units, not below this is left out, as is NaN.
+_LARGEST: Final = 1e4
 #: More windows than these are thinned out.
 _MOST_WINDOWS: Final = 300
 _WAIST: Final = list(JOINT_GROUPS["waist"])
@@ -113,6 +115,9 @@ def _windows(session: Session, fit: RevisionFit, scale: TimeScale) -> Iterator[W
     moving = np.zeros(len(time), bool)
     for interval in phases:
         moving |= (time >= interval.start_s) & (time <= interval.end_s)
+    for name in ("q", "dq", "tau", "imu_quat_wxyz", "gyroscope", "accelerometer"):
+        moving &= (np.abs(getattr(states, name)) < _LARGEST).all(axis=1)
+    moving &= np.abs(states.imu_quat_wxyz).max(axis=1) > 0.1  # a bridge may leave it zero
     readings: list[tuple[Floats, ...]] = []
     start, last = -np.inf, -np.inf
     for k in np.flatnonzero(moving):

@@ -7,9 +7,14 @@ D. A. Bristow, M. Tharayil and A. G. Alleyne, "A survey of iterative learning co
 Systems Magazine 26(3), 2006. What is corrected is the reference, not the torque, so that whatever
 computes the torque sees a consistent motion.
 
-Two rules keep it from making anything worse. It continues from the best repetition that it is
-given. And where an error did not respond to a change of the correction, as in a limb that presses
-against another, that joint's correction is taken back there, to what it was before, and stays.
+A joint that follows its target has the error c + e without correction, so that every session
+measures the same, whatever its correction was. The next correction approaches the mean of that over
+all sessions, in which the n-th repetition has the weight n: what does not repeat averages out.
+
+Three rules keep it from making anything worse. It continues from the best repetition that it is
+given. Nothing is learned from the time after a stall, of the simulator or of this machine. And
+where an error did not respond to a change of the correction, as in a limb that presses against
+another, that joint's correction is taken back there, to what it was before, and stays.
 """
 
 from __future__ import annotations
@@ -17,7 +22,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -50,13 +55,15 @@ _CUTOFF: Final = 5.0
 _CUTOFF_WITHOUT_TORQUE: Final = 0.5
 #: The error is sampled this often for the low-pass, Hz.
 _RATE: Final = 500.0
-#: Share of the error that the first repetition corrects; later ones less, as there is more of what
-#: does not repeat in what is left.
+#: Share of the way to the mean that a repetition goes.
 _GAIN: Final = 0.8
-_GAIN_DECAY: Final = 0.6
-#: No correction changes by more than this in one repetition, rad: what a stall of a machine leaves
-#: in a single session is not believed as it is.
+#: No correction changes by more than this in one repetition, rad: a single session is not believed
+#: as it is.
 _LARGEST_STEP: Final = 0.05
+#: A longer time without a state or a command is a stall, s: the torque begins to fade out then.
+_STALL: Final = 0.02
+#: ... after which a robot that hangs swings for some time, s.
+_SETTLING: Final = 3.0
 #: Whether an error responds is judged over this time, s.
 _WINDOW: Final = 0.5
 #: ... where the correction has changed by more than this, rms, rad.
@@ -69,6 +76,10 @@ _LEAST_FALL: Final = 0.7
 _BLEND: Final = 0.2
 #: The torque may have been off for this long, s, such as after a late LowState.
 _LONGEST_DROPOUT: Final = 0.5
+#: A motion of which something can be learned, s: as long as one could hold in memory, and longer
+#: than the windows over which an error is judged.
+_LONGEST: Final = 1e4
+_SHORTEST: Final = 0.8
 #: Intervals that were played may differ by this, s: a few LowStates.
 _SAME_INTERVAL: Final = 0.1
 
@@ -82,6 +93,7 @@ class Repetition:
         error: (T, 29) rad, low-pass filtered error, reference - measured.
         rmse: of all joints, rad, unfiltered.
         frozen: (T, 29) bool, of the correction that was played.
+        weight: (T,) sessions in which no stall was near.
         history: RMSE of the repetitions that its correction was learned from, rad.
     """
 
@@ -89,6 +101,7 @@ class Repetition:
     error: Floats
     rmse: float
     frozen: NDArray[np.bool_]
+    weight: Floats
     history: tuple[float, ...] = ()
 
 
@@ -103,6 +116,7 @@ class _Played:
     time: Floats  # (N,) motion time, s
     error: Floats  # (N, 29) rad
     reference: Floats  # (N, 29) rad
+    stalls: list[tuple[float, float]]  # motion time, s
     rmse: float
     correction: Correction | None
     lower: Floats
@@ -156,9 +170,16 @@ def improve(
     """
     in_order = sorted(repetitions, key=lambda one: len(one.history))
     history = (*in_order[-1].history, in_order[-1].rmse)
-    gain = _GAIN / (1.0 + _GAIN_DECAY * (len(history) - 1))
-    best = min(in_order, key=lambda one: one.rmse)
-    values = best.values + np.clip(gain * best.error, -_LARGEST_STEP, _LARGEST_STEP)
+    # Compared where no repetition has a stall.
+    common = np.min([one.weight for one in in_order], axis=0) + 1e-9
+    best = min(in_order, key=lambda one: np.average(np.mean(one.error**2, 1), weights=common))
+    # Later ones count more: they were measured nearer to what will be played.
+    weights = [(len(one.history) + 1) * one.weight[:, np.newaxis] for one in in_order]
+    way = sum(
+        weight * (one.values + one.error - best.values)
+        for weight, one in zip(weights, in_order, strict=True)
+    ) / np.maximum(sum(weights), 1.0)
+    values = best.values + np.clip(_GAIN * way, -_LARGEST_STEP, _LARGEST_STEP)
     # The first change without effect is taken back last, so that it counts.
     held = [(_unresponsive(*pair, time), pair[0].values) for pair in pairwise(in_order)][::-1]
     held += [(one.frozen, one.values) for one in in_order[::-1]]
@@ -177,9 +198,11 @@ def _unresponsive(before: Repetition, after: Repetition, time: Floats) -> NDArra
     minus that. The share is the regression of one on the other over a window.
     """
     change, answer = after.values - before.values, before.error - after.error
-    power = _smooth(change * change, time, _WINDOW)
-    response = _smooth(change * answer, time, _WINDOW)
-    left, was = (_smooth(one.error**2, time, _WINDOW) for one in (after, before))
+    # What a stall has left in one of them does not count.
+    counted = np.minimum(1.0, np.minimum(before.weight, after.weight))[:, np.newaxis]
+    power = _smooth(counted * change * change, time, _WINDOW)
+    response = _smooth(counted * change * answer, time, _WINDOW)
+    left, was = (_smooth(counted * one.error**2, time, _WINDOW) for one in (after, before))
     found: NDArray[np.bool_] = power > _LEAST_CHANGE**2
     found &= (response < _LEAST_RESPONSE * power) & (left > _LEAST_FALL * was)
     return found & ~before.frozen & ~after.frozen
@@ -214,17 +237,31 @@ def _repetitions(played: Sequence[_Played], time: Floats) -> list[Repetition]:
         error = _filtered(one, time)
         # Rounded: the last bit depends on the interval that was played.
         group = groups.setdefault(np.round(values, 9).tobytes(), [])
-        group.append(Repetition(values, error, one.rmse, frozen, history))
-    return [
-        Repetition(
-            group[0].values,
-            np.mean([one.error for one in group], axis=0),
-            float(np.mean([one.rmse for one in group])),
-            group[0].frozen,
-            group[0].history,
-        )
-        for group in groups.values()
-    ]
+        weight = _undisturbed(one, time)
+        group.append(Repetition(values, error, one.rmse, frozen, weight, history))
+    return [_mean(group) for group in groups.values()]
+
+
+def _mean(group: Sequence[Repetition]) -> Repetition:
+    weights = np.array([one.weight for one in group])
+    # Where all have a stall, the error counts nowhere.
+    shares = (weights + 1e-9) / (weights + 1e-9).sum(axis=0)
+    return Repetition(
+        group[0].values,
+        np.einsum("st,stj->tj", shares, [one.error for one in group]),
+        float(np.mean([one.rmse for one in group])),
+        group[0].frozen,
+        weights.sum(axis=0),
+        group[0].history,
+    )
+
+
+def _undisturbed(played: _Played, time: Floats) -> Floats:
+    """(T,) 0 from a stall until the robot has settled, otherwise 1."""
+    disturbed = np.zeros((len(time), 1), dtype=np.bool_)
+    for begin, end in played.stalls:
+        disturbed |= ((time > begin) & (time < end + _SETTLING))[:, np.newaxis]
+    return 1.0 - _blend(disturbed, time)[:, 0]
 
 
 def _filtered(played: _Played, time: Floats) -> Floats:
@@ -252,7 +289,9 @@ def _read(session: Session) -> _Played:
     motion = info and info.motion
     if not (info and motion and motion.content_sha256 and info.gains and info.config and stream):
         raise _cannot(session, "it does not say what was streamed and how", "record it with")
-    settings: dict[str, Any] = info.config.get("stream", {})
+    settings = info.config.get("stream")
+    if not isinstance(settings, dict):
+        raise _cannot(session, "its settings are damaged", "record it with")
     problems = {
         "it was ended early": stream.reason,
         "its motion was looped": settings.get("loop"),
@@ -268,31 +307,54 @@ def _read(session: Session) -> _Played:
             session, "the correction that it was played with is missing", "repeat it with"
         )
     correction = None if data is None else Correction.from_bytes(data, session.path)
-    robot = G1.from_urdf(session.attachments["robot.urdf"].decode(), str(session.path))
+    robot = G1.from_urdf(
+        session.attachments.get("robot.urdf", b"").decode(errors="replace"),
+        f"robot.urdf of {session.path}",
+    )
+    kp, kd = (np.array(info.gains.get(name, ())) for name in ("kp", "kd"))
+    rate = settings.get("rate")
+    if not (kp.shape == kd.shape == (N_JOINTS,) and isinstance(rate, (int, float)) and rate > 0):
+        raise _cannot(session, "its gains or its rate are damaged", "record it with")
     tracking = session.tracking()
-    kp, kd = (np.array(info.gains[name], dtype=np.float64) for name in ("kp", "kd"))
+    start, stop = tracking.motion_time[[0, -1]].tolist()
+    elapsed = float(np.ptp(tracking.time))
+    if not (0.0 <= stop - start < _LONGEST and abs(elapsed - (stop - start)) < 1.0):
+        raise _cannot(session, "its motion times do not fit its publish times", "repeat it with")
+    if stop - start < _SHORTEST:
+        raise _cannot(session, f"it has {stop - start:.2f} s of a motion", "record more of it with")
     return _Played(
         Conditions(
             motion=motion.name or "",
             motion_sha256=motion.content_sha256,
             robot=robot.name,
-            rate=float(settings.get("rate") or 0.0),
+            rate=float(rate),
             kp=kp,
             kd=kd,
             feedforward=stream.feedforward if stream.feedforward != "recorded" else None,
             support=stream.support,
         ),
         session.path,
-        float(tracking.motion_time[0]),
-        float(tracking.motion_time[-1]),
+        start,
+        stop,
         tracking.motion_time,
         tracking.error,
         tracking.reference,
+        _stalls(session, tracking.motion_time),
         tracking.overall,
         correction,
         robot.lower,
         robot.upper,
     )
+
+
+def _stalls(session: Session, states: Floats) -> list[tuple[float, float]]:
+    """Where states, or commands, were missing for a while: begin and end, motion time in s."""
+    commands = session.sel("PLAY").reference.read("motion_time").motion_time
+    return [
+        (times[i], times[i + 1])
+        for times in (states, commands)
+        for i in np.flatnonzero(np.diff(times) > _STALL)
+    ]
 
 
 def _switched_off(stream: StreamSummary) -> bool:

@@ -8,7 +8,9 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from g1stream.errors import printable
 from g1stream.robot.joints import JOINT_GROUPS
+from g1stream.types import Phase
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
@@ -23,12 +25,14 @@ if TYPE_CHECKING:
         TrackingSummary,
     )
 
-__all__ = ["WIDTH", "counted", "most", "render"]
+__all__ = ["WIDTH", "counted", "labelled", "most", "render"]
 
 WIDTH: Final = 80
 """No line is longer, unless a single word is."""
 
 _LABEL: Final = 14
+#: Of one value or sentence.
+_MOST_CHARACTERS: Final = 2000
 _MOST_JOINTS: Final = 3
 _MOST_PROBLEMS: Final = 10
 #: A time scale this far from 1 is shown.
@@ -47,6 +51,23 @@ def render(summary: Summary) -> str:
         _problems(summary.problems),
     ]
     return "\n\n".join("\n".join(lines) for lines in sections if lines)
+
+
+def labelled(label: str, text: str) -> str:
+    """`label text` in lines of `WIDTH` columns, the text wrapped beside its label.
+
+    The text may come from a file or a peer: what a terminal would obey is escaped, and an endless
+    text is cut.
+    """
+    shown = printable(text[:_MOST_CHARACTERS])
+    return textwrap.fill(
+        f"{shown} ..." if len(text) > _MOST_CHARACTERS else shown,
+        WIDTH,
+        initial_indent=label,
+        subsequent_indent=" " * len(label),
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
 
 
 def counted(n: int, noun: str) -> str:
@@ -72,9 +93,15 @@ def _session(summary: Summary) -> list[str]:
         parts += [f"{motion.fps:g} fps"] if motion.fps else []
         parts += [f"sha256 {motion.sha256[:12]}"] if motion.sha256 else []
         lines.append(_line("motion", ", ".join(parts)))
+    ramp = _ramp(summary.stream)
     if summary.phases:
-        phases = [f"{one.phase.name} {one.duration_s:.2f} s" for one in summary.phases]
+        phases = [
+            f"{one.phase.name} {one.duration_s:.2f} s" + ramp * (one.phase is Phase.RAMP)
+            for one in summary.phases
+        ]
         lines.append(_line("phases", ", ".join(phases)))
+    elif ramp and summary.stream:
+        lines.append(_line("phases", f"RAMP {summary.stream.ramp_s:.2f} s{ramp}"))
     if ended := _ended(summary.termination):
         lines.append(_line("ended", ended))
     if summary.settings is not None:
@@ -114,6 +141,12 @@ def _recorded(summary: Summary) -> str:
     return ", ".join(parts + ([f"by g1stream {version}"] if version else []))
 
 
+def _ramp(stream: StreamSummary | None) -> str:
+    if stream is None or stream.ramp_s is None or stream.ramp_speed_rad_s is None:
+        return ""
+    return f" (to {stream.ramp_speed_rad_s:.2f} rad/s)"
+
+
 def _ended(termination: Termination) -> str:
     """How it ended and how much was played; empty where neither is known."""
     start, played, motion = termination.start_s, termination.played_s, termination.motion_s
@@ -121,6 +154,8 @@ def _ended(termination: Termination) -> str:
     whole = played is None or rest is None or abs(rest - played) < _WHOLE
     if termination.undamped_in is not None:
         how = f"in {termination.undamped_in.name}: the stream process ended without DAMP"
+    elif termination.guard and termination.reason is None:
+        how = f"early: {termination.guard}"
     elif termination.reason:
         how = f"early: {termination.reason}"
     elif termination.reason is not None:
@@ -206,7 +241,8 @@ def _stream(stream: StreamSummary) -> list[str]:
             )
         )
     if stream.lateness_us:
-        lines.append(_line("lateness", _percentiles(stream.lateness_us)))
+        of = " (of commands sent; a skipped tick has none)" if stream.skipped_ticks else ""
+        lines.append(_line("lateness", _percentiles(stream.lateness_us) + of))
     if stream.states_received is not None:
         lost = "" if stream.states_lost is None else f", {stream.states_lost} lost"
         lines.append(_line("states", f"{stream.states_received} received{lost}"))
@@ -214,12 +250,20 @@ def _stream(stream: StreamSummary) -> list[str]:
         lines.append(_line("feed-forward", _feedforward(stream)))
     if stream.time_scale is not None and abs(stream.time_scale - 1.0) > _SLOW:
         lines.append(_line("time", f"the simulator ran at {stream.time_scale:.2f} of real time"))
+    if stream.slowed not in (None, 1.0):
+        lines.append(_line("slowed", f"{stream.slowed:g} times, to fit the joints' speeds"))
+    if stream.delay_s:
+        lines.append(
+            _line("delay", f"stalls of the loop delayed the motion by {stream.delay_s:.3f} s")
+        )
     for label, what, ticks in (
-        ("clamped", "joint targets", stream.clamped_ticks),
-        ("saturated", "feed-forward torques", stream.saturated_ticks),
+        ("clamped", "joint targets at their limits", stream.clamped_ticks),
+        ("too fast", "joint targets held back to the joint's speed", stream.speed_limited_ticks),
+        ("too strong", "joint targets eased to the motor's torque", stream.torque_limited_ticks),
+        ("saturated", "feed-forward torques at their limits", stream.saturated_ticks),
     ):
         if ticks:
-            lines.append(_line(label, f"{what} at their limits, ticks: {most(ticks)}"))
+            lines.append(_line(label, f"{what}, ticks: {most(ticks)}"))
     if stream.realtime:
         granted = [f"{g.what} {g.detail if g.granted else 'not granted'}" for g in stream.realtime]
         lines.append(_line("real time", ", ".join(granted)))
@@ -244,13 +288,13 @@ def _change(change: FeedForwardChange) -> str:
 
 
 def _messages(summary: Summary) -> list[str]:
-    """A row for each topic of DDS; of derived topics and events the number of messages."""
+    """A row for each topic of DDS; the number of the others and of their messages."""
     topics = {
         topic: stats
         for topic, stats in summary.topics.items()
         if stats.rate_hz is not None or stats.lost is not None
     }
-    others = [f"{t} {s.count}" for t, s in summary.topics.items() if t not in topics]
+    others = [stats.count for topic, stats in summary.topics.items() if topic not in topics]
     rows: list[Sequence[str]] = [
         ("topic", "count", "lost", "Hz", "gaps", "longest ms", "p50 us", "p99 us", "max us")
     ]
@@ -258,7 +302,9 @@ def _messages(summary: Summary) -> list[str]:
     lines = _table(rows, left=(0,)) if topics else []
     if any(stats.latency_us for stats in topics.values()):
         lines += ["", "gaps: publish intervals over 3 medians; us: latency, log - publish time"]
-    return lines + ([_line("other topics", ", ".join(others))] if others else [])
+    if others:
+        lines.append(_line("other topics", f"{len(others)}, with {sum(others)} messages"))
+    return lines
 
 
 def _row(stats: MessageStats) -> list[str]:
@@ -289,15 +335,7 @@ def _size(n_bytes: int) -> str:
 
 
 def _line(label: str, text: str) -> str:
-    """`label  text`, the text wrapped beside its label."""
-    return textwrap.fill(
-        text,
-        WIDTH,
-        initial_indent=label.ljust(_LABEL),
-        subsequent_indent=" " * _LABEL,
-        break_long_words=False,
-        break_on_hyphens=False,
-    )
+    return labelled(label.ljust(_LABEL), text)
 
 
 def _table(rows: Sequence[Sequence[str]], left: Collection[int]) -> list[str]:

@@ -7,14 +7,17 @@ import socket
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
+
 from g1stream._version import __version__
-from g1stream.analysis.messages import message_stats
 from g1stream.analysis.render import counted, most
 from g1stream.analysis.tracking import NothingToCompareError
 from g1stream.config import Config
+from g1stream.control.guard import LOG_NAME
 from g1stream.session.streams import STREAMS, Reference
 from g1stream.session.summary import (
     MessageStats,
+    Percentiles,
     RecorderSummary,
     SessionInfo,
     StreamSummary,
@@ -31,12 +34,14 @@ if TYPE_CHECKING:
     from g1stream.session.streams import Stream
     from g1stream.session.summary import MotionInfo, PhaseInterval
 
-__all__ = ["FEEDFORWARD", "find_problems", "summarise", "summarise_run"]
+__all__ = ["FEEDFORWARD", "find_problems", "message_stats", "summarise", "summarise_run"]
 
 FEEDFORWARD: Final = "feed-forward: "
 """What the stream logs of its feed-forward begins with this."""
 
 # What a robot does not notice is in the figures and is no problem.
+#: A publish interval of more than so many medians is a gap.
+_GAP: Final = 3.0
 #: A gap between publish times, s: after this a robot's silence ends a session.
 _LONG_GAP: Final = 0.1
 #: A command this late, s, or this share of commands left out.
@@ -97,7 +102,8 @@ def summarise(session: Session) -> Summary:
             if event.text.startswith(FEEDFORWARD)
         ],
         recorder=recorder,
-        tracking=tracking,
+        # The error over several motions is that of none.
+        tracking=tracking if _played(session.phases) <= 1 else None,
         topics=topics,
         attachments_bytes={name: len(data) for name, data in session.attachments.items()},
     )
@@ -108,6 +114,29 @@ def summarise(session: Session) -> Summary:
         *problems,
     ]
     return summary
+
+
+def message_stats(stream: Stream, lost: int | None = None) -> MessageStats:
+    """The rate, gaps and latency of a topic.
+
+    Args:
+        stream: with one message at least.
+        lost: samples known to be lost.
+    """
+    times_ns = np.sort(stream.publish_time)
+    intervals = np.diff(times_ns) / 1e9
+    span = float(times_ns[-1] - times_ns[0]) / 1e9
+    latency = (stream.log_time - stream.publish_time) / 1e3
+    p50, p99, p99_9, longest = np.percentile(latency, (50, 99, 99.9, 100)).tolist()
+    return MessageStats(
+        count=len(times_ns),
+        lost=lost,
+        rate_hz=len(intervals) / span if span > 0 else None,
+        gaps=int(np.sum(intervals > _GAP * np.median(intervals))) if len(intervals) else 0,
+        longest_interval_s=float(intervals.max()) if len(intervals) else None,
+        latency_us=Percentiles(p50=p50, p99=p99, p99_9=p99_9, max=longest),
+        clock_offset_s=stream.clock_offset / 1e9,
+    )
 
 
 def summarise_run(
@@ -148,8 +177,10 @@ def find_problems(summary: Summary) -> Iterator[str]:
     undamped, stream, recorder = summary.termination.undamped_in, summary.stream, summary.recorder
     if undamped is not None:
         yield f"The stream process ended in {undamped.name} without DAMP: the robot was not damped."
+    if guard := summary.termination.guard:
+        yield f"{guard[0].upper()}{guard[1:]}."
     if stream:
-        yield from _samplesproblems(stream)
+        yield from _stream_problems(stream)
     if recorder:
         if summary.first_ns is None and not recorder.stopped:
             yield "Nothing was received."
@@ -167,7 +198,7 @@ def find_problems(summary: Summary) -> Iterator[str]:
             )
 
 
-def _samplesproblems(stream: StreamSummary) -> Iterator[str]:
+def _stream_problems(stream: StreamSummary) -> Iterator[str]:
     if stream.reason:
         yield f"The stream ended early: {stream.reason}."
     for finding in stream.findings:
@@ -197,7 +228,17 @@ def _recorder_problems(recorder: RecorderSummary) -> Iterator[str]:
         yield f"CLOCK_REALTIME of the recorder was set by {step.step_ns / 1e9:+.3f} s."
 
 
+def _played(phases: list[PhaseInterval]) -> int:
+    """How many motions were played, or one how many times."""
+    return sum(one.phase is Phase.PLAY for one in phases)
+
+
 def _file_problems(session: Session) -> Iterator[str]:
+    if (played := _played(session.phases)) > 1:
+        yield (
+            f"{played} motions were played in this session, each with a PLAY of its own, so that "
+            "tracking has no one reference to compare with. Record each into a file of its own."
+        )
     for number, reason in session.absent_parts.items():
         yield f"Part {number} is absent: {reason}"
     if not (session.complete or session.absent_parts):
@@ -211,7 +252,7 @@ def _warnings(session: Session) -> list[str]:
     """The warnings in /log; of those that differ in their numbers only, the last."""
     alike: dict[str, list[str]] = {}
     for event in session.log:
-        if event.level in {"WARNING", "ERROR", "FATAL"}:
+        if event.level in {"WARNING", "ERROR", "FATAL"} and event.name != LOG_NAME:
             text = f"{event.name}: {event.text}"
             alike.setdefault(re.sub(r"\d+", "#", text), []).append(text)
     return [
@@ -230,10 +271,15 @@ def _termination(
     phases = session.phases
     settings = (info.config or {}).get("stream")
     start = settings.get("start") if isinstance(settings, dict) else None
+    guard = next((event.text for event in session.log if event.name == LOG_NAME), None)
+    undamped = None if guard else _undamped_in(phases, info, stream, recorder, streams)
     values = {
         "reason": stream.reason if stream else None,
-        "undamped_in": _undamped_in(phases, info, stream, recorder, streams),
-        "played_s": sum(p.duration_s for p in phases if p.phase is Phase.PLAY) if phases else None,
+        "undamped_in": undamped,
+        "guard": guard,
+        "played_s": sum(p.duration_s for p in phases if p.phase is Phase.PLAY)
+        if phases and _played(phases) <= 1
+        else None,
         "motion_s": info.motion.duration_s if info.motion else None,
         "start_s": start or 0.0,
     }

@@ -21,6 +21,8 @@ from g1stream.session.summary import JointTracking, TrackingSummary
 from g1stream.types import Floats, Phase
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from g1stream.session.session import Session
 
 __all__ = ["Delay", "NothingToCompareError", "Tracking", "compare", "pooled", "tracking"]
@@ -31,6 +33,8 @@ SHORTEST_DELAY, LONGEST_DELAY = -0.02, 0.2
 _COARSE, _FINE = 0.01, 0.002
 _DELAY_SAMPLES: Final = 20_000
 
+#: Positions, rad, and motion times, s, that are not below this are left out, as is NaN.
+_LARGEST: Final = 1e9
 #: A joint takes part in finding the delay if reference and measurement span more than this, rad.
 _MOVES: Final = 0.05
 
@@ -66,7 +70,7 @@ class Tracking:
         motion_time: (N,) s since the motion's first frame.
         reference, measured: (N, 29) rad.
         excluded: LowStates in PLAY that are left out: the reference has a gap there, or a joint
-            position is not finite.
+            position is not finite or beyond 1e9 rad.
         duration: s of PLAY, gaps left out.
         rmse: (29,) rad, root mean square of reference - measured.
         mean: (29,) rad, mean of reference - measured, such as the sag under gravity.
@@ -158,11 +162,15 @@ def compare(reference: Reference, measured: Measured) -> Tracking | None:
     times = reference.publish_time + reference.clock_offset
     state_times = measured.publish_time + measured.clock_offset
     order, state_order = np.argsort(times, kind="stable"), np.argsort(state_times, kind="stable")
+    with_time = np.column_stack([reference.q, reference.motion_time])
+    order = order[_is_sane(with_time)[order]]
+    if not len(order):
+        return None
     times, q, phase = times[order], reference.q[order], reference.phase[order]
     around = neighbours(times, state_times[state_order])
     in_play = around.where(phase[around.before] == Phase.PLAY)
-    finite = np.asarray(np.isfinite(measured.q).all(axis=1))[state_order]
-    compared = in_play.where((in_play.gap <= MAX_GAP_NS) & finite[in_play.instants])
+    sane = _is_sane(measured.q)[state_order]
+    compared = in_play.where((in_play.gap <= MAX_GAP_NS) & sane[in_play.instants])
     if not len(compared.gap):
         return None
     states = state_order[compared.instants]
@@ -185,6 +193,11 @@ def compare(reference: Reference, measured: Measured) -> Tracking | None:
         max_abs_at=motion_time[worst],
         delay=_delay(seconds, q, state_seconds, asked, done),
     )
+
+
+def _is_sane(values: Floats) -> NDArray[np.bool_]:
+    """(N,) whether all of a row (N, K) are finite and of a sane size."""
+    return np.asarray((np.abs(values) < _LARGEST).all(axis=1))
 
 
 def pooled(values: Floats) -> float:

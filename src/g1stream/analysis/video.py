@@ -1,0 +1,323 @@
+"""A session as a video or a picture: the measured robot, and the reference as a ghost over it."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from dataclasses import dataclass
+from fractions import Fraction
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Final, Literal
+
+import numpy as np
+
+from g1stream.analysis.offscreen import Offscreen, PosedRobot, with_shapes
+from g1stream.errors import ConfigError, RecordingError
+from g1stream.files import complete_file
+from g1stream.foxglove.measured_base import MeasuredBase
+from g1stream.robot.model import G1
+from g1stream.session.streams import Base, Measured, Reference
+from g1stream.types import Floats, Ints, Phase
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from g1stream.session.session import Session
+    from g1stream.session.streams import Stream
+
+    Picture = NDArray[np.uint8]
+
+__all__ = ["AZIMUTHS", "Camera", "Video", "parse_size", "render"]
+
+Camera = Literal["front", "oblique", "left", "back", "right"]
+
+AZIMUTHS: Final = {"front": 0.0, "oblique": 35.0, "left": 90.0, "back": 180.0, "right": 270.0}
+"""Where each camera stands, degrees around the robot, 0 in front of it, 90 on its left."""
+
+#: What is shown on is older than this, s, is said to be so.
+_OLD: Final = 0.1
+#: Red, green, blue and opacity of the ghost, and of a reference that is shown alone.
+_GHOST: Final = (0.1, 0.6, 1.0, 0.3)
+_BLUE: Final = (0.1, 0.6, 1.0, 1.0)
+_LARGEST_SIDE, _HIGHEST_FPS = 4096, 240.0
+_MOST_FRAMES: Final = 100_000
+
+
+@dataclass(frozen=True)
+class Video:
+    """What was rendered.
+
+    Attributes:
+        path: of the file.
+        frames: how many pictures are in it.
+        start: s on the motion's clock, of the first.
+        duration: s.
+        shown: "measured and ghost", "measured", or "reference".
+        meshes: the robot was drawn with meshes, not with primitive shapes.
+    """
+
+    path: Path
+    frames: int
+    start: float
+    duration: float
+    shown: str
+    meshes: bool
+
+
+def render(
+    session: Session,
+    path: Path,
+    *,
+    start: float | None = None,
+    duration: float | None = None,
+    fps: float = 25.0,
+    size: tuple[int, int] = (640, 480),
+    camera: Camera = "oblique",
+    force: bool = False,
+    progress: Callable[[float], None] = lambda fraction: None,
+) -> Video:
+    """See `Session.render`; `progress` is called with what fraction is done."""
+    encode = _encoder(path)
+    width, height = size
+    if not (16 <= width <= _LARGEST_SIDE and 16 <= height <= _LARGEST_SIDE):
+        raise ConfigError(
+            f"A picture cannot have {width} x {height} pixels.",
+            f"Give a width and a height from 16 to {_LARGEST_SIDE}.",
+        )
+    if path.suffix.lower() == ".mp4" and (width % 2 or height % 2):
+        raise ConfigError(
+            f"A video cannot have {width} x {height} pixels: H.264 takes even numbers only.",
+            f"Use {width + width % 2} x {height + height % 2}.",
+        )
+    if not 0.0 < fps <= _HIGHEST_FPS:
+        raise ConfigError(
+            f"A video cannot have {fps:g} frames per second.", f"Give up to {_HIGHEST_FPS:g}."
+        )
+    one = path.suffix.lower() == ".png"
+    times = _frame_times(session, start, 0.0 if one else duration, fps)
+    poses = _Poses(session, times)
+    robot = with_shapes(_robot(session))
+    with (
+        complete_file(path, force=force) as temporary,
+        closing(Offscreen(robot, poses.robots, size, AZIMUTHS[camera])) as offscreen,
+    ):
+
+        def pictures() -> Iterator[Picture]:
+            for frame in range(len(times)):
+                yield offscreen.draw(frame, poses.text(frame))
+                progress((frame + 1) / len(times))
+
+        encode(temporary, pictures(), fps)
+    return Video(
+        path=path,
+        frames=len(times),
+        start=float(times[0]),
+        duration=len(times) / fps,
+        shown=poses.shown,
+        meshes=offscreen.meshes,
+    )
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """Width and height of a size such as `640x480`.
+
+    Raises:
+        ConfigError: it is none.
+    """
+    width, _, height = text.partition("x")
+    if not (width.isascii() and width.isdigit() and height.isascii() and height.isdigit()):
+        raise ConfigError(f"{text} is not a size.", "Give width and height such as 640x480.")
+    return int(width), int(height)
+
+
+def _frame_times(
+    session: Session, start: float | None, duration: float | None, fps: float
+) -> Floats:
+    """When each frame is, s on the motion's clock."""
+    kinds = (Reference, Measured)
+    streams = [session.stream(kind) for kind in kinds if session.topics.get(kind.topic)]
+    streams = [stream for stream in streams if len(stream)]
+    if not streams:
+        raise RecordingError(
+            f"{session.path} has neither a reference nor a measured state to show.",
+            "Record while a robot, or a simulator, publishes its state.",
+        )
+    first = float(streams[0].time.min())
+    end = max(float(stream.time.max()) for stream in streams)
+    start = first if start is None else start
+    length = end - start if duration is None else min(duration, end - start)
+    if not (np.isfinite(start) and first - _OLD <= start <= end and length >= 0.0):
+        raise RecordingError(
+            f"{session.path} has nothing at {start:g} s for {length:g} s.",
+            f"It lasts from {first:.2f} s to {end:.2f} s on the motion's clock.",
+        )
+    frames = max(1, int(length * fps))
+    if frames > _MOST_FRAMES:
+        raise RecordingError(
+            f"A video of {length:.0f} s would have {frames} frames.",
+            "Render a part of the session, with a start and a duration.",
+        )
+    times: Floats = start + np.arange(frames) / fps
+    return times
+
+
+def _robot(session: Session) -> G1:
+    """The robot of a session's URDF; the default one where it has none."""
+    urdf = session.attachments.get("robot.urdf")
+    if urdf is None:
+        return G1.default()
+    return G1.from_urdf(urdf.decode(errors="replace"), f"robot.urdf of {session.path}")
+
+
+class _Poses:
+    """The robots of T frames, and what is written beside them.
+
+    Args:
+        session: has a reference, a measured state, or both.
+        times: (T,) s on the motion's clock.
+
+    Attributes:
+        shown: what the robots are.
+        robots: the measured robot with its ghost, or that of the two which is there.
+    """
+
+    def __init__(self, session: Session, times: Floats) -> None:
+        self._times = times
+        present = session.topics.get
+        reference = session.reference if present(Reference.topic) else None
+        measured = session.measured if present(Measured.topic) else None
+        self._phases: list[str] = []
+        self._error = self._age = np.full(len(times), np.nan)
+        if reference is not None:
+            reference.read("phase", "q", "root_pos", "root_quat_wxyz")
+            asked = reference[_latest(reference, times)]
+            known = {int(phase): phase.name for phase in Phase}
+            self._phases = [known.get(int(number), "?") for number in asked.phase]
+            self.shown = "reference"
+            self.robots = [PosedRobot(asked.q, asked.root_pos, asked.root_quat_wxyz, _BLUE)]
+        if measured is None:
+            return
+        measured.read("q", "imu_quat_wxyz")
+        if reference is not None:  # before it, the yaw of the IMU is not known
+            since = measured[measured.time >= reference.time.min()]
+            measured = since if len(since) else measured
+        done = measured[_latest(measured, times)]
+        self._age = times - done.time
+        pos, quat_wxyz = _pelvis(reference, session.base, done)
+        self.shown = "measured"
+        self.robots = [PosedRobot(done.q, pos, quat_wxyz)]
+        if reference is not None:
+            self.shown = "measured and ghost"
+            self.robots.append(PosedRobot(asked.q, pos, quat_wxyz, _GHOST))
+            order = np.argsort(reference.time, kind="stable")
+            at_state = [
+                np.interp(done.time, reference.time[order], q[order]) for q in reference.q.T
+            ]
+            self._error = np.sqrt(np.mean((np.stack(at_state, axis=1) - done.q) ** 2, axis=1))
+
+    def text(self, frame: int) -> tuple[str, str]:
+        """Names and values of what is written into a frame, a line each."""
+        rows = {"time": f"{self._times[frame]:.2f} s"}
+        if self._phases:
+            rows["phase"] = self._phases[frame]
+        if np.isfinite(self._error[frame]):
+            rows["RMS error"] = f"{np.degrees(self._error[frame]):.2f} deg"
+        if self._age[frame] > _OLD:
+            rows["state"] = f"{self._age[frame]:.1f} s old"
+        if len(self.robots) == 1:
+            rows["shown"] = f"{self.shown} only"
+        return "\n".join(rows), "\n".join(rows.values())
+
+
+def _latest(stream: Stream, times: Floats) -> NDArray[np.intp]:
+    """(T,) indices of the samples that were the latest at these times."""
+    order = np.argsort(stream.time, kind="stable")
+    before = np.searchsorted(stream.time[order], times, side="right") - 1
+    latest: NDArray[np.intp] = order[before.clip(0)]
+    return latest
+
+
+def _pelvis(
+    reference: Reference | None, base: Base | None, measured: Measured
+) -> tuple[Floats, Floats]:
+    """The measured pelvis in the world: (T, 3) m and (T, 4), as in /measured/tf."""
+    pelvis = MeasuredBase()
+    if reference is not None:
+        pelvis.add_references(_ns(reference), reference.root_pos, reference.root_quat_wxyz)
+    if base is not None:
+        pelvis.add_positions(_ns(base), base.read("position").position)
+    return pelvis.poses(_ns(measured), measured.imu_quat_wxyz)
+
+
+def _ns(stream: Stream) -> Ints:
+    return np.round(stream.time * 1e9).astype(np.int64)
+
+
+def _encoder(path: Path) -> Callable[[Path, Iterator[Picture], float], None]:
+    """Writes pictures into a file, as the path's suffix says."""
+    encoders = {".mp4": _write_mp4, ".gif": _write_gif, ".png": _write_png}
+    suffix = path.suffix.lower()
+    if suffix not in encoders:
+        raise ConfigError(
+            f"{path} is not the name of a video.", f"Use one that ends in {', '.join(encoders)}."
+        )
+    if suffix == ".mp4":
+        _required("av")
+    return encoders[suffix]
+
+
+def _write_mp4(path: Path, pictures: Iterator[Picture], fps: float) -> None:
+    av = _required("av")
+    with av.open(str(path), "w", format="mp4") as container:
+        rate = Fraction(fps).limit_denominator(1001)
+        options = {"crf": "20", "movflags": "+faststart"}
+        stream = None
+        for picture in pictures:
+            if stream is None:
+                stream = container.add_stream("libx264", rate=rate, options=options)
+                stream.height, stream.width = picture.shape[:2]
+                stream.pix_fmt = "yuv420p"  # what every player shows
+            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode() if stream else [])
+
+
+def _write_gif(path: Path, pictures: Iterator[Picture], fps: float) -> None:
+    from PIL import Image
+
+    first = Image.fromarray(next(pictures)).quantize(128)
+    frames = [
+        first,
+        *(
+            Image.fromarray(picture).quantize(palette=first, dither=Image.Dither.NONE)
+            for picture in pictures
+        ),
+    ]
+    # GIF counts in hundredths of a second: each frame ends at the one that is nearest.
+    ends = np.round(np.arange(len(frames) + 1) * 100 / fps) * 10
+    first.save(
+        path,
+        format="GIF",
+        save_all=True,
+        append_images=frames[1:],
+        duration=np.diff(ends).astype(int).tolist(),
+        loop=0,
+    )
+
+
+def _write_png(path: Path, pictures: Iterator[Picture], fps: float) -> None:
+    from PIL import Image
+
+    Image.fromarray(next(pictures)).save(path, format="PNG")
+
+
+def _required(package: str) -> Any:
+    try:
+        return import_module(package)
+    except ImportError as error:
+        raise RecordingError(
+            f"A video in MP4 needs {package}, which is not installed.",
+            "Install the extra: pip install 'g1stream[render]'. GIF and PNG need nothing more.",
+        ) from error

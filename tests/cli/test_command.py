@@ -1,10 +1,21 @@
 """The exit code of a run follows from its summary."""
 
 import json
+import os
+import pty
+import signal
+import threading
+import time
 
 import pytest
 
-from g1stream.cli.command import exit_code, print_summary
+from g1stream.cli.command import (
+    confirmed,
+    exit_code,
+    exit_code_of_signal,
+    on_signals,
+    print_summary,
+)
 from g1stream.session.summary import RecorderSummary, Summary, Termination
 
 
@@ -38,3 +49,62 @@ def test_json_is_the_record(capsys):
     summary = Summary(host="bench", recorder=RecorderSummary(lost={"/lowstate": 2}))
     print_summary(summary, as_json=True)
     assert Summary.model_validate(json.loads(capsys.readouterr().out)) == summary
+
+
+@pytest.mark.parametrize(
+    "number",
+    [
+        *(signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP),
+        *(signal.SIGUSR1, signal.SIGUSR2, signal.SIGALRM, signal.SIGXCPU, signal.SIGABRT),
+        *(signal.SIGTTOU, signal.SIGIO, signal.SIGRTMIN, signal.SIGRTMIN + 3),
+    ],
+)
+def test_every_signal_that_ends_a_process_is_a_reason_with_its_exit_code(number):
+    before, reasons = signal.getsignal(number), []
+    with on_signals(reasons.append):
+        os.kill(os.getpid(), number)
+    assert [exit_code_of_signal(reason) for reason in reasons] == [128 + number]
+    assert signal.getsignal(number) == before
+
+
+@pytest.mark.parametrize("number", [signal.SIGPIPE, signal.SIGSEGV, signal.SIGCHLD])
+def test_signals_that_must_not_be_handled_are_not(number):
+    before = signal.getsignal(number)
+    with on_signals(lambda _: None):
+        assert signal.getsignal(number) == before
+
+
+@pytest.fixture
+def terminal(monkeypatch):
+    """The other end of the terminal that is standard input."""
+    ours, theirs = pty.openpty()
+    with os.fdopen(ours, "wb", buffering=0) as keyboard, os.fdopen(theirs) as screen:
+        monkeypatch.setattr("sys.stdin", screen)
+        yield keyboard
+
+
+@pytest.mark.parametrize(("typed", "answer"), [(b"eth9\n", True), (b"eth0\n", False)])
+def test_the_answer_is_the_name_of_the_interface(terminal, typed, answer):
+    terminal.write(typed)
+    assert confirmed("eth9", None) is answer
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_signals_end_the_question_also_where_they_end_a_stream_otherwise(terminal, number):
+    stops = []
+    with on_signals(stops.append):
+        before = signal.getsignal(number)
+
+        def send():
+            while signal.getsignal(number) == before:  # not asked yet
+                time.sleep(0.01)
+            os.kill(os.getpid(), number)
+
+        sender = threading.Thread(target=send)
+        sender.start()
+        with pytest.raises(SystemExit) as caught:
+            confirmed("eth9", None)
+        sender.join()
+        assert signal.getsignal(number) == before
+    assert caught.value.code == 128 + number
+    assert stops == []

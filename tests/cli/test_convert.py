@@ -10,17 +10,9 @@ import subprocess
 import sys
 import time
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
-
-from g1stream.cli.convert import render_check
-from g1stream.dds.messages import Reference
-from g1stream.motion.check import check_file
-from g1stream.robot.model import G1
-from g1stream.session.writer import SessionWriter
-from g1stream.types import Phase
 
 DEMO = Path(__file__).parents[2] / "src" / "g1stream" / "motion" / "demo.csv"
 COMMAND = [sys.executable, "-m", "g1stream", "convert"]
@@ -69,64 +61,15 @@ def test_on_a_terminal_there_is_a_bar_and_a_summary(out):
     assert shown.endswith(b" MB\r\n")
 
 
-def test_the_text_of_check_is_the_snapshot(tmp_path, matches_snapshot):
-    cases = {
-        "a motion": "demo",
-        "a wrong joint": spoiled(tmp_path, "left_knee_joint", "left_kneee_joint"),
-        "a bad cell": spoiled(tmp_path, "\n9,", "\n9,nan", "cell.csv"),
-    }
-    reports = {
-        name: replace(check_file(path, G1.default()), path=Path("motion.csv"))
-        for name, path in cases.items()
-    }
-    reports["a session"] = replace(reports["a motion"], kind="session")
-    texts = [f"=== {name}\n{render_check(report)}" for name, report in reports.items()]
-    matches_snapshot("check", "\n".join(texts))
-
-
-def test_check_finds_what_is_wrong(tmp_path):
-    path = spoiled(tmp_path, "left_knee_joint", "left_kneee_joint")
-    assert run("--check", path).returncode == 1
-    as_json = json.loads(run("--check", path, "--json").stdout)
-    assert as_json["passed"] is False
-    assert as_json["not_in_file"] == ["left_knee_joint"]
-    assert as_json["not_in_robot"] == ["left_kneee_joint"]
-
-
-def test_check_of_a_session(tmp_path):
-    path, message = tmp_path / "session.mcap", Reference()
-    message.phase[()], message.root_quat_wxyz[0] = Phase.PLAY, 1.0
-    with SessionWriter(path) as writer:
-        for i in range(100):
-            message.motion_time[()] = 0.002 * i
-            writer.write("/reference", message.tobytes(), 2_000_000 * i, 2_000_000 * i)
-    done = run("--check", path)
-    assert (done.returncode, done.stderr) == (0, "")
-    as_json = json.loads(run("--check", path, "--json").stdout)
-    assert (as_json["kind"], as_json["passed"]) == ("session", True)
-    assert (as_json["motion"]["n_frames"], as_json["motion"]["fps"]) == (100, 500.0)
-    assert as_json["motion"]["fastest"]["value"] == 0.0
-
-
-@pytest.mark.parametrize("content", [b"", b"\x89PNG\r\n\x1a\n", b"\x89MCAP0\r\nnothing"])
-def test_check_of_what_cannot_be_read_is_bad_input(tmp_path, content):
-    path = tmp_path / "clip.csv"
-    path.write_bytes(content)
-    done = run("--check", path)
-    assert (done.returncode, done.stdout) == (2, "")
-    assert "session" in done.stderr
-
-
 def test_a_warning_changes_no_exit_code(tmp_path, out):
     header, *lines = DEMO.read_text().splitlines()
     cells = lines[7].split(",")
     cells[4:8] = [str(2.24 * float(cell)) for cell in cells[4:8]]
     path = tmp_path / "norm.csv"
     path.write_text("\n".join([header, *lines[:7], ",".join(cells), *lines[8:]]))
-    check, converted = run("--check", path), run(path, out)
-    for done, told in ((check, check.stdout), (converted, converted.stderr)):
-        assert done.returncode == 0
-        assert "frame 7, line 9" in told
+    converted = run(path, out)
+    assert converted.returncode == 0
+    assert "frame 7, line 9" in converted.stderr
 
 
 def spoiled(tmp_path: Path, old: str, new: str, name: str = "spoiled.csv") -> Path:
@@ -145,7 +88,7 @@ CASES = {
         lambda tmp: [spoiled(tmp, "\n0,", "\n0,x"), tmp / "a.mcap"],
         "line 2, column 2 (X)",
     ),
-    "no output": (lambda tmp: ["demo"], "motion.mcap"),
+    "no output": (lambda tmp: ["demo"], "MCAP"),
     "no directory": (lambda tmp: ["demo", tmp / "nowhere" / "a.mcap"], "mkdir -p"),
     "a file that is there": (lambda tmp: ["demo", spoiled(tmp, "", "")], "exists already"),
     "no frame rate": (lambda tmp: ["demo", tmp / "a.mcap", "--fps", "0"], "--fps"),
@@ -202,3 +145,19 @@ def test_a_signal_leaves_no_file(tmp_path, number):
     assert process.returncode == 128 + number
     assert number.name in told
     assert list(tmp_path.iterdir()) == [motion]
+
+
+def test_a_session_becomes_a_ros2_bag_and_the_flags_of_motions_are_refused(out):
+    assert run(DEMO, out).returncode == 0
+    bag = out.with_suffix("")
+    refused = run(out, bag, "--ros2", "--frames", "1:2")
+    assert refused.returncode == 2
+    assert "--frames" in refused.stderr
+    assert not bag.exists()
+    done = run(out, bag, "--ros2", "--json")
+    assert done.returncode == 0
+    report = json.loads(done.stdout)
+    assert report["path"] == str(bag)
+    assert report["counts"].keys() == {"/tf", "/reference/joint_states", "/robot_description"}
+    assert report["left_out"] == {"/scene": 1}
+    assert sorted(path.name for path in bag.iterdir()) == ["metadata.yaml", "out_0.mcap"]

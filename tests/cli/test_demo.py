@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -44,7 +45,7 @@ def told(monkeypatch):
     monkeypatch.setattr(program, "Child", Bridge)
     monkeypatch.setattr(program, "stream", stream)
     monkeypatch.setattr("g1stream.session.motions.load_motion", lambda *_, **__: mine)
-    monkeypatch.setattr("g1stream.cli.stream.on_signals", lambda _: None)
+    monkeypatch.setattr("g1stream.cli.stream.on_signals", lambda _: nullcontext())
     monkeypatch.setattr("g1stream.cli.stream.announce_wire", lambda _: heard.append("wire"))
     monkeypatch.setattr("g1stream.cli.demo.print_warning", heard.append)
     return heard

@@ -7,6 +7,7 @@ import pytest
 from g1stream.cli.command import announce_wire
 from g1stream.cli.flags import flag_name, parse_flags
 from g1stream.cli.record import Record
+from g1stream.cli.robot import Robot
 from g1stream.cli.sim import Sim
 from g1stream.cli.stream import Replay, Stream
 from g1stream.config import Config, settings
@@ -26,15 +27,18 @@ def test_every_setting_with_a_flag_is_one(command, tmp_path):
         if command not in (setting.json_schema_extra or {}).get("flag", ()):
             continue
         table, _, name = key.rpartition(".")
-        given = [flag_name(name)]
+        given = [flag_name(f"no_{name}" if setting.default is True else name)]
         if setting.annotation is not bool:
             example = setting.examples[0] if setting.examples else setting.default
             given.append(str(example))
-        if table == "record" and command in ("stream", "replay"):
+        if (table == "record" or name == "require_record") and command in ("stream", "replay"):
             given += ["--record", "y.mcap"]
         config = resolved(command, *given)
         value = getattr(getattr(config, table), name) if table else getattr(config, name)
-        assert str(value) == given[1] if setting.annotation is not bool else value is True
+        if setting.annotation is bool:
+            assert value is not setting.default
+        else:
+            assert str(value) == given[1]
 
 
 def test_zero_is_a_domain(tmp_path):
@@ -71,14 +75,44 @@ def test_a_value_that_is_not_accepted_is_named_with_its_flag(command, arguments,
     assert named in caught.value.cause
 
 
-@pytest.mark.parametrize("arguments", [["x", "--domian", "3"], [], ["x", "--domain"]])
-def test_flags_that_do_not_exist_or_lack_something_are_bad_input(arguments, capsys):
-    with pytest.raises(SystemExit) as caught:
+@pytest.mark.parametrize(
+    ("arguments", "cause", "remedy"),
+    [
+        (["x", "--domian", "3"], "--domian", "--domain"),
+        (["--domian=3"], "--domian", "--domain"),
+        (["x", "-q"], "-q", "--help"),
+        ([], "MOTION", "--help"),
+        (["--arm"], "MOTION", "--help"),
+        (["x", "--domain"], "--domain", "--domain N"),
+        (["x", "--duration", "--arm"], "--duration", "--duration S"),
+        (["x", "--support"], "--support", "--support {bolted,hanging,follow,free}"),
+        (["x", "y"], "y", "--help"),
+        (["x", "--arm=yes"], "yes", "--help"),
+    ],
+)
+def test_flags_and_arguments_that_do_not_exist_or_are_missing(arguments, cause, remedy, capsys):
+    with pytest.raises(ConfigError) as caught:
         parse_flags(Stream, "stream", "", arguments)
-    assert caught.value.code == 2
-    printed = capsys.readouterr().err
-    assert "g1stream stream --help" in printed
-    assert "--domain" in printed or not arguments
+    assert cause in caught.value.cause.rstrip(".").split()
+    assert remedy in caught.value.remedy
+    assert capsys.readouterr() == ("", "")
+
+
+def test_flags_are_also_known_with_underscores_and_values_after_an_equals_sign():
+    given = ("--split_size=5", "--scale-time", "--record=-x.mcap", "--start", "0.5")
+    config = resolved("stream", *given)
+    assert config.record.split_size == 5.0
+    assert config.stream.beyond_limits == "scale-time"
+    assert config.stream.start == 0.5
+
+
+def test_an_argument_with_a_default_is_optional_in_the_help(capsys):
+    with pytest.raises(SystemExit):
+        parse_flags(Robot, "robot", "", ["--help"])
+    assert "{status,release,restore} [MODE]" in capsys.readouterr().out
+    with pytest.raises(ConfigError) as caught:
+        parse_flags(Robot, "robot", "", ["start"])
+    assert caught.value.cause.startswith("ACTION cannot be start")
 
 
 def test_a_gains_file_goes_over_the_configs_entry_by_entry(tmp_path):

@@ -11,10 +11,13 @@ from pathlib import Path
 import pytest
 
 from g1stream.cli.motion import render
-from g1stream.motion.check import check_motion
+from g1stream.dds.messages import Reference
+from g1stream.motion.check import check_file
 from g1stream.motion.limits import JointPeak
 from g1stream.robot.model import G1
 from g1stream.session.motions import load_motion
+from g1stream.session.writer import SessionWriter
+from g1stream.types import Phase
 
 DEMO = Path(__file__).parents[2] / "src" / "g1stream" / "motion" / "demo.csv"
 
@@ -42,19 +45,73 @@ def leaping(tmp_path):
     return path
 
 
-def test_the_text_is_the_snapshot(matches_snapshot):
-    """One motion has no problem, the other one of each kind."""
-    good = check_motion(load_motion("demo"), G1.default())
+def spoiled(tmp_path: Path, old: str, new: str, name: str = "spoiled.csv") -> Path:
+    path = tmp_path / name
+    path.write_text(DEMO.read_text().replace(old, new, 1))
+    return path
+
+
+def test_the_text_is_the_snapshot(tmp_path, matches_snapshot):
+    """No problem, one of each kind, and files that are no motion."""
+    good = check_file("demo", G1.default())
     joint = JointPeak("left_knee_joint", 4.0, 3.0, 2.8798, 12)
     fast = JointPeak("waist_yaw_joint", 5.0, 40.0, 32.0, 3)
-    bad = replace(
-        good,
+    leap = replace(
+        good.motion,
         name="leap",
         frames_beyond=(joint,),
-        streamed=replace(good.streamed, motion="leap", held=(joint,), speeds=(fast,)),
+        streamed=replace(good.motion.streamed, motion="leap", held=(joint,), speeds=(fast,)),
         warnings=("leap: 3 quaternions were normalised.",),
+        suspicion="frame 120 were a spike of 2.40 rad",
     )
-    matches_snapshot("motion", f"{render(good)}\n\n{render(bad)}")
+    reports = [good, replace(good, motion=leap), replace(good, kind="session")]
+    causes = ("left_knee_joint", "left_kneee_joint"), ("\n9,", "\n9,nan")
+    reports += [check_file(spoiled(tmp_path, *cause), G1.default()) for cause in causes]
+    matches_snapshot("motion", "\n\n".join(map(render, reports)))
+
+
+def test_what_is_wrong_with_a_table_is_bad_input_and_the_rest_is_shown(tmp_path):
+    path = spoiled(tmp_path, "left_knee_joint", "left_kneee_joint")
+    done = run(path, "--json")
+    report = json.loads(done.stdout)
+    assert done.returncode == 2
+    assert report["within_limits"] is False
+    assert report["file"]["not_in_file"] == ["left_knee_joint"]
+    assert report["file"]["not_in_robot"] == ["left_kneee_joint"]
+    assert report["file"]["fault"] in done.stderr
+
+
+def test_a_motion_beyond_a_limit_is_not_passed(tmp_path):
+    motion = load_motion("demo")
+    path = tmp_path / "fast.csv"
+    replace(motion, fps=30.0, joint_pos=1.5 * motion.joint_pos).save(path)
+    done = run(path, "--json")
+    assert done.returncode == 1
+    assert json.loads(done.stdout)["within_limits"] is False
+
+
+def test_a_session(tmp_path):
+    path, message = tmp_path / "session.mcap", Reference()
+    message.phase[()], message.root_quat_wxyz[0] = Phase.PLAY, 1.0
+    with SessionWriter(path) as writer:
+        for i in range(100):
+            message.motion_time[()] = 0.002 * i
+            writer.write("/reference", message.tobytes(), 2_000_000 * i, 2_000_000 * i)
+    done = run(path, "--json")
+    assert (done.returncode, done.stderr) == (0, "")
+    report = json.loads(done.stdout)
+    assert (report["file"]["kind"], report["within_limits"]) == ("session", True)
+    assert (report["n_frames"], report["fps"]) == (100, 500.0)
+    assert report["fastest"]["value"] == 0.0
+
+
+@pytest.mark.parametrize("content", [b"", b"\x89PNG\r\n\x1a\n", b"\x89MCAP0\r\nnothing"])
+def test_what_cannot_be_read_is_bad_input(tmp_path, content):
+    path = tmp_path / "clip.csv"
+    path.write_bytes(content)
+    done = run(path)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "session" in done.stderr
 
 
 def test_the_speed_is_the_one_that_is_streamed():

@@ -46,13 +46,22 @@ def test_times_are_simulated(session):
 
 def test_every_phase_and_channel_is_there(session):
     durations = {one.phase: one.duration_s for one in session.phases}
-    assert durations[Phase.RAMP] == pytest.approx(1.0)
+    assert durations[Phase.RAMP] == pytest.approx(session.metadata["stream"]["ramp_s"])
+    assert durations[Phase.RAMP] > config().stream.ramp  # the demo begins 1 rad away
     assert durations[Phase.PLAY] == pytest.approx(2.0)
     assert durations[Phase.DAMP] == pytest.approx(0.5, abs=0.003)
     assert set(session.topics) == {
         *("/lowcmd", "/lowstate", "/reference", "/sportmodestate", "/secondary_imu"),
         *("/tf", "/measured/tf", "/reference/joint_states", "/measured/joint_states"),
-        *("/tracking_error/joint_states", "/log", "/scene", "/robot_description"),
+        *(
+            "/tracking_error/joint_states",
+            "/tracking_error/limbs",
+            "/timing/commands",
+            "/timing/states",
+            "/log",
+        ),
+        *("/ghost/tf", "/scene", "/measured/scene", "/ghost/scene", "/measured/path"),
+        "/robot_description",
     }
     assert session.attachments.keys() >= {"robot.urdf", "config.json"}
     assert session.metadata["motion"]["name"] == "demo"

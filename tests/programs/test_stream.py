@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import threading
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 
 import pytest
 from cyclonedds.core import Policy
@@ -25,7 +25,7 @@ from g1stream.dds.messages import LowState, SecondaryImu
 from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE, SECONDARY_IMU
 from g1stream.errors import RecordingError, SafetyError
 from g1stream.programs import stream as program
-from g1stream.programs.child_process import ChildError
+from g1stream.programs.child_process import Child, ChildError
 from g1stream.programs.stream import stream
 
 
@@ -50,9 +50,16 @@ def background(publish):
     thread.join()
 
 
-def fail(child, _):
-    child.kill()
-    raise ChildError("It hangs.", "")
+def fail_to_record(monkeypatch):
+    finish = Child.finish
+
+    def fail(child, *arguments, **options):
+        if child.name != "record":
+            return finish(child, *arguments, **options)
+        child.kill()
+        raise ChildError("It hangs.", "")
+
+    monkeypatch.setattr(Child, "finish", fail)
 
 
 @pytest.mark.parametrize("ready", [True, False])
@@ -119,7 +126,7 @@ def short(tmp_path):
 
 
 def test_where_nobody_is_it_leads_to_the_doctor(domain_id, short, capsys, monkeypatch):
-    monkeypatch.setattr("g1stream.cli.stream.on_signals", lambda stop: None)
+    monkeypatch.setattr("g1stream.cli.stream.on_signals", lambda stop: nullcontext())
     assert main(["stream", "demo", "--domain", str(domain_id), "--config", short]) == 1
     printed = capsys.readouterr().out
     printed = " ".join(printed.split())
@@ -128,7 +135,7 @@ def test_where_nobody_is_it_leads_to_the_doctor(domain_id, short, capsys, monkey
 
 
 def test_it_is_in_the_json(domain_id, short, capsys, monkeypatch):
-    monkeypatch.setattr("g1stream.cli.stream.on_signals", lambda stop: None)
+    monkeypatch.setattr("g1stream.cli.stream.on_signals", lambda stop: nullcontext())
     main(["stream", "demo", "--domain", str(domain_id), "--config", short, "--json"])
     stream = json.loads(capsys.readouterr().out)["stream"]
     assert [finding["about"] for finding in stream["findings"]] == ["publisher"]
@@ -173,9 +180,14 @@ def test_a_recording_with_a_sample_is_kept(config, domain_id, tmp_path):
     assert (tmp_path / "s.mcap").exists()
 
 
-def test_a_recorder_that_fails_is_reported_and_its_file_kept(config, tmp_path, monkeypatch):
-    monkeypatch.setattr(program.Child, "finish", fail)
-    summary = stream("demo", config, record=tmp_path / "s.mcap")
+def test_a_recorder_that_fails_is_reported_and_its_file_kept(
+    config, domain_id, tmp_path, monkeypatch
+):
+    fail_to_record(monkeypatch)
+    with Participant(domain_id, "lo") as peer:
+        imu = RawWriter(peer, SECONDARY_IMU)
+        with background(lambda: imu.write(SecondaryImu().tobytes())):
+            summary = stream("demo", config, record=tmp_path / "s.mcap")
     assert summary.recorder.stopped == "It hangs."
     assert not summary.recorder.removed
     assert (tmp_path / "s.mcap").exists()

@@ -6,13 +6,15 @@ import json
 import os
 import signal
 import sys
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 from g1stream.cli.flags import flag, given_settings
+from g1stream.errors import printable
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from g1stream.config import Config
     from g1stream.session.summary import Summary
@@ -24,17 +26,31 @@ __all__ = [
     "Command",
     "SettingsCommand",
     "announce_wire",
+    "confirmed",
     "exit_code",
     "exit_code_of_signal",
     "on_signals",
     "print_json",
+    "print_lines",
     "print_summary",
     "print_warning",
+    "yes_flag",
 ]
 
 EXIT_OK, EXIT_STOPPED, EXIT_BAD_INPUT = 0, 1, 2
 
-_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGTSTP, signal.SIGQUIT)
+_S = signal.Signals
+_HANDLED = tuple(
+    sorted(
+        signal.valid_signals()
+        - {_S.SIGKILL, _S.SIGSTOP}  # cannot be handled
+        - {_S.SIGCHLD, _S.SIGCONT, _S.SIGURG, _S.SIGWINCH}  # end nothing
+        - {_S.SIGPIPE, _S.SIGXFSZ}  # Python ignores them, and raises an OSError at the write
+        # The faulty instruction would run again and again; the guard process damps.
+        - {_S.SIGSEGV, _S.SIGBUS, _S.SIGFPE, _S.SIGILL, _S.SIGTRAP, _S.SIGSYS}
+    )
+)
+"""The signals that end a command in order: all that can."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,24 +104,83 @@ def announce_wire(config: Config, *, commands: bool = True) -> None:
             f"WARNING: {where}: every subscriber of rt/lowcmd will move, a real robot too. "
             "Keep its remote at hand"
         )
-    print(f"{where}.", file=sys.stderr)
+    print(f"{printable(where)}.", file=sys.stderr)
 
 
-def on_signals(stop: Callable[[str], None]) -> None:
-    """Call `stop` with the signal's name on the terminal's keys, termination and hang-up."""
-    for number in _SIGNALS:
-        signal.signal(number, lambda received, _: stop(signal.Signals(received).name))
+def yes_flag() -> Any:
+    """The flag --yes of commands that ask before they move a robot."""
+    return flag(None, "Confirm beforehand, by the name of the interface in use.", "INTERFACE")
+
+
+def confirmed(interface: str, yes: str | None) -> bool:
+    """Whether the user wants to command what is on an interface: asks on the terminal.
+
+    Args:
+        interface: what has to be typed.
+        yes: confirmation that was given beforehand, by `yes_flag`.
+
+    Raises:
+        ConfigError: `yes` names another interface, or there is no terminal to ask on.
+        SystemExit: a signal came instead of an answer; its code is 128 + n.
+    """
+    from g1stream.errors import ConfigError
+
+    if yes is not None:
+        if yes == interface:
+            return True
+        raise ConfigError(
+            f"The flag --yes names {yes}, but the interface in use is {interface}.",
+            f"Check which robot you mean; --yes {interface} confirms this one.",
+        )
+    if not sys.stdin.isatty():
+        raise ConfigError(
+            "There is no terminal to confirm on.",
+            f"Run it on a terminal, or confirm beforehand: --yes {interface}.",
+        )
+
+    def end(reason: str) -> None:
+        raise SystemExit(exit_code_of_signal(reason))
+
+    with on_signals(end):  # nothing moves yet: they end the question, whatever they do later
+        print(f"Type {interface} to go on: ", end="", file=sys.stderr, flush=True)
+        return sys.stdin.readline().strip() == interface
+
+
+@contextmanager
+def on_signals(stop: Callable[[str], None]) -> Iterator[None]:
+    """Call `stop` with the name of each signal that would end or stop the process, in a `with`."""
+    before = {
+        number: signal.signal(number, lambda received, _: stop(_signal_name(received)))
+        for number in _HANDLED
+    }
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _signal_name(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:  # only the first and the last real-time signal have one
+        return f"SIGRTMIN+{number - signal.SIGRTMIN}"
 
 
 def exit_code_of_signal(reason: str) -> int | None:
     """128 + n where the reason is the name of signal n, as in a shell."""
-    names = {number.name: 128 + number for number in _SIGNALS}
+    names = {_signal_name(number): 128 + number for number in _HANDLED}
     return names.get(reason)
 
 
 def print_warning(text: str) -> None:
     """Print a warning on standard error."""
-    print(f"warning: {text}", file=sys.stderr)
+    print(f"warning: {printable(text)}", file=sys.stderr)
+
+
+def print_lines(text: str, file: TextIO | None = None) -> None:
+    """Print lines, on standard output if not told otherwise, with what a terminal obeys escaped."""
+    print("\n".join(map(printable, text.split("\n"))), file=file)
 
 
 def print_json(values: Any) -> None:
@@ -118,7 +193,7 @@ def print_summary(summary: Summary, *, as_json: bool) -> None:
     if as_json:
         print_json(summary.model_dump(mode="json"))
     else:
-        print(summary)
+        print_lines(str(summary))
 
 
 def exit_code(summary: Summary) -> int:

@@ -1,13 +1,13 @@
-"""`g1stream convert`: a motion file into a session file, or a check of it."""
+"""`g1stream convert`: a motion file into a session file, or a session into a ROS 2 bag."""
 
 from __future__ import annotations
 
 import re
 import signal
 import sys
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from g1stream.analysis.render import counted
 from g1stream.cli.command import (
@@ -16,19 +16,22 @@ from g1stream.cli.command import (
     Command,
     exit_code_of_signal,
     print_json,
+    print_lines,
     print_warning,
 )
 from g1stream.cli.flags import MOTION, argument, flag, fps_flag
-from g1stream.cli.motion import joint_lines, result_lines
 from g1stream.cli.progress import ProgressDisplay
 from g1stream.errors import ConfigError
 
 if TYPE_CHECKING:
-    from g1stream.motion.check import FileReport
-    from g1stream.programs.convert import ConvertReport
-    from g1stream.robot.model import G1
+    from collections.abc import Callable
 
-__all__ = ["Convert", "render_check"]
+    from g1stream.programs.convert import ConvertReport
+
+__all__ = ["Convert"]
+
+#: Flags that go with --ros2.
+_OF_ROS2: Final = {"motion", "out", "ros2", "compression", "force", "json"}
 
 
 class _StoppedError(BaseException):
@@ -42,26 +45,23 @@ class Convert(Command):
     Log and publish time of every message are the base time + frame / fps, to the nearest
     nanosecond. With the default base time the same input always gives the same bytes.
 
-    With --check nothing is written: it prints what is in the file. Warnings do not change the exit
-    code.
+    With --ros2 a session becomes a ROS 2 bag: a directory with metadata.yaml and an MCAP file that
+    has messages of ROS only.
 
     Examples:
       g1stream convert dance.csv dance.mcap
       g1stream convert dance.csv part.mcap --frames 100:200 --resample 500
-      g1stream convert dance.csv --check
+      g1stream convert session.mcap session_ros2 --ros2
 
     Exit codes:
-      0        converted, or --check found no problems
-      1        --check found a problem
+      0        converted
       2        bad input, such as a file of another kind
       128 + n  ended by signal n, nothing was written: 130 after Ctrl-C
     """
 
     motion: str = argument(MOTION, "MOTION")
-    out: Path | None = flag(
-        None, "The file to write; not needed with --check.", "MCAP", positional=True
-    )
-    check: bool = flag(False, "Only check the motion file, and print what is in it.")
+    out: Path = argument("The file to write; with --ros2 the directory.", "MCAP")
+    ros2: bool = flag(False, "Convert a session into a ROS 2 bag.")
     fps: float | None = fps_flag()
     base_time: str = flag(
         "0",
@@ -94,16 +94,14 @@ class Convert(Command):
     json: bool = flag(False, "Print the summary as JSON on standard output.")
 
     def run(self) -> int:
-        """Convert or check, and return the exit code."""
-        from g1stream.robot.model import G1
-
-        robot = G1.load(self.urdf)
-        if self.check:
-            return self._check(robot)
-        if self.out is None:
+        """Convert, and return the exit code."""
+        other = [f.name for f in fields(self) if f.name not in _OF_ROS2]
+        given = [name for name in other if getattr(self, name) != getattr(type(self), name)]
+        if self.ros2 and given:
             raise ConfigError(
-                "The output file is missing.",
-                "Give it after the motion, such as motion.mcap, or add --check to only check.",
+                f"--{given[0].replace('_', '-')} does not go with --ros2, which keeps a session "
+                "as it is.",
+                "Leave one of the two out.",
             )
         # Checked between chunks: an exception in a signal handler could come between creating the
         # temporary file and the code that removes it.
@@ -111,20 +109,56 @@ class Convert(Command):
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, lambda got, _: stopped_by.append(signal.Signals(got).name))
         try:
-            report = self._convert(robot, self.out, stopped_by)
+            return self._convert(stopped_by)
         except _StoppedError as stopped:
             print(f"\nStopped by {stopped}; nothing was written.", file=sys.stderr)
             return exit_code_of_signal(str(stopped)) or EXIT_STOPPED
-        for warning in report.warnings:
+
+    def _convert(self, stopped_by: list[str]) -> int:
+        done = 0.0
+
+        def on_progress(fraction: float) -> None:
+            nonlocal done
+            if stopped_by:
+                raise _StoppedError(stopped_by[0])
+            done = fraction
+
+        with ProgressDisplay(lambda: (done, f"{100 * done:3.0f} %")):
+            make = self._ros2_bag if self.ros2 else self._session_file
+            about, text, warnings = make(on_progress)
+        for warning in warnings:
             print_warning(warning)
         if self.json:
-            print_json(report.as_dict())
+            print_json(about)
         else:
-            print(_summary(report))
+            print_lines(text)
         return EXIT_OK
 
-    def _convert(self, robot: G1, out: Path, stopped_by: list[str]) -> ConvertReport:
+    def _ros2_bag(
+        self, on_progress: Callable[[float], None]
+    ) -> tuple[dict[str, Any], str, tuple[str, ...]]:
+        from g1stream.session.ros2 import write_ros2_bag
+
+        report = write_ros2_bag(
+            Path(self.motion),
+            self.out,
+            force=self.force,
+            compression=self.compression,
+            on_progress=on_progress,
+        )
+        text = (
+            f"{report.path}: {counted(sum(report.counts.values()), 'message')} on "
+            f"{counted(len(report.counts), 'topic')}, {report.size / 1e6:.1f} MB"
+        )
+        if report.left_out:
+            text += f"\nleft out, not ROS messages: {', '.join(sorted(report.left_out))}"
+        return report.as_dict(), text, ()
+
+    def _session_file(
+        self, on_progress: Callable[[float], None]
+    ) -> tuple[dict[str, Any], str, tuple[str, ...]]:
         from g1stream.programs.convert import Conversion, convert
+        from g1stream.robot.model import G1
         from g1stream.session.timestamps import parse_time
 
         options = Conversion(
@@ -139,28 +173,11 @@ class Convert(Command):
             compression=self.compression,
             force=self.force,
         )
-        done = 0.0
-
-        def on_progress(fraction: float) -> None:
-            nonlocal done
-            if stopped_by:
-                raise _StoppedError(stopped_by[0])
-            done = fraction
-
-        with ProgressDisplay(lambda: (done, f"{100 * done:3.0f} %")):
-            return convert(
-                self.motion, out, options, robot=robot, fps=self.fps, on_progress=on_progress
-            )
-
-    def _check(self, robot: G1) -> int:
-        from g1stream.session.motions import check_motion_file
-
-        report = check_motion_file(self.motion, robot, fps=self.fps)
-        if self.json:
-            print_json({**asdict(report), "path": str(report.path), "passed": report.passed})
-        else:
-            print(render_check(report))
-        return EXIT_OK if report.passed else EXIT_STOPPED
+        robot = G1.load(self.urdf)
+        report = convert(
+            self.motion, self.out, options, robot=robot, fps=self.fps, on_progress=on_progress
+        )
+        return report.as_dict(), _summary(report), report.warnings
 
 
 def _frames(text: str) -> tuple[int | None, int | None]:
@@ -178,38 +195,3 @@ def _summary(report: ConvertReport) -> str:
         f"{report.path}: {report.frames} frames at {report.rate:g} Hz, "
         f"{(report.end_ns - report.start_ns) / 1e9:.2f} s, {report.size / 1e6:.1f} MB"
     )
-
-
-def render_check(report: FileReport) -> str:
-    """The report of --check as text."""
-    lines, motion = [f"{report.path}", *_content(report)], report.motion
-    if motion:
-        lines.append(
-            f"  duration        {motion.duration:.3f} s: {motion.n_frames} frames at "
-            f"{motion.fps:g} fps"
-        )
-        lines += joint_lines(motion)
-    fault = (report.fault, report.remedy) if report.fault else ()
-    return "\n".join([*lines, *result_lines(motion, fault)])
-
-
-def _content(report: FileReport) -> list[str]:
-    """The lines about the columns of the file."""
-    if report.kind == "session":
-        return ["  file            a session; its motion is the recorded reference"]
-    header = "named by a header" if report.has_header else "no header"
-    if report.mapped and not report.has_header:
-        header += ", columns as in LAFAN1"
-    lines = [
-        f"  file            {counted(report.n_rows, 'row')}, "
-        f"{counted(report.n_columns, 'column')}, {header}",
-        f"  mapped columns  {len(report.mapped)}",
-    ]
-    mapped = [f"    {column:3d} {joint}" for joint, column in report.mapped.items()]
-    lines += mapped if len(mapped) <= 10 else [*mapped[:5], "      ...", *mapped[-5:]]
-    lines += [f"  not in the URDF {name}" for name in report.not_in_robot]
-    lines += [f"  not in the file {name}" for name in report.not_in_file]
-    if report.quat_norms:
-        lowest, highest = report.quat_norms
-        lines.append(f"  quaternion norm {lowest:.6f} to {highest:.6f}")
-    return lines

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from g1stream.cli.command import SettingsCommand, print_json
+from g1stream.analysis.render import labelled
+from g1stream.cli.command import SettingsCommand, print_json, print_lines
 from g1stream.cli.flags import flag
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ class Doctor(SettingsCommand):
         if self.json:
             print_json([one.model_dump(mode="json") for one in findings])
         else:
-            print(render(findings))
+            print_lines(render(findings))
         return max(one.level for one in findings)
 
 
@@ -51,7 +52,8 @@ def render(findings: Iterable[Finding]) -> str:
     """The findings as text: cause and remedy, a line each."""
     lines = []
     for finding in findings:
-        lines.append(f"{finding.level.name.lower():<8} {finding.about:<13} {finding.cause}")
+        label = f"{finding.level.name.lower():<8} {finding.about:<13} "
+        lines.append(labelled(label, finding.cause))
         if finding.remedy:
-            lines.append(f"{'':<22} {finding.remedy}")
+            lines.append(labelled(" " * len(label), finding.remedy))
     return "\n".join(lines)

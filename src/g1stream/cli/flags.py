@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import inspect
 from dataclasses import MISSING, dataclass, field, fields, make_dataclass
+from difflib import get_close_matches
 from operator import getitem
 from pathlib import Path
 from types import UnionType
@@ -29,7 +30,7 @@ from tyro.constructors import PrimitiveConstructorSpec
 from g1stream.errors import ConfigError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from pydantic.fields import FieldInfo
 
@@ -49,13 +50,14 @@ class _Option:
     metavar: str
     note: str
     limits: tuple[Any, ...] = ()
+    required: bool = False
     positional: bool = False
     aliases: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, setting: FieldInfo) -> _Option:
         """The flag of a setting."""
-        from g1stream.config import accepted
+        from g1stream.settings import accepted
 
         about: Any = setting.json_schema_extra
         text, default = setting.description or "", setting.default
@@ -74,10 +76,11 @@ class _Option:
         hint = f"({self.note})" if self.note else ""
         if kind is bool:
             return Annotated[bool, tyro.conf.arg(help=self.text, help_behavior_hint=hint)]
-        choices = _choices(kind)
-        metavar = f"{{{','.join(choices)}}}" if choices else self.metavar or _metavar(kind)
+        shown = self.value_name(kind)
+        if self.positional and not self.required:
+            shown = f"[{shown}]"
         arg = tyro.conf.arg(
-            metavar=metavar, help=self.text, help_behavior_hint=hint, aliases=self.aliases or None
+            metavar=shown, help=self.text, help_behavior_hint=hint, aliases=self.aliases or None
         )
         several = get_origin(kind) is tuple  # of paths or names
 
@@ -94,9 +97,9 @@ class _Option:
                 return TypeAdapter(limited).validate_strings(texts[0])
             except ValidationError as error:
                 wrong = error.errors()[0]["msg"]
+                what = self.metavar if self.positional else f"The flag {flag_name(name)}"
                 raise ConfigError(
-                    f"The flag {flag_name(name)} cannot be {texts[0]}: "
-                    f"{wrong[0].lower()}{wrong[1:]}.",
+                    f"{what} cannot be {texts[0]}: {wrong[0].lower()}{wrong[1:]}.",
                     f"`g1stream {command} --help` says what it accepts.",
                 ) from None
 
@@ -110,6 +113,13 @@ class _Option:
         marks = (tyro.conf.Positional,) if self.positional else ()
         # The type is for pydantic; tyro would load a type checker for it, which takes 60 ms.
         return getitem(Annotated, (object, *marks, arg, spec))
+
+    def value_name(self, kind: Any) -> str:
+        """What stands for its value in the help; empty where it has none."""
+        if kind is bool:
+            return ""
+        choices = _choices(kind)
+        return f"{{{','.join(choices)}}}" if choices else self.metavar or _metavar(kind)
 
 
 def flag(
@@ -140,6 +150,7 @@ def flag(
         metavar=metavar,
         note=f"default: {shown}" if shown else "",
         limits=() if gt is None else (Gt(gt),),
+        required=default is MISSING,
         positional=positional,
         aliases=aliases,
     )
@@ -165,7 +176,7 @@ def flag_name(name: str) -> str:
 def parse_flags(
     kind: type[CommandT], name: str, purpose: str, arguments: Sequence[str]
 ) -> CommandT:
-    """Make a command of its arguments; ends the process on --help or an unknown flag.
+    """Make a command of its arguments; ends the process on --help.
 
     Args:
         kind: the command's class, a dataclass with a `flag` or an `argument` in each field. Its
@@ -176,27 +187,86 @@ def parse_flags(
         arguments: what follows the name.
 
     Raises:
-        ConfigError: a value that its flag does not accept.
+        ConfigError: a flag or an argument that does not exist or is missing, or a value that its
+            flag does not accept.
     """
     hints, members = get_type_hints(kind), []
     own: Any = fields(kind)  # type: ignore[arg-type]  # mypy cannot say that it is a dataclass
+    known, required = {"-h": "", "--help": ""}, []
     for one in own:
-        hint = one.metadata["option"].for_tyro(name, one.name, hints[one.name])
+        option: _Option = one.metadata["option"]
+        hint = option.for_tyro(name, one.name, hints[one.name])
         members.append((one.name, hint, field(default=one.default)))
-    members += _setting_fields(name) if "config" in hints else []
+        if option.required:
+            required.append(option.metavar)
+        if not option.positional:
+            names = (flag_name(one.name), *option.aliases)
+            known |= dict.fromkeys(names, option.value_name(hints[one.name]))
+    if "config" in hints:
+        members += _setting_fields(name)
+        for _, setting_name, setting in _settings_of(name):
+            flag = flag_name(f"no_{setting_name}" if setting.default is True else setting_name)
+            known[flag] = _Option.of(setting).value_name(setting.annotation)
+    # tyro prints its errors in a form of its own, so that they are found beside it.
+    show_help = not {"-h", "--help"}.isdisjoint(arguments)
+    if not show_help:
+        _check_flags(name, arguments, known)
     try:
-        command: CommandT = tyro.cli(
+        command: CommandT
+        command, extra = tyro.cli(
             make_dataclass(kind.__name__, members, bases=(kind,), frozen=True, kw_only=True),
             prog=f"g1stream {name}",
             description=purpose,
             args=arguments,
+            return_unknown_args=True,
+            console_outputs=show_help,
             config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
         )
     except SystemExit as done:
-        if not done.code:  # --help was shown; tyro would join the lines of this
-            print(inspect.cleandoc(kind.__doc__ or ""))
+        if done.code:  # flags and their values are there
+            raise ConfigError(
+                f"The argument {' or '.join(required)} is missing.",
+                f"Add it; `g1stream {name} --help` says what it is.",
+            ) from None
+        print(inspect.cleandoc(kind.__doc__ or ""))  # tyro would join its lines
         raise
+    if extra:
+        raise ConfigError(
+            f"The argument {extra[0]} is one too many for g1stream {name}.",
+            f"Leave it out; `g1stream {name} --help` shows the arguments.",
+        )
     return command
+
+
+def _check_flags(command: str, arguments: Sequence[str], known: Mapping[str, str]) -> None:
+    """Refuse flags that do not exist, and those that lack their value.
+
+    Args:
+        command: as the user writes it.
+        arguments: what follows it.
+        known: its flags, each with what stands for its value in the help, if it has one.
+    """
+    end = arguments.index("--") if "--" in arguments else len(arguments)
+    following = [*arguments[1:end], "--"]
+    for text, after in zip(arguments, following, strict=False):
+        name, equals, _ = text.partition("=")
+        flag = name.replace("_", "-")
+        if not _is_flag(flag):
+            continue
+        if flag not in known and flag[:2] not in known:
+            close = get_close_matches(flag, known, 1)
+            instead = f"Use {close[0]}, or another" if close else "Choose"
+            raise ConfigError(
+                f"g1stream {command} has no flag {name}.",
+                f"{instead} one that `g1stream {command} --help` shows.",
+            )
+        if known.get(flag) and not equals and _is_flag(after):
+            raise ConfigError(f"The flag {flag} lacks its value.", f"Add it: {flag} {known[flag]}.")
+
+
+def _is_flag(text: str) -> bool:
+    """Whether it looks like a flag; a negative number does not."""
+    return text.startswith("-") and (text[1:2].isalpha() or text.startswith("--"))
 
 
 def given_settings(command: object) -> dict[str, Any]:
@@ -204,28 +274,34 @@ def given_settings(command: object) -> dict[str, Any]:
     from g1stream.config import settings
 
     given = {}
-    for key in settings():
+    for key, setting in settings().items():
         table, _, name = key.rpartition(".")
-        given[key] = getattr(
-            getattr(command, _group(table), None) if table else command, name, None
-        )
-    # By identity: 0 is a domain, and equal to False.
-    return {key: value for key, value in given.items() if value is not None and value is not False}
+        unset = _unset(setting)
+        value = getattr(getattr(command, _group(table), None) if table else command, name, unset)
+        if value is not unset:  # by identity: 0 is a domain, and equal to False
+            given[key] = value
+    return given
 
 
-def _setting_fields(command: str) -> list[Any]:
-    """The settings with a flag on a command, as fields: None, or False, where not given."""
-    from g1stream.config import Config, settings
+def _settings_of(command: str) -> Iterator[tuple[str, str, FieldInfo]]:
+    """Table, name and declaration of each setting with a flag on a command."""
+    from g1stream.config import settings
 
-    tables: dict[str, list[Any]] = {}
     for key, setting in settings().items():
         about: Any = setting.json_schema_extra or {}
         if command in about.get("flag", ()):
             table, _, name = key.rpartition(".")
-            kind = setting.annotation
-            hint = _Option.of(setting).for_tyro(command, name, kind)
-            unset = field(default=False if kind is bool else None)
-            tables.setdefault(table, []).append((name, hint, unset))
+            yield table, name, setting
+
+
+def _setting_fields(command: str) -> list[Any]:
+    """The settings with a flag on a command, as fields: None, or False, where not given."""
+    from g1stream.config import Config
+
+    tables: dict[str, list[Any]] = {}
+    for table, name, setting in _settings_of(command):
+        hint = _Option.of(setting).for_tyro(command, name, setting.annotation)
+        tables.setdefault(table, []).append((name, hint, field(default=_unset(setting))))
     fields = tables.pop("", [])
     for table, flags in tables.items():
         text = {"__doc__": Config.model_fields[table].annotation.__doc__}
@@ -233,6 +309,11 @@ def _setting_fields(command: str) -> list[Any]:
         hint = Annotated[group, tyro.conf.arg(name=table)]
         fields.append((_group(table), hint, field(default_factory=group)))
     return fields
+
+
+def _unset(setting: FieldInfo) -> Any:
+    """The value of a setting's flag that is not given; --NAME or --no-NAME changes a bool's."""
+    return setting.default if setting.annotation is bool else None
 
 
 def _group(table: str) -> str:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from g1stream.cli.command import EXIT_OK, Command, print_json
+from g1stream.cli.command import EXIT_OK, Command, print_json, print_lines
 from g1stream.cli.flags import argument, flag
 from g1stream.types import Support
 
@@ -44,7 +44,7 @@ class Identify(Command):
         if self.json:
             print_json(found.model_dump(mode="json"))
         else:
-            print(_text(found))
+            print_lines(_text(found))
         return EXIT_OK
 
 

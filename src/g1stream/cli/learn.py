@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from g1stream.cli.command import EXIT_OK, Command, print_json
+from g1stream.cli.command import EXIT_OK, Command, print_json, print_lines
 from g1stream.cli.flags import argument, flag
 from g1stream.errors import ConfigError
 from g1stream.files import check_output_path
@@ -58,7 +58,7 @@ class Learn(Command):
         if self.json:
             print_json(_record(correction, self.output))
         else:
-            print(_text(correction, self.output))
+            print_lines(_text(correction, self.output))
         return EXIT_OK
 
 

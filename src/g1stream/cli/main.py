@@ -5,14 +5,17 @@ from __future__ import annotations
 import os
 import signal
 import sys
+from contextlib import contextmanager, suppress
 from difflib import get_close_matches
 from importlib import import_module
-from typing import TYPE_CHECKING, Final
+from io import TextIOWrapper
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, TextIO, cast
 
 from g1stream.errors import ConfigError, G1StreamError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
 __all__ = ["main"]
 
@@ -25,9 +28,17 @@ _COMMANDS: Final = {
     "replay": ("stream", "Replay", "Play a recorded session again."),
     "learn": ("learn", "Learn", "Learn from sessions of a motion to follow it more closely."),
     "identify": ("identify", "Identify", "Tell which robot a session was recorded on."),
-    "convert": ("convert", "Convert", "Convert a motion file into an MCAP for Foxglove or Rerun."),
+    "convert": ("convert", "Convert", "Convert a motion file into an MCAP, or an MCAP for ROS 2."),
     "info": ("info", "Info", "Print what is in a session file, and how well it went."),
+    "render": (
+        "render",
+        "Render",
+        "Make a video of a session: the robot, and its reference as a ghost.",
+    ),
+    "repair": ("repair", "Repair", "Write the index of a session whose recorder was killed."),
+    "layout": ("layout", "Layout", "Write a layout of a viewer that shows sessions."),
     "motion": ("motion", "Inspect", "Check a motion file: frames, joints, limits."),
+    "robot": ("robot", "Robot", "Show, release or restore the robot's own controller."),
     "doctor": ("doctor", "Doctor", "Find what keeps robot and g1stream apart, or the loop late."),
 }
 
@@ -65,19 +76,82 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # Our matrices are small; a pool of BLAS threads would only cost every start 50 ms of CPU.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     arguments = sys.argv[1:] if arguments is None else list(arguments)
+    for stream in (sys.stdout, sys.stderr):  # what the terminal's encoding lacks is escaped
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+    with _lenient_output() as output:
+        try:
+            code = _run(arguments)
+        except KeyboardInterrupt:
+            return 128 + signal.SIGINT
+        except G1StreamError as error:
+            print(f"error: {error.cause}\n       {error.remedy}", file=sys.stderr)
+            return 2
+        output.flush()
+        return code or int(output.failed)
+
+
+class _Output:
+    """Standard output or error: what cannot be written is dropped, and the program goes on.
+
+    Attributes:
+        failed: whether something was dropped.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+        self.failed = False
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        if not self.failed:
+            try:
+                return self._stream.write(text)
+            except OSError as error:
+                self._fail(error)
+        return len(text)
+
+    def flush(self) -> None:
+        if not self.failed:
+            try:
+                self._stream.flush()
+            except OSError as error:
+                self._fail(error)
+
+    def _fail(self, error: OSError) -> None:
+        self.failed = True
+        # What is buffered must not fail again at exit.
+        with suppress(OSError), Path(os.devnull).open("w") as nothing:
+            os.dup2(nothing.fileno(), self._stream.fileno())
+        if self is sys.stdout and not isinstance(error, BrokenPipeError):  # that is `| head`
+            print(f"error: standard output cannot be written: {error.strerror}", file=sys.stderr)
+
+
+@contextmanager
+def _lenient_output() -> Iterator[_Output]:
+    """Let no output fail, neither on a full disk nor on a terminal or pipe that is closed.
+
+    Yields:
+        Standard output.
+    """
+    # A closed descriptor would be given to the next file that is opened, and printed into.
+    while (descriptor := os.open(os.devnull, os.O_RDWR)) <= 2:
+        pass
+    os.close(descriptor)
+    before = sys.stdout, sys.stderr
+    output, errors = (
+        _Output(stream or os.fdopen(number, "w", closefd=False))
+        for number, stream in enumerate(before, start=1)
+    )
+    sys.stdout, sys.stderr = cast("TextIO", output), cast("TextIO", errors)
     try:
-        code = _run(arguments)
-        sys.stdout.flush()
-    except KeyboardInterrupt:
-        return 128 + signal.SIGINT
-    except G1StreamError as error:
-        print(f"error: {error.cause}\n       {error.remedy}", file=sys.stderr)
-        return 2
-    except BrokenPipeError:
-        # The reader of our output is gone; what is buffered must not fail again at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
-    return code
+        yield output
+    finally:
+        output.flush()
+        errors.flush()
+        sys.stdout, sys.stderr = before
 
 
 def _run(arguments: Sequence[str]) -> int:

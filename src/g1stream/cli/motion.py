@@ -2,27 +2,34 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from g1stream.analysis.render import counted
-from g1stream.cli.command import EXIT_OK, EXIT_STOPPED, SettingsCommand, print_json
+from g1stream.analysis.render import counted, labelled
+from g1stream.cli.command import (
+    EXIT_OK,
+    EXIT_STOPPED,
+    SettingsCommand,
+    print_json,
+    print_lines,
+    print_warning,
+)
 from g1stream.cli.flags import MOTION, argument, flag, fps_flag
+from g1stream.errors import MotionError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from g1stream.motion.check import FileReport, MotionReport
 
-    from g1stream.motion.check import MotionReport
-
-__all__ = ["Inspect", "joint_lines", "render", "result_lines"]
+__all__ = ["Inspect", "render"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Inspect(SettingsCommand):
-    """Prints frames, duration, joints, speeds, and what is beyond a limit.
+    """Prints what is in a motion file, what it asks of the robot, and what is beyond a limit.
 
-    Warnings do not change the exit code. Joint targets between frames that the stream would hold at
-    a position limit are a warning: they are safe.
+    `stream` makes the same check. Warnings do not change the exit code. Joint targets between
+    frames that the stream would hold at a position limit are a warning: they are safe.
 
     Examples:
       g1stream motion dance.csv
@@ -31,7 +38,7 @@ class Inspect(SettingsCommand):
     Exit codes:
       0  within the limits
       1  a frame is beyond a position limit, or the spline through the frames beyond a speed limit
-      2  bad input: not a motion
+      2  bad input: not a motion; what can be read of the file is printed all the same
     """
 
     motion: str = argument(MOTION, "MOTION")
@@ -40,86 +47,128 @@ class Inspect(SettingsCommand):
 
     def run(self) -> int:
         """Print the report, and return the exit code."""
-        from g1stream.motion.check import check_motion
         from g1stream.robot.model import G1
-        from g1stream.session.motions import load_motion
+        from g1stream.session.motions import check_motion_file
 
         config = self.resolve()
-        robot = G1.load(config.robot)
-        motion = load_motion(self.motion, fps=self.fps)
-        report = check_motion(
-            motion,
+        robot = G1.load(config.robot, own_limits=config.safety.urdf_limits)
+        report = check_motion_file(
+            self.motion,
             robot,
+            fps=self.fps,
             rate=config.stream.rate,
             position_margin=config.safety.position_margin,
         )
+        if robot.warning:
+            print_warning(robot.warning)
         if self.json:
-            print_json(
-                {
-                    **asdict(report),
-                    "n_held": report.streamed.n_held,
-                    "within_limits": report.within_limits,
-                }
-            )
+            print_json(_as_dict(report))
+        elif report.fault:
+            print_lines(render(report), sys.stderr)
         else:
-            print(render(report))
-        return EXIT_OK if report.within_limits else EXIT_STOPPED
+            print_lines(render(report))
+        if report.fault:
+            raise MotionError(report.fault, report.remedy)
+        return EXIT_OK if report.passed else EXIT_STOPPED
 
 
-def render(report: MotionReport) -> str:
-    """The report as text."""
+def _as_dict(report: FileReport) -> dict[str, Any]:
+    """The motion's values, and under `file` those of the file."""
+    file, motion = {**asdict(report), "path": str(report.path)}, report.motion
+    values = file.pop("motion") or {}
+    if motion:
+        values["n_held"] = motion.streamed.n_held
+    return {**values, "within_limits": report.passed, "file": file}
+
+
+def render(report: FileReport) -> str:
+    """The report as text, without the fault of a file that is no motion."""
+    motion = report.motion
+    name = motion.name if motion else report.path.name
+    lines = [name, *_content(report)]
+    if motion:
+        lines += [*_motion_lines(motion), *_result_lines(motion)]
+    return "\n".join(lines)
+
+
+def _content(report: FileReport) -> list[str]:
+    """The lines about the file."""
+    if report.kind == "session":
+        return [_line("file", "a session; its motion is the recorded reference")]
+    header = "named by a header" if report.has_header else "no header"
+    if report.mapped and not report.has_header:
+        header += ", columns as in LAFAN1"
+    size = f"{counted(report.n_rows, 'row')}, {counted(report.n_columns, 'column')}, {header}"
+    lines = [_line("file", f"{size}; {counted(len(report.mapped), 'joint')} found")]
+    lines += [_line("not in the URDF", name) for name in report.not_in_robot]
+    lines += [_line("not in the file", name) for name in report.not_in_file]
+    if report.quat_norms:
+        lowest, highest = report.quat_norms
+        lines.append(_line("quaternion norm", f"{lowest:.6f} to {highest:.6f}"))
+    return lines
+
+
+def _motion_lines(report: MotionReport) -> list[str]:
     root = report.root
+    travel = (
+        f"travels {root.path:.2f} m along the ground, ending {root.displacement:.2f} m from its "
+        f"start; height {root.lowest:.2f} to {root.highest:.2f} m"
+    )
     lines = [
-        report.name,
-        f"  frames          {report.n_frames} at {report.fps:g} fps, {report.duration:.2f} s",
-        f"  root            travels {root.path:.2f} m along the ground, ending "
-        f"{root.displacement:.2f} m from its start; height {root.lowest:.2f} to "
-        f"{root.highest:.2f} m",
-        f"  joints          {len(report.streamed.speeds)}",
+        _line("frames", f"{report.n_frames} at {report.fps:g} fps, {report.duration:.2f} s"),
+        _line("root", travel),
+        _line("joints", str(len(report.streamed.speeds))),
     ]
     lines += [
         f"    {group:<12}  {lowest:6.2f} to {highest:5.2f} rad"
         for group, (lowest, highest) in report.groups.items()
     ]
-    return "\n".join([*lines, *joint_lines(report), *result_lines(report)])
+    return [*lines, *_speed_lines(report)]
 
 
-def joint_lines(report: MotionReport) -> list[str]:
+def _speed_lines(report: MotionReport) -> list[str]:
     """How fast a motion moves the joints."""
     streamed, frames, step = report.streamed, report.fastest, report.largest_step
     fastest = max(streamed.speeds, key=lambda speed: speed.value)
     return [
-        f"  fastest         {fastest.joint}, {fastest.value:.1f} rad/s at {fastest.time:.2f} s, "
-        f"streamed at {streamed.rate:g} Hz (limit {fastest.limit:g})",
-        f"  in the frames   {frames.joint}, {frames.value:.1f} rad/s at {frames.time:.2f} s, "
-        "by central differences",
-        f"  largest step    {step.joint}, {step.value:.3f} rad from frame {step.frame} to "
-        f"{step.frame + 1}",
+        _line(
+            "fastest",
+            f"{fastest.joint}, {fastest.value:.1f} rad/s at {fastest.time:.2f} s, streamed at "
+            f"{streamed.rate:g} Hz (limit {fastest.limit:g})",
+        ),
+        _line(
+            "in the frames",
+            f"{frames.joint}, {frames.value:.1f} rad/s at {frames.time:.2f} s, by central "
+            "differences",
+        ),
+        _line(
+            "largest step",
+            f"{step.joint}, {step.value:.3f} rad from frame {step.frame} to {step.frame + 1}",
+        ),
     ]
 
 
-def result_lines(report: MotionReport | None, fault: Sequence[str] = ()) -> list[str]:
-    """Each problem and each warning, and how many there are.
-
-    Args:
-        report: None where the file is no motion.
-        fault: why it is none, and what to do about it.
-    """
-    problems, warnings = ["\n                  ".join(fault)] if fault else [], []
-    if report:
-        problems += [
-            f"{joint.joint} is at {joint.value:.3f} rad in frame {joint.time * report.fps:.0f}, "
-            f"limit {joint.limit:.3f} ({counted(joint.count, 'frame')} beyond it)"
-            for joint in report.frames_beyond
-        ]
-        streamed = report.streamed
-        n_held = len(streamed.warnings) - bool(streamed.too_fast)  # the last is about speeds
-        problems += streamed.warnings[n_held:]
-        warnings += [*streamed.warnings[:n_held], *report.warnings]
+def _result_lines(report: MotionReport) -> list[str]:
+    """Each problem and each warning, and how many there are."""
+    streamed = report.streamed
+    n_held = len(streamed.warnings) - bool(streamed.too_fast)  # the last is about speeds
+    problems = [
+        f"{joint.joint} is at {joint.value:.3f} rad in frame {joint.time * report.fps:.0f}, "
+        f"limit {joint.limit:.3f} ({counted(joint.count, 'frame')} beyond it)"
+        for joint in report.frames_beyond
+    ]
+    problems += streamed.warnings[n_held:]
+    if report.suspicion:
+        problems.append(f"It looks as if {report.suspicion}.")
+    warnings = [*streamed.warnings[:n_held], *report.warnings]
     counts = {"problem": len(problems), "warning": len(warnings)}
     found = ", ".join(counted(n, noun) for noun, n in counts.items() if n)
     return [
-        *(f"  problem         {text}" for text in problems),
-        *(f"  warning         {text}" for text in warnings),
-        f"  result          {found or 'no problems found'}",
+        *(_line("problem", text) for text in problems),
+        *(_line("warning", text) for text in warnings),
+        _line("result", found or "no problems found"),
     ]
+
+
+def _line(label: str, text: str) -> str:
+    return labelled(f"  {label:<15} ", text)

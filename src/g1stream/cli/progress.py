@@ -17,8 +17,6 @@ __all__ = ["ProgressDisplay", "loop_progress"]
 
 _PERIOD_S: Final = 0.5
 _JOIN_TIMEOUT_S: Final = 1.0
-#: Drawing holds the GIL for half a millisecond; a real-time loop gets it back after this.
-_SWITCH_INTERVAL_S: Final = 1e-4
 
 
 class ProgressDisplay:
@@ -37,11 +35,9 @@ class ProgressDisplay:
         self._thread = threading.Thread(target=self._run, name="progress", daemon=True)
 
     def __enter__(self) -> ProgressDisplay:
-        self._switch_interval = sys.getswitchinterval()
         if sys.stderr.isatty():
             import rich.progress  # noqa: F401  # now, and not when the loop already runs
 
-            sys.setswitchinterval(min(_SWITCH_INTERVAL_S, self._switch_interval))
             self._thread.start()
         return self
 
@@ -49,7 +45,6 @@ class ProgressDisplay:
         self._done.set()
         if self._thread.ident is not None:
             self._thread.join(_JOIN_TIMEOUT_S)
-        sys.setswitchinterval(self._switch_interval)
 
     def _run(self) -> None:
         from rich.console import Console

@@ -47,14 +47,13 @@ class Record(SettingsCommand):
 
         lower_priority()
         stopped: list[str] = []
-        on_signals(stopped.append)
         config = self.resolve()
 
         def on_ready() -> None:
             announce_wire(config, commands=False)
             print(f"Recording {self.file}. Ctrl-C ends it.", file=sys.stderr)
 
-        with handled_by(ConsoleHandler(logging.WARNING)):
+        with on_signals(stopped.append), handled_by(ConsoleHandler(logging.WARNING)):
             summary = record(
                 self.file,
                 config,

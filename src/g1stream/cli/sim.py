@@ -12,6 +12,7 @@ from g1stream.cli.command import (
     announce_wire,
     on_signals,
     print_json,
+    print_lines,
 )
 from g1stream.cli.flags import flag
 from g1stream.events import ConsoleHandler, handled_by
@@ -53,7 +54,6 @@ class Sim(SettingsCommand):
         from g1stream.programs.sim import simulate
 
         stopped: list[str] = []
-        on_signals(stopped.append)
         config = self.resolve()
 
         def on_ready() -> None:
@@ -61,12 +61,12 @@ class Sim(SettingsCommand):
             support = _SUPPORT[config.sim.support]
             print(f"Simulating a G1, {support}. Ctrl-C ends it.", file=sys.stderr)
 
-        with handled_by(ConsoleHandler()):
+        with on_signals(stopped.append), handled_by(ConsoleHandler()):
             report = simulate(config, should_stop=lambda: bool(stopped), on_ready=on_ready)
         if self.json:
             print_json(asdict(report))
         else:
-            print(render(report))
+            print_lines(render(report))
         return EXIT_OK
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from g1stream.cli.arming import arming
 from g1stream.cli.command import (
     SettingsCommand,
     announce_wire,
@@ -14,6 +15,7 @@ from g1stream.cli.command import (
     on_signals,
     print_summary,
     print_warning,
+    yes_flag,
 )
 from g1stream.cli.flags import MOTION, argument, flag, flag_name, fps_flag
 from g1stream.cli.progress import ProgressDisplay, loop_progress
@@ -35,14 +37,27 @@ __all__ = ["PlayCommand", "Replay", "Stream", "playing"]
 def playing(config: Config) -> Iterator[Callable[[StreamLoop, Motion], None]]:
     """Print events, and yield a function to call with a loop before it runs.
 
-    It announces where the loop publishes, lets signals stop it and displays its progress.
+    It announces where the loop publishes, lets signals stop it and displays its progress. A signal
+    that comes before there is a loop stops it in WAIT; its handler stays until the recording is
+    complete.
     """
+    loops: list[StreamLoop] = []
+    early: list[str] = []
+
+    def stop(reason: str) -> None:
+        early.append(reason)
+        for loop in loops:
+            loop.request_stop(reason)
+
     with ExitStack() as stack:
+        stack.enter_context(on_signals(stop))
         stack.enter_context(handled_by(ConsoleHandler()))
 
         def prepare(loop: StreamLoop, motion: Motion) -> None:
             announce_wire(config)
-            on_signals(loop.request_stop)
+            loops.append(loop)
+            if early:
+                loop.request_stop(early[0])
             stack.enter_context(ProgressDisplay(lambda: loop_progress(loop, motion)))
 
         yield prepare
@@ -60,6 +75,22 @@ class PlayCommand(SettingsCommand):
         "TOML",
         shown="those of Unitree's example",
     )
+    arm: bool = flag(
+        False,
+        "Show what is about to happen, and ask before anything is sent; needed on anything but "
+        "loopback.",
+    )
+    yes: str | None = yes_flag()
+    scale_time: bool = flag(
+        False, "Play a motion that is too fast for the joints slower, as a whole, until it fits."
+    )
+    clamp: bool = flag(
+        False, "Play a motion beyond the joint limits, its targets held at positions and speeds."
+    )
+    anyway: bool = flag(
+        False,
+        "Play a motion beyond the joint limits at its own speeds; on the loopback interface only.",
+    )
     json: bool = flag(False, "Print the summary as JSON on standard output.")
 
     def resolve(self) -> Config:
@@ -69,7 +100,11 @@ class PlayCommand(SettingsCommand):
             ConfigError: the file or a value does not fit, or a flag has no effect.
         """
         if self.record is None:
-            for_recording = [name for name in self.overrides() if name.startswith("record.")]
+            for_recording = [
+                name
+                for name in self.overrides()
+                if name.startswith("record.") or name == "safety.require_record"
+            ]
             for key in [*for_recording, *(["force"] if self.force else [])]:
                 flag = flag_name(key.rpartition(".")[2])
                 raise ConfigError(
@@ -85,6 +120,14 @@ class PlayCommand(SettingsCommand):
             from g1stream.control.gains import read_gains
 
             over |= {f"gains.{name}": table for name, table in read_gains(self.gains).items()}
+        asked = [n for n in ("scale_time", "clamp", "anyway") if getattr(self, n)]
+        if len(asked) > 1:
+            raise ConfigError(
+                f"Only one of {' and '.join(map(flag_name, asked))} can be done.",
+                "Leave out the others.",
+            )
+        if asked:
+            over["stream.beyond_limits"] = asked[0].replace("_", "-")
         return over
 
     def report(self, summary: Summary) -> int:
@@ -103,7 +146,7 @@ class Stream(PlayCommand):
       g1stream stream demo
       g1stream stream dance.csv --record dance.mcap --support hanging
       g1stream stream dance.csv --correction better.npz --record second.mcap
-      g1stream stream dance.csv --config robot --interface eth0 --duration 5
+      g1stream stream dance.csv --config robot --interface eth0 --arm --duration 5
 
     Exit codes:
       0        played as asked
@@ -130,6 +173,7 @@ class Stream(PlayCommand):
                 config,
                 record=self.record,
                 force=self.force,
+                arm=arming(self.arm, self.yes),
                 on_loop=lambda loop: prepare(loop, motion),
             )
         return self.report(summary)
@@ -175,6 +219,7 @@ class Replay(PlayCommand):
                 speed=self.speed,
                 record=self.record,
                 force=self.force,
+                arm=arming(self.arm, self.yes),
                 on_loop=prepare,
             )
         return self.report(summary)

@@ -261,7 +261,7 @@ def _commands(wire: WireFacts) -> Iterator[Finding]:
         yield problem("LowCmd", cause, _START_ROBOT)
     elif readers and not mismatches:
         yield ok("LowCmd", f"subscriber: {_owners(readers)}")
-    if writers := wire.writers_of(LOWCMD.name):
+    if writers := [one for one in wire.writers_of(LOWCMD.name) if not one.idle_guard]:
         yield warning(
             "LowCmd",
             f"another publisher on {LOWCMD.name}, {_owners(writers)}: g1stream stream will refuse "

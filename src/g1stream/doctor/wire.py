@@ -128,6 +128,7 @@ def _peers(participant: Participant, endpoints: Iterable[Endpoint]) -> Iterator[
                 owner=participant.owner(endpoint),
                 participant=endpoint.participant,
                 observer=endpoint.user_data == OBSERVER,
+                idle_guard=endpoint.idle_guard,
             )
 
 

@@ -7,12 +7,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-import numpy as np
-
 from g1stream._version import __version__
 from g1stream.errors import ConfigError, MotionError, RecordingError
 from g1stream.files import complete_file
-from g1stream.foxglove.encoders import WORLD_FRAME, JointStatesTemplate, TransformsEncoder
+from g1stream.foxglove.encoders import (
+    IDENTITY_POSE,
+    WORLD_FRAME,
+    JointStatesTemplate,
+    TransformsEncoder,
+)
 from g1stream.foxglove.scene import encode_robot_description, encode_scene
 from g1stream.robot.model import G1
 from g1stream.robot.visuals import missing_meshes
@@ -39,8 +42,6 @@ _TF, _JOINTS, _SCENE, _DESCRIPTION = (
     "/robot_description",
 )
 _RESAMPLED_FIELDS: Final = ("position", "velocity", "acceleration")
-#: Position and quaternion, wxyz.
-_WORLD_ORIGIN: Final = (np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,7 +149,7 @@ def convert(
     ):
         _write_file_header(writer, motion, robot, options, first)
         for times, joint_pos, root_pos, root_quat, *rates in _poses(motion, options, start, stop):
-            root = (root_pos, root_quat) if options.floating_root else _WORLD_ORIGIN
+            root = (root_pos, root_quat) if options.floating_root else IDENTITY_POSE
             poses = transforms.encode(times, joint_pos, *root)
             writer.write_batch(options.topic, poses, times, times)
             writer.write_batch(_JOINTS, joint_states.encode(times, joint_pos, *rates), times, times)
@@ -236,7 +237,7 @@ def _write_file_header(
     writer.add_metadata(_metadata(motion, robot, options))
     writer.attach("robot.urdf", "application/xml", robot.urdf.encode(), first)
     attach_motion(writer, motion.source, first)
-    scene = encode_scene(first, robot, {"": 1.0})
+    scene = encode_scene(first, robot)
     writer.write(_SCENE, scene, first, first)
     writer.write(_DESCRIPTION, encode_robot_description(robot), first, first)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from g1stream.config import Config
-from g1stream.dds.domain import Participant, is_local_only, is_loopback
+from g1stream.dds.domain import DISCOVERY, Participant, is_local_only, is_loopback
 from g1stream.dds.topics import LOWSTATE
 from g1stream.errors import ConfigError, RecordingError, WireError
 from g1stream.programs.child_process import Child
@@ -24,9 +24,6 @@ __all__ = ["FIGURE", "demo"]
 
 FIGURE: Final = "tracking.png"
 """Name of the figure in the output directory."""
-
-#: How long discovery of other publishers may take, s.
-_DISCOVERY: Final = 0.5
 
 
 def demo(
@@ -112,7 +109,7 @@ def _make_directory(out: Path) -> None:
 
 def _check_no_other_publisher(config: Config) -> None:
     with Participant(config.dds.domain, config.dds.interface) as participant:
-        time.sleep(_DISCOVERY)
+        time.sleep(DISCOVERY)
         others = participant.writers(LOWSTATE.name)
     if others:
         raise WireError(

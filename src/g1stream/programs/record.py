@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import socket
 import time
+from contextlib import ExitStack
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -24,6 +25,8 @@ from g1stream.programs.child_process import run_child
 from g1stream.realtime import lower_priority
 from g1stream.recorder.recorder import Recorder
 from g1stream.robot.model import G1
+from g1stream.session.format import CHANNELS
+from g1stream.session.parts import remove_recording
 from g1stream.session.summary import SessionInfo
 from g1stream.session.writer import SessionWriter, attach_motion
 
@@ -38,6 +41,8 @@ __all__ = ["record"]
 #: How long a stream is looked for, s.
 _MATCH_TIMEOUT: Final = 10.0
 _POLL_PERIOD: Final = 0.05
+#: From the end of a stream to its guard's first command, at most, s.
+_GUARD_DELAY: Final = 1.0
 
 
 def record(
@@ -48,6 +53,7 @@ def record(
     session: SessionInfo | None = None,
     should_stop: Callable[[], bool] = lambda: False,
     on_ready: Callable[[], None] = lambda: None,
+    on_stopped: Callable[[str], None] = lambda cause: None,
     final_metadata: Callable[[], Mapping[str, Any]] = dict,
 ) -> Summary:
     """Record until told to stop, or until the disk is full.
@@ -55,24 +61,30 @@ def record(
     Events are logged below the logger `g1stream.recorder`, and written into /log of the file.
 
     Args:
-        path: the session file; its directory must exist.
+        path: the session file; its directory must exist. A file without any sample is removed.
         config: all settings; the defaults if left out.
         force: replace an existing file.
         session: the motion that a stream is about to play, for the metadata. The recorder then
-            waits until it is matched with the stream before it calls `on_ready`.
+            waits until it is matched with the stream before it calls `on_ready`. `path` is taken
+            as it is, whatever `record.auto_name` says.
         should_stop: asked several times per second.
         on_ready: called when nothing that is published from then on can be missed.
-        final_metadata: more metadata; called when told to stop.
+        on_stopped: called with the cause when the recording has ended before it was told to.
+        final_metadata: more metadata; called when told to stop. `stopped` in it is why the
+            recording ended too early.
 
     Returns:
-        What was recorded; `recorder.stopped` is why it ended early, if it did.
+        What was recorded; `recorder.stopped` is why it ended early, if it did, and
+        `recorder.removed` that there was nothing to record.
 
     Raises:
         G1StreamError: the file, a setting or the wire does not allow it.
     """
     config = config or Config()
     settings, robot = config.record, G1.load(config.robot)
-    path = timestamped(Path(path), time.time_ns()) if settings.auto_name else Path(path)
+    path = Path(path)
+    if settings.auto_name and session is None:
+        path = timestamped(path, time.time_ns())
     pipeline = MessagePipeline(robot, settings.tf_rate)  # before there is a file: may refuse
     about, now = _metadata(config, session or SessionInfo()), time.time_ns()
     source = session and session.motion and session.motion.source
@@ -93,14 +105,17 @@ def record(
 
     with (
         Participant(config.dds.domain, config.dds.interface) as participant,
-        SessionWriter(
+        ExitStack() as stack,
+    ):
+        writer = SessionWriter(
             path,
             force=force,
             split_bytes=None if size is None else round(size * 1e6),
             split_ns=None if duration is None else round(duration * 1e9),
             file_header=write_file_header,
-        ) as writer,
-    ):
+        )
+        stack.callback(_remove_if_empty, writer)
+        stack.enter_context(writer)
         recorder = Recorder(participant, writer, pipeline, settings.batch)
 
         def on_started() -> None:
@@ -108,24 +123,39 @@ def record(
                 on_ready()
 
         report = recorder.run(should_stop, on_started=on_started)
+        if report.stopped:
+            on_stopped(report.stopped)
         while session and not should_stop():  # a full disk does not end the stream
             time.sleep(_POLL_PERIOD)
         _close(writer, report, final_metadata())
     return summarise_run(config, recorder=report)
 
 
+def _has_samples(writer: SessionWriter) -> bool:
+    return any(n and CHANNELS[topic].dds_topic for topic, n in writer.counts.items())
+
+
+def _remove_if_empty(writer: SessionWriter) -> None:
+    """Remove a closed recording without samples, so that the next one is not refused for it."""
+    if writer.paths and not _has_samples(writer):  # else an older recording has stayed in its place
+        remove_recording(writer.path)
+
+
 def _close(
     writer: SessionWriter, report: RecorderSummary, final_metadata: Mapping[str, Any]
 ) -> None:
     """Write the final metadata and the index, for which a full disk may not have room."""
+    final = dict(final_metadata)
+    report.stopped = report.stopped or final.pop("stopped", "")
     try:
         recorder = report.model_dump(mode="json", exclude={"removed"})
-        values = {**final_metadata, "recorder": recorder, "measured_tf": recorder["measured_tf"]}
+        values = {**final, "recorder": recorder, "measured_tf": recorder["measured_tf"]}
         writer.add_metadata(values)
         writer.close()
         report.paths = [str(path) for path in writer.paths]
     except RecordingError as error:
         report.stopped = report.stopped or error.cause
+    report.removed = not _has_samples(writer)
 
 
 def _wait_for_stream(recorder: Recorder, should_stop: Callable[[], bool]) -> bool:
@@ -167,12 +197,28 @@ def _metadata(config: Config, session: SessionInfo) -> dict[str, Any]:
 def _run_child(parent: Parent) -> RecorderSummary | None:
     """Record for a stream: the startup message has arguments of `record`."""
     lower_priority()
+    config: Config = parent.startup_message.get("config") or Config()
+    # Where the stream is gone, its guard damps the robot.
+    longer = config.stream.damp + _GUARD_DELAY if config.safety.guard else 0.0
+
+    def should_stop() -> bool:
+        parent.beat()
+        if parent.signal:
+            parent.failed(stopped())
+        if parent.gone is not None and not parent.signal:
+            return time.monotonic() >= parent.gone + longer
+        return parent.done.is_set()
+
+    def stopped() -> str:
+        return f"g1stream record was ended by {parent.signal}." if parent.signal else ""
+
     with handled_by(ConsoleHandler(logging.WARNING, "record")):
         summary = record(
             **parent.startup_message,
-            should_stop=parent.done.is_set,
+            should_stop=should_stop,
             on_ready=parent.ready,
-            final_metadata=lambda: parent.final_message or {},
+            on_stopped=parent.failed,
+            final_metadata=lambda: parent.final_message or {"stopped": stopped()},
         )
     return summary.recorder
 

@@ -10,7 +10,8 @@ import numpy as np
 from g1stream.config import Config
 from g1stream.errors import ConfigError, RecordingError
 from g1stream.exact_replay.commands import recorded_commands
-from g1stream.programs.stream import stream
+from g1stream.programs.arming import require_arming
+from g1stream.programs.stream import stream, with_robot_limits
 from g1stream.robot.model import G1
 from g1stream.session.motions import commanded_motion
 from g1stream.session.session import Session, open_session
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from g1stream.control.loop import StreamLoop
     from g1stream.exact_replay.commands import RecordedCommands
     from g1stream.motion.motion import Motion
+    from g1stream.programs.arming import ArmingReport
     from g1stream.session.summary import Summary
 
 __all__ = ["replay"]
@@ -36,6 +38,7 @@ def replay(
     speed: float = 1.0,
     record: str | Path | None = None,
     force: bool = False,
+    arm: Callable[[ArmingReport], bool] | None = None,
     on_loop: Callable[[StreamLoop, Motion], None] | None = None,
 ) -> Summary:
     """Play a recorded session on the robot that subscribes to LowCmd, and return how it went.
@@ -52,13 +55,16 @@ def replay(
         speed: factor relative to the recording.
         record: also record the new session into this file.
         force: replace an existing recording.
+        arm: called before anything is sent, as by `stream`; needed on anything but loopback.
         on_loop: called with the loop and the motion before the loop runs.
 
     Raises:
-        SafetyError: a recorded command must not be sent to this robot.
+        SafetyError: a recorded command must not be sent to this robot, or it is not armed.
         G1StreamError: a file, a setting or the wire does not allow it.
     """
     config = config or Config()
+    require_arming(config.dds.interface, armed=arm is not None)
+    config = with_robot_limits(config)
     if not (np.isfinite(speed) and speed > 0):
         raise ConfigError(f"The speed {speed} is not above 0.", "Give a --speed such as 0.5.")
     if exact and config.stream.loop:
@@ -70,13 +76,19 @@ def replay(
         session = open_session(session)
     recorded = None
     if exact:
-        recorded = recorded_commands(session, G1.load(config.robot), config.safety, speed)
+        recorded = recorded_commands(
+            session,
+            G1.load(config.robot, own_limits=config.safety.urdf_limits),
+            config.safety,
+            speed,
+        )
     motion = _motion(session, recorded, speed)
     return stream(
         motion,
         config,
         record=record,
         force=force,
+        arm=arm,
         on_loop=on_loop and (lambda loop: on_loop(loop, motion)),
         recorded=recorded,
     )

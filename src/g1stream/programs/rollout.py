@@ -12,16 +12,16 @@ from typing import TYPE_CHECKING, Final
 from g1stream._version import __version__
 from g1stream.config import Config, load_config
 from g1stream.control.gains import resolve_gains
-from g1stream.control.loop import make_loop
+from g1stream.control.make_loop import make_loop
 from g1stream.dds.log_handler import LogHandler
 from g1stream.dds.messages import Batch
 from g1stream.dds.topics import LOG
 from g1stream.errors import ConfigError
 from g1stream.foxglove.pipeline import MessagePipeline
 from g1stream.motion.correction import ATTACHMENT_NAME, Correction
+from g1stream.motion.fit import fit_to_robot
 from g1stream.motion.motion import Motion
-from g1stream.motion.trajectory import Trajectory
-from g1stream.programs.sim import physics_timestep
+from g1stream.programs.sim import make_world
 from g1stream.robot.model import G1
 from g1stream.session.motions import load_motion
 from g1stream.session.session import Session
@@ -30,7 +30,6 @@ from g1stream.session.summary import RecorderSummary, SessionInfo
 from g1stream.session.writer import attach_motion
 from g1stream.sim.lockstep import EPOCH, Lockstep
 from g1stream.sim.robot import SimulatedRobot
-from g1stream.sim.world import World
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -86,12 +85,11 @@ def rollout(
         G1StreamError: a file or a setting is not valid, or the robot cannot be simulated.
     """
     config = _resolve(config or Config(), support, feedforward, seconds)
-    robot = G1.load(config.robot)
+    robot = G1.load(config.robot, own_limits=config.safety.urdf_limits)
     if not isinstance(motion, Motion):
         motion = load_motion(motion)
     pipeline = MessagePipeline(robot, config.record.tf_rate)
-    world = World(robot, config.sim.support, timestep=physics_timestep(config.sim.rate))
-    simulated = SimulatedRobot(world, config.sim, noise=noise)
+    simulated = SimulatedRobot(make_world(robot, config.sim), config.sim, noise=noise)
     batches: dict[str, Batch] = defaultdict(Batch)
 
     def on_sample(topic: Topic, data: bytes, stamp: int) -> None:
@@ -101,7 +99,8 @@ def rollout(
         batch.log_times.append(stamp + LATENCY)
 
     link = Lockstep(simulated, announced or config.sim.support, on_sample=on_sample)
-    trajectory = Trajectory(motion, loop=config.stream.loop)
+    fitted = fit_to_robot(motion, robot, config, simulated=True)
+    trajectory, motion = fitted.trajectory, fitted.trajectory.motion
     if not isinstance(correction, Correction):
         path = correction or config.stream.correction
         correction = Correction.load(path) if path else None
@@ -116,7 +115,9 @@ def rollout(
         source.attach(ATTACHMENT_NAME, "application/octet-stream", data, EPOCH)
     for messages in (*pipeline.file_header(EPOCH), *pipeline.encode(batches)):
         source.write_batch(*messages)
-    stream = loop.report.summary().model_copy(update={"start_s": config.stream.start})
+    stream = loop.report.summary().model_copy(
+        update={"start_s": config.stream.start, "slowed": fitted.slowed}
+    )
     recorder = RecorderSummary(
         first_ns=EPOCH,
         last_ns=link.stamp() + LATENCY,

@@ -25,9 +25,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from g1stream.programs.child_process import Parent
+    from g1stream.settings import SimConfig
     from g1stream.sim.robot import SimReport
 
-__all__ = ["physics_timestep", "simulate"]
+__all__ = ["make_world", "physics_timestep", "simulate"]
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -53,13 +54,22 @@ def simulate(
     """
     config = config or Config()
     settings = config.sim
-    world = World(G1.load(config.robot), settings.support, timestep=physics_timestep(settings.rate))
+    model = G1.load(config.robot)
+    world = make_world(model, settings)
     with ExitStack() as stack:
         participant = stack.enter_context(Participant(config.dds.domain, config.dds.interface))
         stack.enter_context(handled_by(dds_log_handler(participant, "sim")))
         view = _viewer(world, stack) if settings.viewer else None
         robot = SimulatedRobot(world, settings)
-        bridge = Bridge(participant, robot, settings.support, SystemClock(), view=view)
+        bridge = Bridge(
+            participant,
+            robot,
+            settings.support,
+            SystemClock(),
+            model=model.name,
+            onboard=settings.onboard,
+            view=view,
+        )
         granted = stack.enter_context(on_time(_priority(config)))
         on_ready()
         _LOGGER.info(describe(granted))
@@ -85,6 +95,20 @@ def _priority(config: Config) -> int:
     if config.sim.viewer or cpus < 2:
         return 0
     return max(0, config.realtime.priority - _BELOW_LOOP)
+
+
+def make_world(robot: G1, settings: SimConfig) -> World:
+    """The simulated robot as the settings have it.
+
+    Raises:
+        SimError: the robot cannot be simulated.
+    """
+    return World(
+        robot,
+        settings.support,
+        self_collision=settings.self_collision,
+        timestep=physics_timestep(settings.rate),
+    )
 
 
 def physics_timestep(rate: float) -> float:

@@ -10,28 +10,32 @@ from typing import TYPE_CHECKING, Final
 
 from g1stream.analysis.summary import summarise_run
 from g1stream.clock import SystemClock
-from g1stream.config import Config
+from g1stream.config import SHIPPED, Config, load_config
 from g1stream.control.gains import resolve_gains
 from g1stream.control.link import DdsLink
-from g1stream.control.loop import StreamLoop, make_loop
-from g1stream.dds.domain import Participant, is_local_only
+from g1stream.control.loop import StreamLoop
+from g1stream.control.make_loop import make_loop
+from g1stream.dds.domain import DISCOVERY, Participant, is_local_only
 from g1stream.dds.log_handler import dds_log_handler
 from g1stream.dds.topics import LOWCMD
 from g1stream.doctor.findings import explain_no_robot
 from g1stream.doctor.wire import inspect_participant
-from g1stream.errors import SafetyError, WireError
+from g1stream.errors import G1StreamError, SafetyError, WireError
 from g1stream.events import handled_by
 from g1stream.exact_replay.recorded_link import RecordedLink
 from g1stream.files import timestamped
 from g1stream.motion.correction import Correction
-from g1stream.motion.limits import Interval, measure_limits
+from g1stream.motion.fit import Playable, fit_to_robot
+from g1stream.motion.limits import Interval
 from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
+from g1stream.programs.arming import inspect_for_arming, require_arming
 from g1stream.programs.child_process import Child, ChildError
+from g1stream.programs.guard import Guard
 from g1stream.realtime import describe, on_time
 from g1stream.robot.model import G1
 from g1stream.session.motions import load_motion
-from g1stream.session.parts import check_recording_path, remove_recording
+from g1stream.session.parts import check_recording_path
 from g1stream.session.session import open_session
 from g1stream.session.summary import (
     MotionInfo,
@@ -43,15 +47,17 @@ from g1stream.session.summary import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
-    from g1stream.config import RecordConfig
+    from g1stream.control.guard import Heartbeat
     from g1stream.control.loop import LoopReport
     from g1stream.doctor.facts import Finding
     from g1stream.exact_replay.commands import RecordedCommands
+    from g1stream.programs.arming import ArmingReport
     from g1stream.realtime import Grant
+    from g1stream.settings import RecordConfig
 
-__all__ = ["for_wire", "stream"]
+__all__ = ["for_wire", "stream", "with_robot_limits"]
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -60,12 +66,8 @@ _LOGGER = logging.getLogger(__name__)
 #: the torque of the feed-forward fades out after 20 ms, and the position servo holds. Half of the
 #: 1 s after which Unitree's own programs stop.
 _STATE_TIMEOUT_OF_SIMULATOR: Final = 0.5
-#: How long other publishers are looked for before we become one ourselves, ns.
-_DISCOVERY: Final = 300_000_000
 #: How long the wire is listened to for a diagnosis when nothing answered, s.
 _LISTEN: Final = 0.2
-#: Topics of a file that have messages also where no sample was received.
-_WITHOUT_SAMPLES: Final = frozenset({"/log", "/scene", "/robot_description"})
 
 
 def stream(
@@ -74,48 +76,55 @@ def stream(
     *,
     record: str | Path | None = None,
     force: bool = False,
+    arm: Callable[[ArmingReport], bool] | None = None,
     on_loop: Callable[[StreamLoop], None] | None = None,
     recorded: RecordedCommands | None = None,
 ) -> Summary:
     """Play a motion on the robot that subscribes to LowCmd, and return how it went.
 
-    The robot is damped before this returns or raises, whatever ends it. Events are logged below
-    the logger `g1stream`, and published on rt/g1stream/log.
+    The robot is damped before this returns or raises, whatever ends it; a guard process damps it
+    where this one cannot. After the first command, what ends it is the reason in the summary.
+    Events are logged below the logger `g1stream`, and published on rt/g1stream/log.
 
     Args:
         motion: a motion, a motion file, or the name of a bundled motion.
         config: all settings; by default domain 1 on loopback.
         record: also record the session into this file.
         force: replace an existing recording.
+        arm: called before anything is sent with what is about to happen; nothing is sent unless it
+            returns True. Needed on anything but the loopback interface.
         on_loop: called with the loop before it runs, to display it or to stop it.
         recorded: commands to publish during PLAY, bit for bit, instead of new ones.
 
     Raises:
+        SafetyError: it is not armed, the motion is beyond the robot's limits, or there is another
+            publisher of LowCmd.
         G1StreamError: a file, a setting or the wire does not allow it.
     """
     config = config or Config()
-    session = None if record is None else Path(record)
-    if session:
-        _check_recording_path(session, config.record, force)
-    robot = G1.load(config.robot)
+    require_arming(config.dds.interface, armed=arm is not None)
+    config = with_robot_limits(config)
+    session = None if record is None else _recording_path(Path(record), config.record, force)
+    robot = G1.load(config.robot, own_limits=config.safety.urdf_limits)
     if not isinstance(motion, Motion):
         motion = load_motion(motion)
-    interval = Interval.from_config(config.stream, motion)
     correction = Correction.load(path) if (path := config.stream.correction) else None
     clock = SystemClock()
-    with Participant(config.dds.domain, config.dds.interface) as participant:
+    with (
+        Guard(for_wire(config)) as guard,
+        Participant(config.dds.domain, config.dds.interface) as participant,
+    ):
         joined = clock.now()
         # Done now, because it takes as long as the discovery of other publishers.
-        trajectory = Trajectory(motion, loop=config.stream.loop)
-        exceeded: Sequence[tuple[int, str]] = ()
-        if recorded is None:  # recorded commands beyond a limit were refused
-            rate, margin = config.stream.rate, config.safety.position_margin
-            limits = measure_limits(trajectory, robot, interval, rate=rate, position_margin=margin)
-            exceeded = limits.events
+        playable = _fit(motion, robot, config, recorded)
+        trajectory, interval = playable.trajectory, playable.interval
+        motion = trajectory.motion
+        if arm:
+            _arm(participant, config, trajectory, interval, arm)
         if not config.safety.allow_second_writer:
-            clock.sleep_until(joined + _DISCOVERY)
+            clock.sleep_until(joined + round(DISCOVERY * 1e9))
             _refuse_if_commanded(participant)
-        link = RecordedLink(participant, recorded) if recorded else DdsLink(participant)
+        link = _link(participant, recorded, guard.wait_until_ready())
         events = dds_log_handler(participant, "stream")
         loop = make_loop(
             for_wire(config),
@@ -131,26 +140,31 @@ def stream(
         recorder = None
         if session:
             info = SessionInfo.of(config, motion, resolve_gains(config.gains)._asdict(), correction)
-            recorder = _RecorderChild(session, force, config, info)
+            recorder = _RecorderChild(session, force, config, info, loop)
         recording = None
         granted: list[Grant] = []
         findings: list[Finding] = []
         try:
             # All events have been published when the recorder is told to finish.
             with handled_by(events):
-                for level, text in exceeded:
+                for level, text in playable.events:
                     _LOGGER.log(level, "%s", text)
                 with on_time(config.realtime.priority, config.realtime.cpu) as granted:
                     _LOGGER.info("real time: %s", describe(granted))
-                    report = loop.run()
+                    report = _run(loop, guard)
                 findings = _diagnose(config, participant, link, report)
         finally:
-            about = {"start_s": interval.start, "realtime": granted, "findings": findings}
+            about = {
+                "start_s": interval.start,
+                "slowed": playable.slowed,
+                "realtime": granted,
+                "findings": findings,
+            }
             played = loop.report.summary().model_copy(update={**about, **link.counts()})
-            alone = not (played.commands or played.states_used)
             if recorder:
-                recording = recorder.finish(played, remove_if_empty=alone)
-    if recording and not alone and not recording.stopped and recording.first_ns is not None:
+                recording = recorder.finish(played)
+    met = played.commands or played.states_used  # else the file says nothing about a motion
+    if met and recording and not recording.stopped and not recording.removed:
         return open_session(recording.path).summary()
     return summarise_run(
         config,
@@ -166,80 +180,154 @@ def stream(
     )
 
 
+def _link(
+    participant: Participant, recorded: RecordedCommands | None, heartbeat: Heartbeat | None
+) -> DdsLink:
+    if recorded:
+        return RecordedLink(participant, recorded, heartbeat)
+    return DdsLink(participant, heartbeat)
+
+
+def _run(loop: StreamLoop, guard: Guard) -> LoopReport:
+    """Run the loop; an error after the first command has become its reason to end."""
+    try:
+        with guard.protecting(loop):
+            return loop.run()
+    except G1StreamError:
+        if not loop.report.commands:
+            raise
+        return loop.report
+
+
 class _RecorderChild:
     """The recorder as a child process; it misses nothing that is published from now on.
+
+    If it fails while the motion is played, that is logged at once, and ends the motion if
+    `safety.require_record` is set.
 
     Raises:
         ChildError: it cannot record.
     """
 
-    def __init__(self, path: Path, force: bool, config: Config, session: SessionInfo) -> None:
-        self._path = path
+    def __init__(
+        self, path: Path, force: bool, config: Config, session: SessionInfo, loop: StreamLoop
+    ) -> None:
+        self._path, self._loop = path, loop
+        self._required = config.safety.require_record
+        self._failure = ""
         arguments = {"path": path, "config": config, "force": force, "session": session}
-        self._child = Child("record", arguments)
+        self._child = Child("record", arguments, on_failure=self._fail)
         try:
-            self._child.wait_until_ready()
+            self._child.wait_until_ready(abandoned=lambda: loop.stop_requests > 0)
         except BaseException:
             self._child.kill()
             raise
 
-    def finish(self, stream: StreamSummary, *, remove_if_empty: bool) -> RecorderSummary:
+    def _fail(self, cause: str) -> None:
+        self._failure = cause
+        _LOGGER.error("the recording failed: %s", cause)
+        if self._required:
+            self._loop.request_stop(f"the recording failed: {cause.rstrip('.')}")
+
+    def finish(self, stream: StreamSummary) -> RecorderSummary:
         """End the recording, and return its summary; if the recorder failed, only why.
+
+        A signal that comes meanwhile ends the recorder at once.
 
         Args:
             stream: for the file's metadata.
-            remove_if_empty: remove a recording without any sample, so that the next one is not
-                refused because of it.
         """
         summary: RecorderSummary
+        final = {"stream": stream.model_dump(mode="json"), "stopped": self._failure}
+        requests = self._loop.stop_requests
+        self._child.resume()  # if it is stopped, it can still close its file
         try:
-            summary = self._child.finish({"stream": stream.model_dump(mode="json")})
+            summary = self._child.finish(
+                final, abandoned=lambda: self._loop.stop_requests > requests
+            )
         except ChildError as error:
             path = str(self._path)
-            return RecorderSummary(path=path, paths=[path], stopped=error.cause)
-        if remove_if_empty and summary.counts.keys() <= _WITHOUT_SAMPLES:
-            summary.removed = True
-            if summary.paths:  # else its writer has removed it, and left an older one in place
-                remove_recording(Path(summary.path))
+            return RecorderSummary(path=path, paths=[path], stopped=self._failure or error.cause)
+        gone = [path for path in summary.paths if not Path(path).exists()]
+        if gone and not summary.removed:
+            summary.stopped = summary.stopped or f"{gone[0]} is not there any more."
         return summary
 
 
-def _check_recording_path(path: Path, settings: RecordConfig, force: bool) -> None:
-    """Refuse a path that cannot be recorded to before anything is started."""
+def _recording_path(path: Path, settings: RecordConfig, force: bool) -> Path:
+    """Where to record to; refused, before anything is started, where that is not possible."""
     if settings.auto_name:
         path = timestamped(path, time.time_ns())
     split = settings.split_size is not None or settings.split_duration is not None
     check_recording_path(path, split=split, force=force)
+    return path
 
 
 def _refuse_if_commanded(participant: Participant) -> None:
     """Refuse before we publish LowCmd ourselves, which would stop another g1stream."""
-    others = participant.writers(LOWCMD.name)
+    others = participant.commanders()
     if others:
         raise SafetyError(
             f"There is another publisher on {LOWCMD.name}: "
             f"{', '.join(map(participant.owner, others))}.",
-            "Stop it, or pass --allow-second-writer to publish commands beside it.",
+            "Stop it; `g1stream robot release` releases the robot's own controller.",
         )
+
+
+def _fit(motion: Motion, robot: G1, config: Config, recorded: RecordedCommands | None) -> Playable:
+    """The motion as it may be played; recorded commands were checked, and are sent as they are."""
+    if recorded:
+        interval = Interval.from_config(config.stream, motion)
+        return Playable(Trajectory(motion, loop=config.stream.loop), interval)
+    return fit_to_robot(motion, robot, config, simulated=is_local_only(config.dds.interface))
+
+
+def _arm(
+    participant: Participant,
+    config: Config,
+    trajectory: Trajectory,
+    interval: Interval,
+    arm: Callable[[ArmingReport], bool],
+) -> None:
+    first = trajectory.sample(interval.start).joint_pos
+    if not arm(inspect_for_arming(participant, for_wire(config), first)):
+        raise SafetyError(
+            f"Arming on {config.dds.interface} was not confirmed; nothing was sent.",
+            "Run it again, and type the name of the interface.",
+        )
+
+
+def with_robot_limits(config: Config) -> Config:
+    """A config in which robot.toml's values stand wherever nothing is set; unchanged on loopback.
+
+    Its domain and interface are not taken over.
+    """
+    if is_local_only(config.dds.interface):
+        return config
+    robot = load_config(SHIPPED / "robot.toml")
+    tables = {}
+    for name in robot.model_fields_set - {"dds"}:
+        given, cautious = getattr(config, name), getattr(robot, name)
+        unset = {
+            key: getattr(cautious, key)
+            for key in cautious.model_fields_set
+            if key not in given.model_fields_set or getattr(given, key) is None
+        }
+        tables[name] = given.model_copy(update=unset)
+    return config.model_copy(update=tables)
 
 
 def for_wire(config: Config) -> Config:
     """A config whose unset values that depend on the wire are set.
 
-    On loopback there is a simulator, which may be silent for longer than a robot. Unless asked for,
-    no torque from the model is sent to another machine, and its time is that of the clock.
+    On loopback there is a simulator, which may be silent for longer than a robot. Anywhere else
+    there may be a robot, for which robot.toml has the values.
     """
-    settings, safety = config.stream, config.safety
-    if is_local_only(config.dds.interface):
-        timeout = safety.state_timeout or _STATE_TIMEOUT_OF_SIMULATOR
-        safety = safety.model_copy(update={"state_timeout": timeout})
-    else:
-        update = {
-            "feedforward": settings.feedforward or "velocity",
-            "time_scale": settings.time_scale or 1.0,
-        }
-        settings = settings.model_copy(update=update)
-    return config.model_copy(update={"stream": settings, "safety": safety})
+    if not is_local_only(config.dds.interface):
+        return with_robot_limits(config)
+    timeout = config.safety.state_timeout or _STATE_TIMEOUT_OF_SIMULATOR
+    safety = config.safety.model_copy(update={"state_timeout": timeout})
+    return config.model_copy(update={"safety": safety})
 
 
 def _diagnose(

@@ -1,0 +1,77 @@
+"""`g1stream layout`: layouts of viewers for session files."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Literal
+
+from g1stream.cli.command import EXIT_OK, Command
+from g1stream.cli.flags import argument, flag
+
+__all__ = ["Layout"]
+
+#: By viewer: the file's name, and how to load it.
+_VIEWERS: Final = {
+    "foxglove": ("g1stream-foxglove.json", "Layouts menu > Import from file."),
+    "lichtblick": ("g1stream-lichtblick.json", "Layouts menu > Import from file."),
+    "plotjuggler": (
+        "g1stream-plotjuggler.xml",
+        "Load a session converted with `g1stream convert SESSION OUT --ros2`, then File > Load "
+        "Layout.",
+    ),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Layout(Command):
+    """Writes a layout file, which shows a session's robot, ghost, worst joints, torques and timing.
+
+    With a session, the six joints with the greatest error in it are plotted.
+
+    Examples:
+      g1stream layout lichtblick session.mcap
+      g1stream layout foxglove --dir layouts
+
+    Exit codes:
+      0  written
+      2  bad input: not a session file, a file that cannot be written
+    """
+
+    viewer: Literal["foxglove", "lichtblick", "plotjuggler"] = argument(
+        "The viewer: foxglove, lichtblick or plotjuggler.", "VIEWER"
+    )
+    session: Path | None = flag(
+        None, "A session file, to choose the joints by.", "MCAP", positional=True
+    )
+    dir: Path = flag(Path(), "Write the layout into this directory.", "DIR", shown="here")
+
+    def run(self) -> int:
+        """Write the layout, and return the exit code."""
+        from g1stream.analysis.layouts import (
+            DEFAULT_JOINTS,
+            foxglove_layout,
+            plotjuggler_layout,
+            worst_joints,
+        )
+        from g1stream.errors import ConfigError
+        from g1stream.session.session import open_session
+
+        joints = worst_joints(open_session(self.session)) if self.session else DEFAULT_JOINTS
+        if self.viewer == "plotjuggler":
+            text = plotjuggler_layout(joints)
+        else:
+            text = json.dumps(foxglove_layout(joints), indent=1) + "\n"
+        name, how = _VIEWERS[self.viewer]
+        path = self.dir / name
+        try:
+            self.dir.mkdir(parents=True, exist_ok=True)
+            path.write_text(text)
+        except OSError as error:
+            raise ConfigError(
+                f"The layout {path} cannot be written: {error.strerror}.",
+                "Choose another directory with --dir.",
+            ) from error
+        print(f"{path}\n{how}")
+        return EXIT_OK

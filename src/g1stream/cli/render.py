@@ -1,0 +1,75 @@
+"""`g1stream render`: a video of a session."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from g1stream.cli.command import EXIT_OK, Command
+from g1stream.cli.flags import argument, flag
+from g1stream.cli.progress import ProgressDisplay
+
+__all__ = ["Render"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Render(Command):
+    """The ghost has the reference's joints on the measured pelvis; time, phase and RMS error of all
+    joints are written into each frame. Needs EGL or OSMesa, but no display and no GPU. The real
+    G1's meshes are used with the extra `meshes`; MP4 needs the extra `render`.
+
+    Examples:
+      g1stream render session.mcap session.mp4
+      g1stream render session.mcap wave.gif --start 3 --duration 4 --fps 12 --size 320x320
+      g1stream render session.mcap pose.png --start 5.2 --camera left
+
+    Exit codes:
+      0  written
+      2  bad input: not a session file, nothing to show, no OpenGL
+    """  # noqa: D205
+
+    session: Path = argument("The session file, or the directory of a split recording.", "SESSION")
+    out: Path = argument("The file to write: .mp4, .gif, or .png for one frame.", "OUT")
+    start: float | None = flag(
+        None, "Time of the first frame on the motion's clock.", "S", shown="of the session"
+    )
+    duration: float | None = flag(None, "Length.", "S", shown="to the end", gt=0)
+    fps: float = flag(25.0, "Frames per second.", "HZ", gt=0)
+    size: str = flag("640x480", "Width and height, pixels.", "WxH")
+    camera: Literal["front", "oblique", "left", "back", "right"] = flag(
+        "oblique", "Where the camera stands around the robot.", shown="oblique"
+    )
+    force: bool = flag(False, "Replace a file that is there.")
+
+    def run(self) -> int:
+        """Write the video, and return the exit code."""
+        from g1stream.analysis.video import parse_size, render
+        from g1stream.session.session import open_session
+
+        done = 0.0
+
+        def progress(fraction: float) -> None:
+            nonlocal done
+            done = fraction
+
+        started = time.monotonic()
+        with ProgressDisplay(lambda: (done, f"{100 * done:3.0f} %")):
+            video = render(
+                open_session(self.session),
+                self.out,
+                start=self.start,
+                duration=self.duration,
+                fps=self.fps,
+                size=parse_size(self.size),
+                camera=self.camera,
+                force=self.force,
+                progress=progress,
+            )
+        took = time.monotonic() - started
+        print(
+            f"{video.path}: {video.frames} frames from {video.start:.2f} s, {video.shown}, "
+            f"{'meshes' if video.meshes else 'primitive shapes'}, in {took:.1f} s"
+        )
+        return EXIT_OK

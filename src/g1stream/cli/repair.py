@@ -1,0 +1,41 @@
+"""`g1stream repair`: the index of a session whose recorder was killed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from g1stream.analysis.render import counted
+from g1stream.cli.command import EXIT_OK, Command, print_lines
+from g1stream.cli.flags import argument
+
+__all__ = ["Repair"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Repair(Command):
+    """Viewers such as Rerun show nothing of a file without an index. g1stream itself needs none.
+
+    The file is replaced when its copy with an index is complete; all whole messages stay, byte for
+    byte. A file that has its index is left as it is.
+
+    Examples:
+      g1stream repair session.mcap
+
+    Exit codes:
+      0  all files of the session have their index
+      2  bad input: not a session, damaged, or still being recorded
+    """
+
+    session: Path = argument("The session file, or the directory of a split recording.", "MCAP")
+
+    def run(self) -> int:
+        """Write the index, and return the exit code."""
+        from g1stream.session.repair import repair_session
+
+        for path, messages, dropped in repair_session(self.session):
+            done = "complete already" if dropped is None else "index written"
+            if dropped:
+                done += f", {counted(dropped, 'byte')} of an unfinished record dropped"
+            print_lines(f"{path}: {done}; {counted(messages, 'message')}")
+        return EXIT_OK

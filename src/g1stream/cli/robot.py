@@ -1,0 +1,111 @@
+"""`g1stream robot`: the controller that runs on the robot itself."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Literal
+
+from g1stream.cli.command import (
+    EXIT_OK,
+    SettingsCommand,
+    confirmed,
+    print_json,
+    yes_flag,
+)
+from g1stream.cli.flags import argument, flag
+from g1stream.errors import ConfigError, SafetyError
+from g1stream.events import ConsoleHandler, handled_by
+
+if TYPE_CHECKING:
+    from g1stream.config import Config
+
+__all__ = ["Robot"]
+
+Action = Literal["status", "release", "restore"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Robot(SettingsCommand):
+    """Talks to the motion service (MotionSwitcher), which runs the robot's own controller.
+
+    That controller publishes rt/lowcmd too, so that it has to be released before a motion is
+    streamed. status: form and active mode. release: ends the mode; the robot goes limp, so support
+    it first. restore: starts the mode that was released here, or MODE.
+
+    Anything but loopback has to be confirmed: on the terminal, or by --yes INTERFACE.
+
+    Examples:
+      g1stream robot status --config robot --interface eth0
+      g1stream robot release --config robot --interface eth0
+      g1stream robot restore ai --config robot --interface eth0
+      g1stream sim --onboard ai             # something to try it on
+
+    Exit codes:
+      0  as asked
+      2  bad input, not confirmed, no motion service, or it refuses
+    """
+
+    action: Action = argument("What to do.", "ACTION")
+    mode: str | None = flag(
+        None,
+        "Mode to restore, such as ai.",
+        "MODE",
+        shown="the one that was released here",
+        positional=True,
+    )
+    timeout: float = flag(5.0, "Longest wait for an answer, discovery included.", "S", gt=0)
+    yes: str | None = yes_flag()
+    json: bool = flag(False, "Print the status as JSON on standard output.")
+
+    def run(self) -> int:
+        """Do it, and return the exit code."""
+        config = self.resolve()
+        self._check_flags()
+        with handled_by(ConsoleHandler()):
+            if self.action == "status":
+                return self._status(config)
+            return self._change(config)
+
+    def _check_flags(self) -> None:
+        unused = {
+            "MODE": self.mode and self.action != "restore",
+            "--json": self.json and self.action != "status",
+            "--yes": self.yes and self.action == "status",
+        }
+        for name in filter(unused.get, unused):
+            raise ConfigError(f"{name} has no effect on robot {self.action}.", "Leave it out.")
+
+    def _status(self, config: Config) -> int:
+        from g1stream.programs.motion_service import onboard_status
+
+        status = onboard_status(config.dds, self.timeout)
+        if self.json:
+            print_json(asdict(status))
+        else:
+            print(f"form {status.form or '-'}, mode {status.name or 'none'}")
+        return EXIT_OK
+
+    def _change(self, config: Config) -> int:
+        from g1stream.dds.domain import is_local_only, network_name
+        from g1stream.programs.motion_service import release_mode, restore_mode
+
+        if not is_local_only(config.dds.interface):
+            what = (
+                "goes limp" if self.action == "release" else "is taken over by its own controller"
+            )
+            print(f"WARNING: the robot {what}. Support it first.", file=sys.stderr)
+            if not confirmed(network_name(config.dds.interface), self.yes):
+                raise SafetyError(
+                    "It was not confirmed; nothing was done.",
+                    "Run it again, and type the name of the interface.",
+                )
+        if self.action == "restore":
+            print(f"mode {restore_mode(config.dds, self.mode, self.timeout)} is active")
+        elif released := release_mode(config.dds, self.timeout):
+            print(
+                f"mode {released} is released; restore it with: g1stream robot restore {released}"
+            )
+        else:
+            print("no mode is active: nothing to release")
+        return EXIT_OK

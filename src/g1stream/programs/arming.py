@@ -1,0 +1,196 @@
+"""Arming: what is about to happen on a robot, told before the first command."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from g1stream.control.gains import resolve_gains
+from g1stream.control.robot_monitor import tilt_of
+from g1stream.control.state_checks import all_finite, is_unit
+from g1stream.control.targets import Ramp
+from g1stream.dds.domain import is_local_only, network_name, require_interface
+from g1stream.dds.endpoints import RawReader
+from g1stream.dds.messages import LowState
+from g1stream.dds.motion_switcher import MotionSwitcherClient
+from g1stream.dds.topics import LOWSTATE
+from g1stream.doctor.facts import Facts, ok, warning
+from g1stream.doctor.findings import evaluate
+from g1stream.doctor.host import inspect_host
+from g1stream.doctor.wire import inspect_participant
+from g1stream.errors import SafetyError, WireError
+from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
+
+if TYPE_CHECKING:
+    from typing import Any
+
+    from g1stream.config import Config
+    from g1stream.dds.domain import Participant
+    from g1stream.doctor.facts import Finding
+    from g1stream.types import Floats
+
+__all__ = ["ArmingReport", "LimbDistance", "inspect_for_arming", "require_arming"]
+
+#: Longest wait for the motion service, discovery included, s.
+_SERVICE_TIMEOUT: Final = 3.0
+#: How long LowState is listened to for the findings, s.
+_LISTEN: Final = 0.5
+_POLL: Final = 0.005  # s
+
+
+@dataclass(frozen=True)
+class LimbDistance:
+    """How far a limb is from the motion's first frame, and how stiffly it is moved there.
+
+    Attributes:
+        limb: its name, such as `left arm`.
+        joint: the one that is furthest.
+        distance: of that joint, first frame minus measured, rad.
+        kp, kd: the lowest and the highest gain, Nm/rad and Nm s/rad.
+    """
+
+    limb: str
+    joint: str
+    distance: float
+    kp: tuple[float, float]
+    kd: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class ArmingReport:
+    """What is about to be done to which robot.
+
+    Attributes:
+        domain: DDS domain.
+        interface: in use; `CYCLONEDDS_URI` where that selects it.
+        tilt: of the pelvis, rad.
+        limbs: distances from the measured pose to the first frame.
+        ramp: length of RAMP, s.
+        peak_speed: the highest speed of a joint in RAMP, rad/s.
+        limits: the safety settings in force, by name.
+        motion_service: that no mode is active; a warning where that is not known.
+        findings: the doctor's.
+    """
+
+    domain: int
+    interface: str
+    tilt: float
+    limbs: tuple[LimbDistance, ...]
+    ramp: float
+    peak_speed: float
+    limits: dict[str, Any]
+    motion_service: Finding
+    findings: tuple[Finding, ...]
+
+    @property
+    def furthest(self) -> LimbDistance:
+        """The limb with the joint that is furthest from the first frame."""
+        return max(self.limbs, key=lambda limb: abs(limb.distance))
+
+
+def require_arming(interface: str, *, armed: bool) -> None:
+    """Refuse to command anything but loopback unless that was asked for.
+
+    Raises:
+        WireError: there is no such interface.
+        SafetyError: the interface is not the loopback, and it is not `armed`.
+    """
+    require_interface(interface)
+    if not (armed or is_local_only(interface)):
+        raise SafetyError(
+            f"Commands on {network_name(interface)} may move a robot, and need to be armed.",
+            "Add --arm (in Python: arm=), after the checks in docs/real-robot.md.",
+        )
+
+
+def inspect_for_arming(participant: Participant, config: Config, first: Floats) -> ArmingReport:
+    """Look at the robot, its motion service and the network; publishes no command.
+
+    Args:
+        participant: of the robot's domain.
+        config: the settings in force.
+        first: joint positions (29,) of the first frame to be played, rad.
+
+    Raises:
+        SafetyError: a mode of the motion service is active, which would fight our commands.
+        WireError: no plausible LowState is received.
+    """
+    service = _motion_service(participant)
+    state = _plausible_state(participant, config.stream.wait)
+    distance = first - state.q.astype(np.float64)
+    ramp = Ramp.of(distance, config.stream.ramp, config.stream.ramp_speed)
+    where = participant.domain, participant.interface
+    wire = inspect_participant(participant, _LISTEN)
+    host = inspect_host(config.realtime)
+    return ArmingReport(
+        domain=participant.domain,
+        interface=network_name(participant.interface),
+        tilt=tilt_of(state.quaternion),
+        limbs=_limbs(distance, config),
+        ramp=ramp.length,
+        peak_speed=ramp.peak_speed,
+        limits=config.safety.model_dump(),
+        motion_service=service,
+        findings=tuple(evaluate(Facts(*where, config.safety.mode_machine, host, wire))),
+    )
+
+
+def _motion_service(participant: Participant) -> Finding:
+    about = "motion service"
+    try:
+        active = MotionSwitcherClient(participant, _SERVICE_TIMEOUT).check().name
+    except WireError as error:  # a simulator has none; other publishers are refused anyway
+        return warning(
+            about,
+            f"{error.cause} The robot's own controller may be active, and would fight our "
+            "commands.",
+            "Go on only if this is a simulator, or if you know that no mode is active.",
+        )
+    if active:
+        where = f"--domain {participant.domain} --interface {participant.interface}"
+        raise SafetyError(
+            f"The robot's own controller is active (mode {active}) and would fight our commands.",
+            f"Support the robot, which goes limp, and run: g1stream robot release {where}",
+        )
+    return ok(about, "no mode is active")
+
+
+def _plausible_state(participant: Participant, wait: float) -> LowState:
+    reader, state = RawReader(participant, LOWSTATE), LowState()
+    deadline = time.monotonic() + wait
+    while time.monotonic() < deadline:
+        sample = reader.take_latest()
+        if sample:
+            state.load(sample.data)
+            intact = not state.crc or state.crc_matches()  # 0: not provided
+            if intact and all_finite(state.q) and is_unit(state.quaternion):
+                reader.close()
+                return state
+        time.sleep(_POLL)
+    raise WireError(
+        f"No plausible LowState was received within stream.wait = {wait:g} s, so that the pose of "
+        "the robot is not known.",
+        f"Run: g1stream doctor --domain {participant.domain} --interface {participant.interface}",
+    )
+
+
+def _limbs(distance: Floats, config: Config) -> tuple[LimbDistance, ...]:
+    gains = resolve_gains(config.gains)
+    found = []
+    for limb, joints in JOINT_GROUPS.items():
+        indices = list(joints)
+        furthest = max(indices, key=lambda joint: abs(distance[joint]))
+        kp, kd = gains.kp[indices], gains.kd[indices]
+        found.append(
+            LimbDistance(
+                limb,
+                JOINT_NAMES[furthest],
+                float(distance[furthest]),
+                (float(kp.min()), float(kp.max())),
+                (float(kd.min()), float(kd.max())),
+            )
+        )
+    return tuple(found)

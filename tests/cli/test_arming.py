@@ -1,0 +1,85 @@
+"""--arm and --yes: the text, and who is asked."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from g1stream.cli.arming import arming, render
+from g1stream.cli.main import main
+from g1stream.doctor.facts import ok, problem, warning
+from g1stream.errors import ConfigError
+from g1stream.programs.arming import ArmingReport, LimbDistance
+
+
+@pytest.fixture
+def report():
+    return ArmingReport(
+        domain=0,
+        interface="eth9",
+        tilt=0.05,
+        limbs=(
+            LimbDistance("left_leg", "left_knee_joint", 0.5, (40.0, 100.0), (1.0, 2.0)),
+            LimbDistance("waist", "waist_yaw_joint", -0.75, (40.0, 60.0), (1.0, 1.0)),
+        ),
+        ramp=6.0,
+        peak_speed=0.234,
+        limits={"state_timeout": 0.1, "max_tilt": 0.5, "mode_machine": (5,)},
+        motion_service=ok("motion service", "no mode is active"),
+        findings=(ok("tick", "steps of 2 ms"), problem("LowCmd", "no subscriber", "Start one.")),
+    )
+
+
+def test_the_text_is_the_snapshot(report, matches_snapshot):
+    matches_snapshot("arming", render(report))
+
+
+def test_yes_names_the_interface(report, capsys):
+    ask = arming(True, "eth9")
+    assert ask is not None
+    assert ask(report)
+    assert "waist_yaw_joint" in capsys.readouterr().err
+    other = arming(True, "eth0")
+    assert other is not None
+    with pytest.raises(ConfigError):
+        other(report)
+
+
+def test_a_silent_motion_service_is_the_last_line_before_the_question(report):
+    silent = warning("motion service", "It does not answer.", "Look.")
+    lines = render(replace(report, motion_service=silent)).splitlines()
+    assert lines[-1] == "WARNING: It does not answer. Look."
+
+
+def test_what_a_terminal_obeys_is_escaped(report, capsys):
+    hostile = warning("motion service", "mode \x1b[2J", "Look.")
+    ask = arming(True, "eth9")
+    assert ask is not None
+    ask(replace(report, motion_service=hostile))
+    printed = capsys.readouterr().err
+    assert "\x1b" not in printed
+    assert "\\x1b[2J" in printed
+
+
+def test_without_a_terminal_yes_is_needed(report, monkeypatch):
+    monkeypatch.setattr("sys.stdin", type("Pipe", (), {"isatty": lambda _: False})())
+    ask = arming(True, None)
+    assert ask is not None
+    with pytest.raises(ConfigError) as caught:
+        ask(report)
+    assert "--yes eth9" in caught.value.remedy
+
+
+def test_unarmed_asks_nothing():
+    assert arming(False, None) is None
+    with pytest.raises(ConfigError):
+        arming(False, "eth9")
+
+
+@pytest.mark.parametrize("command", [["stream", "demo"], ["replay", "no-such.mcap"]])
+def test_anything_but_loopback_is_refused_unarmed(command, monkeypatch, capsys):
+    monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
+    monkeypatch.setattr("g1stream.dds.domain.interfaces", lambda: ["lo", "eth9"])
+    assert main([*command, "--interface", "eth9", "--domain", "0"]) == 2
+    assert "--arm" in capsys.readouterr().err

@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from itertools import count
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,11 +19,13 @@ import numpy as np
 import sides
 from g1stream.clock import SystemClock
 from g1stream.config import Config
+from g1stream.control.commands import CommandLimits, Composer
 from g1stream.control.feedforward import FeedForward
 from g1stream.control.gains import resolve_gains
-from g1stream.control.loop import Composer
-from g1stream.control.safety import Envelope, ImuReading, Measured
+from g1stream.control.safety import Safety
+from g1stream.control.state_checks import ImuReading, Measured
 from g1stream.control.targets import Targets
+from g1stream.dds.messages import LowState
 from g1stream.motion.trajectory import Trajectory
 from g1stream.realtime import on_time
 from g1stream.robot.dynamics import InverseDynamics
@@ -41,12 +44,9 @@ def parts() -> dict[str, Callable[[int], object]]:
     """Name -> one part of tick k."""
     robot, config = G1.default(), Config()
     targets = Targets(Trajectory(load_motion("demo")), start=0.0, play=None, ramp=1.0)
-    envelope, limit = Envelope(robot, config.safety), np.full(29, 100.0)
-    composer = Composer(envelope, resolve_gains(config.gains), 3.0)
-    still = np.zeros(29, np.float32)
-    measured = Measured(still, still, np.array([1, 0, 0, 0], np.float32), 5, 0)
-    imu = ImuReading(measured.quat_wxyz, *np.array([[0, 0, 0], [0, 0, 9.81]], np.float32))
-    composer.begin(measured)
+    safety, limit = Safety(robot, config.safety), np.full(29, 100.0)
+    composer = Composer(CommandLimits(robot, config.safety), resolve_gains(config.gains), 3.0)
+    imu = ImuReading(*(np.array(one) for one in ([1.0, 0, 0, 0], [0.0] * 3, [0.0, 0.0, 9.81])))
     target = targets.at(Phase.PLAY, 0.0)
 
     def torque(support: str) -> Callable[[int], object]:
@@ -55,15 +55,43 @@ def parts() -> dict[str, Callable[[int], object]]:
         feed.begin(support)
         return lambda k: feed.command(Phase.PLAY, k * PERIOD, target, imu, 0.001)
 
-    def check(now: int) -> str:
-        return envelope.implausible(now, measured) or envelope.verdict(measured)
+    state = LowState()
+    state.mode_machine[()], state.motor_mode = 5, 1
+    state.quaternion[:], state.accelerometer[:] = imu.quat_wxyz, imu.accelerometer
+
+    safety.begin()
+    published = count()
+
+    def publish() -> int:
+        """A LowState that differs from the one before, and when it is received, ns."""
+        k = next(published)  # for all rows: what is checked seldom depends on the time
+        state.tick[()] = 2 * k
+        state.gyroscope[0] = k % 10
+        state.q[:] = target.q
+        return k * round(PERIOD * 1e9)
+
+    def check(_: int) -> str:
+        now = publish()
+        safety.take(state, 1, now, target.q)
+        return safety.unknown(now, target.q) or safety.verdict()
+
+    at_target = LowState()
+    at_target.q[:] = target.q
+    measured = Measured.of(at_target, 0)
+    composer.begin(measured.q, mode_machine=5)
+
+    def compose(k: int) -> object:
+        return composer.compose(
+            target, target, Phase.PLAY, k, elapsed=PERIOD, measured=measured, age=PERIOD
+        )
 
     return {
         "check the state": check,
+        "check its CRC": lambda _: state.crc_matches(),
         "sample the motion": lambda k: targets.at(Phase.PLAY, k * PERIOD % 10.0),
         "torque, bolted": torque("bolted"),
         "torque, hanging": torque("hanging"),
-        "compose and seal": lambda k: composer.compose(target, target, Phase.PLAY, k, 1.0),
+        "limit, compose and seal": compose,
     }
 
 

@@ -1,7 +1,8 @@
 """How closely the simulated robot follows: each feed-forward on each support, in one table.
 
     python benchmarks/tracking.py [--motion CSV] [--seconds 20] [--dds] [--plot PNG] [--json]
-    python benchmarks/tracking.py --peers [--runs 10] [--stream-flags "..."] [--json]
+    python benchmarks/tracking.py --peers [--runs 10] [--rows TEXT] [--keep DIR] [--json]
+    python benchmarks/tracking.py --peers --learn 3 [--runs 3] [--keep DIR] [--json]
 
 Every cell is the RMSE over all joints, rad, while the motion is played with the gains of Unitree's
 example; then the worst joint's. "30 Hz nearest frame" is what scripts do: no spline, q only.
@@ -12,7 +13,8 @@ seed: encoders by 0.1 mrad and 10 mrad/s, the gyroscope by 10 mrad/s, the accele
 0.1 m/s^2. `--dds` adds the same on our bridge over DDS in real time. What a wrong support does is
 measured in lockstep, with the check that would notice it left out.
 
-`--peers` plays the motion on Unitree's own simulators instead, see tracking_peers.py.
+`--peers` plays the motion on Unitree's own simulators instead, see tracking_peers.py; `--learn`
+learns there from repetition to repetition.
 """
 
 from __future__ import annotations
@@ -108,6 +110,7 @@ def in_lockstep(
     *,
     announced: Support | None = None,
     nearest: bool = False,
+    self_collision: bool = True,
 ) -> tuple[Cell, Session]:
     """One run without a wall clock."""
     rng = np.random.default_rng(SEED)
@@ -122,7 +125,7 @@ def in_lockstep(
             values[:] = rng.normal(values, deviation)
 
     at_frame_rate = {"stream.rate": motion.fps, "stream.preview": 0.0} if nearest else {}
-    config = load_config(None, SETTINGS | at_frame_rate)
+    config = load_config(None, SETTINGS | at_frame_rate | {"sim.self_collision": self_collision})
     trajectory = NearestFrame if nearest else Trajectory
     with timed_feedforward() as costs, patch("g1stream.programs.rollout.Trajectory", trajectory):
         session = rollout(
@@ -210,6 +213,9 @@ def parsed() -> argparse.Namespace:
     parser.add_argument("--json", action="store_true", help="print every cell as JSON")
     parser.add_argument("--peers", action="store_true", help="on Unitree's own simulators")
     parser.add_argument("--runs", type=int, default=1, help="how often, for --peers")
+    parser.add_argument("--rows", default="", help="only rows with this text, for --peers")
+    parser.add_argument("--keep", type=Path, help="keep the sessions in this folder, for --peers")
+    parser.add_argument("--learn", type=int, help="so many repetitions of learning, for --peers")
     parser.add_argument(
         "--stream-flags", default="", help="more flags of `g1stream stream`, for --peers"
     )
@@ -222,7 +228,15 @@ def on_peers(motion: Motion, seconds: float, arguments: argparse.Namespace) -> N
         print(f"skipped: {reason}")
         return
     flags, path = shlex.split(arguments.stream_flags), Path(motion.source or "")
-    runs = tracking_peers.run_table(path, seconds, arguments.runs, flags)
+    keep = arguments.keep
+    if arguments.learn:
+        runs = tracking_peers.learn_table(
+            path, seconds, arguments.learn, arguments.runs, flags, keep=keep
+        )
+    else:
+        runs = tracking_peers.run_table(
+            path, seconds, arguments.runs, flags, rows=arguments.rows, keep=keep
+        )
     if arguments.json:
         table = {"motion": motion.name, "seconds": seconds, "rmse": tracking_peers.as_json(runs)}
         print(json.dumps(table, indent=2))
@@ -253,6 +267,7 @@ def main() -> None:
         lockstep(NEAREST, support, "none", nearest=True)
         for kind in KINDS:
             lockstep(kind, support, kind)
+        lockstep("dynamics, no self-collision", support, "dynamics", self_collision=False)
         for wrong in SUPPORTS:
             if wrong != support:
                 lockstep(f"dynamics, as if {wrong}", support, "dynamics", announced=wrong)

@@ -31,6 +31,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from g1stream.analysis.learning import learn
 from g1stream.errors import G1StreamError
 from g1stream.session.session import open_session
 
@@ -70,7 +71,13 @@ def missing() -> str:
 
 
 def run_table(
-    motion: Path, seconds: float, runs: int, flags: list[str]
+    motion: Path,
+    seconds: float,
+    runs: int,
+    flags: list[str],
+    *,
+    rows: str = "",
+    keep: Path | None = None,
 ) -> dict[str, dict[str, list[Run]]]:
     """Every run: by way to command and simulator.
 
@@ -79,19 +86,81 @@ def run_table(
         seconds: how much of it to play.
         runs: how often.
         flags: more flags of `g1stream stream`.
+        rows: only the ways to command with this text in their names.
+        keep: a folder for the sessions; None: deleted.
     """
     table: dict[str, dict[str, list[Run]]] = {}
-    for _ in range(runs):
+    for number in range(runs):
         for simulator, program in SIMULATORS.items():
-            for row in (*SCRIPTS, *STREAMS):
-                with _simulator(program):
+            for row in (name for name in (*SCRIPTS, *STREAMS) if rows in name):
+                name = f"{program}-{row.split(',')[0]}-{number}.mcap"
+                with tempfile.TemporaryDirectory() as directory, _simulator(program):
+                    path = Path(keep or directory, name)
                     if row in SCRIPTS:
                         run = _script(motion, seconds, SCRIPTS[row])
                     else:
-                        run = _stream(motion, seconds, [*STREAMS[row], *flags])
+                        run = _stream(motion, seconds, [*STREAMS[row], *flags], path)
                 table.setdefault(row, {}).setdefault(simulator, []).append(run)
                 print(f"{simulator}, {row}: {_shown(run)}", flush=True, file=sys.stderr)
     return table
+
+
+def learn_table(
+    motion: Path,
+    seconds: float,
+    repetitions: int,
+    runs: int,
+    flags: list[str],
+    *,
+    keep: Path | None = None,
+) -> dict[str, dict[str, list[Run]]]:
+    """Learning from repetition to repetition: by simulator and series, a run for each repetition.
+
+    Args:
+        motion: CSV file.
+        seconds: how much of it to play.
+        repetitions: how many corrections are learned and tried in a series, each from all sessions
+            of that series before it.
+        runs: how many series, each from the start.
+        flags: more flags of `g1stream stream`.
+        keep: a folder for the sessions and corrections; None: deleted.
+    """
+    table: dict[str, dict[str, list[Run]]] = {}
+    for number in range(runs):
+        for simulator, program in SIMULATORS.items():
+            with tempfile.TemporaryDirectory() as directory:
+                name = f"{program}-learn-{motion.stem}-{seconds:g}-{number}"
+                series = _learn(
+                    program, motion, seconds, repetitions, flags, keep or Path(directory), name
+                )
+            table.setdefault(f"series {number + 1}", {})[simulator] = series
+            print(f"{simulator}: {', '.join(map(_shown, series))}", flush=True, file=sys.stderr)
+    return table
+
+
+def _learn(
+    program: str,
+    motion: Path,
+    seconds: float,
+    repetitions: int,
+    flags: list[str],
+    directory: Path,
+    name: str,
+) -> list[Run]:
+    correction: list[str] = []
+    sessions: list[Path] = []
+    series: list[Run] = []
+    for repetition in range(repetitions + 1):
+        session = directory / f"{name}-{repetition}.mcap"
+        with _simulator(program):
+            every = [*STREAMS["dynamics, hanging"], *flags, *correction]
+            series.append(_stream(motion, seconds, every, session))
+        if series[-1].rmse is not None:
+            sessions.append(session)
+        if sessions and repetition < repetitions:
+            file = learn(sessions).save(session.with_suffix(".npz"), force=True)
+            correction = ["--correction", str(file)]
+    return series
 
 
 def as_text(table: dict[str, dict[str, list[Run]]]) -> str:
@@ -172,18 +241,14 @@ def _script(motion: Path, seconds: float, rate: int) -> Run:
     return Run(rmse) if np.isfinite(rmse) else Run(None, "NaN: the simulation exploded")
 
 
-def _stream(motion: Path, seconds: float, flags: list[str]) -> Run:
-    with tempfile.TemporaryDirectory() as directory:
-        path = Path(directory, "session.mcap")
-        command = [sys.executable, "-m", "g1stream", "stream", str(motion), "--json"]
-        text, failure = _run(
-            [*command, "--duration", str(seconds), "--record", path, *flags], seconds
-        )
-        if failure:
-            with suppress(ValueError, KeyError):  # it says better what ended it
-                failure = json.loads(text)["termination"]["reason"] or failure
-            return Run(None, failure)
-        try:
-            return Run(open_session(path).tracking().overall)
-        except G1StreamError as error:
-            return Run(None, error.cause)
+def _stream(motion: Path, seconds: float, flags: list[str], path: Path) -> Run:
+    command = [sys.executable, "-m", "g1stream", "stream", str(motion), "--json"]
+    text, failure = _run([*command, "--duration", str(seconds), "--record", path, *flags], seconds)
+    if failure:
+        with suppress(ValueError, KeyError):  # it says better what ended it
+            failure = json.loads(text)["termination"]["reason"] or failure
+        return Run(None, failure)
+    try:
+        return Run(open_session(path).tracking().overall)
+    except G1StreamError as error:
+        return Run(None, error.cause)

@@ -10,16 +10,22 @@ import socket
 import tempfile
 import time
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, settings
 
 from g1stream.dds.layout import members
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+
+# On a busy machine, examples take longer than hypothesis expects; that is no failure.
+settings.register_profile("busy", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("busy")
 
 # Above 101 a domain's ports reach the range that Linux hands out to anybody, and 0 and 1 are where
 # robots and simulators are.
@@ -85,6 +91,14 @@ def module_domain_id() -> Iterator[int]:
     """Like `domain_id`, for what a module's tests share."""
     with _domain() as claimed:
         yield claimed
+
+
+@pytest.fixture(scope="module")
+def claim_domain() -> Iterator[Callable[[], int]]:
+    """Like `module_domain_id`, for a module that needs several."""
+    with ExitStack() as stack:
+        stack.enter_context(pytest.MonkeyPatch.context()).delenv("CYCLONEDDS_URI", raising=False)
+        yield partial(_claim_any, stack)
 
 
 @pytest.fixture
@@ -153,13 +167,13 @@ def on_the_wire():
     return encode
 
 
-_DDS_FIXTURES = {"domain_id", "module_domain_id", "domain_zero"}
+_DDS_FIXTURES = {"domain_id", "module_domain_id", "claim_domain", "domain_zero"}
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark what goes over DDS `dds`, and the integration tests `slow`."""
+    """Mark what goes over DDS `dds`, and the tests of whole programs `slow`."""
     for item in items:
         if _DDS_FIXTURES & set(getattr(item, "fixturenames", ())):
             item.add_marker(pytest.mark.dds)
-        if "integration" in item.path.parts:
+        if {"integration", "faults"} & set(item.path.parts):
             item.add_marker(pytest.mark.slow)

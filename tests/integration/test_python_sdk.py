@@ -1,6 +1,7 @@
 """LowCmd and LowState between g1stream and a process of Unitree's Python SDK, over real DDS."""
 
 import json
+import threading
 import time
 from functools import partial
 from pathlib import Path
@@ -11,8 +12,10 @@ from cyclonedds.idl.types import uint32
 
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawReader, RawWriter
-from g1stream.dds.messages import Message
+from g1stream.dds.messages import LowState, Message
+from g1stream.dds.motion_switcher import ApiId
 from g1stream.dds.topics import LOWCMD, LOWSTATE, SECONDARY_IMU, SPORTMODESTATE, Topic
+from g1stream.sim.onboard import MotionService
 
 TOPICS = {
     "lowcmd": LOWCMD,
@@ -107,6 +110,45 @@ def test_discovery_shows_the_sdks_process(name, sdk_on, domain_id, until):
         assert writer.type_name == TOPICS[name].message.idl_type.__idl_typename__.replace(".", "::")
         assert writer.pid == str(peer.process.pid)
         assert participant.readers(topic) == []
+
+
+def test_sdk_calls_our_motion_service(sdk_on, domain_id):
+    stop = threading.Event()
+    with Participant(domain_id, "lo") as participant:
+        service = MotionService(participant, "ai")
+
+        def serve():
+            while not stop.wait(0.002):
+                service.step(LowState().seal(), time.time_ns())
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        try:
+            peer = sdk_on("motion-switcher")
+            answers = []
+            for call in (
+                [ApiId.CHECK_MODE, "{}"],
+                [ApiId.RELEASE_MODE, "{}"],
+                [ApiId.CHECK_MODE, "{}"],
+                [ApiId.SELECT_MODE, '{"name": "dance"}'],
+                [ApiId.SELECT_MODE, '{"name": "normal"}'],
+                [ApiId.CHECK_MODE, "{}"],
+                [1004, "{}"],
+            ):
+                peer.tell(call)
+                answers.append(peer.next_report())
+        finally:
+            stop.set()
+            thread.join()
+    assert [(one["code"], one["data"] and json.loads(one["data"])) for one in answers] == [
+        (0, {"form": "0", "name": "ai"}),
+        (0, ""),
+        (0, {"form": "0", "name": ""}),
+        (7004, ""),
+        (0, ""),
+        (0, {"form": "0", "name": "normal"}),
+        (3203, ""),
+    ]
 
 
 def test_sdk_refuses_another_type_and_lives_on(sdk_on, domain_id, golden, until):

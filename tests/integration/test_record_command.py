@@ -139,7 +139,7 @@ def test_a_file_is_not_replaced_without_force(domain_id, tmp_path, until):
     assert open_session(named).complete
 
 
-def test_no_publisher_is_an_exit_code_and_a_complete_file(domain_id, tmp_path):
+def test_no_publisher_is_an_exit_code_and_leaves_no_file(domain_id, tmp_path):
     path = tmp_path / "s.mcap"
     with command("record", path, "--domain", domain_id) as process:
         while not path.exists() or not path.stat().st_size:
@@ -149,8 +149,7 @@ def test_no_publisher_is_an_exit_code_and_a_complete_file(domain_id, tmp_path):
         said, _ = process.communicate(timeout=20)
     assert process.returncode == 1
     assert "Nothing was received" in said
-    with path.open("rb") as file:
-        assert make_reader(file).get_summary() is not None
+    assert not path.exists()
 
 
 @pytest.fixture
@@ -169,7 +168,7 @@ def small_disk(tmp_path):
 def test_a_full_disk_ends_the_recording_but_not_the_stream(domain_id, small_disk, tmp_path):
     path = small_disk / "s.mcap"
     patient = tmp_path / "patient.toml"  # with a simulator that shares a busy machine
-    patient.write_text("[safety]\nstate_timeout = 5.0\n")
+    patient.write_text("[safety]\nstate_timeout = 1.0\n")
     play = ["stream", "demo", "--domain", domain_id, "--config", patient, "--json"]
     play += ["--ramp", 0.5, "--duration", 4]
     with (

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from g1stream.dds.domain import Participant, user_data_of_support
+from g1stream.dds.domain import Participant, user_data_of_bridge
 from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.messages import LowState, Reference
 from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE
@@ -26,7 +26,7 @@ from g1stream.session.writer import SessionWriter
 S = 1_000_000_000
 
 
-BRIDGE = user_data_of_support("bolted")
+BRIDGE = user_data_of_bridge("bolted")
 
 
 class Publisher:

@@ -4,10 +4,12 @@
     python_peer.py samples          a few samples with every field set, and their bytes
     python_peer.py TOPIC-reader --domain N
     python_peer.py TOPIC-writer --domain N
+    python_peer.py motion-switcher --domain N
 
 A reader reports every sample that differs from the one before, with all of its fields. A writer
 writes the sample it was last told, all fields but the checksum, which is the SDK's own. Samples are
 objects with the field names of the IDL; structs in arrays, such as motors, are lists in its order.
+A motion-switcher calls the service as it is told, [api id, parameter], and reports code and data.
 """
 
 import argparse
@@ -48,8 +50,19 @@ from unitree_sdk2py.idl.default import (  # noqa: E402
     unitree_hg_msg_dds__LowCmd_,
     unitree_hg_msg_dds__LowState_,
 )
+from unitree_sdk2py.idl.unitree_api.msg.dds_ import (  # noqa: E402
+    Request_,
+    RequestHeader_,
+    RequestIdentity_,
+    RequestLease_,
+    RequestPolicy_,
+    Response_,
+    ResponseHeader_,
+    ResponseStatus_,
+)
 from unitree_sdk2py.idl.unitree_go.msg.dds_ import SportModeState_  # noqa: E402
 from unitree_sdk2py.idl.unitree_hg.msg.dds_ import IMUState_, LowCmd_, LowState_  # noqa: E402
+from unitree_sdk2py.rpc.client import Client  # noqa: E402
 from unitree_sdk2py.utils.crc import CRC  # noqa: E402
 
 # The type on each topic, and what makes the SDK's empty sample of it.
@@ -73,7 +86,7 @@ def sdk_crc():
 def announced_types():
     """XTypes' TypeInformation and TypeMapping of each type, as they travel in discovery, in hex."""
     found = {}
-    for sdk_type, _ in TOPICS.values():
+    for sdk_type in (*(one for one, _ in TOPICS.values()), Request_, Response_):
         idl = sdk_type.__idl__
         idl.populate()
         idl.fill_type_data()
@@ -117,6 +130,14 @@ def invented_samples():
             data = sample.serialize()
             data += bytes(-len(data) % 4)
             samples[topic].append({**shown(sample), "cdr": data.hex()})
+    identity = RequestIdentity_(2**40 + 3, 1002)
+    request = RequestHeader_(identity, RequestLease_(-5), RequestPolicy_(7, True))
+    response = ResponseHeader_(identity, ResponseStatus_(-3203))
+    for name, sample in {
+        "api_request": Request_(request, '{"name": "ai"}', [1, 2, 255]),
+        "api_response": Response_(response, '{"form": "0", "name": ""}', [9]),
+    }.items():
+        samples[name] = [{**shown(sample), "cdr": sample.serialize().hex()}]
     return samples
 
 
@@ -188,10 +209,22 @@ def write(report, topic):
     publisher.Close()
 
 
+def call(report):
+    """Call the motion service as told: the wheel has the SDK's calls, but not MotionSwitcher's."""
+    client = Client("motion_switcher")
+    client.SetTimeout(5.0)
+    for api in (1001, 1002, 1003, 1004):
+        client._RegistApi(api, 0)
+    report("ready")
+    for api, parameter in iter(instructions().get, None):
+        code, data = client._Call(api, parameter)
+        report("answer", code=code, data=data)
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
     roles = [f"{topic}-{role}" for topic in TOPICS for role in ("reader", "writer")]
-    parser.add_argument("mode", choices=["types", "samples", *roles])
+    parser.add_argument("mode", choices=["types", "samples", "motion-switcher", *roles])
     parser.add_argument("--domain", type=int)
     args = parser.parse_args()
     report = open_reports()
@@ -200,6 +233,9 @@ def main():
         hold(instructions(), 0.1, lambda _: None)
         return
     ChannelFactoryInitialize(args.domain, "lo")
+    if args.mode == "motion-switcher":
+        call(report)
+        return
     topic, role = args.mode.split("-")
     (read if role == "reader" else write)(report, topic)
 

@@ -1,0 +1,183 @@
+"""Every fault of tests/faults, and what the motors of a robot receive then.
+
+    python benchmarks/faults.py [--match TEXT] [--rounds 3] [--domain 80] [--json | --markdown]
+
+A row is a session of `g1stream stream` with a robot that knows nothing of g1stream and records what
+it receives. The rows in which the streamer is killed or stopped are repeated `--rounds` times:
+`worst_silence_ms` is the longest time from the streamer's last command to the guard's first.
+`guard_cpu_percent` is the guard's share of a CPU while the demo is played at 500 Hz.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import queue
+import re
+import sys
+import tempfile
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import sides
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "faults"))
+from engine import Fault, Session, play
+from judge import Outcome
+from table import FAULTS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+AT_ONCE: Final = 3
+
+
+def run(faults: Iterable[Fault], first_domain: int, rounds: int) -> list[Outcome]:
+    """The outcomes of all rows; of one that is repeated, the worst."""
+    domains: queue.SimpleQueue[int] = queue.SimpleQueue()
+    for domain in range(first_domain, first_domain + AT_ONCE):
+        domains.put(domain)
+
+    def one(fault: Fault) -> Outcome:
+        domain = domains.get()
+        with tempfile.TemporaryDirectory() as folder:
+            try:
+                outcome = play(fault, domain, Path(folder))
+            finally:
+                domains.put(domain)
+        print(f"{'ok' if not outcome.wrong else 'FAILED':<7}{fault.name}", file=sys.stderr)
+        return outcome
+
+    possible = [fault for fault in faults if not fault.impossible]
+    with ThreadPoolExecutor(AT_ONCE) as pool:
+        outcomes = list(pool.map(one, [fault for fault in possible if not fault.alone]))
+    outcomes += [
+        max((one(fault) for _ in range(rounds)), key=_badness) for fault in possible if fault.alone
+    ]
+    return sorted(outcomes, key=lambda outcome: possible.index(outcome.fault))
+
+
+def _badness(outcome: Outcome) -> tuple[int, float]:
+    return len(outcome.wrong), outcome.handover_ms or 0.0
+
+
+def guard_cpu(domain: int, seconds: float = 10.0) -> float:
+    """The guard's share of a CPU in PLAY, %."""
+    shares = []
+
+    def watch(session: Session) -> None:
+        guard = session.guard()
+        spent, begun = _cpu_of(guard), time.monotonic()
+        time.sleep(seconds)
+        shares.append(100.0 * (_cpu_of(guard) - spent) / (time.monotonic() - begun))
+
+    fault = Fault(
+        "none",
+        "guard",
+        act=watch,
+        command=("stream", "demo", "--rate", "500"),
+        code=0,
+        record=None,
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        play(fault, domain, Path(folder))
+    return shares[0]
+
+
+def _cpu_of(pid: int) -> float:
+    """CPU time of all threads of a process, s."""
+    tasks = Path(f"/proc/{pid}/task").glob("*/schedstat")
+    return sum(int(task.read_text().split()[0]) for task in tasks) / 1e9
+
+
+def told(outcome: Outcome) -> str:
+    """The reason that the program gives, without what differs from run to run."""
+    found = re.findall(r'"reason": "(.+)"', outcome.said) or re.findall(
+        r"error: (.+)", outcome.said
+    )
+    text = json.loads(f'"{found[0]}"') if found else ""
+    return re.sub(r"/tmp/\S+/|pid \d+ on \S+", "", text).rstrip(".")
+
+
+def table(outcomes: list[Outcome], separator: str = "  ") -> str:
+    """The outcomes as text, or with `|` as Markdown."""
+    head = ["fault", "exit", "last command", "rad", "rad/s", "torque", "ms", "reason told"]
+    rows = []
+    for outcome in outcomes:
+        figures = ["", "", "", ""]
+        if outcome.commands:
+            figures = [
+                f"{outcome.worst_step:.3f}",
+                f"{outcome.worst_dq:.1f}",
+                f"{outcome.worst_torque:.0%}",
+                f"{outcome.handover_ms or outcome.silence_ms:.0f}",
+            ]
+        last = outcome.ending if outcome.commands else "none sent"
+        rows.append([outcome.fault.name, str(outcome.code), last, *figures, told(outcome)])
+    if separator == "|":
+        lines = [head, ["---"] * len(head), *rows]
+        return "\n".join(f"| {' | '.join(row)} |" for row in lines)
+    widths = [max(len(row[i]) for row in [head, *rows]) for i in range(len(head))]
+    return "\n".join(
+        separator.join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in [head, *rows]
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("--match", default="", help="rows whose name contains this")
+    parser.add_argument("--domain", type=int, default=80, help="the first of three DDS domains")
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--markdown", action="store_true")
+    args = parser.parse_args()
+    chosen = [fault for fault in FAULTS if args.match in fault.name]
+    outcomes = run(chosen, args.domain, args.rounds)
+    handovers = [o.handover_ms for o in outcomes if o.fault.alone and o.handover_ms is not None]
+    found: dict[str, Any] = {
+        "faults": len(outcomes),
+        "failed": sum(bool(outcome.wrong) for outcome in outcomes),
+        "skipped": sum(bool(fault.impossible) for fault in FAULTS),
+        "worst_silence_ms": max(handovers, default=None),
+        "guard_cpu_percent": guard_cpu(args.domain),
+        "load": os.getloadavg()[0],
+        "rows": {
+            o.fault.name: {
+                "group": o.fault.group,
+                "exit_code": o.code,
+                "commands": o.commands,
+                "last_command": o.ending,
+                "worst_step_rad": o.worst_step,
+                "worst_dq_rad_s": o.worst_dq,
+                "worst_torque": o.worst_torque,
+                "silence_ms": o.silence_ms,
+                "handover_ms": o.handover_ms,
+                "file": o.file,
+                "reason": told(o),
+                "wrong": o.wrong,
+            }
+            for o in outcomes
+        },
+    }
+    if args.json:
+        print(json.dumps(found, indent=2))
+        return
+    if args.markdown:
+        for group in dict.fromkeys(fault.group for fault in FAULTS):
+            some = [outcome for outcome in outcomes if outcome.fault.group == group]
+            print(f"**{group}**\n\n{table(some, '|')}\n")
+        return
+    print(table(outcomes))
+    for outcome in outcomes:
+        for wrong in outcome.wrong:
+            print(f"FAILED {outcome.fault.name}: {wrong}")
+    names = ("faults", "failed", "skipped", "worst_silence_ms", "guard_cpu_percent")
+    print(", ".join(f"{name} {found[name]}" for name in names), sides.load(), sep="\n")
+
+
+if __name__ == "__main__":
+    main()

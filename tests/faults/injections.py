@@ -1,0 +1,274 @@
+"""What can be done to a session: files and settings before it, and acts while it plays."""
+
+from __future__ import annotations
+
+import fcntl
+import importlib.util
+import os
+import pty
+import signal
+import subprocess
+import sys
+import termios
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from engine import Session, sway, write_motion
+from g1 import JOINTS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    Prepare = Callable[[Session], Sequence[str]]
+    Act = Callable[[Session], None]
+
+KNEE, ELBOW = JOINTS.index("left_knee_joint"), JOINTS.index("right_elbow_joint")
+
+
+def flags(*words: str) -> Prepare:
+    return lambda session: words
+
+
+def motion(change: Callable[[Any], Any], *words: str) -> Prepare:
+    """The motion changed before it is written; more arguments of the command."""
+
+    def prepare(session: Session) -> Sequence[str]:
+        joints = sway().astype(object)
+        write_motion(session.motion, change(joints))
+        return words
+
+    return prepare
+
+
+def cell(value: Any, *words: str) -> Prepare:
+    """One cell of the motion file changed."""
+
+    def change(joints: Any) -> Any:
+        joints[30, KNEE] = value
+        return joints
+
+    return motion(change, *words)
+
+
+def bytes_of(data: bytes) -> Prepare:
+    """These bytes as the motion file."""
+
+    def prepare(session: Session) -> Sequence[str]:
+        session.motion.write_bytes(data)
+        return []
+
+    return prepare
+
+
+def fast(joints: Any) -> Any:
+    t = np.arange(len(joints)) / 30
+    joints[:, ELBOW] = np.round(0.5 - 0.5 * np.cos(2 * np.pi * 13 * t), 6)
+    return joints
+
+
+def settings(text: str) -> Prepare:
+    def prepare(session: Session) -> Sequence[str]:
+        session.set(text)
+        return []
+
+    return prepare
+
+
+def bomb_correction(session: Session) -> Sequence[str]:
+    np.savez_compressed(session.folder / "c.npz", q=np.zeros((2000, 10000)))
+    return ["--correction", str(session.folder / "c.npz")]
+
+
+def entities(session: Session) -> Sequence[str]:
+    lines = ['<!ENTITY a0 "aaaaaaaaaa">']
+    lines += [f'<!ENTITY a{n} "{f"&a{n - 1};" * 10}">' for n in range(1, 9)]
+    urdf = session.folder / "robot.urdf"
+    urdf.write_text(f"<!DOCTYPE x [{''.join(lines)}]><robot name='g1'><link name='&a8;'/></robot>")
+    return ["--robot", str(urdf)]
+
+
+def wide_urdf(session: Session) -> Sequence[str]:
+    """A URDF whose knees bend further than those of a G1, and a motion that uses it."""
+    package = importlib.util.find_spec("g1stream")
+    assert package
+    assert package.submodule_search_locations
+    (place,) = package.submodule_search_locations
+    text = Path(place, "robot", "g1_29dof.urdf").read_text()
+    urdf = session.folder / "wide.urdf"
+    urdf.write_text(text.replace('upper="2.8798"', 'upper="4.0"'))
+    joints = sway()
+    joints[:, KNEE] *= 3.4 / 0.9
+    write_motion(session.motion, joints)
+    return ["--robot", str(urdf)]
+
+
+def symlink(session: Session) -> Sequence[str]:
+    victim = session.folder / "victim.txt"
+    victim.write_text("precious")
+    session.path.symlink_to(victim)
+    session.clean_up.append(lambda: _assert_kept(victim))
+    return ["--force"]
+
+
+def _assert_kept(victim: Path) -> None:
+    assert victim.read_text() == "precious"
+
+
+def send(number: int) -> Act:
+    return lambda session: session.process.send_signal(number)
+
+
+def twice(session: Session) -> None:
+    """Ctrl-C, and again while it damps."""
+    session.process.send_signal(signal.SIGINT)
+    time.sleep(0.2)
+    session.process.send_signal(signal.SIGINT)
+
+
+def stop_and_continue(session: Session) -> None:
+    session.process.send_signal(signal.SIGSTOP)
+    time.sleep(1.0)
+    session.process.send_signal(signal.SIGCONT)
+
+
+def stall(session: Session) -> None:
+    """Stopped for less than a state_timeout of loopback."""
+    session.process.send_signal(signal.SIGSTOP)
+    time.sleep(0.3)
+    session.process.send_signal(signal.SIGCONT)
+
+
+def stop_and_kill(session: Session) -> None:
+    session.process.send_signal(signal.SIGSTOP)
+    time.sleep(1.5)
+    session.process.kill()
+
+
+def on_terminal(session: Session) -> Sequence[str]:
+    """Give the command a terminal of its own, which `close_terminal` takes away."""
+    session.screen, session.terminal = pty.openpty()
+    session.before = _own_terminal
+    return []
+
+
+def _own_terminal() -> None:
+    os.setsid()
+    fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+
+
+def close_terminal(session: Session) -> None:
+    os.close(session.screen)
+
+
+def to_recorder(number: int) -> Act:
+    return lambda session: os.kill(session.recorder(), number)
+
+
+def replace_file(session: Session) -> None:
+    session.path.rename(session.path.with_suffix(".old"))
+    session.path.write_bytes(b"something else")
+
+
+def small_disk(session: Session) -> Sequence[str]:
+    place = session.folder / "disk"
+    place.mkdir()
+    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=1m", "none", str(place)], check=True)
+    session.path = place / "session.mcap"
+    session.clean_up.append(lambda: subprocess.run(["umount", "-l", str(place)], check=True))
+    return []
+
+
+def hogs(session: Session) -> None:
+    """Four busy processes for 3 s on the streamer's only CPU, where it has no priority."""
+    burn = "import time; end = time.time() + 3\nwhile time.time() < end: pass"
+    for _ in range(4):
+        hog = subprocess.Popen([sys.executable, "-c", burn], preexec_fn=_pin)  # noqa: PLW1509
+        session.clean_up.append(hog.wait)
+
+
+def _pin() -> None:
+    os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+
+
+def _pin_politely() -> None:
+    _pin()
+    os.nice(19)
+
+
+def no_priority(session: Session) -> Sequence[str]:
+    session.set("[realtime]\npriority = 0\n")
+    session.before = _pin_politely
+    return []
+
+
+CLOCK: Final = r"""
+#define _GNU_SOURCE
+#include <dlfcn.h>
+#include <pthread.h>
+#include <stdlib.h>
+#include <time.h>
+#include <unistd.h>
+static long step(void) {
+  return access(getenv("CLOCK_STEP_FILE"), F_OK) ? 0 : atol(getenv("CLOCK_STEP"));
+}
+int clock_gettime(clockid_t id, struct timespec *t) {
+  static int (*real)(clockid_t, struct timespec *);
+  if (!real) real = dlsym(RTLD_NEXT, "clock_gettime");
+  int r = real(id, t);
+  if (id == CLOCK_REALTIME) t->tv_sec += step();
+  return r;
+}
+/* A deadline of the stepped clock, as the kernel's clock has it; one of years is no uptime. */
+int pthread_cond_timedwait(pthread_cond_t *c, pthread_mutex_t *m, const struct timespec *t) {
+  static int (*real)(pthread_cond_t *, pthread_mutex_t *, const struct timespec *);
+  if (!real) real = dlvsym(RTLD_NEXT, "pthread_cond_timedwait", "GLIBC_2.3.2");
+  if (!real) real = dlsym(RTLD_NEXT, "pthread_cond_timedwait");
+  struct timespec then = *t;
+  if (then.tv_sec > 1000000000) then.tv_sec -= step();
+  return real(c, m, &then);
+}
+"""
+
+
+def clock(step: int) -> Prepare:
+    """The wall clock of the session's processes can step, by seconds, and no other's."""
+
+    def prepare(session: Session) -> Sequence[str]:
+        source, library = session.folder / "clock.c", session.folder / "clock.so"
+        source.write_text(CLOCK)
+        subprocess.run(["gcc", "-shared", "-fPIC", "-o", library, source, "-ldl"], check=True)
+        session.environment |= {
+            "LD_PRELOAD": str(library),
+            "CLOCK_STEP": str(step),
+            "CLOCK_STEP_FILE": str(session.folder / "now"),
+        }
+        return []
+
+    return prepare
+
+
+def step_clock(session: Session) -> None:
+    (session.folder / "now").touch()
+
+
+def network(*words: str) -> Prepare:
+    """Both sides on a network interface that is not the loopback, in a namespace of their own."""
+
+    def prepare(session: Session) -> Sequence[str]:
+        name = f"g1faults{session.domain}"
+        session.interface, session.prefix = "robot0", ["ip", "netns", "exec", name]
+        subprocess.run(["ip", "netns", "add", name], check=True)
+        session.clean_up.append(lambda: subprocess.run(["ip", "netns", "delete", name], check=True))
+        for command in (
+            "link set lo up",
+            "link add robot0 type veth peer name robot1",
+            "addr add 10.77.0.1/24 dev robot0",
+            "link set robot0 up",
+            "link set robot1 up",
+        ):
+            subprocess.run(["ip", "-n", name, *command.split()], check=True)
+        return ["--interface", "robot0", *words]
+
+    return prepare

@@ -1,0 +1,498 @@
+"""The faults: one row each, with what must be true of it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+from math import inf
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from engine import Fault, Session
+from injections import (
+    ELBOW,
+    KNEE,
+    bomb_correction,
+    bytes_of,
+    cell,
+    clock,
+    close_terminal,
+    entities,
+    fast,
+    flags,
+    hogs,
+    motion,
+    network,
+    no_priority,
+    on_terminal,
+    replace_file,
+    send,
+    settings,
+    small_disk,
+    stall,
+    step_clock,
+    stop_and_continue,
+    stop_and_kill,
+    symlink,
+    to_recorder,
+    twice,
+    wide_urdf,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+NAN: Final = float("nan")
+AT: Final = 0.8
+#: Longest time from a streamer's last command to the guard's first, ms.
+HANDOVER: Final = 50.0
+
+
+# What the robot does. The times are after the first stiff command: PLAY begins at 0.4 s.
+
+
+def does(what: str, **more: Any) -> list[dict[str, Any]]:
+    return [{"at": AT, "do": what, **more}]
+
+
+def says(path: str, value: Any, **more: Any) -> list[dict[str, Any]]:
+    return [{"at": AT, "set": {path: value}, **more}]
+
+
+def from_start(fault: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    return [{**one, "at": -1.0} for one in fault]
+
+
+def buttons(*bits: int) -> dict[str, Any]:
+    """The bytes of `wireless_remote` with the buttons, counted from R1 = 0 to left = 15."""
+    word = sum(1 << bit for bit in bits)
+    return {"remote.0": 0x55, "remote.1": 0x51, "remote.2": word & 255, "remote.3": word >> 8}
+
+
+L2, A, B = 5, 8, 9
+
+STATES: Final = [
+    Fault("no LowState any more", "LowState", does("silent"), reason="safety.state_timeout"),
+    Fault(
+        "no LowState for 0.2 s on loopback",
+        "LowState",
+        does("silent", until=AT + 0.2),
+        code=0,
+        ends=False,
+    ),
+    Fault("q is NaN", "LowState", says(f"motor.q.{KNEE}", NAN), reason="NaN"),
+    Fault(
+        "q is infinite",
+        "LowState",
+        says(f"motor.q.{KNEE}", float("inf")),
+        record=None,
+        reason="infinite",
+    ),
+    Fault("dq is NaN", "LowState", says(f"motor.dq.{KNEE}", NAN), record=None, reason="NaN"),
+    Fault(
+        "tau_est is NaN", "LowState", says(f"motor.tau_est.{KNEE}", NAN), record=None, reason="NaN"
+    ),
+    Fault(
+        "quaternion is NaN", "LowState", says("imu.quaternion.0", NAN), record=None, reason="NaN"
+    ),
+    Fault("gyroscope is NaN", "LowState", says("imu.gyroscope.1", NAN), record=None, reason="NaN"),
+    Fault(
+        "accelerometer is NaN",
+        "LowState",
+        says("imu.accelerometer.2", NAN),
+        record=None,
+        reason="NaN",
+    ),
+    Fault("quaternion is zero", "LowState", says("imu.quaternion", [0.0] * 4), reason="quaternion"),
+    Fault(
+        "quaternion has norm 1.2",
+        "LowState",
+        says("imu.quaternion", [1.2, 0, 0, 0]),
+        reason="quaternion",
+    ),
+    Fault("all LowStates are zero", "LowState", [{"do": "zeros"}], sent=False),
+    Fault(
+        "wrong CRC in every LowState", "LowState", does("bad_crc"), reason="safety.max_crc_errors"
+    ),
+    Fault(
+        "wrong CRC in a few LowStates",
+        "LowState",
+        does("bad_crc", until=AT + 0.02),
+        code=0,
+        ends=False,
+    ),
+    Fault(
+        "wrong CRC and a knee of 100 rad from the start",
+        "LowState",
+        [{"set": {f"motor.q.{KNEE}": 100.0}, "do": "bad_crc", "until": 0.5}],
+        code=1,
+        sent=False,
+    ),
+    Fault(
+        "knee of 100 rad from the start",
+        "LowState",
+        from_start(says(f"motor.q.{KNEE}", 100.0)),
+        sent=False,
+        reason="safety.limit_excess",
+    ),
+    Fault(
+        "knee of 100 rad", "LowState", says(f"motor.q.{KNEE}", 100.0), reason="safety.limit_excess"
+    ),
+    Fault("tick frozen", "LowState", does("frozen_tick"), reason="safety.frozen_timeout"),
+    Fault("content frozen", "LowState", does("frozen_content"), reason="safety.frozen_timeout"),
+    Fault("simulator starts again", "LowState", does("restart"), reason="publisher"),
+    Fault("mode_machine changes", "LowState", says("mode_machine", 4), reason="mode_machine"),
+    Fault(
+        "mode_machine of another robot",
+        "LowState",
+        from_start(says("mode_machine", 9)),
+        reason="mode_machine",
+        sent=False,
+    ),
+    Fault(
+        "two publishers of LowState from the start",
+        "LowState",
+        from_start(does("twin")),
+        code=(1, 2),
+        reason="rt/lowstate",
+        sent=False,
+    ),
+    Fault("second publisher of LowState", "LowState", does("twin"), reason="rt/lowstate"),
+    Fault("no robot", "LowState", [{"do": "silent"}], sent=False, reason="no LowState"),
+    Fault(
+        "another publisher of LowCmd from the start",
+        "LowState",
+        [{"do": "rogue"}],
+        code=2,
+        sent=False,
+        reason="rt/lowcmd",
+    ),
+    Fault("second publisher of LowCmd", "LowState", does("rogue"), reason="rt/lowcmd"),
+    Fault("simulator ends", "LowState", act=lambda s: s.robot.mute(), reason="state_timeout"),
+]
+
+# The thresholds of robot.toml; on loopback they wait for a simulator that gets no CPU time.
+JAM: Final = "[safety]\njam_time = 0.5\njam_motion = 0.3\n"
+LAG: Final = "[safety]\nmax_tracking_error = 0.3\ntracking_time = 0.5\n"
+ROBOT: Final = [
+    Fault(
+        "pelvis tilts by 1.2 rad",
+        "robot",
+        says("imu.quaternion", [0.825, 0, 0.565, 0]),
+        reason="safety.max_tilt",
+    ),
+    Fault(
+        "joint at 80 rad/s",
+        "robot",
+        says(f"motor.dq.{KNEE}", 80.0),
+        reason="safety.max_joint_speed",
+    ),
+    *(
+        Fault(name, "robot", robot, prepare=settings(JAM), reason="safety.jam_motion")
+        for name, robot in (
+            ("robot never moves", from_start(does("stuck"))),
+            ("all joints stop", does("stuck")),
+            ("one joint jams", does("jam", joint=ELBOW)),
+        )
+    ),
+    Fault(
+        "one joint lags",
+        "robot",
+        does("jam", joint=ELBOW),
+        prepare=settings(LAG),
+        reason="safety.max_tracking_error",
+    ),
+    Fault(
+        "a joint leaps by 1 rad",
+        "robot",
+        does("leap", joint=KNEE, by=1.0),
+        reason="safety.max_leap",
+    ),
+    Fault("all motors off", "robot", says("motor.mode.*", 0), reason="safety.motor_fault_time"),
+    Fault(
+        "one motor off",
+        "robot",
+        says(f"motor.mode.{KNEE}", 0),
+        reason="left_knee_joint",
+        record=None,
+    ),
+    Fault(
+        "motorstate bit",
+        "robot",
+        says(f"motor.motorstate.{KNEE}", 4),
+        reason="safety.motor_fault_mask",
+    ),
+    Fault(
+        "winding at 150 C",
+        "robot",
+        says(f"motor.temperature.{KNEE}", [40, 150]),
+        reason="safety.max_winding_temperature",
+    ),
+    Fault(
+        "casing at 120 C",
+        "robot",
+        says(f"motor.temperature.{KNEE}", [120, 40]),
+        record=None,
+        reason="safety.max_casing_temperature",
+    ),
+    Fault(
+        "voltage drops to 20 V",
+        "robot",
+        [{"set": {"motor.vol.*": 50}}, *says("motor.vol.*", 20.0)],
+        reason="safety.min_voltage",
+    ),
+    Fault(
+        "torque of 300 N·m",
+        "robot",
+        says(f"motor.tau_est.{KNEE}", 300.0),
+        reason="safety.max_torque",
+    ),
+    Fault(
+        "stop button L2+B",
+        "robot",
+        [{"at": AT, "set": buttons(L2, B)}],
+        reason="safety.stop_buttons",
+    ),
+    Fault(
+        "starts 2 rad from the first frame",
+        "robot",
+        q=[0.0] * 15 + [-2.0] + [0.0] * 13,
+        code=0,
+        ends=False,
+    ),
+]
+
+
+DEADMAN: Final = [
+    Fault(
+        "deadman button is released",
+        "robot",
+        [{"until": AT, "set": buttons(A)}, {"at": AT, "set": buttons()}],
+        prepare=flags("--deadman", "A"),
+        reason="deadman",
+    ),
+    Fault(
+        "deadman button is never pressed",
+        "robot",
+        [{"set": buttons()}],
+        prepare=flags("--deadman", "A"),
+        reason="deadman",
+        sent=False,
+    ),
+]
+
+# Motions and files.
+
+
+def _refused(name: str, prepare: Callable[[Session], Sequence[str]], **more: Any) -> Fault:
+    return Fault(name, "input", prepare=prepare, code=2, sent=False, **{"record": None, **more})
+
+
+INPUTS: Final = [
+    _refused("URDF with wider limits", wide_urdf, reason="left_knee_joint"),
+    _refused("CSV in degrees", motion(lambda q: q * (180 / np.pi))),
+    _refused("spike of 2.4 rad", cell("2.4"), reason="left_knee_joint"),
+    _refused("frame beyond a position limit", cell("3.1"), reason="left_knee_joint"),
+    _refused("joint faster than its limit", motion(fast), reason="right_elbow_joint"),
+    _refused("cell of 1e30", cell("1e30")),
+    _refused("cell of 1e308", cell("1e308")),
+    _refused("cell of NaN", cell("nan")),
+    _refused("empty cell", cell("")),
+    _refused("short row", bytes_of(b"Frame,X,Y,Z\n0,0,0,0\n")),
+    _refused("empty file", bytes_of(b"")),
+    _refused("random bytes", bytes_of(np.random.default_rng(1).bytes(100_000))),
+    _refused("damaged session file", bytes_of(b"\x89MCAP0\r\n" + bytes(range(256)) * 40)),
+    _refused("correction of 160 MB of zeros", bomb_correction),
+    _refused("URDF with entities", entities),
+    _refused("TOML that is none", settings("[[[")),
+    _refused("gain of 1e9", settings("[gains.kp]\n'*' = 1e9\n")),
+    _refused("gain of NaN", settings("[gains.kd]\n'*' = nan\n")),
+    _refused("state_timeout of an hour", settings("[safety]\nstate_timeout = 3600.0\n")),
+    _refused("file to record is a symbolic link", symlink, record="any"),
+    _refused("file to record is in /proc", lambda s: ["--record", "/proc/x.mcap"]),
+]
+
+# Played all the same, within the limits.
+ANYWAY: Final = [
+    Fault(
+        "spike of 2.4 rad with --clamp",
+        "input",
+        prepare=cell("2.4", "--clamp"),
+        code=0,
+        ends=False,
+        record=None,
+    )
+]
+
+# Signals and the process.
+
+
+def ends_by(name: str) -> Fault:
+    number = signal.Signals[name]
+    record = "complete" if name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGUSR1") else None
+    act = send(number)
+    return Fault(name, "signals", act=act, code=128 + number, reason=name, record=record)
+
+
+CATCHABLE: Final = (
+    *("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP", "SIGUSR1", "SIGUSR2", "SIGALRM"),
+    *("SIGVTALRM", "SIGPROF", "SIGXCPU", "SIGIO", "SIGPWR", "SIGABRT"),
+)
+SIGNALS: Final = [
+    *map(ends_by, CATCHABLE),
+    Fault("Ctrl-C twice", "signals", act=twice, code=130),
+    Fault(
+        "Ctrl-C before there is a robot",
+        "signals",
+        [{"do": "silent"}],
+        act=send(signal.SIGINT),
+        at=-2.5,
+        code=130,
+        sent=False,
+    ),
+    Fault(
+        "terminal is closed",
+        "signals",
+        reason="SIGHUP",
+        mute=True,
+        prepare=on_terminal,
+        act=close_terminal,
+        code=129,
+    ),
+    Fault(
+        "SIGKILL",
+        "process",
+        act=send(signal.SIGKILL),
+        code=-9,
+        reason="guard",
+        mute=True,
+        handover_ms=HANDOVER,
+        alone=True,
+    ),
+    Fault(
+        "SIGSEGV",
+        "process",
+        act=send(signal.SIGSEGV),
+        code=-11,
+        reason="guard",
+        mute=True,
+        handover_ms=HANDOVER,
+        alone=True,
+    ),
+    Fault(
+        "SIGSTOP and never continued",
+        "process",
+        act=stop_and_kill,
+        code=-9,
+        reason="guard",
+        mute=True,
+        handover_ms=HANDOVER,
+        alone=True,
+    ),
+    Fault(
+        "SIGSTOP and continued after 1 s",
+        "process",
+        act=stop_and_continue,
+        handover_ms=HANDOVER,
+        alone=True,
+    ),
+    Fault(
+        "SIGSTOP for 0.3 s without a guard",
+        "process",
+        prepare=settings("[safety]\nguard = false\n"),
+        act=stall,
+        code=(0, 1),
+        ends=False,
+    ),
+    Fault(
+        "guard is killed",
+        "process",
+        act=lambda s: os.kill(s.guard(), signal.SIGKILL),
+        code=(0, 1),
+        ends=False,
+        reason="guard",
+    ),
+]
+
+# The recorder.
+
+
+def _recorder(name: str, act: Callable[[Session], None], **more: Any) -> Fault:
+    return Fault(name, "recorder", act=act, **{"ends": False, "record": "any", **more})
+
+
+RECORDER: Final = [
+    _recorder("SIGTERM to the recorder", to_recorder(signal.SIGTERM), reason="SIGTERM"),
+    _recorder("recorder is killed", to_recorder(signal.SIGKILL), reason="SIGKILL"),
+    _recorder("recorder is stopped", to_recorder(signal.SIGSTOP), reason="record"),
+    _recorder("file is deleted", lambda s: s.path.unlink(), reason="session.mcap"),
+    _recorder("file is replaced", replace_file, reason="session.mcap"),
+    _recorder(
+        "disk is full",
+        lambda s: None,
+        prepare=small_disk,
+        reason="space",
+        impossible="mounting a small file system needs root" if os.geteuid() else "",
+    ),
+    _recorder(
+        "recorder is killed with --require-record",
+        to_recorder(signal.SIGKILL),
+        prepare=flags("--require-record"),
+        ends=True,
+    ),
+]
+
+# The machine.
+
+
+NO_GCC: Final = "" if shutil.which("gcc") else "a wall clock that steps needs gcc"
+LOAD: Final = [
+    Fault(
+        "CPU is taken away",
+        "machine",
+        prepare=no_priority,
+        act=hogs,
+        code=(0, 1),
+        alone=True,
+        handover_ms=inf,
+    ),
+    Fault(
+        "wall clock steps forward by an hour",
+        "machine",
+        prepare=clock(3600),
+        act=step_clock,
+        code=0,
+        ends=False,
+        impossible=NO_GCC,
+    ),
+    Fault(
+        "wall clock steps back by an hour",
+        "machine",
+        prepare=clock(-3600),
+        act=step_clock,
+        code=0,
+        ends=False,
+        impossible=NO_GCC,
+    ),
+]
+
+NO_NETWORK: Final = (
+    "" if shutil.which("ip") and not os.geteuid() else "a network of its own needs root and ip"
+)
+ARMING: Final = [
+    Fault(name, "arming", prepare=network(*words), impossible=NO_NETWORK, **more)
+    for name, words, more in (
+        ("not armed", (), {"code": 2, "sent": False, "reason": "--arm"}),
+        ("armed, and nobody to confirm", ("--arm",), {"code": 2, "sent": False}),
+        ("armed", ("--arm", "--yes", "robot0"), {"code": (0, 1), "soft": True}),
+        (
+            "armed, with --anyway",
+            ("--arm", "--yes", "robot0", "--anyway"),
+            {"code": 2, "sent": False, "reason": "anyway"},
+        ),
+        ("armed for another interface", ("--arm", "--yes", "lo"), {"code": 2, "sent": False}),
+    )
+]
+
+FAULTS: Final = [*STATES, *ROBOT, *DEADMAN, *INPUTS, *ANYWAY, *SIGNALS, *RECORDER, *LOAD, *ARMING]

@@ -1,0 +1,507 @@
+"""Every reader of a file or of bytes from the wire, with bytes that nobody should have sent.
+
+What comes out is a valid result or a G1StreamError; anything else fails. The examples are the same
+in every run; FUZZ=20 takes twenty times as many, and others each time.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import resource
+import struct
+import subprocess
+import sys
+import zipfile
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zstandard
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from mcap.writer import CompressionType, Writer
+
+from g1stream.analysis.identify import identify
+from g1stream.analysis.learning import learn
+from g1stream.cli.main import main
+from g1stream.config import Config, load_config
+from g1stream.control.gains import read_gains
+from g1stream.dds.layout import CDR_HEADER
+from g1stream.dds.messages import Log, LowCmd, LowState, Reference
+from g1stream.errors import ConfigError, G1StreamError, MotionError, RecordingError, RobotError
+from g1stream.exact_replay.commands import recorded_commands
+from g1stream.foxglove.encoders import encode_log
+from g1stream.motion.correction import Conditions, Correction
+from g1stream.motion.motion import Motion
+from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP, JOINT_NAMES
+from g1stream.robot.model import DEFAULT_URDF, G1
+from g1stream.session.format import CHANNELS
+from g1stream.session.motions import load_motion
+from g1stream.session.parts import SessionFiles
+from g1stream.session.session import open_session
+from g1stream.types import Phase
+
+#: What numpy complains about would be printed on the terminal.
+pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning", "error::UserWarning")
+
+MORE = int(os.environ.get("FUZZ", "0"))
+T0 = 1_700_000_000_000_000_000
+MIB = 2**20
+
+
+def examples(number):
+    return settings(
+        max_examples=number * max(1, MORE),
+        derandomize=not MORE,
+        database=None,
+        deadline=None,
+        suppress_health_check=list(HealthCheck),
+    )
+
+
+def edited(*valid):
+    """Bytes made of valid ones: some replaced, cut out, repeated or put in."""
+
+    def apply(case):
+        content, edits = case
+        for where, kind, put in edits:
+            at = int(where * len(content))
+            skip = {"replace": len(put), "insert": 0, "cut": 64, "truncate": len(content)}[kind]
+            content = content[:at] + (b"" if kind == "truncate" else put) + content[at + skip :]
+        return content
+
+    words = st.sampled_from(
+        [
+            b"\xff" * 8,
+            b"\0" * 8,
+            struct.pack("<Q", 2**40),
+            b"\x1b[2J",
+            b"nan",
+            b"1e308",
+            b"[" * 3000,
+        ]
+    )
+    edit = st.tuples(
+        st.floats(0, 1, exclude_max=True),
+        st.sampled_from(("replace", "replace", "insert", "cut", "truncate")),
+        st.one_of(st.binary(min_size=1, max_size=8), words),
+    )
+    return st.tuples(st.sampled_from(valid), st.lists(edit, min_size=1, max_size=4)).map(apply)
+
+
+def session_bytes(metadata=None, log=None, attachments=(), n=12, rate=500, change=lambda *_: None):
+    """A session without compression or checksums, so that any byte of it can be another."""
+    file = io.BytesIO()
+    writer = Writer(file, compression=CompressionType.NONE, chunk_size=1 << 20, enable_crcs=False)
+    writer.start()
+    ids = {}
+    for topic in ("/reference", "/lowcmd", "/lowstate", "/log"):
+        channel = CHANNELS[topic]
+        schema = writer.register_schema(channel.schema_name, channel.schema_encoding, b"")
+        ids[topic] = writer.register_channel(topic, channel.message_encoding, schema)
+    command, state, reference = LowCmd(), LowState(), Reference()
+    for i in range(n):
+        time = T0 + i * 1_000_000_000 // rate
+        reference.tick[()], reference.motion_time[()] = i, i / rate
+        reference.phase[()] = Phase.PLAY
+        reference.q[:] = state.q[:] = command.q[:] = 0.01 * i
+        reference.root_quat_wxyz[:] = state.quaternion[:] = 1, 0, 0, 0
+        command.kp[:], command.motor_mode = 40.0, 1
+        change(reference, state)
+        writer.add_message(ids["/reference"], time, reference.tobytes(), time, i)
+        writer.add_message(ids["/lowcmd"], time, command.seal(), time, i)
+        writer.add_message(ids["/lowstate"], time + 500, state.seal(), time + 400, i)
+    line = encode_log(T0, 3, "stream", "late") if log is None else log
+    writer.add_message(ids["/log"], T0, line, T0, 0)
+    for name, data in attachments:
+        writer.add_attachment(T0, T0, name, "", data)
+    writer.add_metadata("g1stream", metadata or {"domain": "1", "stream": '{"reason": ""}'})
+    writer.finish()
+    return file.getvalue()
+
+
+SESSION = session_bytes()
+URDF = DEFAULT_URDF.read_bytes()
+CSV = (Path(load_motion("demo").source).read_bytes()).splitlines(keepends=True)
+CSV = b"".join(CSV[:6])
+
+
+def correction_bytes():
+    conditions = Conditions("m", "0" * 64, "g1", 500.0, EXAMPLE_KP, EXAMPLE_KD, None, None)
+    zeros = np.zeros((8, 29))
+    return Correction(
+        conditions, np.arange(8) / 50, zeros, zeros.astype(bool), np.array([0.1])
+    ).to_bytes()
+
+
+def stored(npz):
+    """An archive without compression, so that edits reach its arrays."""
+    file = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(npz)) as old, zipfile.ZipFile(file, "w") as new:
+        for name in old.namelist():
+            new.writestr(name, old.read(name))
+    return file.getvalue()
+
+
+CORRECTION = correction_bytes()
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    return tmp_path_factory.mktemp("hostile") / "input"
+
+
+def use_session(path):
+    """All that commands ask of a session file; each part may refuse it."""
+    session = open_session(path)
+    robot, safety = G1.default(), Config().safety
+    for part in (
+        lambda: json.dumps(session.summary().model_dump(mode="json")),
+        lambda: str(session.summary()).encode(),
+        lambda: session.attachments,
+        lambda: load_motion(path),
+        lambda: recorded_commands(session, robot, safety),
+        lambda: learn(session),
+        lambda: session.sel(time=slice(0, 1)).log,
+    ):
+        with suppress(G1StreamError):
+            part()
+    with suppress(G1StreamError):
+        assert str(session.summary()).replace("\n", "").isprintable()
+
+
+@examples(80)
+@given(edited(SESSION))
+def test_session(path, content):
+    path.write_bytes(content)
+    with suppress(G1StreamError):
+        use_session(path)
+
+
+HOSTILE_NUMBERS = (np.nan, np.inf, -np.inf, 1e12, 1e308, -1e308, 1e-308, 0.0)
+FIELDS = ("motion_time", "q", "root_pos", "root_quat_wxyz")
+
+
+@pytest.mark.parametrize("field", FIELDS)
+@pytest.mark.parametrize("value", HOSTILE_NUMBERS)
+def test_numbers_in_a_reference(path, field, value):
+    def change(reference, state):
+        if reference.tick == 7:
+            getattr(reference, field)[...] = value
+
+    path.write_bytes(session_bytes(change=change))
+    use_session(path)
+
+
+@pytest.mark.parametrize("field", ["q", "dq", "tau_est", "quaternion", "gyroscope"])
+@pytest.mark.parametrize("value", [np.nan, np.inf, 3e38, 0.0])
+def test_numbers_in_a_state(path, field, value):
+    def change(reference, state):
+        if reference.tick % 9 == 3:
+            getattr(state, field)[...] = value
+
+    path.write_bytes(session_bytes(change=change, n=120))
+    use_session(path)
+    with suppress(RecordingError):  # it may not say enough, but not fail
+        identify(open_session(path), "bolted")
+
+
+JSON = st.recursive(
+    st.one_of(
+        st.none(),
+        st.booleans(),
+        st.integers(-(2**70), 2**70),
+        st.floats(),
+        st.sampled_from(["\x1b[31m\x07", "PLAY", "bolted", "1e999", "\udcff", "x" * 5000]),
+    ),
+    lambda inner: st.one_of(
+        st.lists(inner, max_size=3),
+        st.dictionaries(
+            st.sampled_from(["stream", "kp", "kd", "start", "rate", "q", "reason"]), inner
+        ),
+    ),
+    max_leaves=8,
+)
+KEYS = [
+    "stream",
+    "recorder",
+    "motion",
+    "config",
+    "gains",
+    "host",
+    "domain",
+    "interface",
+    "versions",
+    "correction",
+    "started_ns",
+    "measured_tf",
+    "g1stream",
+]
+
+
+@examples(30)
+@given(st.dictionaries(st.sampled_from(KEYS), JSON))
+def test_metadata(path, values):
+    strings = {key: json.dumps(value) for key, value in values.items()}
+    path.write_bytes(session_bytes(metadata=strings))
+    use_session(path)
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, "9" * 10_000, "NaN", "\x1b[2J", '{"a":' * 50_000])
+def test_metadata_that_is_hardly_json(path, text):
+    path.write_bytes(session_bytes(metadata=dict.fromkeys(KEYS, text)))
+    use_session(path)
+
+
+LEARNABLE = {
+    "motion": json.dumps({"name": "m", "fps": 30.0, "frames": 9, "content_sha256": "0" * 64}),
+    "gains": json.dumps({"kp": [40.0] * 29, "kd": [1.0] * 29}),
+    "config": json.dumps({"stream": {"rate": 500.0}}),
+    "stream": json.dumps({"reason": "", "feedforward": "velocity", "support": "bolted"}),
+}
+
+
+@examples(40)
+@given(
+    st.dictionaries(st.sampled_from([*LEARNABLE, "correction"]), JSON, max_size=1),
+    edited(URDF),
+    st.one_of(st.none(), edited(CORRECTION)),
+)
+def test_sessions_to_learn_from(path, values, urdf, correction):
+    """The session is one of 2.1 s at 50 Hz."""
+    strings = LEARNABLE | {key: json.dumps(value) for key, value in values.items()}
+    attached = [("robot.urdf", urdf), *([("correction.npz", correction)] if correction else [])]
+    path.write_bytes(session_bytes(strings, attachments=attached, n=105, rate=50))
+    session = open_session(path)
+    with suppress(G1StreamError):
+        learn(session)
+
+
+def test_a_session_to_learn_from_is_not_too_short(path):
+    for n, learned in ((105, True), (12, False)):
+        attached = [("robot.urdf", URDF)]
+        path.write_bytes(session_bytes(LEARNABLE, attachments=attached, n=n, rate=50))
+        if learned:
+            assert learn(open_session(path)).time[-1] > 2.0
+        else:
+            with pytest.raises(RecordingError):
+                learn(open_session(path))
+
+
+@examples(30)
+@given(st.one_of(st.binary(max_size=60), edited(encode_log(T0, 3, "stream", "late"))))
+def test_log_messages(path, data):
+    path.write_bytes(session_bytes(log=data))
+    use_session(path)
+
+
+@examples(150)
+@given(st.one_of(st.binary(max_size=300), edited(CSV, CSV.split(b"\n", 1)[1])))
+def test_motion_csv(path, content):
+    path.write_bytes(content)
+    with suppress(G1StreamError):
+        motion = load_motion(path)
+        assert np.isfinite(motion.joint_pos).all()
+
+
+@examples(100)
+@given(edited(URDF))
+def test_urdf(path, content):
+    path.write_bytes(content)
+    with suppress(RobotError):
+        assert len(G1.load(path).lower) == 29
+
+
+TOML = b'robot = "g1_29dof"\n[stream]\nrate = 500.0\n[gains]\nkp = {"*_knee_joint" = 100.0}\n'
+
+
+@examples(200)
+@given(st.one_of(st.binary(max_size=80), edited(TOML, b"[kp]\nwaist_yaw_joint = 80.0\n")))
+def test_config_and_gains(path, content):
+    path.write_bytes(content)
+    for read in (load_config, read_gains):
+        with suppress(ConfigError):
+            read(path)
+
+
+@examples(150)
+@given(edited(CORRECTION, stored(CORRECTION)))
+def test_correction(path, content):
+    path.write_bytes(content)
+    with suppress(ConfigError):
+        assert np.isfinite(Correction.load(path).values).all()
+
+
+YAML = b"rosbag2_bagfile_information:\n  relative_file_paths:\n  - s_0.mcap\n  version: 6\n"
+
+
+@examples(60)
+@given(st.one_of(st.binary(max_size=60), edited(YAML)))
+def test_metadata_of_a_split_recording(path, content):
+    directory = path.parent / "s"
+    directory.mkdir(exist_ok=True)
+    (directory / "s_0.mcap").write_bytes(SESSION)
+    (directory / "metadata.yaml").write_bytes(content)
+    with suppress(RecordingError):
+        SessionFiles(directory)
+
+
+@examples(100)
+@given(st.sampled_from((LowState, LowCmd, Reference, Log)), st.binary(max_size=2200), st.booleans())
+def test_samples_from_the_wire(kind, data, right_size):
+    message = kind()
+    if right_size:
+        size = message.layout.sample_size - len(CDR_HEADER)
+        data = CDR_HEADER + data[:size].ljust(size, b"\xff")
+    with suppress(G1StreamError):
+        message.load(data)
+        assert message.tobytes() == data
+        assert kind is not Log or isinstance(message.text + message.name, str)
+
+
+ENTITIES = "".join(f'<!ENTITY a{i} "{f"&a{i - 1};" * 10}">' for i in range(1, 12))
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        f'<!DOCTYPE robot [<!ENTITY a0 "aaaaaaaaaa">{ENTITIES}]>',
+        '<!DOCTYPE robot [<!ENTITY x SYSTEM "file:///etc/passwd">]>',
+        '<!DOCTYPE robot SYSTEM "http://127.0.0.1:1/robot.dtd">',
+    ],
+)
+def test_xml_entities_are_refused(path, head):
+    path.write_text(head + URDF.decode().split("?>", 1)[-1])
+    with pytest.raises(RobotError) as error:
+        G1.load(path)
+    assert "<!DOCTYPE" in error.value.cause
+
+
+def in_little_memory(path, *arguments):
+    """Exit code and output of a command that has 1.5 GiB of addresses and 60 s."""
+    code = "import sys; from g1stream.cli.main import main; sys.exit(main(sys.argv[1:]))"
+    return subprocess.run(
+        [sys.executable, "-c", code, *arguments],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (1536 * MIB, 1536 * MIB)),
+        check=False,
+    )
+
+
+def chunk(size, data, compression=b"zstd", claimed=None):
+    head = struct.pack("<QQQII", T0, T0, size if claimed is None else claimed, 0, len(compression))
+    content = head + compression + struct.pack("<Q", len(data)) + data
+    return b"\x06" + struct.pack("<Q", len(content)) + content
+
+
+def bomb(kind):
+    """A small file that has, or claims to have, gigabytes."""
+    if kind == "npz":
+        file = io.BytesIO()
+        with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+            archive.writestr("time.npy", bytes(600 * MIB))
+        return file.getvalue()
+    if kind == "npz header":
+        head = b"{'descr': '<f8', 'fortran_order': False, 'shape': (99999999999,), }\n".ljust(118)
+        file = io.BytesIO()
+        with zipfile.ZipFile(file, "w") as archive:
+            archive.writestr("joint_names.npy", b"\x93NUMPY\1\0" + struct.pack("<H", 118) + head)
+        return file.getvalue()
+    packed = zstandard.compress(bytes(64 * MIB))
+    chunks = {
+        "frame": [chunk(64 * MIB, packed, claimed=100)],
+        "claim": [chunk(0, packed, claimed=2**60)],
+        "chunks": [chunk(64 * MIB, packed)] * 40,
+        "attachment": [b"\x09" + struct.pack("<Q", 2**50)],
+    }[kind]
+    at = SESSION.index(b"\x06", 8)
+    return SESSION[:at] + b"".join(chunks) + SESSION[at:]
+
+
+@pytest.mark.parametrize("kind", ["frame", "claim", "chunks", "attachment", "npz", "npz header"])
+def test_a_small_file_takes_little_memory(path, kind):
+    content = bomb(kind)
+    assert len(content) < 3 * MIB
+    path.write_bytes(content)
+    if "npz" in kind:
+        command = ("stream", "demo", "--correction", str(path), "--domain", "99")
+    else:
+        command = ("info", str(path))
+    ended = in_little_memory(path, *command)
+    assert ended.returncode == 2, ended.stderr
+    assert ended.stderr.startswith("error: ")
+    assert "Traceback" not in ended.stderr
+
+
+@pytest.fixture
+def odd(tmp_path):
+    """Paths that are no regular file with content."""
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "directory").mkdir()
+    (tmp_path / "loop").symlink_to("loop")
+    (tmp_path / "empty").touch()
+    names = ("pipe", "directory", "loop", "empty", "nowhere")
+    return [tmp_path / name for name in names] + [Path("/dev/zero"), Path("/proc/x.mcap")]
+
+
+COMMANDS = (
+    ("info", "{}"),
+    ("motion", "{}"),
+    ("convert", "{}", "{out}"),
+    ("replay", "{}"),
+    ("learn", "{}", "-o", "{out}"),
+    ("identify", "{}"),
+    ("stream", "demo", "--correction", "{}"),
+    ("stream", "demo", "--gains", "{}", "--robot", "/dev/null"),
+    ("motion", "demo", "--config", "{}", "--robot", "/dev/null"),
+    ("motion", "demo", "--robot", "{}"),
+)
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
+def test_paths_without_content(odd, tmp_path, capsys, command):
+    for one in odd:
+        arguments = [word.format(one, out=tmp_path / "out") for word in command]
+        assert main(arguments) == 2, one
+        cause, remedy = capsys.readouterr().err.removesuffix("\n").split("\n")
+        assert cause.startswith("error: ")
+        assert remedy.strip()
+
+
+def test_control_characters_are_escaped_on_a_terminal(path, capsys):
+    evil = "\x1b]0;title\x07\x9b2J\u202e"
+    metadata = {"host": evil, "interface": evil, "motion": json.dumps({"name": evil})}
+    log = encode_log(T0, 3, evil, f"gap {evil}\nerror: faked")
+    path.write_bytes(session_bytes(metadata, log, [(evil, b"x")]))
+    assert main(["info", str(path)]) == 0
+    shown = capsys.readouterr().out
+    assert "\\x1b]0;title\\x07" in shown
+    assert shown.replace("\n", "").isprintable()
+    assert main(["motion", str(path.with_name(f"{evil}.csv"))]) == 2
+    assert capsys.readouterr().err.replace("\n", "").isprintable()
+
+
+@pytest.mark.parametrize("value", ["1e308", "-1e308", "1e12", "nan", "inf", "1e999"])
+def test_numbers_in_a_csv_name_line_and_column(path, value):
+    lines = CSV.decode().splitlines()
+    cells = lines[2].split(",")
+    cells[9] = value
+    path.write_text("\n".join([*lines[:2], ",".join(cells), *lines[3:]]))
+    with pytest.raises(MotionError) as error:
+        load_motion(path)
+    assert "line 3, column 10" in error.value.cause
+
+
+@pytest.mark.parametrize("field", ["joint_pos", "root_pos", "root_quat_wxyz"])
+def test_a_motion_of_large_numbers(field):
+    arrays = {"joint_pos": np.zeros((3, len(JOINT_NAMES))), "root_pos": np.zeros((3, 3))}
+    arrays["root_quat_wxyz"] = np.tile([1.0, 0, 0, 0], (3, 1))
+    arrays[field][1, 1] = 1e308
+    with pytest.raises(MotionError) as error:
+        Motion.from_arrays(**arrays, fps=30)
+    assert field in error.value.cause

@@ -29,8 +29,10 @@ $(VENV)/.dev: $(VENV)/.run
 demo: $(VENV)/.run
 	$(BIN)/g1stream demo --out demo-out --force
 
+# First what needs no DDS, on all cores; then what is about time and processes, file by file.
 test: $(VENV)/.dev
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto -m "not dds"
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m dds
 
 test-fast: $(VENV)/.dev
 	$(BIN)/python -m pytest -n auto -m "not dds and not slow"

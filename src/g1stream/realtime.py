@@ -19,7 +19,14 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["Grant", "describe", "lower_priority", "on_time", "quick_thread_switches"]
+__all__ = [
+    "Grant",
+    "allow_all_cpus",
+    "describe",
+    "lower_priority",
+    "on_time",
+    "quick_thread_switches",
+]
 
 _PR_SET_TIMERSLACK, _PR_GET_TIMERSLACK = 29, 30  # <linux/prctl.h>
 _MCL_CURRENT, _MCL_ONFAULT = 1, 4  # <sys/mman.h>
@@ -107,6 +114,13 @@ def _linux_thread(priority: int, cpu: int | None) -> Iterator[list[Grant]]:
 def lower_priority() -> None:
     """Let the calling process yield to real-time loops."""
     os.nice(_BACKGROUND_NICE)
+
+
+def allow_all_cpus() -> None:
+    """Let the calling thread run on any CPU, also where its parent process may not."""
+    if sys.platform == "linux":
+        with suppress(OSError):  # a container may allow none of the others
+            os.sched_setaffinity(0, range(os.cpu_count() or 1))
 
 
 def describe(grants: list[Grant]) -> str:

@@ -18,6 +18,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -47,7 +48,8 @@ class Fault:
         name: what goes wrong.
         group: part of the table.
         robot: faults of the robot, see robot.py.
-        act: done to the running session, `at` s after the first stiff command.
+        act: done to the running session, `at` s after the first stiff command, or after the
+            recorder has started if nothing is commanded.
         prepare: makes files in the session's folder; returns more arguments of the command.
         code: exit code expected; negative: the signal that ends the process.
         reason: must be in what the program prints, such as the setting that was exceeded.
@@ -62,7 +64,7 @@ class Fault:
         command: arguments of g1stream, instead of `stream MOTION`.
         alone: run while no other fault is.
         impossible: why it cannot be brought about on this machine.
-        at: see `act`; negative: after the command is started.
+        at: see `act`.
     """
 
     name: str
@@ -197,6 +199,12 @@ class Session:
     def guard(self) -> int:
         return self.children("guard")[0]
 
+    def wait_recorder(self) -> bool:
+        """Whether the recorder starts before the command ends."""
+        while self.alive() and not self.children("record"):
+            time.sleep(0.02)
+        return self.alive()
+
     def wait_for(self, processes: Sequence[int]) -> None:
         """Until these have ended as well; what has not after a while is killed."""
         end = time.monotonic() + PATIENCE / 5
@@ -262,8 +270,9 @@ def play(fault: Fault, domain: int, folder: Path) -> Outcome:
     try:
         session.start(arguments)
         helpers: list[int] = []
-        if fault.act and (fault.at < 0 or robot.wait_commanded(session.alive)):
-            time.sleep(abs(fault.at))
+        begun = partial(robot.wait_commanded, session.alive) if fault.sent else session.wait_recorder
+        if fault.act and begun():
+            time.sleep(fault.at)
             helpers = session.children()
             fault.act(session)
         outcome.code = session.wait()

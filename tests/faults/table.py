@@ -347,7 +347,6 @@ SIGNALS: Final = [
         "signals",
         [{"do": "silent"}],
         act=send(signal.SIGINT),
-        at=-2.5,
         code=130,
         sent=False,
     ),

@@ -27,7 +27,7 @@ from g1stream.dds.topics import LOWCMD
 from g1stream.errors import ConfigError, SafetyError
 from g1stream.events import ConsoleHandler, handled_by
 from g1stream.programs.child_process import Child, ChildError, process_state, run_child
-from g1stream.realtime import on_time
+from g1stream.realtime import allow_all_cpus, on_time
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -198,6 +198,7 @@ def _run_child(parent: Parent) -> None:
             signal.signal(number, signal.SIG_IGN)
     settings = _Settings(**parent.startup_message)
     heartbeat = Heartbeat(settings.memory)
+    allow_all_cpus()  # what takes the stream's CPU must not take the guard's
     with Participant(settings.domain, settings.interface) as participant:
         commands = RawWriter(participant, LOWCMD, user_data=user_data_of_guard(settings.stream))
         events = dds_log_handler(participant, LOG_NAME)

@@ -270,7 +270,9 @@ def play(fault: Fault, domain: int, folder: Path) -> Outcome:
     try:
         session.start(arguments)
         helpers: list[int] = []
-        begun = partial(robot.wait_commanded, session.alive) if fault.sent else session.wait_recorder
+        begun = (
+            partial(robot.wait_commanded, session.alive) if fault.sent else session.wait_recorder
+        )
         if fault.act and begun():
             time.sleep(fault.at)
             helpers = session.children()

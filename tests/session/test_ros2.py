@@ -7,6 +7,7 @@ import pytest
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from mcap_ros2.reader import read_ros2_messages
 from rosbags.highlevel import AnyReader
+from rosbags.interfaces import QosDurability, QosHistory, QosLiveliness, QosReliability
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
@@ -154,6 +155,22 @@ def test_metadata_yaml_counts_what_is_in_the_bag(recorded, tmp_path):
         assert len(list(reader.messages())) == reader.message_count == sum(report.counts.values())
         assert reader.start_time == T0 + 5
         assert reader.end_time == T0 + (N - 1) * STEP + DELAY + 1
+
+
+@pytest.mark.parametrize("name", ["", "bag_0.mcap"])
+def test_a_player_offers_the_description_to_late_subscribers_and_nothing_else(bag, name):
+    with Reader(bag / name) as reader:
+        offered = {c.topic: c.ext.offered_qos_profiles for c in reader.connections}
+    (qos,) = offered.pop("/robot_description")
+    assert (qos.durability, qos.reliability) == (
+        QosDurability.TRANSIENT_LOCAL,
+        QosReliability.RELIABLE,
+    )
+    assert (qos.history, qos.depth) == (QosHistory.KEEP_LAST, 1)
+    assert qos.liveliness == QosLiveliness.AUTOMATIC
+    assert {time.sec + time.nsec for time in (qos.deadline, qos.lifespan)} == {0}
+    assert offered.keys() >= {"/tf", "/measured/joint_states", "/lowstate"}
+    assert not any(offered.values())
 
 
 def test_a_bag_is_replaced_only_when_forced_and_nothing_else_is(recorded, bag, tmp_path):

@@ -67,6 +67,25 @@ class MessageBatch(NamedTuple):
     publish_times: Ints
 
 
+#: Keep last, reliable, transient local and automatic liveliness as rmw/types.h counts them, which
+#: is how rosbag2 writes them before version 9; durations of 0 are unspecified.
+_LATCHED_QOS: Final = json.dumps(
+    [
+        {
+            "history": 1,
+            "depth": 1,
+            "reliability": 1,
+            "durability": 1,
+            "deadline": {"sec": 0, "nsec": 0},
+            "lifespan": {"sec": 0, "nsec": 0},
+            "liveliness": 1,
+            "liveliness_lease_duration": {"sec": 0, "nsec": 0},
+            "avoid_ros_namespace_conventions": False,
+        }
+    ]
+)
+
+
 @dataclass(frozen=True)
 class Channel:
     """One channel of a session file.
@@ -78,6 +97,7 @@ class Channel:
         description: one line, for people who look into the file.
         build_schema: makes the schema's data.
         dds_topic: whose samples it holds, bit for bit; None for derived channels.
+        latched: published once; who subscribes later needs its message all the same.
     """
 
     topic: str
@@ -87,12 +107,20 @@ class Channel:
     description: str
     build_schema: Callable[[], bytes] = field(repr=False)
     dds_topic: str | None = None
+    latched: bool = False
+
+    @property
+    def offered_qos_profiles(self) -> str:
+        """The QoS with which rosbag2 shall play it, in YAML; empty for its own default."""
+        return _LATCHED_QOS if self.latched else ""
 
 
-def _foxglove(topic: str, message_class: type[Message], description: str) -> Channel:
+def _foxglove(
+    topic: str, message_class: type[Message], description: str, *, latched: bool = False
+) -> Channel:
     name = message_class.DESCRIPTOR.full_name
     build = partial(_protobuf_schema, message_class)
-    return Channel(topic, name, "protobuf", "protobuf", description, build)
+    return Channel(topic, name, "protobuf", "protobuf", description, build, latched=latched)
 
 
 def _dds(topic: str, dds_topic: str, name: str, description: str) -> Channel:
@@ -180,9 +208,14 @@ _ALL: Final = (
     _timing("/timing/commands", "longest interval and latency of commands, by spans of 0.05 s"),
     _timing("/timing/states", "longest interval and latency of LowStates, by spans of 0.05 s"),
     _foxglove("/log", Log, "phase changes, safety events, gaps and overruns"),
-    _foxglove("/scene", SceneUpdate, "shapes of the reference, locked to the frames of its links"),
-    _foxglove("/measured/scene", SceneUpdate, "shapes of the measured robot"),
-    _foxglove("/ghost/scene", SceneUpdate, "shapes of the ghost, translucent"),
+    _foxglove(
+        "/scene",
+        SceneUpdate,
+        "shapes of the reference, locked to the frames of its links",
+        latched=True,
+    ),
+    _foxglove("/measured/scene", SceneUpdate, "shapes of the measured robot", latched=True),
+    _foxglove("/ghost/scene", SceneUpdate, "shapes of the ghost, translucent", latched=True),
     _foxglove("/measured/path", SceneUpdate, "where the measured pelvis was in the last seconds"),
     # In ROS's own message, as that is what viewers look for under this topic.
     Channel(
@@ -192,6 +225,7 @@ _ALL: Final = (
         "cdr",
         "the robot's URDF",
         lambda: b"string data\n",
+        latched=True,
     ),
     _dds("/lowcmd", "rt/lowcmd", "unitree_hg/msg/LowCmd", "commands to the motors"),
     _dds("/lowstate", "rt/lowstate", "unitree_hg/msg/LowState", "state of motors and IMU"),

@@ -161,6 +161,10 @@ class McapWriter:
         try:
             with self._committed(0):
                 self._mcap.start("ros2" if only_ros2 else "", library=f"g1stream {__version__}")
+                if only_ros2:
+                    # Else rosbag2 takes a file that it opens alone for one of its version 9, in
+                    # which QoS is written in words.
+                    self._mcap.add_metadata("rosbag2", {"serialized_metadata": ""})
         except BaseException:
             self._file.close()
             path.unlink(missing_ok=True)
@@ -230,11 +234,11 @@ class McapWriter:
                 self._schema_ids[channel.schema_name] = self._mcap.register_schema(
                     channel.schema_name, channel.schema_encoding, channel.build_schema()
                 )
+            about = {"description": channel.description}
+            if qos := channel.offered_qos_profiles:
+                about["offered_qos_profiles"] = qos  # as in metadata.yaml
             self._channel_ids[topic] = self._mcap.register_channel(
-                topic,
-                channel.message_encoding,
-                self._schema_ids[channel.schema_name],
-                {"description": channel.description},
+                topic, channel.message_encoding, self._schema_ids[channel.schema_name], about
             )
         return self._channel_ids[topic]
 

@@ -54,6 +54,7 @@ _METADATA: Final = "metadata.yaml"
 #: Its size in bytes, that of thousands of parts.
 _LARGEST_METADATA: Final = 2**20
 #: Of rosbag2's metadata.yaml: the first with `custom_data`, which every ROS 2 since Humble reads.
+#: `Channel.offered_qos_profiles` is of this version, too.
 _VERSION: Final = 6
 
 
@@ -207,7 +208,9 @@ def write_metadata_yaml(
     """
     import yaml
 
-    cdr = {topic: c.schema_name for topic, c in channels.items() if c.message_encoding == "cdr"}
+    cdr = {
+        topic: channel for topic, channel in channels.items() if channel.message_encoding == "cdr"
+    }
     counts = sum((Counter(part.counts) for part in parts), Counter[str]())
     about = {
         "version": _VERSION,
@@ -219,9 +222,9 @@ def write_metadata_yaml(
             {
                 "topic_metadata": {
                     "name": topic,
-                    "type": cdr[topic],
+                    "type": cdr[topic].schema_name,
                     "serialization_format": "cdr",
-                    "offered_qos_profiles": "",
+                    "offered_qos_profiles": cdr[topic].offered_qos_profiles,
                 },
                 "message_count": n,
             }

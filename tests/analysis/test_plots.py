@@ -8,9 +8,11 @@ from matplotlib.image import imread
 
 from g1stream.analysis.plots import LONGEST_VIEW, _binned_rms, draw
 from g1stream.errors import RecordingError
+from g1stream.robot.joints import JOINT_NAMES
 from g1stream.session.session import open_session
 from g1stream.types import Phase
 
+AXES = ("pitch", "roll", "yaw")
 METADATA = {"motion": {"name": "dance"}, "stream": {"reason": "SIGINT"}}
 
 
@@ -37,7 +39,8 @@ def figures(monkeypatch):
 
 def _words(figure):
     titles = [axes.get_title(loc) for axes in figure.axes for loc in ("left", "right")]
-    return [text.get_text() for text in figure.texts] + titles
+    texts = [*figure.texts, *(text for axes in figure.axes for text in axes.texts)]
+    return [text.get_text() for text in texts] + titles
 
 
 def test_it_is_a_png_of_its_size_with_every_limbs_colour(session, tmp_path):
@@ -61,7 +64,8 @@ def test_what_it_says(session, figures, tmp_path):
         "ended early: SIGINT",
         "left_ankle_roll",
         "right_wrist_yaw",
-        "left_hip_roll, worst of the others",
+        "left_hip_roll",
+        "worst of the others",
         "RMS error of each limb",
         "RMSE of each joint",
     ):
@@ -81,13 +85,17 @@ def test_the_lines_are_the_sessions(session, figures, tmp_path):
     assert np.isnan(reference[-100:]).all()
 
 
-def test_all_texts_are_inside_and_apart(session, figures, tmp_path):
-    draw(session, tmp_path / "tracking.png")
+def test_all_texts_are_inside_and_apart(play, write_session, figures, tmp_path):
+    reference, measured = play(0.04)
+    # Long names and large errors.
+    measured.q[:, [JOINT_NAMES.index(f"right_shoulder_{axis}_joint") for axis in AXES]] += 2.5
+    draw(open_session(write_session(reference, measured)), tmp_path / "tracking.png")
     figure = figures[0]
     boxes = [text.get_window_extent() for text in figure.texts]
     boxes.append(figure.legends[0].get_window_extent())
     for axes in figure.axes:
-        boxes += [t.get_window_extent() for t in (axes.title, axes._right_title) if t.get_text()]
+        texts = (axes._left_title, axes._right_title, *axes.texts)
+        boxes += [t.get_window_extent() for t in texts if t.get_text()]
     for i, box in enumerate(boxes):
         assert 0 <= box.x0 < box.x1 <= 1600
         assert 0 <= box.y0 < box.y1 <= 1000

@@ -234,8 +234,11 @@ def _draw_panels(figure: Figure, data: _Data, joints: list[int], worst: int | No
     for i, joint in enumerate(joints):
         axes = figure.add_subplot(panels[divmod(i, panels.ncols)])
         _draw_joint(axes, data, joint)
-        remark = ", worst of the others" if joint == worst else ""
-        axes.set_title(JOINT_NAMES[joint].removesuffix("_joint") + remark, weight="bold")
+        axes.set_title(JOINT_NAMES[joint].removesuffix("_joint"), weight="bold")
+        if joint == worst:  # below the title, whose line has no room beside the figures
+            _annotate(
+                axes, "worst of the others", (0.5, 1.0), -4, xycoords="axes fraction", va="top"
+            )
     _draw_error(figure.add_subplot(cells[2, :2]), data)
     if data.tracking:
         _draw_bars(figure.add_subplot(cells[2, 2]), data.tracking)
@@ -283,7 +286,7 @@ def _draw_bars(axes: Axes, tracking: Tracking) -> None:
     axes.grid(visible=False, axis="x")
     axes.set_xlim(-0.8, N_JOINTS - 0.2)
     # Room for the names above the bars.
-    axes.set_ylim(0.0, 1.45 * float(rmse.max()) or 1.0)
+    axes.set_ylim(0.0, 1.5 * float(rmse.max()) or 1.0)
     for group, joints in JOINT_GROUPS.items():
         axes.bar(joints, rmse[list(joints)], color=_COLOURS[group], width=0.75)
     for joint, name in enumerate(JOINT_NAMES):

@@ -12,9 +12,11 @@
 Each says what is wrong in one sentence and what to do in another. The command line prints the two
 and exits with code 2; a traceback therefore always means a bug of ours.
 
-Both may quote a file or a peer on DDS, and are shown on a terminal: `printable` escapes what a
-terminal would obey.
+Both may quote a file or a peer on DDS, and are shown on a terminal, so that what a terminal would
+obey is escaped.
 """
+
+from g1stream.text import printable
 
 __all__ = [
     "ConfigError",
@@ -25,15 +27,7 @@ __all__ = [
     "SafetyError",
     "SimError",
     "WireError",
-    "printable",
 ]
-
-
-def printable(text: str) -> str:
-    r"""The text with line breaks, control and invisible characters as escapes, such as `\x1b`."""
-    if text.isprintable():
-        return text
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 class G1StreamError(Exception):

@@ -14,7 +14,7 @@ from queue import SimpleQueue
 from threading import Lock
 from typing import TYPE_CHECKING, Final
 
-from g1stream.errors import printable
+from g1stream.text import printable
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

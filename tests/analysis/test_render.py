@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from g1stream.analysis.render import WIDTH, counted, most, render
+from g1stream.analysis.render import WIDTH, most, render
 from g1stream.realtime import Grant
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
 from g1stream.session.summary import (
@@ -171,11 +171,6 @@ def test_a_long_path_is_not_broken():
     assert f"{path}," in render(Summary(files_bytes={path: 3})).split()
 
 
-def test_numbers_of_things():
-    assert (counted(0, "tick"), counted(1, "tick"), counted(2, "tick")) == (
-        "0 ticks",
-        "1 tick",
-        "2 ticks",
-    )
+def test_the_first_joints_are_named():
     assert most({"a": 3, "b": 2}) == "a 3, b 2"
     assert most(dict.fromkeys("abcde", 1)) == "a 1, b 1, c 1 and 2 more joints"

@@ -15,6 +15,7 @@ from g1stream.errors import RecordingError
 from g1stream.files import complete_file
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
 from g1stream.session.summary import MotionInfo, StreamSummary, read_record
+from g1stream.text import counted
 from g1stream.types import Floats, Phase
 
 if TYPE_CHECKING:
@@ -221,7 +222,7 @@ def _facts(tracking: Tracking | None) -> list[str]:
     return [
         f"RMSE {np.degrees(tracking.overall):.2f}° over all joints",
         *([f"tracking delay {delay.seconds * 1e3:.1f} ms"] if delay else []),
-        f"{len(tracking.time)} states compared over {tracking.duration:.1f} s",
+        f"{counted(len(tracking.time), 'state')} compared over {tracking.duration:.1f} s",
     ]
 
 

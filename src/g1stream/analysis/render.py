@@ -8,8 +8,8 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from g1stream.errors import printable
 from g1stream.robot.joints import JOINT_GROUPS
+from g1stream.text import counted, printable
 from g1stream.types import Phase
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
         TrackingSummary,
     )
 
-__all__ = ["WIDTH", "counted", "labelled", "most", "render"]
+__all__ = ["WIDTH", "labelled", "most", "render"]
 
 WIDTH: Final = 80
 """No line is longer, unless a single word is."""
@@ -70,11 +70,6 @@ def labelled(label: str, text: str) -> str:
     )
 
 
-def counted(n: int, noun: str) -> str:
-    """`1 tick`, `2 ticks`."""
-    return f"{n} {noun}{'s' * (n != 1)}"
-
-
 def most(ticks: Mapping[str, int]) -> str:
     """The first joints with their ticks, and how many others there are."""
     named = ", ".join(f"{joint} {n}" for joint, n in list(ticks.items())[:_MOST_JOINTS])
@@ -89,7 +84,7 @@ def _session(summary: Summary) -> list[str]:
         lines.append(_line("recorded", _recorded(summary)))
     if motion:
         parts = [motion.name or "unknown"]
-        parts += [f"{motion.frames} frames"] if motion.frames else []
+        parts += [counted(motion.frames, "frame")] if motion.frames else []
         parts += [f"{motion.fps:g} fps"] if motion.fps else []
         parts += [f"sha256 {motion.sha256[:12]}"] if motion.sha256 else []
         lines.append(_line("motion", ", ".join(parts)))
@@ -201,7 +196,7 @@ def _tracking(tracking: TrackingSummary) -> list[str]:
         _line("delay", _delay(tracking)),
         _line(
             "compared",
-            f"{tracking.compared_states} states over {tracking.compared_s:.2f} s of PLAY"
+            f"{counted(tracking.compared_states, 'state')} over {tracking.compared_s:.2f} s of PLAY"
             + (excluded if tracking.excluded_states else ""),
         ),
     ]
@@ -303,7 +298,9 @@ def _messages(summary: Summary) -> list[str]:
     if any(stats.latency_us for stats in topics.values()):
         lines += ["", "gaps: publish intervals over 3 medians; us: latency, log - publish time"]
     if others:
-        lines.append(_line("other topics", f"{len(others)}, with {sum(others)} messages"))
+        lines.append(
+            _line("other topics", f"{len(others)}, with {counted(sum(others), 'message')}")
+        )
     return lines
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from g1stream._version import __version__
-from g1stream.analysis.render import counted, most
+from g1stream.analysis.render import most
 from g1stream.analysis.tracking import NothingToCompareError
 from g1stream.config import Config
 from g1stream.control.guard import LOG_NAME
@@ -25,6 +25,7 @@ from g1stream.session.summary import (
     Termination,
     read_record,
 )
+from g1stream.text import counted
 from g1stream.types import Phase
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TextIO
 
 from g1stream.cli.flags import flag, given_settings
-from g1stream.errors import printable
+from g1stream.text import printable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

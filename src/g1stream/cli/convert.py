@@ -9,7 +9,6 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
-from g1stream.analysis.render import counted
 from g1stream.cli.command import (
     EXIT_OK,
     EXIT_STOPPED,
@@ -22,6 +21,7 @@ from g1stream.cli.command import (
 from g1stream.cli.flags import MOTION, argument, flag, fps_flag
 from g1stream.cli.progress import ProgressDisplay
 from g1stream.errors import ConfigError
+from g1stream.text import counted
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -192,6 +192,6 @@ def _frames(text: str) -> tuple[int | None, int | None]:
 
 def _summary(report: ConvertReport) -> str:
     return (
-        f"{report.path}: {report.frames} frames at {report.rate:g} Hz, "
+        f"{report.path}: {counted(report.frames, 'frame')} at {report.rate:g} Hz, "
         f"{(report.end_ns - report.start_ns) / 1e9:.2f} s, {report.size / 1e6:.1f} MB"
     )

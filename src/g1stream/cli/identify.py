@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from g1stream.cli.command import EXIT_OK, Command, print_json, print_lines
 from g1stream.cli.flags import argument, flag
+from g1stream.text import counted
 from g1stream.types import Support
 
 if TYPE_CHECKING:
@@ -60,6 +61,6 @@ def _text(found: Identification) -> str:
             f"torso mass     {mass}",
             f"torso centre   {', '.join(f'{1e3 * x:.1f} +- {1e3 * d:.1f}' for x, d in centre)} mm",
             f"time           {found.time_scale:.3f} of real time",
-            f"from           {found.windows} windows of 0.1 s, support {found.support}",
+            f"from           {counted(found.windows, 'window')} of 0.1 s, support {found.support}",
         )
     )

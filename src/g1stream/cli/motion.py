@@ -6,7 +6,7 @@ import sys
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-from g1stream.analysis.render import counted, labelled
+from g1stream.analysis.render import labelled
 from g1stream.cli.command import (
     EXIT_OK,
     EXIT_STOPPED,
@@ -17,6 +17,7 @@ from g1stream.cli.command import (
 )
 from g1stream.cli.flags import MOTION, argument, flag, fps_flag
 from g1stream.errors import MotionError
+from g1stream.text import counted
 
 if TYPE_CHECKING:
     from g1stream.motion.check import FileReport, MotionReport

@@ -10,6 +10,7 @@ from typing import Literal
 from g1stream.cli.command import EXIT_OK, Command
 from g1stream.cli.flags import argument, flag
 from g1stream.cli.progress import ProgressDisplay
+from g1stream.text import counted
 
 __all__ = ["Render"]
 
@@ -69,7 +70,7 @@ class Render(Command):
             )
         took = time.monotonic() - started
         print(
-            f"{video.path}: {video.frames} frames from {video.start:.2f} s, {video.shown}, "
-            f"{'meshes' if video.meshes else 'primitive shapes'}, in {took:.1f} s"
+            f"{video.path}: {counted(video.frames, 'frame')} from {video.start:.2f} s, "
+            f"{video.shown}, {'meshes' if video.meshes else 'primitive shapes'}, in {took:.1f} s"
         )
         return EXIT_OK

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from g1stream.analysis.render import counted
 from g1stream.cli.command import EXIT_OK, Command, print_lines
 from g1stream.cli.flags import argument
+from g1stream.text import counted
 
 __all__ = ["Repair"]
 

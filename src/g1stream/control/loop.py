@@ -22,6 +22,7 @@ from g1stream.dds.messages import LowState
 from g1stream.dds.topics import LOWCMD, LOWSTATE
 from g1stream.motion.blend import minimum_jerk
 from g1stream.motion.correction import CorrectionSpline
+from g1stream.text import counted
 from g1stream.types import Phase
 
 if TYPE_CHECKING:
@@ -257,7 +258,9 @@ class StreamLoop:
         fault = self._safety.unknown(now, self._target_q)
         skipped = self.report.skipped - self._skipped_when_measured
         if fault and skipped:
-            fault += f"; this machine stalled: the loop skipped {skipped} ticks meanwhile"
+            fault += (
+                f"; this machine stalled: the loop skipped {counted(skipped, 'tick')} meanwhile"
+            )
         return fault
 
     def _reason_to_stop(self, now: int, unknown: str) -> str:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 from g1stream.dds.topics import LOG, LOWCMD, LOWSTATE, SPORTMODESTATE
 from g1stream.doctor.facts import Facts, Finding, Level, Peer, Qos, ok, problem, warning
+from g1stream.text import counted
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -224,7 +225,7 @@ def _tick_and_crc(state: StateFacts) -> Iterator[Finding]:
     elif state.missed:
         yield warning(
             "tick",
-            f"{state.missed} LowStates were lost in {state.seconds:.1f} s",
+            f"{counted(state.missed, 'LowState')} lost in {state.seconds:.1f} s",
             "Check the load of both machines, the network, and the receive buffers.",
         )
     else:
@@ -234,7 +235,7 @@ def _tick_and_crc(state: StateFacts) -> Iterator[Finding]:
     elif state.crc_right < state.received:
         yield problem(
             "CRC",
-            f"{state.received - state.crc_right} of {state.received} LowStates have a wrong CRC",
+            f"{state.received - state.crc_right} of {state.received} LowStates with a wrong CRC",
             "Make the publisher compute Unitree's CRC, over the C struct.",
         )
     else:
@@ -326,7 +327,7 @@ def _command_subscribers(wire: WireFacts) -> list[Peer]:
 
 def _silent_publisher(state: StateFacts) -> Finding:
     """A publisher of LowState that is matched and sends nothing."""
-    malformed = f"; {state.malformed} samples were no LowState" if state.malformed else ""
+    malformed = f"; malformed: {counted(state.malformed, 'sample')}" if state.malformed else ""
     return problem(
         "LowState",
         f"a publisher of {LOWSTATE.name} is matched, and no LowState was received in "

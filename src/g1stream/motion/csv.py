@@ -24,6 +24,7 @@ from g1stream.errors import MotionError
 from g1stream.motion.motion import LARGEST, SMALLEST_QUAT, Motion
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.rotations import wxyz_from_xyzw, xyzw_from_wxyz
+from g1stream.text import counted
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -212,7 +213,7 @@ class CsvFile:
                 return self._error("the line is blank", "Remove it.", line=number)
             if len(cells) != self.n_columns:
                 return self._error(
-                    f"{len(cells)} values in {self.n_columns} columns",
+                    f"{counted(len(cells), 'value')} in {counted(self.n_columns, 'column')}",
                     "Give every line one value per column.",
                     line=number,
                 )
@@ -268,8 +269,8 @@ class CsvFile:
             return ()
         doubt = "; that is no rounding error, check the file" if off[worst] > _NORM_ROUNDING else ""
         return (
-            f"{self.path.name}: {int((off > _NORM_TOLERANCE).sum())} of {len(norms)} quaternions "
-            f"were not unit and have been normalised. Furthest off is frame {worst}, line "
+            f"{self.path.name}: normalised {int((off > _NORM_TOLERANCE).sum())} of {len(norms)} "
+            f"quaternions, which were not unit. Furthest off is frame {worst}, line "
             f"{self._line(worst)}, with norm {norms[worst]:.4g}{doubt}.",
         )
 

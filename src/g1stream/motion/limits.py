@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from g1stream.errors import ConfigError
+from g1stream.text import counted
 from g1stream.types import STREAM_RATE
 
 if TYPE_CHECKING:
@@ -119,7 +120,7 @@ class LimitReport:
             warnings.append(
                 f"{self.motion} asks {worst.joint} for {worst.value:.3f} rad "
                 f"{self._when(worst.time)}, limit {worst.limit:.3f}{margin}{_others(self.held)}. "
-                f"{self.n_held} joint targets at {self.rate:g} Hz are held at the limit."
+                f"{counted(self.n_held, 'joint target')} at {self.rate:g} Hz held at the limit."
             )
         if self.too_fast:
             fastest = self.too_fast[0]

@@ -13,6 +13,7 @@ import numpy as np
 from g1stream.errors import MotionError
 from g1stream.files import complete_file
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
+from g1stream.text import counted
 
 if TYPE_CHECKING:
     import os
@@ -111,7 +112,7 @@ class Motion:
         n_frames = len(np.atleast_1d(self.joint_pos))
         if n_frames < 2:
             raise MotionError(
-                f"The motion {self.name} has {n_frames} frame{'s' * (n_frames != 1)}.",
+                f"The motion {self.name} has {counted(n_frames, 'frame')}.",
                 "Give it two frames or more.",
             )
         joint_pos = self._array("joint_pos", (n_frames, len(JOINT_NAMES)))
@@ -171,7 +172,7 @@ class Motion:
         if not 0 <= start <= stop - 2 <= self.n_frames - 2:
             raise MotionError(
                 f"Frames {start} to {stop} are not a part of {self.name}, which has "
-                f"{self.n_frames} frames.",
+                f"{counted(self.n_frames, 'frame')}.",
                 f"Give a start and a stop, two frames or more apart, from 0 to {self.n_frames}.",
             )
         part = slice(start, stop)

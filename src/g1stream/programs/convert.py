@@ -158,8 +158,8 @@ def convert(
     warnings = motion.warnings
     if missing := missing_meshes(robot):
         warnings += (
-            f"{robot.source}: {len(missing)} meshes were not found, such as {missing[0]}; the "
-            "scene has only their names.",
+            f"{robot.source}: meshes not found: {len(missing)}, such as {missing[0]}; the scene "
+            "has only their names.",
         )
     return ConvertReport(
         path=out,

@@ -24,6 +24,7 @@ from g1stream.recorder.clocks import DelayEstimator, StepDetector, read_clocks
 from g1stream.recorder.losses import Losses, dropped_datagrams
 from g1stream.recorder.receiver import Receiver
 from g1stream.session.summary import ClockStep, RecorderSummary, TopicDelay
+from g1stream.text import counted
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -201,13 +202,13 @@ class Recorder:
 
     def _check_losses(self) -> None:
         for name, number in self._update_losses().items():
-            _LOGGER.warning("%d samples of %s were lost", number, CHANNEL_OF.get(name, name))
+            _LOGGER.warning("%s of %s lost", counted(number, "sample"), CHANNEL_OF.get(name, name))
         if time.monotonic() >= self._drops_due:
             self._drops_due = time.monotonic() + _DROPS_PERIOD
             more = dropped_datagrams() - self.report.dropped_datagrams
             if more > 0:
                 self.report.dropped_datagrams += more
-                _LOGGER.warning("%d datagrams were dropped: the socket buffer was full", more)
+                _LOGGER.warning("%s dropped: the socket buffer was full", counted(more, "datagram"))
 
     def _update_losses(self) -> dict[str, int]:
         """How many more samples are lost, by topic."""

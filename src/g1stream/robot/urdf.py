@@ -19,6 +19,7 @@ import numpy as np
 from g1stream.errors import RobotError
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.rotations import quat_from_rpy
+from g1stream.text import counted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -172,7 +173,7 @@ def _sort_links(root: ET.Element, source: str) -> tuple[tuple[str, ...], dict[st
     joints = root.findall("joint")
     if max(len(links), len(joints)) > _MOST_LINKS:
         raise RobotError(
-            f"{source} has {len(links)} links and {len(joints)} joints.",
+            f"{source} has {counted(len(links), 'link')} and {counted(len(joints), 'joint')}.",
             f"Give the URDF of one robot, with {_MOST_LINKS} of each at most.",
         )
     joint_above = {_end(joint, "child"): joint for joint in joints}

@@ -13,6 +13,7 @@ from g1stream.motion.files import open_motion_file
 from g1stream.motion.motion import LARGEST, SMALLEST_QUAT, Motion, check_fps
 from g1stream.robot.joints import N_JOINTS
 from g1stream.robot.rotations import wxyz_from_xyzw, xyzw_from_wxyz
+from g1stream.text import counted
 from g1stream.types import STREAM_RATE, Floats, Phase
 
 if TYPE_CHECKING:
@@ -147,8 +148,8 @@ def _resampled(
     valid = (np.abs(numbers) <= LARGEST).all(axis=1) & (norms > SMALLEST_QUAT)
     if not valid.all():
         raise RecordingError(
-            f"The motion of {path} has {int((~valid).sum())} samples with a value that no motion "
-            f"has, the first at {np.argmin(valid)}: one that is not finite or beyond "
+            f"The motion of {path} has {counted(int((~valid).sum()), 'sample')} with a value that "
+            f"no motion has, the first at {np.argmin(valid)}: one that is not finite or beyond "
             f"{LARGEST:g}, or a zero quaternion.",
             "Record the motion again.",
         )

@@ -15,6 +15,7 @@ from g1stream.errors import RecordingError, WireError
 from g1stream.session.mcap_reader import RECOVER
 from g1stream.session.parts import SessionFiles
 from g1stream.session.streams import Base, Command, LogEvent, Measured, Reference, Stream, TorsoImu
+from g1stream.text import counted
 from g1stream.types import Floats, Phase
 
 if TYPE_CHECKING:
@@ -419,8 +420,8 @@ class Session:
             found = sum(map(len, columns.get("log_time", ())))
             if found != self.topics[topic]:
                 raise RecordingError(
-                    f"{self.path} is damaged: of {self.topics[topic]} messages on {topic} it has "
-                    f"{found}.",
+                    f"{self.path} is damaged: of {counted(self.topics[topic], 'message')} on "
+                    f"{topic} it has {found}.",
                     RECOVER,
                 )
         return {

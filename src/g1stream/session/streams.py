@@ -14,6 +14,7 @@ from google.protobuf.message import DecodeError
 from g1stream.dds import topics
 from g1stream.errors import RecordingError
 from g1stream.session.summary import PhaseInterval
+from g1stream.text import counted
 from g1stream.types import Floats, Ints, Phase
 
 if TYPE_CHECKING:
@@ -133,7 +134,7 @@ class Stream:
 
     def __repr__(self) -> str:
         columns = ", ".join(self.wire_fields())
-        return f"<{type(self).__name__}: {len(self)} samples of {columns or 'a topic'}>"
+        return f"<{type(self).__name__}: {counted(len(self), 'sample')} of {columns or 'a topic'}>"
 
     @cached_property
     def time(self) -> Floats:

@@ -181,7 +181,7 @@ class SimulatedRobot:
         enabled = command.motor_mode == 1
         if not enabled.all():
             off = int(N_JOINTS - enabled.sum())
-            self.log(logging.WARNING, f"{off} of {N_JOINTS} motors are not enabled (mode 0)", now)
+            self.log(logging.WARNING, f"motors not enabled (mode 0): {off} of {N_JOINTS}", now)
         if self._accepted_at is None:
             self.log(logging.INFO, "LowCmd accepted", now)
         self._accepted_at = now

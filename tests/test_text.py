@@ -1,0 +1,15 @@
+"""Numbers of things and what a terminal would obey."""
+
+import pytest
+
+from g1stream.text import counted, printable
+
+
+@pytest.mark.parametrize(("n", "text"), [(0, "0 ticks"), (1, "1 tick"), (2, "2 ticks")])
+def test_a_number_of_things(n, text):
+    assert counted(n, "tick") == text
+
+
+def test_what_a_terminal_would_obey_is_escaped():
+    assert printable("a\x1b[2Jb\nc") == r"a\x1b[2Jb\nc"
+    assert printable("rad/s², 29 °C") == "rad/s², 29 °C"

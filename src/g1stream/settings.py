@@ -11,7 +11,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_args, get_
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from g1stream.types import STREAM_RATE, BeyondLimits, FeedForwardKind, OnboardMode, Support
+from g1stream.types import (
+    STREAM_RATE,
+    BeyondLimits,
+    ChannelSet,
+    FeedForwardKind,
+    OnboardMode,
+    Support,
+)
 
 if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
@@ -207,7 +214,19 @@ class GainsConfig(Table):
 class RecordConfig(Table):
     """How a session file is written."""
 
-    tf_rate: float = setting(100.0, "link poses (/tf) per second", "Hz", gt=0.0, le=2000.0)
+    channels: ChannelSet = setting(
+        "standard",
+        "what is recorded beside samples and log; raw: nothing; standard: what viewers show, at "
+        "record.tf_rate; full: joint states and their errors at every sample",
+        flag=(*_RECORD, "demo"),
+    )
+    tf_rate: float = setting(
+        100.0,
+        "link poses (/tf) per second, and joint states unless channels is full",
+        "Hz",
+        gt=0.0,
+        le=2000.0,
+    )
     batch: float = setting(0.05, "received samples are handled this often", "s", gt=0.0, le=0.5)
     split_size: float | None = setting(
         None,

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 __all__ = [
     "STREAM_RATE",
     "BeyondLimits",
+    "ChannelSet",
     "FeedForwardKind",
     "Floats",
     "Ints",
@@ -32,6 +33,10 @@ BeyondLimits = Literal["refuse", "scale-time", "clamp", "anyway"]
 
 OnboardMode = Literal["ai", "normal", "advanced"]
 """A controller of the robot's own, by its name in the motion service."""
+
+ChannelSet = Literal["raw", "standard", "full"]
+"""What a session file has beside the samples, the log and the metadata: nothing; what viewers show,
+at `record.tf_rate`; the same with the joint states of every sample."""
 
 STREAM_RATE: Final = 500.0
 """LowCmds per second unless `stream.rate` is set, Hz."""

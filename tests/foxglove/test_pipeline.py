@@ -15,6 +15,7 @@ from g1stream.dds.topics import LOG, LOWSTATE, REFERENCE
 from g1stream.foxglove.pipeline import Decimator, MessagePipeline
 from g1stream.robot.joints import JOINT_GROUPS
 from g1stream.robot.model import G1
+from g1stream.settings import RecordConfig
 
 T0 = 1_700_000_000_000_000_000
 
@@ -29,15 +30,26 @@ def batch(message, times, **fields):
     return Batch([message.tobytes()] * len(times), [t + 50_000 for t in times], list(times))
 
 
-def test_batches_become_raw_and_derived_messages():
-    pipeline = MessagePipeline(G1.default(), tf_rate=100.0)
-    times = [T0 + 2_000_000 * i for i in range(50)]
+def batches_of(times):
     upright = np.array([1.0, 0.0, 0.0, 0.0])
-    batches = {
+    return {
         REFERENCE.name: batch(Reference(), times, q=0.5, dq=0.25, root_quat_wxyz=upright),
         LOWSTATE.name: batch(LowState(), times, q=0.25, tau_est=3.0, quaternion=upright),
         LOG.name: batch(Log(), times[:1], level=3, name="stream", text="late"),
     }
+
+
+def make_pipeline(channels):
+    return MessagePipeline(G1.default(), RecordConfig(channels=channels))
+
+
+TIMES = [T0 + 2_000_000 * i for i in range(50)]
+JOINT_STATES = {f"/{name}/joint_states" for name in ("reference", "measured", "tracking_error")}
+
+
+def test_batches_become_raw_and_derived_messages():
+    pipeline = make_pipeline("full")
+    times, batches = TIMES, batches_of(TIMES)
     made = {messages.topic: messages for messages in pipeline.encode(batches)}
     assert {topic: len(messages.payloads) for topic, messages in made.items()} == {
         "/reference": 50,
@@ -82,8 +94,34 @@ def test_batches_become_raw_and_derived_messages():
     assert pipeline.encode({}) == []
 
 
+def test_standard_has_the_same_with_joint_states_as_often_as_transforms():
+    made = {
+        name: {one.topic: one for one in make_pipeline(name).encode(batches_of(TIMES))}
+        for name in ("standard", "full")
+    }
+    assert made["standard"].keys() == made["full"].keys() > JOINT_STATES
+    for topic, full in made["full"].items():
+        standard = made["standard"][topic]
+        kept = slice(None, None, 5) if topic in JOINT_STATES else slice(None)
+        assert standard.publish_times.tolist() == full.publish_times[kept].tolist()
+        assert standard.log_times.tolist() == full.log_times[kept].tolist()
+        assert list(map(bytes, standard.payloads)) == list(map(bytes, full.payloads))[kept]
+
+
+def test_raw_has_samples_and_log_only_and_aligns_the_yaw_all_the_same():
+    raw, full = map(make_pipeline, ("raw", "full"))
+    batches = batches_of(TIMES)
+    made = {messages.topic: messages for messages in raw.encode(batches)}
+    assert made.keys() == {"/reference", "/lowstate", "/log"}
+    assert list(made["/reference"].payloads) == batches[REFERENCE.name].data
+    assert raw.file_header(T0) == []
+    full.encode(batches)
+    assert raw.base.summary() == full.base.summary()
+    assert raw.base.yaw_offset is not None
+
+
 def test_timing_has_the_longest_interval_and_latency_of_each_span():
-    pipeline = MessagePipeline(G1.default(), tf_rate=100.0)
+    pipeline = MessagePipeline(G1.default())
     start = T0 // 50_000_000 * 50_000_000
     first = [start + 2_000_000 * i for i in range(10)]
     later = [first[-1] + 30_000_000 + 2_000_000 * i for i in range(5)]

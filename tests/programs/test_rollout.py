@@ -68,6 +68,25 @@ def test_every_phase_and_channel_is_there(session):
     assert session.metadata["stream"]["reason"] == ""
 
 
+def test_what_is_known_of_a_session_does_not_depend_on_its_channels(session):
+    samples = ("/lowcmd", "/lowstate", "/reference", "/sportmodestate", "/secondary_imu")
+
+    def known(of):
+        summary = of.summary().model_dump(exclude={"settings", "attachments_bytes"})
+        summary["topics"] = {topic: summary["topics"][topic] for topic in samples}
+        del summary["recorder"]["counts"]
+        return summary
+
+    for channels in ("raw", "full"):
+        other = rollout("demo", seconds=2.0, config=config(record={"channels": channels}))
+        for topic in samples:
+            assert list(other.replay_bytes(topic)) == list(session.replay_bytes(topic))
+        assert np.array_equal(other.tracking().error, session.tracking().error)
+        assert known(other) == known(session)
+        if channels == "raw":
+            assert set(other.topics) == {*samples, "/log"}
+
+
 def test_events_of_loop_and_bridge(session):
     names = {event.name for event in session.log}
     assert names == {"stream", "sim"}

@@ -29,7 +29,7 @@ def participant(domain_id):
 @pytest.fixture
 def recorder(participant, tmp_path):
     with SessionWriter(tmp_path / "s.mcap") as writer:
-        yield Recorder(participant, writer, MessagePipeline(G1.load(), 100.0), 0.1)
+        yield Recorder(participant, writer, MessagePipeline(G1.load()), 0.1)
 
 
 @pytest.fixture

@@ -22,10 +22,11 @@ from g1stream.foxglove.scene import PathEncoder, encode_robot_description, encod
 from g1stream.foxglove.tracking_error import Track, TrackingError
 from g1stream.robot.joints import JOINT_GROUPS
 from g1stream.session.format import CHANNELS, TIMING_FIELDS, MessageBatch
+from g1stream.settings import RecordConfig
 from g1stream.types import Floats, Ints
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -68,12 +69,13 @@ class Decimator:
 class MessagePipeline:
     """Makes the messages of a session file from batches of wire samples.
 
-    Each batch gives the samples themselves, byte for byte, and what viewers show of them:
-    transforms, joint states, the tracking error and log lines.
+    Each batch gives the samples themselves, byte for byte, log lines, and what viewers show of the
+    samples: transforms, joint states and the tracking error.
 
     Args:
         robot: whose links and joints.
-        tf_rate: transforms per second, Hz.
+        settings: which messages are made of the samples (`channels`), and how often (`tf_rate`);
+            the defaults if None.
 
     Attributes:
         base: the measured pelvis's pose in the world of the reference.
@@ -82,18 +84,30 @@ class MessagePipeline:
         ConfigError: a link of the robot has the name of the world's frame.
     """
 
-    def __init__(self, robot: G1, tf_rate: float) -> None:
+    def __init__(self, robot: G1, settings: RecordConfig | None = None) -> None:
+        settings = settings or RecordConfig()
         self.base = MeasuredBase()
+        self._derives = settings.channels != "raw"
         self._robot = robot
-        self._tf = TransformsEncoder(robot)
-        self._measured_tf = TransformsEncoder(robot, MEASURED_PREFIX)
+        self._tf = TransformsEncoder(robot, single=True)
+        self._measured_tf = TransformsEncoder(robot, MEASURED_PREFIX, single=True)
         fields = ("position", "velocity", "acceleration", "effort")
-        self._joints = JointStatesTemplate(robot.joint_names, fields)
-        self._ghost_tf = TransformsEncoder(
-            robot, GHOST_PREFIX, world=MEASURED_PREFIX + robot.link_names[0]
+        full, tf_rate = settings.channels == "full", settings.tf_rate
+        self._reference_joints = _JointStates(
+            "/reference/joint_states", robot.joint_names, fields, every=full
         )
-        self._error_joints = JointStatesTemplate(robot.joint_names, fields[:2])
-        self._error_limbs = JointStatesTemplate(tuple(JOINT_GROUPS), fields[:2])
+        self._measured_joints = _JointStates(
+            "/measured/joint_states", robot.joint_names, fields, every=full
+        )
+        self._error_joints = _JointStates(
+            "/tracking_error/joint_states", robot.joint_names, fields[:2], every=full
+        )
+        self._error_limbs = _JointStates(
+            "/tracking_error/limbs", tuple(JOINT_GROUPS), fields[:2], every=False
+        )
+        self._ghost_tf = TransformsEncoder(
+            robot, GHOST_PREFIX, world=MEASURED_PREFIX + robot.link_names[0], single=True
+        )
         self._tracking_error = TrackingError(len(robot.joint_names))
         self._error_decimator = Decimator(tf_rate)
         self._path = PathEncoder("measured/path", _PATH_LENGTH, _PATH_COLOR)
@@ -105,7 +119,7 @@ class MessagePipeline:
         self._log = Log()
 
     def file_header(self, time_ns: int) -> list[MessageBatch]:
-        """What viewers need once: a scene for each robot that is shown, and the URDF.
+        """What viewers need once: a scene for each robot that is shown, and the URDF; or nothing.
 
         Args:
             time_ns: log and publish time, ns since the epoch.
@@ -113,6 +127,8 @@ class MessagePipeline:
         Raises:
             RobotError: the URDF has a shape that cannot be read.
         """
+        if not self._derives:
+            return []
         robot = self._robot
         payloads = {
             "/measured/scene": encode_scene(time_ns, robot, MEASURED_PREFIX),
@@ -156,13 +172,15 @@ class MessagePipeline:
         q, dq, root_pos = samples["q"], samples["dq"], samples["root_pos"]
         root_quat = samples["root_quat_wxyz"]
         self.base.add_references(published, root_pos, root_quat)
+        if not self._derives:
+            return []
         self._tracking_error.add_references(Track(published, logged, q, dq))
-        joints = self._joints.encode(published, q, dq, samples["ddq"], samples["tau"])
         few = self._reference_decimator.pick(published)
         tf = self._tf.encode(published[few], q[few], root_pos[few], root_quat[few])
         ghost = self._ghost_tf.encode(published[few], q[few], *IDENTITY_POSE)
+        joints = (q, dq, samples["ddq"], samples["tau"])
         return [
-            MessageBatch("/reference/joint_states", joints, logged, published),
+            self._reference_joints.encode(published, logged, few, *joints),
             MessageBatch("/tf", tf, logged[few], published[few]),
             MessageBatch("/ghost/tf", ghost, logged[few], published[few]),
             self._command_timing.encode(published, logged),
@@ -174,14 +192,15 @@ class MessagePipeline:
         q, dq, ddq, tau = (
             samples[f"motor_state.{name}"].astype(float) for name in ("q", "dq", "ddq", "tau_est")
         )
-        self._tracking_error.add_states(Track(published, logged, q, dq))
-        joints = self._joints.encode(published, q, dq, ddq, tau)
         few = self._state_decimator.pick(published)
         imu_quats = samples["imu_state.quaternion"][few].astype(float)
         positions, quats = self.base.poses(published[few], imu_quats)
+        if not self._derives:
+            return []
+        self._tracking_error.add_states(Track(published, logged, q, dq))
         tf = self._measured_tf.encode(published[few], q[few], positions, quats)
         return [
-            MessageBatch("/measured/joint_states", joints, logged, published),
+            self._measured_joints.encode(published, logged, few, q, dq, ddq, tau),
             MessageBatch("/measured/tf", tf, logged[few], published[few]),
             self._path_of(published[few], logged[few], positions),
             self._state_timing.encode(published, logged),
@@ -196,14 +215,11 @@ class MessagePipeline:
 
     def _from_errors(self, errors: Track) -> list[MessageBatch]:
         times, logged = errors.publish_times, errors.log_times
-        joints = self._error_joints.encode(times, errors.q, errors.dq)
         few = self._error_decimator.pick(times)
-        limbs = self._error_limbs.encode(
-            times[few], _by_limb(errors.q[few]), _by_limb(errors.dq[few])
-        )
+        limbs = _by_limb(errors.q), _by_limb(errors.dq)
         return [
-            MessageBatch("/tracking_error/joint_states", joints, logged, times),
-            MessageBatch("/tracking_error/limbs", limbs, logged[few], times[few]),
+            self._error_joints.encode(times, logged, few, errors.q, errors.dq),
+            self._error_limbs.encode(times, logged, few, *limbs),
         ]
 
     def _from_log(self, batch: Batch) -> MessageBatch:
@@ -214,6 +230,35 @@ class MessagePipeline:
                 encode_log(published, int(self._log.level), self._log.name, self._log.text)
             )
         return MessageBatch("/log", lines, *_times(batch))
+
+
+class _JointStates:
+    """Joint states as messages of `topic`.
+
+    Args:
+        topic: of the file.
+        names: (J) of the joints.
+        fields: of `JointStatesTemplate`.
+        every: encode all times that are given, not only some.
+    """
+
+    def __init__(
+        self, topic: str, names: Sequence[str], fields: Sequence[str], *, every: bool
+    ) -> None:
+        self._topic, self._every = topic, every
+        self._template = JointStatesTemplate(names, fields)
+
+    def encode(
+        self, published: Ints, logged: Ints, few: NDArray[np.intp], *columns: Floats
+    ) -> MessageBatch:
+        """Messages of times (T,), ns, or of the `few` of them; columns (T, J), one per field.
+
+        Numbers are rounded to single precision, which takes half the space in a compressed file.
+        """
+        chosen = slice(None) if self._every else few
+        values = (column[chosen].astype(np.float32) for column in columns)
+        payloads = self._template.encode(published[chosen], *values)
+        return MessageBatch(self._topic, payloads, logged[chosen], published[chosen])
 
 
 class _Timing:

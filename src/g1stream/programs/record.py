@@ -85,7 +85,7 @@ def record(
     path = Path(path)
     if settings.auto_name and session is None:
         path = timestamped(path, time.time_ns())
-    pipeline = MessagePipeline(robot, settings.tf_rate)  # before there is a file: may refuse
+    pipeline = MessagePipeline(robot, settings)  # before there is a file: may refuse
     about, now = _metadata(config, session or SessionInfo()), time.time_ns()
     source = session and session.motion and session.motion.source
     size, duration = settings.split_size, settings.split_duration

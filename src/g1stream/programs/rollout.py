@@ -62,7 +62,7 @@ def rollout(
     bridge. Both advance in lockstep: the robot's ticks are half a period after the loop's, and take
     no time. So the same arguments give the same messages, byte for byte.
 
-    The session is in memory, some 6 MB for each second of it.
+    The session is in memory, some 4.5 MB for each second of it.
 
     Publish times are simulated time since 2000-01-01 00:00 UTC (`g1stream.sim.lockstep.EPOCH`); log
     times are `LATENCY`, 0.1 ms, later.
@@ -88,7 +88,7 @@ def rollout(
     robot = G1.load(config.robot, own_limits=config.safety.urdf_limits)
     if not isinstance(motion, Motion):
         motion = load_motion(motion)
-    pipeline = MessagePipeline(robot, config.record.tf_rate)
+    pipeline = MessagePipeline(robot, config.record)
     simulated = SimulatedRobot(make_world(robot, config.sim), config.sim, noise=noise)
     batches: dict[str, Batch] = defaultdict(Batch)
 

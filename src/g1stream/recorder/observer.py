@@ -38,7 +38,7 @@ def observe(config: Config, should_stop: Callable[[], bool]) -> Iterator[list[Me
         WireError: DDS does not allow it.
         RecordingError: samples cannot be received any more.
     """
-    pipeline = MessagePipeline(G1.load(config.robot), config.record.tf_rate)
+    pipeline = MessagePipeline(G1.load(config.robot), config.record)
     header = pipeline.file_header(time.time_ns())
     with Participant(config.dds.domain, config.dds.interface) as participant:
         receiver = Receiver(participant, TOPICS)

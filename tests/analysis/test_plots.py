@@ -145,13 +145,6 @@ def test_a_session_that_ended_before_play(play, take, write_session, figures, tm
     assert imread(tmp_path / "tracking.png").shape[:2] == (1000, 1600)
 
 
-def test_a_session_without_a_robot(play, write_session, tmp_path):
-    session = open_session(write_session(reference=play().reference))
-    with pytest.raises(RecordingError, match="no messages on /lowstate"):
-        draw(session, tmp_path / "tracking.png")
-    assert not (tmp_path / "tracking.png").exists()
-
-
 @pytest.mark.parametrize(
     ("worst_at", "start"), [(1.0, -0.5), (23.0, 13.0), (39.5, 40.0 - LONGEST_VIEW)]
 )

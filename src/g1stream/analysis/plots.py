@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import textwrap
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -10,10 +11,22 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from g1stream.analysis.joint_plots import plot_joints
+from g1stream.analysis.plot_style import (
+    COLOURS,
+    DARK,
+    GROUP_OF,
+    MUTED,
+    STYLE,
+    set_times,
+    shade_phases,
+)
+from g1stream.analysis.signals import chosen_quantities
 from g1stream.analysis.tracking import NothingToCompareError
-from g1stream.errors import RecordingError
+from g1stream.errors import ConfigError, RecordingError
 from g1stream.files import complete_file
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
+from g1stream.session.streams import Measured, Reference
 from g1stream.session.summary import MotionInfo, StreamSummary, read_record
 from g1stream.text import counted
 from g1stream.types import Floats, Phase
@@ -36,16 +49,11 @@ LONGEST_VIEW: Final = 20.0
 _NARROWEST_BIN: Final = 0.1
 _MOST_BINS: Final = 200
 _PANELS: Final = 6
+_SUFFIXES: Final = (".png", ".svg", ".pdf")
+_COMPARED: Final = (Reference.topic, Measured.topic)
 
 _INCHES: Final = (16.0, 10.0)
 _DPI: Final = 100
-
-_DARK, _MUTED, _PALE = "#1a1a1a", "#5f6670", "#d5d9de"
-_COLOURS: Final = dict(
-    zip(JOINT_GROUPS, ("#0072b2", "#56b4e9", "#009e73", "#d55e00", "#cc79a7"), strict=True)
-)
-_GROUP_OF: Final = {joint: group for group, joints in JOINT_GROUPS.items() for joint in joints}
-_SHADES: Final = {Phase.RAMP: "#eef1f5", Phase.HOLD: "#eef1f5", Phase.DAMP: "#f8e9e7"}
 
 #: A phase that takes less of the width than this is not named in the figure.
 _NARROW: Final = 0.04
@@ -55,24 +63,7 @@ _REFERENCE: Final[Mapping[str, Any]] = {
     "label": "reference",
     "linewidth": 1.1,
     "linestyle": (0, (4, 2)),
-    "color": _DARK,
-}
-_STYLE: Final[Mapping[str, Any]] = {
-    "font.size": 9,
-    "axes.edgecolor": _PALE,
-    "axes.labelcolor": _MUTED,
-    "axes.titlecolor": _DARK,
-    "axes.titlelocation": "left",
-    "axes.titlesize": 10,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": "#e9ecef",
-    "grid.linewidth": 0.7,
-    "xtick.color": _MUTED,
-    "ytick.color": _MUTED,
-    "legend.frameon": False,
+    "color": DARK,
 }
 
 
@@ -116,37 +107,54 @@ class _Data:
         )
 
 
-def draw(session: Session, path: str | Path) -> None:
-    """Write the figure of a session to a PNG.
+def draw(
+    session: Session,
+    path: str | Path,
+    joints: Sequence[str] | str | None = None,
+    what: Sequence[str] | None = None,
+    *,
+    force: bool = True,
+) -> None:
+    """Write the figure of a session, see `Session.plot`, to a PNG, SVG or PDF.
 
-    The file appears when it is complete; one that exists already is replaced.
+    The file appears when it is complete; `force`: one that exists already is replaced.
 
     Raises:
-        RecordingError: the session lacks references or states, or the file cannot be written.
+        ConfigError: the path has another suffix, or there is no such quantity.
+        RecordingError: there is nothing to plot, no such joint, or the file cannot be written.
     """
     from matplotlib import style
 
-    with style.context(["default", dict(_STYLE)]):
-        _save(plot(session), Path(path))
+    path = Path(path)
+    if path.suffix.lower() not in _SUFFIXES:
+        raise ConfigError(
+            f"{path} is not the name of a figure.", f"Use one that ends in {', '.join(_SUFFIXES)}."
+        )
+    with complete_file(path, force=force) as temporary, style.context(["default", dict(STYLE)]):
+        plot(session, joints, what).savefig(temporary, format=path.suffix[1:].lower())
 
 
-def plot(session: Session, joints: Sequence[str] | str | None = None) -> Figure:
-    """The joints that move most, the error over time and each joint's RMSE.
+def plot(
+    session: Session, joints: Sequence[str] | str | None = None, what: Sequence[str] | None = None
+) -> Figure:
+    """See `Session.plot`."""
+    chosen = None if joints is None else _indices(joints)
+    overview = chosen is None or len(chosen) <= _PANELS
+    if overview and what is None and all(map(session.topics.get, _COMPARED)):
+        return _overview(session, chosen)
+    all_joints = range(N_JOINTS)
+    return plot_joints(session, chosen or all_joints, chosen_quantities(what or ("q",)))
 
-    Args:
-        session: with reference and state.
-        joints: one name, or up to six, to show instead of the joints that move most.
 
-    Raises:
-        RecordingError: the session lacks references or states, or there is no such joint.
-    """
+def _overview(session: Session, joints: list[int] | None) -> Figure:
+    """The joints, or those that move most, the error over time and each joint's RMSE."""
     from matplotlib import style
     from matplotlib.figure import Figure
 
     data = _Data.of(session)
-    shown, worst = _joints_to_show(data) if joints is None else (_indices(joints), None)
+    shown, worst = _joints_to_show(data) if joints is None else (joints, None)
     # Without the user's own style, in which the layout might not hold.
-    with style.context(["default", dict(_STYLE)]):
+    with style.context(["default", dict(STYLE)]):
         figure = Figure(figsize=_INCHES, dpi=_DPI)
         _draw_head(figure, data, session)
         _draw_panels(figure, data, shown, worst)
@@ -154,14 +162,25 @@ def plot(session: Session, joints: Sequence[str] | str | None = None) -> Figure:
 
 
 def _indices(joints: Sequence[str] | str) -> list[int]:
-    joints = [joints] if isinstance(joints, str) else joints
-    if not 0 < len(joints) <= _PANELS:
-        raise RecordingError(f"{len(joints)} joints to plot.", f"Choose one to {_PANELS}.")
-    for name in joints:
-        if name not in JOINT_NAMES:
-            close = get_close_matches(name, JOINT_NAMES) or JOINT_NAMES
-            raise RecordingError(f"There is no joint {name!r}.", f"Choose from {', '.join(close)}.")
-    return [JOINT_NAMES.index(name) for name in joints]
+    """The joints whose names match, each once, in the order of the patterns."""
+    found: dict[int, None] = {}
+    for pattern in [joints] if isinstance(joints, str) else joints:
+        try:
+            named = re.compile(f"(?:{pattern})(?:_joint)?")
+        except re.error as error:
+            raise RecordingError(
+                f"{pattern!r} is no regular expression: {error}.", "Name a joint, or left_.*"
+            ) from error
+        matching = [i for i, name in enumerate(JOINT_NAMES) if named.fullmatch(name)]
+        if not matching:
+            close = get_close_matches(pattern, JOINT_NAMES) or JOINT_NAMES
+            raise RecordingError(
+                f"There is no joint {pattern!r}.", f"Choose from {', '.join(close)}."
+            )
+        found |= dict.fromkeys(matching)
+    if not found:
+        raise RecordingError("There is no joint to plot.", "Name one, or leave the joints out.")
+    return list(found)
 
 
 def _joints_to_show(data: _Data) -> tuple[list[int], int | None]:
@@ -208,8 +227,8 @@ def _draw_head(figure: Figure, data: _Data, session: Session) -> None:
     facts = [session.path.name, *_facts(data.tracking)]
     if stream and stream.reason:
         facts.append(f"ended early: {textwrap.shorten(stream.reason, 55, placeholder=' ...')}")
-    figure.text(0.015, 0.937, "   ·   ".join(facts), color=_MUTED, fontsize=11)
-    lines = [Line2D([], [], color=_MUTED, **_MEASURED), Line2D([], [], **_REFERENCE)]
+    figure.text(0.015, 0.937, "   ·   ".join(facts), color=MUTED, fontsize=11)
+    lines = [Line2D([], [], color=MUTED, **_MEASURED), Line2D([], [], **_REFERENCE)]
     figure.legend(
         handles=lines, loc="upper right", bbox_to_anchor=(0.992, 0.972), ncols=2, fontsize=11
     )
@@ -249,34 +268,34 @@ def _draw_joint(axes: Axes, data: _Data, joint: int) -> None:
     first, last = data.view
     seen = (data.state_times >= first) & (data.state_times <= last)
     asked = (data.times >= first) & (data.times <= last)
-    colour = _COLOURS[_GROUP_OF[joint]]
+    colour = COLOURS[GROUP_OF[joint]]
     axes.plot(data.state_times[seen], data.measured[seen, joint], color=colour, **_MEASURED)
     axes.plot(data.times[asked], data.reference[asked, joint], **_REFERENCE)
     if data.tracking:
         rmse, largest = np.degrees((data.tracking.rmse[joint], data.tracking.max_abs[joint]))
-        axes.set_title(f"RMSE {rmse:.2f}°, max {largest:.1f}°", loc="right", color=_MUTED)
+        axes.set_title(f"RMSE {rmse:.2f}°, max {largest:.1f}°", loc="right", color=MUTED)
     axes.set_ylabel("angle, deg")
     axes.margins(y=0.1)
-    _shade_phases(axes, data)
-    _set_times(axes, first, last)
+    shade_phases(axes, data.phases)
+    set_times(axes, first, last)
 
 
 def _draw_error(axes: Axes, data: _Data) -> None:
     first, last = data.phases[0].start_s, data.phases[-1].end_s
     axes.set_title("RMS error of each limb", weight="bold")
     axes.set_ylabel("deg")
-    _shade_phases(axes, data)
+    shade_phases(axes, data.phases)
     _name_phases(axes, data)
-    _set_times(axes, first, last)
+    set_times(axes, first, last)
     if data.tracking is None:
         return
     error = np.degrees(data.tracking.error)
     for group, joints in JOINT_GROUPS.items():
         times, rms = _binned_rms(data.tracking.time, error[:, joints])
-        axes.plot(times, rms, color=_COLOURS[group], linewidth=1.6, label=group.replace("_", " "))
+        axes.plot(times, rms, color=COLOURS[group], linewidth=1.6, label=group.replace("_", " "))
     axes.set_ylim(0.0, 1.12 * axes.get_ylim()[1])
     if data.view != (first, last):
-        axes.axvspan(*data.view, ymax=0.03, color=_DARK, label="shown above")
+        axes.axvspan(*data.view, ymax=0.03, color=DARK, label="shown above")
     axes.legend(loc="lower right", bbox_to_anchor=(1.01, 0.97), ncols=len(JOINT_GROUPS) + 1)
 
 
@@ -289,7 +308,7 @@ def _draw_bars(axes: Axes, tracking: Tracking) -> None:
     # Room for the names above the bars.
     axes.set_ylim(0.0, 1.5 * float(rmse.max()) or 1.0)
     for group, joints in JOINT_GROUPS.items():
-        axes.bar(joints, rmse[list(joints)], color=_COLOURS[group], width=0.75)
+        axes.bar(joints, rmse[list(joints)], color=COLOURS[group], width=0.75)
     for joint, name in enumerate(JOINT_NAMES):
         part = name.removeprefix("left_").removeprefix("right_").removesuffix("_joint")
         _annotate(axes, part, (joint, rmse[joint]), 3, rotation=90, va="bottom", fontsize=7.5)
@@ -303,12 +322,6 @@ def _draw_bars(axes: Axes, tracking: Tracking) -> None:
     axes.tick_params(axis="x", length=0)
 
 
-def _shade_phases(axes: Axes, data: _Data) -> None:
-    for one in data.phases:
-        if one.phase in _SHADES:
-            axes.axvspan(one.start_s, one.end_s, color=_SHADES[one.phase], linewidth=0)
-
-
 def _name_phases(axes: Axes, data: _Data) -> None:
     narrow = _NARROW * (data.phases[-1].end_s - data.phases[0].start_s)
     for one in data.phases:
@@ -319,20 +332,9 @@ def _name_phases(axes: Axes, data: _Data) -> None:
             )
 
 
-def _set_times(axes: Axes, first: float, last: float) -> None:
-    axes.set_xlim(first, last)
-    axes.set_xlabel("time since the motion began, s")
-    axes.locator_params(axis="x", nbins=10, steps=(1, 2, 5, 10))
-
-
 def _annotate(
     axes: Axes, text: str, place: tuple[float, float], points_above: float, **how: Any
 ) -> None:
     how = {"fontsize": 8, **how}
     offset = (0, points_above)
-    axes.annotate(text, place, offset, textcoords="offset points", ha="center", color=_MUTED, **how)
-
-
-def _save(figure: Figure, path: Path) -> None:
-    with complete_file(path) as temporary:
-        figure.savefig(temporary, format="png")
+    axes.annotate(text, place, offset, textcoords="offset points", ha="center", color=MUTED, **how)

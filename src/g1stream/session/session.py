@@ -271,18 +271,26 @@ class Session:
 
         return summarise(self)
 
-    def plot(self, joints: Sequence[str] | str | None = None) -> Figure:
-        """Reference and measurement of some joints, and the errors of all, as one figure.
+    def plot(
+        self, joints: Sequence[str] | str | None = None, what: Sequence[str] | None = None
+    ) -> Figure:
+        """Some joints over time, with the phases shaded, as one figure.
+
+        Without arguments: the joints that move most, the error over time and each joint's RMSE;
+        `joints` are shown instead where they are up to six. With more joints or with `what`: a
+        panel for each joint and quantity, of what the session has.
 
         Args:
-            joints: names of up to six joints to show instead of those that move most.
+            joints: names, such as "left_knee", or regular expressions that match whole names.
+            what: of "q", "dq", "tau" and "error": position, velocity, torque, tracking error.
 
         Raises:
-            RecordingError: reference or state were not recorded, or there is no such joint.
+            ConfigError: there is no such quantity.
+            RecordingError: there is nothing to plot, or no such joint.
         """
         from g1stream.analysis.plots import plot
 
-        return plot(self, joints)
+        return plot(self, joints, what)
 
     def render(
         self,

@@ -1,0 +1,175 @@
+"""The signals of the joints over time, as plots show them: what was asked for and what was done."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple, get_args
+
+import numpy as np
+
+from g1stream.analysis.tracking import NothingToCompareError
+from g1stream.errors import ConfigError
+from g1stream.robot.joints import TORQUE_LIMIT
+from g1stream.session.streams import Command, Measured, Reference
+from g1stream.types import Floats, Ints, Phase
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from g1stream.session.session import Session
+
+__all__ = ["QUANTITIES", "Line", "Quantity", "Signal", "chosen_quantities", "min_max", "signal"]
+
+Quantity = Literal["q", "dq", "tau", "error"]
+"""What a plot shows of a joint: position, velocity, torque, tracking error."""
+
+QUANTITIES: Final[tuple[Quantity, ...]] = get_args(Quantity)
+
+#: Where a stream has no sample for longer than this, s, its line is interrupted.
+_GAP: Final = 0.05
+
+
+class Line(NamedTuple):
+    """A line of a plot for each joint.
+
+    Attributes:
+        name: what it is, such as "measured".
+        time: (N,) s on the motion's clock, rising.
+        values: (N, 29) in the unit of the signal, nan where there are none.
+    """
+
+    name: str
+    time: Floats
+    values: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Signal:
+    """One quantity of all joints.
+
+    Attributes:
+        title, unit: of the axis.
+        lines: those that the session has.
+        limit: (29,) the greatest that a joint can do, either way; None where there is none.
+    """
+
+    title: str
+    unit: str
+    lines: tuple[Line, ...]
+    limit: Floats | None = None
+
+    @property
+    def label(self) -> str:
+        """Of the axis: name and unit."""
+        return f"{self.title}, {self.unit}"
+
+
+def signal(session: Session, quantity: Quantity) -> Signal:
+    """A quantity of the joints of a session; without lines where nothing of it was recorded.
+
+    Positions, velocities and errors are in degrees. The torque asked for is that which a motor's
+    servo makes of the newest command at the time of a state,
+    tau + kp (q_command - q) + kd (dq_command - dq), before its own limit.
+    """
+    makers: dict[Quantity, Callable[[Session], Signal]] = {
+        "q": lambda one: Signal("position", "deg", _asked_and_measured(one, "q")),
+        "dq": lambda one: Signal("velocity", "deg/s", _asked_and_measured(one, "dq")),
+        "tau": lambda one: Signal("torque", "Nm", _torques(one), TORQUE_LIMIT),
+        "error": lambda one: Signal("error", "deg", _errors(one)),
+    }
+    return makers[quantity](session)
+
+
+def chosen_quantities(names: Sequence[str]) -> list[Quantity]:
+    """The quantities of these names, in their order.
+
+    Raises:
+        ConfigError: there are none, or there is no such quantity.
+    """
+    chosen = [known for name in names for known in QUANTITIES if known == name]
+    if len(chosen) < max(len(names), 1):
+        wrong = next((name for name in names if name not in QUANTITIES), "")
+        raise ConfigError(
+            f"There is no quantity {wrong!r} to plot.", f"Choose from {', '.join(QUANTITIES)}."
+        )
+    return chosen
+
+
+def min_max(values: Floats, most: int) -> Ints:
+    """Indices of about `most` of N samples, in order, that show the same peaks in a plot.
+
+    They are the least, the greatest and the first nan of each of `most` // 2 runs of samples; all
+    where there are no more. It takes time in proportion to N.
+
+    Args:
+        values: (N,).
+        most: indices, beside those of nan.
+    """
+    n = len(values)
+    if n <= most:
+        return np.arange(n)
+    width = -(-n // (most // 2))
+    runs = np.pad(values, (0, -n % width), mode="edge").reshape(-1, width)
+    absent = np.isnan(runs)
+    kept = np.stack(
+        [
+            np.where(absent, np.inf, runs).argmin(axis=1),
+            np.where(absent, -np.inf, runs).argmax(axis=1),
+            absent.argmax(axis=1),  # the first sample where none is nan
+        ]
+    )[: 3 if absent.any() else 2]
+    indices: Ints = np.unique((kept + width * np.arange(len(runs))).clip(max=n - 1))
+    return indices
+
+
+def _asked_and_measured(session: Session, column: Literal["q", "dq"]) -> tuple[Line, ...]:
+    lines = []
+    if session.topics.get(Reference.topic):
+        reference = session.reference.read("phase", column)
+        asked = np.degrees(getattr(reference, column))
+        asked[reference.phase == Phase.DAMP] = np.nan  # where nothing is asked for but damping
+        lines.append(_line("reference", reference.time, asked))
+    elif session.topics.get(Command.topic):
+        command = session.command.read(column)
+        lines.append(_line("command", command.time, np.degrees(getattr(command, column))))
+    if session.topics.get(Measured.topic):
+        measured = session.measured.read(column)
+        lines.append(_line("measured", measured.time, np.degrees(getattr(measured, column))))
+    return tuple(lines)
+
+
+def _errors(session: Session) -> tuple[Line, ...]:
+    try:
+        tracking = session.tracking()
+    except NothingToCompareError:
+        return ()
+    return (_line("reference - measured", tracking.time, np.degrees(tracking.error)),)
+
+
+def _torques(session: Session) -> tuple[Line, ...]:
+    lines = []
+    if session.topics.get(Measured.topic):
+        measured = session.measured.read("q", "dq", "tau")
+        if session.topics.get(Command.topic):
+            command = session.command.read("q", "dq", "tau", "kp", "kd")
+            order = np.argsort(command.time, kind="stable")
+            before = np.searchsorted(command.time[order], measured.time, side="right") - 1
+            newest = order[before.clip(0)]
+            asked = command.q[newest] - measured.q
+            asked *= command.kp[newest]
+            asked += command.kd[newest] * (command.dq[newest] - measured.dq)
+            asked += command.tau[newest]
+            asked[before < 0] = np.nan
+            lines.append(_line("asked for", measured.time, asked))
+        lines.append(_line("estimated by the motor", measured.time, measured.tau))
+    return tuple(lines)
+
+
+def _line(name: str, time: Floats, values: Floats) -> Line:
+    """A line in the order of time, interrupted where its stream has a gap."""
+    if (np.diff(time) < 0.0).any():
+        order = np.argsort(time, kind="stable")
+        time, values = time[order], values[order]
+    if len(gaps := np.flatnonzero(np.diff(time) > _GAP) + 1):
+        time, values = np.insert(time, gaps, time[gaps]), np.insert(values, gaps, np.nan, axis=0)
+    return Line(name, time, values)

@@ -1,0 +1,46 @@
+"""`g1stream plot`: joints of a session as a figure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from g1stream.cli.command import EXIT_OK, Command
+from g1stream.cli.flags import argument, flag
+
+__all__ = ["Plot"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plot(Command):
+    """Without --joints and --what: the joints that move most, the error over time and the RMSE of
+    each joint. With them: a row for each joint, a column for each quantity.
+
+    Examples:
+      g1stream plot session.mcap
+      g1stream plot session.mcap --joints 'left_.*' --what q,error,tau -o left.pdf
+
+    Exit codes:
+      0  written
+      2  bad input: not a session file, nothing to plot, no such joint
+    """  # noqa: D205
+
+    session: Path = argument("The session file, or the directory of a split recording.", "SESSION")
+    joints: str | None = flag(
+        None, "Regular expression that matches names of joints.", "REGEX", shown="all"
+    )
+    what: str | None = flag(None, "Quantities, with commas between: q, dq, tau, error.", "LIST")
+    out: Path = flag(
+        Path("plot.png"), "The file to write: .png, .svg or .pdf.", "OUT", aliases=("-o",)
+    )
+    force: bool = flag(False, "Replace a file that is there.")
+
+    def run(self) -> int:
+        """Write the figure, and return the exit code."""
+        from g1stream.analysis.plots import draw
+        from g1stream.session.session import open_session
+
+        what = None if self.what is None else self.what.split(",")
+        draw(open_session(self.session), self.out, self.joints, what, force=self.force)
+        print(self.out)
+        return EXIT_OK

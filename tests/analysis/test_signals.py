@@ -1,0 +1,89 @@
+"""The signals that plots show: their values, and that reducing them hides no peak."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from g1stream.analysis.signals import min_max, signal
+from g1stream.errors import ConfigError
+from g1stream.session.session import open_session
+from g1stream.session.streams import Command, Measured
+from g1stream.types import Phase
+
+
+def test_a_short_line_is_kept_whole():
+    np.testing.assert_array_equal(min_max(np.arange(7.0), 7), np.arange(7))
+
+
+@pytest.mark.parametrize("n", [1000, 1001, 99_999])
+def test_every_peak_is_kept(n):
+    values = np.random.default_rng(n).normal(size=n)
+    values[[n // 3, n // 2]] = 50.0, -50.0
+    kept = min_max(values, 200)
+    assert len(kept) <= 200
+    assert (np.diff(kept) > 0).all()
+    assert {n // 3, n // 2} <= set(kept.tolist())
+    # Of any stretch as long as two runs, what is kept spans what was there in one of them.
+    for first in range(0, n - n // 50, n // 50):
+        inside = values[kept[(kept >= first) & (kept < first + n // 50)]]
+        middle = values[first + n // 100 : first + n // 100 + 3]
+        assert inside.max() >= middle.max()
+        assert inside.min() <= middle.min()
+
+
+def test_an_interruption_stays_one():
+    values = np.sin(np.arange(10_000) / 50.0)
+    values[5000], values[7000:8000] = np.nan, np.nan
+    kept = min_max(values, 100)
+    assert 5000 in kept
+    assert np.isnan(values[kept][(kept >= 7300) & (kept < 7700)]).all()
+    assert not np.isnan(values[kept][kept < 4900]).any()
+
+
+def test_positions_are_in_degrees_and_end_where_only_damping_is_commanded(play, write_session):
+    session = open_session(write_session(*play()))
+    reference, measured = signal(session, "q").lines
+    damping = session.reference.phase == Phase.DAMP
+    assert np.isnan(reference.values[damping]).all()
+    expected = np.degrees(session.reference.q[~damping])
+    np.testing.assert_allclose(reference.values[~damping], expected)
+    np.testing.assert_allclose(measured.values, np.degrees(session.measured.q))
+
+
+def test_a_line_is_interrupted_where_states_are_missing(play, take, write_session):
+    reference, measured = play()
+    kept = np.ones(len(measured), dtype=bool)
+    kept[500:600] = False
+    line = signal(open_session(write_session(reference, take(measured, kept))), "q").lines[1]
+    assert len(line.time) == kept.sum() + 1
+    assert np.flatnonzero(np.isnan(line.values).all(axis=1)).tolist() == [500]
+
+
+def test_the_torque_asked_for_is_the_servos():
+    rng = np.random.default_rng(6)
+
+    def stream(kind, time, *names):
+        columns = {name: rng.normal(size=(4, 29)) for name in names}
+        stamps = np.round(time * 1e9).astype(np.int64)
+        return kind(time=lambda: time, log_time=stamps, publish_time=stamps, **columns)
+
+    command = stream(Command, np.arange(4) * 0.002, "q", "dq", "tau", "kp", "kd")
+    state = stream(Measured, np.array([-0.0005, 0.0005, 0.0019, 0.002]), "q", "dq", "tau")
+    topics = {"/lowcmd": 4, "/lowstate": 4}
+    session = SimpleNamespace(topics=topics, command=command, measured=state)
+    asked, measured = signal(session, "tau").lines
+    assert np.isnan(asked.values[0]).all()
+    for i, j in ((1, 0), (2, 0), (3, 1)):
+        position = command.kp[j] * (command.q[j] - state.q[i])
+        velocity = command.kd[j] * (command.dq[j] - state.dq[i])
+        np.testing.assert_allclose(asked.values[i], command.tau[j] + position + velocity)
+    np.testing.assert_array_equal(measured.values, state.tau)
+
+
+def test_what_was_not_recorded_has_no_line(play, write_session):
+    session = open_session(write_session(reference=play().reference))
+    assert [line.name for line in signal(session, "q").lines] == ["reference"]
+    assert signal(session, "error").lines == ()
+    with pytest.raises(ConfigError):
+        session.plot(what=["speed"])

@@ -229,6 +229,8 @@ def on_peers(motion: Motion, seconds: float, arguments: argparse.Namespace) -> N
         return
     flags, path = shlex.split(arguments.stream_flags), Path(motion.source or "")
     keep = arguments.keep
+    if keep:
+        keep.mkdir(parents=True, exist_ok=True)
     if arguments.learn:
         runs = tracking_peers.learn_table(
             path, seconds, arguments.learn, arguments.runs, flags, keep=keep

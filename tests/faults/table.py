@@ -154,7 +154,7 @@ STATES: Final = [
         "two publishers of LowState from the start",
         "LowState",
         from_start(does("twin")),
-        code=(1, 2),
+        code=2,
         reason="rt/lowstate",
         sent=False,
     ),

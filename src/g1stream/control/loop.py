@@ -20,6 +20,7 @@ from g1stream.control.safety import Safety
 from g1stream.control.targets import Targets
 from g1stream.dds.messages import LowState
 from g1stream.dds.topics import LOWCMD, LOWSTATE
+from g1stream.errors import SafetyError
 from g1stream.motion.blend import minimum_jerk
 from g1stream.motion.correction import CorrectionSpline
 from g1stream.text import counted
@@ -126,6 +127,10 @@ class StreamLoop:
         """Play until DONE.
 
         On any error after the first command, the robot is damped before the error is raised.
+
+        Raises:
+            SafetyError: before the first command, there is another publisher of LowCmd, or more
+                than one of LowState.
         """
         try:
             self._play()
@@ -270,7 +275,16 @@ class StreamLoop:
         if unknown and phase is not Phase.WAIT:
             return self._several_publishers() or unknown
         wrong = "" if unknown else self._safety.verdict()
-        return wrong or self._overruns.verdict() or self._other_publisher(now)
+        if wrong := wrong or self._overruns.verdict():
+            return wrong
+        other = self._other_publisher(now)
+        if other and phase is Phase.WAIT:
+            raise SafetyError(
+                f"There is {other}; nothing was sent.",
+                "End it, or choose another --domain; `g1stream robot release` releases the "
+                "robot's own controller.",
+            )
+        return other
 
     def _other_publisher(self, now: int) -> str:
         if now >= self._next_state_check:

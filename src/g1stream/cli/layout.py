@@ -46,6 +46,7 @@ class Layout(Command):
         None, "A session file, to choose the joints by.", "MCAP", positional=True
     )
     dir: Path = flag(Path(), "Write the layout into this directory.", "DIR", shown="here")
+    force: bool = flag(False, "Replace a file that exists already.")
 
     def run(self) -> int:
         """Write the layout, and return the exit code."""
@@ -56,6 +57,7 @@ class Layout(Command):
             worst_joints,
         )
         from g1stream.errors import ConfigError
+        from g1stream.files import complete_file
         from g1stream.session.session import open_session
 
         joints = worst_joints(open_session(self.session)) if self.session else DEFAULT_JOINTS
@@ -67,11 +69,12 @@ class Layout(Command):
         path = self.dir / name
         try:
             self.dir.mkdir(parents=True, exist_ok=True)
-            path.write_text(text)
         except OSError as error:
             raise ConfigError(
-                f"The layout {path} cannot be written: {error.strerror}.",
+                f"The directory {self.dir} cannot be created: {error.strerror}.",
                 "Choose another directory with --dir.",
             ) from error
+        with complete_file(path, force=self.force) as temporary:
+            temporary.write_text(text)
         print(f"{path}\n{how}")
         return EXIT_OK

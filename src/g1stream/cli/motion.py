@@ -86,7 +86,10 @@ def render(report: FileReport) -> str:
     """The report as text, without the fault of a file that is no motion."""
     motion = report.motion
     name = motion.name if motion else report.path.name
-    lines = [name, *_content(report)]
+    lines = [name]
+    if motion and motion.suspicion:  # first: it explains the figures below
+        lines.append(_line("problem", f"It looks as if {motion.suspicion}."))
+    lines += _content(report)
     if motion:
         lines += [*_motion_lines(motion), *_result_lines(motion)]
     return "\n".join(lines)
@@ -150,7 +153,7 @@ def _speed_lines(report: MotionReport) -> list[str]:
 
 
 def _result_lines(report: MotionReport) -> list[str]:
-    """Each problem and each warning, and how many there are."""
+    """Each problem and each warning, and how many there are, with what it all looks like."""
     streamed = report.streamed
     n_held = len(streamed.warnings) - bool(streamed.too_fast)  # the last is about speeds
     problems = [
@@ -159,10 +162,8 @@ def _result_lines(report: MotionReport) -> list[str]:
         for joint in report.frames_beyond
     ]
     problems += streamed.warnings[n_held:]
-    if report.suspicion:
-        problems.append(f"It looks as if {report.suspicion}.")
     warnings = [*streamed.warnings[:n_held], *report.warnings]
-    counts = {"problem": len(problems), "warning": len(warnings)}
+    counts = {"problem": len(problems) + bool(report.suspicion), "warning": len(warnings)}
     found = ", ".join(counted(n, noun) for noun, n in counts.items() if n)
     return [
         *(_line("problem", text) for text in problems),

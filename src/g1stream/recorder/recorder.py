@@ -109,6 +109,7 @@ class Recorder:
         self._steps = StepDetector()
         self._delays: dict[str, DelayEstimator] = defaultdict(DelayEstimator)
         self._publishers: dict[str, Publishers] = {}
+        self._late_hosts: set[tuple[str, ...]] = set()
         self._drops_due = 0.0
         self.report = RecorderSummary()
 
@@ -190,8 +191,9 @@ class Recorder:
         if name in self._publishers or not delay.seconds:
             return
         self._publishers[name] = Publishers.of(self._participant, name)
-        median = delay.median() or 0
-        if abs(median) > _MAX_DELAY_NS:
+        median, hosts = delay.median() or 0, tuple(self._publishers[name].hosts)
+        if abs(median) > _MAX_DELAY_NS and hosts not in self._late_hosts:
+            self._late_hosts.add(hosts)  # its other topics are as late
             _LOGGER.warning(
                 "%s from %s is received %+.3f s after its publish time: "
                 "the clocks differ, or this machine is too slow",

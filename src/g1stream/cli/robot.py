@@ -83,7 +83,7 @@ class Robot(SettingsCommand):
         if self.json:
             print_json(asdict(status))
         else:
-            print(f"form {status.form or '-'}, mode {status.name or 'none'}")
+            print(f"active mode: {status.name or 'none'}")
         return EXIT_OK
 
     def _change(self, config: Config) -> int:

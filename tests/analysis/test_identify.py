@@ -44,6 +44,12 @@ def test_the_command_prints_it(tmp_path, capsys):
     assert REVISIONS[1] in capsys.readouterr().out
 
 
+def test_the_support_of_a_killed_stream_is_that_of_its_log():
+    killed = session(None, "hanging", 0.5)
+    del killed.metadata["stream"]
+    assert identify(killed).support == "hanging"
+
+
 @pytest.mark.parametrize("support", ["follow", "free"])
 def test_other_supports_are_refused(support):
     with pytest.raises(RecordingError, match=support):

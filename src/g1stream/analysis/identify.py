@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, get_args
 
 import numpy as np
 from pydantic import BaseModel
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from g1stream.session.session import Session
+    from g1stream.session.summary import Summary
     from g1stream.types import Floats
 
 __all__ = ["Identification", "identify"]
@@ -73,8 +74,7 @@ def identify(session: Session, support: Support | None = None) -> Identification
     Raises:
         RecordingError: the support is not known, or too little was recorded.
     """
-    stream = session.summary().stream
-    support = support or (stream.support if stream else None)
+    support = support or _support(session.summary())
     if support not in ("bolted", "hanging"):
         raise RecordingError(
             f"The robot cannot be identified: its support is {support or 'unknown'}.",
@@ -105,6 +105,15 @@ def identify(session: Session, support: Support | None = None) -> Identification
         time_scale=float(scale.median or 1.0),
         windows=len(windows),
     )
+
+
+def _support(summary: Summary) -> Support | None:
+    """How the robot was held, also by what a stream that was killed has left; None if unknown."""
+    if summary.stream:
+        return summary.stream.support
+    known = {text.partition(", support ")[2] for text in summary.feedforward_log}
+    known.add((summary.settings or {}).get("stream.support", ""))
+    return next((support for support in get_args(Support) if support in known), None)
 
 
 def _windows(session: Session, fit: RevisionFit, scale: TimeScale) -> Iterator[Window]:

@@ -136,7 +136,12 @@ CASES = {
     ),
     "nothing received": Summary(recorder=RecorderSummary(paths=["a.mcap"], removed=True)),
     "a killed stream, a robot without delay": Summary(
-        termination=Termination(undamped_in=Phase.PLAY, played_s=2.0, motion_s=14.0),
+        termination=Termination(
+            reason="the stream process ended without DAMP",
+            undamped_in=Phase.PLAY,
+            played_s=2.0,
+            motion_s=14.0,
+        ),
         tracking=TRACKING.model_copy(update={"delay_s": None, "excluded_states": 0}),
         feedforward_log=["dynamics of a robot that is held bolted"],
         problems=[f"problem {i}" for i in range(14)],

@@ -275,6 +275,7 @@ def test_a_stream_that_ended_without_damp(play, take, summarise, silence, metada
     asked = take(reference, reference.publish_time <= end)
     summary = summarise(streams=(asked, heard), metadata=metadata)
     assert summary.termination.undamped_in is undamped_in
+    assert bool(summary.termination.reason) is (undamped_in is not None)
     assert ("without DAMP" in "".join(summary.problems[:1])) is (undamped_in is not None)
 
 

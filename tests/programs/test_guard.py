@@ -157,6 +157,7 @@ def test_a_stream_that_can_no_longer_damp_is_replaced(
     until(lambda: open_session(path).complete, "the recorder")
     session = open_session(path)
     ended = session.summary().termination
+    assert ended.guard == ended.reason
     assert ended.guard is not None
     assert str(stream.pid) in ended.guard
     assert ended.undamped_in is None

@@ -148,9 +148,7 @@ def _ended(termination: Termination) -> str:
     rest = None if motion is None else motion - start
     whole = played is None or rest is None or abs(rest - played) < _WHOLE
     if termination.undamped_in is not None:
-        how = f"in {termination.undamped_in.name}: the stream process ended without DAMP"
-    elif termination.guard and termination.reason is None:
-        how = f"early: {termination.guard}"
+        how = f"in {termination.undamped_in.name}: {termination.reason}"
     elif termination.reason:
         how = f"early: {termination.reason}"
     elif termination.reason is not None:

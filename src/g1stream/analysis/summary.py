@@ -274,8 +274,9 @@ def _termination(
     start = settings.get("start") if isinstance(settings, dict) else None
     guard = next((event.text for event in session.log if event.name == LOG_NAME), None)
     undamped = None if guard else _undamped_in(phases, info, stream, recorder, streams)
+    reason = guard if undamped is None else "the stream process ended without DAMP"
     values = {
-        "reason": stream.reason if stream else None,
+        "reason": stream.reason if stream else reason,
         "undamped_in": undamped,
         "guard": guard,
         "played_s": sum(p.duration_s for p in phases if p.phase is Phase.PLAY)

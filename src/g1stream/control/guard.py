@@ -45,7 +45,7 @@ class Takeover(IntEnum):
     def __str__(self) -> str:
         return {
             Takeover.NONE: "",
-            Takeover.ENDED: "ended without DAMP",
+            Takeover.ENDED: "was killed or crashed",
             Takeover.STOPPED: "was stopped",
             Takeover.SILENT: "did not send a command in time",
         }[self]

@@ -418,7 +418,8 @@ class Termination(_Record):
     """How a session ended.
 
     Attributes:
-        reason: why the stream ended early; empty when it ended as asked.
+        reason: why the stream ended early; empty when it ended as asked, None where that is not
+            known.
         undamped_in: the phase in which the stream process ended without DAMP; None where it did
             not.
         guard: what the guard process logged when it damped the robot; None where it did not.

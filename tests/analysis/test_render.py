@@ -146,6 +146,10 @@ CASES = {
         feedforward_log=["dynamics of a robot that is held bolted"],
         problems=[f"problem {i}" for i in range(14)],
     ),
+    "a robot behind its commands": Summary(
+        tracking=TRACKING.model_copy(update={"delay_s": -0.0002}),
+        stream=StreamSummary(preview_s=0.002),
+    ),
     "from 2 s to the end": Summary(
         termination=Termination(reason="", played_s=12.0, motion_s=14.0, start_s=2.0)
     ),

@@ -69,7 +69,8 @@ def test_ramp_begins_at_the_measured_pose_without_steps(make_loop, link):
 def test_a_preview_crosses_into_the_next_phase(make_loop, link, preview):
     """The motion moves at up to 0.4 rad/s from its first frame to its last."""
     link.robot.q[:] = 0.1 * np.sin(np.linspace(0.1, 1.5, 29))
-    make_loop(feedforward=feedforward("velocity", preview=preview)).run()
+    report = make_loop(feedforward=feedforward("velocity", preview=preview)).run()
+    assert report.summary().preview_s == preview
     q = np.array([sent.command.q for sent in link.sent])
     fastest = max(np.abs(sent.command.dq).max() for sent in link.sent)
     assert np.abs(np.diff(q, axis=0)).max() < 1.1 * fastest * PERIOD / 1e9

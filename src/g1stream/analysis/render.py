@@ -45,7 +45,7 @@ def render(summary: Summary) -> str:
     """The summary as plain text of `WIDTH` columns, with sections for what there is."""
     sections = [
         _session(summary),
-        _tracking(summary.tracking) if summary.tracking else [],
+        _tracking(summary.tracking, summary.stream) if summary.tracking else [],
         _stream(summary.stream) if summary.stream else _log(summary.feedforward_log),
         _messages(summary),
         _problems(summary.problems),
@@ -168,7 +168,7 @@ def _ended(termination: Termination) -> str:
     )
 
 
-def _tracking(tracking: TrackingSummary) -> list[str]:
+def _tracking(tracking: TrackingSummary, stream: StreamSummary | None) -> list[str]:
     rows = [("limb", "RMSE rad", "RMSE deg", "worst joint", "RMSE deg", "max deg", "at s")]
     limbs = {**tracking.rmse_by_limb_rad, "all joints": tracking.rmse_rad}
     names = list(tracking.joints)
@@ -191,7 +191,7 @@ def _tracking(tracking: TrackingSummary) -> list[str]:
     return [
         *_table(rows, left=(0, 3)),
         "",
-        _line("delay", _delay(tracking)),
+        _line("delay", _delay(tracking, stream.preview_s if stream else None)),
         _line(
             "compared",
             f"{counted(tracking.compared_states, 'state')} over {tracking.compared_s:.2f} s of PLAY"
@@ -200,14 +200,19 @@ def _tracking(tracking: TrackingSummary) -> list[str]:
     ]
 
 
-def _delay(tracking: TrackingSummary) -> str:
+def _delay(tracking: TrackingSummary, preview: float | None) -> str:
     if tracking.delay_s is None:
         return "not determined: too little moves, or no delay explains the error"
     side = "behind" if tracking.delay_s >= 0 else "ahead of"
-    # A command is published `stream.preview` before its target is due.
-    ahead = "" if tracking.delay_s >= 0 else " (commands are sent ahead by stream.preview)"
+    # Commands are ahead of the reference, so that the robot, which is behind them, is not.
+    behind = (
+        f", {(tracking.delay_s + preview) * 1e3:.1f} ms behind its commands, which are sent "
+        f"{preview * 1e3:.1f} ms ahead (stream.preview)"
+        if preview
+        else ""
+    )
     return (
-        f"the robot is {abs(tracking.delay_s) * 1e3:.1f} ms {side} the reference{ahead}; RMSE "
+        f"the robot is {abs(tracking.delay_s) * 1e3:.1f} ms {side} the reference{behind}; RMSE "
         f"without the delay {tracking.rmse_without_delay_rad:.4f} rad, and without each joint's "
         f"mean error {tracking.rmse_without_delay_and_mean_rad:.4f} rad"
     )

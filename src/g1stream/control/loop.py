@@ -345,6 +345,7 @@ class StreamLoop:
         feedforward.begin(self._link.support(), self._link.model())
         report.feedforward = "recorded" if feedforward.recorded else feedforward.kind
         report.support = feedforward.support
+        report.preview = None if feedforward.recorded else feedforward.preview
         report.saturated, report.feedforward_changes = feedforward.saturated, feedforward.changes
         if self._correction and feedforward.kind:  # nothing has been commanded yet
             self._correction.correction.require_feedforward(feedforward.kind, feedforward.support)

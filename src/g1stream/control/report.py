@@ -64,6 +64,7 @@ class LoopReport:
         feedforward, support: of the commands, and how the robot was taken to be held; None until
             RAMP begins.
         feedforward_changes: when the torque was switched off and on again, in order.
+        preview: how far commands are ahead of the reference, s; None until RAMP begins.
         robot: name of the model that torques were computed with.
         time_scale: median of simulated over real time, as measured.
         commands: LowCmds written.
@@ -84,6 +85,7 @@ class LoopReport:
     feedforward: FeedForwardKind | Literal["recorded"] | None = None
     support: Support | None = None
     feedforward_changes: list[FeedForwardChange] = field(default_factory=list)
+    preview: float | None = None
     robot: str | None = None
     time_scale: float | None = None
     commands: int = 0
@@ -128,6 +130,7 @@ class LoopReport:
             saturated_ticks=by_joint(self.saturated.tolist()),
             feedforward=self.feedforward,
             support=self.support,
+            preview_s=self.preview,
             feedforward_changes=self.feedforward_changes,
             robot=self.robot,
             time_scale=self.time_scale,

@@ -261,6 +261,8 @@ class StreamSummary(_Record):
         feedforward: what commands carried beside the position when RAMP began; "recorded" where a
             replay sent recorded commands.
         support: how the robot was taken to be held.
+        preview_s: by which commands were ahead of the reference (`stream.preview`); None where
+            recorded ones were sent.
         feedforward_changes: when the torque was switched off and on again, in order.
         robot: name of the model that feed-forward torques were computed with.
         time_scale: median of simulated over real time, where it was measured.
@@ -299,6 +301,7 @@ class StreamSummary(_Record):
     saturated_ticks: dict[str, Int] | None = None
     feedforward: FeedForwardKind | Literal["recorded"] | None = None
     support: Support | None = None
+    preview_s: float | None = None
     feedforward_changes: list[FeedForwardChange] = []
     robot: str | None = None
     time_scale: float | None = None

@@ -41,7 +41,7 @@ def told(monkeypatch):
 
     mine = replace(load_motion("demo"), warnings=(OF_THE_READER,))
     monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
-    monkeypatch.setattr(program, "_check_no_other_publisher", lambda _: None)
+    monkeypatch.setattr(program, "_publishers", lambda *_: [])
     monkeypatch.setattr(program, "Child", Bridge)
     monkeypatch.setattr(program, "stream", stream)
     monkeypatch.setattr("g1stream.session.motions.load_motion", lambda *_, **__: mine)

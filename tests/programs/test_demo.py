@@ -3,7 +3,7 @@
 import pytest
 
 from g1stream.config import Config
-from g1stream.errors import ConfigError, RecordingError
+from g1stream.errors import ConfigError, RecordingError, WireError
 from g1stream.programs import demo as program
 
 
@@ -16,7 +16,7 @@ def nothing_starts(monkeypatch):
     def start(*_):
         raise StartedError
 
-    monkeypatch.setattr(program, "_check_no_other_publisher", lambda _: None)
+    monkeypatch.setattr(program, "_publishers", lambda *_: [])
     monkeypatch.setattr(program, "Child", start)
     monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
 
@@ -48,3 +48,15 @@ def test_a_demo_does_not_leave_the_machine(tmp_path, monkeypatch):
     with pytest.raises(ConfigError, match="CYCLONEDDS_URI is set"):
         program.demo("demo", tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(("given", "chosen"), [({}, 3), ({"domain": 3}, 3), ({"domain": 2}, None)])
+def test_it_avoids_domains_that_are_taken_unless_one_is_asked_for(monkeypatch, given, chosen):
+    others = {1: ["g1stream sim"], 2: ["unitree_mujoco"]}
+    monkeypatch.setattr(program, "_publishers", lambda domain, _: others.get(domain, []))
+    config = Config.model_validate({"dds": given})
+    if chosen:
+        assert program._with_free_domain(config).dds.domain == chosen
+    else:
+        with pytest.raises(WireError, match="unitree_mujoco"):
+            program._with_free_domain(config)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from g1stream.cli.command import SettingsCommand, exit_code, print_summary, print_warning
-from g1stream.cli.flags import MOTION, flag
+from g1stream.cli.flags import MOTION, flag, fps_flag
 from g1stream.cli.stream import playing
 
 __all__ = ["Demo"]
@@ -16,6 +16,8 @@ __all__ = ["Demo"]
 @dataclass(frozen=True, kw_only=True)
 class Demo(SettingsCommand):
     """Needs no robot and no other program. Writes session.mcap and tracking.png.
+
+    Without --domain it takes the first DDS domain from 1 on that no robot or simulator is in.
 
     Examples:
       g1stream demo
@@ -30,6 +32,7 @@ class Demo(SettingsCommand):
     """
 
     motion: str = flag("demo", MOTION, "MOTION")
+    fps: float | None = fps_flag()
     out: Path = flag(Path("demo-out"), "Directory for session.mcap and tracking.png.", "DIR")
     force: bool = flag(False, "Replace files that exist already.")
     json: bool = flag(False, "Print the summary as JSON on standard output.")
@@ -40,16 +43,16 @@ class Demo(SettingsCommand):
         from g1stream.session.motions import load_motion
 
         config = self.resolve()
-        motion = load_motion(self.motion)
+        motion = load_motion(self.motion, fps=self.fps)
         for warning in motion.warnings:
             print_warning(warning)
-        with playing(config) as prepare:
+        with playing() as prepare:
             summary = demo(
                 motion,
                 self.out,
                 config,
                 force=self.force,
-                on_loop=lambda loop: prepare(loop, motion),
+                on_loop=lambda loop, config: prepare(loop, motion, config),
             )
         print_summary(summary, as_json=self.json)
         if summary.tracking:

@@ -34,8 +34,8 @@ __all__ = ["PlayCommand", "Replay", "Stream", "playing"]
 
 
 @contextmanager
-def playing(config: Config) -> Iterator[Callable[[StreamLoop, Motion], None]]:
-    """Print events, and yield a function to call with a loop before it runs.
+def playing() -> Iterator[Callable[[StreamLoop, Motion, Config], None]]:
+    """Print events, and yield a function to call with a loop, and its config, before it runs.
 
     It announces where the loop publishes, lets signals stop it and displays its progress. A signal
     that comes before there is a loop stops it in WAIT; its handler stays until the recording is
@@ -53,7 +53,7 @@ def playing(config: Config) -> Iterator[Callable[[StreamLoop, Motion], None]]:
         stack.enter_context(on_signals(stop))
         stack.enter_context(handled_by(ConsoleHandler()))
 
-        def prepare(loop: StreamLoop, motion: Motion) -> None:
+        def prepare(loop: StreamLoop, motion: Motion, config: Config) -> None:
             announce_wire(config)
             loops.append(loop)
             if early:
@@ -167,14 +167,14 @@ class Stream(PlayCommand):
         motion = load_motion(self.motion, fps=self.fps)
         for warning in motion.warnings:
             print_warning(warning)
-        with playing(config) as prepare:
+        with playing() as prepare:
             summary = stream(
                 motion,
                 config,
                 record=self.record,
                 force=self.force,
                 arm=arming(self.arm, self.yes),
-                on_loop=lambda loop: prepare(loop, motion),
+                on_loop=lambda loop: prepare(loop, motion, config),
             )
         return self.report(summary)
 
@@ -211,7 +211,7 @@ class Replay(PlayCommand):
         from g1stream.programs.replay import replay
 
         config = self.resolve()
-        with playing(config) as prepare:
+        with playing() as prepare:
             summary = replay(
                 self.file,
                 config,
@@ -220,6 +220,6 @@ class Replay(PlayCommand):
                 record=self.record,
                 force=self.force,
                 arm=arming(self.arm, self.yes),
-                on_loop=prepare,
+                on_loop=lambda loop, motion: prepare(loop, motion, config),
             )
         return self.report(summary)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -22,8 +23,13 @@ if TYPE_CHECKING:
 
 __all__ = ["FIGURE", "demo"]
 
+_LOGGER = logging.getLogger(__name__)
+
 FIGURE: Final = "tracking.png"
 """Name of the figure in the output directory."""
+
+#: So many domains are tried, from the default on.
+_MOST_DOMAINS: Final = 10
 
 
 def demo(
@@ -32,7 +38,7 @@ def demo(
     config: Config | None = None,
     *,
     force: bool = False,
-    on_loop: Callable[[StreamLoop], None] | None = None,
+    on_loop: Callable[[StreamLoop, Config], None] | None = None,
 ) -> Summary:
     """Play a motion on our own bridge and record it, all on this machine.
 
@@ -42,12 +48,14 @@ def demo(
         motion: a motion, a motion file, or the name of a bundled motion.
         out: directory for session.mcap and tracking.png, the figure of `Session.plot`; made where
             it is missing.
-        config: all settings; the defaults if left out.
+        config: all settings; the defaults if left out. Where it sets no domain, the first one from
+            1 on in which nobody publishes a robot's topics.
         force: replace files that are there already.
-        on_loop: is given the loop before it runs.
+        on_loop: is given the loop before it runs, and the settings with the domain.
 
     Raises:
         ConfigError: the domain is not this machine's alone.
+        WireError: there is a robot or simulator in the domain already.
         RecordingError: a file is there already and `force` is off, or none can be made there.
         G1StreamError: another setting or the wire does not allow it.
     """
@@ -61,11 +69,17 @@ def demo(
         named_anew = config.record.auto_name  # with the time in it
         _check_absent(*([] if named_anew else [session_path]), figure_path)
     _make_directory(out)
-    _check_no_other_publisher(config)
+    config = _with_free_domain(config)
     sim = Child("sim", config)
     try:
         sim.wait_until_ready()
-        played = stream(motion, config, record=session_path, force=force, on_loop=on_loop)
+        played = stream(
+            motion,
+            config,
+            record=session_path,
+            force=force,
+            on_loop=on_loop and (lambda loop: on_loop(loop, config)),
+        )
         sim.finish()
     finally:
         sim.kill()
@@ -107,13 +121,25 @@ def _make_directory(out: Path) -> None:
         ) from error
 
 
-def _check_no_other_publisher(config: Config) -> None:
-    with Participant(config.dds.domain, config.dds.interface) as participant:
+def _with_free_domain(config: Config) -> Config:
+    """The config with a domain in which nobody publishes a robot's topics."""
+    first = config.dds.domain
+    given = "domain" in config.dds.model_fields_set
+    for domain in range(first, first + (1 if given else _MOST_DOMAINS)):
+        others = _publishers(domain, config.dds.interface)
+        if not others:
+            dds = config.dds.model_copy(update={"domain": domain})
+            return config.model_copy(update={"dds": dds})
+        _LOGGER.info("DDS domain %d is taken by %s", domain, ", ".join(others))
+    raise WireError(
+        f"DDS domain {domain} has other publishers: {', '.join(others)}.",
+        f"End them, or choose a free domain, such as --domain {domain + 1}.",
+    )
+
+
+def _publishers(domain: int, interface: str) -> list[str]:
+    """Who publishes what a robot or its streamer does."""
+    with Participant(domain, interface) as participant:
         time.sleep(DISCOVERY)
-        others = participant.writers(LOWSTATE.name)
-    if others:
-        raise WireError(
-            f"Another publisher on {LOWSTATE.name} in domain {config.dds.domain}: "
-            f"{', '.join(map(str, others))}.",
-            f"End it, or choose a free domain, such as --domain {config.dds.domain + 1}.",
-        )
+        writers = [*participant.writers(LOWSTATE.name), *participant.commanders()]
+        return sorted({participant.owner(writer) for writer in writers})

@@ -32,7 +32,12 @@ __all__ = ["plot_joints"]
 _WIDTH, _HEIGHT, _HEAD = 7.0, 1.7, 0.5
 _DPI: Final = 100
 _MOST_POINTS: Final = 4000
-_ASKED: Final[dict[str, Any]] = {"color": DARK, "linewidth": 1.0, "linestyle": (0, (4, 2)), "zorder": 3}
+_ASKED: Final[dict[str, Any]] = {
+    "color": DARK,
+    "linewidth": 1.0,
+    "linestyle": (0, (4, 2)),
+    "zorder": 3,
+}
 
 
 def plot_joints(session: Session, joints: Sequence[int], what: Sequence[Quantity]) -> Figure:

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 from g1stream._version import __version__
 
 if TYPE_CHECKING:
+    from g1stream.analysis.delay import Delay
     from g1stream.analysis.learning import learn
     from g1stream.analysis.tracking import Tracking
     from g1stream.config import Config, load_config
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from g1stream.programs.stream import stream
     from g1stream.robot.joints import JOINT_NAMES
     from g1stream.robot.model import G1
+    from g1stream.session.metrics import Metrics
     from g1stream.session.motions import load_motion
     from g1stream.session.session import Message, Session, open_session
     from g1stream.session.streams import (
@@ -57,10 +59,12 @@ __all__ = [
     "Conversion",
     "ConvertReport",
     "Correction",
+    "Delay",
     "G1StreamError",
     "LogEvent",
     "Measured",
     "Message",
+    "Metrics",
     "Motion",
     "PhaseInterval",
     "Reference",
@@ -94,12 +98,14 @@ _HOME = {
     "Conversion": "programs.convert",
     "ConvertReport": "programs.convert",
     "Correction": "motion.correction",
+    "Delay": "analysis.delay",
     "G1": "robot.model",
     "G1StreamError": "errors",
     "JOINT_NAMES": "robot.joints",
     "LogEvent": "session.streams",
     "Measured": "session.streams",
     "Message": "session.session",
+    "Metrics": "session.metrics",
     "Motion": "motion.motion",
     "PhaseInterval": "session.summary",
     "Reference": "session.streams",

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from g1stream.session.streams import Stream
     from g1stream.session.summary import MotionInfo, PhaseInterval
 
-__all__ = ["FEEDFORWARD", "find_problems", "message_stats", "summarise", "summarise_run"]
+__all__ = ["FEEDFORWARD", "find_problems", "message_stats", "played", "summarise", "summarise_run"]
 
 FEEDFORWARD: Final = "feed-forward: "
 """What the stream logs of its feed-forward begins with this."""
@@ -104,7 +104,7 @@ def summarise(session: Session) -> Summary:
         ],
         recorder=recorder,
         # The error over several motions is that of none.
-        tracking=tracking if _played(session.phases) <= 1 else None,
+        tracking=tracking if played(session.phases) <= 1 else None,
         topics=topics,
         attachments_bytes={name: len(data) for name, data in session.attachments.items()},
     )
@@ -229,15 +229,15 @@ def _recorder_problems(recorder: RecorderSummary) -> Iterator[str]:
         yield f"CLOCK_REALTIME of the recorder was set by {step.step_ns / 1e9:+.3f} s."
 
 
-def _played(phases: list[PhaseInterval]) -> int:
+def played(phases: list[PhaseInterval]) -> int:
     """How many motions were played, or one how many times."""
     return sum(one.phase is Phase.PLAY for one in phases)
 
 
 def _file_problems(session: Session) -> Iterator[str]:
-    if (played := _played(session.phases)) > 1:
+    if (times := played(session.phases)) > 1:
         yield (
-            f"{played} motions were played in this session, each with a PLAY of its own, so that "
+            f"{times} motions were played in this session, each with a PLAY of its own, so that "
             "tracking has no one reference to compare with. Record each into a file of its own."
         )
     for number, reason in session.absent_parts.items():
@@ -280,7 +280,7 @@ def _termination(
         "undamped_in": undamped,
         "guard": guard,
         "played_s": sum(p.duration_s for p in phases if p.phase is Phase.PLAY)
-        if phases and _played(phases) <= 1
+        if phases and played(phases) <= 1
         else None,
         "motion_s": info.motion.duration_s if info.motion else None,
         "start_s": start or 0.0,

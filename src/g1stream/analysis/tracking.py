@@ -9,10 +9,12 @@ publishing.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, NamedTuple
+from functools import cached_property
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from g1stream.analysis.delay import Delay, Delays
 from g1stream.errors import RecordingError
 from g1stream.foxglove.tracking_error import MAX_GAP_NS, neighbours
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
@@ -25,38 +27,14 @@ if TYPE_CHECKING:
 
     from g1stream.session.session import Session
 
-__all__ = ["Delay", "NothingToCompareError", "Tracking", "compare", "pooled", "tracking"]
-
-SHORTEST_DELAY, LONGEST_DELAY = -0.02, 0.2
-"""Between these a tracking delay is searched for, s; positive: the robot is behind."""
-
-_COARSE, _FINE = 0.01, 0.002
-_DELAY_SAMPLES: Final = 20_000
+__all__ = ["NothingToCompareError", "Tracking", "compare", "pooled", "tracking"]
 
 #: Positions, rad, and motion times, s, that are not below this are left out, as is NaN.
 _LARGEST: Final = 1e9
-#: A joint takes part in finding the delay if reference and measurement span more than this, rad.
-_MOVES: Final = 0.05
 
 
 class NothingToCompareError(RecordingError):
     """A session has no state in PLAY, or no reference."""
-
-
-class Delay(NamedTuple):
-    """By how much the robot is behind the reference, and how well it follows apart from that.
-
-    Attributes:
-        seconds: the shift of the reference that explains most of the error of the joints that
-            move: it makes what is left besides each joint's mean error smallest. So a joint that
-            only hangs lower than it should does not count as late.
-        rmse: (29,) rad, of the reference `seconds` ago - measured.
-        std: (29,) rad, the same without each joint's mean error.
-    """
-
-    seconds: float
-    rmse: Floats
-    std: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +54,8 @@ class Tracking:
         mean: (29,) rad, mean of reference - measured, such as the sag under gravity.
         max_abs: (29,) rad, the greatest error, either way.
         max_abs_at: (29,) s since the motion's first frame, where that was.
-        delay: None where too little moves, or no shift that is searched fits best.
+        delays: finds the delay of any joints together.
+        states: (N,) which LowStates they are.
     """
 
     time: Floats
@@ -89,7 +68,16 @@ class Tracking:
     mean: Floats
     max_abs: Floats
     max_abs_at: Floats
-    delay: Delay | None
+    delays: Delays
+    states: NDArray[np.intp]
+
+    @cached_property
+    def delay(self) -> Delay | None:
+        """Of all joints together; None where too little moves, or no delay that is searched fits.
+
+        Its `rmse` and `std` are (29,) rad.
+        """
+        return self.delays.of(range(N_JOINTS))
 
     @property
     def error(self) -> Floats:
@@ -191,7 +179,8 @@ def compare(reference: Reference, measured: Measured) -> Tracking | None:
         mean=error.mean(axis=0),
         max_abs=np.abs(error[worst, np.arange(N_JOINTS)]),
         max_abs_at=motion_time[worst],
-        delay=_delay(seconds, q, state_seconds, asked, done),
+        delays=Delays(seconds, q, state_seconds, done),
+        states=states,
     )
 
 
@@ -203,47 +192,6 @@ def _is_sane(values: Floats) -> NDArray[np.bool_]:
 def pooled(values: Floats) -> float:
     """One RMSE of several joints, from the RMSE of each over the same instants."""
     return float(np.sqrt(np.mean(np.square(values))))
-
-
-def _delay(times: Floats, q: Floats, at: Floats, asked: Floats, measured: Floats) -> Delay | None:
-    """The best shift: searched on a coarse grid, then on a fine one, then by a parabola.
-
-    `times` (R,) s and `q` (R, 29) rad are the reference in every phase; `at` (N,) s the instants
-    that are compared, `asked` and `measured` (N, 29) rad reference and measurement there.
-    """
-    # A robot that is late shows what was asked before PLAY, so that must have been recorded too.
-    covered = (at - LONGEST_DELAY >= times[0]) & (at - SHORTEST_DELAY <= times[-1])
-    moving = np.minimum(np.ptp(asked, axis=0), np.ptp(measured, axis=0)) > _MOVES
-    if not moving.any() or not covered.any():
-        return None
-    at, measured = at[covered], measured[covered]
-    few = slice(None, None, -(-len(at) // _DELAY_SAMPLES))
-    few_at, few_measured, moving_q = at[few], measured[few][:, moving], q[:, moving]
-
-    def cost(shift: float) -> float:
-        error = _interpolate(few_at - shift, times, moving_q) - few_measured
-        return float(error.var(axis=0).sum())
-
-    steps = round((LONGEST_DELAY - SHORTEST_DELAY) / _COARSE)
-    coarse = np.linspace(SHORTEST_DELAY, LONGEST_DELAY, steps + 1)
-    near = int(np.argmin([cost(shift) for shift in coarse]))
-    if not 0 < near < steps:
-        return None
-    steps = round(_COARSE / _FINE)
-    fine = coarse[near] + _FINE * np.arange(-steps, steps + 1)
-    costs = [cost(shift) for shift in fine]
-    # A neighbour on the coarse grid is no better, so that the best is never the first or the last.
-    best = int(np.argmin(costs[1:-1])) + 1
-    left, middle, right = costs[best - 1 : best + 2]
-    curvature = left - 2.0 * middle + right
-    seconds = fine[best] + (0.5 * _FINE * (left - right) / curvature if curvature > 0 else 0.0)
-    error = _interpolate(at - seconds, times, q) - measured
-    return Delay(float(seconds), _rms(error), error.std(axis=0))
-
-
-def _interpolate(instants: Floats, times: Floats, values: Floats) -> Floats:
-    """(N, J) values (R, J) of increasing times (R,) at other instants (N,), linearly."""
-    return np.column_stack([np.interp(instants, times, column) for column in values.T])
 
 
 def _rms(errors: Floats) -> Floats:

@@ -29,12 +29,15 @@ if TYPE_CHECKING:
     from g1stream.analysis.tracking import Tracking
     from g1stream.analysis.video import Camera
     from g1stream.motion.motion import Motion
+    from g1stream.session.metrics import Metrics
     from g1stream.session.source import Messages, SessionSource
     from g1stream.session.summary import PhaseInterval, Summary
 
 __all__ = ["LogEvent", "Message", "Session", "open_session"]
 
 _ESSENTIAL: Final = (Reference.topic, Command.topic, Measured.topic)
+#: What `convert` makes of a motion has its joints, and no samples of DDS.
+_CONVERTED: Final = "/reference/joint_states"
 
 StreamT = TypeVar("StreamT", bound=Stream)
 
@@ -93,7 +96,7 @@ class Session:
         self.metadata = source.metadata
         self._streams: dict[type[Stream], Any] = {}
         self._tracking: Tracking | None = None
-        if not any(self.topics.get(topic) for topic in _ESSENTIAL):
+        if not any(self.topics.get(topic) for topic in (*_ESSENTIAL, _CONVERTED)):
             raise self._without_essentials()
 
     def __repr__(self) -> str:
@@ -199,10 +202,13 @@ class Session:
         """Time 0 of the motion's clock, ns since the epoch on the recorder's clock.
 
         That is when the motion's first frame was or would have been published; where nothing was
-        played, the first sample of the reference, or else of the commands or the state.
+        played, the first sample of the reference, or else of the commands or the state; of a
+        converted motion, its first frame.
         """
-        kinds = Reference, Command, Measured
-        return self.stream(next(k for k in kinds if self.topics.get(k.topic))).start_ns
+        for kind in (Reference, Command, Measured):
+            if self.topics.get(kind.topic):
+                return self.stream(kind).start_ns
+        return self._read_times([_CONVERTED])[_CONVERTED].start_ns
 
     @property
     def phases(self) -> list[PhaseInterval]:
@@ -270,6 +276,18 @@ class Session:
         from g1stream.analysis.summary import summarise
 
         return summarise(self)
+
+    def metrics(self) -> Metrics:
+        """How well it went, in the metrics of motion-tracking papers; docs/metrics.md defines them.
+
+        What cannot be told is None: of a session without a reference there are torque and timing.
+
+        Raises:
+            RecordingError: the file is damaged.
+        """
+        from g1stream.analysis.metrics import metrics
+
+        return metrics(self)
 
     def plot(
         self, joints: Sequence[str] | str | None = None, what: Sequence[str] | None = None

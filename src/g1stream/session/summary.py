@@ -41,6 +41,7 @@ __all__ = [
     "MotionInfo",
     "Percentiles",
     "PhaseInterval",
+    "Record",
     "RecorderSummary",
     "SessionInfo",
     "StreamSummary",
@@ -62,7 +63,9 @@ PhaseName = Annotated[
 """A phase, in JSON by its name."""
 
 
-class _Record(BaseModel):
+class Record(BaseModel):
+    """What is written as JSON; its numbers are finite."""
+
     # A file of another version may have more fields, or fewer.
     model_config = ConfigDict(extra="ignore", allow_inf_nan=False, validate_default=False)
 
@@ -101,7 +104,7 @@ def read_record(
     return record, problems + more
 
 
-class Percentiles(_Record):
+class Percentiles(Record):
     """Of a latency or lateness; the field that it is in names the unit."""
 
     p50: float
@@ -110,7 +113,7 @@ class Percentiles(_Record):
     max: float
 
 
-class MotionInfo(_Record):
+class MotionInfo(Record):
     """The motion that was played.
 
     Attributes:
@@ -147,7 +150,7 @@ class MotionInfo(_Record):
         return (self.frames - 1) / self.fps if self.frames and self.fps else None
 
 
-class CorrectionInfo(_Record):
+class CorrectionInfo(Record):
     """The correction with which a motion was played; the file itself is attached.
 
     Attributes:
@@ -170,7 +173,7 @@ class CorrectionInfo(_Record):
         )
 
 
-class SessionInfo(_Record):
+class SessionInfo(Record):
     """What is known of a session before its first sample: the file's metadata as it begins.
 
     Attributes:
@@ -210,7 +213,7 @@ class SessionInfo(_Record):
         )
 
 
-class Finding(_Record):
+class Finding(Record):
     """The result of a check: why no command was sent, or what the doctor says.
 
     Attributes:
@@ -224,7 +227,7 @@ class Finding(_Record):
     remedy: str = ""
 
 
-class FeedForwardChange(_Record):
+class FeedForwardChange(Record):
     """The feed-forward torque was switched off, or on again.
 
     Attributes:
@@ -238,7 +241,7 @@ class FeedForwardChange(_Record):
     reason: str = ""
 
 
-class StreamSummary(_Record):
+class StreamSummary(Record):
     """What the stream counted.
 
     Attributes:
@@ -319,14 +322,14 @@ class StreamSummary(_Record):
     lateness_histogram_us: dict[Int, Int] | None = None  # last, as it is long
 
 
-class ClockStep(_Record):
+class ClockStep(Record):
     """CLOCK_REALTIME was set by `step_ns` when, after that, it was `at_ns`."""
 
     at_ns: Int | None = None
     step_ns: Int
 
 
-class TopicDelay(_Record):
+class TopicDelay(Record):
     """How long the messages of a topic took.
 
     Attributes:
@@ -341,7 +344,7 @@ class TopicDelay(_Record):
     clock_offset_estimate_ns: Int | None = None
 
 
-class MeasuredTf(_Record):
+class MeasuredTf(Record):
     """How the measured robot was placed in the world of the reference.
 
     Attributes:
@@ -353,7 +356,7 @@ class MeasuredTf(_Record):
     position_from: str | None = None
 
 
-class RecorderSummary(_Record):
+class RecorderSummary(Record):
     """What a recording holds, and what it lacks; topics are those of the file.
 
     Attributes:
@@ -404,7 +407,7 @@ class RecorderSummary(_Record):
         return (self.last_ns - self.first_ns) / 1e9
 
 
-class PhaseInterval(_Record):
+class PhaseInterval(Record):
     """A phase from start to end, s on the motion's clock: its first frame is at 0."""
 
     phase: PhaseName
@@ -417,7 +420,7 @@ class PhaseInterval(_Record):
         return self.end_s - self.start_s
 
 
-class Termination(_Record):
+class Termination(Record):
     """How a session ended.
 
     Attributes:
@@ -439,7 +442,7 @@ class Termination(_Record):
     start_s: float = 0.0
 
 
-class MessageStats(_Record):
+class MessageStats(Record):
     """The messages of a topic; for those that the recorder derives, only their number.
 
     Attributes:
@@ -462,7 +465,7 @@ class MessageStats(_Record):
     clock_offset_s: float | None = None
 
 
-class JointTracking(_Record):
+class JointTracking(Record):
     """The tracking error of a joint, reference - measured.
 
     Attributes:
@@ -478,7 +481,7 @@ class JointTracking(_Record):
     max_abs_at_s: float
 
 
-class TrackingSummary(_Record):
+class TrackingSummary(Record):
     """How closely the robot followed the reference in PLAY.
 
     Attributes:
@@ -508,7 +511,7 @@ class TrackingSummary(_Record):
     joints: dict[str, JointTracking]
 
 
-class Summary(_Record):
+class Summary(Record):
     """What is in a session and how well it went.
 
     Attributes:

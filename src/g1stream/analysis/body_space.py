@@ -1,0 +1,154 @@
+"""How closely the links of the robot followed those of the reference, in metres."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from g1stream.analysis.frames import FPS
+from g1stream.robot.kinematics import LinkPoses, forward_kinematics
+from g1stream.robot.rotations import quat_conj, quat_mul, quat_rotate, quat_rotate_inverse
+from g1stream.session.metrics import (
+    BodyMetrics,
+    EndEffectorMetrics,
+    LinkMetrics,
+    PelvisMetrics,
+    TerminationMetrics,
+)
+from g1stream.types import Floats
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from g1stream.analysis.frames import Frames, Robot
+    from g1stream.robot.model import G1
+
+__all__ = ["END_EFFECTORS", "body_metrics"]
+
+END_EFFECTORS: Final = (
+    "left_ankle_roll_link",
+    "right_ankle_roll_link",
+    "left_wrist_yaw_link",
+    "right_wrist_yaw_link",
+)
+"""Those of BeyondMimic's tasks for the G1."""
+
+_DOWN: Final = np.array([0.0, 0.0, -1.0])
+_MM: Final = 1e3
+
+
+def body_metrics(robot: G1, frames: Frames) -> BodyMetrics:
+    """The metrics of the links, in the world, relative to the pelvis's position and in its frame.
+
+    Links are the 30 bodies of the G1: the pelvis and those that a joint moves.
+    """
+    bodies = np.flatnonzero((robot.joint_of_link >= 0) | (robot.parent < 0))
+    names = [robot.link_names[i] for i in bodies]
+    reference, measured = frames.reference, frames.measured
+    # Of the joints alone: both pelvises at the origin, upright.
+    asked, done = (_links(robot, one.q, bodies) for one in (reference, measured))
+    relative = world = terminations = None
+    if frames.has_attitude:
+        turned = [
+            quat_rotate(one.root_quat_wxyz[:, np.newaxis], links.pos)
+            for one, links in ((reference, asked), (measured, done))
+        ]
+        relative = turned[0] - turned[1]
+        if frames.has_position:
+            apart = reference.root_pos - measured.root_pos
+            world = relative + apart[:, np.newaxis]
+            ends = [names.index(name) for name in END_EFFECTORS]
+            terminations = TerminationMetrics(
+                max_pelvis_height_mm=float(np.abs(apart[:, 2]).max() * _MM),
+                max_gravity_difference=_gravity_difference(reference, measured),
+                max_end_effector_height_mm=float(np.abs(world[:, ends, 2]).max() * _MM),
+            )
+    return BodyMetrics(
+        fps=FPS,
+        frames=len(frames.motion_time),
+        world=None if world is None else _link_metrics(frames, names, world),
+        root_relative=None if relative is None else _link_metrics(frames, names, relative),
+        pelvis_frame=_link_metrics(frames, names, asked.pos - done.pos),
+        end_effectors={
+            name: _end_effector(asked, done, names.index(name)) for name in END_EFFECTORS
+        },
+        pelvis=_pelvis_metrics(frames) if frames.has_attitude else None,
+        terminations=terminations,
+    )
+
+
+def _links(robot: G1, q: Floats, bodies: NDArray[np.intp]) -> LinkPoses:
+    """Poses of the bodies in the pelvis's frame."""
+    poses = forward_kinematics(robot, q, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
+    return LinkPoses(poses.pos[:, bodies], poses.quat_wxyz[:, bodies])
+
+
+def _link_metrics(frames: Frames, names: list[str], difference: Floats) -> LinkMetrics:
+    """Of the positions (F, L, 3) m, reference - measured."""
+    distance = np.linalg.norm(difference, axis=-1)
+    of_frame = distance.mean(axis=1)
+    worst = int(of_frame.argmax())
+    both = frames.consecutive
+    velocity = np.diff(difference, axis=0)
+    acceleration = np.diff(velocity, axis=0)[both[1:] & both[:-1]]
+    vel, acc = (_mean_norm(one) for one in (velocity[both], acceleration))
+    return LinkMetrics(
+        mpjpe_mm=float(of_frame.mean() * _MM),
+        p99_mm=float(np.percentile(of_frame, 99.0) * _MM),
+        max_mm=float(of_frame[worst] * _MM),
+        max_at_s=float(frames.motion_time[worst]),
+        vel_mm_per_frame=vel,
+        acc_mm_per_frame2=acc,
+        by_link_mm=dict(zip(names, (distance.mean(axis=0) * _MM).tolist(), strict=True)),
+    )
+
+
+def _mean_norm(vectors: Floats) -> float | None:
+    """Mean length of vectors (F, L, 3) m, mm; None without a frame."""
+    return float(np.linalg.norm(vectors, axis=-1).mean() * _MM) if len(vectors) else None
+
+
+def _end_effector(asked: LinkPoses, done: LinkPoses, link: int) -> EndEffectorMetrics:
+    distance = np.linalg.norm(asked.pos[:, link] - done.pos[:, link], axis=-1)
+    angle = _angle(asked.quat_wxyz[:, link], done.quat_wxyz[:, link])
+    return EndEffectorMetrics(
+        position_mm=float(distance.mean() * _MM),
+        max_position_mm=float(distance.max() * _MM),
+        orientation_rad=float(angle.mean()),
+    )
+
+
+def _pelvis_metrics(frames: Frames) -> PelvisMetrics:
+    reference, measured = frames.reference, frames.measured
+    angle = _angle(reference.root_quat_wxyz, measured.root_quat_wxyz)
+    yaw_rate = np.abs(reference.root_ang_vel[:, 2] - measured.root_ang_vel[:, 2])
+    distance = np.linalg.norm(reference.root_pos - measured.root_pos, axis=1) * _MM
+    speed = np.linalg.norm(reference.root_lin_vel - measured.root_lin_vel, axis=1)
+    known = frames.has_position
+    return PelvisMetrics(
+        orientation_rad=float(angle.mean()),
+        max_orientation_rad=float(angle.max()),
+        yaw_rate_rad_s=float(yaw_rate.mean()),
+        position_mm=float(distance.mean()) if known else None,
+        max_position_mm=float(distance.max()) if known else None,
+        final_position_mm=float(distance[-1]) if known else None,
+        lin_vel_m_s=float(speed.mean()) if known else None,
+    )
+
+
+def _angle(a: Floats, b: Floats) -> Floats:
+    """(F,) rad between rotations (F, 4)."""
+    difference = quat_mul(quat_conj(a), b)
+    angle: Floats = 2.0 * np.arctan2(
+        np.linalg.norm(difference[:, 1:], axis=1), np.abs(difference[:, 0])
+    )
+    return angle
+
+
+def _gravity_difference(reference: Robot, measured: Robot) -> float:
+    down = [
+        quat_rotate_inverse(one.root_quat_wxyz, np.broadcast_to(_DOWN, one.root_pos.shape))[:, 2]
+        for one in (reference, measured)
+    ]
+    return float(np.abs(down[0] - down[1]).max())

@@ -1,0 +1,47 @@
+"""How punctual commands, states and the wire were."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from g1stream.session.metrics import TimingMetrics
+from g1stream.session.summary import Percentiles
+
+if TYPE_CHECKING:
+    from g1stream.session.session import Session
+    from g1stream.session.summary import Summary
+    from g1stream.types import Floats
+
+__all__ = ["percentiles", "timing_metrics"]
+
+
+def timing_metrics(session: Session, summary: Summary) -> TimingMetrics:
+    """The metrics, from the summary and the publish times of commands and states."""
+    stream, command = summary.stream, summary.topics.get("/lowcmd")
+    found = TimingMetrics(
+        rate_hz=command and command.rate_hz,
+        nominal_rate_hz=stream and stream.nominal_rate_hz,
+        lateness_us=stream and stream.lateness_us,
+        lateness_histogram_us=stream and stream.lateness_histogram_us,
+        skipped_ticks=stream and stream.skipped_ticks,
+        topics={t: stats for t, stats in summary.topics.items() if stats.latency_us},
+    )
+    if command is None or not command.rate_hz:
+        return found
+    commands = np.sort(session.command.publish_time) + session.command.clock_offset
+    found.interval_us = percentiles(np.diff(commands) / 1e3)
+    if "/lowstate" in found.topics:
+        states = np.sort(session.measured.publish_time) + session.measured.clock_offset
+        newest = np.searchsorted(states, commands, side="right") - 1
+        known = newest >= 0
+        if known.any():
+            found.state_age_us = percentiles((commands[known] - states[newest[known]]) / 1e3)
+    return found
+
+
+def percentiles(values: Floats) -> Percentiles:
+    """Of one value at least."""
+    p50, p99, p99_9, longest = np.percentile(values, (50, 99, 99.9, 100)).tolist()
+    return Percentiles(p50=p50, p99=p99, p99_9=p99_9, max=longest)

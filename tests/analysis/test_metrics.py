@@ -1,0 +1,111 @@
+"""The metrics of sessions whose errors are known, and of sessions that lack something."""
+
+import numpy as np
+import pytest
+from scipy.integrate import trapezoid
+
+import g1stream
+from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
+from g1stream.session.metrics import Metrics
+
+SAG = np.linspace(-0.2, 0.1, 29)
+
+
+@pytest.fixture(scope="module")
+def rollout():
+    return g1stream.rollout("demo", seconds=2.0)
+
+
+def test_tracking_is_that_of_the_summary(rollout):
+    metrics, summary = rollout.metrics().tracking, rollout.summary().tracking
+    assert metrics.all_joints.rmse_rad == summary.rmse_rad
+    assert metrics.all_joints.delay_s == summary.delay_s
+    assert metrics.all_joints.worst_joint == summary.worst_joint
+    assert metrics.compared_states == summary.compared_states
+    for limb, rmse in summary.rmse_by_limb_rad.items():
+        assert metrics.limbs[limb].rmse_rad == rmse
+    for name, joint in summary.joints.items():
+        assert joint.model_dump().items() <= metrics.joints[name].model_dump().items()
+
+
+def test_metrics_are_json_and_back(rollout):
+    metrics = rollout.metrics()
+    assert Metrics.model_validate_json(metrics.model_dump_json()) == metrics
+    assert metrics.missing == {}
+
+
+def test_joints_limbs_and_all(play, write_session):
+    metrics = g1stream.open_session(write_session(*play(0.04, -SAG))).metrics()
+    tracking = g1stream.open_session(write_session(*play(0.04, -SAG), name="b.mcap")).tracking()
+    size = np.abs(tracking.error)
+    found = metrics.tracking
+    for i, name in enumerate(JOINT_NAMES):
+        joint = found.joints[name]
+        assert joint.mean_rad == pytest.approx(SAG[i], abs=1e-4)
+        assert joint.mae_rad == pytest.approx(size[:, i].mean())
+        assert joint.p99_rad == pytest.approx(np.percentile(size[:, i], 99))
+        if i in {13, 27}:  # they stand still
+            assert joint.delay_s is None
+        else:
+            assert joint.delay_s == pytest.approx(0.04, abs=1e-4)
+            assert joint.correlation > 0.999
+    for name, members in JOINT_GROUPS.items():
+        limb, columns = found.limbs[name], list(members)
+        assert limb.p99_rad == pytest.approx(np.percentile(size[:, columns], 99))
+        assert limb.bias_rad == pytest.approx(np.sqrt(np.mean(SAG[columns] ** 2)), abs=1e-4)
+        assert limb.max_abs_rad == pytest.approx(size[:, columns].max())
+        assert limb.delay_s == pytest.approx(0.04, abs=1e-4)
+
+
+def test_a_robot_without_imu_and_velocities(play, write_session):
+    metrics = g1stream.open_session(write_session(*play(0.04))).metrics()
+    assert metrics.tracking.all_joints.velocity_rmse_rad_s is None
+    assert metrics.body.root_relative is metrics.body.world is metrics.body.pelvis is None
+    assert metrics.body.pelvis_frame.mpjpe_mm > 1.0
+    assert metrics.torque is None
+    assert "torque" in metrics.missing
+
+
+def test_somebody_elses_recording(rollout, tmp_path, play, write_session):
+    session = g1stream.open_session(write_session(None, play().measured))
+    metrics = session.metrics()
+    assert metrics.tracking is metrics.body is None
+    assert {"tracking", "body"} <= metrics.missing.keys()
+    assert metrics.timing.topics["/lowstate"].rate_hz == pytest.approx(500.0)
+    assert metrics.success.success is None
+
+
+def test_a_converted_motion(tmp_path):
+    g1stream.convert("demo", tmp_path / "motion.mcap")
+    session = g1stream.open_session(tmp_path / "motion.mcap")
+    metrics = session.metrics()
+    assert metrics.tracking is metrics.body is metrics.torque is metrics.timing.rate_hz is None
+    assert metrics.missing.keys() == {"tracking", "body", "torque"}
+    assert session.summary().motion.name == "demo"
+    assert session.phases == []
+
+
+def test_a_killed_recording(play, write_session):
+    metrics = g1stream.open_session(write_session(*play(0.02), close=False)).metrics()
+    assert metrics.tracking.all_joints.delay_s == pytest.approx(0.02, abs=1e-4)
+    assert metrics.timing.lateness_us is None
+    assert metrics.success.completed is None
+
+
+def test_a_part_of_a_session(rollout):
+    part = rollout.sel(time=slice(0.5, 1.0)).metrics()
+    assert 0 < part.tracking.compared_states < rollout.metrics().tracking.compared_states
+    assert rollout.sel("RAMP").metrics().tracking is None
+    assert rollout.sel(time=slice(100.0, None)).metrics().torque is None
+
+
+def test_a_rollout_succeeds_and_did_work(rollout):
+    metrics = rollout.metrics()
+    success, torque = metrics.success, metrics.torque
+    assert (success.completed, success.progress, success.success) == (True, 1.0, True)
+    assert success.links == "pelvis_frame"
+    assert torque.in_play
+    assert 0 < abs(torque.net_work_j) < torque.work_j
+    power = rollout.sel("PLAY").measured
+    work = trapezoid(np.abs(power.tau * power.dq), power.time, axis=0).sum()
+    assert torque.work_j == pytest.approx(work, rel=1e-2)

@@ -6,13 +6,18 @@ import os
 import pty
 import subprocess
 import sys
+import time
 from contextlib import suppress
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
-from g1stream.cli.progress import ProgressDisplay, loop_progress
+from g1stream.cli.progress import ProgressDisplay, loop_status, recorder_status, sim_status
+from g1stream.control.loop import LoopReport, Newest
 from g1stream.control.phases import PhaseState
+from g1stream.session.summary import RecorderSummary
+from g1stream.sim.robot import SimReport
 from g1stream.types import Phase
 
 RUN = """
@@ -50,13 +55,15 @@ def test_without_a_terminal_only_events_are_printed():
     assert (done.stdout, done.stderr) == ("end\n", EVENTS)
 
 
-def test_on_a_terminal_events_appear_above_the_bar_which_is_removed_at_the_end():
+def test_on_a_terminal_events_appear_above_the_status_which_is_removed_at_the_end():
     shown = on_terminal()
     assert shown.index("37 %") < shown.index("warning: overrun\n") < shown.rindex("37 %")
     assert "HOLD -> DAMP\n" in shown
-    assert shown.endswith("end\n")
-    assert "\x1b[2K" in shown[shown.rindex("37 %") :]  # clears the line
-    assert "\x1b[?25h" in shown[shown.rindex("37 %") :]  # shows the cursor again
+    # Nothing is left of the status: it is erased from the line on which the cursor stands.
+    assert shown.endswith("\x1b[Jend\n")
+    frame = shown[: shown.index("\x1b[2F")]
+    assert frame.startswith("\x1b[J\n")
+    assert frame.count("\n") == 2
 
 
 @pytest.mark.parametrize(("no_color", "coloured"), [("", True), ("1", False)])
@@ -67,7 +74,7 @@ def test_no_color_is_honoured(no_color, coloured):
     assert colour is coloured
 
 
-def test_a_dumb_terminal_gets_no_bar():
+def test_a_dumb_terminal_gets_no_status():
     shown = on_terminal(TERM="dumb")
     assert EVENTS in shown
     assert "37 %" not in shown
@@ -83,15 +90,51 @@ def test_a_closed_terminal_ends_only_the_display():
         assert process.wait(30) == 7
 
 
-def test_progress_of_a_loop():
-    lateness = SimpleNamespace(maximum_ns=250_000)
-    loop = SimpleNamespace(
-        state=PhaseState(Phase.PLAY, 0), motion_time=6.0, report=SimpleNamespace(lateness=lateness)
+@pytest.fixture
+def played():
+    """A loop 6 s into 24 s; the left leg is 0.04 rad behind, measured 3 ms before the target."""
+    report = LoopReport(2_000_000, SimpleNamespace())
+    report.lateness.add(250_000)
+    report.lateness.add(60_000)
+    report.skipped = 1
+    received = time.monotonic_ns() - 7_000_000
+    q = np.full(29, 0.2, np.float32)
+    q[:6] -= 0.04
+    measured = SimpleNamespace(q=q, received=received)
+    target = SimpleNamespace(q=np.full(29, 0.203), dq=np.ones(29))
+    newest = Newest(target, received + 3_000_000, measured)
+    return SimpleNamespace(
+        state=PhaseState(Phase.PLAY, 0), motion_time=6.0, report=report, newest=newest
     )
-    fraction, text = loop_progress(loop, SimpleNamespace(duration=24.0))
+
+
+def test_the_status_of_a_loop(played):
+    fraction, text = loop_status(played, SimpleNamespace(duration=24.0))
     assert fraction == 0.25
-    for part in ("PLAY", "6.0 / 24.0 s", "0.25 ms"):
-        assert part in text
+    first, second, third = text.split("\n")
+    assert first.split() == ["PLAY", "6.00", "of", "24.00", "s"]
+    assert "late 0.06 ms, worst 0.25 ms, 1 tick skipped; state " in second
+    assert int(second.split()[-3]) >= 7
+    assert third == "error L leg 0.0400  R leg 0.0000  waist 0.0000  L arm 0.0000  R arm 0.0000 rad"
+    assert max(map(len, (first, second, third))) <= 80
+
+
+def test_where_no_position_is_commanded_there_is_no_error(played):
+    played.state = PhaseState(Phase.DAMP, 0)
+    _, text = loop_status(played, SimpleNamespace(duration=24.0))
+    assert "error" not in text
+    played.newest = None
+    assert loop_status(played, SimpleNamespace(duration=24.0))[1].count("\n") == 0
+
+
+def test_the_status_of_recorder_and_simulator():
+    report = RecorderSummary(first_ns=10**18, last_ns=10**18 + 2_000_000_000)
+    received = {"/lowcmd": 1000, "/lowstate": 998}
+    recorder = SimpleNamespace(report=report, received=received)
+    assert "lowcmd 500  lowstate 499" in recorder_status(recorder)[1]
+    assert recorder_status(SimpleNamespace(report=RecorderSummary(), received={}))[0] is None
+    simulated = SimReport(states=500, commands=1, refused={"its CRC is wrong": 2}, simulated=1.0)
+    assert "500 states, 1 command, 2 refused" in sim_status(simulated)[1]
 
 
 def test_a_display_without_a_terminal_starts_no_thread():

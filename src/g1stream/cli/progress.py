@@ -1,43 +1,75 @@
-"""The progress of a run, on standard error."""
+"""The live status of a run, on standard error where that is a terminal."""
 
 from __future__ import annotations
 
+import os
 import sys
 import threading
+import time
 from contextlib import suppress
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final, TextIO, cast
+
+from g1stream.robot.joints import JOINT_GROUPS
+from g1stream.text import counted
+from g1stream.types import Phase
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from g1stream.control.loop import StreamLoop
+    from rich.console import Console
+
+    from g1stream.control.loop import Newest, StreamLoop
     from g1stream.motion.motion import Motion
+    from g1stream.recorder.recorder import Recorder
+    from g1stream.sim.robot import SimReport
 
-__all__ = ["ProgressDisplay", "loop_progress"]
+__all__ = ["ProgressDisplay", "loop_status", "recorder_status", "sim_status"]
 
-_PERIOD_S: Final = 0.5
+_PERIOD_S: Final = 0.1
 _JOIN_TIMEOUT_S: Final = 1.0
+_BAR: Final = 20
+#: Erases from the cursor to the end of the screen.
+_ERASE: Final = "\x1b[J"
+
+
+class _AboveStatus:
+    """Standard error while a status is on it: what is written first erases the status."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        return self._stream.write(f"{_ERASE}{text}")
 
 
 class ProgressDisplay:
-    """A progress bar on standard error if that is a terminal, for the length of a `with`.
+    """A status of a few lines on standard error if that is a terminal, for the length of a `with`.
 
-    What is printed on standard error meanwhile appears above the bar. A thread draws it, so that a
-    slow or closed terminal does not hold up what it shows.
+    A thread draws it, so that a slow or closed terminal does not hold up what it shows. Between two
+    drawings the cursor stays on an empty line above the status: what this process or a child
+    process prints on standard error meanwhile appears there and stays.
 
     Args:
-        progress: returns what fraction is done, 0 to 1, and a text; called a few times a second.
+        status: returns what fraction is done, 0 to 1, or None, and lines of text; called ten times
+            a second.
     """
 
-    def __init__(self, progress: Callable[[], tuple[float, str]]) -> None:
-        self._progress = progress
+    def __init__(self, status: Callable[[], tuple[float | None, str]]) -> None:
+        self._status = status
+        self._stream = sys.stderr
         self._done = threading.Event()
         self._thread = threading.Thread(target=self._run, name="progress", daemon=True)
 
     def __enter__(self) -> ProgressDisplay:
-        if sys.stderr.isatty():
-            import rich.progress  # noqa: F401  # now, and not when the loop already runs
+        if self._stream.isatty() and os.environ.get("TERM") not in ("dumb", "unknown"):
+            import rich.console
+            import rich.progress_bar
+            import rich.table  # noqa: F401  # now, and not when the loop already runs
 
+            sys.stderr = cast("TextIO", _AboveStatus(self._stream))
             self._thread.start()
         return self
 
@@ -45,32 +77,90 @@ class ProgressDisplay:
         self._done.set()
         if self._thread.ident is not None:
             self._thread.join(_JOIN_TIMEOUT_S)
+            sys.stderr = self._stream
 
     def _run(self) -> None:
         from rich.console import Console
-        from rich.progress import BarColumn, Progress, TextColumn
 
-        bar = Progress(
-            BarColumn(30),
-            TextColumn("{task.description}", markup=False),
-            console=Console(stderr=True, highlight=False),
-            auto_refresh=False,
-            transient=True,
-            redirect_stdout=False,  # which may be a file with JSON
-        )
-        task, done = bar.add_task("", total=1.0), False
-        with suppress(OSError), bar:
-            while not done:
-                done = self._done.wait(_PERIOD_S)
-                fraction, text = self._progress()
-                bar.update(task, completed=fraction, description=text, refresh=True)
+        console = Console(file=self._stream, highlight=False)
+        with suppress(OSError):
+            while not self._done.wait(_PERIOD_S):
+                self._stream.write(_frame(console, *self._status()))
+                self._stream.flush()
+            self._stream.write(_ERASE)
+            self._stream.flush()
 
 
-def loop_progress(loop: StreamLoop, motion: Motion) -> tuple[float, str]:
-    """How much of a motion a loop has played, with phase, time and worst lateness."""
+def _frame(console: Console, fraction: float | None, text: str) -> str:
+    """What draws a status below the cursor's line, and leaves the cursor where it was."""
+    from rich.progress_bar import ProgressBar
+    from rich.table import Table
+    from rich.text import Text
+
+    first, *others = (Text(line, no_wrap=True, overflow="ellipsis") for line in text.split("\n"))
+    with console.capture() as drawn:
+        if fraction is None:
+            console.print(first)
+        else:
+            row = Table.grid(padding=(0, 2))
+            row.add_row(ProgressBar(total=1.0, completed=fraction, width=_BAR), first)
+            console.print(row)
+        for line in others:
+            console.print(line)
+    lines = drawn.get()
+    return f"{_ERASE}\n{lines}\x1b[{lines.count(chr(10)) + 1}F"
+
+
+def loop_status(loop: StreamLoop, motion: Motion) -> tuple[float, str]:
+    """Phase, time and rate; lateness, and age of the state; the error by limb."""
+    report, phase, newest = loop.report, loop.state.phase, loop.newest
     fraction = min(1.0, loop.motion_time / motion.duration) if motion.duration else 1.0
-    lateness = loop.report.lateness.maximum_ns / 1e6
-    return fraction, (
-        f"{loop.state.phase.name:<5}{loop.motion_time:6.1f} / {motion.duration:.1f} s, "
-        f"worst lateness {lateness:.2f} ms"
+    rate = f"  {report.rate:.2f} Hz" if report.rate else ""
+    text = f"{phase.name:<4}  {loop.motion_time:.2f} of {motion.duration:.2f} s{rate}"
+    if newest is None:
+        return fraction, text
+    late = report.lateness
+    text += (
+        f"\nlate {late.newest_ns / 1e6:.2f} ms, worst {late.maximum_ns / 1e6:.2f} ms, "
+        f"{counted(report.skipped, 'tick')} skipped"
+    )
+    if newest.measured:
+        text += f"; state {(time.monotonic_ns() - newest.measured.received) / 1e6:.0f} ms old"
+    return fraction, f"{text}\n{_errors(phase, newest)}"
+
+
+def _errors(phase: Phase, newest: Newest) -> str:
+    """RMS of target - measured by limb; DAMP has no target."""
+    if newest.measured is None or phase is Phase.DAMP:
+        return ""
+    # The target at the time of the measurement: it is due a little later.
+    ahead = (newest.due - newest.measured.received) / 1e9
+    error = newest.target.q - ahead * newest.target.dq - newest.measured.q
+    rms = {
+        name.replace("left_", "L ").replace("right_", "R "): (error[list(joints)] ** 2).mean()
+        ** 0.5
+        for name, joints in JOINT_GROUPS.items()
+    }
+    return f"error {'  '.join(f'{name} {value:.4f}' for name, value in rms.items())} rad"
+
+
+def recorder_status(recorder: Recorder) -> tuple[None, str]:
+    """For how long it has recorded, and the rate of each topic of DDS."""
+    report = recorder.report
+    seconds = ((report.last_ns or 0) - (report.first_ns or 0)) / 1e9
+    if not seconds:
+        return None, "nothing received yet"
+    rates = "  ".join(
+        f"{topic.removeprefix('/')} {n / seconds:.0f}" for topic, n in recorder.received.items()
+    )
+    return None, f"recorded {seconds:.1f} s; samples per second:\n{rates}"
+
+
+def sim_status(report: SimReport) -> tuple[None, str]:
+    """How long was simulated, and what was published and accepted."""
+    refused = sum(list(report.refused.values()))  # it may grow meanwhile
+    return None, (
+        f"simulated {report.simulated:.1f} s, {report.behind:.2f} s skipped; "
+        f"{counted(report.states, 'state')}, {counted(report.commands, 'command')}, "
+        f"{refused} refused"
     )

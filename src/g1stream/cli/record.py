@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import logging
 import sys
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from g1stream.cli.command import (
     SettingsCommand,
@@ -15,8 +17,12 @@ from g1stream.cli.command import (
     print_summary,
 )
 from g1stream.cli.flags import argument, flag
+from g1stream.cli.progress import ProgressDisplay, recorder_status
 from g1stream.events import ConsoleHandler, handled_by
 from g1stream.realtime import lower_priority
+
+if TYPE_CHECKING:
+    from g1stream.recorder.recorder import Recorder
 
 __all__ = ["Record"]
 
@@ -53,13 +59,20 @@ class Record(SettingsCommand):
             announce_wire(config, commands=False)
             print(f"Recording {self.file}. Ctrl-C ends it.", file=sys.stderr)
 
-        with on_signals(stopped.append), handled_by(ConsoleHandler(logging.WARNING)):
+        with ExitStack() as stack:
+            stack.enter_context(on_signals(stopped.append))
+            stack.enter_context(handled_by(ConsoleHandler(logging.WARNING)))
+
+            def on_recorder(recorder: Recorder) -> None:
+                stack.enter_context(ProgressDisplay(lambda: recorder_status(recorder)))
+
             summary = record(
                 self.file,
                 config,
                 force=self.force,
                 should_stop=lambda: bool(stopped),
                 on_ready=on_ready,
+                on_recorder=on_recorder,
             )
         print_summary(summary, as_json=self.json)
         return exit_code(summary)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,7 @@ from g1stream.cli.command import (
     print_lines,
 )
 from g1stream.cli.flags import flag
+from g1stream.cli.progress import ProgressDisplay, sim_status
 from g1stream.events import ConsoleHandler, handled_by
 
 if TYPE_CHECKING:
@@ -61,8 +63,19 @@ class Sim(SettingsCommand):
             support = _SUPPORT[config.sim.support]
             print(f"Simulating a G1, {support}. Ctrl-C ends it.", file=sys.stderr)
 
-        with on_signals(stopped.append), handled_by(ConsoleHandler()):
-            report = simulate(config, should_stop=lambda: bool(stopped), on_ready=on_ready)
+        with ExitStack() as stack:
+            stack.enter_context(on_signals(stopped.append))
+            stack.enter_context(handled_by(ConsoleHandler()))
+
+            def on_report(report: SimReport) -> None:
+                stack.enter_context(ProgressDisplay(lambda: sim_status(report)))
+
+            report = simulate(
+                config,
+                should_stop=lambda: bool(stopped),
+                on_ready=on_ready,
+                on_report=on_report,
+            )
         if self.json:
             print_json(asdict(report))
         else:

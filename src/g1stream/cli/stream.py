@@ -18,7 +18,7 @@ from g1stream.cli.command import (
     yes_flag,
 )
 from g1stream.cli.flags import MOTION, argument, flag, flag_name, fps_flag
-from g1stream.cli.progress import ProgressDisplay, loop_progress
+from g1stream.cli.progress import ProgressDisplay, loop_status
 from g1stream.errors import ConfigError
 from g1stream.events import ConsoleHandler, handled_by
 
@@ -58,7 +58,7 @@ def playing() -> Iterator[Callable[[StreamLoop, Motion, Config], None]]:
             loops.append(loop)
             if early:
                 loop.request_stop(early[0])
-            stack.enter_context(ProgressDisplay(lambda: loop_progress(loop, motion)))
+            stack.enter_context(ProgressDisplay(lambda: loop_status(loop, motion)))
 
         yield prepare
 

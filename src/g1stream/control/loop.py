@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from g1stream.clock import Ticker
 from g1stream.control.commands import MAX_STEP_TIME, Composer
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from g1stream.control.targets import Target
     from g1stream.types import Floats
 
-__all__ = ["LoopReport", "StreamLoop"]
+__all__ = ["LoopReport", "Newest", "StreamLoop"]
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -43,6 +43,20 @@ _PUBLISHER_CHECK_PERIOD: Final = 100_000_000
 _CATCH_UP: Final = round(MAX_STEP_TIME * 1e9)
 #: Longer than any session, ns.
 _FOREVER: Final = 1 << 62
+
+
+class Newest(NamedTuple):
+    """What the newest command was made of.
+
+    Attributes:
+        target: before feed-forward and limits.
+        due: when it is published, ns of CLOCK_MONOTONIC.
+        measured: the newest LowState; None before the first.
+    """
+
+    target: Target
+    due: int
+    measured: Measured | None
 
 
 class StreamLoop:
@@ -70,6 +84,8 @@ class StreamLoop:
         state: the current phase.
         motion_time: where in the motion the loop is, s.
         damped: whether the last command damped; also true before the first one.
+        newest: what the newest command was made of, for other threads to read; None before the
+            first.
         stop_requests: how often `request_stop` was called, also after the end.
         report: counts and timing so far, and in the end of the whole run.
     """
@@ -115,6 +131,7 @@ class StreamLoop:
         self.state = PhaseState(Phase.WAIT, 0)
         self.motion_time = 0.0
         self.damped = True
+        self.newest: Newest | None = None
         self.stop_requests = 0
         self.report = LoopReport(period, composer.limits)
 
@@ -394,6 +411,7 @@ class StreamLoop:
         self._prepared_for = deadline
         self.motion_time = due.motion_time
         self._target = due
+        self.newest = Newest(due, deadline, measured)
 
     def _ramped(self, now: int) -> float:
         """Progress of the ramp to the motion's first frame, 0 to 1."""

@@ -22,19 +22,21 @@ __all__ = ["Lateness", "LoopReport"]
 class Lateness:
     """A histogram of lateness in microseconds, of a size that does not grow with the run.
 
-    Bins are 1 us wide up to 20 ms; the last one holds everything later. The maximum is exact.
+    Bins are 1 us wide up to 20 ms; the last one holds everything later. The newest lateness and the
+    maximum are exact.
     """
 
     _BINS = 20_001
 
     def __init__(self) -> None:
         self.counts: Ints = np.zeros(self._BINS, dtype=np.int64)
-        self.maximum_ns = 0
+        self.newest_ns = self.maximum_ns = 0
         self.n = 0
 
     def add(self, lateness_ns: int) -> None:
         """Count one tick."""
         self.n += 1
+        self.newest_ns = lateness_ns
         self.maximum_ns = max(self.maximum_ns, lateness_ns)
         self.counts[min(max(lateness_ns, 0) // 1000, self._BINS - 1)] += 1
 

@@ -53,6 +53,7 @@ def record(
     session: SessionInfo | None = None,
     should_stop: Callable[[], bool] = lambda: False,
     on_ready: Callable[[], None] = lambda: None,
+    on_recorder: Callable[[Recorder], None] = lambda _: None,
     on_stopped: Callable[[str], None] = lambda cause: None,
     final_metadata: Callable[[], Mapping[str, Any]] = dict,
 ) -> Summary:
@@ -69,6 +70,7 @@ def record(
             as it is, whatever `record.auto_name` says.
         should_stop: asked several times per second.
         on_ready: called when nothing that is published from then on can be missed.
+        on_recorder: called with the recorder before it runs, to display it.
         on_stopped: called with the cause when the recording has ended before it was told to.
         final_metadata: more metadata; called when told to stop. `stopped` in it is why the
             recording ended too early.
@@ -117,6 +119,7 @@ def record(
         stack.callback(_remove_if_empty, writer)
         stack.enter_context(writer)
         recorder = Recorder(participant, writer, pipeline, settings.batch)
+        on_recorder(recorder)
 
         def on_started() -> None:
             if not session or _wait_for_stream(recorder, should_stop):

@@ -41,6 +41,7 @@ def simulate(
     *,
     should_stop: Callable[[], bool] = lambda: False,
     on_ready: Callable[[], None] = lambda: None,
+    on_report: Callable[[SimReport], None] = lambda _: None,
 ) -> SimReport:
     """Run a simulated G1 on DDS until told to stop or for `config.sim.duration`.
 
@@ -48,6 +49,7 @@ def simulate(
         config: all settings; the defaults if left out.
         should_stop: asked at every LowState.
         on_ready: called when the robot is about to appear on DDS.
+        on_report: called then with what it will count, to display it.
 
     Raises:
         G1StreamError: a setting or the wire does not allow it.
@@ -72,6 +74,7 @@ def simulate(
         )
         granted = stack.enter_context(on_time(_priority(config)))
         on_ready()
+        on_report(robot.report)
         _LOGGER.info(describe(granted))
         end = None if settings.duration is None else time.monotonic() + settings.duration
         return bridge.run(lambda: should_stop() or (end is not None and time.monotonic() >= end))

@@ -117,6 +117,12 @@ class Recorder:
         """How many writers each DDS topic is matched with."""
         return self._receiver.matched()
 
+    @property
+    def received(self) -> dict[str, int]:
+        """Samples in the file so far, by channel of a DDS topic."""
+        counts = self._writer.counts
+        return {channel: n for channel in CHANNEL_OF.values() if (n := counts.get(channel))}
+
     def run(
         self,
         should_stop: Callable[[], bool],

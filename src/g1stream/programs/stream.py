@@ -104,6 +104,7 @@ def stream(
     config = config or Config()
     require_arming(config.dds.interface, armed=arm is not None)
     config = with_robot_limits(config)
+    on_wire = for_wire(config)
     session = None if record is None else _recording_path(Path(record), config.record, force)
     robot = G1.load(config.robot, own_limits=config.safety.urdf_limits)
     if not isinstance(motion, Motion):
@@ -111,7 +112,7 @@ def stream(
     correction = Correction.load(path) if (path := config.stream.correction) else None
     clock = SystemClock()
     with (
-        Guard(for_wire(config)) as guard,
+        Guard(on_wire) as guard,
         Participant(config.dds.domain, config.dds.interface) as participant,
     ):
         joined = clock.now()
@@ -120,14 +121,14 @@ def stream(
         trajectory, interval = playable.trajectory, playable.interval
         motion = trajectory.motion
         if arm:
-            _arm(participant, config, trajectory, interval, arm)
+            _arm(participant, on_wire, trajectory, interval, arm)
         if not config.safety.allow_second_writer:
             clock.sleep_until(joined + round(DISCOVERY * 1e9))
             _refuse_if_commanded(participant)
         link = _link(participant, recorded, guard.wait_until_ready())
         events = dds_log_handler(participant, "stream")
         loop = make_loop(
-            for_wire(config),
+            on_wire,
             robot,
             trajectory,
             link,
@@ -290,7 +291,7 @@ def _arm(
     arm: Callable[[ArmingReport], bool],
 ) -> None:
     first = trajectory.sample(interval.start).joint_pos
-    if not arm(inspect_for_arming(participant, for_wire(config), first)):
+    if not arm(inspect_for_arming(participant, config, first)):
         raise SafetyError(
             f"Arming on {config.dds.interface} was not confirmed; nothing was sent.",
             "Run it again, and type the name of the interface.",

@@ -17,18 +17,27 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
+from typing import IO, TYPE_CHECKING, Any, Final, TypeVar
 
-import fastcrc
 import numpy as np
-import zstandard
-from lz4.frame import LZ4FrameDecompressor
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Metadata, Statistics
+from mcap.records import Attachment, Channel, Metadata, Statistics
 
 from g1stream.errors import RecordingError
 from g1stream.session.format import METADATA_NAME, metadata_from_strings
+from g1stream.session.mcap_records import (
+    LARGEST_RECORD,
+    MAGIC,
+    RECORD_HEAD,
+    Record,
+    content_of,
+    decompressed,
+    read_at,
+    records_in,
+    records_of,
+    stream_of,
+)
 from g1stream.session.source import Messages
 
 if TYPE_CHECKING:
@@ -37,16 +46,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = [
-    "RECOVER",
-    "McapFile",
-    "Record",
-    "content_of",
-    "decompressed",
-    "records_in",
-    "records_of",
-    "stream_of",
-]
+__all__ = ["RECOVER", "McapFile"]
 
 RECOVER: Final = "Recover the rest with a tool such as `pymcap-cli recover`."
 """The remedy for a damaged file."""
@@ -54,9 +54,6 @@ RECOVER: Final = "Recover the rest with a tool such as `pymcap-cli recover`."
 T = TypeVar("T")
 R = TypeVar("R")
 
-_MAGIC: Final = b"\x89MCAP0\r\n"
-#: Opcode and length of a record; the length counts the bytes that follow.
-_RECORD: Final = struct.Struct("<BQ")
 #: Of a MessageIndex record: the channel, and how many bytes of entries follow.
 _INDEX: Final = struct.Struct("<HI")
 _INDEX_ENTRY: Final = np.dtype([("log_time", "<i8"), ("offset", "<i8")])
@@ -75,25 +72,14 @@ _MESSAGE: Final = np.dtype(
 _CHUNK: Final = struct.Struct("<16xQ")
 _MOST_THREADS: Final = 4
 
-# A few bytes can claim, or decompress to, more than any memory holds. These limits are far above
-# what g1stream writes: a chunk has 32 MiB at most, or one scene with meshes; samples compress to a
-# fifth of their size.
-#: Bytes of a record, of the content of a chunk, and of all attachments together.
-_LARGEST_RECORD: Final = 512 * 2**20
+# Far above what g1stream writes, as LARGEST_RECORD; samples compress to a fifth of their size.
+#: Bytes of all attachments together.
 _LARGEST_ATTACHMENTS: Final = 256 * 2**20
 #: The content of all chunks: bytes in any case, and for each byte of the file.
 _LARGEST_CONTENT: Final = 256 * 2**20
 _LARGEST_RATIO: Final = 100
 #: Times are before this, ns since the epoch (in 2116), so that sums of two are 64-bit numbers.
 _LATEST: Final = 2**62
-
-
-class Record(NamedTuple):
-    """Where the content of a record is, in bytes from the start of the file or chunk."""
-
-    opcode: int
-    start: int
-    length: int
 
 
 @dataclass
@@ -109,9 +95,9 @@ class _Chunk:
     index: dict[int, tuple[int, int]] = field(default_factory=dict)
 
     def add_index(self, file: IO[bytes], record: Record) -> None:
-        channel, size = _INDEX.unpack(_read_at(file, record.start, _INDEX.size))
+        channel, size = _INDEX.unpack(read_at(file, record.start, _INDEX.size))
         n_entries, rest = divmod(size, _INDEX_ENTRY.itemsize)
-        if rest or size != record.length - _INDEX.size or size > _LARGEST_RECORD:
+        if rest or size != record.length - _INDEX.size or size > LARGEST_RECORD:
             raise ValueError("the index of a chunk has another length than it says")
         if n_entries:
             self.index[channel] = (record.start + _INDEX.size, n_entries)
@@ -119,7 +105,7 @@ class _Chunk:
     def offsets(self, file: IO[bytes], channel: int) -> NDArray[np.int64]:
         """(N,) where in the decompressed chunk the messages of a channel are."""
         start, n_entries = self.index[channel]
-        data = _read_at(file, start, n_entries * _INDEX_ENTRY.itemsize)
+        data = read_at(file, start, n_entries * _INDEX_ENTRY.itemsize)
         return np.sort(np.frombuffer(data, _INDEX_ENTRY)["offset"])
 
 
@@ -205,8 +191,8 @@ class McapFile:
                 f"The file {self.path} cannot be read: {error.strerror}.",
                 "Check the path and its permissions.",
             ) from error
-        magic = file.read(len(_MAGIC))
-        if magic != _MAGIC:
+        magic = file.read(len(MAGIC))
+        if magic != MAGIC:
             file.close()
             what = "is not an MCAP file" if magic else "is empty"
             raise RecordingError(f"{self.path} {what}.", "Give a file that g1stream recorded.")
@@ -214,7 +200,7 @@ class McapFile:
 
     def _add_record(self, file: IO[bytes], record: Record) -> None:
         if record.opcode == Opcode.CHUNK:
-            (size,) = _CHUNK.unpack(_read_at(file, record.start, _CHUNK.size))
+            (size,) = _CHUNK.unpack(read_at(file, record.start, _CHUNK.size))
             self._content_size += size
             self._chunks.append(_Chunk(record))
         elif record.opcode == Opcode.MESSAGE_INDEX and self._chunks:
@@ -298,87 +284,13 @@ class McapFile:
         self._topics[channel.id] = channel.topic
 
 
-def records_of(file: IO[bytes]) -> Iterator[Record]:
-    """The whole records of a file, up to its footer or to where it was cut."""
-    size = file.seek(0, 2)
-    start = len(_MAGIC)
-    while start + _RECORD.size <= size:
-        opcode, length = _RECORD.unpack(_read_at(file, start, _RECORD.size))
-        start += _RECORD.size
-        # A power cut may leave a tail of zeros, and there is no record of that kind.
-        if not opcode or start + length > size:
-            return
-        yield Record(opcode, start, length)
-        if opcode == Opcode.FOOTER:
-            return
-        start += length
-
-
-def records_in(data: bytes) -> Iterator[Record]:
-    """The records in a decompressed chunk."""
-    start = 0
-    while start < len(data):
-        opcode, length = _RECORD.unpack_from(data, start)
-        start += _RECORD.size
-        if not opcode or start + length > len(data):
-            raise ValueError("a chunk has something else than whole records")
-        yield Record(opcode, start, length)
-        start += length
-
-
-def _read_at(file: IO[bytes], start: int, size: int) -> bytes:
-    """Some bytes of a file, past its buffer, which would be refilled at each skip."""
-    return os.pread(file.fileno(), size, start)
-
-
-def content_of(file: IO[bytes], record: Record) -> bytes:
-    """The bytes of a record.
-
-    Raises:
-        ValueError: they are too many.
-    """
-    if record.length > _LARGEST_RECORD:
-        raise ValueError("the record is too large")
-    file.seek(record.start)
-    return file.read(record.length)
-
-
-def stream_of(file: IO[bytes], record: Record) -> ReadDataStream:
-    """The bytes of a record, as the classes of `mcap.records` read them."""
-    return ReadDataStream(BytesIO(content_of(file, record)))
-
-
-def decompressed(content: bytes) -> bytes:
-    """The records in a chunk, from the content of its own record."""
-    chunk = Chunk.read(ReadDataStream(BytesIO(content)))
-    size = chunk.uncompressed_size
-    if size > _LARGEST_RECORD:
-        raise ValueError("the chunk is too large")
-    data: bytes = chunk.data
-    # Neither decompressor may make more than the chunk says: a frame has a size of its own.
-    if chunk.compression == "zstd":
-        if zstandard.frame_content_size(data) not in (size, -1):
-            raise ValueError("a chunk has another size than it says")
-        data = zstandard.decompress(data, max_output_size=size)
-    elif chunk.compression == "lz4":
-        data = LZ4FrameDecompressor().decompress(data, max_length=size)
-    elif chunk.compression:
-        raise ValueError("the compression of a chunk is not known")
-    if len(data) != size:
-        raise ValueError("a chunk has another size than it says")
-    # zlib's crc32, which the library uses, takes half as long as the decompression.
-    if chunk.uncompressed_crc and fastcrc.crc32.iso_hdlc(data) != chunk.uncompressed_crc:
-        raise ValueError("the checksum of a chunk does not match")
-    return data
-
-
 def _message_offsets(data: bytes) -> dict[int, NDArray[np.int64]]:
     """By channel, (N,) where in a decompressed chunk its messages are, without an index."""
     found: dict[int, list[int]] = {}
     for record in records_in(data):
         if record.opcode == Opcode.MESSAGE:
             channel = int.from_bytes(data[record.start : record.start + 2], "little")
-            found.setdefault(channel, []).append(record.start - _RECORD.size)
+            found.setdefault(channel, []).append(record.start - RECORD_HEAD.size)
     return {channel: np.array(offsets, dtype=np.int64) for channel, offsets in found.items()}
 
 
@@ -400,7 +312,7 @@ def _messages_at(data: bytes, offsets: NDArray[np.int64], channel: int) -> Messa
         raise ValueError("the index of a chunk points outside of it")
     octets = np.frombuffer(data, np.uint8)
     heads = octets[offsets[:, np.newaxis] + np.arange(head)].view(_MESSAGE)[:, 0]
-    ends = offsets + _RECORD.size + np.clip(heads["length"], 0, size)
+    ends = offsets + RECORD_HEAD.size + np.clip(heads["length"], 0, size)
     wrong = (heads["opcode"] != Opcode.MESSAGE) | (heads["channel"] != channel)
     if (wrong | (ends < offsets + head) | (ends > size)).any():
         raise ValueError("the index of a chunk points to something else than a message")

@@ -37,8 +37,10 @@ from mcap.records import (
 from g1stream.errors import RecordingError
 from g1stream.files import complete_file
 from g1stream.session.format import CHANNELS
-from g1stream.session.mcap_reader import (
-    McapFile,
+from g1stream.session.mcap_reader import McapFile
+from g1stream.session.mcap_records import (
+    MAGIC,
+    RECORD_HEAD,
     content_of,
     decompressed,
     records_in,
@@ -50,12 +52,10 @@ from g1stream.session.parts import Part, parts_of, write_metadata_yaml
 if TYPE_CHECKING:
     from mcap.records import McapRecord
 
-    from g1stream.session.mcap_reader import Record
+    from g1stream.session.mcap_records import Record
 
 __all__ = ["Repair", "repair_session"]
 
-_MAGIC: Final = b"\x89MCAP0\r\n"
-_HEAD: Final = struct.Struct("<BQ")
 #: Of a Message record: channel, sequence and log time.
 _MESSAGE: Final = struct.Struct("<HIQ")
 
@@ -114,7 +114,7 @@ def _repair_file(path: Path) -> Repair:
                 if Footer.read(stream_of(file, last)).summary_start:
                     return Repair(path, messages, None)
         size = os.fstat(file.fileno()).st_size
-        end = size if source.complete else last.start + last.length if last else len(_MAGIC)
+        end = size if source.complete else last.start + last.length if last else len(MAGIC)
         with complete_file(path) as temporary, temporary.open("wb") as output:
             shutil.copymode(path, temporary)
             _Copy(output).copy(source, file)
@@ -163,7 +163,7 @@ class _Copy:
 
     def copy(self, source: McapFile, file: IO[bytes]) -> None:
         """Copy the records up to the end of the data, and write the summary."""
-        self._output.write(_MAGIC)
+        self._output.write(MAGIC)
         for record in records_of(file):
             if record.opcode == Opcode.DATA_END:
                 break
@@ -175,7 +175,7 @@ class _Copy:
 
     def _add(self, record: Record, content: bytes) -> None:
         place = self._output.tell()
-        self._output.write(_HEAD.pack(record.opcode, record.length))
+        self._output.write(RECORD_HEAD.pack(record.opcode, record.length))
         self._output.write(content)
         length = self._output.tell() - place
         stream = ReadDataStream(BytesIO(content))
@@ -206,7 +206,7 @@ class _Copy:
         for record in records_in(data):
             if record.opcode == Opcode.MESSAGE:
                 channel, _, log_time = _MESSAGE.unpack_from(data, record.start)
-                entries.setdefault(channel, []).append((log_time, record.start - _HEAD.size))
+                entries.setdefault(channel, []).append((log_time, record.start - RECORD_HEAD.size))
             else:
                 self._describe(record.opcode, data[record.start : record.start + record.length])
         start, offsets = self._output.tell(), {}
@@ -267,6 +267,6 @@ class _Copy:
             offset.write(builder)
         summary = builder.end()
         # The checksum includes the footer up to itself.
-        footer = _HEAD.pack(Opcode.FOOTER, 20) + struct.pack("<QQ", start, offsets_start)
+        footer = RECORD_HEAD.pack(Opcode.FOOTER, 20) + struct.pack("<QQ", start, offsets_start)
         Footer(start, offsets_start, zlib.crc32(summary + footer)).write(builder)
-        self._output.write(summary + builder.end() + _MAGIC)
+        self._output.write(summary + builder.end() + MAGIC)

@@ -220,6 +220,12 @@ class RecordConfig(Table):
         "record.tf_rate; full: joint states and their errors at every sample",
         flag=(*_RECORD, "demo"),
     )
+    meshes: bool = setting(
+        False,
+        "scenes have the meshes of the URDF or, if it has none, of the real G1, with fewer "
+        "triangles, instead of primitive shapes (extra `meshes`)",
+        flag=(*_RECORD, "demo"),
+    )
     tf_rate: float = setting(
         100.0,
         "link poses (/tf) per second, and joint states unless channels is full",

@@ -4,16 +4,27 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
 
-from g1stream.errors import RobotError
+from g1stream.errors import ConfigError, RobotError
 from g1stream.foxglove.encoders import GHOST_PREFIX
-from g1stream.foxglove.scene import PathEncoder, _model, encode_robot_description, encode_scene
+from g1stream.foxglove.pipeline import MessagePipeline
+from g1stream.foxglove.scene import (
+    PathEncoder,
+    _model,
+    draw_meshes,
+    encode_robot_description,
+    encode_scene,
+)
+from g1stream.robot.meshes import read_stl, real_g1
 from g1stream.robot.model import G1
-from g1stream.robot.visuals import read_visuals
+from g1stream.robot.visuals import find_mesh, read_visuals
 from g1stream.session.format import CHANNELS
+from g1stream.session.writer import SessionWriter
+from g1stream.settings import RecordConfig
 
 T0 = 1_700_000_000_000_000_000
 
@@ -122,3 +133,78 @@ def test_a_file_that_is_no_mesh_is_not_embedded(robot, tmp_path):
     for name in (f"file://{secret}", f"file://{link}", "secret.txt"):
         made = replace(robot, source=str(tmp_path / "g1.urdf"))
         assert _model(made, name) == {"url": name}
+
+
+@pytest.fixture(scope="module")
+def real():
+    found = real_g1()
+    if found is None:
+        pytest.skip("needs the extra `meshes`")
+    return found
+
+
+@pytest.fixture(scope="module")
+def drawn(real):
+    return draw_meshes(real)
+
+
+def points(triangles):
+    return np.array([(p.x, p.y, p.z) for p in triangles.points])
+
+
+def test_scenes_have_the_meshes_of_every_link_with_their_extent(real, drawn):
+    entities = SceneUpdate.FromString(encode_scene(T0, real, drawn=drawn)).entities
+    visuals = read_visuals(real)
+    assert {entity.frame_id for entity in entities} == {visual.link for visual in visuals}
+    shown = [(entity.frame_id, one) for entity in entities for one in entity.triangles]
+    for visual, (frame, triangles) in zip(visuals, shown, strict=True):
+        assert frame == visual.link
+        p, q, colour = triangles.pose.position, triangles.pose.orientation, triangles.color
+        assert (p.x, p.y, p.z) == visual.pos
+        assert (q.w, q.x, q.y, q.z) == visual.quat_wxyz
+        assert (colour.r, colour.g, colour.b, colour.a) == visual.rgba
+        whole = read_stl(find_mesh(real, visual.mesh))
+        found = points(triangles)[triangles.indices]
+        assert 100 < len(found) / 3 <= max(len(whole.triangles), 100)
+        for extreme in (np.min, np.max):
+            np.testing.assert_allclose(
+                extreme(found, axis=0), extreme(whole.points, axis=0), atol=0.002
+            )
+
+
+def test_meshes_add_less_than_five_megabytes_to_a_session(tmp_path, robot, real):
+    size = {}
+    for meshes in (False, True):
+        pipeline = MessagePipeline(robot, RecordConfig(meshes=meshes))
+        with SessionWriter(tmp_path / f"{meshes}.mcap") as writer:
+            for messages in pipeline.file_header(T0):
+                writer.write_batch(*messages)
+        size[meshes] = (tmp_path / f"{meshes}.mcap").stat().st_size
+    assert 0 < size[True] - size[False] < 5e6
+
+
+def test_a_ghost_with_meshes_has_one_colour(real, drawn):
+    tint = (0.0, 0.5, 1.0, 0.25)
+    ghost = SceneUpdate.FromString(encode_scene(T0, real, GHOST_PREFIX, tint, drawn)).entities
+    shown = [one for entity in ghost for one in entity.triangles]
+    assert {(s.color.r, s.color.g, s.color.b, s.color.a) for s in shown} == {tint}
+    assert sum(len(entity.models) for entity in ghost) == 0
+
+
+def test_the_scale_of_a_visual_is_in_the_points(robot, tmp_path):
+    trimesh.creation.box((0.25, 0.5, 1.0)).export(tmp_path / "box.stl")
+    xml = "<link name='a'><visual><geometry><mesh filename='box.stl' scale='2 -1 0.5'/>"
+    made = replace(
+        robot,
+        urdf=f"<robot>{xml}</geometry></visual></link></robot>",
+        source=str(tmp_path / "g1.urdf"),
+    )
+    ((shape, triangles),) = draw_meshes(made).items()
+    assert shape.scale == (2, -1, 0.5)
+    assert np.ptp(points(triangles), axis=0).tolist() == [0.5, 0.5, 0.5]
+    assert len(triangles.indices) == 36
+
+
+def test_meshes_without_scenes_are_refused(robot):
+    with pytest.raises(ConfigError, match="raw"):
+        MessagePipeline(robot, RecordConfig(meshes=True, channels="raw"))

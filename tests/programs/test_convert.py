@@ -21,6 +21,7 @@ from g1stream.errors import ConfigError, MotionError, RecordingError, RobotError
 from g1stream.motion.motion import Motion
 from g1stream.programs.convert import Conversion, convert
 from g1stream.robot.joints import JOINT_NAMES
+from g1stream.robot.meshes import real_g1
 from g1stream.robot.model import G1
 from g1stream.session.format import metadata_from_strings
 from g1stream.session.motions import load_motion
@@ -226,6 +227,17 @@ def test_world_frame_and_topic(motion, out):
     messages = read(out)
     assert "/tf" not in messages
     assert messages["/clip/tf"][0][1].transforms[0].parent_frame_id == "map"
+
+
+def test_meshes_are_triangles_of_the_real_robot_in_the_scene(motion, out):
+    if real_g1() is None:
+        pytest.skip("needs the extra `meshes`")
+    report = convert(motion, out, Conversion(meshes=True, frames=(0, 2)))
+    ((_, scene),) = read(out)["/scene"]
+    assert {entity.frame_id for entity in scene.entities} < set(G1.default().link_names)
+    assert sum(len(one.indices) for entity in scene.entities for one in entity.triangles) > 3 * 40e3
+    assert not any(entity.cubes or entity.models for entity in scene.entities)
+    assert report.size < 2e6
 
 
 def test_urdf_and_motion_are_attached(out):

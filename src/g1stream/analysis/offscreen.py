@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import os
-import sysconfig
 from importlib import import_module
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
 from g1stream.errors import RobotError, SimError
 from g1stream.robot.joints import JOINT_NAMES
+from g1stream.robot.meshes import real_g1
 from g1stream.robot.model import G1
 from g1stream.robot.mujoco_spec import mujoco_spec
-from g1stream.robot.visuals import find_mesh, read_visuals
+from g1stream.robot.visuals import find_mesh, has_meshes, mesh_names, read_visuals
 from g1stream.sim.model import add_floor_and_light
 from g1stream.types import Floats
 
@@ -25,10 +24,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Offscreen", "PosedRobot", "with_shapes"]
 
-#: Where the package example-robot-data, of the extra `meshes`, has the G1.
-_REAL_G1: Final = (
-    "cmeel.prefix/share/example-robot-data/robots/g1_description/urdf/g1_29dof_rev_1_0.urdf"
-)
 #: What MuJoCo can draw with, in the order in which they are tried.
 _BACKENDS: Final = ("egl", "osmesa", "glfw")
 #: How far behind the robot a ghost is drawn, m: surfaces that coincide would flicker.
@@ -47,23 +42,11 @@ def with_shapes(robot: G1) -> G1:
     Else the real G1 with meshes where they are installed, or instead of missing meshes the default
     robot, if it has links of the same names.
     """
-    if _has_meshes(robot):
+    if has_meshes(robot):
         return robot
-    path = Path(sysconfig.get_path("purelib"), _REAL_G1)
-    others = [G1.load(path, own_limits=True)] if path.is_file() else []
-    others += [G1.default()] if _meshes(robot) else []
-    same = (other for other in others if set(other.link_names) == set(robot.link_names))
+    others = (real_g1(), G1.default() if mesh_names(robot) else None)
+    same = (one for one in others if one and set(one.link_names) == set(robot.link_names))
     return next(same, robot)
-
-
-def _meshes(robot: G1) -> list[str]:
-    return [visual.mesh for visual in read_visuals(robot) if visual.mesh]
-
-
-def _has_meshes(robot: G1) -> bool:
-    """Whether it has meshes, and all of them are found."""
-    meshes = _meshes(robot)
-    return bool(meshes) and all(find_mesh(robot, mesh) for mesh in meshes)
 
 
 class PosedRobot(NamedTuple):
@@ -107,7 +90,7 @@ class Offscreen:
         import mujoco
 
         self._robots = robots
-        self.meshes = _has_meshes(robot)
+        self.meshes = has_meshes(robot)
         self._model = _compile(robot, size)
         self._data = mujoco.MjData(self._model)
         self._joints = np.array([self._model.joint(name).qposadr[0] for name in JOINT_NAMES])
@@ -225,7 +208,7 @@ def _compile(robot: G1, size: tuple[int, int]) -> Any:
     """A `mujoco.MjModel` of the robot's shapes and a floor."""
     import mujoco
 
-    meshes = _has_meshes(robot)
+    meshes = has_meshes(robot)
     try:
         spec = mujoco_spec(robot, floating=True, shapes=not meshes)
         if meshes:

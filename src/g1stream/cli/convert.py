@@ -89,6 +89,10 @@ class Convert(Command):
     flat: bool = flag(False, "Put every link straight under the world instead of under its parent.")
     urdf: Path | None = flag(None, "URDF of the robot.", "FILE", shown="the built-in 29-joint G1")
     topic: str = flag("/tf", "Topic of the transforms.", "TOPIC")
+    meshes: bool = flag(
+        False,
+        "Show the meshes of the URDF, with fewer triangles, or the real G1's (extra `meshes`).",
+    )
     compression: Literal["zstd", "lz4", "none"] = flag("zstd", "Compression of the file.")
     force: bool = flag(False, "Replace a file that exists already.")
     json: bool = flag(False, "Print the summary as JSON on standard output.")
@@ -170,6 +174,7 @@ class Convert(Command):
             world_frame=self.world_frame,
             flat=self.flat,
             topic=self.topic,
+            meshes=self.meshes,
             compression=self.compression,
             force=self.force,
         )

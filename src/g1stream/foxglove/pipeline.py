@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from g1stream.dds.messages import Log, Samples
 from g1stream.dds.topics import LOG, LOWSTATE, REFERENCE, SPORTMODESTATE
+from g1stream.errors import ConfigError
 from g1stream.foxglove.encoders import (
     GHOST_PREFIX,
     IDENTITY_POSE,
@@ -18,9 +20,15 @@ from g1stream.foxglove.encoders import (
     encode_log,
 )
 from g1stream.foxglove.measured_base import MeasuredBase
-from g1stream.foxglove.scene import PathEncoder, encode_robot_description, encode_scene
+from g1stream.foxglove.scene import (
+    PathEncoder,
+    draw_meshes,
+    encode_robot_description,
+    encode_scene,
+)
 from g1stream.foxglove.tracking_error import Track, TrackingError
 from g1stream.robot.joints import JOINT_GROUPS
+from g1stream.robot.meshes import robot_with_meshes
 from g1stream.session.format import CHANNELS, TIMING_FIELDS, MessageBatch
 from g1stream.settings import RecordConfig
 from g1stream.types import Floats, Ints
@@ -74,21 +82,30 @@ class MessagePipeline:
 
     Args:
         robot: whose links and joints.
-        settings: which messages are made of the samples (`channels`), and how often (`tf_rate`);
-            the defaults if None.
+        settings: which messages are made of the samples (`channels`) and how often (`tf_rate`),
+            and whether scenes have meshes (`meshes`); the defaults if None.
 
     Attributes:
         base: the measured pelvis's pose in the world of the reference.
 
     Raises:
-        ConfigError: a link of the robot has the name of the world's frame.
+        ConfigError: a link of the robot has the name of the world's frame, or the extra `meshes`
+            is not installed.
+        RobotError: a mesh cannot be read, or there is none for the robot's links.
     """
 
     def __init__(self, robot: G1, settings: RecordConfig | None = None) -> None:
         settings = settings or RecordConfig()
         self.base = MeasuredBase()
         self._derives = settings.channels != "raw"
+        if settings.meshes and not self._derives:
+            raise ConfigError(
+                "Meshes are for viewers, for which the channels raw have nothing.",
+                "Leave out --meshes, or record --channels standard.",
+            )
         self._robot = robot
+        self._shown = robot_with_meshes(robot) if settings.meshes else robot
+        self._meshes = draw_meshes(self._shown) if settings.meshes else {}
         self._tf = TransformsEncoder(robot, single=True)
         self._measured_tf = TransformsEncoder(robot, MEASURED_PREFIX, single=True)
         fields = ("position", "velocity", "acceleration", "effort")
@@ -129,12 +146,12 @@ class MessagePipeline:
         """
         if not self._derives:
             return []
-        robot = self._robot
+        scene = partial(encode_scene, time_ns, self._shown, drawn=self._meshes)
         payloads = {
-            "/measured/scene": encode_scene(time_ns, robot, MEASURED_PREFIX),
-            "/ghost/scene": encode_scene(time_ns, robot, GHOST_PREFIX, _GHOST_TINT),
-            "/scene": encode_scene(time_ns, robot, tint=_REFERENCE_TINT),
-            "/robot_description": encode_robot_description(robot),
+            "/measured/scene": scene(MEASURED_PREFIX),
+            "/ghost/scene": scene(GHOST_PREFIX, _GHOST_TINT),
+            "/scene": scene(tint=_REFERENCE_TINT),
+            "/robot_description": encode_robot_description(self._robot),
         }
         time = np.array([time_ns])
         return [MessageBatch(topic, [data], time, time) for topic, data in payloads.items()]

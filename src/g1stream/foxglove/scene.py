@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING, Any, Final
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from foxglove_schemas_protobuf.TriangleListPrimitive_pb2 import TriangleListPrimitive
 
 from g1stream.dds.layout import CDR_HEADER
 from g1stream.errors import RobotError
 from g1stream.files import read_file
 from g1stream.foxglove.encoders import WORLD_FRAME
+from g1stream.robot.meshes import LARGEST_MESH, decimate, read_stl
 from g1stream.robot.visuals import find_mesh, read_visuals
 from g1stream.types import Floats, Ints
 
@@ -24,7 +27,14 @@ if TYPE_CHECKING:
     from g1stream.robot.model import G1
     from g1stream.robot.visuals import Visual
 
-__all__ = ["PathEncoder", "Rgba", "encode_robot_description", "encode_scene"]
+__all__ = [
+    "PathEncoder",
+    "Rgba",
+    "Shape",
+    "draw_meshes",
+    "encode_robot_description",
+    "encode_scene",
+]
 
 Rgba = tuple[float, float, float, float]
 
@@ -34,29 +44,75 @@ _MEDIA_TYPES: Final = {
     ".obj": "model/obj",
     ".glb": "model/gltf-binary",
 }
-#: Bytes of a mesh, and of all meshes of a scene as often as they occur in it.
-_LARGEST_MESH: Final = 64 * 2**20
+#: Bytes of all meshes of a scene that are embedded, as often as they occur in it.
 _LARGEST_SCENE: Final = 256 * 2**20
+#: The grid of the points of a mesh: 0.12 mm, a power of two, so that most bits of them are zero.
+_POINTS_PER_M: Final = 2.0**13
 
 
-def encode_scene(timestamp_ns: int, robot: G1, prefix: str = "", tint: Rgba | None = None) -> bytes:
+class Shape(NamedTuple):
+    """A mesh as a visual of a URDF scales it: the mesh's name there, and the scale (3,)."""
+
+    mesh: str
+    scale: tuple[float, ...]
+
+
+def draw_meshes(robot: G1) -> dict[Shape, TriangleListPrimitive]:
+    """The STL meshes of a robot with fewer triangles, as `encode_scene` takes them.
+
+    Triangles are what all viewers show the same: a mesh file would have to say which axis is up,
+    and to be tinted. Points are rounded, which makes them small in a compressed file.
+
+    Raises:
+        RobotError: a mesh cannot be read.
+        ConfigError: the extra `meshes` is not installed.
+    """
+    visuals = (visual for visual in read_visuals(robot) if visual.kind == "mesh")
+    shapes = {Shape(visual.mesh, visual.size) for visual in visuals}
+    files = {name: find_mesh(robot, name) for name, _ in shapes}
+    meshes = {
+        name: decimate(read_stl(path))
+        for name, path in files.items()
+        if path and path.suffix.lower() == ".stl"
+    }
+    drawn = {}
+    for shape in shapes:
+        if shape.mesh in meshes:
+            points, triangles = meshes[shape.mesh]
+            points = np.round(points * np.array(shape.scale) * _POINTS_PER_M) / _POINTS_PER_M
+            drawn[shape] = TriangleListPrimitive(indices=triangles.ravel().tolist())
+            for x, y, z in points.tolist():
+                drawn[shape].points.add(x=x, y=y, z=z)
+    return drawn
+
+
+def encode_scene(
+    timestamp_ns: int,
+    robot: G1,
+    prefix: str = "",
+    tint: Rgba | None = None,
+    drawn: Mapping[Shape, TriangleListPrimitive] = MappingProxyType({}),
+) -> bytes:
     """A foxglove.SceneUpdate with the shapes of a robot, locked to the frames of its links.
 
-    Meshes are embedded where their files are found and their suffix is one of a mesh; others are
-    referred to by name, so that a URDF cannot bring another file into a session.
+    Meshes that are not in `drawn` are embedded whole where their files are found and their suffix
+    is one of a mesh; others are referred to by name, so that a URDF cannot bring another file into
+    a session.
 
     Args:
         timestamp_ns: ns since the epoch.
         robot: whose URDF has the shapes.
         prefix: of the frames of its links.
         tint: red, green, blue and opacity of all shapes, 0 to 1; the URDF's colours if None.
+        drawn: the robot's meshes by `draw_meshes`.
 
     Raises:
         RobotError: the URDF has a shape that cannot be read, or its meshes are too large.
     """
     update = SceneUpdate()
     visuals = read_visuals(robot)
-    models = {name: _model(robot, name) for name in {v.mesh for v in visuals if v.mesh}}
+    others = {v.mesh for v in visuals if v.mesh and Shape(v.mesh, v.size) not in drawn}
+    models = {name: _model(robot, name) for name in others}
     size = sum(len(models.get(v.mesh, {}).get("data", b"")) for v in visuals)
     if size > _LARGEST_SCENE:
         raise RobotError(
@@ -70,7 +126,7 @@ def encode_scene(timestamp_ns: int, robot: G1, prefix: str = "", tint: Rgba | No
         if frame not in entities:
             entities[frame] = update.entities.add(id=frame, frame_id=frame, frame_locked=True)
             entities[frame].timestamp.FromNanoseconds(timestamp_ns)
-        _add(entities[frame], visual, tint, models)
+        _add(entities[frame], visual, tint, drawn, models)
     data: bytes = update.SerializeToString()
     return data
 
@@ -128,11 +184,16 @@ def _add(
     entity: SceneEntity,
     visual: Visual,
     tint: Rgba | None,
+    drawn: Mapping[Shape, TriangleListPrimitive],
     models: Mapping[str, Mapping[str, Any]],
 ) -> None:
     """Add a shape to its link's entity."""
-    if visual.kind == "box":
-        shape: Any = entity.cubes.add()
+    triangles = drawn.get(Shape(visual.mesh, visual.size))
+    if triangles is not None:
+        entity.triangles.append(triangles)
+        shape: Any = entity.triangles[-1]
+    elif visual.kind == "box":
+        shape = entity.cubes.add()
     elif visual.kind == "sphere":
         shape = entity.spheres.add()
     elif visual.kind == "cylinder":
@@ -141,8 +202,9 @@ def _add(
         # Viewers tint a mesh only by overriding its colours with one.
         override = visual.coloured or tint is not None
         shape = entity.models.add(override_color=override, **models[visual.mesh])
-    extent = shape.scale if visual.kind == "mesh" else shape.size
-    extent.x, extent.y, extent.z = visual.size
+    if triangles is None:
+        extent = shape.scale if visual.kind == "mesh" else shape.size
+        extent.x, extent.y, extent.z = visual.size
     pose, colour = shape.pose, shape.color
     pose.position.x, pose.position.y, pose.position.z = visual.pos
     q = pose.orientation
@@ -157,7 +219,7 @@ def _model(robot: G1, name: str) -> dict[str, Any]:
     if path is None or media_type is None:
         return {"url": name}
     try:
-        return {"data": read_file(path, _LARGEST_MESH), "media_type": media_type}
+        return {"data": read_file(path, LARGEST_MESH), "media_type": media_type}
     except OSError as error:
         raise RobotError(
             f"The mesh {path} of {robot.name} cannot be read: {error.strerror}.",

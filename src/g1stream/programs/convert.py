@@ -16,7 +16,8 @@ from g1stream.foxglove.encoders import (
     JointStatesTemplate,
     TransformsEncoder,
 )
-from g1stream.foxglove.scene import encode_robot_description, encode_scene
+from g1stream.foxglove.scene import draw_meshes, encode_robot_description, encode_scene
+from g1stream.robot.meshes import robot_with_meshes
 from g1stream.robot.model import G1
 from g1stream.robot.visuals import missing_meshes
 from g1stream.session.format import CHANNELS, Channel
@@ -58,6 +59,7 @@ class Conversion:
         world_frame: name of the world's frame.
         flat: put every link directly under the world instead of under its parent.
         topic: of the transforms.
+        meshes: show the URDF's meshes, with fewer triangles, or the real G1's (extra `meshes`).
         compression: of the file's chunks.
         force: replace an existing file.
     """
@@ -70,6 +72,7 @@ class Conversion:
     world_frame: str = WORLD_FRAME
     flat: bool = False
     topic: str = _TF
+    meshes: bool = False
     compression: Compression = "zstd"
     force: bool = False
 
@@ -237,7 +240,11 @@ def _write_file_header(
     writer.add_metadata(_metadata(motion, robot, options))
     writer.attach("robot.urdf", "application/xml", robot.urdf.encode(), first)
     attach_motion(writer, motion.source, first)
-    scene = encode_scene(first, robot)
+    if options.meshes:
+        shown = robot_with_meshes(robot)
+        scene = encode_scene(first, shown, drawn=draw_meshes(shown))
+    else:
+        scene = encode_scene(first, robot)
     writer.write(_SCENE, scene, first, first)
     writer.write(_DESCRIPTION, encode_robot_description(robot), first, first)
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from g1stream.robot.model import G1
 
-__all__ = ["Visual", "find_mesh", "missing_meshes", "read_visuals"]
+__all__ = ["Visual", "find_mesh", "has_meshes", "mesh_names", "missing_meshes", "read_visuals"]
 
 Kind = Literal["box", "cylinder", "sphere", "mesh"]
 
@@ -94,8 +94,17 @@ def find_mesh(robot: G1, name: str) -> Path | None:
 
 def missing_meshes(robot: G1) -> tuple[str, ...]:
     """The meshes that the robot's URDF names and that do not exist, each once."""
-    names = dict.fromkeys(visual.mesh for visual in read_visuals(robot) if visual.mesh)
-    return tuple(name for name in names if find_mesh(robot, name) is None)
+    return tuple(name for name in mesh_names(robot) if find_mesh(robot, name) is None)
+
+
+def has_meshes(robot: G1) -> bool:
+    """Whether the robot's URDF names meshes, and all of them exist."""
+    return bool(mesh_names(robot)) and not missing_meshes(robot)
+
+
+def mesh_names(robot: G1) -> tuple[str, ...]:
+    """The meshes that the robot's URDF names, each once."""
+    return tuple(dict.fromkeys(visual.mesh for visual in read_visuals(robot) if visual.mesh))
 
 
 def _where(robot: G1, link: str) -> str:

@@ -9,11 +9,13 @@ from __future__ import annotations
 import io
 import json
 import os
+import pickle
 import resource
 import struct
 import subprocess
 import sys
 import zipfile
+import zlib
 from contextlib import suppress
 from pathlib import Path
 
@@ -146,7 +148,18 @@ def stored(npz):
     return file.getvalue()
 
 
+def array_files():
+    """A motion as NPZ with names, and as pickle of two protocols."""
+    motion = load_motion("demo").frames(0, 4)
+    arrays = {"fps": 30, "dof": motion.joint_pos, "dof_names": list(JOINT_NAMES)}
+    arrays |= {"root_pos": motion.root_pos, "root_rot": motion.root_quat_wxyz}
+    npz = io.BytesIO()
+    np.savez(npz, **arrays)
+    return npz.getvalue(), pickle.dumps(arrays, protocol=2), pickle.dumps(arrays)
+
+
 CORRECTION = correction_bytes()
+ARRAYS = array_files()
 
 
 @pytest.fixture(scope="module")
@@ -307,6 +320,15 @@ def test_motion_csv(path, content):
         assert np.isfinite(motion.joint_pos).all()
 
 
+@examples(200)
+@given(st.one_of(st.binary(max_size=80).map(b"\x80\x04".__add__), edited(*ARRAYS)))
+def test_motion_arrays(path, content):
+    path.write_bytes(content)
+    with suppress(G1StreamError):
+        motion = load_motion(path)
+        assert np.isfinite(motion.joint_pos).all()
+
+
 @examples(100)
 @given(edited(URDF))
 def test_urdf(path, content):
@@ -412,6 +434,8 @@ def bomb(kind):
         with zipfile.ZipFile(file, "w") as archive:
             archive.writestr("joint_names.npy", b"\x93NUMPY\1\0" + struct.pack("<H", 118) + head)
         return file.getvalue()
+    if kind == "pickle":
+        return zlib.compress(bytes(600 * MIB), 1)
     packed = zstandard.compress(bytes(64 * MIB))
     chunks = {
         "frame": [chunk(64 * MIB, packed, claimed=100)],
@@ -423,13 +447,18 @@ def bomb(kind):
     return SESSION[:at] + b"".join(chunks) + SESSION[at:]
 
 
-@pytest.mark.parametrize("kind", ["frame", "claim", "chunks", "attachment", "npz", "npz header"])
+BOMBS = ["frame", "claim", "chunks", "attachment", "npz", "npz header", "pickle"]
+
+
+@pytest.mark.parametrize("kind", BOMBS)
 def test_a_small_file_takes_little_memory(path, kind):
     content = bomb(kind)
     assert len(content) < 3 * MIB
     path.write_bytes(content)
     if "npz" in kind:
         command = ("stream", "demo", "--correction", str(path), "--domain", "99")
+    elif kind == "pickle":
+        command = ("motion", str(path))
     else:
         command = ("info", str(path))
     ended = in_little_memory(path, *command)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import stat
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import datetime, timezone
 from typing import TYPE_CHECKING, Final
 
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "check_directory",
+    "check_not_input",
     "check_output_path",
     "complete_file",
     "is_session",
@@ -82,6 +83,21 @@ def timestamped(path: Path, now_ns: int) -> Path:
     """
     now = datetime.fromtimestamp(now_ns // 1_000_000_000, timezone.utc)
     return path.with_name(f"{path.stem}-{now:%Y%m%dT%H%M%SZ}{path.suffix}")
+
+
+def check_not_input(path: Path, *sources: Path | None) -> None:
+    """Check that an output path is none of the input files.
+
+    Raises:
+        RecordingError: it is.
+    """
+    for source in sources:
+        with suppress(OSError):  # one of them does not exist, or cannot be accessed
+            if source and path.samefile(source):
+                raise RecordingError(
+                    f"The output path {path} is the input file.",
+                    f"Choose another output path, such as converted{path.suffix}.",
+                )
 
 
 def check_output_path(path: Path, *, force: bool) -> None:

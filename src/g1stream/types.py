@@ -16,6 +16,7 @@ __all__ = [
     "FeedForwardKind",
     "Floats",
     "Ints",
+    "JointOrder",
     "OnboardMode",
     "Phase",
     "Support",
@@ -30,6 +31,10 @@ FeedForwardKind = Literal["none", "velocity", "dynamics"]
 """What a command carries beside the position: nothing, velocity, or velocity and torque."""
 BeyondLimits = Literal["refuse", "scale-time", "clamp", "anyway"]
 """What to do about a motion beyond the robot's limits."""
+
+JointOrder = Literal["motor", "isaaclab"]
+"""`motor`: that of LowCmd, the URDF and MuJoCo; `isaaclab`: breadth first, as Isaac Sim numbers the
+joints of a tree."""
 
 OnboardMode = Literal["ai", "normal", "advanced"]
 """A controller of the robot's own, by its name in the motion service."""

@@ -88,7 +88,7 @@ CASES = {
         lambda tmp: [spoiled(tmp, "\n0,", "\n0,x"), tmp / "a.mcap"],
         "line 2, column 2 (X)",
     ),
-    "no output": (lambda tmp: ["demo"], "MCAP"),
+    "no output": (lambda tmp: ["demo"], "FILE"),
     "no directory": (lambda tmp: ["demo", tmp / "nowhere" / "a.mcap"], "mkdir -p"),
     "a file that is there": (lambda tmp: ["demo", spoiled(tmp, "", "")], "exists already"),
     "no frame rate": (lambda tmp: ["demo", tmp / "a.mcap", "--fps", "0"], "--fps"),

@@ -179,7 +179,7 @@ def test_quaternion_far_off_is_made_unit_with_a_warning(load, scale, doubted):
         (changed(3, 1, "7"), "line 3, column 1 (Frame)", ["frame 7 follows frame 0"]),
         (changed(3, 1, "-4"), "line 3, column 1 (Frame)", ["frame -4 follows frame 0"]),
         (changed(3, 1, "1.5"), "line 3, column 1 (Frame)", ["frame 1.5 follows frame 0"]),
-        (changed(1, 12, "left_knee"), "line 1", ["left_knee_joint", "no joint: left_knee"]),
+        (changed(1, 12, "left_toe"), "line 1", ["left_knee_joint", "no joint: left_toe"]),
         (changed(1, 8, "W"), "line 1", ["QW", "no joint: W"]),
         (changed(1, 12, ""), "line 1, column 12", ["empty name"]),
         (changed(1, 3, "X"), "line 1, column 3 (X)", ["same name"]),
@@ -189,7 +189,7 @@ def test_quaternion_far_off_is_made_unit_with_a_warning(load, scale, doubted):
         (" \r\n\n", "", ["empty"]),
         ("1,2,3\n4,5,6\n", "line 1", ["3 columns", "header"]),
         (csv(rows_of(5)).split("\n", 1)[1], "line 1", ["37 columns", "header"]),
-        (b"PK\x03\x04\x00\x00not text", "", ["binary", "byte 4"]),
+        (b"MP3\x04\x00\x00not text", "", ["binary", "byte 4"]),
         (b"Frame,X\n1,\xff\xfe\n", "line 2", ["byte 10", "UTF-8"]),
         (csv(rows_of(3)).encode("utf-16"), "line 1", ["byte 0", "UTF-8"]),
     ],
@@ -237,4 +237,4 @@ def test_the_layout_is_known_where_the_numbers_are_not(fault):
     assert (file.has_header, file.n_rows, file.n_columns) == (True, 5, 37)
     assert file.columns == COLUMNS
     with pytest.raises(MotionError, match="line 3, column 5"):
-        _ = file.quat_xyzw
+        _ = file.quats

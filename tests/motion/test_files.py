@@ -22,7 +22,7 @@ def test_a_missing_file_is_named_with_the_choices(tmp_path):
     with pytest.raises(MotionError) as caught:
         open_motion_file(tmp_path / "walk.csv")
     assert str(tmp_path / "walk.csv") in caught.value.cause
-    assert all(choice in caught.value.remedy for choice in ("CSV", "session file", "demo"))
+    assert all(choice in caught.value.remedy for choice in ("motion file", "session file", "demo"))
 
 
 @pytest.mark.parametrize("kind", ["directory", "link loop", "pipe"])

@@ -159,7 +159,7 @@ def test_save_replaces_a_file_only_with_force(wild_motion, tmp_path):
     assert load_motion(path).n_frames == 40
 
 
-@pytest.mark.parametrize("name", ["walk.npz", "missing/walk.csv"])
+@pytest.mark.parametrize("name", ["walk.bvh", "missing/walk.csv"])
 def test_save_to_an_invalid_path(wild_motion, tmp_path, name):
     with pytest.raises(G1StreamError, match=name.split("/")[0]):
         wild_motion.save(tmp_path / name)

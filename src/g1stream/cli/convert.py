@@ -18,10 +18,11 @@ from g1stream.cli.command import (
     print_lines,
     print_warning,
 )
-from g1stream.cli.flags import MOTION, argument, flag, fps_flag
+from g1stream.cli.flags import MOTION, argument, flag, flag_name, fps_flag, joint_order_flag
 from g1stream.cli.progress import ProgressDisplay
 from g1stream.errors import ConfigError
 from g1stream.text import counted
+from g1stream.types import JointOrder
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -30,8 +31,18 @@ if TYPE_CHECKING:
 
 __all__ = ["Convert"]
 
-#: Flags that go with --ros2.
+#: Flags that go with --ros2, and with a motion file as output.
 _OF_ROS2: Final = {"motion", "out", "ros2", "compression", "force", "json"}
+_OF_MOTION_FILE: Final = {
+    "motion",
+    "out",
+    "fps",
+    "joint_order",
+    "frames",
+    "resample",
+    "force",
+    "json",
+}
 
 
 class _StoppedError(BaseException):
@@ -45,12 +56,15 @@ class Convert(Command):
     Log and publish time of every message are the base time + frame / fps, to the nearest
     nanosecond. With the default base time the same input always gives the same bytes.
 
+    An output that ends in .csv or .npz is a motion file again.
+
     With --ros2 a session becomes a ROS 2 bag: a directory with metadata.yaml and an MCAP file that
     has messages of ROS only.
 
     Examples:
       g1stream convert dance.csv dance.mcap
       g1stream convert dance.csv part.mcap --frames 100:200 --resample 500
+      g1stream convert dance.pkl dance.csv
       g1stream convert session.mcap session_ros2 --ros2
 
     Exit codes:
@@ -60,9 +74,12 @@ class Convert(Command):
     """
 
     motion: str = argument(MOTION, "MOTION")
-    out: Path = argument("The file to write; with --ros2 the directory.", "MCAP")
+    out: Path = argument(
+        "The file to write, .mcap, .csv or .npz; with --ros2 the directory.", "FILE"
+    )
     ros2: bool = flag(False, "Convert a session into a ROS 2 bag.")
     fps: float | None = fps_flag()
+    joint_order: JointOrder | None = joint_order_flag()
     base_time: str = flag(
         "0",
         "Time of frame 0: ns since 1970, or ISO 8601 with a zone (2026-03-01T12:00:00Z).",
@@ -99,14 +116,11 @@ class Convert(Command):
 
     def run(self) -> int:
         """Convert, and return the exit code."""
-        other = [f.name for f in fields(self) if f.name not in _OF_ROS2]
-        given = [name for name in other if getattr(self, name) != getattr(type(self), name)]
-        if self.ros2 and given:
-            raise ConfigError(
-                f"--{given[0].replace('_', '-')} does not go with --ros2, which keeps a session "
-                "as it is.",
-                "Leave one of the two out.",
-            )
+        if self.ros2:
+            self._require(_OF_ROS2, "--ros2, which keeps a session as it is")
+        elif self.out.suffix.lower() in (".csv", ".npz"):
+            self._require(_OF_MOTION_FILE, f"a motion file ({self.out.name})")
+            return self._motion_file()
         # Checked between chunks: an exception in a signal handler could come between creating the
         # temporary file and the code that removes it.
         stopped_by: list[str] = []
@@ -117,6 +131,32 @@ class Convert(Command):
         except _StoppedError as stopped:
             print(f"\nStopped by {stopped}; nothing was written.", file=sys.stderr)
             return exit_code_of_signal(str(stopped)) or EXIT_STOPPED
+
+    def _require(self, flags: set[str], what: str) -> None:
+        other = [f.name for f in fields(self) if f.name not in flags]
+        given = [name for name in other if getattr(self, name) != getattr(type(self), name)]
+        if given:
+            raise ConfigError(
+                f"{flag_name(given[0])} does not go with {what}.", "Leave one of the two out."
+            )
+
+    def _motion_file(self) -> int:
+        from g1stream.session.motions import load_motion
+
+        motion = load_motion(self.motion, fps=self.fps, joint_order=self.joint_order)
+        first, behind = _frames(self.frames)
+        motion = motion.frames(first or 0, motion.n_frames if behind is None else behind)
+        if self.resample:
+            motion = motion.resample(self.resample)
+        for warning in motion.warnings:
+            print_warning(warning)
+        path = motion.save(self.out, force=self.force)
+        about = {"path": str(path), "frames": motion.n_frames, "fps": motion.fps}
+        if self.json:
+            print_json(about)
+        else:
+            print_lines(f"{path}: {counted(motion.n_frames, 'frame')} at {motion.fps:g} fps")
+        return EXIT_OK
 
     def _convert(self, stopped_by: list[str]) -> int:
         done = 0.0
@@ -163,6 +203,7 @@ class Convert(Command):
     ) -> tuple[dict[str, Any], str, tuple[str, ...]]:
         from g1stream.programs.convert import Conversion, convert
         from g1stream.robot.model import G1
+        from g1stream.session.motions import load_motion
         from g1stream.session.timestamps import parse_time
 
         options = Conversion(
@@ -180,7 +221,11 @@ class Convert(Command):
         )
         robot = G1.load(self.urdf)
         report = convert(
-            self.motion, self.out, options, robot=robot, fps=self.fps, on_progress=on_progress
+            load_motion(self.motion, fps=self.fps, joint_order=self.joint_order),
+            self.out,
+            options,
+            robot=robot,
+            on_progress=on_progress,
         )
         return report.as_dict(), _summary(report), report.warnings
 

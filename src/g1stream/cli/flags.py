@@ -34,12 +34,21 @@ if TYPE_CHECKING:
 
     from pydantic.fields import FieldInfo
 
-__all__ = ["MOTION", "argument", "flag", "flag_name", "fps_flag", "given_settings", "parse_flags"]
+__all__ = [
+    "MOTION",
+    "argument",
+    "flag",
+    "flag_name",
+    "fps_flag",
+    "given_settings",
+    "joint_order_flag",
+    "parse_flags",
+]
 
 CommandT = TypeVar("CommandT")
 
 #: Help of a flag or argument that names a motion.
-MOTION = "Motion file (CSV), session file, or the name of a bundled motion: demo."
+MOTION = "Motion file (CSV, NPZ, pickle), session file, or the name of a bundled motion: demo."
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -166,6 +175,12 @@ def fps_flag() -> Any:
     """The flag --fps of commands that read a motion."""
     text = "Frames per second of the motion file, or to sample a session at."
     return flag(None, text, "HZ", shown="30; a session's own", gt=0)
+
+
+def joint_order_flag() -> Any:
+    """The flag --joint-order of commands that read a motion."""
+    text = "Order of the joints in a motion file that does not name them."
+    return flag(None, text, shown="told by joint limits and bodies; motor order in a CSV file")
 
 
 def flag_name(name: str) -> str:

@@ -15,9 +15,10 @@ from g1stream.cli.command import (
     print_lines,
     print_warning,
 )
-from g1stream.cli.flags import MOTION, argument, flag, fps_flag
+from g1stream.cli.flags import MOTION, argument, flag, fps_flag, joint_order_flag
 from g1stream.errors import MotionError
 from g1stream.text import counted
+from g1stream.types import JointOrder
 
 if TYPE_CHECKING:
     from g1stream.motion.check import FileReport, MotionReport
@@ -44,6 +45,7 @@ class Inspect(SettingsCommand):
 
     motion: str = argument(MOTION, "MOTION")
     fps: float | None = fps_flag()
+    joint_order: JointOrder | None = joint_order_flag()
     json: bool = flag(False, "Print the report as JSON.")
 
     def run(self) -> int:
@@ -57,6 +59,7 @@ class Inspect(SettingsCommand):
             self.motion,
             robot,
             fps=self.fps,
+            joint_order=self.joint_order,
             rate=config.stream.rate,
             position_margin=config.safety.position_margin,
         )
@@ -99,12 +102,21 @@ def _content(report: FileReport) -> list[str]:
     """The lines about the file."""
     if report.kind == "session":
         return [_line("file", "a session; its motion is the recorded reference")]
+    if report.kind == "arrays":
+        labels = ("file", "joint order", "pelvis", "frame rate")
+        lines = [_line(*pair) for pair in zip(labels, report.evidence, strict=False)]
+        return [*lines, *_joint_lines(report)]
     header = "named by a header" if report.has_header else "no header"
     if report.mapped and not report.has_header:
         header += ", columns as in LAFAN1"
     size = f"{counted(report.n_rows, 'row')}, {counted(report.n_columns, 'column')}, {header}"
     lines = [_line("file", f"{size}; {counted(len(report.mapped), 'joint')} found")]
-    lines += [_line("not in the URDF", name) for name in report.not_in_robot]
+    return [*lines, *_joint_lines(report)]
+
+
+def _joint_lines(report: FileReport) -> list[str]:
+    """The lines about joints and quaternions of a file."""
+    lines = [_line("not in the URDF", name) for name in report.not_in_robot]
     lines += [_line("not in the file", name) for name in report.not_in_file]
     if report.quat_norms:
         lowest, highest = report.quat_norms

@@ -17,10 +17,11 @@ from g1stream.cli.command import (
     print_warning,
     yes_flag,
 )
-from g1stream.cli.flags import MOTION, argument, flag, flag_name, fps_flag
+from g1stream.cli.flags import MOTION, argument, flag, flag_name, fps_flag, joint_order_flag
 from g1stream.cli.progress import ProgressDisplay, loop_status
 from g1stream.errors import ConfigError
 from g1stream.events import ConsoleHandler, handled_by
+from g1stream.types import JointOrder
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -157,6 +158,7 @@ class Stream(PlayCommand):
 
     motion: str = argument(MOTION, "MOTION")
     fps: float | None = fps_flag()
+    joint_order: JointOrder | None = joint_order_flag()
 
     def run(self) -> int:
         """Play, and return the exit code."""
@@ -164,7 +166,7 @@ class Stream(PlayCommand):
         from g1stream.session.motions import load_motion
 
         config = self.resolve()
-        motion = load_motion(self.motion, fps=self.fps)
+        motion = load_motion(self.motion, fps=self.fps, joint_order=self.joint_order)
         for warning in motion.warnings:
             print_warning(warning)
         with playing() as prepare:

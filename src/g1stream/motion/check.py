@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 
 from g1stream.errors import MotionError
+from g1stream.motion.csv import CsvFile
 from g1stream.motion.files import open_motion_file
 from g1stream.motion.limits import JointPeak, LimitReport, frame_peaks, measure_limits
 from g1stream.motion.motion import check_fps
@@ -20,11 +21,11 @@ from g1stream.types import STREAM_RATE
 if TYPE_CHECKING:
     import os
 
-    from g1stream.motion.csv import CsvFile
+    from g1stream.motion.array_file import ArrayFile
     from g1stream.motion.limits import Interval
     from g1stream.motion.motion import Motion
     from g1stream.robot.model import G1
-    from g1stream.types import Floats
+    from g1stream.types import Floats, JointOrder
 
 __all__ = [
     "FileReport",
@@ -98,13 +99,14 @@ class FileReport:
     """
 
     path: Path
-    kind: Literal["table", "session"] = "table"
+    kind: Literal["table", "arrays", "session"] = "table"
     n_rows: int = 0  # below the header
     n_columns: int = 0  # of the first line
     has_header: bool = False
     mapped: dict[str, int] = field(default_factory=dict)  # joint of the robot -> column
     not_in_robot: tuple[str, ...] = ()  # columns
     not_in_file: tuple[str, ...] = ()
+    evidence: tuple[str, ...] = ()  # what arrays were taken for, and why
     quat_norms: tuple[float, float] | None = None  # lowest and highest; None: not readable
     motion: MotionReport | None = None  # None: the file is not a motion
     fault: str = ""  # why it is not, in a sentence
@@ -121,6 +123,7 @@ def check_file(
     robot: G1,
     *,
     fps: float | None = None,
+    joint_order: JointOrder | None = None,
     rate: float = STREAM_RATE,
     position_margin: float = 0.0,
 ) -> FileReport:
@@ -130,28 +133,36 @@ def check_file(
         MotionError: no report is possible: there is no such file, it cannot be read, is empty or is
             not text; or `fps` is not a frame rate. A fault in the content is part of the report.
     """
-    file = open_motion_file(path_or_name)
+    file = open_motion_file(path_or_name, joint_order)
     if fps is not None:
         check_fps(fps, file.path.stem)
-    motion, fault = None, None
+    report = FileReport(file.path)
     try:
+        report = _content(file)
         motion = check_motion(file.motion(fps), robot, rate=rate, position_margin=position_margin)
+        return replace(report, motion=motion)
     except MotionError as error:
-        fault = error
+        return replace(report, fault=error.cause, remedy=error.remedy)
+
+
+def _content(file: CsvFile | ArrayFile) -> FileReport:
+    """What is in a file, without its motion.
+
+    Raises:
+        MotionError: not even that can be told.
+    """
+    named = enumerate(file.columns, start=1)
     return FileReport(
         path=file.path,
+        kind="table" if isinstance(file, CsvFile) else "arrays",
         n_rows=file.n_rows,
         n_columns=file.n_columns,
         has_header=file.has_header,
-        mapped={
-            name: column for column, name in enumerate(file.columns, start=1) if name in JOINT_NAMES
-        },
+        mapped={name: column for column, name in named if name in JOINT_NAMES},
         not_in_robot=tuple(file.unknown),
         not_in_file=tuple(file.missing if file.columns else ()),
+        evidence=() if isinstance(file, CsvFile) else file.evidence,
         quat_norms=_norms(file),
-        motion=motion,
-        fault=fault.cause if fault else "",
-        remedy=fault.remedy if fault else "",
     )
 
 
@@ -242,9 +253,9 @@ def _root_travel(root_pos: Floats) -> RootTravel:
     )
 
 
-def _norms(file: CsvFile) -> tuple[float, float] | None:
+def _norms(file: CsvFile | ArrayFile) -> tuple[float, float] | None:
     with suppress(MotionError):  # a fault of the table, which the report has already
-        if (quat := file.quat_xyzw) is not None:
+        if (quat := file.quats) is not None:
             return _range(np.linalg.norm(quat, axis=1))
     return None
 

@@ -10,8 +10,6 @@ The file is a NumPy archive (npz) without pickled objects.
 from __future__ import annotations
 
 import io
-import warnings
-import zipfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, get_args
@@ -20,6 +18,7 @@ import numpy as np
 
 from g1stream.errors import ConfigError
 from g1stream.files import complete_file, read_file
+from g1stream.motion.arrays import read_npz
 from g1stream.motion.blend import minimum_jerk
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS, by_joint
 from g1stream.types import FeedForwardKind, Support
@@ -45,8 +44,6 @@ _FADE: Final = 0.3
 _STEP: Final = 0.02
 #: Times that are added at both ends, with no correction.
 _PADDING: Final = 4
-#: All arrays of a file together have no more bytes than this: ten hours of a motion.
-_LARGEST_ARCHIVE: Final = 512 * 2**20
 #: Largest relative difference of gains and rates that count as equal.
 _EQUAL: Final = 1e-9
 
@@ -232,7 +229,7 @@ class Correction:
             ConfigError: the content is not a correction.
         """
         try:
-            return cls._of_arrays(_read_npz(data), source)
+            return cls._of_arrays(read_npz(data), source)
         except ConfigError:
             raise
         except Exception as error:  # each compression has errors of its own
@@ -325,33 +322,6 @@ def fade(time: Floats, start: float, stop: float) -> Floats:
         minimum_jerk((time - start) / _FADE)[0] * minimum_jerk((stop - time) / _FADE)[0]
     )
     return inside
-
-
-def _read_npz(data: bytes) -> dict[str, NDArray[Any]]:
-    """The arrays of an NPZ; unlike numpy's own reader it allocates no size that a header claims."""
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        members = archive.infolist()
-        # zipfile itself reads no more than this size of a member.
-        if sum(member.file_size for member in members) > _LARGEST_ARCHIVE:
-            raise ValueError(f"it is larger than {_LARGEST_ARCHIVE / 2**20:g} MiB unpacked")
-        if any(
-            one.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for one in members
-        ):
-            raise ValueError("it is compressed in another way than deflate")
-        return {one.filename.removesuffix(".npy"): _read_npy(archive.read(one)) for one in members}
-
-
-def _read_npy(data: bytes) -> NDArray[Any]:
-    file = io.BytesIO(data)
-    if np.lib.format.read_magic(file) != (1, 0):
-        raise ValueError("an array has another version than 1.0 of the NPY format")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # it warns of headers as Python 2 wrote them
-        shape, column_major, dtype = np.lib.format.read_array_header_1_0(file)
-    if dtype.hasobject:
-        raise ValueError("it has Python objects")
-    values = np.frombuffer(data, dtype, offset=file.tell())
-    return values.reshape(shape, order="F" if column_major else "C")
 
 
 def _numbers(arrays: dict[str, NDArray[Any]], name: str, shape: tuple[int, ...] = ()) -> Floats:

@@ -2,7 +2,8 @@
 
 There are two layouts, distinguished by the first line:
 
-- Foxglove: a header and 37 columns, `Frame,X,Y,Z,QX,QY,QZ,QW` and the 29 joints, in any order;
+- Foxglove: a header and 37 columns, `Frame,X,Y,Z,QX,QY,QZ,QW` and the 29 joints, in any order, also
+  under other names, such as `root_pos_x`, `quat_w` and `left_knee`, and without the frame number;
 - LAFAN1 as distributed for the G1: no header and 36 columns, position, quaternion and the joints in
   motor order.
 
@@ -21,7 +22,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from g1stream.errors import MotionError
-from g1stream.motion.motion import LARGEST, SMALLEST_QUAT, Motion
+from g1stream.motion.joint_order import names_in_order
+from g1stream.motion.motion import LARGEST, SMALLEST_QUAT, Motion, norm_warnings
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.rotations import wxyz_from_xyzw, xyzw_from_wxyz
 from g1stream.text import counted
@@ -30,7 +32,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from g1stream.types import Floats
+    from g1stream.types import Floats, JointOrder
 
 __all__ = ["DEFAULT_FPS", "ROOT_COLUMNS", "CsvFile", "to_csv"]
 
@@ -40,14 +42,19 @@ DEFAULT_FPS: Final = 30.0
 _FRAME: Final = "Frame"
 _POSITION: Final = ("X", "Y", "Z")
 _QUAT_XYZW: Final = ("QX", "QY", "QZ", "QW")
+#: Names that other tools give to the columns of the root.
+_OTHER_NAMES: Final = {
+    prefix + axis.lower()[-1]: axis
+    for axes, prefixes in (
+        (_POSITION, ("", "pos_", "root_", "root_pos_", "base_", "base_pos_")),
+        (_QUAT_XYZW, ("q", "quat_", "rot_", "root_q", "root_quat_", "root_rot_", "base_quat_")),
+    )
+    for axis in axes
+    for prefix in prefixes
+} | {"frame": _FRAME}
 ROOT_COLUMNS: Final = (_FRAME, *_POSITION, *_QUAT_XYZW)
 """The columns of the Foxglove layout before those of the joints."""
 _LAFAN1: Final = (*_POSITION, *_QUAT_XYZW, *JOINT_NAMES)
-
-#: Quaternion norms that differ from 1 by more than this give a warning; by more than the second
-#: they are no rounding error.
-_NORM_TOLERANCE: Final = 1e-3
-_NORM_ROUNDING: Final = 0.1
 
 
 class CsvFile:
@@ -57,6 +64,7 @@ class CsvFile:
         path: where it is, for messages.
         content: its bytes, UTF-8. A byte order mark, any line ends, spaces around cells and blank
             lines at the end are accepted.
+        joint_order: of the joints where no header names them; motor order if None.
 
     Raises:
         MotionError: it is empty or not text. Anything else wrong in it is an error only when
@@ -72,7 +80,7 @@ class CsvFile:
         n_rows: lines below the header.
     """
 
-    def __init__(self, path: Path, content: bytes) -> None:
+    def __init__(self, path: Path, content: bytes, joint_order: JointOrder | None = None) -> None:
         self.path = path
         self.sha256 = hashlib.sha256(content).hexdigest()
         self._text = self._decode(content)
@@ -81,9 +89,9 @@ class CsvFile:
         self.has_header = not any(map(_is_number, first))
         self.columns: tuple[str, ...] = ()
         if not self.has_header and self.n_columns == len(_LAFAN1):
-            self.columns = _LAFAN1
+            self.columns = (*_LAFAN1[:7], *names_in_order(joint_order or "motor"))
         elif self.has_header and self.n_columns > 1:
-            self.columns = tuple(first)
+            self.columns = tuple(map(_canonical, first))
         self.n_rows = self._text.count("\n") + 1 - self.has_header
 
     @cached_property
@@ -107,8 +115,8 @@ class CsvFile:
         return values
 
     @property
-    def quat_xyzw(self) -> Floats | None:
-        """Root orientations (n_rows, 4) as they stand in the file; None without such columns."""
+    def quats(self) -> Floats | None:
+        """Root orientations (n_rows, 4), xyzw as in the file; None without such columns."""
         if not set(_QUAT_XYZW) <= set(self.columns):
             return None
         return self._take(_QUAT_XYZW)
@@ -141,7 +149,7 @@ class CsvFile:
     def missing(self) -> list[str]:
         """Columns of the layout that the file lacks."""
         wanted = (*ROOT_COLUMNS, *JOINT_NAMES) if self.has_header else _LAFAN1
-        return [name for name in wanted if name not in self.columns]
+        return [name for name in wanted if name not in (*self.columns, _FRAME)]
 
     @property
     def unknown(self) -> list[str]:
@@ -171,13 +179,13 @@ class CsvFile:
             line = content.count(b"\n", 0, error.start) + 1
             raise self._error(
                 f"byte {error.start} is not UTF-8 text",
-                "Give a CSV file, saved as UTF-8, or a session file.",
+                "Give a CSV file saved as UTF-8, an NPZ, a pickle of arrays, or a session file.",
                 line=line,
             ) from None
         if "\0" in text:
             raise self._error(
                 f"byte {text.index(chr(0))} of this binary file is zero",
-                "Give a CSV file or a session file.",
+                "Give a CSV or NPZ file, a pickle of arrays, or a session file.",
             )
         text = text.replace("\r\n", "\n").replace("\r", "\n").rstrip()
         if not text:
@@ -233,8 +241,8 @@ class CsvFile:
             faults += [f"columns that are no joint: {', '.join(self.unknown)}"] * bool(self.unknown)
             raise self._error(
                 "; ".join(faults),
-                f"Name the columns {','.join(ROOT_COLUMNS)} and the {len(JOINT_NAMES)} joints, in "
-                "any order; or use the 36 columns of LAFAN1 and no header.",
+                f"Name the columns {','.join(ROOT_COLUMNS[1:])} and the {len(JOINT_NAMES)} joints, "
+                "in any order; or use the 36 columns of LAFAN1 and no header.",
                 line=1,
             )
 
@@ -255,8 +263,6 @@ class CsvFile:
 
     def _check_norms(self, norms: Floats) -> tuple[str, ...]:
         """A warning about quaternion norms (T,) that are not 1; an error for one that is 0."""
-        off = np.abs(norms - 1.0)
-        worst = int(np.argmax(off))
         if norms.min() <= SMALLEST_QUAT:
             row = int(np.argmin(norms))
             raise self._error(
@@ -265,13 +271,8 @@ class CsvFile:
                 line=self._line(row),
                 column=self.columns.index("QX"),
             )
-        if off[worst] <= _NORM_TOLERANCE:
-            return ()
-        doubt = "; that is no rounding error, check the file" if off[worst] > _NORM_ROUNDING else ""
-        return (
-            f"{self.path.name}: normalised {int((off > _NORM_TOLERANCE).sum())} of {len(norms)} "
-            f"quaternions, which were not unit. Furthest off is frame {worst}, line "
-            f"{self._line(worst)}, with norm {norms[worst]:.4g}{doubt}.",
+        return norm_warnings(
+            norms, self.path.name, lambda frame: f"frame {frame}, line {self._line(frame)}"
         )
 
 
@@ -282,6 +283,15 @@ def to_csv(motion: Motion) -> str:
     lines = [",".join((*ROOT_COLUMNS, *motion.joint_names))]
     lines += [f"{frame}," + ",".join(map(repr, row)) for frame, row in enumerate(rows)]
     return "\n".join(lines) + "\n"
+
+
+def _canonical(column: str) -> str:
+    """The name of a column as g1stream writes it, where it is another name for the same."""
+    lower = column.lower()
+    if lower in _OTHER_NAMES:
+        return _OTHER_NAMES[lower]
+    joint = f"{lower.removesuffix('_joint')}_joint"
+    return joint if joint in JOINT_NAMES else column
 
 
 def _is_number(cell: str) -> bool:

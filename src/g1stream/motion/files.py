@@ -1,7 +1,7 @@
 """Finds a motion file and picks the class that reads its format.
 
-A further format is a class such as `CsvFile` in a file of its own; `open_motion_file` distinguishes
-formats by the first bytes. Session files are read a layer above, in session/motions.py.
+Formats are distinguished by the first bytes. Session files are read a layer above, in
+session/motions.py.
 """
 
 from __future__ import annotations
@@ -12,10 +12,15 @@ from typing import TYPE_CHECKING, Final
 
 from g1stream.errors import MotionError
 from g1stream.files import read_file
+from g1stream.motion.array_file import ArrayFile
+from g1stream.motion.arrays import is_pickle, is_zip
 from g1stream.motion.csv import CsvFile
 
 if TYPE_CHECKING:
     import os
+
+    from g1stream.types import JointOrder
+
 
 __all__ = ["BUNDLED_MOTIONS", "open_motion_file"]
 
@@ -26,16 +31,25 @@ BUNDLED_MOTIONS: Final = ("demo",)
 _LARGEST: Final = 2**30
 
 
-def open_motion_file(path_or_name: str | os.PathLike[str]) -> CsvFile:
+def open_motion_file(
+    path_or_name: str | os.PathLike[str], joint_order: JointOrder | None = None
+) -> CsvFile | ArrayFile:
     """Open a motion file, or a bundled motion by its name.
 
+    Args:
+        path_or_name: of the file.
+        joint_order: of the joints, where a file does not name them.
+
     Raises:
-        MotionError: there is no such file, or it cannot be read, or is empty, or is not text.
+        MotionError: there is no such file, or it cannot be read, is empty, or of another format.
     """
     path = Path(path_or_name)
     if path_or_name in BUNDLED_MOTIONS:
         path = Path(str(resources.files("g1stream.motion") / f"{path_or_name}.csv"))
-    return CsvFile(path, _read(path))
+    content = _read(path)
+    if is_zip(content) or is_pickle(content):
+        return ArrayFile(path, content, joint_order)
+    return CsvFile(path, content, joint_order)
 
 
 def _read(path: Path) -> bytes:
@@ -44,11 +58,11 @@ def _read(path: Path) -> bytes:
     except FileNotFoundError:
         raise MotionError(
             f"There is no motion file {path}.",
-            "Give the path of a CSV file or of a session file, or the name of a bundled motion: "
+            "Give the path of a motion file or of a session file, or the name of a bundled motion: "
             f"{', '.join(BUNDLED_MOTIONS)}.",
         ) from None
     except OSError as error:
         raise MotionError(
             f"The motion file {path} cannot be read: {error.strerror}.",
-            "Give the path of a CSV file that you may read; save what comes from a pipe first.",
+            "Give the path of a file that you may read; save what comes from a pipe first.",
         ) from None

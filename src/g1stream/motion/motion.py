@@ -11,25 +11,29 @@ from typing import TYPE_CHECKING, ClassVar, Final
 import numpy as np
 
 from g1stream.errors import MotionError
-from g1stream.files import complete_file
+from g1stream.files import check_not_input, complete_file
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
 from g1stream.text import counted
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from matplotlib.figure import Figure
     from numpy.typing import ArrayLike
 
     from g1stream.types import Floats
 
-__all__ = ["LARGEST", "SMALLEST_QUAT", "Motion", "check_fps"]
+__all__ = ["LARGEST", "SMALLEST_QUAT", "Motion", "check_fps", "norm_warnings"]
 
 LARGEST: Final = 1e9
 """No value of a motion is larger, rad or m, so that nothing computed from them overflows."""
 SMALLEST_QUAT: Final = 1e-6
 """A quaternion whose norm is not above this counts as zero."""
+#: Quaternion norms that differ from 1 by more than this give a warning; by more than the second
+#: they are no rounding error.
+_NORM_TOLERANCE: Final = 1e-3
+_NORM_ROUNDING: Final = 0.1
 #: Frames per second of a motion, lowest and highest.
 _FPS: Final = (1e-3, 1e6)
 
@@ -243,25 +247,43 @@ class Motion:
         return figure
 
     def save(self, path: str | os.PathLike[str], *, force: bool = False) -> Path:
-        """Write a CSV file that `load_motion` reads back to the last bit.
+        """Write a CSV or NPZ file that `load_motion` reads back to the last bit.
 
-        The file has a header and 37 columns: frame number, root position (m), root quaternion
+        A CSV file has a header and 37 columns: frame number, root position (m), root quaternion
         (xyzw) and the joints (rad). It has no frame rate: give `load_motion` the `fps` of the
-        motion if it is not 30. With `force` it replaces a file that exists.
+        motion if it is not 30. An NPZ file has the arrays `joint_pos`, `root_pos` and
+        `root_quat_wxyz` of this class, `joint_names` and `fps`.
+
+        Args:
+            path: ends in .csv or .npz.
+            force: replace a file that exists.
 
         Raises:
-            MotionError: the path does not end in .csv.
-            RecordingError: the file exists, or cannot be written.
+            MotionError: the path has another ending.
+            RecordingError: the file exists, is the one the motion came from, or cannot be written.
         """
         from g1stream.motion.csv import to_csv
 
         path = Path(path)
-        if path.suffix.lower() != ".csv":
+        if path.suffix.lower() not in (".csv", ".npz"):
             raise MotionError(
-                f"A motion cannot be saved as {path.name}.", "Give a file name that ends in .csv."
+                f"A motion cannot be saved as {path.name}.",
+                "Give a file name that ends in .csv or .npz.",
             )
+        check_not_input(path, self.source)
         with complete_file(path, force=force) as temporary:
-            temporary.write_text(to_csv(self), encoding="utf-8")
+            if path.suffix.lower() == ".csv":
+                temporary.write_text(to_csv(self), encoding="utf-8")
+            else:
+                with temporary.open("wb") as file:
+                    np.savez_compressed(
+                        file,
+                        fps=self.fps,
+                        joint_names=np.array(self.joint_names),
+                        joint_pos=self.joint_pos,
+                        root_pos=self.root_pos,
+                        root_quat_wxyz=self.root_quat_wxyz,
+                    )
         return path
 
     def _array(self, field: str, shape: tuple[int, int]) -> Floats:
@@ -288,6 +310,26 @@ def check_fps(fps: float, name: str) -> None:
             f"The motion {name} cannot have {fps} frames per second.",
             f"Give a frame rate between {_FPS[0]:g} and {_FPS[1]:g}, such as 30.",
         )
+
+
+def norm_warnings(norms: Floats, name: str, where: Callable[[int], str]) -> tuple[str, ...]:
+    """A warning about quaternion norms (T,) that are not 1.
+
+    Args:
+        norms: of the frames.
+        name: of the file.
+        where: says where a frame is in the file.
+    """
+    off = np.abs(norms - 1.0)
+    worst = int(np.argmax(off))
+    if off[worst] <= _NORM_TOLERANCE:
+        return ()
+    doubt = "; that is no rounding error, check the file" if off[worst] > _NORM_ROUNDING else ""
+    return (
+        f"{name}: normalised {int((off > _NORM_TOLERANCE).sum())} of {len(norms)} quaternions, "
+        f"which were not unit. Furthest off is {where(worst)}, with norm "
+        f"{norms[worst]:.4g}{doubt}.",
+    )
 
 
 def _check_joint_names(name: str, joint_names: Sequence[str]) -> None:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from g1stream._version import __version__
-from g1stream.errors import ConfigError, MotionError, RecordingError
-from g1stream.files import complete_file
+from g1stream.errors import ConfigError, MotionError
+from g1stream.files import check_not_input, complete_file
 from g1stream.foxglove.encoders import (
     IDENTITY_POSE,
     WORLD_FRAME,
@@ -144,7 +143,7 @@ def convert(
     fields = ("position",) if options.resample is None else _RESAMPLED_FIELDS
     joint_states = JointStatesTemplate(robot.joint_names, fields)
     out = Path(out)
-    _check_not_a_source(out, motion, robot)
+    check_not_input(out, motion.source, Path(robot.source))
     channels = _channels(options.topic)
     with (
         complete_file(out, force=options.force) as temporary,
@@ -192,16 +191,6 @@ def _frame_range(motion: Motion, frames: tuple[int | None, int | None]) -> tuple
             f"Choose a range within 0:{motion.n_frames}, of one frame or more.",
         )
     return start, stop
-
-
-def _check_not_a_source(out: Path, motion: Motion, robot: G1) -> None:
-    for source in (motion.source, Path(robot.source)):
-        with suppress(OSError):  # one of them does not exist, or cannot be accessed
-            if source and out.samefile(source):
-                raise RecordingError(
-                    f"The output path {out} is the input file.",
-                    "Choose another output path, such as motion.mcap.",
-                )
 
 
 def _poses(motion: Motion, options: Conversion, start: int, stop: int) -> Iterator[tuple[Any, ...]]:

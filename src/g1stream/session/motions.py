@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from g1stream.motion.check import FileReport
     from g1stream.robot.model import G1
     from g1stream.session.streams import Reference
+    from g1stream.types import JointOrder
 
 __all__ = ["check_motion_file", "commanded_motion", "load_motion", "reference_motion"]
 
@@ -30,15 +31,22 @@ __all__ = ["check_motion_file", "commanded_motion", "load_motion", "reference_mo
 _MOST_FRAMES: Final = 500_000
 
 
-def load_motion(path_or_name: str | os.PathLike[str], *, fps: float | None = None) -> Motion:
+def load_motion(
+    path_or_name: str | os.PathLike[str],
+    *,
+    fps: float | None = None,
+    joint_order: JointOrder | None = None,
+) -> Motion:
     """Read a motion file, a session file, or a bundled motion by its name (`demo`).
 
     Args:
-        path_or_name: a CSV file of 37 columns with a header (Foxglove) or of 36 without (LAFAN1 for
-            the G1); a session file, whose motion is the reference that was played; or the name of a
-            bundled motion.
-        fps: frames per second. A CSV file cannot say it: 30 if None. A session is sampled at it, at
-            the rate of its reference if None.
+        path_or_name: a CSV or NPZ file or a pickle of arrays, of one of the formats in
+            docs/formats.md; a session file, whose motion is the reference that was played; or the
+            name of a bundled motion.
+        fps: frames per second; what the file says if None, or 30 where it does not, as a CSV file
+            cannot. A session is sampled at it, at the rate of its reference if None.
+        joint_order: of the joints where a file does not name them. If None, a CSV file without a
+            header is taken to be in motor order, and for arrays joint limits and bodies decide.
 
     Returns:
         The motion, its joints in motor order whatever the order in the file, its quaternions unit.
@@ -52,7 +60,7 @@ def load_motion(path_or_name: str | os.PathLike[str], *, fps: float | None = Non
         from g1stream.session.session import open_session
 
         return open_session(path_or_name).motion(fps)
-    file = open_motion_file(path_or_name)
+    file = open_motion_file(path_or_name, joint_order)
     if fps is not None:
         check_fps(fps, file.path.stem)
     return file.motion(fps)
@@ -63,6 +71,7 @@ def check_motion_file(
     robot: G1,
     *,
     fps: float | None = None,
+    joint_order: JointOrder | None = None,
     rate: float = STREAM_RATE,
     position_margin: float = 0.0,
 ) -> FileReport:
@@ -72,6 +81,7 @@ def check_motion_file(
         path_or_name: as for `load_motion`.
         robot: whose limits.
         fps: as for `load_motion`.
+        joint_order: as for `load_motion`.
         rate: joint targets per second when it is streamed, Hz.
         position_margin: rad, kept from position limits when it is streamed.
 
@@ -83,7 +93,14 @@ def check_motion_file(
 
     path = Path(path_or_name)
     if not is_session(path):
-        return check_file(path_or_name, robot, fps=fps, rate=rate, position_margin=position_margin)
+        return check_file(
+            path_or_name,
+            robot,
+            fps=fps,
+            joint_order=joint_order,
+            rate=rate,
+            position_margin=position_margin,
+        )
     motion = check_motion(
         load_motion(path, fps=fps), robot, rate=rate, position_margin=position_margin
     )

@@ -1,0 +1,319 @@
+"""Motion files of named arrays: NPZ, and pickles of arrays.
+
+What the arrays are is told by their names and shapes, by the frame rate in the file, and where that
+leaves a choice by evidence: see `joint_order`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+from g1stream.errors import MotionError
+from g1stream.motion.arrays import is_zip, read_npz, read_pickle
+from g1stream.motion.csv import DEFAULT_FPS
+from g1stream.motion.joint_order import Bodies, in_motor_order, names_in_order, tell_order
+from g1stream.motion.motion import SMALLEST_QUAT, Motion, norm_warnings
+from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
+from g1stream.robot.rotations import quat_normalize, quat_rotate, wxyz_from_xyzw
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from g1stream.types import Floats, JointOrder
+
+__all__ = ["ArrayFile"]
+
+_ANGLES: Final = ("joint_pos", "dof_pos", "dof", "qpos", "joint_angles", "q")
+_NAMES: Final = ("joint_names", "dof_names")
+_POSITIONS: Final = ("root_pos", "root_trans", "root_trans_offset", "base_pos", "root_translation")
+#: Position and quaternion.
+_ROOT: Final = 7
+#: Arrays of the motions of human body models.
+_HUMAN: Final = {"poses", "pose_aa", "betas"}
+_FPS: Final = ("fps", "framerate", "frame_rate", "mocap_framerate", "mocap_frame_rate")
+
+#: Name of an array with the pelvis's orientation, and whether w is first in it by convention.
+_QUATS: Final = {
+    "root_quat_wxyz": True,
+    "root_quat_xyzw": False,
+    "root_rot": False,
+    "root_quat": True,
+    "root_rotation": False,
+    "base_quat": True,
+}
+#: A pelvis that leans by more than the first on average, by less than the second if w is at the
+#: other end, is taken to have it there, rad.
+_LYING: Final = 1.05
+_UPRIGHT: Final = 0.8
+
+#: Who writes files with these arrays; the first that fits.
+_WRITERS: Final = (
+    ("holosoma", {"joint_pos", "joint_names", "body_pos_w"}),
+    ("BeyondMimic and mjlab", {"joint_pos", "body_pos_w"}),
+    ("GMR", {"root_pos", "root_rot", "dof_pos"}),
+    ("PHC and ASAP", {"root_trans_offset", "dof"}),
+    ("MuJoCo", {"qpos"}),
+)
+_READ: Final = (
+    "Read are joint_pos, dof_pos, dof or qpos, (T, 29) or, with the pelvis's position and "
+    "quaternion before the joints, (T, 36); root_pos and root_quat_wxyz, or body_pos_w and "
+    "body_quat_w; fps; joint_names."
+)
+
+
+class _Root(NamedTuple):
+    """The pelvis's pose, (T, 3) m and (T, 4), and where it is from."""
+
+    pos: Floats
+    quat_wxyz: Floats
+    source: str
+
+
+class ArrayFile:
+    """A motion file of named arrays: what they are, and on request the motion.
+
+    Args:
+        path: where it is, for messages.
+        content: its bytes: an NPZ, or a pickle, plain or of joblib.
+        joint_order: of the joints, if the file does not name them; told by evidence if None.
+
+    Raises:
+        MotionError: it cannot be read. Anything else wrong in it is an error only when what it is
+            about is asked for.
+
+    Attributes:
+        path: as given.
+        sha256: of the content, in hex.
+        has_header: whether the file names the joints.
+    """
+
+    def __init__(self, path: Path, content: bytes, joint_order: JointOrder | None = None) -> None:
+        self.path = path
+        self.sha256 = hashlib.sha256(content).hexdigest()
+        self._asked = joint_order
+        self._npz = is_zip(content)
+        try:
+            arrays = read_npz(content) if self._npz else read_pickle(content)
+        except ValueError as error:
+            raise self._error(str(error), _READ) from error
+        self._arrays = self._of_one_motion(arrays)
+        self.has_header = bool(self._names)
+
+    def motion(self, fps: float | None = None) -> Motion:
+        """The motion in the file, its joints in motor order.
+
+        Args:
+            fps: frames per second; what the file says, or 30, if None.
+
+        Raises:
+            MotionError: an array is missing or has a wrong shape, or the order of the joints cannot
+                be told.
+        """
+        if self.missing:
+            raise self._error(
+                f"it lacks the joints {', '.join(self.missing)}", "Give a motion of all 29 joints."
+            )
+        root = self._root
+        motion = Motion.from_arrays(
+            in_motor_order(self._angles, self.columns),
+            root and root.pos,
+            root and root.quat_wxyz,
+            fps=fps or self._fps or DEFAULT_FPS,
+            name=self.path.stem,
+        )
+        warnings = [f"Joints that no G1 has are left out: {', '.join(self.unknown)}."]
+        if root:
+            norms = np.linalg.norm(root.quat_wxyz, axis=1)
+            warnings += norm_warnings(norms, self.path.name, lambda frame: f"frame {frame}")
+        return replace(
+            motion,
+            source=self.path,
+            sha256=self.sha256,
+            warnings=tuple(warnings[not self.unknown :]),
+        )
+
+    @cached_property
+    def evidence(self) -> tuple[str, ...]:
+        """What the arrays were taken for, and why, in short texts.
+
+        Raises:
+            MotionError: as `motion`.
+        """
+        kind = "NPZ" if self._npz else "pickle"
+        writer = next((who for who, names in _WRITERS if names <= self._arrays.keys()), "")
+        pelvis = self._root.source if self._root else "not in the file: upright at the origin"
+        return (
+            f"{kind}, arrays as {writer} write them" if writer else f"{kind} of arrays",
+            self._order[1],
+            pelvis,
+            f"{self._fps:g} fps, as the file says" if self._fps else "no frame rate in the file",
+        )
+
+    @property
+    def n_rows(self) -> int:
+        return len(self._angles)
+
+    @property
+    def n_columns(self) -> int:
+        return int(self._angles.shape[1])
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """The joint in each column."""
+        return self._order[0]
+
+    @property
+    def missing(self) -> list[str]:
+        """Joints of the robot that the file does not have."""
+        return [name for name in JOINT_NAMES if name not in self.columns]
+
+    @property
+    def unknown(self) -> list[str]:
+        """Joints of the file that the robot does not have."""
+        return [name for name in self.columns if name not in JOINT_NAMES]
+
+    @property
+    def quats(self) -> Floats | None:
+        """Orientations of the pelvis (T, 4), not normalised; None without them."""
+        return self._root.quat_wxyz if self._root else None
+
+    @cached_property
+    def _table(self) -> tuple[str, Floats]:
+        """Name and content of the array with the angles, (T, 29) or with the pelvis before them."""
+        for name in _ANGLES:
+            if name in self._arrays:
+                return name, self._numbers(name, 2)
+        found = ", ".join(sorted(self._arrays)) or "nothing"
+        human = " It is the motion of a human body model." * bool(_HUMAN & self._arrays.keys())
+        raise self._error(f"no array has joint angles; it has {found}.{human}".rstrip("."), _READ)
+
+    @cached_property
+    def _names(self) -> tuple[str, ...]:
+        """The joints that the file names, as g1stream names them."""
+        for key in _NAMES:
+            if key in self._arrays:
+                names = [str(name) for name in np.asarray(self._arrays[key]).ravel().tolist()]
+                return tuple(f"{name.removesuffix('_joint')}_joint" for name in names)
+        return ()
+
+    @cached_property
+    def _angles(self) -> Floats:
+        """(T, n) rad."""
+        name, table = self._table
+        n_joints = len(self._names) or N_JOINTS
+        if table.shape[1] not in (n_joints, _ROOT + n_joints):
+            raise self._error(
+                f"{name} has {table.shape[1]} columns for {n_joints} joints",
+                f"Give it a column for each joint, or {_ROOT} more before them: the pelvis's "
+                "position and quaternion (wxyz).",
+            )
+        return table[:, -n_joints:]
+
+    @cached_property
+    def _order(self) -> tuple[tuple[str, ...], str]:
+        """The joint in each column, and how that is known."""
+        if self._names:
+            return self._names, "named by the file"
+        if self._asked:
+            return names_in_order(self._asked), f"{self._asked}, as asked for"
+        bodies, root = self._arrays.get("body_pos_w"), self._root
+        known = None
+        if bodies is not None and root is not None:
+            known = Bodies(self._numbers("body_pos_w", 3), root.pos, quat_normalize(root.quat_wxyz))
+        order, why = tell_order(self._angles, known, self.path.name)
+        return names_in_order(order), why
+
+    @cached_property
+    def _root(self) -> _Root | None:
+        """The pelvis's pose, from arrays of its own, before the angles, or from the first body."""
+        angles, table = self._table
+        position = next((name for name in _POSITIONS if name in self._arrays), None)
+        rotation = next((name for name in _QUATS if name in self._arrays), None)
+        if position and rotation:
+            quat, order = self._wxyz(self._numbers(rotation, 2), w_first=_QUATS[rotation])
+            return self._pose(self._numbers(position, 2), quat, f"{position}, {rotation} {order}")
+        if table.shape[1] > self._angles.shape[1]:
+            return self._pose(table[:, :3], table[:, 3:_ROOT], f"in {angles}, quaternion wxyz")
+        if {"body_pos_w", "body_quat_w"} <= self._arrays.keys():
+            body = self._pelvis
+            pos, quat = self._numbers("body_pos_w", 3), self._numbers("body_quat_w", 3)
+            return self._pose(pos[:, body], quat[:, body], f"body {body}, quaternion wxyz")
+        return None
+
+    @property
+    def _pelvis(self) -> int:
+        """Which of the bodies is the pelvis: the first one if the file does not name them."""
+        names = np.asarray(self._arrays.get("body_names", [])).ravel().tolist()
+        return names.index("pelvis") if "pelvis" in names else 0
+
+    def _pose(self, pos: Floats, quat: Floats, source: str) -> _Root:
+        for what, values, width in (("position", pos, 3), ("quaternion", quat, 4)):
+            if values.shape != (self.n_rows, width):
+                raise self._error(
+                    f"the pelvis's {what} ({source}) has the shape {values.shape}",
+                    f"Give it the shape ({self.n_rows}, {width}), a row per frame.",
+                )
+        return _Root(pos, quat, source)
+
+    def _wxyz(self, quat: Floats, *, w_first: bool) -> tuple[Floats, str]:
+        """Quaternions with w first, and the order in which they stood.
+
+        That is the usual one, unless the pelvis then lies and in the other order stands.
+        """
+        if quat.shape[1] != len("wxyz"):
+            return quat, ""
+        orders = {"wxyz": quat, "xyzw": wxyz_from_xyzw(quat)}
+        usual, other = orders if w_first else reversed(orders)
+        if _lean(orders[usual]) > _LYING and _lean(orders[other]) < _UPRIGHT:
+            return orders[other], f"{other}, as the pelvis would lie otherwise"
+        return orders[usual], usual
+
+    @cached_property
+    def _fps(self) -> float | None:
+        """Frames per second as the file says; None if it does not."""
+        for name in _FPS:
+            if name in self._arrays:
+                values = np.asarray(self._arrays[name]).ravel()
+                if values.size == 1 and values.dtype.kind in "iuf" and values[0] > 0:
+                    return float(values[0])
+                raise self._error(f"{name} is no frame rate", "Give it one number, such as 50.")
+        return None
+
+    def _numbers(self, name: str, dimensions: int) -> Floats:
+        values = np.asarray(self._arrays[name])
+        if values.dtype.kind not in "iuf" or values.ndim != dimensions or not len(values):
+            raise self._error(
+                f"{name} is no array of numbers with {dimensions} dimensions",
+                "Give it a row for each frame.",
+            )
+        return values.astype(np.float64)
+
+    def _of_one_motion(self, content: Any) -> dict[str, Any]:
+        """The arrays; those of the only motion in a file of several, as joblib's mostly are."""
+        if not isinstance(content, dict) or not content:
+            raise self._error("it has no arrays by name", _READ)
+        if not all(isinstance(one, dict) for one in content.values()):
+            return content
+        if len(content) > 1:
+            names = ", ".join(list(content)[:5])
+            raise self._error(
+                f"it has {len(content)} motions: {names}{', ...' * (len(content) > 5)}",
+                "Save the one to play in a file of its own.",
+            )
+        arrays: dict[str, Any] = next(iter(content.values()))
+        return arrays
+
+    def _error(self, cause: str, remedy: str) -> MotionError:
+        return MotionError(f"{self.path.name}: {cause}.", remedy)
+
+
+def _lean(quat_wxyz: Floats) -> float:
+    """Mean angle of the pelvis's axis from the vertical, rad."""
+    quat = quat_wxyz[np.linalg.norm(quat_wxyz, axis=1) > SMALLEST_QUAT]
+    up = quat_rotate(quat_normalize(quat), np.array([0.0, 0.0, 1.0]))[:, 2]
+    return float(np.arccos(np.clip(up, -1.0, 1.0)).mean()) if len(up) else 0.0

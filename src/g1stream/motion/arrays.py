@@ -1,0 +1,262 @@
+"""Named arrays from NPZ files and pickles, without running anything or trusting a claimed size."""
+
+from __future__ import annotations
+
+import io
+import pickle
+import re
+import warnings
+import zipfile
+import zlib
+from math import prod
+from typing import TYPE_CHECKING, Any, ClassVar, Final
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from numpy.typing import NDArray
+
+__all__ = ["is_pickle", "is_zip", "read_npz", "read_pickle"]
+
+#: All arrays of a file together have no more bytes than this: hours of a motion.
+_LARGEST: Final = 512 * 2**20
+#: The most numbers and texts that are not in an array, and how deep they may be in containers.
+_MOST_VALUES: Final = 20_000_000
+_DEPTH: Final = 4
+#: The types of numbers and texts that arrays may have; texts may be Python objects.
+_DTYPE: Final = re.compile(r"[<>|=]?([biufSU][0-9]{1,5}|O8?)")
+
+
+def is_zip(data: bytes) -> bool:
+    """Whether content begins as that of an NPZ file does."""
+    return data[:2] == b"PK"
+
+
+def is_pickle(data: bytes) -> bool:
+    """Whether content begins as that of a pickle, plain or compressed, does.
+
+    A pickle of protocol 0 or 1 looks like text; none of those who write motions use them.
+    """
+    return data[:1] == pickle.PROTO or _is_compressed(data)
+
+
+def read_npz(data: bytes) -> dict[str, Any]:
+    """The arrays of an NPZ file, by name.
+
+    Arrays of Python objects, such as names, are read as `read_pickle` does.
+
+    Args:
+        data: content of the file.
+
+    Raises:
+        ValueError: it is larger than 512 MiB unpacked, or its content is not that of an NPZ.
+    """
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            members = archive.infolist()
+            # zipfile itself reads no more than this size of a member.
+            if sum(member.file_size for member in members) > _LARGEST:
+                raise ValueError(f"it is larger than {_LARGEST / 2**20:g} MiB unpacked")
+            plain = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+            if any(member.compress_type not in plain for member in members):
+                raise ValueError("it is compressed in another way than deflate")
+            return {
+                one.filename.removesuffix(".npy"): _read_npy(archive.read(one)) for one in members
+            }
+    except (zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, EOFError) as error:
+        raise ValueError(str(error)) from error
+
+
+def _read_npy(data: bytes) -> Any:
+    file = io.BytesIO(data)
+    if np.lib.format.read_magic(file) != (1, 0):
+        raise ValueError("an array has another version than 1.0 of the NPY format")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # it warns of headers as Python 2 wrote them
+        shape, column_major, dtype = np.lib.format.read_array_header_1_0(file)
+    if dtype.hasobject:
+        return read_pickle(data[file.tell() :])
+    values = np.frombuffer(data, dtype, offset=file.tell())
+    return values.reshape(shape, order="F" if column_major else "C")
+
+
+def read_pickle(data: bytes) -> Any:
+    """What is in a pickle, or in a file of joblib, if it is arrays in plain containers.
+
+    Numbers, texts, lists, tuples, dicts and arrays of numbers or texts are read; anything else is
+    refused by its name. numpy's own functions are not called either: they would allocate whatever
+    the file claims.
+
+    Args:
+        data: content of the file; compressed with zlib or gzip, or not.
+
+    Raises:
+        ValueError: there is something else in it, or it is damaged or larger than 512 MiB unpacked.
+    """
+    if _is_compressed(data):
+        data = _decompressed(data)
+    try:
+        return _Unpickler(io.BytesIO(data)).load()
+    except ValueError:
+        raise
+    except Exception as error:  # a damaged pickle raises whatever its last operation raises
+        raise ValueError(f"it is a damaged pickle: {error!r:.80}") from error
+
+
+def _is_compressed(data: bytes) -> bool:
+    return data[:2] in (b"\x78\x01", b"\x78\x5e", b"\x78\x9c", b"\x78\xda", b"\x1f\x8b")
+
+
+def _decompressed(data: bytes) -> bytes:
+    decompressor = zlib.decompressobj(wbits=zlib.MAX_WBITS + 32)  # zlib or gzip
+    try:
+        content = decompressor.decompress(data, _LARGEST)
+    except zlib.error as error:
+        raise ValueError(f"it cannot be unpacked: {error}") from error
+    if decompressor.unconsumed_tail:
+        raise ValueError(f"it is larger than {_LARGEST / 2**20:g} MiB unpacked")
+    return content
+
+
+class _Dtype:
+    """Stands for numpy.dtype in a pickle."""
+
+    def __init__(self, name: str = "", *_: Any) -> None:
+        if not isinstance(name, str) or not _DTYPE.fullmatch(name):
+            raise ValueError(f"it has an array of the type {name!r:.40}")
+        self.numpy = np.dtype(name)
+
+    def __setstate__(self, state: Any) -> None:
+        if state[1] in (">", "<"):
+            self.numpy = self.numpy.newbyteorder(state[1])
+
+
+class _Array:
+    """Stands for an array in a pickle, until its content is known.
+
+    Attributes:
+        values: the array.
+    """
+
+    values: NDArray[Any]
+
+    def __init__(self, *_: Any) -> None: ...
+
+    def __setstate__(self, state: Any) -> None:
+        _, shape, dtype, column_major, content = state
+        self.values = _shaped(content, dtype, shape, "F" if column_major else "C")
+
+
+class _JoblibArray:
+    """Stands for an array that joblib has written behind the description of it."""
+
+    def __init__(self, *_: Any) -> None: ...
+
+    def __setstate__(self, state: Any) -> None:
+        self._shape, self._dtype, self._order = state["shape"], state["dtype"], state["order"]
+        self._padded = state.get("numpy_array_alignment_bytes") is not None
+
+    def read(self, file: io.BytesIO) -> NDArray[Any]:
+        if self._padded:
+            file.read(file.read(1)[0])
+        size = prod(int(n) for n in self._shape) * self._dtype.numpy.itemsize
+        content = file.read(size) if size <= _LARGEST else b""
+        return _shaped(content, self._dtype, self._shape, self._order)
+
+
+def _shaped(content: Any, dtype: _Dtype, shape: Any, order: Any) -> NDArray[Any]:
+    if isinstance(content, str):  # as protocol 2 writes bytes
+        content = content.encode("latin1")
+    if dtype.numpy.hasobject:
+        if not isinstance(content, list) or not all(isinstance(one, str) for one in content):
+            raise ValueError("it has an array of Python objects")
+        values = np.array(content)
+    else:
+        values = np.frombuffer(content, dtype.numpy)
+    return values.reshape(tuple(shape), order="F" if order == "F" else "C")
+
+
+def _array_of_buffer(content: Any, dtype: _Dtype, shape: Any, order: Any) -> _Array:
+    array = _Array()
+    array.values = _shaped(content, dtype, shape, order)
+    return array
+
+
+def _scalar(dtype: _Dtype, content: Any) -> Any:
+    return _shaped(content, dtype, (), "C").item()
+
+
+def _bytes_of(text: str, encoding: str) -> bytes:
+    return text.encode("latin1" if encoding == "latin1" else "ascii")
+
+
+class _Unpickler(pickle._Unpickler):
+    """The unpickler in Python, of which the names are ours and arrays of joblib are read."""
+
+    dispatch: ClassVar[dict[int, Any]] = dict(pickle._Unpickler.dispatch)
+    stack: list[Any]
+
+    _known: ClassVar[Mapping[tuple[str, str], Callable[..., Any]]] = {
+        ("numpy", "ndarray"): _Array,
+        ("numpy", "dtype"): _Dtype,
+        ("_codecs", "encode"): _bytes_of,
+        ("joblib.numpy_pickle", "NumpyArrayWrapper"): _JoblibArray,
+        ("collections", "OrderedDict"): dict,
+        **{
+            (f"numpy.{core}.{module}", name): stand_in
+            for core in ("core", "_core")
+            for module, name, stand_in in (
+                ("multiarray", "_reconstruct", _Array),
+                ("multiarray", "scalar", _scalar),
+                ("numeric", "_frombuffer", _array_of_buffer),
+            )
+        },
+    }
+
+    def __init__(self, file: io.BytesIO) -> None:
+        super().__init__(file)
+        self._file = file
+
+    def find_class(self, module: str, name: str) -> Any:
+        known = self._known.get((module, name))
+        if known is None:
+            raise ValueError(f"it is a pickle with a {module}.{name}, which is not read")
+        return known
+
+    def load(self) -> Any:
+        return _Plain().of(super().load())
+
+    def _build(self) -> None:
+        stand_in = self.stack[-2]
+        if not isinstance(stand_in, (_Array, _Dtype, _JoblibArray)):
+            raise ValueError(f"it is a pickle that changes a {type(stand_in).__name__}")
+        stand_in.__setstate__(self.stack.pop())
+        if isinstance(stand_in, _JoblibArray):
+            array = self.stack[-1] = _Array()
+            array.values = stand_in.read(self._file)
+
+    dispatch[pickle.BUILD[0]] = _build
+
+
+class _Plain:
+    """Puts arrays in the place of what stands for them, down to lists in a dict of dicts.
+
+    References to one list count each time, so that no small file becomes a large one.
+    """
+
+    def __init__(self) -> None:
+        self._left = _MOST_VALUES
+
+    def of(self, value: Any, depth: int = 0) -> Any:
+        self._left -= 1
+        if self._left < 0:
+            raise ValueError(f"it is a pickle of more than {_MOST_VALUES:,} single values")
+        if isinstance(value, _Array):
+            return value.values
+        if depth < _DEPTH and isinstance(value, dict):
+            return {str(name): self.of(one, depth + 1) for name, one in value.items()}
+        if depth < _DEPTH and isinstance(value, (list, tuple)):
+            return [self.of(one, depth + 1) for one in value]
+        return value if isinstance(value, (bool, int, float, str)) else None

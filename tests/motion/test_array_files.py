@@ -1,0 +1,254 @@
+"""Motions as arrays: NPZ and pickle, in the layouts of those who write them."""
+
+from __future__ import annotations
+
+import gzip
+import os
+import pickle
+import zlib
+from typing import get_args
+
+import joblib
+import numpy as np
+import pytest
+
+import g1stream
+from g1stream.errors import MotionError, RecordingError
+from g1stream.motion.array_file import ArrayFile
+from g1stream.motion.files import open_motion_file
+from g1stream.motion.joint_order import names_in_order
+from g1stream.robot.kinematics import forward_kinematics
+from g1stream.robot.model import G1
+from g1stream.types import JointOrder
+
+#: Column of each motor in an array of Isaac Lab.
+ISAACLAB = [
+    *(0, 3, 6, 9, 13, 17),
+    *(1, 4, 7, 10, 14, 18),
+    *(2, 5, 8),
+    *(11, 15, 19, 21, 23, 25, 27),
+    *(12, 16, 20, 22, 24, 26, 28),
+]
+
+
+@pytest.fixture(scope="module")
+def motion():
+    """The bundled motion, with the pelvis on its way and turning."""
+    demo = g1stream.load_motion("demo")
+    t = np.arange(demo.n_frames) / demo.fps
+    quat = np.stack([np.cos(0.3 * t), 0.05 * np.sin(t), 0 * t, np.sin(0.3 * t)], axis=1)
+    return g1stream.Motion.from_arrays(
+        demo.joint_pos, demo.root_pos + t[:, None] * [0.1, 0.2, 0.0], quat, fps=50
+    )
+
+
+@pytest.fixture(scope="module")
+def isaac_angles(motion):
+    columns = np.empty_like(motion.joint_pos)
+    columns[:, ISAACLAB] = motion.joint_pos
+    return columns
+
+
+def bodies(motion, robot="g1_29dof"):
+    """Poses of the 30 moving links, as the tools of Isaac Lab and MuJoCo write them."""
+    model = G1.load(robot)
+    links = [0, *np.flatnonzero(model.joint_of_link >= 0)]
+    found = forward_kinematics(model, motion.joint_pos, motion.root_pos, motion.root_quat_wxyz)
+    return {
+        "body_pos_w": found.pos[:, links].astype(np.float32),
+        "body_quat_w": found.quat_wxyz[:, links].astype(np.float32),
+    }
+
+
+def assert_same(found, motion, *, tolerance=0.0, root=True):
+    assert found.fps == motion.fps
+    np.testing.assert_array_equal(found.joint_pos, motion.joint_pos)
+    if root:
+        np.testing.assert_allclose(found.root_pos, motion.root_pos, rtol=0, atol=tolerance)
+        alike = np.abs(np.sum(found.root_quat_wxyz * motion.root_quat_wxyz, axis=1))
+        np.testing.assert_allclose(alike, 1.0, rtol=0, atol=1e-6)
+
+
+def test_isaaclab_order_is_breadth_first():
+    names = names_in_order("isaaclab")
+    assert [names.index(name) for name in g1stream.JOINT_NAMES] == ISAACLAB
+    assert names_in_order("motor") == g1stream.JOINT_NAMES
+
+
+@pytest.mark.parametrize("order", get_args(JointOrder))
+def test_order_told_by_bodies(tmp_path, motion, isaac_angles, order):
+    """BeyondMimic and mjlab write the same arrays, in different orders."""
+    angles = motion.joint_pos if order == "motor" else isaac_angles
+    path = tmp_path / "motion.npz"
+    np.savez(path, fps=[50], joint_pos=angles, joint_vel=0 * angles, **bodies(motion))
+    file = open_motion_file(path)
+    assert isinstance(file, ArrayFile)
+    assert file.columns == names_in_order(order)
+    assert "g1_29dof" in file.evidence[1]
+    assert_same(file.motion(), motion, tolerance=1e-6)
+
+
+def test_bodies_of_another_model(tmp_path, motion, isaac_angles):
+    path = tmp_path / "motion.npz"
+    np.savez(path, fps=50, joint_pos=isaac_angles, **bodies(motion, "g1_29dof_rev_1_0"))
+    assert "g1_29dof_rev_1_0" in open_motion_file(path).evidence[1]
+
+
+def test_order_told_by_limits(tmp_path, motion, isaac_angles):
+    path = tmp_path / "motion.npz"
+    np.savez(path, q=isaac_angles, fps=50)
+    file = open_motion_file(path)
+    assert file.columns == names_in_order("isaaclab")
+    assert file.quats is None
+    found = file.motion()
+    assert_same(found, motion, root=False)
+    assert not found.root_pos.any()
+
+
+def test_order_is_asked_for(tmp_path, motion):
+    path = tmp_path / "still.npz"
+    np.savez(path, q=np.zeros((5, 29)), fps=50)
+    with pytest.raises(MotionError) as refused:
+        g1stream.load_motion(path)
+    assert "--joint-order" in refused.value.remedy
+    assert g1stream.load_motion(path, joint_order="isaaclab").n_frames == 5
+
+
+def test_order_of_csv_without_header(tmp_path, motion, isaac_angles):
+    path = tmp_path / "motion.csv"
+    quat = motion.root_quat_wxyz[:, [1, 2, 3, 0]]
+    np.savetxt(path, np.hstack([motion.root_pos, quat, isaac_angles]), "%.17g", delimiter=",")
+    assert_same(g1stream.load_motion(path, fps=50, joint_order="isaaclab"), motion)
+
+
+def test_csv_with_other_names(tmp_path, motion):
+    path = tmp_path / "motion.csv"
+    root = [f"root_pos_{a}" for a in "xyz"] + [f"quat_{a}" for a in "wxyz"]
+    joints = [name.removesuffix("_joint") for name in reversed(g1stream.JOINT_NAMES)]
+    table = np.hstack([motion.root_pos, motion.root_quat_wxyz, motion.joint_pos[:, ::-1]])
+    header = ",".join([*root, *joints])
+    np.savetxt(path, table, "%.17g", delimiter=",", header=header, comments="")
+    assert_same(g1stream.load_motion(path, fps=50), motion)
+
+
+def test_named_joints_behind_the_pelvis(tmp_path, motion, isaac_angles):
+    """As holosoma writes them; the names may be objects."""
+    path = tmp_path / "motion.npz"
+    pose = np.hstack([motion.root_pos, motion.root_quat_wxyz, isaac_angles])
+    names = np.array(names_in_order("isaaclab"), dtype=object)
+    np.savez(path, fps=50.0, joint_pos=pose, joint_names=names, **bodies(motion))
+    file = open_motion_file(path)
+    assert file.has_header
+    assert_same(file.motion(), motion)
+
+
+def gmr(motion, *, xyzw=True):
+    quat = motion.root_quat_wxyz
+    return {
+        "fps": 50,
+        "root_pos": motion.root_pos,
+        "root_rot": quat[:, [1, 2, 3, 0]] if xyzw else quat,
+        "dof_pos": motion.joint_pos,
+        "local_body_pos": None,
+        "link_body_list": ["pelvis", "torso_link"],
+    }
+
+
+@pytest.mark.parametrize("protocol", [2, 3, 4, 5])
+@pytest.mark.parametrize("xyzw", [True, False])
+def test_gmr_pickle(tmp_path, motion, protocol, xyzw):
+    """The quaternion order is told by how the pelvis stands."""
+    path = tmp_path / "motion.pkl"
+    path.write_bytes(pickle.dumps(gmr(motion, xyzw=xyzw), protocol=protocol))
+    assert_same(g1stream.load_motion(path), motion)
+
+
+@pytest.mark.parametrize("compress", [zlib.compress, gzip.compress])
+def test_compressed_pickle_of_one_named_motion(tmp_path, motion, compress):
+    arrays = gmr(motion)
+    arrays = {"dance": {**arrays, "dof": arrays["dof_pos"].tolist(), "root_trans_offset": None}}
+    del arrays["dance"]["dof_pos"], arrays["dance"]["root_trans_offset"]
+    path = tmp_path / "motion.pkl"
+    path.write_bytes(compress(pickle.dumps(arrays)))
+    assert_same(g1stream.load_motion(path), motion)
+
+
+@pytest.mark.parametrize("compress", [0, 3])
+def test_joblib(tmp_path, motion, compress):
+    path = tmp_path / "motion.pkl"
+    joblib.dump({"dance": gmr(motion)}, path, compress=compress)
+    assert_same(g1stream.load_motion(path), motion)
+
+
+@pytest.mark.parametrize("suffix", ["csv", "npz"])
+def test_round_trip(tmp_path, motion, suffix):
+    path = motion.save(tmp_path / f"motion.{suffix}")
+    found = g1stream.load_motion(path, fps=50 if suffix == "csv" else None)
+    assert_same(found, motion)
+    np.testing.assert_array_equal(found.root_quat_wxyz, motion.root_quat_wxyz)
+    with pytest.raises(RecordingError):
+        found.save(path, force=True)  # it would be its own source
+
+
+def test_fps_overrides(tmp_path, motion):
+    path = motion.save(tmp_path / "motion.npz")
+    assert g1stream.load_motion(path, fps=25).fps == 25.0
+
+
+class Command:
+    """Runs a command where it is unpickled."""
+
+    def __init__(self, mark):
+        self.mark = mark
+
+    def __reduce__(self):
+        return os.system, (f"touch {self.mark}",)
+
+
+def test_pickle_runs_nothing(tmp_path):
+    mark, path = tmp_path / "mark", tmp_path / "motion.pkl"
+    path.write_bytes(pickle.dumps({"dof": Command(mark)}))
+    with pytest.raises(MotionError, match="system"):
+        open_motion_file(path)
+    assert not mark.exists()
+
+
+def shared_lists(depth=8, width=10_000):
+    value = [0.0] * width
+    for _ in range(depth):
+        value = [value] * width
+    return value
+
+
+def with_root(pos, quat):
+    return {"dof": np.zeros((9, 29)), "root_pos": pos, "root_rot": quat}
+
+
+@pytest.mark.parametrize(
+    ("arrays", "reason"),
+    [
+        ({"poses": np.zeros((9, 72)), "trans": np.zeros((9, 3))}, "human"),
+        ({"dof": np.zeros((9, 12))}, "12 columns"),
+        ({"dof": np.zeros(9)}, "dof"),
+        ({"dof": ["a", "b"]}, "dof"),
+        ({"dof": np.zeros((9, 29)), "fps": "fast"}, "fps"),
+        (
+            {"dof": np.zeros((9, 29)), "root_pos": np.zeros((8, 3)), "root_rot": np.ones((9, 4))},
+            "8",
+        ),
+        (
+            {"dof": np.zeros((9, 29)), "root_pos": np.zeros((9, 3)), "root_rot": np.ones((9, 3))},
+            "3",
+        ),
+        ({"dof": np.zeros((9, 2)), "dof_names": ["left_knee", "right_knee"]}, "lacks"),
+        ({"a": {}, "b": {}}, "2 motions"),
+        ([1, 2, 3], "no arrays"),
+        ({"dof": shared_lists()}, "values"),
+        ({"dof": {1, 2}}, "dof"),
+    ],
+)
+def test_what_is_no_motion(tmp_path, arrays, reason):
+    path = tmp_path / "motion.pkl"
+    path.write_bytes(pickle.dumps(arrays))
+    with pytest.raises(MotionError, match=reason):
+        g1stream.load_motion(path, joint_order="motor")

@@ -127,23 +127,15 @@ def twice(session: Session) -> None:
     session.process.send_signal(signal.SIGINT)
 
 
-def stop_and_continue(session: Session) -> None:
-    session.process.send_signal(signal.SIGSTOP)
-    time.sleep(1.0)
-    session.process.send_signal(signal.SIGCONT)
+def stop(seconds: float, then: int = signal.SIGCONT) -> Act:
+    """Stop the process, and send it another signal after some seconds."""
 
+    def act(session: Session) -> None:
+        session.process.send_signal(signal.SIGSTOP)
+        time.sleep(seconds)
+        session.process.send_signal(then)
 
-def stall(session: Session) -> None:
-    """Stopped for less than a state_timeout of loopback."""
-    session.process.send_signal(signal.SIGSTOP)
-    time.sleep(0.3)
-    session.process.send_signal(signal.SIGCONT)
-
-
-def stop_and_kill(session: Session) -> None:
-    session.process.send_signal(signal.SIGSTOP)
-    time.sleep(1.5)
-    session.process.kill()
+    return act
 
 
 def on_terminal(session: Session) -> Sequence[str]:

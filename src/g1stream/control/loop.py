@@ -13,13 +13,14 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from g1stream.clock import Ticker
 from g1stream.control.commands import MAX_STEP_TIME, Composer
 from g1stream.control.feedforward import FeedForward
+from g1stream.control.other_publishers import OtherPublishers
 from g1stream.control.overruns import Overruns
 from g1stream.control.phases import Inputs, PhaseState, Timing, step
 from g1stream.control.report import LoopReport
 from g1stream.control.safety import Safety
 from g1stream.control.targets import Targets
 from g1stream.dds.messages import LowState
-from g1stream.dds.topics import LOWCMD, LOWSTATE
+from g1stream.dds.topics import LOWCMD
 from g1stream.errors import SafetyError
 from g1stream.motion.blend import minimum_jerk
 from g1stream.motion.correction import CorrectionSpline
@@ -37,8 +38,6 @@ __all__ = ["LoopReport", "Newest", "StreamLoop"]
 
 _LOGGER = logging.getLogger(__name__)
 
-#: How often the loop looks for other publishers afterwards, ns.
-_PUBLISHER_CHECK_PERIOD: Final = 100_000_000
 #: Time of the motion that one command may pass, ns.
 _CATCH_UP: Final = round(MAX_STEP_TIME * 1e9)
 #: Longer than any session, ns.
@@ -115,7 +114,7 @@ class StreamLoop:
         self._undamped = replace(timing, hold=_FOREVER)
         self._composer = composer
         self._period = period
-        self._allow_second_writer = allow_second_writer
+        self._others = OtherPublishers(link, allow_second_writer=allow_second_writer)
         self._feedforward = feedforward
         self._soft_start = soft_start
         self._soft_until: int | None = None
@@ -127,7 +126,6 @@ class StreamLoop:
         self._prepared: tuple[bytes, bytes] | None = None
         self._prepared_for = self._published_for = 0
         self._stop_reason = ""
-        self._next_publisher_check = self._next_state_check = 0
         self.state = PhaseState(Phase.WAIT, 0)
         self.motion_time = 0.0
         self.damped = True
@@ -290,11 +288,11 @@ class StreamLoop:
         if self._stop_reason or phase >= Phase.DAMP:
             return self._stop_reason
         if unknown and phase is not Phase.WAIT:
-            return self._several_publishers() or unknown
+            return self._others.of_state() or unknown
         wrong = "" if unknown else self._safety.verdict()
         if wrong := wrong or self._overruns.verdict():
             return wrong
-        other = self._other_publisher(now)
+        other = self._others.verdict(now, waiting=phase is Phase.WAIT)
         if other and phase is Phase.WAIT:
             raise SafetyError(
                 f"There is {other}; nothing was sent.",
@@ -302,22 +300,6 @@ class StreamLoop:
                 "robot's own controller.",
             )
         return other
-
-    def _other_publisher(self, now: int) -> str:
-        if now >= self._next_state_check:
-            self._next_state_check = now + _PUBLISHER_CHECK_PERIOD
-            if several := self._several_publishers():
-                return several
-        if self._allow_second_writer or now < self._next_publisher_check:
-            return ""
-        if self.state.phase is not Phase.WAIT:  # while waiting, every tick
-            self._next_publisher_check = now + _PUBLISHER_CHECK_PERIOD
-        others = self._link.other_publishers()
-        return f"another publisher on {LOWCMD.name}: {', '.join(others)}" if others else ""
-
-    def _several_publishers(self) -> str:
-        names = self._link.state_publishers()
-        return f"more than one publisher on {LOWSTATE.name}: {', '.join(names)}" if names else ""
 
     def _enter_phase(self, before: Phase) -> None:
         phase, measured = self.state.phase, self._measured

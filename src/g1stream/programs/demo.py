@@ -29,7 +29,7 @@ FIGURE: Final = "tracking.png"
 """Name of the figure in the output directory."""
 
 #: So many domains are tried, from the default on.
-_MOST_DOMAINS: Final = 10
+_MOST_DOMAINS: Final = 8
 
 
 def demo(

@@ -13,7 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from g1stream.cli.progress import ProgressDisplay, loop_status, recorder_status, sim_status
+from g1stream.cli.progress import ProgressDisplay, RecorderStatus, loop_status, sim_status
 from g1stream.control.loop import LoopReport, Newest
 from g1stream.control.phases import PhaseState
 from g1stream.session.summary import RecorderSummary
@@ -127,12 +127,24 @@ def test_where_no_position_is_commanded_there_is_no_error(played):
     assert loop_status(played, SimpleNamespace(duration=24.0))[1].count("\n") == 0
 
 
-def test_the_status_of_recorder_and_simulator():
-    report = RecorderSummary(first_ns=10**18, last_ns=10**18 + 2_000_000_000)
-    received = {"/lowcmd": 1000, "/lowstate": 998}
-    recorder = SimpleNamespace(report=report, received=received)
-    assert "lowcmd 500  lowstate 499" in recorder_status(recorder)[1]
-    assert recorder_status(SimpleNamespace(report=RecorderSummary(), received={}))[0] is None
+def test_the_status_of_a_recorder_has_the_rates_of_the_last_second(monkeypatch):
+    now = 100.0
+    monkeypatch.setattr("g1stream.cli.progress.time.monotonic", lambda: now)
+    recorder = SimpleNamespace(report=RecorderSummary(), received={})
+    status = RecorderStatus(recorder)
+    assert status() == (None, "nothing received yet")
+    recorder.report = RecorderSummary(first_ns=10**18, last_ns=10**18 + 2_000_000_000)
+    for seconds, received, shown in (
+        (2.0, {"/lowcmd": 1000, "/lowstate": 998}, "lowcmd 500  lowstate 499"),
+        (0.5, {"/lowcmd": 1000, "/lowstate": 1248}, "lowcmd 500  lowstate 499"),
+        (0.5, {"/lowcmd": 1000, "/lowstate": 1498}, "lowcmd 0  lowstate 500"),
+    ):
+        now += seconds
+        recorder.received = received
+        assert status()[1].split("\n") == ["recorded 2.0 s; samples per second:", shown]
+
+
+def test_the_status_of_a_simulator():
     simulated = SimReport(states=500, commands=1, refused={"its CRC is wrong": 2}, simulated=1.0)
     assert "500 states, 1 command, 2 refused" in sim_status(simulated)[1]
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from g1stream.recorder.recorder import Recorder
     from g1stream.sim.robot import SimReport
 
-__all__ = ["ProgressDisplay", "loop_status", "recorder_status", "sim_status"]
+__all__ = ["ProgressDisplay", "RecorderStatus", "loop_status", "sim_status"]
 
 _PERIOD_S: Final = 0.1
 _JOIN_TIMEOUT_S: Final = 1.0
@@ -144,16 +144,28 @@ def _errors(phase: Phase, newest: Newest) -> str:
     return f"error {'  '.join(f'{name} {value:.4f}' for name, value in rms.items())} rad"
 
 
-def recorder_status(recorder: Recorder) -> tuple[None, str]:
-    """For how long it has recorded, and the rate of each topic of DDS."""
-    report = recorder.report
-    seconds = ((report.last_ns or 0) - (report.first_ns or 0)) / 1e9
-    if not seconds:
-        return None, "nothing received yet"
-    rates = "  ".join(
-        f"{topic.removeprefix('/')} {n / seconds:.0f}" for topic, n in recorder.received.items()
-    )
-    return None, f"recorded {seconds:.1f} s; samples per second:\n{rates}"
+class RecorderStatus:
+    """For how long a recorder has recorded, and the rate of each DDS topic in the last second."""
+
+    def __init__(self, recorder: Recorder) -> None:
+        self._recorder = recorder
+        self._counts, self._counted_at = recorder.received, time.monotonic()
+        self._rates = ""
+
+    def __call__(self) -> tuple[None, str]:
+        """The status, as `ProgressDisplay` shows it."""
+        report, seconds = self._recorder.report, time.monotonic() - self._counted_at
+        if seconds >= 1.0:
+            counts, before = self._recorder.received, self._counts
+            self._counts, self._counted_at = counts, time.monotonic()
+            self._rates = "  ".join(
+                f"{topic.removeprefix('/')} {(n - before.get(topic, 0)) / seconds:.0f}"
+                for topic, n in counts.items()
+            )
+        if report.first_ns is None:
+            return None, "nothing received yet"
+        recorded = ((report.last_ns or report.first_ns) - report.first_ns) / 1e9
+        return None, f"recorded {recorded:.1f} s; samples per second:\n{self._rates}"
 
 
 def sim_status(report: SimReport) -> tuple[None, str]:

@@ -17,7 +17,7 @@ from g1stream.cli.command import (
     print_summary,
 )
 from g1stream.cli.flags import argument, flag
-from g1stream.cli.progress import ProgressDisplay, recorder_status
+from g1stream.cli.progress import ProgressDisplay, RecorderStatus
 from g1stream.events import ConsoleHandler, handled_by
 from g1stream.realtime import lower_priority
 
@@ -64,7 +64,7 @@ class Record(SettingsCommand):
             stack.enter_context(handled_by(ConsoleHandler(logging.WARNING)))
 
             def on_recorder(recorder: Recorder) -> None:
-                stack.enter_context(ProgressDisplay(lambda: recorder_status(recorder)))
+                stack.enter_context(ProgressDisplay(RecorderStatus(recorder)))
 
             summary = record(
                 self.file,

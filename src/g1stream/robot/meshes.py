@@ -97,7 +97,7 @@ def read_stl(path: Path) -> Mesh:
 
 
 def decimate(mesh: Mesh) -> Mesh:
-    """The mesh with some 2000 triangles, by quadric edge collapse; a smaller one as it is.
+    """The mesh with 2000 triangles or some more, by quadric edge collapse; a smaller one as it is.
 
     Raises:
         ConfigError: the extra `meshes` is not installed.

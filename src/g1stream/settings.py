@@ -46,6 +46,7 @@ MAX_KP, MAX_KD = 500.0, 50.0
 _ON_ROBOT = ("demo", "stream", "sim", "record", "replay", "doctor")
 _DDS = (*_ON_ROBOT, "robot")
 _RECORD = ("stream", "replay", "record")
+_ROS = ("demo", "stream", "replay", "sim", "record")
 #: The commands that play on a robot.
 PLAY_FLAG: Final = ("stream", "replay")
 #: The commands that take `--robot`.
@@ -95,6 +96,12 @@ class DdsConfig(Table):
     )
     interface: str = setting(
         "lo", "network interface; lo stays on this machine", flag=_DDS, min_length=1
+    )
+    ros_tf: bool = setting(
+        False,
+        "publish the measured robot and its ghost for ROS 2, record.tf_rate times a second: /tf, "
+        "/joint_states and /robot_description",
+        flag=_ROS,
     )
 
 

@@ -91,7 +91,7 @@ class DdsLink:
         self._own_bridge = False
         self._matches: tuple[int, int] | None = (0, 0)
         self._other_names: list[str] = []
-        tick = Layout.of(LOWSTATE.message.idl_type)["tick"]
+        tick = Layout.of(LOWSTATE.idl_type)["tick"]
         start = len(CDR_HEADER) + int(tick.offsets)
         self._tick_bytes = slice(start, start + tick.dtype.itemsize)
 

@@ -20,6 +20,7 @@ from cyclonedds.topic import Topic as CycloneTopic
 
 from g1stream.dds.domain import Participant
 from g1stream.dds.layout import Layout
+from g1stream.dds.ros2 import Ros2Topic
 from g1stream.dds.topics import Topic
 
 __all__ = ["RawReader", "RawSample", "RawWriter"]
@@ -102,12 +103,12 @@ _STATUSES = _Statuses(0)
 def _create(
     kind: type[DataWriter[Any]] | type[DataReader[Any]],
     participant: Participant,
-    topic: Topic,
+    topic: Topic | Ros2Topic,
     user_data: bytes,
     *policies: Any,
 ) -> Any:
     """Cyclone's writer or reader of a topic whose samples are bytes."""
-    raw_type = _raw_type(topic.message.idl_type)
+    raw_type = _raw_type(topic.idl_type)
     announced = [Policy.Userdata(user_data)] if user_data else []
     cyclone_topic = CycloneTopic(participant.entity, topic.name, raw_type)
     return kind(participant.entity, cyclone_topic, Qos(*policies, *announced))
@@ -116,21 +117,30 @@ def _create(
 class RawWriter:
     """Publishes samples of one topic as bytes, until it or its participant is closed.
 
-    Reliable and volatile, as the simulators write, so that reliable and best-effort readers match.
+    Reliable, as the simulators write, so that reliable and best-effort readers match.
     A slow reliable reader never blocks it: what cannot be written at once is counted in `dropped`.
 
     Args:
         depth: how many samples are kept for reliable readers that have not confirmed them.
+        latched: the last sample is kept for readers that come later (transient local).
         user_data: announced in discovery.
     """
 
     def __init__(
-        self, participant: Participant, topic: Topic, depth: int = 1, *, user_data: bytes = b""
+        self,
+        participant: Participant,
+        topic: Topic | Ros2Topic,
+        depth: int = 1,
+        *,
+        latched: bool = False,
+        user_data: bytes = b"",
     ) -> None:
         self.topic = topic
         self.dropped = 0
-        self._type = _raw_type(topic.message.idl_type)
-        policies = Policy.Reliability.Reliable(0), Policy.History.KeepLast(depth)
+        self._type = _raw_type(topic.idl_type)
+        policies = [Policy.Reliability.Reliable(0), Policy.History.KeepLast(depth)]
+        if latched:
+            policies.append(Policy.Durability.TransientLocal)
         self._writer = _create(DataWriter, participant, topic, user_data, *policies)
         participant.register(self)
 
@@ -192,7 +202,7 @@ class RawReader:
         user_data: bytes = b"",
     ) -> None:
         self.topic = topic
-        self._layout = Layout.of(topic.message.idl_type)
+        self._layout = Layout.of(topic.idl_type)
         self.malformed = 0
         policies = [Policy.Reliability.BestEffort, Policy.History.KeepLast(depth)]
         if ignore_own:

@@ -312,7 +312,7 @@ class Samples:
     """
 
     def __init__(self, topic: Topic, data: Sequence[bytes]) -> None:
-        self._layout = layout = Layout.of(topic.message.idl_type)
+        self._layout = layout = Layout.of(topic.idl_type)
         for sample in data:
             if not layout.matches(sample):
                 layout.check(sample)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from g1stream.dds.messages import Log, LowCmd, LowState, Reference, SecondaryImu, SportModeState
 
@@ -28,6 +28,11 @@ class Topic:
 
     name: str
     message: type[Message]
+
+    @property
+    def idl_type(self) -> Any:
+        """The cyclonedds class that names the type on the wire."""
+        return self.message.idl_type
 
 
 LOWCMD: Final = Topic("rt/lowcmd", LowCmd)

@@ -133,7 +133,7 @@ def _peers(participant: Participant, endpoints: Iterable[Endpoint]) -> Iterator[
 
 
 def _same_type(endpoint: Endpoint) -> bool | None:
-    ours = {topic.name: topic.message.idl_type for topic in TOPICS}.get(endpoint.topic)
+    ours = {topic.name: topic.idl_type for topic in TOPICS}.get(endpoint.topic)
     if ours is None or endpoint.type_id is None:
         return None
     ours.__idl__.populate()

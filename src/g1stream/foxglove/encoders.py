@@ -43,6 +43,7 @@ __all__ = [
     "JointStatesTemplate",
     "TransformsEncoder",
     "encode_log",
+    "link_frames",
 ]
 
 WORLD_FRAME: Final = "world"
@@ -98,13 +99,9 @@ class TransformsEncoder:
         flat: bool = False,
         single: bool = False,
     ) -> None:
-        frames = [f"{prefix}{name}" for name in robot.link_names]
-        if world in frames:
-            raise ConfigError(
-                f"The world frame {world!r} has the name of a link of {robot.name}.",
-                "Rename the link, or the world with --world where there is that flag.",
-            )
-        parents = [world if flat or parent < 0 else frames[parent] for parent in robot.parent]
+        parents, frames = link_frames(robot, prefix, world)
+        if flat:
+            parents = [world] * len(frames)
         self._robot = robot
         self._link = 0 if root_link is None else robot.link_index(root_link)
         self._poses = forward_kinematics if flat else local_transforms
@@ -137,6 +134,26 @@ class TransformsEncoder:
         poses = self._poses(self._robot, joint_pos, root_pos, root_quat_wxyz)
         pos, quat = poses.pos.astype(self._dtype), poses.quat_wxyz.astype(self._dtype)
         return self._template.encode(times_ns, pos, quat)
+
+
+def link_frames(robot: G1, prefix: str, world: str) -> tuple[list[str], list[str]]:
+    """The names of the frames of a robot's links: of each link's parent, and of each link.
+
+    Args:
+        robot: whose links.
+        prefix: put before every link's name.
+        world: the parent of the root link's frame.
+
+    Raises:
+        ConfigError: a link's frame has the name of the world's.
+    """
+    frames = [f"{prefix}{name}" for name in robot.link_names]
+    if world in frames:
+        raise ConfigError(
+            f"The world frame {world!r} has the name of a link of {robot.name}.",
+            "Rename the link, or the world with --world where there is that flag.",
+        )
+    return [world if parent < 0 else frames[parent] for parent in robot.parent], frames
 
 
 def encode_log(time_ns: int, level: int, name: str, text: str) -> bytes:

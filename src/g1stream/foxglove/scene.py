@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -11,7 +10,7 @@ from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from foxglove_schemas_protobuf.TriangleListPrimitive_pb2 import TriangleListPrimitive
 
-from g1stream.dds.layout import CDR_HEADER
+from g1stream.dds.ros2 import encode_string
 from g1stream.errors import RobotError
 from g1stream.files import read_file
 from g1stream.foxglove.encoders import WORLD_FRAME
@@ -175,9 +174,8 @@ class PathEncoder:
 
 
 def encode_robot_description(robot: G1) -> bytes:
-    """The URDF as a std_msgs/msg/String in CDR: length including the final zero, then text."""
-    text = robot.urdf.encode() + b"\0"
-    return CDR_HEADER + struct.pack("<I", len(text)) + text
+    """The URDF as a std_msgs/msg/String in CDR."""
+    return encode_string(robot.urdf)
 
 
 def _add(

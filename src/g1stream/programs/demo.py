@@ -70,7 +70,9 @@ def demo(
         _check_absent(*([] if named_anew else [session_path]), figure_path)
     _make_directory(out)
     config = _with_free_domain(config)
-    sim = Child("sim", config)
+    # What is published for ROS 2 is published once, for the stream.
+    quiet = config.dds.model_copy(update={"ros_tf": False})
+    sim = Child("sim", config.model_copy(update={"dds": quiet}))
     try:
         sim.wait_until_ready()
         played = stream(

@@ -22,6 +22,7 @@ from g1stream.files import timestamped
 from g1stream.foxglove.pipeline import MessagePipeline
 from g1stream.motion.correction import ATTACHMENT_NAME, Correction
 from g1stream.programs.child_process import run_child
+from g1stream.programs.ros2 import publishing_for_ros2
 from g1stream.realtime import lower_priority
 from g1stream.recorder.recorder import Recorder
 from g1stream.robot.model import G1
@@ -109,6 +110,8 @@ def record(
         Participant(config.dds.domain, config.dds.interface) as participant,
         ExitStack() as stack,
     ):
+        if not session:  # else the stream has it published
+            stack.enter_context(publishing_for_ros2(config))
         writer = SessionWriter(
             path,
             force=force,

@@ -15,6 +15,7 @@ from g1stream.dds.domain import Participant
 from g1stream.dds.log_handler import dds_log_handler
 from g1stream.events import ConsoleHandler, handled_by
 from g1stream.programs.child_process import run_child
+from g1stream.programs.ros2 import publishing_for_ros2
 from g1stream.realtime import describe, on_time
 from g1stream.robot.model import G1
 from g1stream.sim.bridge import Bridge
@@ -61,6 +62,7 @@ def simulate(
     with ExitStack() as stack:
         participant = stack.enter_context(Participant(config.dds.domain, config.dds.interface))
         stack.enter_context(handled_by(dds_log_handler(participant, "sim")))
+        stack.enter_context(publishing_for_ros2(config))
         view = _viewer(world, stack) if settings.viewer else None
         robot = SimulatedRobot(world, settings)
         bridge = Bridge(

@@ -32,6 +32,7 @@ from g1stream.motion.trajectory import Trajectory
 from g1stream.programs.arming import inspect_for_arming, require_arming
 from g1stream.programs.child_process import Child, ChildError
 from g1stream.programs.guard import Guard
+from g1stream.programs.ros2 import publishing_for_ros2
 from g1stream.realtime import describe, on_time
 from g1stream.robot.model import G1
 from g1stream.session.motions import load_motion
@@ -113,6 +114,7 @@ def stream(
     clock = SystemClock()
     with (
         Guard(on_wire) as guard,
+        publishing_for_ros2(config),
         Participant(config.dds.domain, config.dds.interface) as participant,
     ):
         joined = clock.now()

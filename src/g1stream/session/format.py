@@ -25,6 +25,7 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
 from g1stream.dds.layout import members
+from g1stream.dds.ros2 import message_text
 from g1stream.types import Ints, Phase
 
 if TYPE_CHECKING:
@@ -149,7 +150,7 @@ def _ros2_schema(dds_topic: str) -> bytes:
     """The type of a DDS topic as ROS 2 message text, followed by the types inside it."""
     from g1stream.dds.topics import TOPICS
 
-    idl_type = next(topic.message.idl_type for topic in TOPICS if topic.name == dds_topic)
+    idl_type = next(topic.idl_type for topic in TOPICS if topic.name == dds_topic)
     nested = (
         f"{'=' * 80}\nMSG: {_ros2_type(struct)}\n{_ros2_fields(struct)}"
         for struct in _nested_structs(idl_type)
@@ -224,7 +225,7 @@ _ALL: Final = (
         "ros2msg",
         "cdr",
         "the robot's URDF",
-        lambda: b"string data\n",
+        partial(message_text, "std_msgs/String"),
         latched=True,
     ),
     _dds("/lowcmd", "rt/lowcmd", "unitree_hg/msg/LowCmd", "commands to the motors"),

@@ -7,7 +7,6 @@ where its tools look for them. Every message keeps its log and publish time.
 
 from __future__ import annotations
 
-import struct
 from dataclasses import asdict, dataclass, replace
 from mimetypes import guess_type
 from pathlib import Path
@@ -18,7 +17,7 @@ from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from google.protobuf.message import DecodeError
 
-from g1stream.dds.layout import CDR_HEADER
+from g1stream.dds.ros2 import Cdr, encode_joint_state, encode_tf, message_text
 from g1stream.errors import RecordingError
 from g1stream.files import output_errors
 from g1stream.session.format import CHANNELS, Channel
@@ -37,35 +36,9 @@ from g1stream.session.writer import SessionWriter
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from google.protobuf.timestamp_pb2 import Timestamp
-
     from g1stream.session.mcap_writer import Compression
 
 __all__ = ["Ros2Report", "write_ros2_bag"]
-
-_DEFINITIONS: Final = {
-    "builtin_interfaces/Time": "int32 sec\nuint32 nanosec\n",
-    "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id\n",
-    "geometry_msgs/Vector3": "float64 x\nfloat64 y\nfloat64 z\n",
-    "geometry_msgs/Quaternion": "float64 x\nfloat64 y\nfloat64 z\nfloat64 w\n",
-    "geometry_msgs/Transform": (
-        "geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation\n"
-    ),
-    "geometry_msgs/TransformStamped": (
-        "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform\n"
-    ),
-    "tf2_msgs/TFMessage": "geometry_msgs/TransformStamped[] transforms\n",
-    "sensor_msgs/JointState": (
-        "std_msgs/Header header\nstring[] name\n"
-        "float64[] position\nfloat64[] velocity\nfloat64[] effort\n"
-    ),
-    "rcl_interfaces/Log": (
-        "byte DEBUG=10\nbyte INFO=20\nbyte WARN=30\nbyte ERROR=40\nbyte FATAL=50\n"
-        "builtin_interfaces/Time stamp\nuint8 level\nstring name\nstring msg\n"
-        "string file\nstring function\nuint32 line\n"
-    ),
-}
-"""ROS's message definitions, each after those that it is made of."""
 
 
 @dataclass(frozen=True)
@@ -162,80 +135,40 @@ def _converted(session: Path, topic: str, output: _Output, data: Sequence[bytes]
         ) from error
 
 
-class _Cdr:
-    """Writes little-endian CDR: each number at a multiple of its own size."""
-
-    def __init__(self) -> None:
-        self.data = bytearray(CDR_HEADER)
-
-    def numbers(self, kind: str, *values: float) -> None:
-        """Write numbers of one kind, a character of `struct`."""
-        self.data += bytes((len(CDR_HEADER) - len(self.data)) % struct.calcsize(kind))
-        self.data += struct.pack(f"<{len(values)}{kind}", *values)
-
-    def string(self, text: str) -> None:
-        data = text.encode() + b"\0"
-        self.numbers("I", len(data))
-        self.data += data
-
-    def doubles(self, values: Sequence[float]) -> None:
-        """Write a sequence of doubles, which may be empty."""
-        self.numbers("I", len(values))
-        if values:
-            self.numbers("d", *values)
-
-    def header(self, stamp: Timestamp, frame: str) -> None:
-        self.numbers("I", stamp.seconds, stamp.nanos)
-        self.string(frame)
-
-
 def _joint_state(data: bytes) -> bytes:
     message = JointStates.FromString(data)
-    cdr = _Cdr()
-    cdr.header(message.timestamp, "")
-    cdr.numbers("I", len(message.joints))
-    for joint in message.joints:
-        cdr.string(joint.name)
-    for field in ("position", "velocity", "effort"):
-        has_field = all(joint.HasField(field) for joint in message.joints)
-        cdr.doubles([getattr(joint, field) for joint in message.joints] if has_field else [])
-    return bytes(cdr.data)
+    position, velocity, effort = (
+        [getattr(joint, field) for joint in message.joints]
+        if all(joint.HasField(field) for joint in message.joints)
+        else []
+        for field in ("position", "velocity", "effort")
+    )
+    names = [joint.name for joint in message.joints]
+    return encode_joint_state(message.timestamp.ToNanoseconds(), names, position, velocity, effort)
 
 
 def _tf_message(data: bytes) -> bytes:
-    message = FrameTransforms.FromString(data)
-    cdr = _Cdr()
-    cdr.numbers("I", len(message.transforms))
-    for one in message.transforms:
-        cdr.header(one.timestamp, one.parent_frame_id)
-        cdr.string(one.child_frame_id)
-        t, q = one.translation, one.rotation
-        cdr.numbers("d", t.x, t.y, t.z, q.x, q.y, q.z, q.w)
-    return bytes(cdr.data)
+    transforms = FrameTransforms.FromString(data).transforms
+    positions = [one.translation for one in transforms]
+    rotations = [one.rotation for one in transforms]
+    return encode_tf(
+        [one.timestamp.ToNanoseconds() for one in transforms],
+        [one.parent_frame_id for one in transforms],
+        [one.child_frame_id for one in transforms],
+        [(p.x, p.y, p.z) for p in positions],
+        [(q.w, q.x, q.y, q.z) for q in rotations],
+    )
 
 
 def _log(data: bytes) -> bytes:
     message = Log.FromString(data)
-    cdr = _Cdr()
-    cdr.numbers("I", message.timestamp.seconds, message.timestamp.nanos)
+    cdr = Cdr()
+    cdr.time(message.timestamp.ToNanoseconds())
     cdr.numbers("B", 10 * message.level)  # Foxglove counts the same levels from 1 to 5
     for text in (message.name, message.message, message.file, ""):
         cdr.string(text)
     cdr.numbers("I", message.line)
     return bytes(cdr.data)
-
-
-def _nested(name: str) -> list[str]:
-    """The types that a type is made of, the one that is used first before the others."""
-    used = [line.split()[0].removesuffix("[]") for line in _DEFINITIONS[name].splitlines()]
-    names = [n for one in used if one in _DEFINITIONS for n in (one, *_nested(one))]
-    return list(dict.fromkeys(names))
-
-
-def _schema(name: str) -> bytes:
-    """The definition of a type and of all that it is made of, as ROS 2 message text."""
-    nested = (f"{'=' * 80}\nMSG: {one}\n{_DEFINITIONS[one]}" for one in _nested(name))
-    return (_DEFINITIONS[name] + "".join(nested)).encode()
 
 
 def _output(source: Channel) -> _Output | None:
@@ -251,7 +184,7 @@ def _output(source: Channel) -> _Output | None:
         schema_name=f"{package}/msg/{name}",
         schema_encoding="ros2msg",
         message_encoding="cdr",
-        build_schema=lambda: _schema(f"{package}/{name}"),
+        build_schema=lambda: message_text(f"{package}/{name}"),
     )
     return _Output(channel, convert)
 

@@ -20,6 +20,7 @@ from g1stream._version import __version__
 if TYPE_CHECKING:
     from g1stream.analysis.delay import Delay
     from g1stream.analysis.learning import learn
+    from g1stream.analysis.report.page import report
     from g1stream.analysis.tracking import Tracking
     from g1stream.config import Config, load_config
     from g1stream.dds.messages import Samples
@@ -86,6 +87,7 @@ __all__ = [
     "open_session",
     "record",
     "replay",
+    "report",
     "rollout",
     "simulate",
     "stream",
@@ -126,6 +128,7 @@ _HOME = {
     "open_session": "session.session",
     "record": "programs.record",
     "replay": "programs.replay",
+    "report": "analysis.report.page",
     "rollout": "programs.rollout",
     "simulate": "programs.sim",
     "stream": "programs.stream",

@@ -250,6 +250,7 @@ def test_a_demo_makes_session_picture_and_summary(domain_id, tmp_path):
     assert done.returncode == 0, done.stderr
     assert open_session(tmp_path / "d/session.mcap").complete
     assert (tmp_path / "d/tracking.png").read_bytes()[:4] == b"\x89PNG"
+    assert "all_joints.rmse_rad" in (tmp_path / "d/report.html").read_text()
     assert "RMSE" in done.stdout
     assert done.stdout.count("session.mcap") == 1
     assert re.search(r"played \d\.\d of 14\.0 s", done.stdout)

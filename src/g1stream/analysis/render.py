@@ -25,7 +25,7 @@ if TYPE_CHECKING:
         TrackingSummary,
     )
 
-__all__ = ["WIDTH", "labelled", "most", "render"]
+__all__ = ["WIDTH", "labelled", "most", "render", "session_facts", "stream_facts", "verdict"]
 
 WIDTH: Final = 80
 """No line is longer, unless a single word is."""
@@ -37,6 +37,8 @@ _MOST_JOINTS: Final = 3
 _MOST_PROBLEMS: Final = 10
 #: A time scale this far from 1 is shown.
 _SLOW: Final = 0.02
+#: How it ended, where nobody told.
+_UNTOLD: Final = "not recorded"
 #: Played to within this of the end of the motion, s, it was played to its end.
 _WHOLE: Final = 0.1
 
@@ -44,13 +46,36 @@ _WHOLE: Final = 0.1
 def render(summary: Summary) -> str:
     """The summary as plain text of `WIDTH` columns, with sections for what there is."""
     sections = [
-        _session(summary),
+        [_line(*fact) for fact in session_facts(summary)],
         _tracking(summary.tracking, summary.stream) if summary.tracking else [],
-        _stream(summary.stream) if summary.stream else _log(summary.feedforward_log),
+        [_line(*fact) for fact in stream_facts(summary.stream)]
+        if summary.stream
+        else _log(summary.feedforward_log),
         _messages(summary),
         _problems(summary.problems),
     ]
     return "\n\n".join("\n".join(lines) for lines in sections if lines)
+
+
+def verdict(summary: Summary) -> str:
+    """How it went, in one sentence."""
+    tracking, ended = summary.tracking, _ended(summary.termination)
+    parts = (
+        [f"ended {ended}".replace(f"ended {_UNTOLD}", "its end was not recorded")] if ended else []
+    )
+    if tracking:
+        name, worst = max(tracking.joints.items(), key=lambda one: one[1].max_abs_rad)
+        parts.append(
+            f"the joints followed with an RMSE of {math.degrees(tracking.rmse_rad):.2f} deg, at "
+            f"worst {math.degrees(worst.max_abs_rad):.1f} deg ({name.removesuffix('_joint')} at "
+            f"{worst.max_abs_at_s:.1f} s)"
+        )
+    else:
+        parts.append("nothing tells how closely the joints followed")
+    n = len(summary.problems)
+    parts.append(counted(n, "problem") if n else "no problems found")
+    text = "; ".join(parts)
+    return f"{text[0].upper()}{text[1:]}."
 
 
 def labelled(label: str, text: str) -> str:
@@ -77,44 +102,45 @@ def most(ticks: Mapping[str, int]) -> str:
     return f"{named} and {counted(rest, 'more joint')}" if rest > 0 else named
 
 
-def _session(summary: Summary) -> list[str]:
+def session_facts(summary: Summary) -> list[tuple[str, str]]:
+    """What ran, when, where and with which settings: labels and texts."""
     motion, recorder = summary.motion, summary.recorder
-    lines = [_line("session", _files(summary))] if summary.files_bytes or recorder else []
+    lines = [("session", _files(summary))] if summary.files_bytes or recorder else []
     if summary.first_ns is not None:
-        lines.append(_line("recorded", _recorded(summary)))
+        lines.append(("recorded", _recorded(summary)))
     if motion:
         parts = [motion.name or "unknown"]
         parts += [counted(motion.frames, "frame")] if motion.frames else []
         parts += [f"{motion.fps:g} fps"] if motion.fps else []
         parts += [f"sha256 {motion.sha256[:12]}"] if motion.sha256 else []
-        lines.append(_line("motion", ", ".join(parts)))
+        lines.append(("motion", ", ".join(parts)))
     ramp = _ramp(summary.stream)
     if summary.phases:
         phases = [
             f"{one.phase.name} {one.duration_s:.2f} s" + ramp * (one.phase is Phase.RAMP)
             for one in summary.phases
         ]
-        lines.append(_line("phases", ", ".join(phases)))
+        lines.append(("phases", ", ".join(phases)))
     elif ramp and summary.stream:
-        lines.append(_line("phases", f"RAMP {summary.stream.ramp_s:.2f} s{ramp}"))
+        lines.append(("phases", f"RAMP {summary.stream.ramp_s:.2f} s{ramp}"))
     if ended := _ended(summary.termination):
-        lines.append(_line("ended", ended))
+        lines.append(("ended", ended))
     if summary.settings is not None:
         settings = [f"{key} = {value}" for key, value in summary.settings.items()] or ["defaults"]
         gains = [f"{k} {low:g} to {high:g}" for k, (low, high) in (summary.gains or {}).items()]
-        lines.append(_line("settings", "; ".join([*settings, *gains])))
+        lines.append(("settings", "; ".join([*settings, *gains])))
     offsets = [
         f"{topic} {-delay.clock_offset_estimate_ns / 1e6:+.2f} ms ({', '.join(delay.hosts)})"
         for topic, delay in (recorder.delays if recorder else {}).items()
         if delay.clock_offset_estimate_ns is not None
     ]
     if offsets:
-        lines.append(_line("clock offsets", ", ".join(offsets)))
+        lines.append(("clock offsets", ", ".join(offsets)))
     if recorder and recorder.absent:
-        lines.append(_line("not published", ", ".join(recorder.absent)))
+        lines.append(("not published", ", ".join(recorder.absent)))
     if summary.attachments_bytes:
         files = [f"{name} ({_size(size)})" for name, size in summary.attachments_bytes.items()]
-        lines.append(_line("attached", ", ".join(files)))
+        lines.append(("attached", ", ".join(files)))
     return lines
 
 
@@ -154,7 +180,7 @@ def _ended(termination: Termination) -> str:
     elif termination.reason is not None:
         how = "at the motion's end" if whole else "as asked"
     elif played is not None:
-        how = "not recorded"
+        how = _UNTOLD
     else:
         return ""
     if played is None or rest is None or (whole and not start):
@@ -223,16 +249,17 @@ def _log(feedforward_log: Sequence[str]) -> list[str]:
     return [_line("feed-forward", "; ".join(feedforward_log))] if feedforward_log else []
 
 
-def _stream(stream: StreamSummary) -> list[str]:
-    lines = []
+def stream_facts(stream: StreamSummary) -> list[tuple[str, str]]:
+    """What the stream counted: labels and texts."""
+    lines: list[tuple[str, str]] = []
     if stream.commands == 0:
-        lines.append(_line("commands", "none sent"))
+        lines.append(("commands", "none sent"))
     elif stream.commands is not None:
         at = f" at {stream.rate_hz:.2f} Hz" if stream.rate_hz is not None else ""
         asked = f" (nominal {stream.nominal_rate_hz:g})" if stream.nominal_rate_hz else ""
         skipped = stream.skipped_ticks
         lines.append(
-            _line(
+            (
                 "commands",
                 f"{stream.commands}{at}{asked}"
                 + (f", {counted(skipped, 'tick')} skipped" if skipped is not None else ""),
@@ -240,20 +267,18 @@ def _stream(stream: StreamSummary) -> list[str]:
         )
     if stream.lateness_us:
         of = " (of commands sent; a skipped tick has none)" if stream.skipped_ticks else ""
-        lines.append(_line("lateness", _percentiles(stream.lateness_us) + of))
+        lines.append(("lateness", _percentiles(stream.lateness_us) + of))
     if stream.states_received is not None:
         lost = "" if stream.states_lost is None else f", {stream.states_lost} lost"
-        lines.append(_line("states", f"{stream.states_received} received{lost}"))
+        lines.append(("states", f"{stream.states_received} received{lost}"))
     if stream.feedforward:
-        lines.append(_line("feed-forward", _feedforward(stream)))
+        lines.append(("feed-forward", _feedforward(stream)))
     if stream.time_scale is not None and abs(stream.time_scale - 1.0) > _SLOW:
-        lines.append(_line("time", f"the simulator ran at {stream.time_scale:.2f} of real time"))
+        lines.append(("time", f"the simulator ran at {stream.time_scale:.2f} of real time"))
     if stream.slowed not in (None, 1.0):
-        lines.append(_line("slowed", f"{stream.slowed:g} times, to fit the joints' speeds"))
+        lines.append(("slowed", f"{stream.slowed:g} times, to fit the joints' speeds"))
     if stream.delay_s:
-        lines.append(
-            _line("delay", f"stalls of the loop delayed the motion by {stream.delay_s:.3f} s")
-        )
+        lines.append(("delay", f"stalls of the loop delayed the motion by {stream.delay_s:.3f} s"))
     for label, what, ticks in (
         ("clamped", "joint targets at their limits", stream.clamped_ticks),
         ("too fast", "joint targets held back to the joint's speed", stream.speed_limited_ticks),
@@ -261,10 +286,10 @@ def _stream(stream: StreamSummary) -> list[str]:
         ("saturated", "feed-forward torques at their limits", stream.saturated_ticks),
     ):
         if ticks:
-            lines.append(_line(label, f"{what}, ticks: {most(ticks)}"))
+            lines.append((label, f"{what}, ticks: {most(ticks)}"))
     if stream.realtime:
         granted = [f"{g.what} {g.detail if g.granted else 'not granted'}" for g in stream.realtime]
-        lines.append(_line("real time", ", ".join(granted)))
+        lines.append(("real time", ", ".join(granted)))
     return lines
 
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from g1stream.analysis.tracking import NothingToCompareError
 from g1stream.errors import ConfigError
-from g1stream.robot.joints import TORQUE_LIMIT
 from g1stream.session.streams import Command, Measured, Reference
 from g1stream.types import Floats, Ints, Phase
 
@@ -50,13 +49,11 @@ class Signal:
     Attributes:
         title, unit: of the axis.
         lines: those that the session has.
-        limit: (29,) the greatest that a joint can do, either way; None where there is none.
     """
 
     title: str
     unit: str
     lines: tuple[Line, ...]
-    limit: Floats | None = None
 
     @property
     def label(self) -> str:
@@ -74,7 +71,7 @@ def signal(session: Session, quantity: Quantity) -> Signal:
     makers: dict[Quantity, Callable[[Session], Signal]] = {
         "q": lambda one: Signal("position", "deg", _asked_and_measured(one, "q")),
         "dq": lambda one: Signal("velocity", "deg/s", _asked_and_measured(one, "dq")),
-        "tau": lambda one: Signal("torque", "Nm", _torques(one), TORQUE_LIMIT),
+        "tau": lambda one: Signal("torque", "Nm", _torques(one)),
         "error": lambda one: Signal("error", "deg", _errors(one)),
     }
     return makers[quantity](session)

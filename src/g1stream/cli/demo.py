@@ -15,7 +15,7 @@ __all__ = ["Demo"]
 
 @dataclass(frozen=True, kw_only=True)
 class Demo(SettingsCommand):
-    """Needs no robot and no other program. Writes session.mcap and tracking.png.
+    """Needs no robot and no other program. Writes session.mcap, tracking.png and report.html.
 
     Without --domain it takes the first DDS domain from 1 on that no robot or simulator is in.
 
@@ -33,13 +33,15 @@ class Demo(SettingsCommand):
 
     motion: str = flag("demo", MOTION, "MOTION")
     fps: float | None = fps_flag()
-    out: Path = flag(Path("demo-out"), "Directory for session.mcap and tracking.png.", "DIR")
+    out: Path = flag(
+        Path("demo-out"), "Directory for session.mcap, tracking.png and report.html.", "DIR"
+    )
     force: bool = flag(False, "Replace files that exist already.")
     json: bool = flag(False, "Print the summary as JSON on standard output.")
 
     def run(self) -> int:
         """Run it, and return the exit code."""
-        from g1stream.programs.demo import FIGURE, demo
+        from g1stream.programs.demo import FIGURE, REPORT, demo
         from g1stream.session.motions import load_motion
 
         config = self.resolve()
@@ -57,7 +59,8 @@ class Demo(SettingsCommand):
         print_summary(summary, as_json=self.json)
         if summary.tracking:
             print(
-                f"Figure: {self.out / FIGURE}. Open the session in Foxglove, PlotJuggler or Rerun.",
+                f"Figure: {self.out / FIGURE}. Report, for a browser: {self.out / REPORT}. "
+                "The session opens in Foxglove, PlotJuggler and Rerun.",
                 file=sys.stderr,
             )
         return exit_code(summary)

@@ -30,6 +30,7 @@ _COMMANDS: Final = {
     "identify": ("identify", "Identify", "Tell which robot a session was recorded on."),
     "convert": ("convert", "Convert", "Convert a motion file into an MCAP, or an MCAP for ROS 2."),
     "info": ("info", "Info", "Print what is in a session file, and how well it went."),
+    "report": ("report", "Report", "Write a page on sessions: tables, figures, events."),
     "plot": ("plot", "Plot", "Plot joints of a session: PNG, SVG or PDF."),
     "render": (
         "render",

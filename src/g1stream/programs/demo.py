@@ -21,12 +21,12 @@ if TYPE_CHECKING:
     from g1stream.motion.motion import Motion
     from g1stream.session.summary import Summary
 
-__all__ = ["FIGURE", "demo"]
+__all__ = ["FIGURE", "REPORT", "SESSION", "demo"]
 
 _LOGGER = logging.getLogger(__name__)
 
-FIGURE: Final = "tracking.png"
-"""Name of the figure in the output directory."""
+SESSION, FIGURE, REPORT = "session.mcap", "tracking.png", "report.html"
+"""Names of the files in the output directory."""
 
 #: So many domains are tried, from the default on.
 _MOST_DOMAINS: Final = 8
@@ -46,8 +46,8 @@ def demo(
 
     Args:
         motion: a motion, a motion file, or the name of a bundled motion.
-        out: directory for session.mcap and tracking.png, the figure of `Session.plot`; made where
-            it is missing.
+        out: directory for session.mcap, tracking.png, the figure of `Session.plot`, and
+            report.html, the page of `g1stream.report`; made where it is missing.
         config: all settings; the defaults if left out. Where it sets no domain, the first one from
             1 on in which nobody publishes a robot's topics.
         force: replace files that are there already.
@@ -60,14 +60,15 @@ def demo(
         G1StreamError: another setting or the wire does not allow it.
     """
     from g1stream.analysis.plots import draw
+    from g1stream.analysis.report.page import report
     from g1stream.session.session import open_session
 
     config = config or Config()
     _check_local_only(config.dds.interface)
-    session_path, figure_path = out / "session.mcap", out / FIGURE
+    session_path, figure_path, report_path = (out / name for name in (SESSION, FIGURE, REPORT))
     if not force:
         named_anew = config.record.auto_name  # with the time in it
-        _check_absent(*([] if named_anew else [session_path]), figure_path)
+        _check_absent(*([] if named_anew else [session_path]), figure_path, report_path)
     _make_directory(out)
     config = _with_free_domain(config)
     # What is published for ROS 2 is published once, for the stream.
@@ -90,6 +91,7 @@ def demo(
         return played
     session = open_session(recorder.path)  # it may have the time in its name
     draw(session, figure_path)
+    report(session, report_path, force=True)
     return session.summary()
 
 

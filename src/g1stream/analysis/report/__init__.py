@@ -1,0 +1,1 @@
+"""The report of sessions: one HTML page that needs no network."""

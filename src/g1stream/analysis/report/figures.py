@@ -1,0 +1,147 @@
+"""What the figures of a report show: signals, events and histograms, ready for the page's script.
+
+Times are in s on the motion's clock. Signals are reduced by `min_max`, so that a page does not grow
+with the length of a session, and no peak is lost.
+"""
+
+from __future__ import annotations
+
+import base64
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from g1stream.analysis.plot_style import COLOURS, SHADES
+from g1stream.analysis.signals import min_max, signal
+from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
+from g1stream.session.streams import Command, Measured
+from g1stream.text import printable
+
+if TYPE_CHECKING:
+    from g1stream.analysis.signals import Quantity
+    from g1stream.session.metrics import Metrics
+    from g1stream.session.session import Session
+    from g1stream.session.summary import Summary
+    from g1stream.types import Floats
+
+__all__ = ["figures"]
+
+_MOST_POINTS: Final = 2000
+_MOST_EVENTS: Final = 500
+_STEPS: Final = (1, 2, 3, 5, 7)
+_QUANTITIES: Final[tuple[Quantity, ...]] = ("q", "error", "tau")
+
+
+def figures(session: Session, summary: Summary, metrics: Metrics) -> dict[str, Any]:
+    """What the page's script draws of a session; its keys are those that report.js reads.
+
+    Arrays are float32 in base64.
+    """
+    return {
+        "joints": [name.removesuffix("_joint") for name in JOINT_NAMES],
+        "colours": [COLOURS[limb] for limb, joints in JOINT_GROUPS.items() for _ in joints],
+        "rmse_deg": _rmse_deg(summary),
+        "torque_limits": [one.limit_nm for one in metrics.torque.joints.values()]
+        if metrics.torque
+        else [],
+        "first_joint": _first_joint(summary),
+        "phases": [
+            {
+                "name": one.phase.name,
+                "start": one.start_s,
+                "end": one.end_s,
+                "colour": SHADES.get(one.phase),
+            }
+            for one in summary.phases
+        ],
+        "events": _events(session),
+        "signals": {quantity: _signal(session, quantity) for quantity in _QUANTITIES},
+        "limbs": _limb_errors(session),
+        "intervals": _intervals(session),
+        "lateness": _lateness(summary),
+    }
+
+
+def _rmse_deg(summary: Summary) -> list[float]:
+    joints = summary.tracking.joints if summary.tracking else {}
+    return [float(np.degrees(one.rmse_rad)) for one in joints.values()]
+
+
+def _first_joint(summary: Summary) -> int:
+    """The joint that is shown until another is chosen: the worst."""
+    return JOINT_NAMES.index(summary.tracking.worst_joint) if summary.tracking else 0
+
+
+def _events(session: Session) -> list[dict[str, Any]]:
+    """The log; where it is long, warnings and errors come before what else there is."""
+    log = sorted(session.log, key=lambda event: event.level in {"DEBUG", "INFO", "UNKNOWN"})
+    return [
+        {
+            "time": (event.time - session.start_ns) / 1e9,
+            "level": event.level,
+            "text": printable(f"{event.name}: {event.text}"),
+        }
+        for event in sorted(log[:_MOST_EVENTS], key=lambda event: event.time)
+    ]
+
+
+def _signal(session: Session, quantity: Quantity) -> dict[str, Any]:
+    shown = signal(session, quantity)
+    return {
+        "label": shown.label,
+        "lines": [
+            {"name": one.name, "joints": [_curve(one.time, values) for values in one.values.T]}
+            for one in shown.lines
+        ],
+    }
+
+
+def _limb_errors(session: Session) -> list[dict[str, Any]]:
+    """The RMS error of each limb over time."""
+    return [
+        {
+            "name": limb.replace("_", " "),
+            "colour": COLOURS[limb],
+            **_curve(line.time, np.sqrt(np.mean(np.square(line.values[:, joints]), axis=1))),
+        }
+        for line in signal(session, "error").lines
+        for limb, joints in JOINT_GROUPS.items()
+    ]
+
+
+def _intervals(session: Session) -> list[dict[str, Any]]:
+    """The intervals between publish times, ms: a gap or a stall is a peak."""
+    kinds = [kind for kind in (Command, Measured) if session.topics.get(kind.topic)]
+    times = {kind.topic: np.sort(session.stream(kind).time) for kind in kinds}
+    return [
+        {"name": topic, **_curve(at[1:], np.diff(at) * 1e3)}
+        for topic, at in times.items()
+        if len(at) > 1
+    ]
+
+
+def _lateness(summary: Summary) -> list[dict[str, Any]]:
+    """Ticks by how late they were, in bins that widen: 10 to 20 us, 20 to 30, 30 to 50 ..."""
+    histogram = (summary.stream.lateness_histogram_us if summary.stream else None) or {}
+    if not histogram:
+        return []
+    edges = [0]
+    while edges[-1] <= max(histogram):
+        decade, step = divmod(len(edges) - 1, len(_STEPS))
+        edges.append(_STEPS[step] * 10**decade)
+    late = [max(us, 0) for us in histogram]
+    ticks, _ = np.histogram(late, edges, weights=list(histogram.values()))
+    bins = [
+        {"us": f"{first}\N{EN DASH}{end}", "ticks": int(n)}
+        for first, end, n in zip(edges[:-1], edges[1:], ticks, strict=True)
+    ]
+    return bins[int((ticks > 0).argmax()) :]
+
+
+def _curve(times: Floats, values: Floats) -> dict[str, str]:
+    shown = min_max(values, _MOST_POINTS)
+    return {"x": _packed(times[shown]), "y": _packed(values[shown])}
+
+
+def _packed(values: Floats) -> str:
+    return base64.b64encode(values.astype("<f4").tobytes()).decode()

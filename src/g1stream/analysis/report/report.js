@@ -1,0 +1,145 @@
+"use strict";
+// Draws the figures of the page. What they show is packed beside it: gzip in base64.
+(async () => {
+  const unpack = async (id) => {
+    const text = document.getElementById(id).textContent;
+    const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+    const plain = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
+    return new Response(plain).text();
+  };
+  const floats = (text) =>
+    new Float32Array(Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer);
+
+  const script = document.createElement("script");
+  script.textContent = await unpack("plotly");
+  document.head.append(script);
+  const sessions = JSON.parse(await unpack("figures"));
+
+  const DARK = "#1a1a1a", MUTED = "#5f6670", GRID = "#e9ecef";
+  const LEVELS = { WARNING: "#d97706", ERROR: "#b3261e", FATAL: "#b3261e" };
+  const TIME = "time since the motion began, s";
+  const touch = matchMedia("(pointer: coarse)").matches;
+
+  const axis = (title, more) => ({
+    title: { text: title }, gridcolor: GRID, zeroline: false, automargin: true, ...more,
+  });
+  const layout = (height, more) => ({
+    height, autosize: true, margin: { l: 56, r: 8, t: 28, b: 44 },
+    font: { family: "system-ui, sans-serif", size: 12, color: DARK },
+    paper_bgcolor: "#fff", plot_bgcolor: "#fff", hovermode: "closest",
+    dragmode: touch ? false : "zoom", // a finger scrolls the page
+    legend: { orientation: "h", x: 0, y: 1, yanchor: "bottom" }, ...more,
+  });
+  const phases = (session) => session.phases.map((one) => ({
+    type: "rect", xref: "x", yref: "paper", x0: one.start, x1: one.end, y0: 0, y1: 1,
+    layer: "below", line: { width: 0 }, fillcolor: one.colour ?? "rgba(0,0,0,0)",
+    label: { text: one.end - one.start > 0.06 * length(session) ? one.name : "",
+             textposition: "top center", font: { size: 10, color: MUTED } },
+  }));
+  const length = (session) =>
+    session.phases.length ? session.phases.at(-1).end - session.phases[0].start : 0;
+  const line = (curve, more) => ({
+    type: "scatter", mode: "lines", x: floats(curve.x), y: floats(curve.y), name: curve.name,
+    line: { width: 1.5, color: curve.colour }, ...more,
+  });
+  const plain = (text) => text.replaceAll("&", "&amp;").replaceAll("<", "&lt;")
+    .replace(/(.{60,}?) /g, "$1<br>");
+
+  const draw = {
+    limbs(session) {
+      const marks = session.events.map((event) => LEVELS[event.level] ?? MUTED);
+      const events = {
+        type: "scatter", mode: "markers", name: "events",
+        x: session.events.map((event) => event.time), y: session.events.map(() => 0),
+        text: session.events.map((event) => plain(`${event.level} ${event.text}`)),
+        hovertemplate: "%{x:.2f} s<br>%{text}<extra></extra>", cliponaxis: false,
+        marker: { symbol: "triangle-up", size: 10, color: marks },
+      };
+      return [[...session.limbs.map((limb) => line(limb)), events],
+        layout(320, { shapes: phases(session), xaxis: axis(TIME),
+                      yaxis: axis("RMS error, deg", { rangemode: "tozero" }) })];
+    },
+    joint(session, chosen) {
+      const rows = [["q", "y"], ["error", "y2"], ["tau", "y3"]];
+      const traces = rows.flatMap(([quantity, yaxis]) => {
+        const { lines } = session.signals[quantity];
+        return lines.map((one, i) => {
+          const asked = i < lines.length - 1;
+          const style = asked ? { width: 1, color: DARK, dash: "dash" }
+            : { width: 1.5, color: session.colours[chosen] };
+          return line({ ...one.joints[chosen], name: one.name }, { yaxis, line: style });
+        }).reverse(); // what was asked for lies on top
+      });
+      const limit = session.torque_limits[chosen];
+      const bounds = (limit ? [limit, -limit] : []).map((y) => ({
+        type: "line", xref: "paper", x0: 0, x1: 1, yref: "y3", y0: y, y1: y,
+        line: { width: 1, dash: "dot", color: LEVELS.ERROR },
+      }));
+      return [traces, layout(620, {
+        shapes: [...phases(session), ...bounds], xaxis: axis(TIME, { anchor: "y3" }),
+        yaxis: axis(session.signals.q.label, { domain: [0.56, 1] }),
+        yaxis2: axis(session.signals.error.label, { domain: [0.3, 0.5] }),
+        yaxis3: axis(session.signals.tau.label, { domain: [0, 0.24] }),
+      })];
+    },
+    rmse_deg(session) {
+      const bars = { type: "bar", x: session.joints, y: session.rmse_deg,
+                     marker: { color: session.colours },
+                     hovertemplate: "%{x}<br>%{y:.3f} deg<extra></extra>" };
+      return [[bars], layout(340, {
+        xaxis: axis("joint", { tickangle: -90, tickfont: { size: 10 }, dtick: 1, title: { text: "joint", standoff: 8 } }),
+        yaxis: axis("RMSE, deg") })];
+    },
+    lateness(session) {
+      const bars = { type: "bar", x: session.lateness.map((bin) => bin.us),
+                     y: session.lateness.map((bin) => bin.ticks),
+                     marker: { color: "#0072b2" },
+                     hovertemplate: "%{x} µs<br>%{y} ticks<extra></extra>" };
+      return [[bars], layout(300, {
+        xaxis: axis("lateness of the write against its deadline, µs", { type: "category" }),
+        yaxis: axis("ticks", { type: "log", dtick: 1 }) })];
+    },
+    intervals(session) {
+      return [session.intervals.map((one) => line(one)), layout(280, {
+        shapes: phases(session), xaxis: axis(TIME),
+        yaxis: axis("interval, ms", { rangemode: "tozero" }) })];
+    },
+  };
+
+  const config = {
+    responsive: true, displaylogo: false, displayModeBar: touch ? false : "hover",
+    modeBarButtons: [["zoom2d", "pan2d", "resetScale2d", "toImage"]],
+  };
+  const plots = [...document.querySelectorAll("[data-figure]")];
+  for (const plot of plots) {
+    const session = sessions[plot.dataset.session], figure = draw[plot.dataset.figure];
+    const select = plot.closest("figure").querySelector("select");
+    await Plotly.newPlot(plot, ...figure(session, Number(select?.value)), config);
+    if (select) {
+      select.addEventListener("change", () =>
+        Plotly.react(plot, ...figure(session, Number(select.value)), config));
+    }
+    if (plot.dataset.figure === "rmse_deg") {
+      plot.on("plotly_click", ({ points }) => {
+        const joints = plot.closest("section").querySelector("select");
+        joints.value = points[0].pointIndex;
+        joints.dispatchEvent(new Event("change"));
+        joints.scrollIntoView({ behavior: "smooth" });
+      });
+    }
+  }
+
+  const closed = () => document.querySelectorAll("details:not([open])");
+  addEventListener("beforeprint", () => {
+    for (const one of closed()) one.open = true;
+    for (const plot of plots) Plotly.relayout(plot, { width: 700 }); // A4 without its margins
+  });
+  addEventListener("afterprint", () => {
+    for (const plot of plots) Plotly.relayout(plot, { width: null, autosize: true });
+  });
+  document.documentElement.dataset.drawn = plots.length;
+})().catch((error) => {
+  for (const plot of document.querySelectorAll("[data-figure]"))
+    plot.textContent = "This browser cannot draw the figures: it has to be one of 2023 or later.";
+  throw error;
+});

@@ -1,0 +1,241 @@
+"""The tables of a report: which numbers of the JSON they show, in which unit."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from g1stream.text import printable
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+__all__ = ["overview", "tables"]
+
+_DEG: Final = 180.0 / math.pi
+#: Stands for a value that is not known.
+_UNKNOWN: Final = "&ndash;"
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table.
+
+    Attributes:
+        title, unit: of its head.
+        key: of the value in what the row shows; with dots where it is deeper.
+        digits: after the point.
+        scale: from the unit of the JSON to that shown.
+    """
+
+    title: str
+    unit: str
+    key: str
+    digits: int = 0
+    scale: float = 1.0
+
+
+_DELAYS: Final = (
+    Column("delay", "ms", "delay_s", 1, 1e3),
+    Column("± 95 %", "ms", "delay_ci95_s", 1, 1e3),
+    Column("correlation", "", "correlation", 4),
+)
+_RATES: Final = (
+    Column("E_vel", "rad/s", "velocity_rmse_rad_s", 3),
+    Column("E_acc", "rad/s²", "acceleration_rmse_rad_s2", 2),
+)
+_ERRORS: Final = (
+    Column("RMSE", "deg", "rmse_rad", 3, _DEG),
+    Column("MAE", "deg", "mae_rad", 3, _DEG),
+    Column("p99", "deg", "p99_rad", 3, _DEG),
+    Column("worst", "deg", "max_abs_rad", 2, _DEG),
+    Column("at", "s", "max_abs_at_s", 2),
+)
+_LIMBS: Final = (
+    *_ERRORS,
+    Column("worst joint", "by RMSE", "worst_joint"),
+    Column("bias", "deg", "bias_rad", 3, _DEG),
+    *_DELAYS,
+    *_RATES,
+)
+_JOINTS: Final = (*_ERRORS, Column("bias", "deg", "mean_rad", 3, _DEG), *_DELAYS, *_RATES)
+_LINKS: Final = (
+    Column("MPJPE", "mm", "mpjpe_mm", 2),
+    Column("p99", "mm", "p99_mm", 2),
+    Column("worst", "mm", "max_mm", 2),
+    Column("at", "s", "max_at_s", 2),
+    Column("E_vel", "mm/frame", "vel_mm_per_frame", 3),
+    Column("E_acc", "mm/frame²", "acc_mm_per_frame2", 3),
+)
+_END_EFFECTORS: Final = (
+    Column("position", "mm", "position_mm", 2),
+    Column("worst", "mm", "max_position_mm", 2),
+    Column("orientation", "deg", "orientation_rad", 3, _DEG),
+)
+_PELVIS: Final = (
+    Column("orientation", "deg", "orientation_rad", 3, _DEG),
+    Column("worst", "deg", "max_orientation_rad", 2, _DEG),
+    Column("yaw rate", "rad/s", "yaw_rate_rad_s", 3),
+    Column("position", "mm", "position_mm", 1),
+    Column("worst", "mm", "max_position_mm", 1),
+    Column("at the end", "mm", "final_position_mm", 1),
+    Column("velocity", "m/s", "lin_vel_m_s", 3),
+)
+_ALL_TORQUES: Final = (
+    Column("RMS", "Nm", "rms_nm", 2),
+    Column("highest use", "%", "use", 1, 100.0),
+    Column("of", "joint", "most_used"),
+    Column("saturated", "% of states", "saturated", 2, 100.0),
+    Column("commanded - estimated", "Nm RMS", "commanded_rmse_nm", 2),
+    Column("work ∫|τ dq|", "J", "work_j", 1),
+    Column("net ∫τ dq", "J", "net_work_j", 1),
+    Column("power", "W", "power_w", 1),
+)
+_TORQUES: Final = (
+    Column("limit", "Nm", "limit_nm", 0),
+    Column("RMS", "Nm", "rms_nm", 2),
+    Column("p99", "Nm", "p99_nm", 2),
+    Column("max", "Nm", "max_nm", 2),
+    Column("use", "p99, %", "use", 1, 100.0),
+    Column("saturated", "%", "saturated", 2, 100.0),
+    Column("commanded - estimated", "Nm RMS", "commanded_rmse_nm", 2),
+    Column("commanded beyond", "%", "commanded_beyond", 2, 100.0),
+    Column("work", "J", "work_j", 1),
+    Column("net", "J", "net_work_j", 1),
+)
+_PERCENTILES: Final = (
+    Column("p50", "µs", "p50"),
+    Column("p99", "µs", "p99"),
+    Column("p99.9", "µs", "p99_9"),
+    Column("max", "µs", "max"),
+)
+_TOPICS: Final = (
+    Column("messages", "", "count"),
+    Column("lost", "", "lost"),
+    Column("rate", "Hz", "rate_hz", 1),
+    Column("gaps", "", "gaps"),
+    Column("longest interval", "ms", "longest_interval_s", 1, 1e3),
+    Column("latency p50", "µs", "latency_us.p50"),
+    Column("p99", "µs", "latency_us.p99"),
+    Column("max", "µs", "latency_us.max"),
+    Column("clock offset", "ms", "clock_offset_s", 1, 1e3),
+)
+_SUCCESS: Final = (
+    Column("success", "", "success"),
+    Column("with BeyondMimic's limits", "", "success_strict"),
+    Column("completed", "", "completed"),
+    Column("played", "%", "progress", 1, 100.0),
+    Column("farthest links", "mm", "max_link_error_mm", 1),
+    Column("by", "links", "links"),
+)
+_OVERVIEW: Final = (
+    Column("RMSE", "deg", "metrics.tracking.all_joints.rmse_rad", 3, _DEG),
+    Column("worst", "deg", "metrics.tracking.all_joints.max_abs_rad", 2, _DEG),
+    Column("worst joint", "by RMSE", "metrics.tracking.all_joints.worst_joint"),
+    Column("delay", "ms", "metrics.tracking.all_joints.delay_s", 1, 1e3),
+    Column("MPJPE", "mm, joints alone", "metrics.body.pelvis_frame.mpjpe_mm", 2),
+    Column("torque", "Nm RMS", "metrics.torque.rms_nm", 2),
+    Column("rate", "Hz", "metrics.timing.rate_hz", 1),
+    Column("skipped", "ticks", "metrics.timing.skipped_ticks"),
+)
+_SPACES: Final = {
+    "world": "world: with the base",
+    "root_relative": "without the base's position",
+    "pelvis_frame": "without the base: joints alone",
+}
+_PUNCTUALITY: Final = {
+    "lateness_us": "lateness of writes",
+    "interval_us": "interval between commands",
+    "state_age_us": "age of the state at a command",
+}
+
+
+def tables(metrics: Mapping[str, Any], key: str) -> dict[str, str]:
+    """The tables of a session's metrics as HTML, by name; empty where there is nothing to show.
+
+    Args:
+        metrics: as `Session.metrics` dumps them to JSON.
+        key: where they are in the JSON of the report, such as `sessions.0.metrics`.
+    """
+
+    def table(head: str, columns: Sequence[Column], rows: Mapping[str, str]) -> str:
+        shown = [(name, path, _at(metrics, path)) for path, name in rows.items()]
+        known = [(name, f"{key}.{path}", row) for name, path, row in shown if row is not None]
+        return _table(head, columns, known) if known else ""
+
+    def each(path: str) -> dict[str, str]:
+        names = _at(metrics, path) or {}
+        return {f"{path}.{name}": _plain(name) for name in names}
+
+    limbs = {**each("tracking.limbs"), "tracking.all_joints": "all joints"}
+    return {
+        "success": table("", _SUCCESS, {"success": "motion"}),
+        "limbs": table("limb", _LIMBS, limbs),
+        "joints": table("joint", _JOINTS, each("tracking.joints")),
+        "links": table("links", _LINKS, {f"body.{k}": v for k, v in _SPACES.items()}),
+        "end_effectors": table("hand or foot", _END_EFFECTORS, each("body.end_effectors")),
+        "pelvis": table("", _PELVIS, {"body.pelvis": "pelvis"}),
+        "torque": table("", _ALL_TORQUES, {"torque": "all joints"}),
+        "torques": table("joint", _TORQUES, each("torque.joints")),
+        "punctuality": table("", _PERCENTILES, {f"timing.{k}": v for k, v in _PUNCTUALITY.items()}),
+        "topics": table("topic", _TOPICS, each("timing.topics")),
+    }
+
+
+def overview(sessions: Sequence[Mapping[str, Any]]) -> str:
+    """A table with a row for each of several sessions, each as in the JSON of the report."""
+    rows = [(Path(one["path"]).name, f"sessions.{i}", one) for i, one in enumerate(sessions)]
+    return _table("session", _OVERVIEW, rows)
+
+
+def _table(head: str, columns: Sequence[Column], rows: Iterable[tuple[str, str, Any]]) -> str:
+    """Columns in which no row has a value are left out."""
+    rows = list(rows)
+    columns = [one for one in columns if any(_at(row, one.key) is not None for _, _, row in rows)]
+    heads = "".join(
+        f'<th scope="col">{escape(one.title)}<small>{escape(one.unit)}</small></th>'
+        for one in columns
+    )
+    body = "".join(
+        f'<tr><th scope="row">{escape(name)}</th>'
+        + "".join(_cell(one, f"{path}.{one.key}", _at(row, one.key)) for one in columns)
+        + "</tr>\n"
+        for name, path, row in rows
+    )
+    return (
+        '<div class="wide"><table>\n'
+        f'<thead><tr><th scope="col">{escape(head)}</th>{heads}</tr></thead>\n'
+        f"<tbody>\n{body}</tbody></table></div>"
+    )
+
+
+def _cell(column: Column, key: str, value: Any) -> str:
+    """The value as it is in the JSON is beside what is shown of it."""
+    if value is None:
+        return f"<td>{_UNKNOWN}</td>"
+    if isinstance(value, bool):
+        text = "yes" if value else "no"
+    elif isinstance(value, str):
+        text = _plain(value)
+    else:
+        text = f"{value * column.scale:.{column.digits}f}"
+    known = escape(json.dumps(value))
+    return f'<td><data value="{known}" data-key="{escape(key)}">{escape(text)}</data></td>'
+
+
+def _plain(name: str) -> str:
+    """A joint, link or limb as people write it."""
+    for ending in ("_joint", "_link"):
+        name = name.removesuffix(ending)
+    return printable(name).replace("_", " ") if not name.startswith("/") else printable(name)
+
+
+def _at(values: Any, path: str) -> Any:
+    """What is at a path of keys in nested dicts; None where there is nothing."""
+    for part in path.split("."):
+        values = values.get(part) if isinstance(values, dict) else None
+    return values

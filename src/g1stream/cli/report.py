@@ -1,0 +1,48 @@
+"""`g1stream report`: how sessions went, as a page, JSON or CSV."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from g1stream.cli.command import EXIT_OK, Command, print_json
+from g1stream.cli.flags import argument, flag
+
+__all__ = ["Report"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report(Command):
+    """The page needs no network: what ran, tracking by joint and limb, body space, torque, timing,
+    events, and figures of every joint. A video or picture beside a session, of the same name, is
+    shown in it: `g1stream render session.mcap session.mp4`.
+
+    Examples:
+      g1stream report session.mcap
+      g1stream report monday.mcap tuesday.mcap -o both.html
+      g1stream report session.mcap --json | jq '.sessions[0].metrics.tracking'
+
+    Exit codes:
+      0  written or printed
+      2  bad input: not a session file, a file that cannot be written
+    """  # noqa: D205
+
+    sessions: tuple[Path, ...] = argument(
+        "Session files, or directories of split recordings.", "SESSION..."
+    )
+    out: Path = flag(Path("report.html"), "The page to write.", "HTML", aliases=("-o",))
+    force: bool = flag(False, "Replace a file that is there.")
+    json: bool = flag(False, "Print summary and metrics as JSON, and write no page.")
+    csv: bool = flag(False, "Print the metrics as CSV, and write no page.")
+
+    def run(self) -> int:
+        """Write the page or print the numbers, and return the exit code."""
+        from g1stream.analysis.report.page import numbers, report, to_csv
+
+        if self.json:
+            print_json(numbers(self.sessions))
+        elif self.csv:
+            print(to_csv(numbers(self.sessions)), end="")
+        else:
+            print(report(self.sessions, self.out, force=self.force))
+        return EXIT_OK

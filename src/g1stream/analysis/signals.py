@@ -108,14 +108,13 @@ def min_max(values: Floats, most: int) -> Ints:
     width = -(-n // (most // 2))
     runs = np.pad(values, (0, -n % width), mode="edge").reshape(-1, width)
     absent = np.isnan(runs)
-    kept = np.stack(
-        [
-            np.where(absent, np.inf, runs).argmin(axis=1),
-            np.where(absent, -np.inf, runs).argmax(axis=1),
-            absent.argmax(axis=1),  # the first sample where none is nan
-        ]
-    )[: 3 if absent.any() else 2]
-    indices: Ints = np.unique((kept + width * np.arange(len(runs))).clip(max=n - 1))
+    if absent.any():
+        lowest = np.where(absent, np.inf, runs).argmin(axis=1)
+        highest = np.where(absent, -np.inf, runs).argmax(axis=1)
+        kept = [lowest, highest, absent.argmax(axis=1)]  # the first sample where none is nan
+    else:
+        kept = [runs.argmin(axis=1), runs.argmax(axis=1)]
+    indices: Ints = np.unique((np.stack(kept) + width * np.arange(len(runs))).clip(max=n - 1))
     return indices
 
 

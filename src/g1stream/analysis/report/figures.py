@@ -18,7 +18,7 @@ from g1stream.session.streams import Command, Measured
 from g1stream.text import printable
 
 if TYPE_CHECKING:
-    from g1stream.analysis.signals import Quantity
+    from g1stream.analysis.signals import Quantity, Signal
     from g1stream.session.metrics import Metrics
     from g1stream.session.session import Session
     from g1stream.session.summary import Summary
@@ -37,6 +37,12 @@ def figures(session: Session, summary: Summary, metrics: Metrics) -> dict[str, A
 
     Arrays are float32 in base64.
     """
+    signals, limbs = {}, []
+    for quantity in _QUANTITIES:  # one after the other: of a long session each is large
+        shown = signal(session, quantity)
+        signals[quantity] = _drawn(shown)
+        if quantity == "error":
+            limbs = _limb_errors(shown)
     return {
         "joints": [name.removesuffix("_joint") for name in JOINT_NAMES],
         "colours": [COLOURS[limb] for limb, joints in JOINT_GROUPS.items() for _ in joints],
@@ -55,8 +61,8 @@ def figures(session: Session, summary: Summary, metrics: Metrics) -> dict[str, A
             for one in summary.phases
         ],
         "events": _events(session),
-        "signals": {quantity: _signal(session, quantity) for quantity in _QUANTITIES},
-        "limbs": _limb_errors(session),
+        "signals": signals,
+        "limbs": limbs,
         "intervals": _intervals(session),
         "lateness": _lateness(summary),
     }
@@ -85,8 +91,7 @@ def _events(session: Session) -> list[dict[str, Any]]:
     ]
 
 
-def _signal(session: Session, quantity: Quantity) -> dict[str, Any]:
-    shown = signal(session, quantity)
+def _drawn(shown: Signal) -> dict[str, Any]:
     return {
         "label": shown.label,
         "lines": [
@@ -96,7 +101,7 @@ def _signal(session: Session, quantity: Quantity) -> dict[str, Any]:
     }
 
 
-def _limb_errors(session: Session) -> list[dict[str, Any]]:
+def _limb_errors(error: Signal) -> list[dict[str, Any]]:
     """The RMS error of each limb over time."""
     return [
         {
@@ -104,7 +109,7 @@ def _limb_errors(session: Session) -> list[dict[str, Any]]:
             "colour": COLOURS[limb],
             **_curve(line.time, np.sqrt(np.mean(np.square(line.values[:, joints]), axis=1))),
         }
-        for line in signal(session, "error").lines
+        for line in error.lines
         for limb, joints in JOINT_GROUPS.items()
     ]
 

@@ -3,7 +3,7 @@
     python examples/compare_runs.py before.mcap after.mcap
     python examples/compare_runs.py
 
-Prints the tracking error of each limb in both, and the ratio.
+Prints what `g1stream compare` prints; several sessions on each side would tell noise from change.
 """
 
 import argparse
@@ -21,17 +21,14 @@ def main() -> None:
     if len(args.sessions) not in (0, 2):
         parser.error("give two sessions, or none")
     if args.sessions:
-        first, second = (g1stream.open_session(path).tracking() for path in args.sessions)
+        comparison = g1stream.compare(*args.sessions)
     else:
-        first, second = (
-            g1stream.rollout("demo", feedforward=kind, seconds=5.0).tracking()
+        velocity, dynamics = (
+            g1stream.rollout("demo", feedforward=kind, seconds=5.0)
             for kind in ("velocity", "dynamics")
         )
-    rows = {**first.rmse_by_limb, "all joints": first.overall}
-    others = {**second.rmse_by_limb, "all joints": second.overall}
-    print("limb         first rad  second rad  ratio")
-    for limb, rmse in rows.items():
-        print(f"{limb:<11}  {rmse:9.4f}  {others[limb]:10.4f}  {others[limb] / rmse:5.2f}")
+        comparison = g1stream.compare(velocity, dynamics)
+    print(comparison)
 
 
 if __name__ == "__main__":

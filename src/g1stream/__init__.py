@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 from g1stream._version import __version__
 
 if TYPE_CHECKING:
+    from g1stream.analysis.comparison import Comparison, compare
     from g1stream.analysis.delay import Delay
     from g1stream.analysis.learning import learn
     from g1stream.analysis.report.page import report
@@ -56,6 +57,7 @@ __all__ = [
     "JOINT_NAMES",
     "Base",
     "Command",
+    "Comparison",
     "Config",
     "Conversion",
     "ConvertReport",
@@ -80,6 +82,7 @@ __all__ = [
     "Trajectory",
     "TrajectoryPoint",
     "__version__",
+    "compare",
     "convert",
     "learn",
     "load_config",
@@ -96,6 +99,7 @@ __all__ = [
 _HOME = {
     "Base": "session.streams",
     "Command": "session.streams",
+    "Comparison": "analysis.comparison",
     "Config": "config",
     "Conversion": "programs.convert",
     "ConvertReport": "programs.convert",
@@ -121,6 +125,7 @@ _HOME = {
     "TrackingSummary": "session.summary",
     "Trajectory": "motion.trajectory",
     "TrajectoryPoint": "motion.trajectory",
+    "compare": "analysis.comparison",
     "convert": "programs.convert",
     "learn": "analysis.learning",
     "load_config": "config",

@@ -16,7 +16,7 @@ def test_the_examples_run(play, write_session, monkeypatch, tmp_path):
     write_session(*play(), {"motion": {"name": "dance"}})
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}
-    assert len(BLOCKS) == 8
+    assert len(BLOCKS) == 9
     for block in BLOCKS:
         if "to_dataframe" in block and not HAS_TABLES:
             continue
@@ -29,7 +29,7 @@ def test_the_tracking_by_hand_is_the_functions(play, write_session, monkeypatch,
     write_session(*play(0.04))
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}
-    for block in BLOCKS[:5]:
+    for block in BLOCKS[:6]:
         exec(block, names)
     assert "40.0 ms behind" in capsys.readouterr().out
     np.testing.assert_allclose(names["error"], names["tracking"].error, atol=1e-9)
@@ -41,7 +41,7 @@ def test_the_tables_are_those_of_the_text(play, write_session, monkeypatch, tmp_
     write_session(*play())
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}
-    for block in BLOCKS[:7]:
+    for block in BLOCKS[:8]:
         exec(block, names)
     assert len(names["knee"]) == len(names["session"].measured)
     assert all(path.suffix == ".parquet" for path in names["files"])

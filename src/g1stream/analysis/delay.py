@@ -26,8 +26,9 @@ __all__ = ["Delay", "Delays"]
 #: Delays that are searched, in steps: from -0.02 to 0.2 s; positive: the robot is behind.
 _STEP: Final = 0.005
 _LAGS: Final = np.arange(-4, 41)
-#: Every second of the times that are a step apart is compared.
+#: Every second of the times that are a step apart is compared, or so few that there are no more.
 _STRIDE: Final = 2
+_MOST_TIMES: Final = 20_000
 #: A joint takes part if reference and measurement span more than this, rad.
 _MOVES: Final = 0.05
 #: States further apart than this, s, say nothing of the time between them.
@@ -70,8 +71,8 @@ class Delays:
     def __init__(self, times: Floats, q: Floats, state_times: Floats, measured: Floats) -> None:
         first = max(state_times[0], times[0] + _LAGS[-1] * _STEP)
         last = min(state_times[-1], times[-1] + _LAGS[0] * _STEP)
-        rows = max(0, int((last - first) / (_STRIDE * _STEP) + 1e-9) + 1)
-        at = first + _STRIDE * _STEP * np.arange(rows)
+        steps = int((last - first) / _STEP + 1e-9)  # negative where too little was recorded
+        at = first + _STEP * np.arange(0, steps + 1, max(_STRIDE, -(-steps // _MOST_TIMES)))
         after = np.searchsorted(state_times, at).clip(1, max(1, len(state_times) - 1))
         self._at = at[np.diff(state_times, append=np.inf)[after - 1] <= _LONGEST_GAP]
         self._rows = np.round((self._at - first) / _STEP).astype(np.intp)
@@ -79,14 +80,15 @@ class Delays:
         if not len(self._at):
             return
         # Of the reference the grid begins so much earlier that there is a row for each delay.
-        grid = first + _STEP * np.arange(-_LAGS[-1], _STRIDE * rows - _LAGS[0])
+        grid = first + _STEP * np.arange(-_LAGS[-1], steps + 1 - _LAGS[0])
         self._q = _columns(grid, times, q)
         self._measured = _columns(self._at, state_times, measured)
         middle = self._q.mean(axis=0)  # so that sums of squares keep their digits
         self._q -= middle
         self._measured -= middle
         self._moving = np.minimum(np.ptp(self._q, axis=0), np.ptp(self._measured, axis=0)) > _MOVES
-        self._unexplained = np.array([self._regress(lag)[1] for lag in _LAGS.tolist()])
+        every = list(range(q.shape[1]))
+        self._unexplained = np.array([self._regress(lag, every)[1] for lag in _LAGS.tolist()])
 
     def of(self, joints: Sequence[int]) -> Delay | None:
         """The delay of some joints together; None where none moves or no delay fits best."""
@@ -101,7 +103,7 @@ class Delays:
         curvature = left - 2.0 * middle + right
         fraction = 0.5 * (left - right) / curvature if curvature > 0.0 else 0.0
         shift = float(_LAGS[best] + fraction)
-        error = self._reference(shift)[:, list(joints)] - self._measured[:, list(joints)]
+        error = self._reference(shift, list(joints)) - self._measured[:, list(joints)]
         explained = 1.0 - middle / self._measured[:, moving].var(axis=0).sum()
         return Delay(
             seconds=shift * _STEP,
@@ -111,16 +113,17 @@ class Delays:
             std=error.std(axis=0),
         )
 
-    def _reference(self, shift: float) -> Floats:
-        """(T, J) the reference so many steps before each time."""
+    def _reference(self, shift: float, joints: list[int]) -> Floats:
+        """(T, J) the reference of some joints so many steps before each time."""
         whole = int(np.floor(shift))
         rows, weight = self._rows + _LAGS[-1] - whole, shift - whole
-        q: Floats = self._q[rows]
-        return q + weight * (self._q[rows - 1] - q) if weight else q
+        columns = self._q if len(joints) == self._q.shape[1] else self._q[:, joints]
+        q: Floats = columns[rows]
+        return q + weight * (columns[rows - 1] - q) if weight else q
 
-    def _regress(self, shift: float) -> tuple[Floats, Floats]:
-        """Of each joint (J,) the factor on the reference, and the variance left unexplained."""
-        q, measured = self._reference(shift), self._measured
+    def _regress(self, shift: float, joints: list[int]) -> tuple[Floats, Floats]:
+        """Of some joints (J,) the factor on the reference, and the variance left unexplained."""
+        q, measured = self._reference(shift, joints), self._measured[:, joints]
         variance, total = q.var(axis=0), measured.var(axis=0)
         covariance = np.einsum("tj,tj->j", q, measured) / len(q) - q.mean(0) * measured.mean(0)
         factor: Floats = covariance.clip(0.0) / np.maximum(variance, np.finfo(float).tiny)
@@ -134,9 +137,9 @@ class Delays:
         starts = np.flatnonzero(np.diff(blocks, prepend=-1))
         if len(starts) < _FEWEST_BLOCKS:
             return None
-        factor = self._regress(shift)[0][joints]
-        expected = factor * self._reference(shift)[:, joints]
-        slope = self._reference(shift - 0.5)[:, joints] - self._reference(shift + 0.5)[:, joints]
+        factor = self._regress(shift, joints)[0]
+        expected = factor * self._reference(shift, joints)
+        slope = self._reference(shift - 0.5, joints) - self._reference(shift + 0.5, joints)
         slope *= factor / _STEP
         error = self._measured[:, joints] - expected
         error -= error.mean(axis=0)

@@ -27,9 +27,22 @@ if TYPE_CHECKING:
     from g1stream.analysis.tracking import Tracking
     from g1stream.session.session import Session
 
-__all__ = ["FPS", "Frames", "Robot", "frames"]
+__all__ = ["FPS", "MEASURED_COLUMNS", "REFERENCE_COLUMNS", "Frames", "Robot", "frames"]
 
 FPS: Final = 50.0
+
+REFERENCE_COLUMNS: Final = (
+    "q",
+    "dq",
+    "phase",
+    "motion_time",
+    "root_pos",
+    "root_quat_wxyz",
+    "root_lin_vel",
+    "root_ang_vel",
+)
+MEASURED_COLUMNS: Final = ("q", "dq", "imu_quat_wxyz", "gyroscope")
+"""The columns of a session that `frames` reads."""
 
 #: Samples further apart than this, s, say nothing of the time between them.
 _LONGEST_GAP: Final = 0.1
@@ -82,11 +95,8 @@ def frames(session: Session, tracking: Tracking) -> Frames | None:
     Raises:
         RecordingError: the file is damaged.
     """
-    reference = session.reference.read(
-        "q", "dq", "phase", "motion_time", "root_pos", "root_quat_wxyz", "root_lin_vel",
-        "root_ang_vel",
-    )  # fmt: skip
-    measured = session.measured.read("q", "dq", "imu_quat_wxyz", "gyroscope")
+    reference = session.reference.read(*REFERENCE_COLUMNS)
+    measured = session.measured.read(*MEASURED_COLUMNS)
     order = np.argsort(reference.time, kind="stable")
     states = _Sampler(tracking.time)
     asked = _Sampler(reference.time[order])

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from g1stream.analysis.body_space import body_metrics
-from g1stream.analysis.frames import FPS, frames
+from g1stream.analysis.frames import FPS, MEASURED_COLUMNS, REFERENCE_COLUMNS, frames
 from g1stream.analysis.summary import played, summarise
 from g1stream.analysis.timing import timing_metrics
-from g1stream.analysis.torque import torque_metrics
+from g1stream.analysis.torque import COMMAND_COLUMNS, torque_metrics
 from g1stream.analysis.tracking import NothingToCompareError, pooled
 from g1stream.errors import RobotError
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
@@ -22,7 +22,7 @@ from g1stream.session.metrics import (
     SuccessMetrics,
     TrackingMetrics,
 )
-from g1stream.session.streams import Measured
+from g1stream.session.streams import Command, Measured, Reference
 from g1stream.types import Floats
 
 if TYPE_CHECKING:
@@ -52,6 +52,7 @@ def metrics(session: Session) -> Metrics:
     Raises:
         RecordingError: the file is damaged.
     """
+    _read(session)
     summary = summarise(session)
     missing: dict[str, str] = {}
     tracking = None
@@ -82,6 +83,18 @@ def metrics(session: Session) -> Metrics:
         timing=timing_metrics(session, summary),
         missing=missing,
     )
+
+
+def _read(session: Session) -> None:
+    """Read the columns that are needed together, so that each topic is read from the file once."""
+    if session.topics.get(Reference.topic):
+        session.reference.read(*REFERENCE_COLUMNS)
+    if session.topics.get(Measured.topic):
+        session.measured.read(*MEASURED_COLUMNS, "tau")
+    if session.topics.get(Command.topic):
+        session.command.read(*COMMAND_COLUMNS)
+    if session.base is not None:
+        session.base.read()
 
 
 def _robot(session: Session) -> G1:

@@ -16,7 +16,10 @@ if TYPE_CHECKING:
     from g1stream.session.session import Session
     from g1stream.session.streams import Command, Measured
 
-__all__ = ["torque_metrics"]
+__all__ = ["COMMAND_COLUMNS", "torque_metrics"]
+
+COMMAND_COLUMNS: Final = ("q", "dq", "tau", "kp", "kd")
+"""The columns of the commands that are read."""
 
 #: A motor at this share of its limit, or more, is at its limit.
 _SATURATED: Final = 0.99
@@ -63,7 +66,7 @@ def torque_metrics(
         columns["work_j"] = _integral(np.abs(power), seconds)
         columns["net_work_j"] = _integral(power, seconds)
     if session.topics.get("/lowcmd"):
-        command = session.command.read("q", "dq", "tau", "kp", "kd")
+        command = session.command.read(*COMMAND_COLUMNS)
         around = _newest(command.publish_time + command.clock_offset, times)
         if around is not None:
             known, newest = around

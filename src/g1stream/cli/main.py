@@ -32,6 +32,7 @@ _COMMANDS: Final = {
     "info": ("info", "Info", "Print what is in a session file, and how well it went."),
     "report": ("report", "Report", "Write a page on sessions: tables, figures, events."),
     "plot": ("plot", "Plot", "Plot joints of a session: PNG, SVG or PDF."),
+    "compare": ("compare", "Compare", "Compare sessions of a motion: what got better or worse."),
     "render": (
         "render",
         "Render",

@@ -10,7 +10,7 @@ look the same: in LowCmd the first motor's `mode` sits closer to its `q` than th
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any, Final, get_args, get_type_hints
 
 import numpy as np
@@ -112,6 +112,17 @@ class Field:
 
     def read(self, payloads: NDArray[np.uint8]) -> NDArray[Any]:
         """Copy the field out of payloads (..., size) into an array (..., *offsets.shape)."""
+        if payloads.ndim == 2 and self.strides is not None:  # without an index for each byte
+            start = int(self.offsets.flat[0])
+            first = payloads[:, start : start + self.dtype.itemsize].view(self.dtype)
+            shown = np.lib.stride_tricks.as_strided(
+                first,
+                (len(payloads), *self.offsets.shape),
+                (payloads.strides[0], *self.strides),
+                writeable=False,
+            )
+            copied: NDArray[Any] = shown.copy()
+            return copied
         places = self.offsets[..., np.newaxis] + np.arange(self.dtype.itemsize)
         picked = np.ascontiguousarray(payloads[..., places])
         values: NDArray[Any] = picked.view(self.dtype)[..., 0]
@@ -123,18 +134,24 @@ class Field:
         Raises:
             ValueError: the field's places are not evenly spaced, so that no view can show them.
         """
-        shape = self.offsets.shape
-        strides = []
-        for axis, length in enumerate(shape):
-            steps = np.unique(np.diff(self.offsets, axis=axis)) if length > 1 else np.array([0])
-            if steps.size != 1:
-                raise ValueError("the field is not evenly spaced in the payload")
-            strides.append(int(steps[0]))
+        if self.strides is None:
+            raise ValueError("the field is not evenly spaced in the payload")
         start = int(self.offsets.flat[0])
         shown: NDArray[Any] = np.ndarray(
-            shape, self.dtype, buffer=payload.data, offset=start, strides=tuple(strides)
+            self.offsets.shape, self.dtype, payload.data, start, self.strides
         )
         return shown
+
+    @cached_property
+    def strides(self) -> tuple[int, ...] | None:
+        """Bytes from one place to the next along each axis; None where they differ."""
+        strides = []
+        for axis, length in enumerate(self.offsets.shape):
+            steps = np.unique(np.diff(self.offsets, axis=axis)) if length > 1 else np.array([0])
+            if steps.size != 1:
+                return None
+            strides.append(int(steps[0]))
+        return tuple(strides)
 
 
 class Layout:

@@ -1,0 +1,354 @@
+"""Two sets of sessions of one motion, metric by metric.
+
+Whether a difference is more than the noise from run to run is told by Welch's t-test (B. Welch,
+Biometrika, 1947) on one value for each session: samples within a session are far from independent,
+and the two sides need not be equally noisy. Of several values that are tested together (29 joints,
+5 limbs, those of the whole session) the p-values are adjusted by Holm's method (S. Holm,
+Scandinavian Journal of Statistics, 1979), so that one of many joints does not stand out by chance.
+A permutation test would ask for less, but of five sessions a side its least p-value is 2/252, which
+29 joints adjust to 0.23: it could never tell anything.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from statistics import fmean
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+from g1stream.analysis.comparison_table import table
+from g1stream.analysis.summary import played
+from g1stream.errors import RecordingError
+from g1stream.session.session import Session, open_session
+from g1stream.session.summary import Record, SessionInfo, read_record
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from g1stream.session.metrics import Metrics
+    from g1stream.session.summary import Summary
+    from g1stream.types import Floats
+
+__all__ = ["SIGNIFICANT", "Comparison", "Difference", "compare"]
+
+SIGNIFICANT: Final = 0.05
+"""A difference with an adjusted p-value below this is significant."""
+
+#: References of one motion differ by no more than this at the same motion time, rad.
+_SAME_MOTION: Final = 0.01
+#: Sessions that were played from and to within this, s, are compared whole.
+_SAME_INTERVAL: Final = 0.1
+#: Motion times at which references are compared, Hz.
+_RATE: Final = 20.0
+
+#: Metrics of a whole session: what --fail-if calls them, and where they are.
+_METRICS: Final = {
+    "rmse": ("rad", "tracking.all_joints.rmse_rad"),
+    "mae": ("rad", "tracking.all_joints.mae_rad"),
+    "p99": ("rad", "tracking.all_joints.p99_rad"),
+    "max": ("rad", "tracking.all_joints.max_abs_rad"),
+    "bias": ("rad", "tracking.all_joints.bias_rad"),
+    "delay": ("s", "tracking.all_joints.delay_s"),
+    "velocity_rmse": ("rad/s", "tracking.all_joints.velocity_rmse_rad_s"),
+    "mpjpe": ("mm", "body.pelvis_frame.mpjpe_mm"),
+    "mpjpe_root": ("mm", "body.root_relative.mpjpe_mm"),
+    "mpjpe_world": ("mm", "body.world.mpjpe_mm"),
+    "torque_rms": ("Nm", "torque.rms_nm"),
+    "torque_use": ("", "torque.use"),
+    "saturated": ("", "torque.saturated"),
+    "power": ("W", "torque.power_w"),
+    "rate": ("Hz", "timing.rate_hz"),
+    "lateness_p99": ("us", "timing.lateness_us.p99"),
+    "state_age_p99": ("us", "timing.state_age_us.p99"),
+}
+
+
+class Difference(Record):
+    """A metric on both sides.
+
+    Attributes:
+        unit: of the values.
+        base, other: mean over the sessions of a side.
+        base_values, other_values: of each session.
+        p: of Welch's t-test; None with one session on a side.
+        p_adjusted: by Holm's method, over the metrics of the same kind.
+    """
+
+    unit: str
+    base: float
+    other: float
+    base_values: list[float]
+    other_values: list[float]
+    p: float | None = None
+    p_adjusted: float | None = None
+
+    @property
+    def change(self) -> float | None:
+        """(other - base) / |base|; None where base is 0."""
+        return (self.other - self.base) / abs(self.base) if self.base else None
+
+    @property
+    def significant(self) -> bool | None:
+        """Whether it is more than the noise from run to run; None where that cannot be told."""
+        return None if self.p_adjusted is None else self.p_adjusted < SIGNIFICANT
+
+
+class Comparison(Record):
+    """Sessions of one motion beside others.
+
+    Attributes:
+        motion: its name.
+        base, other: paths of the sessions.
+        start_s, stop_s: the part of the motion that all of them played, which is compared.
+        metrics: of the whole session, by the name that --fail-if takes.
+        limbs, joints: RMSE, rad, by name.
+        differs: what else differs between the sides, such as `gains.kp` -> what it was in each.
+    """
+
+    motion: str
+    base: list[str]
+    other: list[str]
+    start_s: float
+    stop_s: float
+    metrics: dict[str, Difference]
+    limbs: dict[str, Difference]
+    joints: dict[str, Difference]
+    differs: dict[str, tuple[str, str]]
+
+    def __str__(self) -> str:
+        return table(self)
+
+
+def compare(
+    base: Sequence[Session | str | Path] | Session | str | Path,
+    other: Sequence[Session | str | Path] | Session | str | Path,
+) -> Comparison:
+    """Compare sessions of one motion with others, over the part that all of them played.
+
+    Args:
+        base: one or several sessions, or their files.
+        other: those that are compared with them.
+
+    Returns:
+        The differences. Three sessions or more on each side tell noise from change; with one on a
+        side nothing can.
+
+    Raises:
+        RecordingError: a session has no tracking error, or its motion is another one.
+    """
+    sides = [[_read(one) for one in _several(side)] for side in (base, other)]
+    runs = [*sides[0], *sides[1]]
+    start, stop = max(run.start for run in runs), min(run.stop for run in runs)
+    for run in runs[1:]:
+        _require_same_motion(runs[0], run)
+    found = [[run.metrics_of(start, stop) for run in side] for side in sides]
+    units = {name: unit for name, (unit, _) in _METRICS.items()}
+    return Comparison(
+        motion=runs[0].motion,
+        base=[run.path for run in sides[0]],
+        other=[run.path for run in sides[1]],
+        start_s=start,
+        stop_s=stop,
+        metrics=_differences(
+            [[{n: _at(m, p) for n, (_, p) in _METRICS.items()} for m in side] for side in found],
+            units.__getitem__,
+        ),
+        limbs=_differences([[_rmse(m, "limbs") for m in side] for side in found], lambda _: "rad"),
+        joints=_differences(
+            [[_rmse(m, "joints") for m in side] for side in found], lambda _: "rad"
+        ),
+        differs=_circumstances(*sides),
+    )
+
+
+class _Run(NamedTuple):
+    """What is kept of a session; its samples are not, as many sessions would fill the memory.
+
+    Attributes:
+        source: the session, or its file.
+        path, motion: their names.
+        start, stop: motion time that was played, s.
+        rows: (T,) motion times of `reference`, in steps of the grid that all runs share.
+        reference: (T, 29) rad.
+        metrics: of the whole session.
+        facts: what may make a difference, beside the motion.
+    """
+
+    source: Session | str | Path
+    path: str
+    motion: str
+    start: float
+    stop: float
+    rows: NDArray[np.intp]
+    reference: Floats
+    metrics: Metrics
+    facts: dict[str, str]
+
+    def metrics_of(self, start: float, stop: float) -> Metrics:
+        """Of a part of the motion; of the whole session where it played little else."""
+        if max(start - self.start, self.stop - stop) < _SAME_INTERVAL:
+            return self.metrics
+        session = _opened(self.source)
+        found = session.tracking()
+        inside = (found.motion_time >= start) & (found.motion_time <= stop)
+        first, last = found.time[inside][[0, -1]].tolist()
+        return session.sel(time=slice(first, last)).metrics()
+
+
+def _several(
+    side: Sequence[Session | str | Path] | Session | str | Path,
+) -> Sequence[Session | str | Path]:
+    several = [side] if isinstance(side, (Session, str, Path)) else side
+    if not several:
+        raise RecordingError("There is nothing to compare.", "Give sessions on both sides.")
+    return several
+
+
+def _opened(source: Session | str | Path) -> Session:
+    return source if isinstance(source, Session) else open_session(source)
+
+
+def _read(source: Session | str | Path) -> _Run:
+    session = _opened(source)
+    if played(session.phases) > 1:
+        raise RecordingError(
+            f"Several motions were played in {session.path}.", "Give sessions with one motion."
+        )
+    found = session.tracking()
+    start, stop = found.motion_time[[0, -1]].tolist()
+    rows = np.arange(math.ceil(start * _RATE), math.floor(stop * _RATE) + 1)
+    summary = session.summary()
+    return _Run(
+        source=source,
+        path=str(session.path),
+        motion=(summary.motion and summary.motion.name) or "unknown",
+        start=start,
+        stop=stop,
+        rows=rows,
+        reference=np.column_stack(
+            [np.interp(rows / _RATE, found.motion_time, q) for q in found.reference.T]
+        ),
+        metrics=session.metrics(),
+        facts=dict(_facts(session, summary)),
+    )
+
+
+def _require_same_motion(first: _Run, other: _Run) -> None:
+    """What was asked at each motion time says it, whatever names and files say."""
+    _, rows, other_rows = np.intersect1d(first.rows, other.rows, return_indices=True)
+    apart = np.abs(first.reference[rows] - other.reference[other_rows]).max(initial=0.0)
+    if len(rows) and apart <= _SAME_MOTION:
+        return
+    reason = "they have no part of a motion in common"
+    if len(rows):
+        reason = f"at the same motion time their references are up to {apart:.2f} rad apart"
+    raise RecordingError(
+        f"{first.path} ({first.motion}) and {other.path} ({other.motion}) are not sessions of one "
+        f"motion: {reason}.",
+        "Compare sessions of one motion, played at the same speed.",
+    )
+
+
+def _at(found: Any, path: str) -> float | None:
+    """A metric by its dotted path; None where it, or what it is part of, is None."""
+    for name in path.split("."):
+        found = found and getattr(found, name)
+    value: float | None = found
+    return value
+
+
+def _rmse(found: Metrics, which: str) -> dict[str, float | None]:
+    assert found.tracking
+    return {name: one.rmse_rad for name, one in getattr(found.tracking, which).items()}
+
+
+def _differences(
+    sides: Sequence[Sequence[dict[str, float | None]]], unit: Callable[[str], str]
+) -> dict[str, Difference]:
+    """Of the metrics that all sessions of both sides have, tested together."""
+    found: dict[str, Difference] = {}
+    for name in sides[0][0]:
+        values = [[v for one in side if (v := one[name]) is not None] for side in sides]
+        base, other = values
+        if [len(side) for side in values] == [len(side) for side in sides]:
+            found[name] = Difference(
+                unit=unit(name),
+                base=fmean(base),
+                other=fmean(other),
+                base_values=base,
+                other_values=other,
+                p=_welch(np.array(base), np.array(other)),
+            )
+    # Holm: the k-th smallest of n p-values counts n + 1 - k times, and no less than those before.
+    ordered = sorted((d for d in found.values() if d.p is not None), key=lambda d: d.p or 0.0)
+    least = 0.0
+    for i, one in enumerate(ordered):
+        least = max(least, min(1.0, (len(ordered) - i) * (one.p or 0.0)))
+        one.p_adjusted = least
+    return found
+
+
+def _welch(a: Floats, b: Floats) -> float | None:
+    """The two-sided p-value of Welch's t-test; None with one value on a side."""
+    from scipy.special import stdtr
+
+    if min(len(a), len(b)) < 2:
+        return None
+    errors = [one.var(ddof=1) / len(one) for one in (a, b)]
+    apart, error = abs(a.mean() - b.mean()), sum(errors)
+    # Rollouts repeat bit for bit: without any noise every difference is one.
+    if error <= np.square(1e-12 * np.abs(np.concatenate([a, b])).max()):
+        return 1.0 if apart <= 1e-12 * np.abs(a).max() else 0.0
+    degrees = error**2 / sum(
+        one**2 / (len(values) - 1) for one, values in zip(errors, (a, b), strict=True)
+    )
+    return float(2.0 * stdtr(degrees, -apart / math.sqrt(error)))
+
+
+def _circumstances(base: Sequence[_Run], other: Sequence[_Run]) -> dict[str, tuple[str, str]]:
+    """By name, what the sessions of the two sides do not have in common."""
+    sides = [[run.facts for run in side] for side in (base, other)]
+    names = dict.fromkeys(name for side in sides for one in side for name in one)
+    shown = {
+        name: tuple(
+            ", ".join(dict.fromkeys(one.get(name, "not recorded") for one in side))
+            for side in sides
+        )
+        for name in names
+    }
+    return {name: (a, b) for name, (a, b) in shown.items() if a != b}
+
+
+def _facts(session: Session, summary: Summary) -> Iterator[tuple[str, str]]:
+    """What may make a difference, beside the motion."""
+    info = read_record(SessionInfo, dict(session.metadata))[0] or SessionInfo()
+    stream = summary.stream
+    if stream:
+        yield "feed-forward", str(stream.feedforward)
+        yield "support", str(stream.support)
+        yield "robot", str(stream.robot)
+        yield "rate", f"{stream.nominal_rate_hz:g} Hz" if stream.nominal_rate_hz else "unknown"
+        yield "slowed", f"{stream.slowed or 1.0:g}"
+    for name, gains in (info.gains or {}).items():
+        yield f"gains.{name}", _short(gains)
+    yield "correction", str(info.correction.source) if info.correction else "none"
+    yield from ((f"version of {name}", v) for name, v in summary.versions.items())
+    yield "host", str(summary.host)
+    for name, value in (summary.settings or {}).items():
+        if not name.startswith(("stream.feedforward", "stream.rate", "gains.", "record.")):
+            yield name, str(value)
+
+
+def _short(gains: Sequence[Any]) -> str:
+    """Gains of 29 joints as runs, such as `60 x3, 100`."""
+    runs: list[list[Any]] = []
+    for gain in gains:
+        if runs and runs[-1][0] == gain:
+            runs[-1][1] += 1
+        else:
+            runs.append([gain, 1])
+    return ", ".join(f"{gain:g}" + (f" x{n}" if n > 1 else "") for gain, n in runs)

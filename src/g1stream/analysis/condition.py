@@ -1,0 +1,160 @@
+"""A condition on a comparison, such as `rmse > 1.1 * base or p99.left_leg > 0.05`.
+
+It is a small part of Python's expressions, read with `ast` and computed here: names of metrics,
+`base`, numbers, comparisons, arithmetic, `and`, `or` and `not`. Nothing else is evaluated.
+"""
+
+from __future__ import annotations
+
+import ast
+import operator
+from typing import TYPE_CHECKING, Any, Final
+
+from g1stream.errors import ConfigError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from g1stream.analysis.comparison import Comparison, Difference
+
+__all__ = ["Condition"]
+
+_ARITHMETIC: Final[dict[type[ast.operator], Callable[[float, float], float]]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+}
+_COMPARISONS: Final[dict[type[ast.cmpop], Callable[[float, float], bool]]] = {
+    ast.Lt: operator.lt,
+    ast.LtE: operator.le,
+    ast.Gt: operator.gt,
+    ast.GtE: operator.ge,
+}
+#: Longer than any condition that a person writes.
+_MOST_CHARACTERS: Final = 500
+
+
+class Condition:
+    """A condition that can hold for a comparison.
+
+    A metric stands for its mean over the other sessions, `base` for the mean over the base sessions
+    of the one metric that is in the same comparison. `rmse.left_leg` and `rmse.left_knee_joint`
+    are the RMSE of a limb and of a joint.
+
+    Args:
+        text: the condition.
+
+    Raises:
+        ConfigError: it is not one.
+    """
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+        try:
+            if len(text) > _MOST_CHARACTERS:
+                raise ValueError
+            self._tree = ast.parse(text.strip(), mode="eval").body
+        except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+            raise self._error("it cannot be read") from error
+        self._check(self._tree)
+
+    def holds(self, comparison: Comparison) -> bool:
+        """Whether it holds.
+
+        Raises:
+            ConfigError: the sessions do not have one of its metrics, or it divides by 0.
+        """
+        try:
+            return self._truth(self._tree, comparison)
+        except ZeroDivisionError as error:
+            raise self._error("it divides by 0 with the figures of these sessions") from error
+
+    def _check(self, node: ast.expr) -> None:
+        """Raise unless a node is a truth: a comparison, or `and`, `or` and `not` of some."""
+        if isinstance(node, ast.BoolOp):
+            for one in node.values:
+                self._check(one)
+        elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
+            self._check(node.operand)
+        elif isinstance(node, ast.Compare):
+            for one in (node.left, *node.comparators):
+                self._check_number(one)
+            if wrong := [op for op in node.ops if type(op) not in _COMPARISONS]:
+                raise self._error(f"{type(wrong[0]).__name__} is not <, <=, > or >=")
+            names = _metrics_in(node)
+            if "base" in _names_in(node) and len(names) != 1:
+                raise self._error("`base` needs one metric in its comparison, whose base it is")
+        else:
+            raise self._error(f"{ast.unparse(node)} is no comparison")
+
+    def _check_number(self, node: ast.expr) -> None:
+        if isinstance(node, ast.BinOp) and type(node.op) in _ARITHMETIC:
+            self._check_number(node.left)
+            self._check_number(node.right)
+        elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
+            self._check_number(node.operand)
+        elif not _is_name(node) and not (
+            isinstance(node, ast.Constant) and type(node.value) in (int, float)
+        ):
+            raise self._error(f"{ast.unparse(node)} is neither a number nor a metric")
+
+    def _truth(self, node: ast.expr, comparison: Comparison) -> bool:
+        if isinstance(node, ast.BoolOp):
+            truths = [self._truth(one, comparison) for one in node.values]
+            return all(truths) if isinstance(node.op, ast.And) else any(truths)
+        if isinstance(node, ast.UnaryOp):
+            return not self._truth(node.operand, comparison)
+        assert isinstance(node, ast.Compare)
+        found = {name: self._metric(name, comparison) for name in _metrics_in(node)}
+        values = {name: one.other for name, one in found.items()}
+        if len(found) == 1:
+            values["base"] = next(iter(found.values())).base
+        numbers = [_number(one, values) for one in (node.left, *node.comparators)]
+        return all(
+            _COMPARISONS[type(op)](a, b)
+            for op, a, b in zip(node.ops, numbers[:-1], numbers[1:], strict=True)
+        )
+
+    def _metric(self, name: str, comparison: Comparison) -> Difference:
+        parts = comparison.limbs | comparison.joints
+        known = comparison.metrics | {f"rmse.{part}": one for part, one in parts.items()}
+        if name not in known:
+            raise self._error(
+                f"there is no {name} of these sessions",
+                f"Choose from {', '.join(comparison.metrics)}, and rmse with a limb or a joint, "
+                "such as rmse.left_leg.",
+            )
+        return known[name]
+
+    def _error(self, reason: str, remedy: str = "") -> ConfigError:
+        return ConfigError(
+            f"The condition {self.text!r:.200} cannot be used: {reason}.",
+            remedy or "Write it such as 'rmse > 1.1 * base' or 'p99 > 0.05 and delay > base'.",
+        )
+
+
+def _number(node: Any, values: dict[str, float]) -> float:
+    if isinstance(node, ast.BinOp):
+        left, right = _number(node.left, values), _number(node.right, values)
+        return _ARITHMETIC[type(node.op)](left, right)
+    if isinstance(node, ast.UnaryOp):
+        return -_number(node.operand, values)
+    return values[ast.unparse(node)] if _is_name(node) else float(node.value)
+
+
+def _is_name(node: ast.AST) -> bool:
+    """Whether a node is `rmse` or `rmse.left_leg`."""
+    return isinstance(node, ast.Name) or (
+        isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name)
+    )
+
+
+def _names_in(node: ast.Compare) -> list[str]:
+    inner = {id(one.value) for one in ast.walk(node) if isinstance(one, ast.Attribute)}
+    names = (ast.unparse(n) for n in ast.walk(node) if _is_name(n) and id(n) not in inner)
+    return list(dict.fromkeys(names))
+
+
+def _metrics_in(node: ast.Compare) -> list[str]:
+    return [name for name in _names_in(node) if name != "base"]

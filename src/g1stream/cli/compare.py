@@ -1,0 +1,60 @@
+"""`g1stream compare`: sessions of a motion beside others."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from g1stream.cli.command import EXIT_OK, EXIT_STOPPED, Command, print_json, print_lines
+from g1stream.cli.flags import argument, flag
+from g1stream.errors import ConfigError
+
+__all__ = ["Compare"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Compare(Command):
+    """Compares sessions of one motion, over the part of it that all of them played.
+
+    With several sessions on each side it tells which differences are more than the noise from run
+    to run (Welch's t-test, adjusted by Holm's method). A condition names metrics of the table,
+    `rmse.left_leg` or `rmse.left_knee_joint`; `base` is the base's mean of the same metric.
+
+    Examples:
+      g1stream compare before.mcap --with after.mcap
+      g1stream compare a1.mcap a2.mcap a3.mcap --with b1.mcap b2.mcap b3.mcap
+      g1stream compare good.mcap --with new.mcap --fail-if 'rmse > 1.1 * base'
+
+    Exit codes:
+      0  compared
+      1  the condition of --fail-if holds
+      2  bad input: not sessions of one motion, or a condition that cannot be used
+    """
+
+    base: tuple[Path, ...] = argument("Session files to compare with.", "BASE...")
+    other: tuple[Path, ...] = flag(
+        (), "Session files that are compared with them.", "OTHER...", aliases=("--with",)
+    )
+    fail_if: str | None = flag(None, "Exit code 1 where this holds.", "CONDITION")
+    json: bool = flag(False, "Print the comparison as JSON.")
+
+    def run(self) -> int:
+        """Compare, print, and return the exit code."""
+        from g1stream.analysis.comparison import compare
+        from g1stream.analysis.condition import Condition
+
+        if not self.base or not self.other:
+            raise ConfigError(
+                "Sessions on two sides are needed.",
+                "Give both: g1stream compare BASE... --with OTHER...",
+            )
+        condition = None if self.fail_if is None else Condition(self.fail_if)
+        comparison = compare(self.base, self.other)
+        failed = condition is not None and condition.holds(comparison)
+        if self.json:
+            print_json(comparison.model_dump(mode="json") | {"failed": failed})
+        else:
+            print_lines(str(comparison))
+            if condition:
+                print_lines(f"\n{'FAILED' if failed else 'passed'}: {condition.text}")
+        return EXIT_STOPPED if failed else EXIT_OK

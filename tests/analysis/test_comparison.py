@@ -1,0 +1,156 @@
+"""Sessions beside others: noise and change told apart, conditions, and what is refused."""
+
+import numpy as np
+import pytest
+from scipy.stats import ttest_ind
+
+import g1stream
+from g1stream.analysis.condition import Condition
+from g1stream.cli.main import main
+from g1stream.errors import ConfigError, RecordingError
+from g1stream.session.session import Session
+from g1stream.session.source import MemorySource
+from g1stream.session.writer import SessionWriter
+from g1stream.synthetic import SyntheticSession
+
+
+def session(**wrong):
+    source = MemorySource()
+    SyntheticSession(wrong.pop("seconds", 2.0), **wrong).write(source)
+    return Session(source)
+
+
+def runs(level, n=4, seconds=2.0, **more):
+    """Sessions whose error varies by some 3 % from run to run."""
+    rng = np.random.default_rng(int(level * 1e4))
+    levels = level * (1.0 + 0.03 * rng.standard_normal(n))
+    return [session(bias=one, noise=1e-4, seconds=seconds, **more) for one in levels]
+
+
+@pytest.fixture(scope="module")
+def worse():
+    return g1stream.compare(runs(0.010), runs(0.013))
+
+
+def test_a_change_beyond_the_noise_is_significant(worse):
+    rmse = worse.metrics["rmse"]
+    assert rmse.change == pytest.approx(0.3, abs=0.05)
+    assert rmse.significant
+    assert worse.joints["left_knee_joint"].significant
+    expected = ttest_ind(rmse.base_values, rmse.other_values, equal_var=False).pvalue
+    assert rmse.p == pytest.approx(expected, rel=1e-6)
+
+
+def test_noise_is_not():
+    rng = np.random.default_rng(5)
+    sides = [
+        [session(bias=0.01 * (1 + 0.03 * x), noise=1e-4) for x in rng.standard_normal(3)]
+        for _ in range(2)
+    ]
+    same = g1stream.compare(*sides)
+    assert not any(one.significant for one in same.joints.values())
+    assert all(one.p <= one.p_adjusted <= 1.0 for one in same.joints.values())
+
+
+def test_one_session_a_side_tells_nothing():
+    found = g1stream.compare(session(bias=0.01), session(bias=0.02))
+    assert found.metrics["rmse"].other == pytest.approx(2 * found.metrics["rmse"].base, rel=1e-3)
+    assert found.metrics["rmse"].significant is None
+    assert max(map(len, str(found).splitlines())) <= 80
+
+
+def test_runs_that_repeat_exactly():
+    found = g1stream.compare([session(bias=0.01)] * 2, [session(bias=0.02)] * 2)
+    assert found.metrics["rmse"].p == 0.0
+    assert found.metrics["rate"].p == 1.0
+
+
+def test_only_the_common_part_is_compared():
+    found = g1stream.compare(session(seconds=2.0, bias=0.01), session(seconds=4.0, bias=0.01))
+    assert (found.start_s, found.stop_s) == pytest.approx((0.0, 2.0), abs=0.01)
+    assert found.metrics["rmse"].change == pytest.approx(0.0, abs=1e-3)
+
+
+def test_another_motion_is_refused(monkeypatch):
+    first = session()
+    monkeypatch.setattr(
+        SyntheticSession, "joints", lambda self, time, late=0.0: np.zeros((3, len(time), 29))
+    )
+    with pytest.raises(RecordingError):
+        g1stream.compare(first, session())
+
+
+def test_what_differs_is_said():
+    gains = {"kp": [60.0] * 29, "kd": [1.0] * 29}
+    soft = gains | {"kp": [40.0] * 29}
+    stream = {"feedforward": "dynamics", "support": "bolted", "nominal_rate_hz": 500.0}
+    first = session(metadata={"gains": gains, "stream": stream})
+    other = session(metadata={"gains": soft, "stream": stream | {"feedforward": "velocity"}})
+    assert g1stream.compare(first, other).differs == {
+        "feed-forward": ("dynamics", "velocity"),
+        "gains.kp": ("60 x29", "40 x29"),
+    }
+
+
+@pytest.mark.parametrize(
+    ("text", "holds"),
+    [
+        ("rmse > 1.1 * base", True),
+        ("rmse > 1.5 * base", False),
+        ("rmse.left_leg > base and rmse.left_knee_joint > base", True),
+        ("not rmse > base", False),
+        ("0.012 < rmse < 0.014", True),
+        ("rmse - base > 0.5 or mpjpe > 1e9", False),
+        ("rmse / mae > 0.5", True),
+    ],
+)
+def test_conditions(worse, text, holds):
+    assert Condition(text).holds(worse) is holds
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "rmse",
+        "rmse >",
+        "base > 1",
+        "rmse + p99 > base",
+        "rmse == base",
+        "rmse > True",
+        "rmse > '1'",
+        "__import__('os').system('true') > 0",
+        "(lambda: 1)() > 0",
+        "rmse.left_leg.x > 0",
+        "rmse > 2 ** 99",
+        "[r for r in (1,)] > 0",
+        "(" * 300 + "rmse" + ")" * 300 + " > 1",
+        "rmse > " + "-" * 600 + "1",
+    ],
+)
+def test_what_is_no_condition(text):
+    with pytest.raises(ConfigError):
+        Condition(text)
+
+
+@pytest.mark.parametrize("text", ["speed > 1", "rmse.left_hand > base", "rmse > 1 / (rmse - rmse)"])
+def test_conditions_that_cannot_be_told(worse, text):
+    with pytest.raises(ConfigError):
+        Condition(text).holds(worse)
+
+
+def test_the_command(tmp_path, capsys):
+    paths = []
+    for name, bias in (("a", 0.01), ("b", 0.02)):
+        paths.append(str(tmp_path / f"{name}.mcap"))
+        with SessionWriter(paths[-1]) as writer:
+            SyntheticSession(1.0, bias=bias).write(writer)
+    given = ["compare", paths[0], "--with", paths[1]]
+    assert main(given) == 0
+    assert main([*given, "--fail-if", "rmse > 1.1 * base"]) == 1
+    assert main([*given, "--fail-if", "rmse < base"]) == 0
+    assert main(["compare", paths[0]]) == 2
+    assert main([*given, "--fail-if", "rmse"]) == 2
+    capsys.readouterr()
+    assert main([*given, "--json", "--fail-if", "rmse > base"]) == 1
+    assert '"failed": true' in capsys.readouterr().out

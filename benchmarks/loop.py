@@ -33,9 +33,9 @@ RATES = (500, 1000)
 FAST = 2000
 
 
-def stream(domain: int, rate: int, seconds: float) -> dict[str, Any]:
-    """One run of ours, and the CPU of its middle."""
-    flags = [f"--domain={domain}", f"--rate={rate}", f"--duration={seconds}", "--ramp=1"]
+def stream(domain: int, rate: int, seconds: float, *more: str) -> dict[str, Any]:
+    """One run of ours, with more flags if given, and the CPU of its middle."""
+    flags = [f"--domain={domain}", f"--rate={rate}", f"--duration={seconds}", "--ramp=1", *more]
     process = subprocess.Popen(
         [*sides.G1STREAM, "stream", "demo", "--loop", "--json", *flags],
         stdout=subprocess.PIPE,

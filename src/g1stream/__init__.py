@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from g1stream.motion.motion import Motion
     from g1stream.motion.trajectory import Trajectory, TrajectoryPoint
     from g1stream.programs.convert import Conversion, ConvertReport, convert
+    from g1stream.programs.live import live
     from g1stream.programs.record import record
     from g1stream.programs.replay import replay
     from g1stream.programs.rollout import rollout
@@ -85,6 +86,7 @@ __all__ = [
     "compare",
     "convert",
     "learn",
+    "live",
     "load_config",
     "load_motion",
     "open_session",
@@ -128,6 +130,7 @@ _HOME = {
     "compare": "analysis.comparison",
     "convert": "programs.convert",
     "learn": "analysis.learning",
+    "live": "programs.live",
     "load_config": "config",
     "load_motion": "session.motions",
     "open_session": "session.session",

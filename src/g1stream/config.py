@@ -16,6 +16,7 @@ from g1stream.errors import ConfigError
 from g1stream.files import read_file
 from g1stream.safety_settings import SafetyConfig
 from g1stream.settings import (
+    LIVE_FLAG,
     ROBOT_FLAG,
     DdsConfig,
     GainsConfig,
@@ -57,6 +58,9 @@ class Config(Table):
         flag=ROBOT_FLAG,
         example="g1_29dof",
         strict=False,
+    )
+    live_port: int = setting(
+        8765, "port of the WebSocket server of --live", flag=LIVE_FLAG, ge=1, le=65535
     )
     dds: DdsConfig = DdsConfig()
     stream: StreamConfig = StreamConfig()

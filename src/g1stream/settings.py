@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
 
 __all__ = [
+    "LIVE_FLAG",
     "MAX_KD",
     "MAX_KP",
     "PLAY_FLAG",
@@ -51,6 +52,8 @@ _ROS = ("demo", "stream", "replay", "sim", "record")
 PLAY_FLAG: Final = ("stream", "replay")
 #: The commands that take `--robot`.
 ROBOT_FLAG: Final = (*_ON_ROBOT, "motion")
+#: The commands that take `--live`.
+LIVE_FLAG: Final = ("demo", "stream", "replay", "record", "sim")
 
 
 def setting(

@@ -33,6 +33,8 @@ def test_every_setting_with_a_flag_is_one(command, tmp_path):
             given.append(str(example))
         if (table == "record" or name == "require_record") and command in ("stream", "replay"):
             given += ["--record", "y.mcap"]
+        if name == "live_port":
+            given.append("--live")
         config = resolved(command, *given)
         value = getattr(getattr(config, table), name) if table else getattr(config, name)
         if setting.annotation is bool:
@@ -66,6 +68,8 @@ def test_a_shipped_config_is_found_by_its_name():
         ("sim", ("--support", "balloon"), "'hanging'"),
         ("stream", ("--split-size", "5"), "--split-size"),
         ("replay", ("--force",), "--force"),
+        ("sim", ("--live-port", "9000"), "--live-port"),
+        ("stream", ("--live", "--live-port", "0"), "--live-port cannot be 0"),
         ("record", ("--split-duration", "-1"), "--split-duration cannot be -1"),
     ],
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 
+import numpy as np
 from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 
 from g1stream.config import Config
@@ -17,9 +18,9 @@ T0 = 1_700_000_000_000_000_000
 
 
 def test_it_yields_what_viewers_need_once_and_then_what_is_published(domain_id, until):
-    config = Config.model_validate({"dds": {"domain": domain_id}})
+    config = Config.model_validate({"dds": {"domain": domain_id}, "record": {"channels": "raw"}})
     state = LowState()
-    state.q[:] = [0.01 * joint for joint in range(len(state.q))]
+    state.q[:] = np.linspace(-1.0, 1.0, len(state.q))
     stop = threading.Event()
     with Participant(domain_id, "lo") as participant:
         writer = RawWriter(participant, LOWSTATE, 4)
@@ -36,4 +37,4 @@ def test_it_yields_what_viewers_need_once_and_then_what_is_published(domain_id, 
     assert made["/lowstate"].payloads == [state.tobytes()]
     assert made["/lowstate"].publish_times.tolist() == [T0]
     joints = JointStates.FromString(bytes(made["/measured/joint_states"].payloads[0])).joints
-    assert [joint.position for joint in joints[:29]] == state.q[:29].astype(float).tolist()
+    assert [joint.position for joint in joints] == state.q.tolist()

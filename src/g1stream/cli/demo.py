@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 import sys
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from g1stream.cli.command import SettingsCommand, exit_code, print_summary, print_warning
+from g1stream.cli.command import exit_code, print_summary, print_warning
 from g1stream.cli.flags import MOTION, flag, fps_flag
+from g1stream.cli.live import LiveCommand
 from g1stream.cli.stream import playing
+
+if TYPE_CHECKING:
+    from g1stream.config import Config
+    from g1stream.control.loop import StreamLoop
 
 __all__ = ["Demo"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Demo(SettingsCommand):
+class Demo(LiveCommand):
     """Needs no robot and no other program. Writes session.mcap, tracking.png and report.html.
 
     Without --domain it takes the first DDS domain from 1 on that no robot or simulator is in.
@@ -23,6 +30,7 @@ class Demo(SettingsCommand):
       g1stream demo
       g1stream demo --motion dance.csv --support hanging --out dance-demo
       g1stream demo --duration 5 --viewer
+      g1stream demo --live
 
     Exit codes:
       0        played as asked
@@ -48,14 +56,13 @@ class Demo(SettingsCommand):
         motion = load_motion(self.motion, fps=self.fps)
         for warning in motion.warnings:
             print_warning(warning)
-        with playing() as prepare:
-            summary = demo(
-                motion,
-                self.out,
-                config,
-                force=self.force,
-                on_loop=lambda loop, config: prepare(loop, motion, config),
-            )
+        with playing() as prepare, ExitStack() as stack:
+
+            def on_loop(loop: StreamLoop, config: Config) -> None:
+                stack.enter_context(self.serving(config))  # in the domain that the demo takes
+                prepare(loop, motion, config)
+
+            summary = demo(motion, self.out, config, force=self.force, on_loop=on_loop)
         print_summary(summary, as_json=self.json)
         if summary.tracking:
             print(

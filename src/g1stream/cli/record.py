@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from g1stream.cli.command import (
-    SettingsCommand,
     announce_wire,
     exit_code,
     on_signals,
     print_summary,
 )
 from g1stream.cli.flags import argument, flag
+from g1stream.cli.live import LiveCommand
 from g1stream.cli.progress import ProgressDisplay, RecorderStatus
 from g1stream.events import ConsoleHandler, handled_by
 from g1stream.realtime import lower_priority
@@ -28,7 +28,7 @@ __all__ = ["Record"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Record(SettingsCommand):
+class Record(LiveCommand):
     """Records the topics of robot, simulator and streamer, whoever publishes them.
 
     Only subscribes, so that it cannot disturb them. Ctrl-C ends the recording and closes the file.
@@ -62,6 +62,7 @@ class Record(SettingsCommand):
         with ExitStack() as stack:
             stack.enter_context(on_signals(stopped.append))
             stack.enter_context(handled_by(ConsoleHandler(logging.WARNING)))
+            stack.enter_context(self.serving(config))
 
             def on_recorder(recorder: Recorder) -> None:
                 stack.enter_context(ProgressDisplay(RecorderStatus(recorder)))

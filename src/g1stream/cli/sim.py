@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 
 from g1stream.cli.command import (
     EXIT_OK,
-    SettingsCommand,
     announce_wire,
     on_signals,
     print_json,
     print_lines,
 )
 from g1stream.cli.flags import flag
+from g1stream.cli.live import LiveCommand
 from g1stream.cli.progress import ProgressDisplay, sim_status
 from g1stream.events import ConsoleHandler, handled_by
 
@@ -33,7 +33,7 @@ _SUPPORT = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sim(SettingsCommand):
+class Sim(LiveCommand):
     """Publishes rt/lowstate, rt/sportmodestate and rt/secondary_imu; subscribes to rt/lowcmd.
 
     Ctrl-C ends it. A robot that has fallen stays on the floor, and the next stream refuses it as
@@ -66,6 +66,7 @@ class Sim(SettingsCommand):
         with ExitStack() as stack:
             stack.enter_context(on_signals(stopped.append))
             stack.enter_context(handled_by(ConsoleHandler()))
+            stack.enter_context(self.serving(config))
 
             def on_report(report: SimReport) -> None:
                 stack.enter_context(ProgressDisplay(lambda: sim_status(report)))

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 from g1stream.cli.arming import arming
 from g1stream.cli.command import (
-    SettingsCommand,
     announce_wire,
     exit_code,
     on_signals,
@@ -18,6 +17,7 @@ from g1stream.cli.command import (
     yes_flag,
 )
 from g1stream.cli.flags import MOTION, argument, flag, flag_name, fps_flag, joint_order_flag
+from g1stream.cli.live import LiveCommand
 from g1stream.cli.progress import ProgressDisplay, loop_status
 from g1stream.errors import ConfigError
 from g1stream.events import ConsoleHandler, handled_by
@@ -65,7 +65,7 @@ def playing() -> Iterator[Callable[[StreamLoop, Motion, Config], None]]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlayCommand(SettingsCommand):
+class PlayCommand(LiveCommand):
     """Flags of the commands that play something on a robot."""
 
     record: Path | None = flag(None, "Record the session into this file.", "MCAP")
@@ -169,7 +169,7 @@ class Stream(PlayCommand):
         motion = load_motion(self.motion, fps=self.fps, joint_order=self.joint_order)
         for warning in motion.warnings:
             print_warning(warning)
-        with playing() as prepare:
+        with playing() as prepare, self.serving(config):
             summary = stream(
                 motion,
                 config,
@@ -213,7 +213,7 @@ class Replay(PlayCommand):
         from g1stream.programs.replay import replay
 
         config = self.resolve()
-        with playing() as prepare:
+        with playing() as prepare, self.serving(config):
             summary = replay(
                 self.file,
                 config,

@@ -13,7 +13,7 @@ from g1stream.recorder.receiver import Receiver
 from g1stream.robot.model import G1
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Generator
 
     from g1stream.config import Config
     from g1stream.session.format import MessageBatch
@@ -21,12 +21,15 @@ if TYPE_CHECKING:
 __all__ = ["observe"]
 
 
-def observe(config: Config, should_stop: Callable[[], bool]) -> Iterator[list[MessageBatch]]:
+def observe(
+    config: Config, should_stop: Callable[[], bool]
+) -> Generator[list[MessageBatch], None, None]:
     """Yield the messages that a recorder on this domain would write, until told to stop.
 
     Scenes and URDF come first, when samples are already being received; a viewer that joins later
-    needs them too. After that comes a list every `record.batch`, which may be empty. What the
-    caller does with one may take its time: samples are received in a thread of their own.
+    needs them too, and `record.channels` raw counts as standard. After that comes a list every
+    `record.batch`, which may be empty. What the caller does with one may take its time: samples are
+    received in a thread of their own.
 
     Args:
         config: all settings.
@@ -38,7 +41,10 @@ def observe(config: Config, should_stop: Callable[[], bool]) -> Iterator[list[Me
         WireError: DDS does not allow it.
         RecordingError: samples cannot be received any more.
     """
-    pipeline = MessagePipeline(G1.load(config.robot), config.record)
+    settings = config.record
+    if settings.channels == "raw":  # to keep a file small; viewers would show nothing
+        settings = settings.model_copy(update={"channels": "standard"})
+    pipeline = MessagePipeline(G1.load(config.robot), settings)
     header = pipeline.file_header(time.time_ns())
     with Participant(config.dds.domain, config.dds.interface) as participant:
         receiver = Receiver(participant, TOPICS)
@@ -47,7 +53,7 @@ def observe(config: Config, should_stop: Callable[[], bool]) -> Iterator[list[Me
             with quick_thread_switches():  # else log times would be late while messages are made
                 yield header
                 while not should_stop():
-                    time.sleep(config.record.batch)
+                    time.sleep(settings.batch)
                     yield pipeline.encode(receiver.drain())
         finally:
             receiver.stop()

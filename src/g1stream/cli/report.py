@@ -38,7 +38,10 @@ class Report(Command):
     def run(self) -> int:
         """Write the page or print the numbers, and return the exit code."""
         from g1stream.analysis.report.page import numbers, report, to_csv
+        from g1stream.errors import ConfigError
 
+        if self.json and self.csv:
+            raise ConfigError("--json and --csv are given together.", "Give one of them.")
         if self.json:
             print_json(numbers(self.sessions))
         elif self.csv:

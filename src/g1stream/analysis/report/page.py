@@ -21,7 +21,7 @@ from g1stream.analysis.render import session_facts, stream_facts, verdict
 from g1stream.analysis.report.figures import figures
 from g1stream.analysis.report.tables import overview, tables
 from g1stream.errors import ConfigError
-from g1stream.files import complete_file
+from g1stream.files import complete_file, read_file
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
 from g1stream.session.session import Session, open_session
 from g1stream.text import printable
@@ -144,6 +144,7 @@ def _section(
     for name in ("tracking", "body", "torque"):
         reason = metrics["missing"].get(name)
         parts[f"missing_{name}"] = f'<p class="missing">{_text(reason)}</p>' if reason else ""
+    parts["missing_timing"] = "" if parts["topics"] else '<p class="missing">No topic of DDS.</p>'
     if any(one["lines"] for one in drawn["signals"].values()):
         parts["joint"] = _figure(number, "joint", f"Joint {_joint_choice(drawn['first_joint'])}")
     for name, caption in (
@@ -163,7 +164,7 @@ def _section(
         verdict=_text(verdict(summary)),
         good="bad" if summary.problems else "good",
         problems="".join(f'<p class="problem">{_text(text)}</p>' for text in summary.problems),
-        picture=_picture(session.path),
+        picture=_picture(session),
         facts=_facts(facts),
         stream=_facts(stream_facts(summary.stream) if summary.stream else []),
         events=_events(drawn["events"]),
@@ -216,16 +217,22 @@ def _details(summary: str, content: str) -> str:
     return f"<details><summary>{summary}</summary>{content}</details>" if content else ""
 
 
-def _picture(session: Path) -> str:
-    """The video or picture beside a session file."""
-    for path in map(session.with_suffix, _PICTURES):
-        if path.is_file() and path.stat().st_size <= _LARGEST_PICTURE:
-            kind = guess_type(path.name)[0] or ""
-            source = f"data:{kind};base64,{base64.b64encode(path.read_bytes()).decode()}"
-            if kind.startswith("video/"):
-                return f'<video controls muted loop playsinline src="{source}"></video>'
-            return f'<img class="picture" alt="the robot and its reference" src="{source}">'
-    return ""
+def _picture(session: Session) -> str:
+    """The video or picture beside a session file; none beside a session in memory."""
+    paths = [session.path.with_suffix(suffix) for suffix in _PICTURES] if session.paths else []
+    path = next(filter(Path.is_file, paths), None)
+    if path is None:
+        return ""
+    try:
+        data = base64.b64encode(read_file(path, _LARGEST_PICTURE)).decode()
+    except OSError as error:
+        return f'<p class="missing">{_text(f"{path.name} is not shown: {error.strerror}.")}</p>'
+    kind = guess_type(path.name)[0] or ""
+    if kind.startswith("video/"):
+        return f'<video controls muted loop playsinline src="data:{kind};base64,{data}"></video>'
+    return (
+        f'<img class="picture" alt="the robot and its reference" src="data:{kind};base64,{data}">'
+    )
 
 
 def _text(text: str) -> str:

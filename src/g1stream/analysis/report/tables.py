@@ -165,7 +165,7 @@ def tables(metrics: Mapping[str, Any], key: str) -> dict[str, str]:
     def table(head: str, columns: Sequence[Column], rows: Mapping[str, str]) -> str:
         shown = [(name, path, _at(metrics, path)) for path, name in rows.items()]
         known = [(name, f"{key}.{path}", row) for name, path, row in shown if row is not None]
-        return _table(head, columns, known) if known else ""
+        return _table(head, columns, known)
 
     def each(path: str) -> dict[str, str]:
         names = _at(metrics, path) or {}
@@ -193,9 +193,11 @@ def overview(sessions: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _table(head: str, columns: Sequence[Column], rows: Iterable[tuple[str, str, Any]]) -> str:
-    """Columns in which no row has a value are left out."""
+    """Columns in which no row has a value are left out; nothing where none has one."""
     rows = list(rows)
     columns = [one for one in columns if any(_at(row, one.key) is not None for _, _, row in rows)]
+    if not columns:
+        return ""
     heads = "".join(
         f'<th scope="col">{escape(one.title)}<small>{escape(one.unit)}</small></th>'
         for one in columns
@@ -222,7 +224,8 @@ def _cell(column: Column, key: str, value: Any) -> str:
     elif isinstance(value, str):
         text = _plain(value)
     else:
-        text = f"{value * column.scale:.{column.digits}f}"
+        rounded = round(value * column.scale, column.digits) + 0.0  # no minus before a zero
+        text = f"{rounded:.{column.digits}f}"
     known = escape(json.dumps(value))
     return f'<td><data value="{known}" data-key="{escape(key)}">{escape(text)}</data></td>'
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from g1stream.control.robot_monitor import RobotMonitor, tilt_of
+from g1stream.control.robot_monitor import RobotMonitor
 from g1stream.control.state_checks import Measured
 from g1stream.dds.messages import LowState
 from g1stream.robot.joints import JOINT_NAMES, TORQUE_LIMIT
@@ -50,21 +50,6 @@ def tilted_by(angle, yaw=0.7):
     """A body that has turned about the vertical and leans by `angle`; quaternion wxyz."""
     x, y, z, w = (Rotation.from_euler("z", yaw) * Rotation.from_rotvec([0, angle, 0])).as_quat()
     return np.array([w, x, y, z])
-
-
-@pytest.mark.parametrize("angle", [0.0, 0.3, 1.0, np.pi / 2, 2.5, np.pi])
-def test_tilt_is_the_lean_whatever_the_heading(angle):
-    for yaw in (-2.0, 0.0, 0.7):
-        quat = tilted_by(angle, yaw)
-        assert tilt_of(quat) == pytest.approx(angle, abs=1e-7)
-        assert tilt_of(-quat) == pytest.approx(angle, abs=1e-7)
-
-
-def test_tilt_is_the_angle_between_the_vertical_axes():
-    for rotation in Rotation.random(50, rng=np.random.default_rng(3)):
-        x, y, z, w = rotation.as_quat()
-        expected = np.arccos(rotation.apply([0, 0, 1])[2])
-        assert tilt_of(np.array([w, x, y, z])) == pytest.approx(expected, abs=1e-7)
 
 
 def test_all_is_well(make):

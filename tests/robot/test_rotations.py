@@ -18,6 +18,7 @@ from g1stream.robot.rotations import (
     quat_rotate,
     quat_rotate_inverse,
     quat_to_rpy,
+    tilt_of,
     wxyz_from_xyzw,
     xyzw_from_wxyz,
     yaw_of,
@@ -132,3 +133,19 @@ def test_rpy_of_any_rotation_gives_it_back(angles):
 def test_orders_are_each_others_inverse():
     np.testing.assert_array_equal(wxyz_from_xyzw(np.array([[1, 2, 3, 4.0]])), [[4, 1, 2, 3]])
     np.testing.assert_array_equal(xyzw_from_wxyz(np.array([[4, 1, 2, 3.0]])), [[1, 2, 3, 4]])
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.3, 1.0, np.pi / 2, 2.5, np.pi])
+def test_tilt_is_the_lean_whatever_the_heading(angle):
+    for yaw in (-2.0, 0.0, 0.7):
+        quat = quat_mul(
+            quat_from_rpy(np.array([0.0, 0.0, yaw])), quat_from_rpy(np.array([0.0, angle, 0.0]))
+        )
+        assert tilt_of(quat) == pytest.approx(angle, abs=1e-7)
+        assert tilt_of(-quat) == pytest.approx(angle, abs=1e-7)
+
+
+def test_tilt_is_the_angle_between_the_vertical_axes():
+    for rotation in Rotation.random(50, rng=np.random.default_rng(3)):
+        expected = np.arccos(rotation.apply([0, 0, 1])[2])
+        assert tilt_of(wxyz_from_xyzw(rotation.as_quat())) == pytest.approx(expected, abs=1e-7)

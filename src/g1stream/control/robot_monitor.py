@@ -5,12 +5,12 @@ docs/safety.md explains every threshold.
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from g1stream.robot.joints import N_JOINTS
+from g1stream.robot.rotations import tilt_of
 from g1stream.types import Floats, Ints
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from g1stream.robot.model import G1
     from g1stream.safety_settings import SafetyConfig
 
-__all__ = ["MOTOR_FAULTS", "RobotMonitor", "tilt_of"]
+__all__ = ["MOTOR_FAULTS", "RobotMonitor"]
 
 #: All but attitude and speed is checked this often, ns: nothing of it changes faster.
 _PERIOD: Final = 20_000_000
@@ -60,15 +60,6 @@ MOTOR_FAULTS: Final = {
     0x80000000: "controller lost the connection to the motor",
 }
 """The bits of `motorstate`, from Unitree's list of G1 error codes."""
-
-
-def tilt_of(quat_wxyz: NDArray[np.floating]) -> float:
-    """The angle between the body's z axis and the world's, rad, of a unit quaternion (4,) wxyz.
-
-    The world's z component of the rotated z axis is 1 - 2 (x^2 + y^2).
-    """
-    x, y = float(quat_wxyz[1]), float(quat_wxyz[2])
-    return math.acos(min(1.0, max(-1.0, 1.0 - 2.0 * (x * x + y * y))))
 
 
 class _Lasting:

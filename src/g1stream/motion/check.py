@@ -16,6 +16,7 @@ from g1stream.motion.limits import JointPeak, LimitReport, frame_peaks, measure_
 from g1stream.motion.motion import check_fps
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
+from g1stream.robot.rotations import tilt_of
 from g1stream.types import STREAM_RATE
 
 if TYPE_CHECKING:
@@ -56,12 +57,14 @@ class JointStep:
 
 @dataclass(frozen=True)
 class RootTravel:
-    """Where the root goes, m."""
+    """Where the root goes, m, and how far it leans."""
 
     path: float  # length of its path over the ground
     displacement: float  # from its start to its end over the ground
     lowest: float
     highest: float
+    tilt: float  # of the pelvis from upright, at most, rad
+    tilt_frame: int
 
 
 @dataclass(frozen=True)
@@ -203,7 +206,7 @@ def check_motion(
         fastest=fastest,
         streamed=streamed,
         largest_step=_largest_step(motion),
-        root=_root_travel(motion.root_pos),
+        root=_root_travel(motion),
         groups={name: _range(motion.joint_pos[:, joints]) for name, joints in JOINT_GROUPS.items()},
         warnings=motion.warnings,
         in_radians=in_radians,
@@ -243,13 +246,16 @@ def _largest_step(motion: Motion) -> JointStep:
     return JointStep(motion.joint_names[joint], frame, float(steps[frame, joint]))
 
 
-def _root_travel(root_pos: Floats) -> RootTravel:
-    ground, height = root_pos[:, :2], root_pos[:, 2]
+def _root_travel(motion: Motion) -> RootTravel:
+    ground, height = motion.root_pos[:, :2], motion.root_pos[:, 2]
+    furthest = int((motion.root_quat_wxyz[:, 1:3] ** 2).sum(axis=1).argmax())
     return RootTravel(
         path=float(np.linalg.norm(np.diff(ground, axis=0), axis=1).sum()),
         displacement=float(np.linalg.norm(ground[-1] - ground[0])),
         lowest=float(height.min()),
         highest=float(height.max()),
+        tilt=tilt_of(motion.root_quat_wxyz[furthest]),
+        tilt_frame=furthest,
     )
 
 

@@ -168,10 +168,10 @@ def measure_limits(
     positions = _Peaks(robot, robot.lower + position_margin, robot.upper - position_margin)
     speeds = _Peaks(robot, -robot.velocity, robot.velocity)
     for target_times in _target_times(trajectory, interval, rate):
-        point = trajectory.sample_many(target_times)
+        joint_pos, joint_vel = trajectory.sample_joints(target_times)
         times = target_times % trajectory.period if trajectory.loop else target_times
-        positions.update(times, point.joint_pos)
-        speeds.update(times, np.abs(point.joint_vel))
+        positions.update(times, joint_pos)
+        speeds.update(times, np.abs(joint_vel))
     return LimitReport(
         motion=motion.name,
         duration=motion.duration,
@@ -212,8 +212,9 @@ class _Peaks:
 
     def update(self, times: Floats, values: Floats) -> None:
         excess = np.maximum(self._lower - values, values - self._upper)
-        self._count += (excess > POSITION_TOLERANCE).sum(axis=0)
         row, joint = excess.argmax(axis=0), np.arange(len(self._names))
+        if excess[row, joint].max() > POSITION_TOLERANCE:  # seldom
+            self._count += (excess > POSITION_TOLERANCE).sum(axis=0)
         higher = excess[row, joint] > self._excess
         self._excess[higher] = excess[row, joint][higher]
         self._time[higher] = times[row][higher]

@@ -28,7 +28,7 @@ from g1stream.robot.rotations import xyzw_from_wxyz
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import ArrayLike
+    from numpy.typing import ArrayLike, NDArray
 
     from g1stream.motion.motion import Motion
     from g1stream.types import Floats
@@ -138,11 +138,7 @@ class Trajectory:
 
     def sample_many(self, times: ArrayLike) -> TrajectoryPoint:
         """The reference at times (N,), s: each array of the result has a row per time."""
-        t = np.asarray(times, dtype=np.float64)
-        inside = t >= 0 if self.loop else (t >= 0) & (t <= self.period)
-        t = np.where(inside & self.loop, t % self.period, np.clip(t, 0.0, self.period))
-        k = np.minimum((t * self.motion.fps).astype(np.intp), self._n_segments - 1)
-        s = t - k / self.motion.fps
+        inside, k, s = self._segments(times)
         basis = np.zeros((len(s), 3, 4))
         basis[:, 0] = np.stack([s * s * s, s * s, s, np.ones_like(s)], axis=-1)
         basis[:, 1, :3] = np.stack([3.0 * s * s, 2.0 * s, np.ones_like(s)], axis=-1)
@@ -151,6 +147,27 @@ class Trajectory:
         value = np.moveaxis(basis @ self._coefficients[k], 0, 1)
         rotation = _rotation_state(self._quats[k].T, *np.moveaxis(value[..., -3:], -1, 1))
         return self._point(value, *(np.stack(part, axis=-1) for part in rotation))
+
+    def sample_joints(self, times: ArrayLike) -> tuple[Floats, Floats]:
+        """Joint positions, rad, and velocities, rad/s, at times (N,), s: (N, 29) each.
+
+        Those of `sample_many` in half the time.
+        """
+        inside, k, s = self._segments(times)
+        basis = np.zeros((len(s), 2, 4))
+        basis[:, 0, 0], basis[:, 0, 1], basis[:, 0, 2], basis[:, 0, 3] = s * s * s, s * s, s, 1.0
+        basis[:, 1, 0], basis[:, 1, 1], basis[:, 1, 2] = 3.0 * s * s, 2.0 * s, 1.0
+        basis[~inside, 1] = 0.0
+        value = basis @ self._coefficients[k, :, :N_JOINTS]
+        return value[:, 0], value[:, 1]
+
+    def _segments(self, times: ArrayLike) -> tuple[NDArray[np.bool_], NDArray[np.intp], Floats]:
+        """Of times (N,): whether the trajectory moves then, the segment, and s since it began."""
+        t = np.asarray(times, dtype=np.float64)
+        inside = t >= 0 if self.loop else (t >= 0) & (t <= self.period)
+        t = np.where(inside & self.loop, t % self.period, np.clip(t, 0.0, self.period))
+        k = np.minimum((t * self.motion.fps).astype(np.intp), self._n_segments - 1)
+        return inside, k, t - k / self.motion.fps
 
     def _point(self, value: Floats, *rotation: Floats) -> TrajectoryPoint:
         joints, root = value[..., :N_JOINTS], value[..., N_JOINTS:-3]

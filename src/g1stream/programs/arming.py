@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from g1stream.control.gains import resolve_gains
-from g1stream.control.robot_monitor import tilt_of
 from g1stream.control.state_checks import all_finite, is_unit
 from g1stream.control.targets import Ramp
 from g1stream.dds.domain import is_local_only, network_name, require_interface
@@ -23,6 +22,7 @@ from g1stream.doctor.host import inspect_host
 from g1stream.doctor.wire import inspect_participant
 from g1stream.errors import SafetyError, WireError
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
+from g1stream.robot.rotations import tilt_of
 
 if TYPE_CHECKING:
     from typing import Any

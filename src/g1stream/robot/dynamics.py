@@ -64,17 +64,20 @@ class BaseMotion(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """The torques of a movement, and the acceleration of the base.
+    """The torques of a movement, and the acceleration of the base or what holds it.
 
     Attributes:
         tau: (29,) N·m, motor order, friction included.
         lin_acc: (3,) m/s², of the pelvis's origin, world.
         ang_acc: (3,) rad/s², pelvis frame.
+        wrench: (6,) what bolts, or what drives the pelvis, exert on it: force, N, world, and moment
+            about its origin, N·m, pelvis frame; zero for `hanging` and `free`.
     """
 
     tau: Floats
     lin_acc: Floats
     ang_acc: Floats
+    wrench: Floats = np.zeros(_BASE)
 
 
 class Momentum(NamedTuple):
@@ -173,7 +176,7 @@ class InverseDynamics:
             acc[:_BASE] = np.linalg.solve(self._base_inertia(), missing[:_BASE])
         total = self._inverse() - external
         base_acc = acc[:_BASE].copy()
-        return Solution(total[v] + friction_torque(dq), base_acc[:3], base_acc[3:])
+        return Solution(total[v] + friction_torque(dq), base_acc[:3], base_acc[3:], total[:_BASE])
 
     @property
     def carrier(self) -> tuple[float, Floats]:

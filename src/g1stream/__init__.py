@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from g1stream.analysis.comparison import Comparison, compare
     from g1stream.analysis.delay import Delay
     from g1stream.analysis.learning import learn
+    from g1stream.analysis.physics import motion_physics
+    from g1stream.analysis.physics_report import MotionPhysics
     from g1stream.analysis.report.page import report
     from g1stream.analysis.tracking import Tracking
     from g1stream.config import Config, load_config
@@ -70,6 +72,7 @@ __all__ = [
     "Message",
     "Metrics",
     "Motion",
+    "MotionPhysics",
     "PhaseInterval",
     "Reference",
     "Samples",
@@ -89,6 +92,7 @@ __all__ = [
     "live",
     "load_config",
     "load_motion",
+    "motion_physics",
     "open_session",
     "record",
     "replay",
@@ -115,6 +119,7 @@ _HOME = {
     "Message": "session.session",
     "Metrics": "session.metrics",
     "Motion": "motion.motion",
+    "MotionPhysics": "analysis.physics_report",
     "PhaseInterval": "session.summary",
     "Reference": "session.streams",
     "Samples": "dds.messages",
@@ -133,6 +138,7 @@ _HOME = {
     "live": "programs.live",
     "load_config": "config",
     "load_motion": "session.motions",
+    "motion_physics": "analysis.physics",
     "open_session": "session.session",
     "record": "programs.record",
     "replay": "programs.replay",

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from g1stream.analysis.physics_report import MotionPhysics
 from g1stream.cli.motion import render
 from g1stream.dds.messages import Reference
 from g1stream.motion.check import check_file
@@ -67,7 +68,8 @@ def test_the_text_is_the_snapshot(tmp_path, matches_snapshot):
     reports = [good, replace(good, motion=leap), replace(good, kind="session")]
     causes = ("left_knee_joint", "left_kneee_joint"), ("\n9,", "\n9,nan")
     reports += [check_file(spoiled(tmp_path, *cause), G1.default()) for cause in causes]
-    matches_snapshot("motion", "\n\n".join(map(render, reports)))
+    limits = [1.0, 0.4, 1.0, 1.0, 1.0]  # of the pelvis's tilt, rad
+    matches_snapshot("motion", "\n\n".join(map(render, reports, limits)))
 
 
 def test_what_is_wrong_with_a_table_is_bad_input_and_the_rest_is_shown(tmp_path):
@@ -148,3 +150,42 @@ def test_a_session_is_offered_too(tmp_path, name):
     done = run(tmp_path / name)
     assert done.returncode == 2
     assert "session file" in done.stderr
+
+
+def test_physics_says_with_which_support_a_motion_can_be_played(tmp_path):
+    path = tmp_path / "start.csv"
+    load_motion("demo").frames(0, 12).save(path)
+    plain, done = run(path), run(path, "--physics")
+    values = json.loads(run(path, "--physics", "--json").stdout)
+    assert (done.returncode, done.stderr) == (0, "")
+    physics = MotionPhysics.model_validate(values["physics"])
+    assert done.stdout == f"{plain.stdout}\n{physics}\n"
+    assert (physics.frames, physics.robot) == (12, "g1_29dof_rev_1_0")
+    assert {verdict.playable for verdict in physics.verdicts.values()} == {"yes"}
+    assert "physics" not in json.loads(run(path, "--json").stdout)
+
+
+def test_physics_uses_the_settings(tmp_path):
+    motion, path = load_motion("demo").frames(30, 42), tmp_path / "squat.csv"
+    motion.save(path)
+    config = tmp_path / "config.toml"
+    config.write_text('robot = "g1_29dof"\n[safety]\nmax_tilt = 0.05\n')
+    values = json.loads(run(path, "--physics", "--json", "--config", config).stdout)
+    physics = MotionPhysics.model_validate(values["physics"])
+    assert physics.robot == "g1_29dof"
+    assert physics.verdicts["follow"].playable == "no"
+    assert values["root"]["tilt"] == pytest.approx(physics.tilt_rad)
+
+
+def test_without_a_motion_there_is_no_physics(tmp_path):
+    done = run(spoiled(tmp_path, "\n9,", "\n9,nan"), "--physics", "--json")
+    assert done.returncode == 2
+    assert "physics" not in json.loads(done.stdout)
+
+
+def test_a_motion_in_degrees_has_no_physics(tmp_path):
+    motion, path = load_motion("demo").frames(0, 12), tmp_path / "degrees.csv"
+    replace(motion, joint_pos=motion.joint_pos * 180).save(path)
+    done = run(path, "--physics", "--json")
+    assert done.returncode == 1
+    assert "physics" not in json.loads(done.stdout)

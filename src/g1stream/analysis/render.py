@@ -25,7 +25,16 @@ if TYPE_CHECKING:
         TrackingSummary,
     )
 
-__all__ = ["WIDTH", "labelled", "most", "render", "session_facts", "stream_facts", "verdict"]
+__all__ = [
+    "WIDTH",
+    "labelled",
+    "most",
+    "render",
+    "session_facts",
+    "stream_facts",
+    "table",
+    "verdict",
+]
 
 WIDTH: Final = 80
 """No line is longer, unless a single word is."""
@@ -215,7 +224,7 @@ def _tracking(tracking: TrackingSummary, stream: StreamSummary | None) -> list[s
         )
     excluded = f"; {tracking.excluded_states} in gaps of the reference left out"
     return [
-        *_table(rows, left=(0, 3)),
+        *table(rows, left=(0, 3)),
         "",
         _line("delay", _delay(tracking, stream.preview_s if stream else None)),
         _line(
@@ -322,7 +331,7 @@ def _messages(summary: Summary) -> list[str]:
         ("topic", "count", "lost", "Hz", "gaps", "longest ms", "p50 us", "p99 us", "max us")
     ]
     rows += [(topic, *_row(stats)) for topic, stats in topics.items()]
-    lines = _table(rows, left=(0,)) if topics else []
+    lines = table(rows, left=(0,)) if topics else []
     if any(stats.latency_us for stats in topics.values()):
         lines += ["", "gaps: publish intervals over 3 medians; us: latency, log - publish time"]
     if others:
@@ -363,7 +372,7 @@ def _line(label: str, text: str) -> str:
     return labelled(label.ljust(_LABEL), text)
 
 
-def _table(rows: Sequence[Sequence[str]], left: Collection[int]) -> list[str]:
+def table(rows: Sequence[Sequence[str]], left: Collection[int]) -> list[str]:
     """Rows in columns, right-aligned but for those named; columns without values are left out."""
     columns = [
         [cell.ljust(width) if i in left else cell.rjust(width) for cell in column]

@@ -16,12 +16,16 @@ from g1stream.cli.command import (
     print_warning,
 )
 from g1stream.cli.flags import MOTION, argument, flag, fps_flag, joint_order_flag
+from g1stream.cli.progress import ProgressDisplay
 from g1stream.errors import MotionError
 from g1stream.text import counted
 from g1stream.types import JointOrder
 
 if TYPE_CHECKING:
+    from g1stream.analysis.physics_report import MotionPhysics
+    from g1stream.config import Config
     from g1stream.motion.check import FileReport, MotionReport
+    from g1stream.robot.model import G1
 
 __all__ = ["Inspect", "render"]
 
@@ -33,9 +37,15 @@ class Inspect(SettingsCommand):
     `stream` makes the same check. Warnings do not change the exit code. Joint targets between
     frames that the stream would hold at a position limit are a warning: they are safe.
 
+    With --physics it also prints what it would take to play the motion bolted, hanging, with the
+    pelvis led (follow) or on its feet (free): contacts and skating of the feet, self-collision,
+    centre of pressure, tilt and torques, and the frames that forbid it. That does not change the
+    exit code.
+
     Examples:
       g1stream motion dance.csv
       g1stream motion dance.csv --fps 60 --json
+      g1stream motion dance.csv --physics
 
     Exit codes:
       0  within the limits
@@ -46,6 +56,7 @@ class Inspect(SettingsCommand):
     motion: str = argument(MOTION, "MOTION")
     fps: float | None = fps_flag()
     joint_order: JointOrder | None = joint_order_flag()
+    physics: bool = flag(False, "What it would take to play it, with each support.")
     json: bool = flag(False, "Print the report as JSON.")
 
     def run(self) -> int:
@@ -65,28 +76,57 @@ class Inspect(SettingsCommand):
         )
         if robot.warning:
             print_warning(robot.warning)
+        physics = self._physics(report, robot, config) if self.physics else None
         if self.json:
-            print_json(_as_dict(report))
-        elif report.fault:
-            print_lines(render(report), sys.stderr)
+            print_json(_as_dict(report, physics))
         else:
-            print_lines(render(report))
+            text = render(report, config.safety.max_tilt)
+            print_lines(text, sys.stderr if report.fault else None)
+            if physics:
+                print_lines(f"\n{physics}")
         if report.fault:
             raise MotionError(report.fault, report.remedy)
         return EXIT_OK if report.passed else EXIT_STOPPED
 
+    def _physics(self, report: FileReport, robot: G1, config: Config) -> MotionPhysics | None:
+        """What it would take to play the motion; None where there is none, or not in radians."""
+        from g1stream.analysis.physics import motion_physics
+        from g1stream.session.motions import load_motion
 
-def _as_dict(report: FileReport) -> dict[str, Any]:
-    """The motion's values, and under `file` those of the file."""
+        if not (report.motion and report.motion.in_radians):
+            return None
+        done = 0.0
+
+        def progress(fraction: float) -> None:
+            nonlocal done
+            done = fraction
+
+        with ProgressDisplay(lambda: (done, f"physics {100 * done:3.0f} %")):
+            return motion_physics(
+                load_motion(self.motion, fps=self.fps, joint_order=self.joint_order),
+                robot,
+                max_tilt=config.safety.max_tilt,
+                progress=progress,
+            )
+
+
+def _as_dict(report: FileReport, physics: MotionPhysics | None) -> dict[str, Any]:
+    """The motion's values; under `file` those of the file, under `physics` what it would take."""
     file, motion = {**asdict(report), "path": str(report.path)}, report.motion
     values = file.pop("motion") or {}
     if motion:
         values["n_held"] = motion.streamed.n_held
-    return {**values, "within_limits": report.passed, "file": file}
+    values |= {"within_limits": report.passed, "file": file}
+    return values | ({"physics": physics.model_dump(mode="json")} if physics else {})
 
 
-def render(report: FileReport) -> str:
-    """The report as text, without the fault of a file that is no motion."""
+def render(report: FileReport, max_tilt: float) -> str:
+    """The report as text, without the fault of a file that is no motion.
+
+    Args:
+        report: of the file.
+        max_tilt: pelvis tilt that ends a run, rad.
+    """
     motion = report.motion
     name = motion.name if motion else report.path.name
     lines = [name]
@@ -94,7 +134,7 @@ def render(report: FileReport) -> str:
         lines.append(_line("problem", f"It looks as if {motion.suspicion}."))
     lines += _content(report)
     if motion:
-        lines += [*_motion_lines(motion), *_result_lines(motion)]
+        lines += [*_motion_lines(motion), *_result_lines(motion, max_tilt)]
     return "\n".join(lines)
 
 
@@ -164,7 +204,7 @@ def _speed_lines(report: MotionReport) -> list[str]:
     ]
 
 
-def _result_lines(report: MotionReport) -> list[str]:
+def _result_lines(report: MotionReport, max_tilt: float) -> list[str]:
     """Each problem and each warning, and how many there are, with what it all looks like."""
     streamed = report.streamed
     n_held = len(streamed.warnings) - bool(streamed.too_fast)  # the last is about speeds
@@ -175,6 +215,11 @@ def _result_lines(report: MotionReport) -> list[str]:
     ]
     problems += streamed.warnings[n_held:]
     warnings = [*streamed.warnings[:n_held], *report.warnings]
+    if (root := report.root).tilt > max_tilt:
+        warnings.append(
+            f"The pelvis tilts by {root.tilt:.2f} rad at {root.tilt_frame / report.fps:.2f} s; "
+            f"where it moves as in the motion, {max_tilt:g} rad end a run (safety.max_tilt)."
+        )
     counts = {"problem": len(problems) + bool(report.suspicion), "warning": len(warnings)}
     found = ", ".join(counted(n, noun) for noun, n in counts.items() if n)
     return [

@@ -1,0 +1,231 @@
+"""The soles of a motion on a flat floor: which corners touch it, and what they can carry.
+
+The floor is at height 0. A sole is its four corners, as in unitree_mujoco, whose feet stand on four
+small spheres. docs/motion-physics.md has the formulas and their sources.
+"""
+
+from __future__ import annotations
+
+from itertools import permutations
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from g1stream.errors import RobotError
+from g1stream.robot.hulls import read_hulls
+from g1stream.robot.joints import JOINT_NAMES
+from g1stream.robot.rotations import quat_rotate
+from g1stream.types import Floats
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from g1stream.robot.kinematics import LinkPoses
+    from g1stream.robot.model import G1
+
+    Flags = NDArray[np.bool_]
+
+__all__ = [
+    "FRICTION",
+    "SIDES",
+    "Soles",
+    "beyond_support",
+    "floor_forces",
+    "touching",
+    "zero_moment_point",
+]
+
+SIDES: Final = ("left", "right")
+
+FRICTION: Final = 0.6
+"""Coefficient of friction between sole and floor: rubber on a dry floor. Simulators have 1."""
+
+#: A corner touches the floor once it is lower and slower than the first figures, and until it is
+#: higher or faster than the second ones, m and m/s. Clips that were retargeted have standing feet
+#: up to 2 cm above the floor, which slide by some 0.1 m/s.
+_TOUCHES: Final = (0.02, 0.25)
+_LEAVES: Final = (0.035, 0.5)
+
+#: Vertices of a sole this far above its lowest one belong to its lower side, m.
+_FLAT: Final = 1e-3
+#: The share of the squared forces in what is minimised when the floor's force is distributed: so
+#: small that the forces add up to what is needed within a millionth.
+_EVEN: Final = 1e-6
+#: Edges of the friction pyramid.
+_EDGES: Final = np.array(
+    [(FRICTION, 0, 1), (-FRICTION, 0, 1), (0, FRICTION, 1), (0, -FRICTION, 1)], dtype=float
+)
+
+
+class Soles:
+    """The corners of a robot's soles, left foot first: front left, front right, back right, left.
+
+    Args:
+        robot: the G1.
+
+    Attributes:
+        links: (2,) the links of the feet.
+
+    Raises:
+        RobotError: there is no hull for a foot of this robot.
+    """
+
+    def __init__(self, robot: G1) -> None:
+        joints = [JOINT_NAMES.index(f"{side}_ankle_roll_joint") for side in SIDES]
+        self.links = [int(np.flatnonzero(robot.joint_of_link == joint)[0]) for joint in joints]
+        self._robot = robot
+        self._corners = np.stack([_corners(robot, robot.link_names[link]) for link in self.links])
+        #: Of each foot, the links that a joint moves between the pelvis and its sole.
+        self._above = [_moved_links(robot, link) for link in self.links]
+
+    def positions(self, poses: LinkPoses) -> Floats:
+        """The corners (T, 8, 3) in the world, m."""
+        pos, quat = (values[:, self.links, np.newaxis] for values in poses)
+        corners = pos + quat_rotate(quat, self._corners)
+        return corners.reshape(len(corners), -1, 3)
+
+    def torques(self, poses: LinkPoses, corners: Floats, forces: Floats) -> Floats:
+        """What forces on the corners do to the joints: J^T f.
+
+        Args:
+            poses: of T frames.
+            corners: (T, 8, 3) m, world, as `positions` returns them.
+            forces: (T, 8, 3) N, world, of the floor on the corners.
+
+        Returns:
+            (T, 29) N·m, motor order: a . ((x - p) x f) for each joint with axis a through p.
+        """
+        robot = self._robot
+        tau = np.zeros((len(corners), len(JOINT_NAMES)))
+        for foot, links in enumerate(self._above):
+            own = slice(4 * foot, 4 * foot + 4)
+            joints = poses.pos[:, links]
+            lever = corners[:, np.newaxis, own] - joints[:, :, np.newaxis]
+            moment = np.cross(lever, forces[:, np.newaxis, own]).sum(axis=2)
+            axes = quat_rotate(poses.quat_wxyz[:, links], robot.axis[links])
+            tau[:, robot.joint_of_link[links]] = (axes * moment).sum(axis=-1)
+        return tau
+
+
+def touching(corners: Floats, fps: float) -> tuple[Flags, Floats]:
+    """Which corners touch the floor, and how fast each slides.
+
+    With hysteresis, in height and in speed, so that noise about a threshold does not count as
+    steps. Until a corner is first clearly on the floor or off it, it counts as it does then.
+
+    Args:
+        corners: (T, C, 3) m, world.
+        fps: frames per second.
+
+    Returns:
+        (T, C) whether it touches; (T, C) horizontal speed, m/s, by central differences.
+    """
+    velocity = np.gradient(corners, axis=0) * fps
+    height, speed = corners[..., 2], np.linalg.norm(velocity, axis=-1)
+    on = (height < _TOUCHES[0]) & (speed < _TOUCHES[1])
+    off = (height > _LEAVES[0]) | (speed > _LEAVES[1])
+    frames = np.arange(len(corners))[:, np.newaxis]
+    decided = np.where(on | off, frames, -1)
+    first = np.argmax(decided >= 0, axis=0)
+    latest = np.maximum(np.maximum.accumulate(decided, axis=0), first)
+    return np.take_along_axis(on, latest, axis=0), np.linalg.norm(velocity[..., :2], axis=-1)
+
+
+def zero_moment_point(force: Floats, moment: Floats) -> Floats:
+    """Where on the floor a force would have no moment about a horizontal axis.
+
+    Args:
+        force: (..., 3) N, world, of the floor on the robot.
+        moment: (..., 3) N·m, world, about the world's origin.
+
+    Returns:
+        (..., 2) m; not finite where the force has no vertical part.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        point: Floats = np.stack([-moment[..., 1], moment[..., 0]], axis=-1) / force[..., 2:]
+    return point
+
+
+def beyond_support(points: Floats, corners: Floats, touches: Flags) -> Floats:
+    """How far points are outside of the convex hull of the corners that touch, seen from above.
+
+    The distance of a point p from a convex set is the largest n . p - max_c n . c of all directions
+    n, which for corners c is that of a normal of a line through two of them, or of p - c. Inside
+    it is negative, and says how far the nearest edge is.
+
+    Args:
+        points: (T, 2) m.
+        corners: (T, C, 3) m.
+        touches: (T, C); of a frame in which none does the result means nothing.
+
+    Returns:
+        (T,) m.
+    """
+    n_corners = corners.shape[1]
+    # A corner that does not touch stands where one that does stands: the hull is the same.
+    substitute = np.where(touches, np.arange(n_corners), touches.argmax(axis=1)[:, np.newaxis])
+    hull = np.take_along_axis(corners[..., :2], substitute[..., np.newaxis], axis=1)
+    lines = (hull[:, j] - hull[:, i] for i, j in permutations(range(n_corners), 2))
+    normals = (np.stack([line[:, 1], -line[:, 0]], axis=-1) for line in lines)
+    radii = (points - hull[:, i] for i in range(n_corners))
+    beyond = np.full(len(points), -np.inf)
+    for direction in (*normals, *radii):
+        length = np.linalg.norm(direction, axis=-1)
+        reach = np.einsum("ti,tci->tc", direction, hull).max(axis=1)
+        ahead = np.einsum("ti,ti->t", direction, points) - reach
+        with np.errstate(divide="ignore", invalid="ignore"):
+            beyond = np.fmax(beyond, np.where(length > 1e-9, ahead / length, np.nan))
+    return beyond
+
+
+def floor_forces(corners: Floats, force: Floats, moment: Floats) -> Floats:
+    """Distribute a force and a moment, as far as they can be, over corners that touch the floor.
+
+    Each corner pushes within a friction pyramid of four edges, inscribed in the cone of `FRICTION`.
+    Of all distributions with the same sum this is the one with the least squared forces
+    (non-negative least squares, Lawson and Hanson 1974), so that feet that stand alike carry alike.
+
+    Args:
+        corners: (C, 3) m, world, C >= 1.
+        force: (3,) N, world, that the floor should exert.
+        moment: (3,) N·m, world, about the world's origin.
+
+    Returns:
+        (C, 3) N, world, of the floor on each corner.
+    """
+    from scipy.optimize import nnls
+
+    centre = corners.mean(axis=0)
+    levers = np.repeat(corners - centre, len(_EDGES), axis=0)
+    edges = np.tile(_EDGES, (len(corners), 1))
+    sums = np.concatenate([edges, np.cross(levers, edges)], axis=1).T
+    needed = np.concatenate([force, moment - np.cross(centre, force)])
+    even = np.sqrt(_EVEN) * np.eye(len(edges))
+    shares, _ = nnls(np.vstack([sums, even]), np.append(needed, np.zeros(len(edges))))
+    forces: Floats = (shares[:, np.newaxis] * edges).reshape(len(corners), -1, 3).sum(axis=1)
+    return forces
+
+
+def _corners(robot: G1, link: str) -> Floats:
+    """The corners (4, 3) of a foot's sole in its link's frame, m."""
+    soles = [hull.vertices for hull in read_hulls(robot) if hull.solid and hull.link == link]
+    if not soles:
+        raise RobotError(
+            f"The shape of the sole of {robot.name!r}'s {link} is not known.",
+            "Give a URDF whose feet are called left_ankle_roll_link and right_ankle_roll_link.",
+        )
+    sole = np.concatenate(soles)
+    lower = sole[sole[:, 2] < sole[:, 2].min() + _FLAT]
+    outward = np.array([(1, 1), (1, -1), (-1, -1), (-1, 1)])
+    corners: Floats = lower[(lower[:, :2] @ outward.T).argmax(axis=0)]
+    return corners
+
+
+def _moved_links(robot: G1, link: int) -> list[int]:
+    """The links from the root down to `link` that have a joint to their parent."""
+    links: list[int] = []
+    while link > 0:
+        if robot.joint_of_link[link] >= 0:
+            links.insert(0, link)
+        link = int(robot.parent[link])
+    return links

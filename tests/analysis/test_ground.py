@@ -1,0 +1,172 @@
+"""Soles on a floor: against figures by hand, and MuJoCo's Jacobians."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from g1stream.analysis.ground import (
+    FRICTION,
+    Soles,
+    beyond_support,
+    floor_forces,
+    touching,
+    zero_moment_point,
+)
+from g1stream.errors import RobotError
+from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
+from g1stream.robot.kinematics import forward_kinematics
+from g1stream.robot.model import G1
+from g1stream.robot.mujoco_spec import mujoco_spec
+
+RNG = np.random.default_rng(3)
+SQUARE = np.array([(1, 1, 0), (1, -1, 0), (-1, -1, 0), (-1, 1, 0)], dtype=float)
+ALL = np.ones((1, 4), bool)
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return G1.default()
+
+
+@pytest.fixture(scope="module")
+def soles(robot):
+    return Soles(robot)
+
+
+def poses_of(robot, joint_pos, root_pos=(0.0, 0.0, 0.0), quat=(1.0, 0.0, 0.0, 0.0)):
+    return forward_kinematics(robot, np.atleast_2d(joint_pos), np.array(root_pos), np.array(quat))
+
+
+def test_corners_are_the_spheres_of_unitrees_model(robot, soles):
+    """They have a radius of 5 mm and are at x -0.05 and 0.12, y 0.025 and 0.03, z -0.03."""
+    poses = poses_of(robot, np.zeros(N_JOINTS))
+    corners = soles.positions(poses).reshape(2, 4, 3) - poses.pos[0, soles.links, np.newaxis]
+    spheres = [(0.12, 0.03, -0.03), (0.12, -0.03, -0.03), (-0.05, -0.025, -0.03)]
+    spheres.append((-0.05, 0.025, -0.03))
+    distance = np.linalg.norm(corners - spheres, axis=-1)
+    assert distance == pytest.approx(np.full((2, 4), 0.005), abs=2e-4)
+    assert corners[..., 2] == pytest.approx(np.full((2, 4), -0.035), abs=1e-3)
+
+
+def test_a_robot_with_other_feet_is_refused(robot):
+    other = G1.from_urdf(robot.urdf.replace("ankle_roll_link", "foot"), "other.urdf")
+    with pytest.raises(RobotError, match="left_foot"):
+        Soles(other)
+
+
+@pytest.mark.parametrize(
+    ("point", "beyond"),
+    [
+        ((0.0, 0.0), -1.0),
+        ((0.7, 0.2), -0.3),
+        ((1.0, 0.5), 0.0),
+        ((1.5, 0.0), 0.5),
+        ((4.0, 5.0), 5.0),
+    ],
+)
+def test_distance_from_a_square(point, beyond):
+    found = beyond_support(np.array([point]), SQUARE[np.newaxis], ALL)
+    assert found == pytest.approx([beyond], abs=1e-12)
+
+
+def test_distance_from_an_edge_and_from_a_corner():
+    point = np.array([[0.0, 0.0]])
+    edge = np.array([[True, True, False, False]])
+    corner = np.array([[False, False, True, False]])
+    assert beyond_support(point, SQUARE[np.newaxis], edge) == pytest.approx([1.0])
+    assert beyond_support(point, SQUARE[np.newaxis], corner) == pytest.approx([np.sqrt(2)])
+    on_it = np.array([[1.0, 0.3]])
+    assert beyond_support(on_it, SQUARE[np.newaxis], edge) == pytest.approx([0.0], abs=1e-12)
+
+
+def test_distance_from_any_polygon():
+    """Against the support function in 20,000 directions."""
+    points, corners = 0.7 * RNG.normal(size=(50, 2)), RNG.normal(size=(50, 8, 3))
+    touches = RNG.random((50, 8)) < 0.5
+    touches[:, 0] = True
+    angles = np.linspace(0, 2 * np.pi, 20_000)
+    directions = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    found = beyond_support(points, corners, touches)
+    for point, own, on, distance in zip(points, corners, touches, found, strict=True):
+        reach = (own[on, :2] @ directions.T).max(axis=0)
+        assert distance == pytest.approx((directions @ point - reach).max(), abs=2e-3)
+    assert (found < 0).sum() > 5
+    assert (found > 0).sum() > 5
+
+
+def test_a_sliding_corner_has_its_speed():
+    times = np.arange(30) / 30
+    corners = np.zeros((30, 1, 3))
+    corners[:, 0, :2] = times[:, np.newaxis] * (0.03, 0.04)
+    touches, speed = touching(corners, 30.0)
+    assert touches.all()
+    assert speed == pytest.approx(np.full((30, 1), 0.05))
+
+
+def test_contact_ends_where_a_corner_is_clearly_off():
+    heights = np.array([25, 25, 10, 25, 15, 34, 36, 34, 21, 19, 30]) * 1e-3
+    corners = np.zeros((len(heights), 1, 3))
+    corners[:, 0, 2] = heights
+    touches, _ = touching(corners, fps=2.0)  # 0.03 m/s at most
+    assert touches[:, 0].astype(int).tolist() == [1, 1, 1, 1, 1, 1, 0, 0, 0, 1, 1]
+
+
+def test_a_fast_corner_does_not_touch():
+    corners = np.zeros((40, 1, 3))
+    corners[20:, 0, 0] = 0.03 * np.arange(20)  # 0.9 m/s
+    touches, _ = touching(corners, 30.0)
+    assert touches[:19].all()
+    assert not touches[21:].any()
+
+
+def test_the_zero_moment_point_is_where_the_force_acts():
+    point, force = np.array([0.3, -0.2, 0.0]), np.array([20.0, -10.0, 300.0])
+    twist = np.array([0.0, 0.0, 4.0])
+    assert zero_moment_point(force, np.cross(point, force) + twist) == pytest.approx(point[:2])
+
+
+def test_forces_add_up_and_push_within_the_friction_cone():
+    corners = np.concatenate([SQUARE * 0.1, SQUARE * 0.1 + (0.5, 0, 0)])
+    point, force = np.array([0.2, 0.03, 0.0]), np.array([30.0, -40.0, 330.0])
+    moment = np.cross(point, force)
+    forces = floor_forces(corners, force, moment)
+    assert forces.sum(axis=0) == pytest.approx(force, rel=1e-5)
+    assert np.cross(corners, forces).sum(axis=0) == pytest.approx(moment, rel=1e-4)
+    assert (forces[:, 2] >= 0).all()
+    assert (np.hypot(*forces[:, :2].T) <= FRICTION * forces[:, 2] + 1e-9).all()
+
+
+def test_alike_feet_carry_alike():
+    corners = np.concatenate([SQUARE * 0.1 + (0, 0.2, 0), SQUARE * 0.1 - (0, 0.2, 0)])
+    forces = floor_forces(corners, np.array([0.0, 0.0, 320.0]), np.zeros(3))
+    assert forces[:, 2] == pytest.approx(np.full(8, 40.0), rel=1e-5)
+
+
+def test_what_a_floor_cannot_do_it_does_not():
+    pull = floor_forces(SQUARE, np.array([0.0, 0.0, -100.0]), np.zeros(3))
+    assert pull == pytest.approx(np.zeros((4, 3)), abs=1e-9)
+    slips = floor_forces(SQUARE, np.array([300.0, 0.0, 100.0]), np.zeros(3)).sum(axis=0)
+    assert slips[0] <= FRICTION * slips[2] + 1e-9
+
+
+def test_torques_of_the_floor_are_those_of_mujoco(robot, soles):
+    joint_pos = RNG.uniform(robot.lower, robot.upper)
+    poses = poses_of(robot, joint_pos, (0.4, -0.3, 0.7), (0.8, 0.0, 0.6, 0.0))
+    corners, forces = soles.positions(poses), 50 * RNG.normal(size=(1, 8, 3))
+    model = mujoco_spec(robot, floating=True, shapes=False).compile()
+    data = mujoco.MjData(model)
+    joints = [model.joint(name) for name in JOINT_NAMES]
+    data.qpos[:7] = 0.4, -0.3, 0.7, 0.8, 0.0, 0.6, 0.0
+    data.qpos[[joint.qposadr[0] for joint in joints]] = joint_pos
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    expected, jacobian = np.zeros(N_JOINTS), np.zeros((3, model.nv))
+    for number, (corner, force) in enumerate(zip(corners[0], forces[0], strict=True)):
+        body = model.body(robot.link_names[soles.links[number // 4]]).id
+        mujoco.mj_jac(model, data, jacobian, None, corner, body)
+        expected += (jacobian.T @ force)[[joint.dofadr[0] for joint in joints]]
+    assert soles.torques(poses, corners, forces)[0] == pytest.approx(expected, abs=1e-9)
+    assert np.abs(expected[:12]).min() > 0
+    assert not expected[12:].any()

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.session.metrics import JointTorque, TorqueMetrics
+from g1stream.session.streams import Command
 from g1stream.types import Floats, Ints
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from g1stream.session.session import Session
-    from g1stream.session.streams import Command, Measured
+    from g1stream.session.streams import Measured
 
 __all__ = ["COMMAND_COLUMNS", "torque_metrics"]
 
@@ -41,52 +42,59 @@ def torque_metrics(
     chosen = np.arange(len(measured)) if states is None else states
     times = (measured.publish_time + measured.clock_offset)[chosen]
     order = np.argsort(times, kind="stable")
+    finite = np.asarray(np.isfinite(measured.tau).all(axis=1))
+    order = order[finite[chosen[order]]]
     chosen, times = chosen[order], times[order]
-    tau = measured.tau[chosen]
-    usable = np.isfinite(tau).all(axis=1)
-    chosen, times, tau = chosen[usable], times[usable], tau[usable]
-    if not tau.any():
+    if not measured.tau[chosen].any():
         return None
     seconds = np.diff(times) / 1e9
     seconds[seconds * 1e9 > _LONGEST_GAP] = 0.0
-    size = np.abs(tau)
-    at_limit = size >= _SATURATED * limits
-    p99 = np.percentile(size, 99.0, axis=0)
-    columns: dict[str, Any] = {
-        "limit_nm": limits,
-        "rms_nm": np.sqrt(np.mean(np.square(tau), axis=0)),
-        "p99_nm": p99,
-        "max_nm": size.max(axis=0),
-        "use": p99 / limits,
-        "saturated": at_limit.mean(axis=0),
-    }
-    dq = measured.dq[chosen]
-    if dq.any() and np.isfinite(dq).all():
-        power = tau * dq
-        columns["work_j"] = _integral(np.abs(power), seconds)
-        columns["net_work_j"] = _integral(power, seconds)
-    if session.topics.get("/lowcmd"):
+    has_velocity = measured.dq.any() and np.isfinite(measured.dq).all()
+    command = around = None
+    if session.topics.get(Command.topic):
         command = session.command.read(*COMMAND_COLUMNS)
         around = _newest(command.publish_time + command.clock_offset, times)
-        if around is not None:
+    saturated = np.zeros(len(times), dtype=bool)
+    found: list[dict[str, float]] = []
+    # Joint by joint, as all states of all joints at once would take a few times the memory.
+    for joint, limit in enumerate(limits.tolist()):
+        tau = measured.tau[chosen, joint]
+        size = np.abs(tau)
+        at_limit = size >= _SATURATED * limit
+        saturated |= at_limit
+        p99 = float(np.percentile(size, 99.0))
+        figures = {
+            "limit_nm": limit,
+            "rms_nm": _rms(tau),
+            "p99_nm": p99,
+            "max_nm": float(size.max()),
+            "use": p99 / limit,
+            "saturated": float(at_limit.mean()),
+        }
+        if has_velocity:
+            power = tau * measured.dq[chosen, joint]
+            figures["work_j"] = _integral(np.abs(power), seconds)
+            figures["net_work_j"] = _integral(power, seconds)
+        if command is not None and around is not None:
             known, newest = around
-            asked = _commanded(command, newest[known], measured, chosen[known])
-            columns["commanded_rmse_nm"] = np.sqrt(np.mean(np.square(asked - tau[known]), axis=0))
-            columns["commanded_beyond"] = (np.abs(asked) > limits).mean(axis=0)
+            asked = _commanded(command, newest, measured, chosen[known], joint)
+            figures["commanded_rmse_nm"] = _rms(asked - tau[known])
+            figures["commanded_beyond"] = float((np.abs(asked) > limit).mean())
+        found.append(figures)
+    columns = {key: np.array([one[key] for one in found]) for key in found[0]}
     joints = {
-        name: JointTorque(**{key: float(values[i]) for key, values in columns.items()})
-        for i, name in enumerate(JOINT_NAMES)
+        name: JointTorque(**figures) for name, figures in zip(JOINT_NAMES, found, strict=True)
     }
     duration, commanded = float(seconds.sum()), columns.get("commanded_rmse_nm")
     work = columns.get("work_j")
     return TorqueMetrics(
         in_play=states is not None,
         duration_s=duration,
-        rms_nm=_pooled(columns["rms_nm"]),
+        rms_nm=_rms(columns["rms_nm"]),
         use=float(columns["use"].max()),
         most_used=JOINT_NAMES[int(columns["use"].argmax())],
-        saturated=float(at_limit.any(axis=1).mean()),
-        commanded_rmse_nm=None if commanded is None else _pooled(commanded),
+        saturated=float(saturated.mean()),
+        commanded_rmse_nm=None if commanded is None else _rms(commanded),
         work_j=None if work is None else float(work.sum()),
         net_work_j=None if work is None else float(columns["net_work_j"].sum()),
         power_w=None if work is None or not duration else float(work.sum()) / duration,
@@ -94,31 +102,34 @@ def torque_metrics(
     )
 
 
-def _integral(values: Floats, seconds: Floats) -> Floats:
-    """(29,) integral of values (N, 29) over intervals (N - 1,) s, by trapezoids."""
-    integral: Floats = seconds @ (0.5 * (values[1:] + values[:-1]))
-    return integral
+def _integral(values: Floats, seconds: Floats) -> float:
+    """Integral of values (N,) over intervals (N - 1,) s, by trapezoids."""
+    return float(seconds @ (0.5 * (values[1:] + values[:-1])))
 
 
 def _newest(times: Ints, instants: Ints) -> tuple[NDArray[np.bool_], NDArray[np.intp]] | None:
-    """Of instants (N,) which have a sample before them, and which; None where none has."""
+    """Of instants (N,) which have a sample before them, and that sample; None where none has."""
     order = np.argsort(times, kind="stable")
     before = np.searchsorted(times[order], instants, side="right") - 1
     newest = order[before.clip(0)]
     known = (before >= 0) & (instants - times[newest] <= _LONGEST_GAP)
-    return (known, newest) if known.any() else None
+    return (known, newest[known]) if known.any() else None
 
 
 def _commanded(
-    command: Command, commands: NDArray[np.intp], measured: Measured, states: NDArray[np.intp]
+    command: Command,
+    commands: NDArray[np.intp],
+    measured: Measured,
+    states: NDArray[np.intp],
+    joint: int,
 ) -> Floats:
-    """(N, 29) Nm that commands ask of motors: tau + kp (q - measured) + kd (dq - measured)."""
-    return (
-        command.tau[commands]
-        + command.kp[commands] * (command.q[commands] - measured.q[states])
-        + command.kd[commands] * (command.dq[commands] - measured.dq[states])
-    )
+    """(N,) Nm that commands ask of a motor: tau + kp (q - measured) + kd (dq - measured)."""
+    at = commands, joint
+    away = command.q[at] - measured.q[states, joint]
+    faster = command.dq[at] - measured.dq[states, joint]
+    torque: Floats = command.tau[at] + command.kp[at] * away + command.kd[at] * faster
+    return torque
 
 
-def _pooled(values: Floats) -> float:
+def _rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(np.square(values))))

@@ -305,18 +305,27 @@ class Samples:
 
     Args:
         topic: whose samples they are.
-        data: (N) samples as they were on the wire, CDR header included.
+        data: (N) samples as they were on the wire, CDR header included; or (N, size) uint8 with one
+            in each row.
 
     Raises:
         WireError: one of them is not one little-endian sample of the topic's type.
     """
 
-    def __init__(self, topic: Topic, data: Sequence[bytes]) -> None:
+    def __init__(self, topic: Topic, data: Sequence[bytes] | NDArray[np.uint8]) -> None:
         self._layout = layout = Layout.of(topic.idl_type)
-        for sample in data:
-            if not layout.matches(sample):
-                layout.check(sample)
-        rows = np.frombuffer(b"".join(data), np.uint8).reshape(len(data), layout.sample_size)
+        if isinstance(data, np.ndarray):
+            rows = data
+            encoding = np.frombuffer(CDR_HEADER[:2], np.uint8)
+            if rows.shape[1] != layout.sample_size or (rows[:, :2] != encoding).any():
+                for row in rows:
+                    layout.check(row.tobytes())
+        else:
+            for sample in data:
+                if not layout.matches(sample):
+                    layout.check(sample)
+            octets = np.frombuffer(b"".join(data), np.uint8)
+            rows = octets.reshape(len(data), layout.sample_size)
         self._payloads = rows[:, len(CDR_HEADER) : len(CDR_HEADER) + layout.size]
 
     def __getitem__(self, path: str) -> NDArray[Any]:

@@ -38,7 +38,7 @@ from g1stream.session.mcap_records import (
     records_of,
     stream_of,
 )
-from g1stream.session.source import Messages
+from g1stream.session.source import Messages, Slices
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -319,11 +319,10 @@ def _messages_at(data: bytes, offsets: NDArray[np.int64], channel: int) -> Messa
     for times in (heads["log_time"], heads["publish_time"]):
         if ((times < 0) | (times >= _LATEST)).any():
             raise ValueError("a message has a time after 2116")
-    bounds = zip((offsets + head).tolist(), ends.tolist(), strict=True)
     return Messages(
         np.ascontiguousarray(heads["log_time"]),
         np.ascontiguousarray(heads["publish_time"]),
-        [data[start:end] for start, end in bounds],
+        Slices(data, offsets + head, ends),
     )
 
 

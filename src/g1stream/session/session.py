@@ -14,6 +14,7 @@ from g1stream.dds.messages import Samples
 from g1stream.errors import RecordingError, WireError
 from g1stream.session.mcap_reader import RECOVER
 from g1stream.session.parts import SessionFiles
+from g1stream.session.source import Slices
 from g1stream.session.streams import Base, Command, LogEvent, Measured, Reference, Stream, TorsoImu
 from g1stream.text import counted
 from g1stream.types import Floats, Phase
@@ -183,7 +184,7 @@ class Session:
         """The samples of a DDS topic, bit for bit as they were published, in order."""
         return (message.data for message in self.messages(topic))
 
-    def samples(self, kind: type[Stream], data: Sequence[bytes]) -> Samples:
+    def samples(self, kind: type[Stream], data: Sequence[bytes] | NDArray[np.uint8]) -> Samples:
         """The fields of samples of a DDS topic, from their bytes.
 
         Raises:
@@ -428,7 +429,8 @@ class Session:
         def decode(messages: Messages) -> dict[str, NDArray[Any]]:
             if not paths:
                 return {}
-            samples = self.samples(kind, messages.data)
+            rows = messages.data.rows() if isinstance(messages.data, Slices) else None
+            samples = self.samples(kind, messages.data if rows is None else rows)
             return {name: samples[path] for name, path in paths.items()}
 
         return self._columns([kind.topic], decode)[kind.topic]

@@ -12,19 +12,20 @@ below serves what was written into it, so that a run in lockstep gives a Session
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, overload
 
 import numpy as np
 
 from g1stream.session.format import metadata_from_strings, metadata_to_strings
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Mapping
 
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["MemorySource", "Messages", "SessionSource"]
+__all__ = ["MemorySource", "Messages", "SessionSource", "Slices"]
 
 
 class Messages(NamedTuple):
@@ -38,7 +39,47 @@ class Messages(NamedTuple):
 
     log_times: NDArray[np.int64]
     publish_times: NDArray[np.int64]
-    data: list[bytes]
+    data: Sequence[bytes]
+
+
+class Slices(Sequence[bytes]):
+    """Messages as slices of the chunk that they are in, made when they are asked for.
+
+    Args:
+        chunk: decompressed.
+        starts, ends: (N,) where in it each message is.
+    """
+
+    def __init__(self, chunk: bytes, starts: NDArray[np.int64], ends: NDArray[np.int64]) -> None:
+        self._chunk, self._starts, self._ends = chunk, starts, ends
+
+    def __len__(self) -> int:
+        return len(self._starts)
+
+    @overload
+    def __getitem__(self, index: int) -> bytes: ...
+    @overload
+    def __getitem__(self, index: slice) -> Slices: ...
+    def __getitem__(self, index: int | slice) -> bytes | Slices:
+        if isinstance(index, slice):
+            return Slices(self._chunk, self._starts[index], self._ends[index])
+        return self._chunk[self._starts[index] : self._ends[index]]
+
+    def __iter__(self) -> Iterator[bytes]:
+        bounds = zip(self._starts.tolist(), self._ends.tolist(), strict=True)
+        return (self._chunk[start:end] for start, end in bounds)
+
+    def rows(self) -> NDArray[np.uint8] | None:
+        """(N, size) a view of messages of one size at even distances; None where they are not."""
+        sizes = self._ends - self._starts
+        step = int(self._starts[1] - self._starts[0]) if len(self) > 1 else len(self._chunk)
+        even = (np.diff(self._starts) == step).all() and (sizes == sizes[:1]).all()
+        if not len(self) or not even or step < sizes[0]:
+            return None
+        found: NDArray[np.uint8] = np.ndarray(
+            (len(self), int(sizes[0])), np.uint8, self._chunk, int(self._starts[0]), (step, 1)
+        )
+        return found
 
 
 class SessionSource(ABC):

@@ -14,10 +14,10 @@ from g1stream.foxglove.encoders import GHOST_PREFIX
 from g1stream.foxglove.pipeline import MessagePipeline
 from g1stream.foxglove.scene import (
     PathEncoder,
-    _model,
     draw_meshes,
     encode_robot_description,
     encode_scene,
+    load_mesh,
 )
 from g1stream.robot.meshes import read_stl, real_g1
 from g1stream.robot.model import G1
@@ -123,7 +123,7 @@ def test_a_mesh_that_cannot_be_read_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr("g1stream.foxglove.scene.find_mesh", lambda robot, name: mesh)
     robot = G1.load()
     with pytest.raises(RobotError, match=str(mesh)):
-        _model(robot, "torso.stl")
+        load_mesh(robot, "torso.stl")
 
 
 def test_a_file_that_is_no_mesh_is_not_embedded(robot, tmp_path):
@@ -132,7 +132,7 @@ def test_a_file_that_is_no_mesh_is_not_embedded(robot, tmp_path):
     link.symlink_to(secret)
     for name in (f"file://{secret}", f"file://{link}", "secret.txt"):
         made = replace(robot, source=str(tmp_path / "g1.urdf"))
-        assert _model(made, name) == {"url": name}
+        assert load_mesh(made, name) == {"url": name}
 
 
 @pytest.fixture(scope="module")

@@ -17,12 +17,26 @@ if TYPE_CHECKING:
 
     from g1stream.session.session import Session
 
-__all__ = ["DEFAULT_JOINTS", "foxglove_layout", "plotjuggler_layout", "worst_joints"]
+__all__ = [
+    "BLUE",
+    "DEFAULT_JOINTS",
+    "LIMB_COLORS",
+    "ORANGE",
+    "RED",
+    "foxglove_layout",
+    "plotjuggler_layout",
+    "short_name",
+    "worst_joints",
+]
 
 #: How many joints are plotted.
 _N_PLOTS: Final = 6
-_WHITE, _ORANGE, _BLUE, _RED = "#f5f5f5", "#ffa61a", "#1abfff", "#f44336"
-_LIMB_COLORS: Final = ("#4e98e2", "#f5774d", "#a395e2", "#55d18c", "#f7df71")
+
+ORANGE, BLUE, RED = "#ffa61a", "#1abfff", "#f44336"
+"""Of the reference, of what is measured, and of limits."""
+
+LIMB_COLORS: Final = ("#4e98e2", "#f5774d", "#a395e2", "#55d18c", "#f7df71")
+"""One for each of `JOINT_GROUPS`."""
 
 #: The robots and the path in the 3D panel, and which of them are shown at first.
 _SCENES: Final = {
@@ -55,6 +69,11 @@ def worst_joints(session: Session) -> tuple[str, ...]:
     return tuple(JOINT_NAMES[joint] for joint in np.argsort(-rmse)[:_N_PLOTS])
 
 
+def short_name(joint: str) -> str:
+    """Of a joint, for a title: `left knee`."""
+    return joint.removesuffix("_joint").replace("_", " ")
+
+
 def foxglove_layout(joints: Sequence[str], robot: G1 | None = None) -> dict[str, Any]:
     """A layout for Foxglove and Lichtblick, as the JSON that they import.
 
@@ -80,39 +99,39 @@ def foxglove_layout(joints: Sequence[str], robot: G1 | None = None) -> dict[str,
             "tracking error by limb, RMS, rad",
             [
                 (_joint_path("/tracking_error/limbs", limb, "position"), limb, color)
-                for limb, color in zip(JOINT_GROUPS, _LIMB_COLORS, strict=True)
+                for limb, color in zip(JOINT_GROUPS, LIMB_COLORS, strict=True)
             ],
             legend=True,
         ),
         "Plot!timing": _plot(
             "longest interval and latency, ms",
             [
-                ("/timing/commands.interval_ms", "command interval", _ORANGE),
-                ("/timing/commands.latency_ms", "command latency", _RED),
-                ("/timing/states.interval_ms", "state interval", _BLUE),
+                ("/timing/commands.interval_ms", "command interval", ORANGE),
+                ("/timing/commands.latency_ms", "command latency", RED),
+                ("/timing/states.interval_ms", "state interval", BLUE),
             ],
             legend=True,
         ),
     }
     positions, torques = [], []
     for joint in joints:
-        name = joint.removesuffix("_joint").replace("_", " ")
+        name = short_name(joint)
         position, torque = f"Plot!{joint}", f"Plot!{joint}-torque"
         limit = float(robot.torque_limit[robot.joint_names.index(joint)])
         panels[position] = _plot(
             f"{name}, rad",
             [
-                (_joint_path("/reference/joint_states", joint, "position"), "reference", _ORANGE),
-                (_joint_path("/measured/joint_states", joint, "position"), "measured", _BLUE),
+                (_joint_path("/reference/joint_states", joint, "position"), "reference", ORANGE),
+                (_joint_path("/measured/joint_states", joint, "position"), "measured", BLUE),
             ],
         )
         panels[torque] = _plot(
             f"{name}, Nm",
             [
-                (_joint_path("/reference/joint_states", joint, "effort"), "feed-forward", _ORANGE),
-                (_joint_path("/measured/joint_states", joint, "effort"), "estimated", _BLUE),
-                (f"{limit:g}", "limit", _RED),
-                (f"{-limit:g}", "-limit", _RED),
+                (_joint_path("/reference/joint_states", joint, "effort"), "feed-forward", ORANGE),
+                (_joint_path("/measured/joint_states", joint, "effort"), "estimated", BLUE),
+                (f"{limit:g}", "limit", RED),
+                (f"{-limit:g}", "-limit", RED),
             ],
         )
         positions.append(position)
@@ -271,7 +290,7 @@ def plotjuggler_layout(joints: Sequence[str]) -> str:
         for joint in joints:
             area = ElementTree.SubElement(split, "DockArea", name=f"{joint}")
             plot = ElementTree.SubElement(area, "plot", style="Lines", mode="TimeSeries")
-            for topic, color in (("/reference", _ORANGE), ("/measured", _BLUE)):
+            for topic, color in (("/reference", ORANGE), ("/measured", BLUE)):
                 name = f"{topic}/joint_states/{joint}/{field}"
                 ElementTree.SubElement(plot, "curve", name=name, color=color)
     ElementTree.SubElement(tabs, "currentTabIndex", index="0")

@@ -14,7 +14,6 @@ from g1stream.analysis.offscreen import Offscreen, PosedRobot, with_shapes
 from g1stream.errors import ConfigError, RecordingError
 from g1stream.files import complete_file
 from g1stream.foxglove.measured_base import MeasuredBase
-from g1stream.robot.model import G1
 from g1stream.session.streams import Base, Measured, Reference
 from g1stream.types import Floats, Ints, Phase
 
@@ -98,7 +97,7 @@ def render(
     one = path.suffix.lower() == ".png"
     times = _frame_times(session, start, 0.0 if one else duration, fps)
     poses = _Poses(session, times)
-    robot = with_shapes(_robot(session))
+    robot = with_shapes(session.robot)
     with (
         complete_file(path, force=force) as temporary,
         closing(Offscreen(robot, poses.robots, size, AZIMUTHS[camera])) as offscreen,
@@ -161,14 +160,6 @@ def _frame_times(
         )
     times: Floats = start + np.arange(frames) / fps
     return times
-
-
-def _robot(session: Session) -> G1:
-    """The robot of a session's URDF; the default one where it has none."""
-    urdf = session.attachments.get("robot.urdf")
-    if urdf is None:
-        return G1.default()
-    return G1.from_urdf(urdf.decode(errors="replace"), f"robot.urdf of {session.path}")
 
 
 class _Poses:

@@ -16,6 +16,10 @@ __all__ = ["Layout"]
 _VIEWERS: Final = {
     "foxglove": ("g1stream-foxglove.json", "Layouts menu > Import from file."),
     "lichtblick": ("g1stream-lichtblick.json", "Layouts menu > Import from file."),
+    "rerun": (
+        "g1stream-rerun.rbl",
+        "Open it in the viewer beside a recording: rerun SESSION.rrd g1stream-rerun.rbl",
+    ),
     "plotjuggler": (
         "g1stream-plotjuggler.xml",
         "Load a session converted with `g1stream convert SESSION OUT --ros2`, then File > Load "
@@ -39,8 +43,8 @@ class Layout(Command):
       2  bad input: not a session file, a file that cannot be written
     """
 
-    viewer: Literal["foxglove", "lichtblick", "plotjuggler"] = argument(
-        "The viewer: foxglove, lichtblick or plotjuggler.", "VIEWER"
+    viewer: Literal["foxglove", "lichtblick", "plotjuggler", "rerun"] = argument(
+        "The viewer: foxglove, lichtblick, plotjuggler or rerun.", "VIEWER"
     )
     session: Path | None = flag(
         None, "A session file, to choose the joints by.", "MCAP", positional=True
@@ -56,15 +60,18 @@ class Layout(Command):
             plotjuggler_layout,
             worst_joints,
         )
+        from g1stream.analysis.rerun_layout import rerun_layout_file
         from g1stream.errors import ConfigError
         from g1stream.files import complete_file
         from g1stream.session.session import open_session
 
         joints = worst_joints(open_session(self.session)) if self.session else DEFAULT_JOINTS
         if self.viewer == "plotjuggler":
-            text = plotjuggler_layout(joints)
+            content = plotjuggler_layout(joints).encode()
+        elif self.viewer == "rerun":
+            content = rerun_layout_file(joints)
         else:
-            text = json.dumps(foxglove_layout(joints), indent=1) + "\n"
+            content = json.dumps(foxglove_layout(joints), indent=1).encode() + b"\n"
         name, how = _VIEWERS[self.viewer]
         path = self.dir / name
         try:
@@ -75,6 +82,6 @@ class Layout(Command):
                 "Choose another directory with --dir.",
             ) from error
         with complete_file(path, force=self.force) as temporary:
-            temporary.write_text(text)
+            temporary.write_bytes(content)
         print(f"{path}\n{how}")
         return EXIT_OK

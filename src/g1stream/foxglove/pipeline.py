@@ -26,7 +26,8 @@ from g1stream.foxglove.scene import (
     encode_robot_description,
     encode_scene,
 )
-from g1stream.foxglove.tracking_error import Track, TrackingError
+from g1stream.foxglove.timing import Timing
+from g1stream.foxglove.tracking_error import Track, TrackingError, by_limb
 from g1stream.robot.joints import JOINT_GROUPS
 from g1stream.robot.meshes import robot_with_meshes
 from g1stream.session.format import CHANNELS, TIMING_FIELDS, MessageBatch
@@ -41,19 +42,20 @@ if TYPE_CHECKING:
     from g1stream.dds.messages import Batch
     from g1stream.robot.model import G1
 
-__all__ = ["CHANNEL_OF", "Decimator", "MessagePipeline"]
+__all__ = ["CHANNEL_OF", "GHOST_TINT", "REFERENCE_TINT", "Decimator", "MessagePipeline"]
 
 CHANNEL_OF: Final = {c.dds_topic: c.topic for c in CHANNELS.values() if c.dds_topic}
 """The topic in the file that holds a DDS topic's samples byte for byte, by the DDS topic's name."""
 
-#: Red, green, blue and opacity of the ghost, and of the reference at its own root.
-_GHOST_TINT: Final = (0.1, 0.6, 1.0, 0.3)
-_REFERENCE_TINT: Final = (1.0, 0.65, 0.1, 0.3)
+GHOST_TINT: Final = (0.1, 0.6, 1.0, 0.3)
+"""Red, green, blue and opacity of the ghost."""
+
+REFERENCE_TINT: Final = (1.0, 0.65, 0.1, 0.3)
+"""The same of the reference at its own root."""
+
 _PATH_COLOR: Final = (1.0, 0.85, 0.2, 1.0)
 #: How far back the path of the pelvis reaches, s, its points and its lines per second, Hz.
 _PATH_LENGTH, _PATH_POINTS, _PATH_LINES = 10.0, 20.0, 5.0
-#: What a message of /timing/* is about, ns.
-_TIMING_SPAN: Final = 50_000_000
 
 
 class Decimator:
@@ -129,8 +131,7 @@ class MessagePipeline:
         self._error_decimator = Decimator(tf_rate)
         self._path = PathEncoder("measured/path", _PATH_LENGTH, _PATH_COLOR)
         self._path_points, self._path_lines = Decimator(_PATH_POINTS), Decimator(_PATH_LINES)
-        self._command_timing = _Timing("/timing/commands")
-        self._state_timing = _Timing("/timing/states")
+        self._command_timing, self._state_timing = Timing(), Timing()
         self._reference_decimator = Decimator(tf_rate)
         self._state_decimator = Decimator(tf_rate)
         self._log = Log()
@@ -149,8 +150,8 @@ class MessagePipeline:
         scene = partial(encode_scene, time_ns, self._shown, drawn=self._meshes)
         payloads = {
             "/measured/scene": scene(MEASURED_PREFIX),
-            "/ghost/scene": scene(GHOST_PREFIX, _GHOST_TINT),
-            "/scene": scene(tint=_REFERENCE_TINT),
+            "/ghost/scene": scene(GHOST_PREFIX, GHOST_TINT),
+            "/scene": scene(tint=REFERENCE_TINT),
             "/robot_description": encode_robot_description(self._robot),
         }
         time = np.array([time_ns])
@@ -200,7 +201,7 @@ class MessagePipeline:
             self._reference_joints.encode(published, logged, few, *joints),
             MessageBatch("/tf", tf, logged[few], published[few]),
             MessageBatch("/ghost/tf", ghost, logged[few], published[few]),
-            self._command_timing.encode(published, logged),
+            _timing("/timing/commands", self._command_timing, published, logged),
         ]
 
     def _from_states(self, batch: Batch) -> list[MessageBatch]:
@@ -220,7 +221,7 @@ class MessagePipeline:
             self._measured_joints.encode(published, logged, few, q, dq, ddq, tau),
             MessageBatch("/measured/tf", tf, logged[few], published[few]),
             self._path_of(published[few], logged[few], positions),
-            self._state_timing.encode(published, logged),
+            _timing("/timing/states", self._state_timing, published, logged),
         ]
 
     def _path_of(self, published: Ints, logged: Ints, positions: Floats) -> MessageBatch:
@@ -233,7 +234,7 @@ class MessagePipeline:
     def _from_errors(self, errors: Track) -> list[MessageBatch]:
         times, logged = errors.publish_times, errors.log_times
         few = self._error_decimator.pick(times)
-        limbs = _by_limb(errors.q), _by_limb(errors.dq)
+        limbs = by_limb(errors.q), by_limb(errors.dq)
         return [
             self._error_joints.encode(times, logged, few, errors.q, errors.dq),
             self._error_limbs.encode(times, logged, few, *limbs),
@@ -278,32 +279,12 @@ class _JointStates:
         return MessageBatch(self._topic, payloads, logged[chosen], published[chosen])
 
 
-class _Timing:
-    """Longest interval and latency of samples, as messages of `topic`."""
-
-    def __init__(self, topic: str) -> None:
-        self._topic = topic
-        self._last: int | None = None
-
-    def encode(self, published: Ints, logged: Ints) -> MessageBatch:
-        """A message for each span of time, of the samples (T,) in it; times in ns."""
-        starts = np.flatnonzero(np.diff(published // _TIMING_SPAN, prepend=-1))
-        previous = published[0] if self._last is None else self._last
-        self._last = int(published[-1])
-        intervals = np.diff(published, prepend=previous)
-        values = np.stack([intervals, logged - published], axis=-1) / 1e6
-        longest = np.maximum.reduceat(values, starts)
-        rows = (dict(zip(TIMING_FIELDS, row, strict=True)) for row in longest.tolist())
-        payloads = [json.dumps(row).encode() for row in rows]
-        return MessageBatch(self._topic, payloads, logged[starts], published[starts])
-
-
-def _by_limb(values: Floats) -> Floats:
-    """(T, 5) RMS over each limb's joints of (T, 29) values."""
-    means = [(values[:, list(joints)] ** 2).mean(axis=1) for joints in JOINT_GROUPS.values()]
-    limbs: Floats = np.sqrt(np.stack(means, axis=1))
-    return limbs
-
-
 def _times(batch: Batch) -> tuple[Ints, Ints]:
     return np.array(batch.log_times), np.array(batch.publish_times)
+
+
+def _timing(topic: str, timing: Timing, published: Ints, logged: Ints) -> MessageBatch:
+    starts, longest = timing.longest(published, logged)
+    rows = (dict(zip(TIMING_FIELDS, row, strict=True)) for row in longest.tolist())
+    payloads = [json.dumps(row).encode() for row in rows]
+    return MessageBatch(topic, payloads, logged[starts], published[starts])

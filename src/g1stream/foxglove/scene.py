@@ -33,6 +33,7 @@ __all__ = [
     "draw_meshes",
     "encode_robot_description",
     "encode_scene",
+    "load_mesh",
 ]
 
 Rgba = tuple[float, float, float, float]
@@ -111,7 +112,7 @@ def encode_scene(
     update = SceneUpdate()
     visuals = read_visuals(robot)
     others = {v.mesh for v in visuals if v.mesh and Shape(v.mesh, v.size) not in drawn}
-    models = {name: _model(robot, name) for name in others}
+    models = {name: load_mesh(robot, name) for name in others}
     size = sum(len(models.get(v.mesh, {}).get("data", b"")) for v in visuals)
     if size > _LARGEST_SCENE:
         raise RobotError(
@@ -178,6 +179,29 @@ def encode_robot_description(robot: G1) -> bytes:
     return encode_string(robot.urdf)
 
 
+def load_mesh(robot: G1, name: str) -> dict[str, Any]:
+    """A mesh as a foxglove.ModelPrimitive has it.
+
+    Returns:
+        `data` and `media_type` where its file is found, else `url`, its name for the viewer to look
+        up.
+
+    Raises:
+        RobotError: the file is there and cannot be read.
+    """
+    path = find_mesh(robot, name)
+    media_type = _MEDIA_TYPES.get(path.resolve().suffix.lower()) if path else None
+    if path is None or media_type is None:
+        return {"url": name}
+    try:
+        return {"data": read_file(path, LARGEST_MESH), "media_type": media_type}
+    except OSError as error:
+        raise RobotError(
+            f"The mesh {path} of {robot.name} cannot be read: {error.strerror}.",
+            "Make it readable, or move it away to be shown by its name only.",
+        ) from error
+
+
 def _add(
     entity: SceneEntity,
     visual: Visual,
@@ -208,18 +232,3 @@ def _add(
     q = pose.orientation
     q.w, q.x, q.y, q.z = visual.quat_wxyz
     colour.r, colour.g, colour.b, colour.a = tint or visual.rgba
-
-
-def _model(robot: G1, name: str) -> dict[str, Any]:
-    """A mesh's content where its file is found, else its name for the viewer to look up."""
-    path = find_mesh(robot, name)
-    media_type = _MEDIA_TYPES.get(path.resolve().suffix.lower()) if path else None
-    if path is None or media_type is None:
-        return {"url": name}
-    try:
-        return {"data": read_file(path, LARGEST_MESH), "media_type": media_type}
-    except OSError as error:
-        raise RobotError(
-            f"The mesh {path} of {robot.name} cannot be read: {error.strerror}.",
-            "Make it readable, or move it away to be shown by its name only.",
-        ) from error

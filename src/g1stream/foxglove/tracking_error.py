@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
+from g1stream.robot.joints import JOINT_GROUPS
 from g1stream.types import Floats, Ints
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["MAX_GAP_NS", "Neighbours", "Track", "TrackingError", "neighbours"]
+__all__ = ["MAX_GAP_NS", "Neighbours", "Track", "TrackingError", "by_limb", "neighbours"]
 
 MAX_GAP_NS: Final = 100_000_000
 """References further apart than this say nothing of the time between them."""
@@ -126,6 +127,13 @@ class TrackingError:
             around.interpolate(references.q) - states.q,
             around.interpolate(references.dq) - states.dq,
         )
+
+
+def by_limb(errors: Floats) -> Floats:
+    """(T, 5) RMS over each limb's joints of (T, 29) errors, limbs as in `JOINT_GROUPS`."""
+    means = [(errors[:, list(joints)] ** 2).mean(axis=1) for joints in JOINT_GROUPS.values()]
+    limbs: Floats = np.sqrt(np.stack(means, axis=1))
+    return limbs
 
 
 def _recent(track: Track) -> Track:

@@ -12,6 +12,7 @@ import numpy as np
 
 from g1stream.dds.messages import Samples
 from g1stream.errors import RecordingError, WireError
+from g1stream.robot.model import G1
 from g1stream.session.mcap_reader import RECOVER
 from g1stream.session.parts import SessionFiles
 from g1stream.session.source import Slices
@@ -145,6 +146,18 @@ class Session:
         self._require(kind.topic)
         stream = kind(lambda names: self._read(kind, names), lambda: stream.since(self.start_ns))
         return stream
+
+    @cached_property
+    def robot(self) -> G1:
+        """The robot of the attached URDF; the default one where none is attached.
+
+        Raises:
+            RobotError: the URDF cannot be used.
+        """
+        urdf = self.attachments.get("robot.urdf")
+        if urdf is None:
+            return G1.default()
+        return G1.from_urdf(urdf.decode(errors="replace"), f"robot.urdf of {self.path}")
 
     @cached_property
     def attachments(self) -> dict[str, bytes]:
@@ -356,6 +369,23 @@ class Session:
             camera=camera,
             force=force,
         ).path
+
+    def to_rerun(self, path: str | os.PathLike[str], *, force: bool = False) -> Path:
+        """Write a recording for the Rerun viewer, with a layout; needs the extra `rerun`.
+
+        The robot has the real G1's meshes with the extra `meshes`, else primitive shapes.
+
+        Args:
+            path: of the file, .rrd; its directory must exist.
+            force: replace a file that is there.
+
+        Raises:
+            RecordingError: Rerun is not installed, or the file cannot be written.
+            RobotError: the session's URDF cannot be used.
+        """
+        from g1stream.analysis.rerun_log import save_session
+
+        return save_session(self, Path(path), force=force)
 
     def motion(self, fps: float | None = None) -> Motion:
         """The motion that was played, as the reference has it.

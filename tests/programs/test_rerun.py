@@ -1,0 +1,98 @@
+"""What is on DDS as a Rerun recording, and what happens where there is no viewer."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from g1stream.config import Config
+from g1stream.dds.domain import Participant
+from g1stream.dds.endpoints import RawWriter
+from g1stream.dds.messages import LowState, Reference
+from g1stream.dds.topics import LOWSTATE, REFERENCE
+from g1stream.errors import ConfigError
+from g1stream.programs.rerun import log_live, show_live
+from g1stream.types import Phase
+
+rr = pytest.importorskip("rerun", reason="Rerun needs Python 3.11")
+
+T0, PERIOD = 1_700_000_000_000_000_000, 2_000_000
+JOINT = "joints/left_knee_joint"
+
+
+class Recording(rr.RecordingStream):
+    """Counts what it is sent, by entity."""
+
+    def __init__(self):
+        super().__init__("g1stream")
+        self.sent = Counter()
+
+    def send_columns(self, entity_path, *columns, **more):
+        self.sent[entity_path] += 1
+        super().send_columns(entity_path, *columns, **more)
+
+
+def _scalars(path, entity):
+    """Times, ns, and values of an entity."""
+    from rerun.chunk import RrdReader
+
+    times, values = [], []
+    for chunk in RrdReader(path).stream():
+        if chunk.entity_path == f"/{entity}" and not chunk.is_static:
+            table = chunk.to_record_batch()
+            times += table.column("publish_time").cast("int64").to_pylist()
+            values += table.column("Scalars:scalars").flatten().to_pylist()
+    return np.array(times), np.array(values)
+
+
+@pytest.mark.dds
+def test_what_is_published_is_logged(domain_id, tmp_path, until, monkeypatch):
+    monkeypatch.setattr("g1stream.analysis.rerun_log.with_shapes", lambda robot: robot)
+    config = Config.model_validate({"dds": {"domain": domain_id}})
+    stop, recording = threading.Event(), Recording()
+    recording.save(tmp_path / "live.rrd")
+    logging = threading.Thread(target=log_live, args=(config, recording, stop.is_set))
+    reference, state = Reference(), LowState()
+    reference.root_quat_wxyz[:] = state.quaternion[:] = [1.0, 0.0, 0.0, 0.0]
+    reference.phase[...] = Phase.PLAY
+    with Participant(domain_id, "lo") as participant:
+        writers = [RawWriter(participant, topic, 100) for topic in (REFERENCE, LOWSTATE)]
+        logging.start()
+        try:
+            until(lambda: all(writer.matched for writer in writers), "the observer")
+            number = 0
+            while recording.sent[f"{JOINT}/error"] < 2 and number < 5000:
+                reference.q[:], state.q[:29] = 0.01 * number, 0.01 * number - 0.25
+                for writer, message in zip(writers, (reference, state), strict=True):
+                    writer.write(message.tobytes(), T0 + number * PERIOD)
+                number += 1
+                time.sleep(PERIOD / 1e9)
+        finally:
+            stop.set()
+            logging.join()
+    recording.disconnect()
+    for what, offset in {"position/reference": 0.0, "position/measured": -0.25}.items():
+        times, values = _scalars(tmp_path / "live.rrd", f"{JOINT}/{what}")
+        assert len(times) > 50
+        np.testing.assert_allclose(values, 0.01 * ((times - T0) // PERIOD) + offset, atol=1e-5)
+    times, values = _scalars(tmp_path / "live.rrd", f"{JOINT}/error")
+    assert len(times) > 50
+    np.testing.assert_allclose(values, 0.25, atol=1e-5)
+
+
+def test_no_viewer_is_an_error(monkeypatch):
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+    with pytest.raises(ConfigError):
+        show_live(Config(), f"127.0.0.1:{port}")
+    with pytest.raises(ConfigError):
+        show_live(Config(), "viewer")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(ConfigError):
+        show_live(Config())

@@ -150,8 +150,8 @@ def compare(reference: Reference, measured: Measured) -> Tracking | None:
     times = reference.publish_time + reference.clock_offset
     state_times = measured.publish_time + measured.clock_offset
     order, state_order = np.argsort(times, kind="stable"), np.argsort(state_times, kind="stable")
-    with_time = np.column_stack([reference.q, reference.motion_time])
-    order = order[_is_sane(with_time)[order]]
+    sane = _is_sane(reference.q) & (np.abs(reference.motion_time) < _LARGEST)
+    order = order[sane[order]]
     if not len(order):
         return None
     times, q, phase = times[order], reference.q[order], reference.phase[order]
@@ -165,7 +165,7 @@ def compare(reference: Reference, measured: Measured) -> Tracking | None:
     asked, done = compared.interpolate(q), measured.q[states]
     motion_time = compared.interpolate(reference.motion_time[order][:, np.newaxis])[:, 0]
     error = asked - done
-    worst = np.abs(error).argmax(axis=0)
+    worst = np.where(error.max(axis=0) > -error.min(axis=0), error.argmax(0), error.argmin(0))
     gaps = np.diff(times)[phase[:-1] == Phase.PLAY]
     seconds, state_seconds = (times - times[0]) / 1e9, (state_times[states] - times[0]) / 1e9
     return Tracking(

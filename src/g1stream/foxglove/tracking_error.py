@@ -48,7 +48,9 @@ class Neighbours(NamedTuple):
     def interpolate(self, values: NDArray[Any]) -> Floats:
         """(K, J) the samples' values (R, J) at the instants, linearly interpolated."""
         earlier = values[self.before]
-        between: Floats = earlier + self.weight[:, np.newaxis] * (values[self.after] - earlier)
+        between: Floats = values[self.after] - earlier
+        between *= self.weight[:, np.newaxis]
+        between += earlier
         return between
 
 

@@ -1,9 +1,10 @@
-"""Summary and metrics of a ten-minute session at 500 Hz: time and memory, and how they grow.
+"""Summary, metrics and report of ten minutes at 500 Hz: time and memory, and how they grow.
 
     python benchmarks/report.py [--minutes N] [--json]
 
 A synthetic session (`g1stream.synthetic`) of N minutes, and one of half that length, are written to
-temporary files; each is then summarised, and measured, in a process of its own.
+temporary files; summary, metrics and the page of a report are made of each, in processes of
+their own.
 """
 
 from __future__ import annotations
@@ -29,12 +30,16 @@ def write(path: Path, seconds: float) -> None:
 
 
 def read(path: Path, what: str) -> dict[str, float]:
-    """Open a session and make its `summary` or `metrics`."""
+    """Open a session and make its `summary`, its `metrics`, or the page of its `report`."""
+    from g1stream.analysis.report.page import report
     from g1stream.session.session import open_session
 
     path.read_bytes()  # so that the disk is not what is measured
     begun, used = time.perf_counter(), time.process_time()
-    getattr(open_session(path), what)()
+    if what == "report":
+        report(path, path.with_suffix(".html"), force=True)
+    else:
+        getattr(open_session(path), what)()
     return {
         "wall_s": time.perf_counter() - begun,
         "cpu_s": time.process_time() - used,
@@ -51,7 +56,7 @@ def measured(path: Path, what: str) -> dict[str, float]:
 
 
 def run(minutes: float) -> list[dict[str, Any]]:
-    """A row for each length and each of summary and metrics."""
+    """A row for each length and each of summary, metrics and report."""
     rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as directory:
         for length in (minutes / 2, minutes):
@@ -64,7 +69,7 @@ def run(minutes: float) -> list[dict[str, Any]]:
                     "what": what,
                     **measured(path, what),
                 }
-                for what in ("summary", "metrics")
+                for what in ("summary", "metrics", "report")
             ]
     return rows
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final, Literal, NamedTuple, get_args
 
 import numpy as np
 
+from g1stream.analysis.torque import commanded_torque
 from g1stream.analysis.tracking import NothingToCompareError
 from g1stream.errors import ConfigError
 from g1stream.session.streams import Command, Measured, Reference
@@ -64,9 +65,8 @@ class Signal:
 def signal(session: Session, quantity: Quantity) -> Signal:
     """A quantity of the joints of a session; without lines where nothing of it was recorded.
 
-    Positions, velocities and errors are in degrees. The torque asked for is that which a motor's
-    servo makes of the newest command at the time of a state,
-    tau + kp (q_command - q) + kd (dq_command - dq), before its own limit.
+    Positions, velocities and errors are in degrees. The torque asked for is that of
+    `commanded_torque`.
     """
     makers: dict[Quantity, Callable[[Session], Signal]] = {
         "q": lambda one: Signal("position", "deg", _asked_and_measured(one, "q")),
@@ -147,17 +147,8 @@ def _torques(session: Session) -> tuple[Line, ...]:
     if session.topics.get(Measured.topic):
         measured = session.measured.read("q", "dq", "tau")
         if session.topics.get(Command.topic):
-            command = session.command.read("q", "dq", "tau", "kp", "kd")
-            order = np.argsort(command.time, kind="stable")
-            before = np.searchsorted(command.time[order], measured.time, side="right") - 1
-            newest = order[before.clip(0)]
-            asked = command.q[newest] - measured.q
-            asked *= command.kp[newest]
-            asked += command.kd[newest] * (command.dq[newest] - measured.dq)
-            asked += command.tau[newest]
-            asked[before < 0] = np.nan
-            lines.append(_line("asked for", measured.time, asked))
-        lines.append(_line("estimated by the motor", measured.time, measured.tau))
+            lines.append(_line("commanded", measured.time, commanded_torque(session)))
+        lines.append(_line("estimated", measured.time, measured.tau))
     return tuple(lines)
 
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from g1stream.session.session import Session
     from g1stream.session.streams import Measured
 
-__all__ = ["COMMAND_COLUMNS", "torque_metrics"]
+__all__ = ["COMMAND_COLUMNS", "commanded_torque", "torque_metrics"]
 
 COMMAND_COLUMNS: Final = ("q", "dq", "tau", "kp", "kd")
 """The columns of the commands that are read."""
@@ -100,6 +100,24 @@ def torque_metrics(
         power_w=None if work is None or not duration else float(work.sum()) / duration,
         joints=joints,
     )
+
+
+def commanded_torque(session: Session) -> Floats:
+    """(M, 29) Nm that the newest command asks of each state; nan where none is of the last 100 ms.
+
+    Args:
+        session: with commands and states.
+    """
+    measured, command = session.measured.read("q", "dq"), session.command.read(*COMMAND_COLUMNS)
+    times = measured.publish_time + measured.clock_offset
+    torque: Floats = np.full(measured.q.shape, np.nan)
+    if around := _newest(command.publish_time + command.clock_offset, times):
+        known, newest = around
+        for joint in range(torque.shape[1]):
+            torque[known, joint] = _commanded(
+                command, newest, measured, np.flatnonzero(known), joint
+            )
+    return torque
 
 
 def _integral(values: Floats, seconds: Floats) -> float:

@@ -109,3 +109,13 @@ def test_a_rollout_succeeds_and_did_work(rollout):
     power = rollout.sel("PLAY").measured
     work = trapezoid(np.abs(power.tau * power.dq), power.time, axis=0).sum()
     assert torque.work_j == pytest.approx(work, rel=1e-2)
+
+
+def test_a_base_or_a_gyroscope_that_is_not_finite(rollout, monkeypatch):
+    part = rollout.sel(time=slice(0.0, 1.0))
+    nan = np.full_like(part.base.position, np.nan)
+    monkeypatch.setitem(vars(part.base), "position", nan)
+    assert part.metrics().body.world is None
+    assert part.metrics().body.root_relative is not None
+    monkeypatch.setitem(vars(part.measured), "gyroscope", np.full_like(nan, np.inf))
+    assert part.metrics().body.root_relative is None

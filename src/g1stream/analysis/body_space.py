@@ -58,11 +58,11 @@ def body_metrics(robot: G1, frames: Frames) -> BodyMetrics:
         if frames.has_position:
             apart = reference.root_pos - measured.root_pos
             world = relative + apart[:, np.newaxis]
-            ends = [names.index(name) for name in END_EFFECTORS]
+            ends = [names.index(name) for name in END_EFFECTORS if name in names]
             terminations = TerminationMetrics(
                 max_pelvis_height_mm=float(np.abs(apart[:, 2]).max() * _MM),
                 max_gravity_difference=_gravity_difference(reference, measured),
-                max_end_effector_height_mm=float(np.abs(world[:, ends, 2]).max() * _MM),
+                max_end_effector_height_mm=float(np.abs(world[:, ends, 2]).max(initial=0.0) * _MM),
             )
     return BodyMetrics(
         fps=FPS,
@@ -71,7 +71,9 @@ def body_metrics(robot: G1, frames: Frames) -> BodyMetrics:
         root_relative=None if relative is None else _link_metrics(frames, names, relative),
         pelvis_frame=_link_metrics(frames, names, asked.pos - done.pos),
         end_effectors={
-            name: _end_effector(asked, done, names.index(name)) for name in END_EFFECTORS
+            name: _end_effector(asked, done, names.index(name))
+            for name in END_EFFECTORS
+            if name in names
         },
         pelvis=_pelvis_metrics(frames) if frames.has_attitude else None,
         terminations=terminations,

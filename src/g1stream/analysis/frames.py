@@ -107,7 +107,8 @@ def frames(session: Session, tracking: Tracking) -> Frames | None:
     if base is not None:
         base_order = np.argsort(base.time, kind="stable")
         base_times = _Sampler(base.time[base_order])
-        base_known = base_times.known(at)
+        finite = all(np.isfinite(one).all() for one in (base.position, base.velocity))
+        base_known = base_times.known(at) & finite
         if (known & base_known).any():
             known &= base_known
         else:
@@ -129,6 +130,7 @@ def frames(session: Session, tracking: Tracking) -> Frames | None:
     quat = states.at(at, measured.imu_quat_wxyz[tracking.states])
     # An IMU that is not there sends zeros.
     has_attitude = bool((np.abs(np.linalg.norm(quat, axis=1) - 1.0) <= UNIT_TOLERANCE).all())
+    has_attitude &= bool(np.isfinite(measured.gyroscope).all())
     if has_attitude:
         quat = quat_normalize(quat)
         yaw = yaw_of(target.root_quat_wxyz[0]) - yaw_of(quat[0])

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 from g1stream.cli.command import EXIT_OK, Command, print_json
 from g1stream.cli.flags import argument, flag
 
 __all__ = ["Report"]
+
+#: The page that is written if none is named.
+_PAGE: Final = Path("report.html")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,7 +34,7 @@ class Report(Command):
     sessions: tuple[Path, ...] = argument(
         "Session files, or directories of split recordings.", "SESSION..."
     )
-    out: Path = flag(Path("report.html"), "The page to write.", "HTML", aliases=("-o",))
+    out: Path | None = flag(None, "The page to write.", "HTML", shown=str(_PAGE), aliases=("-o",))
     force: bool = flag(False, "Replace a file that is there.")
     json: bool = flag(False, "Print summary and metrics as JSON, and write no page.")
     csv: bool = flag(False, "Print the metrics as CSV, and write no page.")
@@ -40,12 +44,14 @@ class Report(Command):
         from g1stream.analysis.report.page import numbers, report, to_csv
         from g1stream.errors import ConfigError
 
-        if self.json and self.csv:
-            raise ConfigError("--json and --csv are given together.", "Give one of them.")
+        if self.json + self.csv + (self.out is not None) > 1:
+            raise ConfigError(
+                "More than one of --json, --csv and --out is given.", "Give one of them."
+            )
         if self.json:
             print_json(numbers(self.sessions))
         elif self.csv:
             print(to_csv(numbers(self.sessions)), end="")
         else:
-            print(report(self.sessions, self.out, force=self.force))
+            print(report(self.sessions, self.out or _PAGE, force=self.force))
         return EXIT_OK

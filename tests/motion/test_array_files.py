@@ -5,6 +5,8 @@ from __future__ import annotations
 import gzip
 import os
 import pickle
+import struct
+import tracemalloc
 import zlib
 from typing import get_args
 
@@ -252,3 +254,48 @@ def test_what_is_no_motion(tmp_path, arrays, reason):
     path.write_bytes(pickle.dumps(arrays))
     with pytest.raises(MotionError, match=reason):
         g1stream.load_motion(path, joint_order="motor")
+
+
+def many_encodings():
+    """A small pickle that asks for the same large text to be encoded again and again."""
+    text = b"X" + struct.pack("<I", 1_000_000) + b"a" * 1_000_000
+    start = b"\x80\x02c_codecs\nencode\nq\0" + text + b"q\1X\6\0\0\0latin1q\2"
+    return start + b"](" + b"h\0h\1h\2\x86R" * 2_000 + b"e."
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"\x80\x05\x96" + struct.pack("<Q", 2**40),  # a bytearray of a terabyte
+        b"\x80\x04\x8e" + struct.pack("<Q", 2**60) + b"abc",
+        b"\x80\x04cos\nsystem\n.",
+        b"\x80\x02(S'x'\nios\nsystem\n.",
+        many_encodings(),
+    ],
+    ids=["bytearray", "bytes", "global", "instance", "encodings"],
+)
+def test_hostile_pickles(tmp_path, content):
+    path = tmp_path / "motion.pkl"
+    path.write_bytes(content)
+    tracemalloc.start()
+    try:
+        with pytest.raises(MotionError):
+            open_motion_file(path)
+        assert tracemalloc.get_traced_memory()[1] < 2**30
+    finally:
+        tracemalloc.stop()
+
+
+def test_bodies_of_fewer_frames(tmp_path, motion):
+    path = tmp_path / "motion.npz"
+    found = {name: values[:-1] for name, values in bodies(motion).items()}
+    np.savez(path, joint_pos=motion.joint_pos, **found)
+    with pytest.raises(MotionError, match="shape"):
+        g1stream.load_motion(path)
+
+
+def test_order_told_by_limits_is_a_warning(tmp_path, motion):
+    path = tmp_path / "motion.npz"
+    np.savez(path, q=motion.joint_pos)
+    assert len(g1stream.load_motion(path).warnings) == 1
+    assert g1stream.load_motion(path, joint_order="motor").warnings == ()

@@ -176,9 +176,10 @@ class StreamLoop:
                 break
 
     def _tick(self, deadline: int) -> None:
+        self._yield_to_guard(deadline)
         if self._prepared and self._prepared_for != deadline:
             self._catch_up(deadline)
-        self._yield_to_guard(deadline)  # last, so that little time is left for it to begin in
+        self._yield_to_guard(deadline)  # again, so that little time is left for it to begin in
         self._publish(deadline)
         if self._yield_to_guard(deadline):  # it began just before our command
             self._publish(deadline)

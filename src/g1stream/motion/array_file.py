@@ -24,6 +24,8 @@ from g1stream.robot.rotations import quat_normalize, quat_rotate, wxyz_from_xyzw
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from numpy.typing import NDArray
+
     from g1stream.types import Floats, JointOrder
 
 __all__ = ["ArrayFile"]
@@ -31,6 +33,8 @@ __all__ = ["ArrayFile"]
 _ANGLES: Final = ("joint_pos", "dof_pos", "dof", "qpos", "joint_angles", "q")
 _NAMES: Final = ("joint_names", "dof_names")
 _POSITIONS: Final = ("root_pos", "root_trans", "root_trans_offset", "base_pos", "root_translation")
+#: An array that is converted to 64 bits has no more: 512 MiB.
+_MOST_NUMBERS: Final = 2**26
 #: Position and quaternion.
 _ROOT: Final = 7
 #: Arrays of the motions of human body models.
@@ -98,7 +102,7 @@ class ArrayFile:
         self._asked = joint_order
         self._npz = is_zip(content)
         try:
-            arrays = read_npz(content) if self._npz else read_pickle(content)
+            arrays = read_npz(content, objects=True) if self._npz else read_pickle(content)
         except ValueError as error:
             raise self._error(str(error), _READ) from error
         self._arrays = self._of_one_motion(arrays)
@@ -126,7 +130,11 @@ class ArrayFile:
             fps=fps or self._fps or DEFAULT_FPS,
             name=self.path.stem,
         )
-        warnings = [f"Joints that no G1 has are left out: {', '.join(self.unknown)}."]
+        warnings = []
+        if self.unknown:
+            warnings.append(f"Joints that no G1 has are left out: {', '.join(self.unknown)}.")
+        if self._guessed:
+            warnings.append(f"The order of the joints was told by their limits. {self._order[1]}.")
         if root:
             norms = np.linalg.norm(root.quat_wxyz, axis=1)
             warnings += norm_warnings(norms, self.path.name, lambda frame: f"frame {frame}")
@@ -134,7 +142,7 @@ class ArrayFile:
             motion,
             source=self.path,
             sha256=self.sha256,
-            warnings=tuple(warnings[not self.unknown :]),
+            warnings=tuple(warnings),
         )
 
     @cached_property
@@ -153,6 +161,11 @@ class ArrayFile:
             pelvis,
             f"{self._fps:g} fps, as the file says" if self._fps else "no frame rate in the file",
         )
+
+    @property
+    def _guessed(self) -> bool:
+        """Whether only the joint limits speak for the order of the joints."""
+        return not (self._names or self._asked or "body_pos_w" in self._arrays)
 
     @property
     def n_rows(self) -> int:
@@ -197,7 +210,7 @@ class ArrayFile:
         """The joints that the file names, as g1stream names them."""
         for key in _NAMES:
             if key in self._arrays:
-                names = [str(name) for name in np.asarray(self._arrays[key]).ravel().tolist()]
+                names = [str(name) for name in self._array(key).ravel().tolist()]
                 return tuple(f"{name.removesuffix('_joint')}_joint" for name in names)
         return ()
 
@@ -221,10 +234,9 @@ class ArrayFile:
             return self._names, "named by the file"
         if self._asked:
             return names_in_order(self._asked), f"{self._asked}, as asked for"
-        bodies, root = self._arrays.get("body_pos_w"), self._root
-        known = None
-        if bodies is not None and root is not None:
-            known = Bodies(self._numbers("body_pos_w", 3), root.pos, quat_normalize(root.quat_wxyz))
+        known, root = None, self._root
+        if root and "body_pos_w" in self._arrays:
+            known = Bodies(self._bodies("body_pos_w", 3), root.pos, quat_normalize(root.quat_wxyz))
         order, why = tell_order(self._angles, known, self.path.name)
         return names_in_order(order), why
 
@@ -241,14 +253,24 @@ class ArrayFile:
             return self._pose(table[:, :3], table[:, 3:_ROOT], f"in {angles}, quaternion wxyz")
         if {"body_pos_w", "body_quat_w"} <= self._arrays.keys():
             body = self._pelvis
-            pos, quat = self._numbers("body_pos_w", 3), self._numbers("body_quat_w", 3)
+            pos, quat = self._bodies("body_pos_w", 3), self._bodies("body_quat_w", 4)
             return self._pose(pos[:, body], quat[:, body], f"body {body}, quaternion wxyz")
         return None
+
+    def _bodies(self, name: str, width: int) -> Floats:
+        values = self._numbers(name, 3)
+        n_frames, n_bodies, n_numbers = values.shape
+        if n_frames != self.n_rows or n_numbers != width or n_bodies <= self._pelvis:
+            raise self._error(
+                f"{name} has the shape {values.shape}",
+                f"Give it the shape ({self.n_rows}, bodies, {width}).",
+            )
+        return values
 
     @property
     def _pelvis(self) -> int:
         """Which of the bodies is the pelvis: the first one if the file does not name them."""
-        names = np.asarray(self._arrays.get("body_names", [])).ravel().tolist()
+        names = self._array("body_names").ravel().tolist()
         return names.index("pelvis") if "pelvis" in names else 0
 
     def _pose(self, pos: Floats, quat: Floats, source: str) -> _Root:
@@ -278,20 +300,32 @@ class ArrayFile:
         """Frames per second as the file says; None if it does not."""
         for name in _FPS:
             if name in self._arrays:
-                values = np.asarray(self._arrays[name]).ravel()
+                values = self._array(name).ravel()
                 if values.size == 1 and values.dtype.kind in "iuf" and values[0] > 0:
                     return float(values[0])
                 raise self._error(f"{name} is no frame rate", "Give it one number, such as 50.")
         return None
 
     def _numbers(self, name: str, dimensions: int) -> Floats:
-        values = np.asarray(self._arrays[name])
-        if values.dtype.kind not in "iuf" or values.ndim != dimensions or not len(values):
+        values = self._array(name)
+        if values.dtype.kind not in "iuf" or values.ndim != dimensions or not values.size:
             raise self._error(
                 f"{name} is no array of numbers with {dimensions} dimensions",
                 "Give it a row for each frame.",
             )
+        if values.size > _MOST_NUMBERS:
+            raise self._error(
+                f"{name} has more than {_MOST_NUMBERS:,} numbers", "Give a part of the motion."
+            )
         return values.astype(np.float64)
+
+    def _array(self, name: str) -> NDArray[Any]:
+        try:
+            return np.asarray(self._arrays.get(name, []))
+        except ValueError:
+            raise self._error(
+                f"the rows of {name} differ in length", "Give it a row for each frame."
+            ) from None
 
     def _of_one_motion(self, content: Any) -> dict[str, Any]:
         """The arrays; those of the only motion in a file of several, as joblib's mostly are."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import pickle
 import re
+import struct
 import warnings
 import zipfile
 import zlib
@@ -25,6 +26,8 @@ _LARGEST: Final = 512 * 2**20
 #: The most numbers and texts that are not in an array, and how deep they may be in containers.
 _MOST_VALUES: Final = 20_000_000
 _DEPTH: Final = 4
+#: Characters of the texts in an array of Python objects, each as long as the longest.
+_LONGEST_TEXTS: Final = 1_000_000
 #: The types of numbers and texts that arrays may have; texts may be Python objects.
 _DTYPE: Final = re.compile(r"[<>|=]?([biufSU][0-9]{1,5}|O8?)")
 
@@ -42,13 +45,12 @@ def is_pickle(data: bytes) -> bool:
     return data[:1] == pickle.PROTO or _is_compressed(data)
 
 
-def read_npz(data: bytes) -> dict[str, Any]:
+def read_npz(data: bytes, *, objects: bool = False) -> dict[str, Any]:
     """The arrays of an NPZ file, by name.
-
-    Arrays of Python objects, such as names, are read as `read_pickle` does.
 
     Args:
         data: content of the file.
+        objects: also read arrays of Python objects, such as names, as `read_pickle` does.
 
     Raises:
         ValueError: it is larger than 512 MiB unpacked, or its content is not that of an NPZ.
@@ -63,20 +65,26 @@ def read_npz(data: bytes) -> dict[str, Any]:
             if any(member.compress_type not in plain for member in members):
                 raise ValueError("it is compressed in another way than deflate")
             return {
-                one.filename.removesuffix(".npy"): _read_npy(archive.read(one)) for one in members
+                member.filename.removesuffix(".npy"): _read_npy(archive.read(member), objects)
+                for member in members
             }
     except (zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, EOFError) as error:
         raise ValueError(str(error)) from error
 
 
-def _read_npy(data: bytes) -> Any:
+def _read_npy(data: bytes, objects: bool) -> Any:
     file = io.BytesIO(data)
     if np.lib.format.read_magic(file) != (1, 0):
         raise ValueError("an array has another version than 1.0 of the NPY format")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # it warns of headers as Python 2 wrote them
-        shape, column_major, dtype = np.lib.format.read_array_header_1_0(file)
+        try:
+            shape, column_major, dtype = np.lib.format.read_array_header_1_0(file)
+        except Exception as error:  # numpy parses it as Python, which has many ways to fail
+            raise ValueError("the header of an array is damaged") from error
     if dtype.hasobject:
+        if not objects:
+            raise ValueError("it has Python objects")
         return read_pickle(data[file.tell() :])
     values = np.frombuffer(data, dtype, offset=file.tell())
     return values.reshape(shape, order="F" if column_major else "C")
@@ -167,11 +175,11 @@ class _JoblibArray:
 
 
 def _shaped(content: Any, dtype: _Dtype, shape: Any, order: Any) -> NDArray[Any]:
-    if isinstance(content, str):  # as protocol 2 writes bytes
-        content = content.encode("latin1")
     if dtype.numpy.hasobject:
         if not isinstance(content, list) or not all(isinstance(one, str) for one in content):
             raise ValueError("it has an array of Python objects")
+        if len(content) * max(map(len, content), default=0) > _LONGEST_TEXTS:
+            raise ValueError("it has an array of long texts")
         values = np.array(content)
     else:
         values = np.frombuffer(content, dtype.numpy)
@@ -188,20 +196,34 @@ def _scalar(dtype: _Dtype, content: Any) -> Any:
     return _shaped(content, dtype, (), "C").item()
 
 
-def _bytes_of(text: str, encoding: str) -> bytes:
-    return text.encode("latin1" if encoding == "latin1" else "ascii")
-
-
 class _Unpickler(pickle._Unpickler):
-    """The unpickler in Python, of which the names are ours and arrays of joblib are read."""
+    """The unpickler in Python with a choice of operations, names of ours, and joblib's arrays."""
 
-    dispatch: ClassVar[dict[int, Any]] = dict(pickle._Unpickler.dispatch)
+    #: Numbers, texts, bytes, containers, and what arrays are made with.
+    dispatch: ClassVar[dict[int, Any]] = {
+        operation[0]: pickle._Unpickler.dispatch[operation[0]]
+        for operation in (
+            *(pickle.PROTO, pickle.FRAME, pickle.STOP, pickle.MARK, pickle.POP),
+            *(pickle.MEMOIZE, pickle.BINPUT, pickle.LONG_BINPUT),
+            *(pickle.BINGET, pickle.LONG_BINGET),
+            *(pickle.NONE, pickle.NEWTRUE, pickle.NEWFALSE, pickle.BINFLOAT),
+            *(pickle.BININT, pickle.BININT1, pickle.BININT2, pickle.LONG1, pickle.LONG4),
+            *(pickle.SHORT_BINUNICODE, pickle.BINUNICODE, pickle.BINUNICODE8),
+            *(pickle.SHORT_BINBYTES, pickle.BINBYTES, pickle.BINBYTES8),
+            *(pickle.EMPTY_LIST, pickle.APPEND, pickle.APPENDS),
+            *(pickle.EMPTY_DICT, pickle.SETITEM, pickle.SETITEMS),
+            *(pickle.EMPTY_TUPLE, pickle.TUPLE),
+            *(pickle.TUPLE1, pickle.TUPLE2, pickle.TUPLE3),
+            *(pickle.GLOBAL, pickle.STACK_GLOBAL, pickle.REDUCE, pickle.NEWOBJ),
+        )
+    }
     stack: list[Any]
+    read: Callable[[int], bytes]
+    append: Callable[[Any], None]
 
     _known: ClassVar[Mapping[tuple[str, str], Callable[..., Any]]] = {
         ("numpy", "ndarray"): _Array,
         ("numpy", "dtype"): _Dtype,
-        ("_codecs", "encode"): _bytes_of,
         ("joblib.numpy_pickle", "NumpyArrayWrapper"): _JoblibArray,
         ("collections", "OrderedDict"): dict,
         **{
@@ -218,8 +240,11 @@ class _Unpickler(pickle._Unpickler):
     def __init__(self, file: io.BytesIO) -> None:
         super().__init__(file)
         self._file = file
+        self._left = _LARGEST
 
     def find_class(self, module: str, name: str) -> Any:
+        if (module, name) == ("_codecs", "encode"):
+            return self._encoded
         known = self._known.get((module, name))
         if known is None:
             raise ValueError(f"it is a pickle with a {module}.{name}, which is not read")
@@ -227,6 +252,20 @@ class _Unpickler(pickle._Unpickler):
 
     def load(self) -> Any:
         return _Plain().of(super().load())
+
+    def _encoded(self, text: str, _encoding: str) -> bytes:
+        """Bytes as protocol 2 writes them; every call makes new ones, so they are counted."""
+        self._left -= len(text)
+        if self._left < 0:
+            raise ValueError(f"it is larger than {_LARGEST / 2**20:g} MiB unpacked")
+        return text.encode("latin1")
+
+    def _bytearray(self) -> None:
+        # The standard one allocates the claimed size before it reads.
+        (size,) = struct.unpack("<Q", self.read(8))
+        self.append(self.read(size))
+
+    dispatch[pickle.BYTEARRAY8[0]] = _bytearray
 
     def _build(self) -> None:
         stand_in = self.stack[-2]

@@ -22,11 +22,13 @@ __all__ = ["Bodies", "in_motor_order", "names_in_order", "tell_order"]
 
 #: Frames that bodies are compared in.
 _FRAMES: Final = 50
-#: An order is told by the bodies if its distance is at most this share of the other's.
+#: An order is told by the bodies if it puts the links this near to them, mm, and at most at this
+#: share of the distance in the other order.
+_NEAR: Final = 50.0
 _NEARER: Final = 0.5
 #: It is told by the limits if the other has more than this share of the angles beyond them, and
 #: more than so many times as many.
-_BEYOND: Final = 1e-3
+_BEYOND: Final = 1e-2
 _TIMES: Final = 10.0
 #: An angle counts as beyond a limit by more than this, rad; retargeting tools differ by as much.
 _EXCESS: Final = 0.02
@@ -82,7 +84,7 @@ def tell_order(angles: Floats, bodies: Bodies | None, name: str) -> tuple[JointO
     if bodies is not None:
         distances = {order: _distance(one, bodies) for order, one in sorted_angles.items()}
         best, other = sorted(orders, key=lambda order: distances[order])
-        if distances[best].mm <= _NEARER * distances[other].mm:
+        if distances[best].mm <= min(_NEAR, _NEARER * distances[other].mm):
             return best, (
                 f"{best}: the bodies are {distances[best]}, in {other} order "
                 f"{distances[other].mm:.0f} mm"

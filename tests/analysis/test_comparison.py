@@ -154,3 +154,21 @@ def test_the_command(tmp_path, capsys):
     capsys.readouterr()
     assert main([*given, "--json", "--fail-if", "rmse > base"]) == 1
     assert '"failed": true' in capsys.readouterr().out
+
+
+def test_three_sessions_without_a_common_part_are_refused():
+    whole = session(seconds=4.0)
+    early, late = whole.sel(time=slice(0.0, 1.0)), whole.sel(time=slice(3.0, None))
+    with pytest.raises(RecordingError):
+        g1stream.compare(whole, [early, late])
+    touching = whole.sel(time=slice(0.95, None))
+    with pytest.raises(RecordingError):
+        g1stream.compare(early, touching)
+
+
+def test_a_short_common_part_is_compared():
+    whole = session(seconds=4.0, bias=0.01)
+    early, late = whole.sel(time=slice(0.0, 1.0)), whole.sel(time=slice(0.85, None))
+    found = g1stream.compare(early, late)
+    assert found.stop_s - found.start_s == pytest.approx(0.15, abs=0.01)
+    assert found.metrics["rmse"].base == pytest.approx(0.01, rel=0.1)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from unittest.mock import Mock
+
 import mujoco
 import numpy as np
 import pytest
@@ -170,3 +172,11 @@ def test_torques_of_the_floor_are_those_of_mujoco(robot, soles):
     assert soles.torques(poses, corners, forces)[0] == pytest.approx(expected, abs=1e-9)
     assert np.abs(expected[:12]).min() > 0
     assert not expected[12:].any()
+
+
+def test_a_solver_that_gives_up_is_replaced(monkeypatch):
+    point, force = np.array([0.2, 0.3, 0.0]), np.array([30.0, -40.0, 330.0])
+    task = SQUARE, force, np.cross(point, force)
+    expected = floor_forces(*task)
+    monkeypatch.setattr("scipy.optimize.nnls", Mock(side_effect=RuntimeError("iterations")))
+    assert floor_forces(*task) == pytest.approx(expected, abs=1e-3)

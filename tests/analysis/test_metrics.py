@@ -119,3 +119,33 @@ def test_a_base_or_a_gyroscope_that_is_not_finite(rollout, monkeypatch):
     assert part.metrics().body.root_relative is not None
     monkeypatch.setitem(vars(part.measured), "gyroscope", np.full_like(nan, np.inf))
     assert part.metrics().body.root_relative is None
+
+
+@pytest.mark.parametrize(
+    ("stream", "column"),
+    [("measured", "q"), ("measured", "dq"), ("measured", "tau"), ("command", "kp")],
+)
+@pytest.mark.parametrize("tracked", [True, False])
+def test_a_sample_that_is_not_finite_is_left_out(rollout, monkeypatch, stream, column, tracked):
+    part = rollout.sel(time=slice(0.5, 1.0))
+    if not tracked:
+        part.topics = {name: n for name, n in part.topics.items() if name != "/reference"}
+    expected = part.metrics().torque
+    values = getattr(getattr(part, stream), column).copy()
+    values[20, 3] = np.nan
+    monkeypatch.setitem(vars(getattr(part, stream)), column, values)
+    found = part.metrics().torque
+    assert found.in_play is tracked
+    assert found.commanded_rmse_nm == pytest.approx(expected.commanded_rmse_nm, rel=0.05)
+    assert found.work_j == pytest.approx(expected.work_j, rel=0.05)
+
+
+def test_a_robot_that_cannot_be_used_is_not_replaced(rollout, monkeypatch):
+    part = rollout.sel(time=slice(0.5, 1.0))
+    monkeypatch.setitem(vars(part), "attachments", {"robot.urdf": b"<robot/>"})
+    metrics = part.metrics()
+    assert metrics.torque is metrics.body is None
+    assert metrics.missing.keys() == {"body", "torque"}
+    assert (
+        metrics.tracking.all_joints.rmse_rad == rollout.sel(time=slice(0.5, 1.0)).tracking().overall
+    )

@@ -11,10 +11,10 @@ from rosbags.interfaces import QosDurability, QosHistory, QosLiveliness, QosReli
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
+from g1stream.dds.ros2 import encode_string
 from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE
 from g1stream.errors import RecordingError
 from g1stream.foxglove.encoders import JointStatesTemplate, TransformsEncoder
-from g1stream.foxglove.scene import encode_robot_description
 from g1stream.robot.model import G1
 from g1stream.session.ros2 import write_ros2_bag
 from g1stream.session.session import open_session
@@ -58,7 +58,7 @@ def recorded(write_session, samples):
         "/timing/states": np.frombuffer(b"{}" * N, np.uint8).reshape(N, 2),
     }
     streams = {topic: [row.tobytes() for row in rows] for topic, rows in derived.items()}
-    description = {"/robot_description": [encode_robot_description(robot)]}
+    description = {"/robot_description": [encode_string(robot.urdf)]}
     return write_session(*(samples | streams | description).items())
 
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from g1stream.analysis.comparison_table import table
+from g1stream.analysis.comparison_table import SIGNIFICANT, table
 from g1stream.analysis.summary import played
 from g1stream.errors import RecordingError
 from g1stream.session.session import Session, open_session
@@ -33,15 +33,14 @@ if TYPE_CHECKING:
     from g1stream.session.summary import Summary
     from g1stream.types import Floats
 
-__all__ = ["SIGNIFICANT", "Comparison", "Difference", "compare"]
-
-SIGNIFICANT: Final = 0.05
-"""A difference with an adjusted p-value below this is significant."""
+__all__ = ["Comparison", "Difference", "compare"]
 
 #: References of one motion differ by no more than this at the same motion time, rad.
 _SAME_MOTION: Final = 0.01
 #: Sessions that were played from and to within this, s, are compared whole.
 _SAME_INTERVAL: Final = 0.1
+#: A common part shorter than this, s, is none.
+_SHORTEST: Final = 0.1
 #: Motion times at which references are compared, Hz.
 _RATE: Final = 20.0
 
@@ -145,6 +144,8 @@ def compare(
     start, stop = max(run.start for run in runs), min(run.stop for run in runs)
     for run in runs[1:]:
         _require_same_motion(runs[0], run)
+    if stop - start < _SHORTEST:
+        raise _nothing_in_common(max(runs, key=lambda run: run.start), start, stop)
     found = [[run.metrics_of(start, stop) for run in side] for side in sides]
     units = {name: unit for name, (unit, _) in _METRICS.items()}
     return Comparison(
@@ -195,8 +196,12 @@ class _Run(NamedTuple):
         session = _opened(self.source)
         found = session.tracking()
         inside = (found.motion_time >= start) & (found.motion_time <= stop)
-        first, last = found.time[inside][[0, -1]].tolist()
-        return session.sel(time=slice(first, last)).metrics()
+        if inside.any():
+            first, last = found.time[inside][[0, -1]].tolist()
+            part = session.sel(time=slice(first, last)).metrics()
+            if part.tracking:
+                return part
+        raise _nothing_in_common(self, start, stop)
 
 
 def _several(
@@ -234,6 +239,14 @@ def _read(source: Session | str | Path) -> _Run:
         ),
         metrics=session.metrics(),
         facts=dict(_facts(session, summary)),
+    )
+
+
+def _nothing_in_common(run: _Run, start: float, stop: float) -> RecordingError:
+    return RecordingError(
+        f"{run.path} ({run.motion}) and the others have no part of a motion in common: the last "
+        f"began at {start:.2f} s of it, the first ended at {stop:.2f} s.",
+        "Compare sessions that played the same part of a motion.",
     )
 
 

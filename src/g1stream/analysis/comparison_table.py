@@ -12,7 +12,10 @@ if TYPE_CHECKING:
 
     from g1stream.analysis.comparison import Comparison, Difference
 
-__all__ = ["table"]
+__all__ = ["SIGNIFICANT", "table"]
+
+SIGNIFICANT: Final = 0.05
+"""A difference with an adjusted p-value below this is significant."""
 
 #: Joints whose RMSE differs most.
 _MOST_JOINTS: Final = 8
@@ -74,6 +77,6 @@ def _significance(comparison: Comparison) -> str:
             "between runs: give several on each side."
         )
     return (
-        f"*: p < 0.05, Welch's t-test on {sides[0]} and {sides[1]} sessions, adjusted for the "
-        "number of rows of a kind (Holm)."
+        f"*: p < {SIGNIFICANT:g}, Welch's t-test on {sides[0]} and {sides[1]} sessions, "
+        "adjusted for the number of rows of a kind (Holm)."
     )

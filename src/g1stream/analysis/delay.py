@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from g1stream.foxglove.tracking_error import MAX_GAP_NS
 from g1stream.types import Floats
 
 if TYPE_CHECKING:
@@ -31,8 +32,6 @@ _STRIDE: Final = 2
 _MOST_TIMES: Final = 20_000
 #: A joint takes part if reference and measurement span more than this, rad.
 _MOVES: Final = 0.05
-#: States further apart than this, s, say nothing of the time between them.
-_LONGEST_GAP: Final = 0.1
 #: An observation, s, and how few give no interval of confidence.
 _BLOCK: Final = 1.0
 _FEWEST_BLOCKS: Final = 5
@@ -74,7 +73,7 @@ class Delays:
         steps = int((last - first) / _STEP + 1e-9)  # negative where too little was recorded
         at = first + _STEP * np.arange(0, steps + 1, max(_STRIDE, -(-steps // _MOST_TIMES)))
         after = np.searchsorted(state_times, at).clip(1, max(1, len(state_times) - 1))
-        self._at = at[np.diff(state_times, append=np.inf)[after - 1] <= _LONGEST_GAP]
+        self._at = at[np.diff(state_times, append=np.inf)[after - 1] <= MAX_GAP_NS / 1e9]
         self._rows = np.round((self._at - first) / _STEP).astype(np.intp)
         self._moving = np.zeros(q.shape[1], dtype=bool)
         if not len(self._at):

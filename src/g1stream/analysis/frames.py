@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from g1stream.foxglove.tracking_error import MAX_GAP_NS
 from g1stream.robot.rotations import (
     UNIT_TOLERANCE,
     quat_from_axis_angle,
@@ -44,8 +45,6 @@ REFERENCE_COLUMNS: Final = (
 MEASURED_COLUMNS: Final = ("q", "dq", "imu_quat_wxyz", "gyroscope")
 """The columns of a session that `frames` reads."""
 
-#: Samples further apart than this, s, say nothing of the time between them.
-_LONGEST_GAP: Final = 0.1
 _UP: Final = np.array([0.0, 0.0, 1.0])
 
 
@@ -170,7 +169,7 @@ class _Sampler:
         before = self._before(at)
         gaps = np.diff(self._times, append=np.inf)[before]
         inside = (at >= self._times[0]) & (at <= self._times[-1])
-        return np.asarray(inside & (gaps <= _LONGEST_GAP))
+        return np.asarray(inside & (gaps <= MAX_GAP_NS / 1e9))
 
     def at(self, at: Floats, values: Floats) -> Floats:
         """(F, K) values (N, K) at the times (F,)."""

@@ -193,7 +193,7 @@ def floor_forces(corners: Floats, force: Floats, moment: Floats) -> Floats:
     Returns:
         (C, 3) N, world, of the floor on each corner.
     """
-    from scipy.optimize import nnls
+    from scipy.optimize import lsq_linear, nnls
 
     centre = corners.mean(axis=0)
     levers = np.repeat(corners - centre, len(_EDGES), axis=0)
@@ -201,7 +201,11 @@ def floor_forces(corners: Floats, force: Floats, moment: Floats) -> Floats:
     sums = np.concatenate([edges, np.cross(levers, edges)], axis=1).T
     needed = np.concatenate([force, moment - np.cross(centre, force)])
     even = np.sqrt(_EVEN) * np.eye(len(edges))
-    shares, _ = nnls(np.vstack([sums, even]), np.append(needed, np.zeros(len(edges))))
+    factors, asked = np.vstack([sums, even]), np.append(needed, np.zeros(len(edges)))
+    try:
+        shares, _ = nnls(factors, asked)
+    except RuntimeError:  # it may go in circles where corners all but coincide
+        shares = lsq_linear(factors, asked, bounds=(0.0, np.inf)).x
     forces: Floats = (shares[:, np.newaxis] * edges).reshape(len(corners), -1, 3).sum(axis=1)
     return forces
 

@@ -11,10 +11,9 @@ from g1stream.analysis.frames import FPS, MEASURED_COLUMNS, REFERENCE_COLUMNS, f
 from g1stream.analysis.summary import played, summarise
 from g1stream.analysis.timing import timing_metrics
 from g1stream.analysis.torque import COMMAND_COLUMNS, torque_metrics
-from g1stream.analysis.tracking import NothingToCompareError, pooled
+from g1stream.analysis.tracking import NothingToCompareError, pooled, rms
 from g1stream.errors import RobotError
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
-from g1stream.robot.model import G1
 from g1stream.session.metrics import (
     JointMetrics,
     LimbMetrics,
@@ -64,16 +63,21 @@ def metrics(session: Session) -> Metrics:
         except NothingToCompareError as error:
             missing["tracking"] = error.cause
     sampled = frames(session, tracking) if tracking else None
-    robot = _robot(session)
-    body = body_metrics(robot, sampled) if sampled else None
-    torque = None
-    if session.topics.get(Measured.topic):
+    body = torque = robot = None
+    try:
+        robot = session.robot
+        body = body_metrics(robot, sampled) if sampled else None
+    except RobotError as error:
+        missing["body"] = error.cause
+    if not session.topics.get(Measured.topic):
+        missing["torque"] = f"It has no messages on {Measured.topic}."
+    elif robot is None:
+        missing["torque"] = missing["body"]
+    else:
         torque = torque_metrics(session, robot.torque_limit, tracking.states if tracking else None)
         if torque is None:
-            missing["torque"] = "The robot reports no torques: all are 0."
-    else:
-        missing["torque"] = f"It has no messages on {Measured.topic}."
-    if body is None:
+            missing["torque"] = "The robot reports no torques: all are 0 or not finite."
+    if body is None and robot:
         missing["body"] = missing.get("tracking", "PLAY is too short.")
     return Metrics(
         success=_success(summary, tracking, body),
@@ -95,14 +99,6 @@ def _read(session: Session) -> None:
         session.command.read(*COMMAND_COLUMNS)
     if session.base is not None:
         session.base.read()
-
-
-def _robot(session: Session) -> G1:
-    urdf = session.attachments.get("robot.urdf", b"").decode(errors="replace")
-    try:
-        return G1.from_urdf(urdf, f"robot.urdf of {session.path}")
-    except RobotError:
-        return G1.default()
 
 
 def _tracking_metrics(tracking: Tracking, sampled: Frames | None) -> TrackingMetrics:
@@ -174,12 +170,7 @@ def _velocity_errors(sampled: Frames) -> tuple[Floats | None, Floats | None]:
     if not sampled.measured.dq.any() or not np.isfinite(error).all():
         return None, None
     change = np.diff(error, axis=0)[sampled.consecutive] * FPS
-    return _rms(error), _rms(change) if len(change) else None
-
-
-def _rms(errors: Floats) -> Floats:
-    rms: Floats = np.sqrt(np.mean(np.square(errors), axis=0))
-    return rms
+    return rms(error), rms(change) if len(change) else None
 
 
 def _success(

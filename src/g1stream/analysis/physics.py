@@ -12,6 +12,7 @@ import numpy as np
 
 from g1stream.analysis.ground import (
     FRICTION,
+    SIDES,
     Soles,
     beyond_support,
     touching,
@@ -202,7 +203,7 @@ def _on_its_feet(frames: _Frames, loads: Loads, beyond: Floats) -> list[Excess |
     sideways = np.linalg.norm(force[:, :2], axis=1)
     pressed = np.isfinite(beyond)
     grip = np.divide(sideways, up, out=np.zeros_like(up), where=pressed)
-    feet = [f"{side} foot" for side in ("left", "right") for _ in range(4)]
+    feet = [f"{side} foot" for side in SIDES for _ in range(4)]
     sinks = np.maximum(-1e3 * frames.corners[..., 2], 0.0)
     slides = 1e3 * np.where(frames.touches, frames.speeds, 0.0)
     below = np.maximum(-1e3 * _columns(frames.heights, len(force)), 0.0)

@@ -80,7 +80,7 @@ def verdict(summary: Summary) -> str:
             f"{worst.max_abs_at_s:.1f} s)"
         )
     else:
-        parts.append("nothing tells how closely the joints followed")
+        parts.append("tracking error: not recorded")
     n = len(summary.problems)
     parts.append(counted(n, "problem") if n else "no problems found")
     text = "; ".join(parts)

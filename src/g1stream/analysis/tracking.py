@@ -175,7 +175,7 @@ def compare(reference: Reference, measured: Measured) -> Tracking | None:
         measured=done,
         excluded=len(in_play.gap) - len(compared.gap),
         duration=float(gaps[gaps <= MAX_GAP_NS].sum() / 1e9),
-        rmse=_rms(error),
+        rmse=rms(error),
         mean=error.mean(axis=0),
         max_abs=np.abs(error[worst, np.arange(N_JOINTS)]),
         max_abs_at=motion_time[worst],
@@ -191,10 +191,10 @@ def _is_sane(values: Floats) -> NDArray[np.bool_]:
 
 def pooled(values: Floats) -> float:
     """One RMSE of several joints, from the RMSE of each over the same instants."""
-    return float(np.sqrt(np.mean(np.square(values))))
+    return float(rms(values))
 
 
-def _rms(errors: Floats) -> Floats:
-    """(29,) root mean square over the first axis."""
-    rms: Floats = np.sqrt(np.mean(np.square(errors), axis=0))
-    return rms
+def rms(errors: Floats) -> Floats:
+    """Root mean square over the first axis."""
+    found: Floats = np.sqrt(np.mean(np.square(errors), axis=0))
+    return found

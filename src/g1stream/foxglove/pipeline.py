@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from g1stream.dds.messages import Log, Samples
+from g1stream.dds.ros2 import encode_string
 from g1stream.dds.topics import LOG, LOWSTATE, REFERENCE, SPORTMODESTATE
 from g1stream.errors import ConfigError
 from g1stream.foxglove.encoders import (
@@ -23,7 +24,6 @@ from g1stream.foxglove.measured_base import MeasuredBase
 from g1stream.foxglove.scene import (
     PathEncoder,
     draw_meshes,
-    encode_robot_description,
     encode_scene,
 )
 from g1stream.foxglove.timing import Timing
@@ -152,7 +152,7 @@ class MessagePipeline:
             "/measured/scene": scene(MEASURED_PREFIX),
             "/ghost/scene": scene(GHOST_PREFIX, GHOST_TINT),
             "/scene": scene(tint=REFERENCE_TINT),
-            "/robot_description": encode_robot_description(self._robot),
+            "/robot_description": encode_string(self._robot.urdf),
         }
         time = np.array([time_ns])
         return [MessageBatch(topic, [data], time, time) for topic, data in payloads.items()]

@@ -10,7 +10,6 @@ from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from foxglove_schemas_protobuf.TriangleListPrimitive_pb2 import TriangleListPrimitive
 
-from g1stream.dds.ros2 import encode_string
 from g1stream.errors import RobotError
 from g1stream.files import read_file
 from g1stream.foxglove.encoders import WORLD_FRAME
@@ -31,7 +30,6 @@ __all__ = [
     "Rgba",
     "Shape",
     "draw_meshes",
-    "encode_robot_description",
     "encode_scene",
     "load_mesh",
 ]
@@ -172,11 +170,6 @@ class PathEncoder:
             line.points.add(x=x, y=y, z=z)
         data: bytes = update.SerializeToString()
         return data
-
-
-def encode_robot_description(robot: G1) -> bytes:
-    """The URDF as a std_msgs/msg/String in CDR."""
-    return encode_string(robot.urdf)
 
 
 def load_mesh(robot: G1, name: str) -> dict[str, Any]:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from g1stream._version import __version__
+from g1stream.dds.ros2 import encode_string
 from g1stream.errors import ConfigError, MotionError
 from g1stream.files import check_not_input, complete_file
 from g1stream.foxglove.encoders import (
@@ -15,7 +16,7 @@ from g1stream.foxglove.encoders import (
     JointStatesTemplate,
     TransformsEncoder,
 )
-from g1stream.foxglove.scene import draw_meshes, encode_robot_description, encode_scene
+from g1stream.foxglove.scene import draw_meshes, encode_scene
 from g1stream.robot.meshes import robot_with_meshes
 from g1stream.robot.model import G1
 from g1stream.robot.visuals import missing_meshes
@@ -235,7 +236,7 @@ def _write_file_header(
     else:
         scene = encode_scene(first, robot)
     writer.write(_SCENE, scene, first, first)
-    writer.write(_DESCRIPTION, encode_robot_description(robot), first, first)
+    writer.write(_DESCRIPTION, encode_string(robot.urdf), first, first)
 
 
 def _channels(topic: str) -> dict[str, Channel]:

@@ -198,8 +198,9 @@ class Recorder:
             return
         self._publishers[name] = Publishers.of(self._participant, name)
         median, hosts = delay.median() or 0, tuple(self._publishers[name].hosts)
-        if abs(median) > _MAX_DELAY_NS and hosts not in self._late_hosts:
-            self._late_hosts.add(hosts)  # its other topics are as late
+        told = hosts and hosts in self._late_hosts  # its other topics are as late
+        if abs(median) > _MAX_DELAY_NS and not told:
+            self._late_hosts.add(hosts)
             _LOGGER.warning(
                 "%s from %s is received %+.3f s after its publish time: "
                 "the clocks differ, or this machine is too slow",

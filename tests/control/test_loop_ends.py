@@ -148,8 +148,10 @@ def test_two_publishers_of_the_state_are_named(make_loop, link):
 
 def test_two_publishers_of_the_state_get_no_command(make_loop, link):
     link.state_others = ["one", "two"]
-    with pytest.raises(SafetyError, match="publisher on rt/lowstate: one, two"):
-        make_loop().run()
+    loop = make_loop()
+    with pytest.raises(SafetyError, match="publisher on rt/lowstate: one, two") as no:
+        loop.run()
+    assert loop.report.reason == no.value.cause.rstrip(".")
     assert link.sent == []
 
 

@@ -21,7 +21,7 @@ from g1stream.control.safety import Safety
 from g1stream.control.targets import Targets
 from g1stream.dds.messages import LowState
 from g1stream.dds.topics import LOWCMD
-from g1stream.errors import SafetyError
+from g1stream.errors import G1StreamError, SafetyError
 from g1stream.motion.blend import minimum_jerk
 from g1stream.motion.correction import CorrectionSpline
 from g1stream.text import counted
@@ -297,8 +297,8 @@ class StreamLoop:
         if other and phase is Phase.WAIT:
             raise SafetyError(
                 f"There is {other}; nothing was sent.",
-                "End it, or choose another --domain; `g1stream robot release` releases the "
-                "robot's own controller.",
+                "End the program that must not publish there, or choose another --domain; "
+                "`g1stream robot release` releases the robot's own controller.",
             )
         return other
 
@@ -407,7 +407,8 @@ class StreamLoop:
         before, start = self.state.phase, self._clock.now()
         # No target yet means that nothing was commanded.
         last = self._target if before < Phase.DONE else None
-        reason = f"{type(error).__name__}: {error}"
+        told = isinstance(error, G1StreamError)
+        reason = error.cause.rstrip(".") if told else f"{type(error).__name__}: {error}"
         self.state = PhaseState(Phase.DAMP if last else Phase.DONE, start, reason)
         try:
             if before < Phase.DAMP:

@@ -31,7 +31,8 @@ __all__ = ["Record"]
 class Record(LiveCommand):
     """Records the topics of robot, simulator and streamer, whoever publishes them.
 
-    Only subscribes, so that it cannot disturb them. Ctrl-C ends the recording and closes the file.
+    Only subscribes, so that it cannot disturb them; --ros-tf also publishes the robot for ROS 2.
+    Ctrl-C ends the recording and closes the file.
 
     Examples:
       g1stream record session.mcap

@@ -111,7 +111,7 @@ def record(
         ExitStack() as stack,
     ):
         if not session:  # else the stream has it published
-            stack.enter_context(publishing_for_ros2(config))
+            stack.enter_context(publishing_for_ros2(config, should_stop))
         writer = SessionWriter(
             path,
             force=force,

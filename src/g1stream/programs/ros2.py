@@ -32,7 +32,7 @@ from g1stream.robot.kinematics import local_transforms
 from g1stream.robot.model import G1
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from g1stream.config import Config
     from g1stream.dds.endpoints import RawSample
@@ -46,8 +46,14 @@ _LOGGER = logging.getLogger("g1stream.ros2")
 
 
 @contextmanager
-def publishing_for_ros2(config: Config) -> Iterator[None]:
+def publishing_for_ros2(
+    config: Config, abandoned: Callable[[], bool] = lambda: False
+) -> Iterator[None]:
     """Publish for ROS 2 from a process of its own, where `dds.ros_tf` is set.
+
+    Args:
+        config: all settings.
+        abandoned: asked while the process starts; True ends the wait for it.
 
     Raises:
         ChildError: it cannot. Once it publishes, its failure is only logged.
@@ -55,16 +61,19 @@ def publishing_for_ros2(config: Config) -> Iterator[None]:
     if not config.dds.ros_tf:
         yield
         return
-    child = Child("ros2", config, on_failure=_log_failure)
+    publishing = False
+
+    def warn(cause: str) -> None:
+        if publishing:  # else it is raised
+            _LOGGER.warning("nothing is published for ROS 2 any more: %s", cause)
+
+    child = Child("ros2", config, on_failure=warn)
     try:
-        child.wait_until_ready()
+        child.wait_until_ready(abandoned=abandoned)
+        publishing = True
         yield
     finally:
         child.kill()
-
-
-def _log_failure(cause: str) -> None:
-    _LOGGER.warning("nothing is published for ROS 2 any more: %s", cause)
 
 
 class _Publisher:

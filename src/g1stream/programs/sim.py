@@ -62,7 +62,7 @@ def simulate(
     with ExitStack() as stack:
         participant = stack.enter_context(Participant(config.dds.domain, config.dds.interface))
         stack.enter_context(handled_by(dds_log_handler(participant, "sim")))
-        stack.enter_context(publishing_for_ros2(config))
+        stack.enter_context(publishing_for_ros2(config, should_stop))
         view = _viewer(world, stack) if settings.viewer else None
         robot = SimulatedRobot(world, settings)
         bridge = Bridge(

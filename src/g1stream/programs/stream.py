@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -114,8 +115,8 @@ def stream(
     clock = SystemClock()
     with (
         Guard(on_wire) as guard,
-        publishing_for_ros2(config),
         Participant(config.dds.domain, config.dds.interface) as participant,
+        ExitStack() as stack,
     ):
         joined = clock.now()
         # Done now, because it takes as long as the discovery of other publishers.
@@ -124,6 +125,7 @@ def stream(
         motion = trajectory.motion
         if arm:
             _arm(participant, on_wire, trajectory, interval, arm)
+        stack.enter_context(publishing_for_ros2(config))  # nothing is published before arming
         if not config.safety.allow_second_writer:
             clock.sleep_until(joined + round(DISCOVERY * 1e9))
             _refuse_if_commanded(participant)

@@ -1,7 +1,7 @@
 """Every error a user can cause, in one tree.
 
     G1StreamError
-    ├── ConfigError      a flag, a config file or a gains file
+    ├── ConfigError      a flag, a config file, a gains file, or an extra that is absent
     ├── RobotError       a URDF
     ├── MotionError      a motion file
     ├── WireError        DDS: domain, interface, discovery, matching
@@ -45,7 +45,7 @@ class G1StreamError(Exception):
 
 
 class ConfigError(G1StreamError):
-    """A flag, config file or gains file that cannot be used."""
+    """A flag, config file or gains file that cannot be used, or an extra that is not installed."""
 
 
 class RobotError(G1StreamError):

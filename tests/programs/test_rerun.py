@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import socket
+import subprocess
+import sys
 import threading
 import time
 from collections import Counter
@@ -15,8 +17,9 @@ from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.messages import LowState, Reference
 from g1stream.dds.topics import LOWSTATE, REFERENCE
-from g1stream.errors import ConfigError
+from g1stream.errors import ConfigError, RobotError
 from g1stream.programs.rerun import log_live, show_live
+from g1stream.robot.model import G1
 from g1stream.types import Phase
 
 rr = pytest.importorskip("rerun", reason="Rerun needs Python 3.11")
@@ -56,7 +59,7 @@ def test_what_is_published_is_logged(domain_id, tmp_path, until, monkeypatch):
     config = Config.model_validate({"dds": {"domain": domain_id}})
     stop, recording = threading.Event(), Recording()
     recording.save(tmp_path / "live.rrd")
-    logging = threading.Thread(target=log_live, args=(config, recording, stop.is_set))
+    logging = threading.Thread(target=log_live, args=(config, G1.load(), recording, stop.is_set))
     reference, state = Reference(), LowState()
     reference.root_quat_wxyz[:] = state.quaternion[:] = [1.0, 0.0, 0.0, 0.0]
     reference.phase[...] = Phase.PLAY
@@ -96,3 +99,28 @@ def test_no_viewer_is_an_error(monkeypatch):
         monkeypatch.delenv(name, raising=False)
     with pytest.raises(ConfigError):
         show_live(Config())
+
+
+@pytest.fixture
+def viewers(monkeypatch):
+    """The viewers that are started; they never listen."""
+    started = []
+
+    def start(*arguments, new_session):
+        idle = [sys.executable, "-c", "import time; time.sleep(60)"]
+        started.append(subprocess.Popen(idle, start_new_session=new_session))
+        return started[-1]
+
+    monkeypatch.setattr("g1stream.programs.rerun._start_viewer", start)
+    return started
+
+
+def test_to_stop_while_the_viewer_starts_ends_it(viewers):
+    show_live(Config(), should_stop=lambda: True)
+    assert [viewer.poll() is not None for viewer in viewers] == [True]
+
+
+def test_no_viewer_is_started_for_a_robot_that_cannot_be_shown(viewers, tmp_path):
+    with pytest.raises(RobotError):
+        show_live(Config(robot=str(tmp_path / "absent.urdf")))
+    assert viewers == []

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE, SECONDARY_IMU, SPORTMODESTATE
-from g1stream.errors import RecordingError
+from g1stream.errors import ConfigError, RecordingError
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.session.session import open_session
 from g1stream.session.streams import STREAMS
@@ -90,5 +90,5 @@ def test_a_directory_that_cannot_be_made(session, tmp_path):
 @pytest.mark.parametrize("package", ["pandas", "pyarrow"])
 def test_without_the_extra_it_is_named(session, tmp_path, monkeypatch, package):
     monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(RecordingError, match=rf"{package}, which is not installed.*\[export\]"):
+    with pytest.raises(ConfigError, match=rf"{package}, which is not installed.*\[export\]"):
         session.to_parquet(tmp_path)

@@ -8,7 +8,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Final
 
 from g1stream.analysis.layouts import short_name
-from g1stream.errors import RecordingError
+from g1stream.errors import ConfigError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,12 +26,12 @@ def import_rerun() -> Any:
     """The package rerun.
 
     Raises:
-        RecordingError: it is not installed.
+        ConfigError: it is not installed.
     """
     try:
         return import_module("rerun")
     except ImportError as error:
-        raise RecordingError(
+        raise ConfigError(
             "A view in Rerun needs rerun-sdk, which is not installed.",
             "Install the extra, on Python 3.11 or later: pip install 'g1stream[rerun]'",
         ) from error
@@ -44,7 +44,7 @@ def rerun_layout_file(joints: Sequence[str]) -> bytes:
         joints: as for `rerun_layout`.
 
     Raises:
-        RecordingError: Rerun is not installed.
+        ConfigError: Rerun is not installed.
     """
     blueprint = rerun_layout(joints)
     with TemporaryDirectory() as directory:
@@ -61,7 +61,7 @@ def rerun_layout(joints: Sequence[str], *, live: bool = False) -> Any:
         live: follow what comes in, and plot the last 10 s.
 
     Raises:
-        RecordingError: Rerun is not installed.
+        ConfigError: Rerun is not installed.
     """
     import_rerun()
     import rerun.blueprint as rrb

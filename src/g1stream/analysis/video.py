@@ -308,7 +308,7 @@ def _required(package: str) -> Any:
     try:
         return import_module(package)
     except ImportError as error:
-        raise RecordingError(
+        raise ConfigError(
             f"A video in MP4 needs {package}, which is not installed.",
             "Install the extra: pip install 'g1stream[render]'. GIF and PNG need nothing more.",
         ) from error

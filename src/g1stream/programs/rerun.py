@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
+import signal
 import socket
 import subprocess
 import sys
 import time
-from contextlib import contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Final
@@ -51,8 +52,9 @@ def show_session(session: Session, address: str | None = None) -> None:
             a viewer is started; returns when that is closed.
 
     Raises:
-        ConfigError: there is no viewer at the address, or none can be started.
-        RecordingError: the session is damaged, or Rerun is not installed.
+        ConfigError: there is no viewer at the address, none can be started, or Rerun is not
+            installed.
+        RecordingError: the session is damaged.
         RobotError: its URDF cannot be used.
         WireError: the viewer does not take the data.
     """
@@ -85,55 +87,66 @@ def show_live(
         on_ready: called when a viewer is there and samples are being received.
 
     Raises:
-        ConfigError: there is no viewer at the address, or none can be started.
-        RecordingError: Rerun is not installed, or samples cannot be received any more.
+        ConfigError: there is no viewer at the address, none can be started, or Rerun is not
+            installed.
+        RecordingError: samples cannot be received any more.
         RobotError: the URDF cannot be used.
         WireError: the viewer does not take the data, or DDS cannot be set up.
     """
-    blueprint = rerun_layout(DEFAULT_JOINTS, live=True)
-    viewer = None
+    robot, blueprint = G1.load(config.robot), rerun_layout(DEFAULT_JOINTS, live=True)
+    viewer, showing = None, False
     if address is not None:
         host, port = _parse(address)
     else:
         host, port = _HOST, _free_port()
         viewer = _start_viewer("--port", str(port), "--expect-data-soon", new_session=True)
-        _wait_for(viewer, port)
 
     def ended() -> bool:
         return should_stop() or (viewer is not None and viewer.poll() is not None)
 
+    def ready() -> None:
+        nonlocal showing
+        showing = True
+        on_ready()
+
     try:
+        if viewer and not _wait_for(viewer, port, should_stop):
+            return
         with _connected(host, port, blueprint) as recording:
-            log_live(config, recording, ended, on_ready)
+            log_live(config, robot, recording, ended, ready)
     except WireError:
         if viewer is None or viewer.poll() is None:
             raise
         if viewer.returncode:
             raise _cannot_start() from None
+    finally:
+        if viewer and not showing:
+            _kill(viewer)
 
 
 def log_live(
     config: Config,
+    robot: G1,
     recording: Any,
     should_stop: Callable[[], bool],
     on_ready: Callable[[], None] = lambda: None,
 ) -> None:
     """Log what is on DDS into a `rerun.RecordingStream`, until told to stop; see `show_live`."""
-    log = RerunLog(recording, G1.load(config.robot), tf_rate=config.record.tf_rate)
+    log = RerunLog(recording, robot, tf_rate=config.record.tf_rate)
     raw = config.record.model_copy(update={"channels": "raw"})  # nothing more is needed
-    lists = observe(config.model_copy(update={"record": raw}), should_stop)
-    next(lists)
-    on_ready()
     collected: dict[str, list[MessageBatch]] = {}
-    due = time.monotonic() + _COLLECT
-    for batches in lists:
-        for batch in batches:
-            collected.setdefault(batch.topic, []).append(batch)
-        if time.monotonic() >= due:
-            _log_batches(log, collected)
-            collected = {}
-            recording.flush(timeout_sec=_ANSWER)
-            due = time.monotonic() + _COLLECT
+    with closing(observe(config.model_copy(update={"record": raw}), should_stop)) as lists:
+        next(lists)
+        on_ready()
+        due = time.monotonic() + _COLLECT
+        for batches in lists:
+            for batch in batches:
+                collected.setdefault(batch.topic, []).append(batch)
+            if time.monotonic() >= due:
+                _log_batches(log, collected)
+                collected = {}
+                recording.flush(timeout_sec=_ANSWER)
+                due = time.monotonic() + _COLLECT
     _log_batches(log, collected)
 
 
@@ -238,14 +251,23 @@ def _start_viewer(*arguments: str, new_session: bool = False) -> subprocess.Pope
     )
 
 
-def _wait_for(viewer: subprocess.Popen[bytes], port: int) -> None:
-    """Wait until a viewer that was started listens."""
+def _wait_for(viewer: subprocess.Popen[bytes], port: int, should_stop: Callable[[], bool]) -> bool:
+    """Wait until a viewer that was started listens; False if told to stop before."""
     end = time.monotonic() + _START
     while not _listens(_HOST, port):
+        if should_stop():
+            return False
         if viewer.poll() is not None or time.monotonic() >= end:
-            viewer.kill()
             raise _cannot_start()
         time.sleep(0.1)
+    return True
+
+
+def _kill(viewer: subprocess.Popen[bytes]) -> None:
+    """Kill a viewer in a session of its own, with the process that its launcher has started."""
+    with suppress(ProcessLookupError):
+        os.killpg(viewer.pid, signal.SIGKILL)
+    viewer.wait()
 
 
 def _cannot_start() -> ConfigError:

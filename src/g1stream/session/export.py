@@ -8,7 +8,7 @@ from importlib import import_module
 from mimetypes import guess_type
 from typing import TYPE_CHECKING, Any, Final
 
-from g1stream.errors import RecordingError
+from g1stream.errors import ConfigError, RecordingError
 from g1stream.files import complete_file, output_errors
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.session.format import CHANNELS
@@ -92,7 +92,7 @@ def _required(package: str) -> Any:
     try:
         return import_module(package)
     except ImportError as error:
-        raise RecordingError(
+        raise ConfigError(
             f"Tables need {package}, which is not installed.",
             "Install the extra: pip install 'g1stream[export]'",
         ) from error

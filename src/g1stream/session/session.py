@@ -352,7 +352,8 @@ class Session:
             force: replace a file that is there.
 
         Raises:
-            ConfigError: the suffix, the size or `fps` cannot be used.
+            ConfigError: the suffix, the size or `fps` cannot be used, or a package for MP4 is not
+                installed.
             RecordingError: there is nothing to show there, or the file cannot be written.
             RobotError: the session's URDF cannot be used.
             SimError: there is no OpenGL to draw with.
@@ -380,7 +381,8 @@ class Session:
             force: replace a file that is there.
 
         Raises:
-            RecordingError: Rerun is not installed, or the file cannot be written.
+            ConfigError: Rerun is not installed.
+            RecordingError: the file cannot be written.
             RobotError: the session's URDF cannot be used.
         """
         from g1stream.analysis.rerun_log import save_session
@@ -431,7 +433,8 @@ class Session:
             `root_pos.x`, `imu_quat_wxyz.w`. Units are those of the stream.
 
         Raises:
-            RecordingError: pandas is not installed, or the topic is not one of those.
+            ConfigError: pandas is not installed.
+            RecordingError: the topic is not one of those.
         """
         from g1stream.session.export import to_dataframe
 
@@ -447,7 +450,8 @@ class Session:
             The files.
 
         Raises:
-            RecordingError: pandas or pyarrow is not installed, or a file cannot be written.
+            ConfigError: pandas or pyarrow is not installed.
+            RecordingError: a file cannot be written.
         """
         from g1stream.session.export import to_parquet
 

@@ -407,8 +407,9 @@ class StreamLoop:
         before, start = self.state.phase, self._clock.now()
         # No target yet means that nothing was commanded.
         last = self._target if before < Phase.DONE else None
-        told = isinstance(error, G1StreamError)
-        reason = error.cause.rstrip(".") if told else f"{type(error).__name__}: {error}"
+        reason = f"{type(error).__name__}: {error}"
+        if isinstance(error, G1StreamError):
+            reason = error.cause.rstrip(".")
         self.state = PhaseState(Phase.DAMP if last else Phase.DONE, start, reason)
         try:
             if before < Phase.DAMP:

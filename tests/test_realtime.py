@@ -85,7 +85,7 @@ def test_a_missing_permission_has_a_remedy(monkeypatch):
     monkeypatch.setattr(os, "getuid", lambda: 1_234_567)
     grant = realtime._ask_for_fifo(50, [])
     assert not grant.granted
-    assert ":1234567 - rtprio 50" in grant.remedy
+    assert ":1234567 - rtprio 51" in grant.remedy
     assert grant.cost
 
 

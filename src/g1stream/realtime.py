@@ -144,7 +144,7 @@ def _ask_for_fifo(priority: int, helpers: list[int]) -> Grant:
             what,
             f"no permission for priority {priority} (RLIMIT_RTPRIO, CAP_SYS_NICE)",
             "other processes can delay a command by milliseconds",
-            f"rtprio {priority}",
+            f"rtprio {priority + 1}",  # the guard process asks for one more than the loop
         )
     return Grant(what, granted=True, detail=f"priority {priority}")
 

@@ -44,7 +44,12 @@ def told(monkeypatch):
     monkeypatch.setattr(program, "_publishers", lambda *_: [])
     monkeypatch.setattr(program, "Child", Bridge)
     monkeypatch.setattr(program, "stream", stream)
-    monkeypatch.setattr("g1stream.session.motions.load_motion", lambda *_, **__: mine)
+
+    def load(path, *, fps, joint_order):
+        heard.append(joint_order)
+        return mine
+
+    monkeypatch.setattr("g1stream.session.motions.load_motion", load)
     monkeypatch.setattr("g1stream.cli.stream.on_signals", lambda _: nullcontext())
     monkeypatch.setattr("g1stream.cli.stream.announce_wire", lambda _: heard.append("wire"))
     monkeypatch.setattr("g1stream.cli.demo.print_warning", heard.append)
@@ -52,12 +57,12 @@ def told(monkeypatch):
 
 
 def test_all_that_is_wrong_with_the_motion_is_told(tmp_path, told):
-    assert Demo(motion="mine.csv", out=tmp_path).run() == 0
-    assert told == [OF_THE_READER, "bridge", "wire"]
+    assert Demo(motion="mine.csv", out=tmp_path, joint_order="isaaclab").run() == 0
+    assert told == ["isaaclab", OF_THE_READER, "bridge", "wire"]
 
 
 def test_no_wire_is_announced_where_a_check_ends_it(tmp_path, told):
     (tmp_path / "session.mcap").touch()
     with pytest.raises(RecordingError):
         Demo(motion="mine.csv", out=tmp_path).run()
-    assert told == [OF_THE_READER]
+    assert told == [None, OF_THE_READER]

@@ -6,6 +6,7 @@ import pytest
 
 from g1stream.cli.command import announce_wire
 from g1stream.cli.flags import flag_name, parse_flags
+from g1stream.cli.learn import Learn
 from g1stream.cli.record import Record
 from g1stream.cli.robot import Robot
 from g1stream.cli.sim import Sim
@@ -117,6 +118,24 @@ def test_an_argument_with_a_default_is_optional_in_the_help(capsys):
     with pytest.raises(ConfigError) as caught:
         parse_flags(Robot, "robot", "", ["start"])
     assert caught.value.cause.startswith("ACTION cannot be start")
+
+
+def test_a_default_is_in_the_help_but_of_what_a_flag_switches_off(capsys):
+    with pytest.raises(SystemExit):
+        parse_flags(Sim, "sim", "", ["--help"])
+    shown = "".join(capsys.readouterr().out.split()).replace("│", "")
+    assert "--no-self-collision" in shown
+    assert "default:1)" in shown  # of --domain
+    assert "default:True" not in shown
+
+
+def test_a_flag_can_be_required(capsys):
+    with pytest.raises(ConfigError) as caught:
+        parse_flags(Learn, "learn", "", ["session.mcap"])
+    assert "-o" in caught.value.cause
+    with pytest.raises(SystemExit):
+        parse_flags(Learn, "learn", "", ["--help"])
+    assert capsys.readouterr().out.count("(required)") == 2  # SESSION... and -o
 
 
 def test_a_gains_file_goes_over_the_configs_entry_by_entry(tmp_path):

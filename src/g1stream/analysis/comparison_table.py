@@ -74,7 +74,7 @@ def _significance(comparison: Comparison) -> str:
     if min(sides) < 2:
         return (
             f"With {sides[0]} and {sides[1]} sessions no difference can be told from the noise "
-            "between runs: give several on each side."
+            "between runs: give two or more on each side."
         )
     return (
         f"*: p < {SIGNIFICANT:g}, Welch's t-test on {sides[0]} and {sides[1]} sessions, "

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass
 from pathlib import Path
 
 from g1stream.cli.command import EXIT_OK, EXIT_STOPPED, Command, print_json, print_lines
@@ -16,8 +16,8 @@ __all__ = ["Compare"]
 class Compare(Command):
     """Compares sessions of one motion, over the part of it that all of them played.
 
-    With several sessions on each side it tells which differences are more than the noise from run
-    to run (Welch's t-test, adjusted by Holm's method). A condition names metrics of the table,
+    With two or more sessions on each side it tells which differences are more than the noise from
+    run to run (Welch's t-test, adjusted by Holm's method). A condition names metrics of the table,
     `rmse.left_leg` or `rmse.left_knee_joint`; `base` is the base's mean of the same metric.
 
     Examples:
@@ -33,7 +33,7 @@ class Compare(Command):
 
     base: tuple[Path, ...] = argument("Session files to compare with.", "BASE...")
     other: tuple[Path, ...] = flag(
-        (), "Session files that are compared with them.", "OTHER...", aliases=("--with",)
+        MISSING, "Session files that are compared with them.", "OTHER...", aliases=("--with",)
     )
     fail_if: str | None = flag(None, "Exit code 1 where this holds.", "CONDITION")
     json: bool = flag(False, "Print the comparison as JSON.")

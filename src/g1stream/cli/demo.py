@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from g1stream.cli.command import exit_code, print_summary, print_warning
-from g1stream.cli.flags import MOTION, flag, fps_flag
+from g1stream.cli.flags import MOTION, flag, fps_flag, joint_order_flag
 from g1stream.cli.live import LiveCommand
 from g1stream.cli.stream import playing
+from g1stream.types import JointOrder
 
 if TYPE_CHECKING:
     from g1stream.config import Config
@@ -24,7 +25,8 @@ __all__ = ["Demo"]
 class Demo(LiveCommand):
     """Needs no robot and no other program. Writes session.mcap, tracking.png and report.html.
 
-    Without --domain it takes the first DDS domain from 1 on that no robot or simulator is in.
+    Without a domain, in --domain or the config file, it takes the first of the DDS domains 1 to 8
+    in which nobody publishes LowState or LowCmd.
 
     Examples:
       g1stream demo
@@ -41,6 +43,7 @@ class Demo(LiveCommand):
 
     motion: str = flag("demo", MOTION, "MOTION")
     fps: float | None = fps_flag()
+    joint_order: JointOrder | None = joint_order_flag()
     out: Path = flag(
         Path("demo-out"), "Directory for session.mcap, tracking.png and report.html.", "DIR"
     )
@@ -53,7 +56,7 @@ class Demo(LiveCommand):
         from g1stream.session.motions import load_motion
 
         config = self.resolve()
-        motion = load_motion(self.motion, fps=self.fps)
+        motion = load_motion(self.motion, fps=self.fps, joint_order=self.joint_order)
         for warning in motion.warnings:
             print_warning(warning)
         with playing() as prepare, ExitStack() as stack:

@@ -6,6 +6,8 @@ tyro parses the command line and shows the help; pydantic reads the values and c
 from __future__ import annotations
 
 import inspect
+import shutil
+import textwrap
 from dataclasses import MISSING, dataclass, field, fields, make_dataclass
 from difflib import get_close_matches
 from operator import getitem
@@ -70,8 +72,10 @@ class _Option:
 
         about: Any = setting.json_schema_extra
         text, default = setting.description or "", setting.default
+        if default is True:  # its flag is --no-NAME
+            text = f"switch this off: {text}"
         notes = [] if _choices(setting.annotation) else [accepted(setting)]
-        if default is not None and default is not False:
+        if default is not None and not isinstance(default, bool):
             notes.append(f"default: {_text(default)}")
         return cls(
             text=f"{text[0].upper()}{text[1:]}.",
@@ -144,7 +148,7 @@ def flag(
     """A flag of a command, as a field of its dataclass.
 
     Args:
-        default: without the flag.
+        default: without the flag; MISSING for one that must be given.
         text: its help.
         metavar: what stands for its value in the help.
         shown: the default, in words where it needs some.
@@ -154,12 +158,13 @@ def flag(
     """
     if not shown and default not in (None, False, MISSING):
         shown = _text(default)
+    required = default is MISSING
     option = _Option(
         text=text,
         metavar=metavar,
-        note=f"default: {shown}" if shown else "",
+        note="required" if required else f"default: {shown}" if shown else "",
         limits=() if gt is None else (Gt(gt),),
-        required=default is MISSING,
+        required=required,
         positional=positional,
         aliases=aliases,
     )
@@ -174,13 +179,25 @@ def argument(text: str, metavar: str) -> Any:
 def fps_flag() -> Any:
     """The flag --fps of commands that read a motion."""
     text = "Frames per second of the motion file, or to sample a session at."
-    return flag(None, text, "HZ", shown="30; a session's own", gt=0)
+    return flag(None, text, "HZ", shown="what the file says; 30 for CSV", gt=0)
 
 
 def joint_order_flag() -> Any:
     """The flag --joint-order of commands that read a motion."""
     text = "Order of the joints in a motion file that does not name them."
     return flag(None, text, shown="told by joint limits and bodies; motor order in a CSV file")
+
+
+def _wrapped(text: str) -> str:
+    """A text with its paragraphs as wide as the terminal, 80 columns at most.
+
+    Paragraphs with indented lines, such as the examples, stay as they are.
+    """
+    width = min(80, shutil.get_terminal_size().columns)
+    return "\n\n".join(
+        paragraph if "\n " in paragraph else textwrap.fill(paragraph, width)
+        for paragraph in text.split("\n\n")
+    )
 
 
 def flag_name(name: str) -> str:
@@ -195,8 +212,8 @@ def parse_flags(
 
     Args:
         kind: the command's class, a dataclass with a `flag` or an `argument` in each field. Its
-            docstring is shown below the flags. With a `config` it also gets a flag for each setting
-            that has one on this command.
+            docstring is shown below the flags, its paragraphs wrapped. With a `config` it also
+            gets a flag for each setting that has one on this command.
         name: as the user writes it.
         purpose: one sentence.
         arguments: what follows the name.
@@ -212,10 +229,10 @@ def parse_flags(
         option: _Option = one.metadata["option"]
         hint = option.for_tyro(name, one.name, hints[one.name])
         members.append((one.name, hint, field(default=one.default)))
+        names = (flag_name(one.name), *option.aliases)
         if option.required:
-            required.append(option.metavar)
+            required.append(option.metavar if option.positional else names[-1])
         if not option.positional:
-            names = (flag_name(one.name), *option.aliases)
             known |= dict.fromkeys(names, option.value_name(hints[one.name]))
     if "config" in hints:
         members += _setting_fields(name)
@@ -243,7 +260,7 @@ def parse_flags(
                 f"The argument {' or '.join(required)} is missing.",
                 f"Add it; `g1stream {name} --help` says what it is.",
             ) from None
-        print(inspect.cleandoc(kind.__doc__ or ""))  # tyro would join its lines
+        print(_wrapped(inspect.cleandoc(kind.__doc__ or "")))  # tyro would join its lines
         raise
     if extra:
         raise ConfigError(

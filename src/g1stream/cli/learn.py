@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -39,7 +39,7 @@ class Learn(Command):
     """
 
     sessions: tuple[Path, ...] = argument("Session files of one motion.", "SESSION...")
-    output: Path | None = flag(None, "The file to write.", "NPZ", aliases=("-o",))
+    out: Path = flag(MISSING, "The file to write.", "NPZ", aliases=("-o",))
     force: bool = flag(False, "Replace a file that exists already.")
     json: bool = flag(False, "Print what was learned as JSON.")
 
@@ -47,18 +47,18 @@ class Learn(Command):
         """Learn and write the file, and return the exit code."""
         from g1stream.analysis.learning import learn
 
-        if self.output is None or not self.sessions:
+        if not self.sessions:
             raise ConfigError(
-                "Sessions to learn from and a file to write are needed.",
-                "Give both: g1stream learn SESSION... -o better.npz.",
+                "Sessions to learn from are needed.",
+                "Give them: g1stream learn SESSION... -o better.npz.",
             )
-        check_output_path(self.output, force=self.force)
+        check_output_path(self.out, force=self.force)
         correction = learn(self.sessions)
-        correction.save(self.output, force=self.force)
+        correction.save(self.out, force=self.force)
         if self.json:
-            print_json(_record(correction, self.output))
+            print_json(_record(correction, self.out))
         else:
-            print_lines(_text(correction, self.output))
+            print_lines(_text(correction, self.out))
         return EXIT_OK
 
 

@@ -26,8 +26,8 @@ class LiveCommand(SettingsCommand):
     # The port has a flag of its own: in `stream --live dance.csv` the motion would be taken for it.
     live: bool = flag(
         False,
-        "Serve everything that is recorded to Foxglove and Lichtblick on this machine, live; "
-        "needs g1stream[live].",
+        "Serve what is on the DDS domain to Foxglove and Lichtblick on this machine "
+        "(extra `live`).",
     )
 
     def resolve(self) -> Config:

@@ -28,7 +28,11 @@ _COMMANDS: Final = {
     "replay": ("stream", "Replay", "Play a recorded session again."),
     "learn": ("learn", "Learn", "Learn from sessions of a motion to follow it more closely."),
     "identify": ("identify", "Identify", "Tell which robot a session was recorded on."),
-    "convert": ("convert", "Convert", "Convert a motion file into an MCAP, or an MCAP for ROS 2."),
+    "convert": (
+        "convert",
+        "Convert",
+        "Convert a motion into MCAP, CSV, NPZ, or a session into a ROS 2 bag.",
+    ),
     "info": ("info", "Info", "Print what is in a session file, and how well it went."),
     "report": ("report", "Report", "Write a page on sessions: tables, figures, events."),
     "plot": ("plot", "Plot", "Plot joints of a session: PNG, SVG or PDF."),
@@ -41,7 +45,7 @@ _COMMANDS: Final = {
     "rerun": ("rerun", "Rerun", "Show a session, or what is on DDS, in the Rerun viewer."),
     "repair": ("repair", "Repair", "Write the index of a session whose recorder was killed."),
     "layout": ("layout", "Layout", "Write a layout of a viewer that shows sessions."),
-    "motion": ("motion", "Inspect", "Check a motion file: frames, joints, limits."),
+    "motion": ("motion", "Inspect", "Check a motion file: frames, joints, limits, physics."),
     "robot": ("robot", "Robot", "Show, release or restore the robot's own controller."),
     "doctor": ("doctor", "Doctor", "Find what keeps robot and g1stream apart, or the loop late."),
 }

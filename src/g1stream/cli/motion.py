@@ -49,8 +49,8 @@ class Inspect(SettingsCommand):
 
     Exit codes:
       0  within the limits
-      1  a frame is beyond a position limit, or the spline through the frames beyond a speed limit
-      2  bad input: not a motion; what can be read of the file is printed all the same
+      1  a frame is beyond a position limit, or the spline beyond a speed limit
+      2  bad input: not a motion; what can be read of the file is printed
     """
 
     motion: str = argument(MOTION, "MOTION")

@@ -23,7 +23,7 @@ class Render(Command):
 
     Examples:
       g1stream render session.mcap session.mp4
-      g1stream render session.mcap wave.gif --start 3 --duration 4 --fps 12 --size 320x320
+      g1stream render session.mcap wave.gif --start 3 --duration 4 --size 320x320
       g1stream render session.mcap pose.png --start 5.2 --camera left
 
     Exit codes:

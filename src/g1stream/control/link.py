@@ -21,6 +21,8 @@ __all__ = ["DdsLink", "Link", "count_subscribers"]
 
 #: LowStates that are queued while the loop is not scheduled: 64 ms at 1 kHz without a loss.
 _STATE_DEPTH: Final = 64
+#: Publishers of LowState that were heard in this time publish at once, ns.
+_HEARD: Final = 100_000_000
 
 
 class Link(Protocol):
@@ -46,7 +48,7 @@ class Link(Protocol):
         """
 
     def state_publishers(self) -> list[str]:
-        """Names of the publishers of LowState, if several have published since the last call."""
+        """Names of the publishers of LowState, if several publish at once."""
 
     def send(self, command: bytes, reference: bytes, stamp: int) -> int:
         """Publish a LowCmd and its Reference, both with the publish time `stamp`, ns.
@@ -87,7 +89,7 @@ class DdsLink:
         self._states = RawReader(participant, LOWSTATE, depth=_STATE_DEPTH)
         self._others = RawReader(participant, LOWCMD, ignore_own=True, user_data=OBSERVER)
         self._gaps = TickGaps()
-        self._heard: set[int] = set()
+        self._heard: dict[int, int] = {}  # publisher of LowState -> when it was heard last, ns
         self._own_bridge = False
         self._matches: tuple[int, int] | None = (0, 0)
         self._other_names: list[str] = []
@@ -137,17 +139,18 @@ class DdsLink:
             return None
         for sample in samples:
             self._gaps.add(int.from_bytes(sample.data[self._tick_bytes], "little"))
-            self._heard.add(sample.sample_info.publication_handle)
+            self._heard[sample.sample_info.publication_handle] = time.monotonic_ns()
         state.load(samples[-1].data)
         return int(samples[-1].sample_info.publication_handle)
 
     def state_publishers(self) -> list[str]:
-        """Names of the publishers of LowState, if several have published since the last call.
+        """Names of the publishers of LowState, if several have published in the last 0.1 s.
 
         One that has died does not count, though DDS may show it for a while.
         """
-        heard, self._heard = len(self._heard), set()
-        if heard < 2:
+        since = time.monotonic_ns() - _HEARD
+        self._heard = {one: last for one, last in self._heard.items() if last >= since}
+        if len(self._heard) < 2:
             return []
         named = [self._participant.owner(one) for one in self._participant.writers(LOWSTATE.name)]
         return named or ["unnamed participants"]

@@ -47,6 +47,6 @@ class OtherPublishers:
         return f"another publisher on {LOWCMD.name}: {', '.join(others)}" if others else ""
 
     def of_state(self) -> str:
-        """The publishers of LowState, if several have published since the last call, or ""."""
+        """The publishers of LowState, if several publish at once, or ""."""
         names = self._link.state_publishers()
         return f"more than one publisher on {LOWSTATE.name}: {', '.join(names)}" if names else ""

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Final
 
 from g1stream.analysis.layouts import short_name
-from g1stream.errors import ConfigError
+from g1stream.extras import import_extra
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -28,13 +27,7 @@ def import_rerun() -> Any:
     Raises:
         ConfigError: it is not installed.
     """
-    try:
-        return import_module("rerun")
-    except ImportError as error:
-        raise ConfigError(
-            "A view in Rerun needs rerun-sdk, which is not installed.",
-            "Install the extra, on Python 3.11 or later: pip install 'g1stream[rerun]'",
-        ) from error
+    return import_extra("rerun", "rerun", "A view in Rerun needs Python 3.11 or later and")
 
 
 def rerun_layout_file(joints: Sequence[str]) -> bytes:

@@ -5,13 +5,13 @@ from __future__ import annotations
 from contextlib import closing
 from dataclasses import dataclass
 from fractions import Fraction
-from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
 from g1stream.analysis.offscreen import Offscreen, PosedRobot, with_shapes
 from g1stream.errors import ConfigError, RecordingError
+from g1stream.extras import import_extra
 from g1stream.files import complete_file
 from g1stream.foxglove.measured_base import MeasuredBase
 from g1stream.session.streams import Base, Measured, Reference
@@ -255,12 +255,12 @@ def _encoder(path: Path) -> Callable[[Path, Iterator[Picture], float], None]:
             f"{path} is not the name of a video.", f"Use one that ends in {', '.join(encoders)}."
         )
     if suffix == ".mp4":
-        _required("av")
+        _import_av()
     return encoders[suffix]
 
 
 def _write_mp4(path: Path, pictures: Iterator[Picture], fps: float) -> None:
-    av = _required("av")
+    av = _import_av()
     with av.open(str(path), "w", format="mp4") as container:
         rate = Fraction(fps).limit_denominator(1001)
         options = {"crf": "20", "movflags": "+faststart"}
@@ -304,11 +304,5 @@ def _write_png(path: Path, pictures: Iterator[Picture], fps: float) -> None:
     Image.fromarray(next(pictures)).save(path, format="PNG")
 
 
-def _required(package: str) -> Any:
-    try:
-        return import_module(package)
-    except ImportError as error:
-        raise ConfigError(
-            f"A video in MP4 needs {package}, which is not installed.",
-            "Install the extra: pip install 'g1stream[render]'. GIF and PNG need nothing more.",
-        ) from error
+def _import_av() -> Any:
+    return import_extra("av", "render", "A video in MP4, unlike GIF and PNG, needs")

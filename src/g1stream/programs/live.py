@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 from g1stream.config import Config
 from g1stream.errors import ConfigError
 from g1stream.events import ConsoleHandler, handled_by
+from g1stream.extras import not_installed
 from g1stream.programs.child_process import Child, run_child
 from g1stream.realtime import lower_priority
 from g1stream.recorder.observer import observe
@@ -78,10 +79,7 @@ def _require_sdk() -> None:
     try:
         version("foxglove-sdk")  # to import it would load it into the process of the loop
     except PackageNotFoundError:
-        raise ConfigError(
-            "A live view needs the package foxglove-sdk, which is not installed.",
-            "Install it: pip install 'g1stream[live]'.",
-        ) from None
+        raise not_installed("foxglove-sdk", "live", "A live view needs") from None
 
 
 class _Server:

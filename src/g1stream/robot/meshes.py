@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from g1stream.errors import ConfigError, RobotError
+from g1stream.errors import RobotError
+from g1stream.extras import import_extra, not_installed
 from g1stream.files import read_file
 from g1stream.robot.model import G1
 from g1stream.robot.visuals import has_meshes
@@ -21,6 +22,7 @@ __all__ = ["LARGEST_MESH", "Mesh", "decimate", "read_stl", "real_g1", "robot_wit
 LARGEST_MESH: Final = 64 * 2**20
 """A larger file is refused, bytes."""
 
+_PURPOSE: Final = "Meshes need"
 #: Where the package example-robot-data, of the extra `meshes`, has the G1.
 _REAL_G1: Final = (
     "cmeel.prefix/share/example-robot-data/robots/g1_description/urdf/g1_29dof_rev_1_0.urdf"
@@ -59,7 +61,7 @@ def robot_with_meshes(robot: G1) -> G1:
         return robot
     real = real_g1()
     if real is None:
-        raise _not_installed("example-robot-data")
+        raise not_installed("example-robot-data", "meshes", _PURPOSE)
     if set(real.link_names) != set(robot.link_names):
         raise RobotError(
             f"The G1's meshes do not fit {robot.source}, which has other links.",
@@ -104,16 +106,6 @@ def decimate(mesh: Mesh) -> Mesh:
     """
     if len(mesh.triangles) <= _TRIANGLES:
         return mesh
-    try:
-        from fast_simplification import simplify
-    except ImportError as error:
-        raise _not_installed("fast-simplification") from error
-    points, triangles = simplify(*mesh, target_count=_TRIANGLES, agg=_AGGRESSION)
+    library = import_extra("fast_simplification", "meshes", _PURPOSE)
+    points, triangles = library.simplify(*mesh, target_count=_TRIANGLES, agg=_AGGRESSION)
     return Mesh(points.astype(np.float32), triangles.astype(np.int32))
-
-
-def _not_installed(package: str) -> ConfigError:
-    return ConfigError(
-        f"Meshes need the package {package}, which is not installed.",
-        "Install the extra: pip install 'g1stream[meshes]', or leave out --meshes.",
-    )

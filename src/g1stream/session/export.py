@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from contextlib import suppress
 from heapq import merge
-from importlib import import_module
 from mimetypes import guess_type
 from typing import TYPE_CHECKING, Any, Final
 
-from g1stream.errors import ConfigError, RecordingError
+from g1stream.errors import RecordingError
+from g1stream.extras import import_extra
 from g1stream.files import complete_file, output_errors
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.session.format import CHANNELS
@@ -25,12 +25,13 @@ if TYPE_CHECKING:
 
 __all__ = ["save", "to_dataframe", "to_parquet"]
 
+_EXTRA: Final = "export", "Tables need"
 _AXES: Final = {3: ("x", "y", "z"), 4: ("w", "x", "y", "z")}
 
 
 def to_dataframe(session: Session, topic: str) -> pandas.DataFrame:
     """See `Session.to_dataframe`."""
-    table = _required("pandas")
+    table = import_extra("pandas", *_EXTRA)
     if topic not in STREAMS:
         raise RecordingError(
             f"There is no table for the topic {topic}.", f"Choose from {', '.join(STREAMS)}."
@@ -49,7 +50,7 @@ def to_dataframe(session: Session, topic: str) -> pandas.DataFrame:
 
 def to_parquet(session: Session, directory: Path) -> list[Path]:
     """See `Session.to_parquet`."""
-    _required("pyarrow")
+    import_extra("pyarrow", *_EXTRA)
     with output_errors(directory), suppress(FileExistsError):
         directory.mkdir(parents=True)
     paths = []
@@ -86,13 +87,3 @@ def _by_joint_or_axis(name: str, values: NDArray[Any]) -> dict[str, NDArray[Any]
         return {name: values}
     labels = JOINT_NAMES if values.shape[1] == N_JOINTS else _AXES[values.shape[1]]
     return {f"{name}.{label}": one for label, one in zip(labels, values.T, strict=True)}
-
-
-def _required(package: str) -> Any:
-    try:
-        return import_module(package)
-    except ImportError as error:
-        raise ConfigError(
-            f"Tables need {package}, which is not installed.",
-            "Install the extra: pip install 'g1stream[export]'",
-        ) from error

@@ -27,6 +27,7 @@ from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import LowState, Samples
 from g1stream.dds.topics import LOWCMD, LOWSTATE
 from g1stream.errors import ConfigError
+from g1stream.programs import child_process
 from g1stream.programs import live as program
 from g1stream.programs.child_process import Child, ChildError
 from g1stream.programs.record import record
@@ -67,7 +68,7 @@ def children(monkeypatch):
         started.append(Child(*arguments, **keywords))
         return started[-1]
 
-    monkeypatch.setattr(program, "Child", start)
+    monkeypatch.setattr(child_process, "Child", start)
     return started
 
 

@@ -61,9 +61,9 @@ class Record(LiveCommand):
             print(f"Recording {self.file}. Ctrl-C ends it.", file=sys.stderr)
 
         with ExitStack() as stack:
+            stack.enter_context(self.serving(config))  # Ctrl-C ends a server that does not start
             stack.enter_context(on_signals(stopped.append))
             stack.enter_context(handled_by(ConsoleHandler(logging.WARNING)))
-            stack.enter_context(self.serving(config))
 
             def on_recorder(recorder: Recorder) -> None:
                 stack.enter_context(ProgressDisplay(RecorderStatus(recorder)))

@@ -64,9 +64,9 @@ class Sim(LiveCommand):
             print(f"Simulating a G1, {support}. Ctrl-C ends it.", file=sys.stderr)
 
         with ExitStack() as stack:
+            stack.enter_context(self.serving(config))  # Ctrl-C ends a server that does not start
             stack.enter_context(on_signals(stopped.append))
             stack.enter_context(handled_by(ConsoleHandler()))
-            stack.enter_context(self.serving(config))
 
             def on_report(report: SimReport) -> None:
                 stack.enter_context(ProgressDisplay(lambda: sim_status(report)))

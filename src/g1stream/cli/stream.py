@@ -169,7 +169,7 @@ class Stream(PlayCommand):
         motion = load_motion(self.motion, fps=self.fps, joint_order=self.joint_order)
         for warning in motion.warnings:
             print_warning(warning)
-        with playing() as prepare, self.serving(config):
+        with self.serving(config), playing() as prepare:
             summary = stream(
                 motion,
                 config,
@@ -213,7 +213,7 @@ class Replay(PlayCommand):
         from g1stream.programs.replay import replay
 
         config = self.resolve()
-        with playing() as prepare, self.serving(config):
+        with self.serving(config), playing() as prepare:
             summary = replay(
                 self.file,
                 config,

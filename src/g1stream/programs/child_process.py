@@ -10,13 +10,14 @@ written for that, and leaves Ctrl-C in the terminal to the child, too; so only i
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
 import subprocess
 import sys
 import threading
 import time
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -24,9 +25,9 @@ from typing import TYPE_CHECKING, Any, Final
 from g1stream.errors import G1StreamError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
-__all__ = ["Child", "ChildError", "Parent", "process_state", "run_child"]
+__all__ = ["Child", "ChildError", "Parent", "optional_child", "process_state", "run_child"]
 
 _SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 #: Between two heartbeats of a child, s; silence after which a stopped and a running one has failed.
@@ -243,6 +244,36 @@ class Child:
             f"g1stream {self.name} did not {step} within {timeout:g} s.",
             f"Run g1stream {self.name} by itself to see what delays it.",
         )
+
+
+@contextmanager
+def optional_child(
+    name: str, startup_message: Any, consequence: str, abandoned: Callable[[], bool] = _never
+) -> Iterator[None]:
+    """Run a program that nothing else depends on, for the length of a `with`.
+
+    Args:
+        name: of its module in `g1stream.programs`.
+        startup_message: what it is to do.
+        consequence: of a failure once it is ready, for the warning that is all it causes then.
+        abandoned: asked while the program starts; True ends the wait for it.
+
+    Raises:
+        ChildError: it cannot be started, or failed before it was ready.
+    """
+    ready = False
+
+    def warn(cause: str) -> None:
+        if ready:  # else it is raised
+            logging.getLogger(f"g1stream.{name}").warning("%s: %s", consequence, cause)
+
+    child = Child(name, startup_message, on_failure=warn)
+    try:
+        child.wait_until_ready(abandoned=abandoned)
+        ready = True
+        yield
+    finally:
+        child.kill()
 
 
 class Parent:

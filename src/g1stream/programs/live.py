@@ -17,7 +17,7 @@ from g1stream.config import Config
 from g1stream.errors import ConfigError
 from g1stream.events import ConsoleHandler, handled_by
 from g1stream.extras import not_installed
-from g1stream.programs.child_process import Child, run_child
+from g1stream.programs.child_process import optional_child, run_child
 from g1stream.realtime import lower_priority
 from g1stream.recorder.observer import observe
 from g1stream.session.format import CHANNELS
@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from g1stream.session.format import MessageBatch
 
 __all__ = ["live"]
-
-_LOGGER = logging.getLogger(__name__)
 
 #: Programs on other hosts cannot connect.
 _HOST: Final = "127.0.0.1"
@@ -60,19 +58,8 @@ def live(config: Config | None = None) -> Iterator[str]:
     """
     config = config or Config()
     _require_sdk()
-    serving = False
-
-    def warn(cause: str) -> None:
-        if serving:  # else it is raised
-            _LOGGER.warning("the live view ended: %s", cause)
-
-    child = Child("live", config, on_failure=warn)
-    try:
-        child.wait_until_ready()
-        serving = True
+    with optional_child("live", config, "the live view ended"):
         yield f"ws://localhost:{config.live_port}"
-    finally:
-        child.kill()
 
 
 def _require_sdk() -> None:

@@ -6,7 +6,6 @@ is one more subscriber, best effort, so that neither waits for it.
 
 from __future__ import annotations
 
-import logging
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -26,7 +25,7 @@ from g1stream.dds.ros2 import (
 from g1stream.dds.topics import LOWSTATE, REFERENCE, SPORTMODESTATE
 from g1stream.foxglove.encoders import GHOST_PREFIX, IDENTITY_POSE, WORLD_FRAME, link_frames
 from g1stream.foxglove.measured_base import MeasuredBase
-from g1stream.programs.child_process import Child, run_child
+from g1stream.programs.child_process import optional_child, run_child
 from g1stream.realtime import lower_priority
 from g1stream.robot.kinematics import local_transforms
 from g1stream.robot.model import G1
@@ -41,8 +40,6 @@ if TYPE_CHECKING:
     from g1stream.types import Floats
 
 __all__ = ["publishing_for_ros2"]
-
-_LOGGER = logging.getLogger("g1stream.ros2")
 
 
 @contextmanager
@@ -61,19 +58,8 @@ def publishing_for_ros2(
     if not config.dds.ros_tf:
         yield
         return
-    publishing = False
-
-    def warn(cause: str) -> None:
-        if publishing:  # else it is raised
-            _LOGGER.warning("nothing is published for ROS 2 any more: %s", cause)
-
-    child = Child("ros2", config, on_failure=warn)
-    try:
-        child.wait_until_ready(abandoned=abandoned)
-        publishing = True
+    with optional_child("ros2", config, "nothing is published for ROS 2 any more", abandoned):
         yield
-    finally:
-        child.kill()
 
 
 class _Publisher:

@@ -56,4 +56,5 @@ def test_a_stall_during_the_soft_start_does_not_stiffen_the_robot_early(make_loo
     loop.run()
     stiff = next(sent for sent in link.sent if sent.command.kp.any())
     assert stiff.time - link.sent[0].time >= 2 * (SOFT - 1) * MS
+    assert link.sent.index(stiff) >= SOFT - 1  # time without commands does not damp
     assert stiff.command.q == pytest.approx(link.robot.q)

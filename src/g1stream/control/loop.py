@@ -209,8 +209,10 @@ class StreamLoop:
         phase, so that the motion ends later instead of leaping.
         """
         gap = deadline - self._prepared_for
+        # Damping is as long as configured with commands; time without any does not count.
+        if self._soft_until is not None:
+            self._soft_until += gap
         if self.state.phase is Phase.DAMP:
-            # The length of DAMP counts commands, not time without any.
             self.state = replace(self.state, since=self.state.since + gap)
         else:
             if stalled := self._overruns.stalled(gap):

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
+from contextlib import closing
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from g1stream.control.gains import resolve_gains
-from g1stream.control.state_checks import all_finite, is_unit
+from g1stream.control.state_checks import StateChecks
 from g1stream.control.targets import Ramp
 from g1stream.dds.domain import is_local_only, network_name, require_interface
 from g1stream.dds.endpoints import RawReader
@@ -22,12 +23,14 @@ from g1stream.doctor.host import inspect_host
 from g1stream.doctor.wire import inspect_participant
 from g1stream.errors import SafetyError, WireError
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
+from g1stream.robot.model import G1
 from g1stream.robot.rotations import tilt_of
 
 if TYPE_CHECKING:
     from typing import Any
 
     from g1stream.config import Config
+    from g1stream.control.state_checks import Measured
     from g1stream.dds.domain import Participant
     from g1stream.doctor.facts import Finding
     from g1stream.types import Floats
@@ -119,7 +122,7 @@ def inspect_for_arming(participant: Participant, config: Config, first: Floats) 
         WireError: no plausible LowState is received.
     """
     service = _motion_service(participant)
-    state = _plausible_state(participant, config.stream.wait)
+    state = _plausible_state(participant, config)
     distance = first - state.q.astype(np.float64)
     ramp = Ramp.of(distance, config.stream.ramp, config.stream.ramp_speed)
     where = participant.domain, participant.interface
@@ -128,7 +131,7 @@ def inspect_for_arming(participant: Participant, config: Config, first: Floats) 
     return ArmingReport(
         domain=participant.domain,
         interface=network_name(participant.interface),
-        tilt=tilt_of(state.quaternion),
+        tilt=tilt_of(state.imu.quat_wxyz),
         limbs=_limbs(distance, config),
         ramp=ramp.length,
         peak_speed=ramp.peak_speed,
@@ -158,21 +161,23 @@ def _motion_service(participant: Participant) -> Finding:
     return ok(about, "no mode is active")
 
 
-def _plausible_state(participant: Participant, wait: float) -> LowState:
-    reader, state = RawReader(participant, LOWSTATE), LowState()
+def _plausible_state(participant: Participant, config: Config) -> Measured:
+    robot = G1.load(config.robot, own_limits=config.safety.urdf_limits)
+    checks, state, wait = StateChecks(robot, config.safety), LowState(), config.stream.wait
     deadline = time.monotonic() + wait
-    while time.monotonic() < deadline:
-        sample = reader.take_latest()
-        if sample:
-            state.load(sample.data)
-            intact = not state.crc or state.crc_matches()  # 0: not provided
-            if intact and all_finite(state.q) and is_unit(state.quaternion):
-                reader.close()
-                return state
-        time.sleep(_POLL)
+    with closing(RawReader(participant, LOWSTATE)) as reader:
+        while time.monotonic() < deadline:
+            if sample := reader.take_latest():
+                state.load(sample.data)
+                now = time.monotonic_ns()
+                publisher = sample.sample_info.publication_handle
+                measured = checks.take(state, publisher, now)
+                if measured and not checks.unknown(now):
+                    return measured
+            time.sleep(_POLL)
     raise WireError(
-        f"No plausible LowState was received within stream.wait = {wait:g} s, so that the pose of "
-        "the robot is not known.",
+        f"The pose of the robot is not known: {checks.unknown(time.monotonic_ns())}, after "
+        f"stream.wait = {wait:g} s.",
         f"Run: g1stream doctor --domain {participant.domain} --interface {participant.interface}",
     )
 

@@ -127,6 +127,7 @@ LATENESS = Percentiles(p50=20.0, p99=90.0, p99_9=900.0, max=24_000.0)
             ["12 ticks"],
         ),
         ({"stream": {"saturated_ticks": {"left_elbow_joint": 8}}}, ["left_elbow_joint 8"]),
+        ({"stream": {"time_scale": 0.5}}, ["0.50", "2.0 times"]),
         (
             {"stream": {"findings": [Finding(about="x", cause="C.", remedy="R.").model_dump()]}},
             ["C. R."],

@@ -46,7 +46,9 @@ def test_it_is_one_while_nothing_moves():
 
 
 def test_it_is_bounded():
-    assert estimate(0.2).value == 0.5
+    slow = estimate(0.2)
+    assert slow.value == 0.5
+    assert slow.median == pytest.approx(0.2, abs=0.01)
     assert estimate(3.0).value == 1.05
 
 

@@ -48,6 +48,8 @@ _LONG_GAP: Final = 0.1
 #: A command this late, s, or this share of commands left out.
 _LONG_OVERRUN: Final = 0.02
 _MOST_SKIPPED: Final = 0.01
+#: Simulated over real time. At 0.8 the joints accelerate 1.6 times as hard as in the motion.
+_SLOW_SIMULATOR: Final = 0.8
 #: A recording that goes on for so long, ns, after the last reference has not merely ended first.
 _SILENCE: Final = 500_000_000
 
@@ -209,6 +211,11 @@ def _stream_problems(stream: StreamSummary) -> Iterator[str]:
         late >= _LONG_OVERRUN * 1e6 or stream.skipped_ticks > _MOST_SKIPPED * (stream.commands or 0)
     ):
         yield f"{counted(stream.skipped_ticks, 'tick')} skipped by the stream."
+    if stream.time_scale is not None and stream.time_scale < _SLOW_SIMULATOR:
+        yield (
+            f"The simulator ran at {stream.time_scale:.2f} of real time, in which the robot had to "
+            f"move {1.0 / stream.time_scale:.1f} times as fast as the motion: it needs more CPU."
+        )
     if stream.saturated_ticks:
         ticks = most(stream.saturated_ticks)
         yield f"Feed-forward torques clamped at their limits, ticks: {ticks}."

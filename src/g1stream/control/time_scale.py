@@ -28,7 +28,7 @@ class TimeScale:
     so that the quotient sum(d . x) / sum(x . x) would be biased.
 
     Attributes:
-        value: the estimate r; 1 while nothing has moved.
+        value: the estimate r, within 0.5 and 1.05; 1 while nothing has moved.
     """
 
     _SPAN: Final = 0.1  # s: a simulator that stalls and catches up does both within it
@@ -80,5 +80,5 @@ class TimeScale:
             self._products = self._products * kept + product
             scale = (self._squares + self._PRIOR) / max(self._products + self._PRIOR, 1e-9)
             self.value = min(self._HIGHEST, max(self._LOWEST, scale))
-            self._estimates.append(self.value)
+            self._estimates.append(scale)
         self._begin(self._last, q, self._dq)

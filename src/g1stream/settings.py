@@ -17,6 +17,7 @@ from g1stream.types import (
     ChannelSet,
     FeedForwardKind,
     OnboardMode,
+    OtherJoints,
     Support,
 )
 
@@ -151,6 +152,19 @@ class StreamConfig(Table):
         gt=0.0,
     )
     loop: bool = setting(False, "play again and again until stopped", flag=PLAY_FLAG)
+    joints: str | None = setting(
+        None,
+        "the joints that play the motion: limbs (arms, legs, left_arm, waist ...), names or "
+        "patterns, separated by commas; all if unset",
+        flag=(*PLAY_FLAG, "demo"),
+        example="arms,waist",
+    )
+    others: OtherJoints = setting(
+        "hold",
+        "what the other joints do; hold: keep the pose measured when the ramp begins; free: only "
+        "damp, with their kd",
+        flag=(*PLAY_FLAG, "demo"),
+    )
     beyond_limits: BeyondLimits = setting(
         "refuse",
         "a motion beyond the joint limits: refuse it; scale-time: slow it down until its speeds "

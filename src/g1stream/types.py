@@ -18,6 +18,7 @@ __all__ = [
     "Ints",
     "JointOrder",
     "OnboardMode",
+    "OtherJoints",
     "Phase",
     "Support",
 ]
@@ -38,6 +39,9 @@ joints of a tree."""
 
 OnboardMode = Literal["ai", "normal", "advanced"]
 """A controller of the robot's own, by its name in the motion service."""
+
+OtherJoints = Literal["hold", "free"]
+"""What joints that do not play the motion do: keep their measured pose, or only damp."""
 
 ChannelSet = Literal["raw", "standard", "full"]
 """What a session file has beside the samples, the log and the metadata: nothing; what viewers show,

@@ -61,6 +61,7 @@ def _reference(motion, phases):
         tick=np.arange(n, dtype=np.uint64),
         motion_time=seconds.clip(0.0),
         phase=phase,
+        played=np.full(n, 2**29 - 1, np.uint32),
         q=q,
         dq=np.zeros_like(q),
         ddq=np.zeros_like(q),

@@ -249,3 +249,25 @@ def test_the_ramp_gets_shorter_again_when_it_begins_nearer(trajectory):
     near = targets.first.q
     assert targets.begin(near + 1.5).length > 3.0
     assert targets.begin(near).length == 1.0
+
+
+def test_joints_that_are_not_played_keep_the_pose_from_which_the_ramp_starts(trajectory):
+    played = np.arange(29) >= 12
+    targets = Targets(trajectory, start=0.1, play=0.3, ramp=2.0, played=played)
+    whole = Targets(trajectory, start=0.1, play=0.3, ramp=2.0)
+    start = np.linspace(-0.4, 0.4, 29)
+    ramp, _ = targets.begin(start), whole.begin(start)
+    assert ramp.joint in JOINT_NAMES[12:]
+    for phase, elapsed in (
+        (Phase.RAMP, 1.5),
+        (Phase.PLAY, 0.0),
+        (Phase.PLAY, 0.2),
+        (Phase.HOLD, 0.1),
+    ):
+        target, other = targets.at(phase, elapsed), whole.at(phase, elapsed)
+        assert target.q[:12].tolist() == start[:12].tolist()
+        assert not target.dq[:12].any()
+        assert not target.ddq[:12].any()
+        for part in ("q", "dq", "ddq"):
+            assert getattr(target, part)[12:] == pytest.approx(getattr(other, part)[12:])
+        assert target.root_pos.tolist() == other.root_pos.tolist()

@@ -109,3 +109,12 @@ def test_every_refusal_has_a_remedy():
     with pytest.raises(G1StreamError) as refused:
         fitted(still)
     assert refused.value.remedy
+
+
+def test_joints_that_are_not_played_may_be_beyond_their_limits(demo):
+    wild = with_knee(demo, slice(10, 11), 2.4)
+    with pytest.raises(SafetyError):
+        fitted(wild)
+    with pytest.raises(SafetyError):
+        fitted(wild, joints="legs")
+    assert fitted(wild, joints="arms").trajectory.motion is wild

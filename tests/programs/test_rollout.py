@@ -5,9 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from g1stream.analysis.report.page import report
 from g1stream.config import Config
+from g1stream.dds.messages import played_joints
 from g1stream.errors import ConfigError, RecordingError
 from g1stream.programs.rollout import LATENCY, rollout
+from g1stream.robot.joints import JOINT_NAMES
 from g1stream.session.session import Session, open_session
 from g1stream.sim.lockstep import EPOCH
 from g1stream.types import Phase
@@ -166,3 +169,50 @@ def test_a_phase_is_saved(session, tmp_path):
     saved = open_session(session.sel("PLAY").save(tmp_path / "play.mcap"))
     assert [one.phase for one in saved.phases] == [Phase.PLAY]
     assert len(saved.reference) == len(session.sel("PLAY").reference)
+
+
+@pytest.fixture(scope="module")
+def arms() -> Session:
+    over = {"stream": SHORT | {"others": "free"}}
+    return rollout("demo", seconds=1.0, joints="arms", config=Config.model_validate(over))
+
+
+def test_joints_that_are_free_only_damp(arms):
+    command = arms.command[arms.reference.phase < Phase.DAMP]
+    assert not command.kp[:, :15].any()
+    assert not command.tau[:, :15].any()
+    assert not command.dq[:, :15].any()
+    assert (command.kp[:, 15:] == 40.0).all()
+    assert np.ptp(arms.measured.q[:, :15], axis=0).max() > 0.1  # the torso leans
+    assert arms.summary().termination.reason == ""
+
+
+def test_only_played_joints_count(arms, session):
+    names = list(JOINT_NAMES[15:])
+    summary, metrics, tracking = arms.summary(), arms.metrics(), arms.tracking()
+    assert arms.metadata["joints"] == summary.joints == names
+    assert list(summary.tracking.joints) == list(metrics.tracking.joints) == names
+    assert list(summary.tracking.rmse_by_limb_rad) == ["left_arm", "right_arm"]
+    assert list(metrics.tracking.limbs) == ["left_arm", "right_arm"]
+    assert list(metrics.torque.joints) == names
+    assert tracking.joints == tuple(range(15, 29))
+    assert tracking.overall == pytest.approx(np.sqrt(np.mean(tracking.rmse[15:] ** 2)))
+    assert metrics.tracking.all_joints.rmse_rad == pytest.approx(tracking.overall)
+    assert tracking.rmse[:15].max() > tracking.overall  # the legs, which fell
+    links = metrics.body.pelvis_frame.by_link_mm
+    assert len(links) == 14
+    assert all("shoulder" in link or "elbow" in link or "wrist" in link for link in links)
+    assert (arms.reference.played == sum(1 << joint for joint in range(15, 29))).all()
+    assert (session.reference.played == 2**29 - 1).all()
+    assert session.metadata["joints"] == list(JOINT_NAMES)
+
+
+def test_a_figure_and_a_report_show_some_joints(arms, tmp_path):
+    arms.plot().savefig(tmp_path / "arms.png")
+    report(arms, tmp_path / "arms.html")
+    assert (tmp_path / "arms.html").stat().st_size > 100_000
+
+
+def test_recorded_references_of_earlier_versions_play_all_joints():
+    assert played_joints(np.zeros(1, np.uint32)).all()
+    assert np.flatnonzero(played_joints(np.array([2**12 + 1], np.uint32))[0]).tolist() == [0, 12]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from g1stream.errors import ConfigError
 from g1stream.robot.joints import (
     EXAMPLE_KD,
     EXAMPLE_KP,
@@ -12,6 +13,7 @@ from g1stream.robot.joints import (
     JOINT_NAMES,
     N_JOINTS,
     by_joint,
+    select_joints,
 )
 
 
@@ -65,3 +67,24 @@ def test_by_joint_sorts_and_leaves_out_zeros():
     assert list(by_joint(ticks).items()) == [("waist_yaw_joint", 7), ("left_knee_joint", 2)]
     with pytest.raises(ValueError, match="shorter"):
         by_joint(ticks[:-1])
+
+
+@pytest.mark.parametrize(
+    ("selection", "joints"),
+    [
+        (None, range(29)),
+        ("arms,waist", range(12, 29)),
+        ("legs", range(12)),
+        ("left_arm", range(15, 22)),
+        (" *_knee_joint , waist_yaw_joint", [3, 9, 12]),
+        ("*", range(29)),
+    ],
+)
+def test_joints_are_selected_by_limb_name_and_pattern(selection, joints):
+    assert np.flatnonzero(select_joints(selection)).tolist() == list(joints)
+
+
+@pytest.mark.parametrize("selection", ["", "arm", "arms,", "left_toe", "arms;waist"])
+def test_a_selection_that_matches_no_joint_is_refused(selection):
+    with pytest.raises(ConfigError, match=r"stream\.joints"):
+        select_joints(selection)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from g1stream.analysis.frames import FPS
+from g1stream.robot.joints import N_JOINTS
 from g1stream.robot.kinematics import LinkPoses, forward_kinematics
 from g1stream.robot.rotations import quat_conj, quat_mul, quat_rotate, quat_rotate_inverse
 from g1stream.session.metrics import (
@@ -19,6 +20,8 @@ from g1stream.session.metrics import (
 from g1stream.types import Floats
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from g1stream.analysis.frames import Frames, Robot
@@ -38,12 +41,18 @@ _DOWN: Final = np.array([0.0, 0.0, -1.0])
 _MM: Final = 1e3
 
 
-def body_metrics(robot: G1, frames: Frames) -> BodyMetrics:
+def body_metrics(robot: G1, frames: Frames, joints: Sequence[int] = range(N_JOINTS)) -> BodyMetrics:
     """The metrics of the links, in the world, relative to the pelvis's position and in its frame.
 
-    Links are the 30 bodies of the G1: the pelvis and those that a joint moves.
+    Links are the bodies of the G1, the pelvis and those that a joint has: all of them, or where
+    only some joints were played those that these move.
+
+    Args:
+        robot: the links.
+        frames: the reference and what was measured.
+        joints: motor indices of those that were played.
     """
-    bodies = np.flatnonzero((robot.joint_of_link >= 0) | (robot.parent < 0))
+    bodies = np.flatnonzero(_moved(robot, joints))
     names = [robot.link_names[i] for i in bodies]
     reference, measured = frames.reference, frames.measured
     # Of the joints alone: both pelvises at the origin, upright.
@@ -78,6 +87,18 @@ def body_metrics(robot: G1, frames: Frames) -> BodyMetrics:
         pelvis=_pelvis_metrics(frames) if frames.has_attitude else None,
         terminations=terminations,
     )
+
+
+def _moved(robot: G1, joints: Sequence[int]) -> NDArray[np.bool_]:
+    """(L,) which bodies the played joints move; the pelvis, too, if all joints were played."""
+    bodies = robot.joint_of_link >= 0
+    played = np.isin(robot.joint_of_link, joints)
+    if np.array_equal(played, bodies):
+        return np.asarray(bodies | (robot.parent < 0))
+    moved = played.copy()
+    for link in range(1, len(moved)):  # parents come before children
+        moved[link] |= moved[robot.parent[link]]
+    return np.asarray(moved & bodies)
 
 
 def _links(robot: G1, q: Floats, bodies: NDArray[np.intp]) -> LinkPoses:

@@ -186,6 +186,7 @@ class _Run(NamedTuple):
     stop: float
     rows: NDArray[np.intp]
     reference: Floats
+    joints: tuple[int, ...]
     metrics: Metrics
     facts: dict[str, str]
 
@@ -237,6 +238,7 @@ def _read(source: Session | str | Path) -> _Run:
         reference=np.column_stack(
             [np.interp(rows / _RATE, found.motion_time, q) for q in found.reference.T]
         ),
+        joints=found.joints,
         metrics=session.metrics(),
         facts=dict(_facts(session, summary)),
     )
@@ -253,7 +255,9 @@ def _nothing_in_common(run: _Run, start: float, stop: float) -> RecordingError:
 def _require_same_motion(first: _Run, other: _Run) -> None:
     """What was asked at each motion time says it, whatever names and files say."""
     _, rows, other_rows = np.intersect1d(first.rows, other.rows, return_indices=True)
-    apart = np.abs(first.reference[rows] - other.reference[other_rows]).max(initial=0.0)
+    joints = sorted({*first.joints} & {*other.joints})
+    difference = first.reference[rows] - other.reference[other_rows]
+    apart = np.abs(difference[:, joints]).max(initial=0.0)
     if len(rows) and apart <= _SAME_MOTION:
         return
     reason = "they have no part of a motion in common"
@@ -285,7 +289,7 @@ def _differences(
     """Of the metrics that all sessions of both sides have, tested together."""
     found: dict[str, Difference] = {}
     for name in sides[0][0]:
-        values = [[v for one in side if (v := one[name]) is not None] for side in sides]
+        values = [[v for one in side if (v := one.get(name)) is not None] for side in sides]
         base, other = values
         if [len(side) for side in values] == [len(side) for side in sides]:
             found[name] = Difference(

@@ -5,8 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 from xml.etree import ElementTree
 
-import numpy as np
-
 from g1stream.errors import RecordingError
 from g1stream.foxglove.encoders import GHOST_PREFIX, MEASURED_PREFIX
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
@@ -58,15 +56,16 @@ DEFAULT_JOINTS: Final = (
 
 
 def worst_joints(session: Session) -> tuple[str, ...]:
-    """The six joints with the greatest RMSE in a session, greatest first.
+    """The six played joints with the greatest RMSE in a session, greatest first.
 
     `DEFAULT_JOINTS` where there is nothing to compare.
     """
     try:
-        rmse = session.tracking().rmse
+        tracking = session.tracking()
     except RecordingError:
         return DEFAULT_JOINTS
-    return tuple(JOINT_NAMES[joint] for joint in np.argsort(-rmse)[:_N_PLOTS])
+    worst = sorted(tracking.joints, key=lambda joint: -tracking.rmse[joint])
+    return tuple(JOINT_NAMES[joint] for joint in worst[:_N_PLOTS])
 
 
 def short_name(joint: str) -> str:

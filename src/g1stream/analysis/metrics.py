@@ -13,7 +13,7 @@ from g1stream.analysis.timing import timing_metrics
 from g1stream.analysis.torque import COMMAND_COLUMNS, torque_metrics
 from g1stream.analysis.tracking import NothingToCompareError, pooled, rms
 from g1stream.errors import RobotError
-from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
+from g1stream.robot.joints import JOINT_NAMES
 from g1stream.session.metrics import (
     JointMetrics,
     LimbMetrics,
@@ -66,7 +66,7 @@ def metrics(session: Session) -> Metrics:
     body = torque = robot = None
     try:
         robot = session.robot
-        body = body_metrics(robot, sampled) if sampled else None
+        body = body_metrics(robot, sampled, tracking.joints) if tracking and sampled else None
     except RobotError as error:
         missing["body"] = error.cause
     if not session.topics.get(Measured.topic):
@@ -74,7 +74,12 @@ def metrics(session: Session) -> Metrics:
     elif robot is None:
         missing["torque"] = missing["body"]
     else:
-        torque = torque_metrics(session, robot.torque_limit, tracking.states if tracking else None)
+        torque = torque_metrics(
+            session,
+            robot.torque_limit,
+            tracking.states if tracking else None,
+            tracking.joints if tracking else None,
+        )
         if torque is None:
             missing["torque"] = "The robot reports no torques: all are 0 or not finite."
     if body is None and robot:
@@ -116,13 +121,13 @@ def _tracking_metrics(tracking: Tracking, sampled: Frames | None) -> TrackingMet
         columns["velocity_rmse_rad_s"] = velocity
     if acceleration is not None:
         columns["acceleration_rmse_rad_s2"] = acceleration
-    every = range(N_JOINTS)
     joints = {
         name: JointMetrics(
             **{key: float(values[i]) for key, values in columns.items()},
             **_delay(tracking.delays.of([i])),
         )
         for i, name in enumerate(JOINT_NAMES)
+        if i in tracking.joints
     }
 
     def limb(members: Sequence[int], delay: Delay | None) -> LimbMetrics:
@@ -145,10 +150,10 @@ def _tracking_metrics(tracking: Tracking, sampled: Frames | None) -> TrackingMet
         compared_states=len(tracking.time),
         excluded_states=tracking.excluded,
         compared_s=tracking.duration,
-        all_joints=limb(every, tracking.delay),
+        all_joints=limb(tracking.joints, tracking.delay),
         limbs={
             name: limb(members, tracking.delays.of(members))
-            for name, members in JOINT_GROUPS.items()
+            for name, members in tracking.limbs.items()
         },
         joints=joints,
     )

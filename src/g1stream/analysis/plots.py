@@ -187,18 +187,20 @@ def _joints_to_show(data: _Data) -> tuple[list[int], int | None]:
     """Of each limb the joint with the widest range, and the worst of the others, if known."""
     tracking = data.tracking
     span = np.ptp(tracking.reference if tracking else data.reference, axis=0)
-    widest = [max(joints, key=lambda joint: float(span[joint])) for joints in JOINT_GROUPS.values()]
-    if tracking is None:
+    limbs = tracking.limbs if tracking else JOINT_GROUPS
+    widest = [max(joints, key=lambda joint: float(span[joint])) for joints in limbs.values()]
+    others = {*tracking.joints} - {*widest} if tracking else {}
+    if tracking is None or not others:
         return widest, None
-    rmse = tracking.rmse
-    worst = max(set(range(N_JOINTS)) - {*widest}, key=lambda joint: float(rmse[joint]))
+    worst = max(others, key=lambda joint: float(tracking.rmse[joint]))
     return [*widest, worst], worst
 
 
 def _view(first: float, last: float, tracking: Tracking | None) -> tuple[float, float]:
     if last - first <= LONGEST_VIEW or tracking is None:
         return first, last
-    worst = float(tracking.time[np.abs(tracking.error).max(axis=1).argmax()])
+    error = tracking.error[:, list(tracking.joints)]
+    worst = float(tracking.time[np.abs(error).max(axis=1).argmax()])
     start = min(max(worst - LONGEST_VIEW / 2.0, first), last - LONGEST_VIEW)
     return start, start + LONGEST_VIEW
 
@@ -239,7 +241,8 @@ def _facts(tracking: Tracking | None) -> list[str]:
         return ["no state in PLAY: nothing to compare"]
     delay = tracking.delay
     return [
-        f"RMSE {np.degrees(tracking.overall):.2f}° over all joints",
+        f"RMSE {np.degrees(tracking.overall):.2f}° over "
+        + ("all joints" if len(tracking.joints) == N_JOINTS else f"{len(tracking.joints)} joints"),
         *([f"tracking delay {delay.seconds * 1e3:.1f} ms"] if delay else []),
         f"{counted(len(tracking.time), 'state')} compared over {tracking.duration:.1f} s",
     ]
@@ -290,7 +293,7 @@ def _draw_error(axes: Axes, data: _Data) -> None:
     if data.tracking is None:
         return
     error = np.degrees(data.tracking.error)
-    for group, joints in JOINT_GROUPS.items():
+    for group, joints in data.tracking.limbs.items():
         times, rms = _binned_rms(data.tracking.time, error[:, joints])
         axes.plot(times, rms, color=COLOURS[group], linewidth=1.6, label=group.replace("_", " "))
     axes.set_ylim(0.0, 1.12 * axes.get_ylim()[1])
@@ -306,14 +309,16 @@ def _draw_bars(axes: Axes, tracking: Tracking) -> None:
     axes.grid(visible=False, axis="x")
     axes.set_xlim(-0.8, N_JOINTS - 0.2)
     # Room for the names above the bars.
-    axes.set_ylim(0.0, 1.5 * float(rmse.max()) or 1.0)
-    for group, joints in JOINT_GROUPS.items():
-        axes.bar(joints, rmse[list(joints)], color=COLOURS[group], width=0.75)
-    for joint, name in enumerate(JOINT_NAMES):
-        part = name.removeprefix("left_").removeprefix("right_").removesuffix("_joint")
+    axes.set_ylim(0.0, 1.5 * float(rmse[list(tracking.joints)].max()) or 1.0)
+    for group, joints in tracking.limbs.items():
+        axes.bar(joints, rmse[joints], color=COLOURS[group], width=0.75)
+    for joint in tracking.joints:
+        part = (
+            JOINT_NAMES[joint].removeprefix("left_").removeprefix("right_").removesuffix("_joint")
+        )
         _annotate(axes, part, (joint, rmse[joint]), 3, rotation=90, va="bottom", fontsize=7.5)
     axes.set_xticks(
-        [float(np.mean(joints)) for joints in JOINT_GROUPS.values()],
+        [float(np.mean(joints)) for joints in tracking.limbs.values()],
         [
             f"{group.replace('_', ' ')}\n{np.degrees(value):.2f}°"
             for group, value in tracking.rmse_by_limb.items()

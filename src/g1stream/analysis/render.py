@@ -8,7 +8,7 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from g1stream.robot.joints import JOINT_GROUPS
+from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
 from g1stream.text import counted, printable
 from g1stream.types import Phase
 
@@ -123,6 +123,8 @@ def session_facts(summary: Summary) -> list[tuple[str, str]]:
         parts += [f"{motion.fps:g} fps"] if motion.fps else []
         parts += [f"sha256 {motion.sha256[:12]}"] if motion.sha256 else []
         lines.append(("motion", ", ".join(parts)))
+    if summary.joints and len(summary.joints) < N_JOINTS:
+        lines.append(("joints", _joints(summary)))
     ramp = _ramp(summary.stream)
     if summary.phases:
         phases = [
@@ -151,6 +153,18 @@ def session_facts(summary: Summary) -> list[tuple[str, str]]:
         files = [f"{name} ({_size(size)})" for name, size in summary.attachments_bytes.items()]
         lines.append(("attached", ", ".join(files)))
     return lines
+
+
+def _joints(summary: Summary) -> str:
+    """Which joints played the motion: limbs that did as a whole by their name."""
+    played, named = {*(summary.joints or ())}, []
+    for limb, joints in JOINT_GROUPS.items():
+        names = {JOINT_NAMES[i] for i in joints}
+        short = sorted(name.removesuffix("_joint") for name in names & played)
+        named += [limb.replace("_", " ")] if names <= played else short
+    others = (summary.settings or {}).get("stream.others")
+    rest = "only damp" if others == "free" else "hold their pose"
+    return f"{len(played)} of {N_JOINTS} play: {', '.join(named)}; the others {rest}"
 
 
 def _files(summary: Summary) -> str:
@@ -206,9 +220,9 @@ def _ended(termination: Termination) -> str:
 def _tracking(tracking: TrackingSummary, stream: StreamSummary | None) -> list[str]:
     rows = [("limb", "RMSE rad", "RMSE deg", "worst joint", "RMSE deg", "max deg", "at s")]
     limbs = {**tracking.rmse_by_limb_rad, "all joints": tracking.rmse_rad}
-    names = list(tracking.joints)
     for limb, rmse in limbs.items():
-        joints = [names[i] for i in JOINT_GROUPS.get(limb, ()) if i < len(names)] or names
+        members = {JOINT_NAMES[i] for i in JOINT_GROUPS.get(limb, ())} or tracking.joints
+        joints = [name for name in tracking.joints if name in members] or [*tracking.joints]
         name = max(joints, key=lambda name: tracking.joints[name].rmse_rad)
         worst = tracking.joints[name]
         rows.append(

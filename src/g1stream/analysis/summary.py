@@ -85,6 +85,7 @@ def summarise(session: Session) -> Summary:
     }
     gains = (info.gains or {}).items()
     summary = Summary(
+        joints=info.joints or (list(tracking.joints) if tracking else None),
         files_bytes={str(path): path.stat().st_size for path in session.paths},
         complete=session.complete,
         first_ns=min((int(one.log_time.min()) for one in streams.values()), default=None),

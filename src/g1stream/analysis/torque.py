@@ -31,7 +31,10 @@ _SATURATED: Final = 0.99
 
 
 def torque_metrics(
-    session: Session, limits: Floats, states: NDArray[np.intp] | None
+    session: Session,
+    limits: Floats,
+    states: NDArray[np.intp] | None,
+    joints: Sequence[int] | None = None,
 ) -> TorqueMetrics | None:
     """The metrics of some states, or of all; None where the robot reports no torques.
 
@@ -39,6 +42,7 @@ def torque_metrics(
         session: with LowStates.
         limits: (29,) Nm.
         states: (N,) which LowStates; all of them if None.
+        joints: motor indices of those that count; all if None.
     """
     measured = session.measured.read("q", "dq", "tau")
     chosen = np.arange(len(measured)) if states is None else states
@@ -59,7 +63,9 @@ def torque_metrics(
     saturated = np.zeros(len(times), dtype=bool)
     found: list[dict[str, float]] = []
     # Joint by joint, as all states of all joints at once would take a few times the memory.
-    for joint, limit in enumerate(limits.tolist()):
+    counted = range(len(limits)) if joints is None else joints
+    for joint in counted:
+        limit = float(limits[joint])
         tau = measured.tau[chosen, joint]
         size = np.abs(tau)
         at_limit = size >= _SATURATED * limit
@@ -84,9 +90,7 @@ def torque_metrics(
             figures["commanded_beyond"] = float((np.abs(asked) > limit).mean())
         found.append(figures)
     columns = {key: np.array([one[key] for one in found]) for key in found[0]}
-    joints = {
-        name: JointTorque(**figures) for name, figures in zip(JOINT_NAMES, found, strict=True)
-    }
+    names = [JOINT_NAMES[joint] for joint in counted]
     duration, commanded = float(seconds.sum()), columns.get("commanded_rmse_nm")
     work = columns.get("work_j")
     return TorqueMetrics(
@@ -94,13 +98,13 @@ def torque_metrics(
         duration_s=duration,
         rms_nm=float(rms(columns["rms_nm"])),
         use=float(columns["use"].max()),
-        most_used=JOINT_NAMES[int(columns["use"].argmax())],
+        most_used=names[int(columns["use"].argmax())],
         saturated=float(saturated.mean()),
         commanded_rmse_nm=None if commanded is None else float(rms(commanded)),
         work_j=None if work is None else float(work.sum()),
         net_work_j=None if work is None else float(columns["net_work_j"].sum()),
         power_w=None if work is None or not duration else float(work.sum()) / duration,
-        joints=joints,
+        joints={name: JointTorque(**figures) for name, figures in zip(names, found, strict=True)},
     )
 
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from g1stream.analysis.delay import Delay, Delays
+from g1stream.dds.messages import played_joints
 from g1stream.errors import RecordingError
 from g1stream.foxglove.tracking_error import MAX_GAP_NS, neighbours
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
@@ -41,7 +42,8 @@ class NothingToCompareError(RecordingError):
 class Tracking:
     """Reference and measurement at the publish times of N LowStates in PLAY, and their difference.
 
-    Joints are in motor order.
+    Joints are in motor order. Those that did not play the motion count in no figure of several
+    joints together.
 
     Attributes:
         time: (N,) s on the motion's clock, as `Stream.time`.
@@ -56,6 +58,7 @@ class Tracking:
         max_abs_at: (29,) s since the motion's first frame, where that was.
         delays: finds the delay of any joints together.
         states: (N,) which LowStates they are.
+        joints: motor indices of those that played the motion.
     """
 
     time: Floats
@@ -70,14 +73,15 @@ class Tracking:
     max_abs_at: Floats
     delays: Delays
     states: NDArray[np.intp]
+    joints: tuple[int, ...]
 
     @cached_property
     def delay(self) -> Delay | None:
         """Of all joints together; None where too little moves, or no delay that is searched fits.
 
-        Its `rmse` and `std` are (29,) rad.
+        Its `rmse` and `std` are in the order of `joints`, rad.
         """
-        return self.delays.of(range(N_JOINTS))
+        return self.delays.of(self.joints)
 
     @property
     def error(self) -> Floats:
@@ -87,17 +91,23 @@ class Tracking:
     @property
     def overall(self) -> float:
         """RMSE of all joints together, rad."""
-        return pooled(self.rmse)
+        return pooled(self.rmse[list(self.joints)])
 
     @property
     def rmse_by_limb(self) -> dict[str, float]:
         """RMSE of the joints of each limb together, rad."""
-        return {limb: pooled(self.rmse[list(joints)]) for limb, joints in JOINT_GROUPS.items()}
+        return {limb: pooled(self.rmse[joints]) for limb, joints in self.limbs.items()}
+
+    @cached_property
+    def limbs(self) -> dict[str, list[int]]:
+        """The played joints of each limb that has any."""
+        found = {limb: sorted({*joints} & {*self.joints}) for limb, joints in JOINT_GROUPS.items()}
+        return {limb: joints for limb, joints in found.items() if joints}
 
     @property
     def worst_joint(self) -> str:
         """The joint of the greatest RMSE."""
-        return JOINT_NAMES[int(self.rmse.argmax())]
+        return JOINT_NAMES[max(self.joints, key=self.rmse.__getitem__)]
 
     def summary(self) -> TrackingSummary:
         """The figures, without the arrays."""
@@ -115,7 +125,10 @@ class Tracking:
             rmse_without_delay_and_mean_rad=delay and pooled(delay.std),
             joints={
                 name: JointTracking(rmse_rad=rmse, mean_rad=mean, max_abs_rad=most, max_abs_at_s=at)
-                for name, (rmse, mean, most, at) in zip(JOINT_NAMES, figures, strict=True)
+                for joint, (name, (rmse, mean, most, at)) in enumerate(
+                    zip(JOINT_NAMES, figures, strict=True)
+                )
+                if joint in self.joints
             },
         )
 
@@ -130,7 +143,7 @@ def tracking(session: Session) -> Tracking:
     absent = [t for t in (Reference.topic, Measured.topic) if not session.topics.get(t)]
     reason = f"it has no messages on {' and '.join(absent)}"
     if not absent:
-        reference = session.reference.read("motion_time", "phase", "q")
+        reference = session.reference.read("motion_time", "phase", "played", "q")
         if found := compare(reference, session.measured.read("q")):
             return found
         reason = f"no {Measured.topic} was published in PLAY"
@@ -165,6 +178,7 @@ def compare(reference: Reference, measured: Measured) -> Tracking | None:
     asked, done = compared.interpolate(q), measured.q[states]
     motion_time = compared.interpolate(reference.motion_time[order][:, np.newaxis])[:, 0]
     error = asked - done
+    played = played_joints(np.bitwise_or.reduce(reference.played[order][phase == Phase.PLAY]))
     worst = np.where(error.max(axis=0) > -error.min(axis=0), error.argmax(0), error.argmin(0))
     gaps = np.diff(times)[phase[:-1] == Phase.PLAY]
     seconds, state_seconds = (times - times[0]) / 1e9, (state_times[states] - times[0]) / 1e9
@@ -181,6 +195,7 @@ def compare(reference: Reference, measured: Measured) -> Tracking | None:
         max_abs_at=motion_time[worst],
         delays=Delays(seconds, q, state_seconds, done),
         states=states,
+        joints=tuple(np.flatnonzero(played).tolist()),
     )
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from g1stream.control.state_checks import STALE, all_finite
-from g1stream.dds.messages import LowCmd, Reference
+from g1stream.dds.messages import LowCmd, Reference, played_bits
 from g1stream.errors import ConfigError, SafetyError
 from g1stream.motion.limits import POSITION_TOLERANCE
 from g1stream.robot.joints import N_JOINTS
@@ -258,18 +258,27 @@ class Composer:
         limits: of a command.
         gains: kp and kd in every phase but DAMP.
         damp_kd: kd in DAMP, Nm s/rad.
+        played: (29,) which joints play the motion, all if None; told in the Reference.
 
     Attributes:
         limits: as given; it counts what it has changed.
     """
 
-    def __init__(self, limits: CommandLimits, gains: Gains, damp_kd: float) -> None:
+    def __init__(
+        self,
+        limits: CommandLimits,
+        gains: Gains,
+        damp_kd: float,
+        played: NDArray[np.bool_] | None = None,
+    ) -> None:
         self.limits = limits
         self._gains = gains
         self._damp_kd = damp_kd
         self._servo: Floats = np.stack(gains)
         self._wire = np.zeros((3, N_JOINTS), np.float32)
         self._command, self._reference = LowCmd(), Reference()
+        everything = np.ones(N_JOINTS, np.bool_)
+        self._reference.played[()] = played_bits(everything if played is None else played)
 
     def begin(self, q: NDArray[np.floating], mode_machine: int) -> None:
         """Enable the motors of a robot at the measured pose `q` (29,), rad."""

@@ -58,7 +58,7 @@ class FeedForward:
         dynamics: the model; needed for `dynamics`.
         alternative: another model, of another revision of the robot. During RAMP the measured
             torques are compared with both, and the one that fits better is used from then on.
-        limit: (29,) N·m, the largest torque in either direction.
+        limit: (29,) N·m, the largest torque in either direction; 0 for joints that get none.
         period: s between commands.
         ramp: s, length of RAMP; the torque fades in during its first half.
         preview: s by which the target of a command is ahead of its publish time, because it takes
@@ -133,9 +133,17 @@ class FeedForward:
 
     @classmethod
     def from_config(
-        cls, settings: StreamConfig, robot: G1, period: float, *, recorded: bool = False
+        cls,
+        settings: StreamConfig,
+        robot: G1,
+        period: float,
+        *,
+        recorded: bool = False,
+        held: NDArray[np.bool_] | None = None,
     ) -> FeedForward:
         """The feed-forward of a config for commands that are `period` seconds apart.
+
+        Joints that are not `held` (29,) get no torque.
 
         Raises:
             RobotError: the inverse dynamics of this robot cannot be computed.
@@ -148,7 +156,7 @@ class FeedForward:
             settings.support,
             dynamics=InverseDynamics(robot) if torque else None,
             alternative=InverseDynamics(other) if other else None,
-            limit=robot.torque_limit,
+            limit=robot.torque_limit if held is None else robot.torque_limit * held,
             period=period,
             ramp=settings.ramp,
             preview=settings.preview,
@@ -192,7 +200,7 @@ class FeedForward:
             return  # observer and check need every tick
         if self._alternative and robot == self._alternative.name:
             self._dynamics = self._alternative
-        elif self._alternative and robot is None:
+        elif self._alternative and robot is None and self._limit.all():  # no joint is free
             self._fit = RevisionFit(self.support, (self._dynamics, self._alternative))
         self._use(self._dynamics)
 
@@ -326,7 +334,7 @@ class FeedForward:
 
     def _limited(self, tau: Floats) -> Floats:
         limited: Floats = np.minimum(np.maximum(tau, -self._limit), self._limit)
-        held = limited != tau
+        held = (limited != tau) & (self._limit > 0.0)
         if np.count_nonzero(held):
             self.saturated += held
         return limited

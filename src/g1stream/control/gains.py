@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from difflib import get_close_matches
-from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
+import numpy as np
+
 from g1stream.errors import ConfigError
-from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP, JOINT_NAMES
+from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP, matching_joints, select_joints
 from g1stream.types import Floats
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
+    from g1stream.config import Config
     from g1stream.settings import GainsConfig
 
-__all__ = ["Gains", "read_gains", "resolve_gains"]
+__all__ = ["Gains", "gains_in_play", "read_gains", "resolve_gains"]
 
 _FORMAT: Final = (
     'Write tables [kp] and [kd] of joint names or patterns, such as "*_knee_joint" = 150.0.'
@@ -34,7 +35,7 @@ def resolve_gains(config: GainsConfig, where: str = "[gains] of the config") -> 
     """The gains of Unitree's example, changed by the tables of a config.
 
     Args:
-        config: joint names or patterns and their gains; later entries override earlier ones.
+        config: joints, limbs or patterns and their gains; later entries override earlier ones.
         where: named in the error.
 
     Raises:
@@ -46,19 +47,22 @@ def resolve_gains(config: GainsConfig, where: str = "[gains] of the config") -> 
     )
 
 
+def gains_in_play(config: Config) -> Gains:
+    """The gains of a session: those of the config, with kp 0 for the joints that are free.
+
+    Raises:
+        ConfigError: a name or pattern matches no joint.
+    """
+    gains, settings = resolve_gains(config.gains), config.stream
+    if settings.others == "free":
+        return gains._replace(kp=np.where(select_joints(settings.joints), gains.kp, 0.0))
+    return gains
+
+
 def _resolved(default: Floats, table: Mapping[str, float], where: str) -> Floats:
     gains: Floats = default.copy()
     for pattern, value in table.items():
-        matches = [i for i, name in enumerate(JOINT_NAMES) if fnmatchcase(name, pattern)]
-        if not matches:
-            close = get_close_matches(pattern, JOINT_NAMES)
-            raise ConfigError(
-                f"In {where}: {pattern!r} matches no joint.",
-                f"Close matches: {', '.join(close)}."
-                if close
-                else f"Use a pattern, such as *_knee_joint, or one of {', '.join(JOINT_NAMES)}.",
-            )
-        gains[matches] = value
+        gains[matching_joints(pattern, f"In {where}")] = value
     return gains
 
 

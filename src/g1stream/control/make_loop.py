@@ -5,17 +5,21 @@ from __future__ import annotations
 from math import inf
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from g1stream.control.commands import CommandLimits, Composer
 from g1stream.control.feedforward import FeedForward
-from g1stream.control.gains import resolve_gains
+from g1stream.control.gains import gains_in_play
 from g1stream.control.loop import StreamLoop
 from g1stream.control.overruns import Overruns
 from g1stream.control.phases import Timing
 from g1stream.control.safety import Safety
 from g1stream.control.targets import Targets
 from g1stream.dds.domain import SETTLE
+from g1stream.errors import ConfigError
 from g1stream.motion.correction import Conditions, CorrectionSpline
 from g1stream.motion.limits import Interval
+from g1stream.robot.joints import select_joints
 
 if TYPE_CHECKING:
     from g1stream.clock import Clock
@@ -54,14 +58,22 @@ def make_loop(
         correction: of the joint targets.
 
     Raises:
-        ConfigError: the interval to play, the gains or the margin to the limits are invalid, or
-            the correction is not for this motion and these settings.
+        ConfigError: the interval to play, the joints, the gains or the margin to the limits are
+            invalid, or the correction is not for this motion and these settings.
         RobotError: the inverse dynamics of this robot cannot be computed.
     """
     settings = config.stream
     interval = Interval.from_config(settings, trajectory.motion)
     period = round(1e9 / settings.rate)  # whole, because deadlines are
-    gains = resolve_gains(config.gains)
+    gains = gains_in_play(config)
+    played = select_joints(settings.joints)
+    if not played.all() and (recorded or correction):
+        raise ConfigError(
+            f"stream.joints = {settings.joints!r} with "
+            f"{'recorded commands' if recorded else 'a correction'}, which are for all joints.",
+            "Leave --joints out" + (", or --exact." if recorded else ", or --correction."),
+        )
+    held = played if settings.others == "free" else np.ones_like(played)
     # Recorded commands were checked, and are sent instead of those that are composed.
     beyond = "clamp" if recorded else settings.beyond_limits
     limits = CommandLimits(robot, config.safety, beyond)
@@ -79,14 +91,17 @@ def make_loop(
             play=interval.length,
             ramp=settings.ramp,
             ramp_speed=settings.ramp_speed,
+            played=played,
         ),
-        Safety(robot, config.safety, period),
+        Safety(robot, config.safety, period, held),
         Overruns(period, config.safety),
         Timing.from_config(settings, interval.length, settle=settle + period),
-        Composer(limits, gains, settings.damp_kd),
+        Composer(limits, gains, settings.damp_kd, played),
         period=period,
         allow_second_writer=config.safety.allow_second_writer,
-        feedforward=FeedForward.from_config(settings, robot, period / 1e9, recorded=recorded),
+        feedforward=FeedForward.from_config(
+            settings, robot, period / 1e9, recorded=recorded, held=held
+        ),
         soft_start=round(settings.soft_start * 1e9),
         correction=spline,
     )

@@ -93,12 +93,20 @@ class RobotMonitor:
         robot: its limits.
         config: the thresholds.
         period: between two looks at LowState, ns.
+        held: (29,) which joints have a position servo, and so a target to follow; all if None.
     """
 
-    def __init__(self, robot: G1, config: SafetyConfig, period: int = 0) -> None:
+    def __init__(
+        self,
+        robot: G1,
+        config: SafetyConfig,
+        period: int = 0,
+        held: NDArray[np.bool_] | None = None,
+    ) -> None:
         self._config = config
         self._max_step = max(_MAX_STEP, period)
         self._names = robot.joint_names
+        self._held = held
         self._lower, self._upper = robot.lower, robot.upper
         self._torque = (robot.torque_limit * config.max_torque).astype(np.float32)
         self._faults = _Lasting(config.motor_fault_time)
@@ -136,6 +144,8 @@ class RobotMonitor:
         if found or target is None:
             return found
         target = np.clip(target, self._lower, self._upper)
+        if self._held is not None:
+            target = np.where(self._held, target, measured.q)
         time, passed = self._time, (self._time - self._last) / 1e9
         self._last = time
         return (

@@ -13,6 +13,9 @@ from g1stream.control.state_checks import StateChecks
 from g1stream.dds.remote import Operator
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from g1stream.control.state_checks import Measured
     from g1stream.dds.messages import LowState
     from g1stream.robot.model import G1
@@ -29,14 +32,21 @@ class Safety:
         robot: its limits.
         config: the thresholds.
         period: between two looks at LowState, ns.
+        held: (29,) which joints have a position servo; all if None.
 
     Raises:
         ConfigError: a setting names no button of the remote.
     """
 
-    def __init__(self, robot: G1, config: SafetyConfig, period: int = 0) -> None:
+    def __init__(
+        self,
+        robot: G1,
+        config: SafetyConfig,
+        period: int = 0,
+        held: NDArray[np.bool_] | None = None,
+    ) -> None:
         self._states = StateChecks(robot, config)
-        self._monitor = RobotMonitor(robot, config, period)
+        self._monitor = RobotMonitor(robot, config, period, held)
         self._operator = Operator(config.stop_buttons, config.deadman)
         self._begun = False
         self._missing = self._verdict = ""

@@ -169,6 +169,8 @@ class Targets:
         play: how much of the motion is played, s; None: until stopped.
         ramp: shortest length of RAMP, s.
         ramp_speed: highest speed of a joint on the way to the first frame, rad/s.
+        played: (29,) which joints play the motion, all if None; the others keep the pose from which
+            RAMP starts.
 
     Attributes:
         first: the target at `start`.
@@ -182,12 +184,14 @@ class Targets:
         play: float | None,
         ramp: float,
         ramp_speed: float = inf,
+        played: NDArray[np.bool_] | None = None,
     ) -> None:
         self._trajectory = trajectory
         self._start = start
         self._play = play
         self._least_ramp = self._ramp = ramp
         self._ramp_speed = ramp_speed
+        self._played = None if played is None or played.all() else played
         self._from: Floats | None = None
         self.first = Target.of(start, trajectory.sample(start))
         self._last = self.first.at_rest()
@@ -196,6 +200,7 @@ class Targets:
     def begin(self, q: NDArray[np.floating]) -> Ramp:
         """Set the measured pose (29,) from which RAMP starts, rad, and return the ramp."""
         self._from = np.asarray(q, dtype=np.float64).copy()
+        self.first = self._sampled = self._of_played(self.first)
         ramp = Ramp.of(self.first.q - self._from, self._least_ramp, self._ramp_speed)
         self._ramp = ramp.length
         return ramp
@@ -221,8 +226,19 @@ class Targets:
         time = self._start + (elapsed if self._play is None else min(elapsed, self._play))
         # With a preview of one period, each time is asked for twice in a row.
         if time != self._sampled.motion_time:
-            self._sampled = Target.of(time, self._trajectory.sample(time))
+            self._sampled = self._of_played(Target.of(time, self._trajectory.sample(time)))
         return self._sampled
+
+    def _of_played(self, target: Target) -> Target:
+        """The target with the joints that are not played at rest where RAMP starts."""
+        played = self._played
+        if played is None or self._from is None:
+            return target
+        return target.replace(
+            q=np.where(played, target.q, self._from),
+            dq=np.where(played, target.dq, 0.0),
+            ddq=np.where(played, target.ddq, 0.0),
+        )
 
     def _ramping(self, elapsed: float) -> Target:
         if self._from is None:

@@ -36,6 +36,8 @@ __all__ = [
     "Samples",
     "SecondaryImu",
     "SportModeState",
+    "played_bits",
+    "played_joints",
 ]
 
 
@@ -222,6 +224,7 @@ class Reference(Message):
         tick: () uint64, counts the references published.
         motion_time: () float64, s since the motion's first frame.
         phase: () uint8, a `g1stream.types.Phase`.
+        played: () uint32, which joints play the motion, see `played_joints`.
         q, dq, ddq, tau: (29,) float64: rad, rad/s, rad/s^2, Nm.
         root_pos: (3,) float64, m, world.
         root_quat_wxyz: (4,) float64, pelvis to world.
@@ -237,6 +240,7 @@ class Reference(Message):
         self.tick = self.view("tick")
         self.motion_time = self.view("motion_time")
         self.phase = self.view("phase")
+        self.played = self.view("played")
         self.q, self.dq, self.ddq, self.tau = (
             self.view(name) for name in ("q", "dq", "ddq", "tau")
         )
@@ -246,6 +250,17 @@ class Reference(Message):
         self.root_ang_vel = self.view("root_ang_vel")
         start = int(self.layout["q"].offsets[0])
         self.target = np.frombuffer(self.payload.data, np.float64, offset=start)
+
+
+def played_bits(played: NDArray[np.bool_]) -> int:
+    """A Reference's `played` of (29,) which joints play the motion."""
+    return sum(1 << joint for joint in np.flatnonzero(played).tolist())
+
+
+def played_joints(bits: NDArray[np.uint32]) -> NDArray[np.bool_]:
+    """(..., 29) which joints play the motion, of a Reference's `played` (...); all if it is 0."""
+    one = np.asarray(bits, np.uint32)[..., np.newaxis] >> np.arange(N_JOINTS, dtype=np.uint32) & 1
+    return np.asarray((one == 1) | ~one.any(axis=-1, keepdims=True))
 
 
 class _Text:

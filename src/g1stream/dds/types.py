@@ -117,6 +117,7 @@ Reference_ = idl_struct(
     tick=uint64,
     motion_time=float64,
     phase=octet,
+    played=uint32,
     **_each(array[float64, 29], "q dq ddq tau"),
     root_pos=array[float64, 3],
     root_quat_wxyz=array[float64, 4],

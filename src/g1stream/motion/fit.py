@@ -7,10 +7,13 @@ from dataclasses import replace
 from math import ceil
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+import numpy as np
+
 from g1stream.errors import ConfigError, MotionError, SafetyError
 from g1stream.motion.check import MotionReport, check_motion
 from g1stream.motion.limits import Interval
 from g1stream.motion.trajectory import Trajectory
+from g1stream.robot.joints import select_joints
 
 if TYPE_CHECKING:
     from g1stream.config import Config
@@ -75,9 +78,11 @@ def fit_to_robot(motion: Motion, robot: G1, config: Config, *, simulated: bool) 
         if report.frames_beyond or report.within_limits:
             break
         # The whole motion decides, so that each part of it is slowed alike.
-        whole = check_motion(playable.trajectory.motion, robot, rate=config.stream.rate)
+        whole = _of_played(playable.trajectory.motion, robot, config)
+        whole_report = check_motion(whole, robot, rate=config.stream.rate)
         fastest = max(
-            (report.streamed.speeds[0], whole.streamed.speeds[0]), key=lambda s: s.value / s.limit
+            (report.streamed.speeds[0], whole_report.streamed.speeds[0]),
+            key=lambda s: s.value / s.limit,
         )
         factor = ceil(1000.0 * playable.slowed * fastest.value / fastest.limit) / 1000.0
         playable, report = _check(motion, robot, config, factor)
@@ -98,15 +103,25 @@ def _check(
         events.append((logging.WARNING, text))
     interval = Interval.from_config(config.stream, motion)
     trajectory = Trajectory(motion, loop=config.stream.loop)
+    checked = _of_played(motion, robot, config)
     report = check_motion(
-        motion,
+        checked,
         robot,
         rate=config.stream.rate,
         position_margin=config.safety.position_margin,
-        trajectory=trajectory,
+        trajectory=trajectory if checked is motion else Trajectory(checked, loop=trajectory.loop),
         interval=interval,
     )
     return Playable(trajectory, interval, slowed, (*events, *report.streamed.events)), report
+
+
+def _of_played(motion: Motion, robot: G1, config: Config) -> Motion:
+    """The motion as far as limits are concerned: joints that do not play it rest within theirs."""
+    played = select_joints(config.stream.joints)
+    if played.all():
+        return motion
+    middle = (robot.lower + robot.upper) / 2.0
+    return replace(motion, joint_pos=np.where(played, motion.joint_pos, middle))
 
 
 def _refused(report: MotionReport, *, slowing: bool) -> SafetyError:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from g1stream.control.gains import resolve_gains
+from g1stream.control.gains import gains_in_play
 from g1stream.control.state_checks import StateChecks
 from g1stream.control.targets import Ramp
 from g1stream.dds.domain import is_local_only, network_name, require_interface
@@ -22,7 +22,7 @@ from g1stream.doctor.findings import evaluate
 from g1stream.doctor.host import inspect_host
 from g1stream.doctor.wire import inspect_participant
 from g1stream.errors import SafetyError, WireError
-from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
+from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, select_joints
 from g1stream.robot.model import G1
 from g1stream.robot.rotations import tilt_of
 
@@ -124,6 +124,7 @@ def inspect_for_arming(participant: Participant, config: Config, first: Floats) 
     service = _motion_service(participant)
     state = _plausible_state(participant, config)
     distance = first - state.q.astype(np.float64)
+    distance[~select_joints(config.stream.joints)] = 0.0
     ramp = Ramp.of(distance, config.stream.ramp, config.stream.ramp_speed)
     where = participant.domain, participant.interface
     wire = inspect_participant(participant, _LISTEN)
@@ -183,7 +184,7 @@ def _plausible_state(participant: Participant, config: Config) -> Measured:
 
 
 def _limbs(distance: Floats, config: Config) -> tuple[LimbDistance, ...]:
-    gains = resolve_gains(config.gains)
+    gains = gains_in_play(config)
     found = []
     for limb, joints in JOINT_GROUPS.items():
         indices = list(joints)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 from g1stream._version import __version__
 from g1stream.config import Config, load_config
-from g1stream.control.gains import resolve_gains
+from g1stream.control.gains import gains_in_play
 from g1stream.control.make_loop import make_loop
 from g1stream.dds.log_handler import LogHandler
 from g1stream.dds.messages import Batch
@@ -52,6 +52,7 @@ def rollout(
     feedforward: FeedForwardKind | None = None,
     config: Config | None = None,
     seconds: float | None = None,
+    joints: str | None = None,
     announced: Support | None = None,
     correction: Correction | str | Path | None = None,
     noise: Callable[[LowState], None] = lambda state: None,
@@ -74,6 +75,7 @@ def rollout(
             by default dynamics, and velocity for support "free".
         config: all settings; the defaults if None. `dds` and `realtime` have no effect.
         seconds: how much of the motion to play; `config.stream.duration` if None.
+        joints: those that play the motion, such as "arms,waist"; `config.stream.joints` if None.
         announced: how the simulated robot announces that it is held, where that shall be wrong.
         correction: of the joint targets, or its file; `config.stream.correction` if None.
         noise: may change each LowState before it is published, as the noise of sensors does.
@@ -84,7 +86,7 @@ def rollout(
     Raises:
         G1StreamError: a file or a setting is not valid, or the robot cannot be simulated.
     """
-    config = _resolve(config or Config(), support, feedforward, seconds)
+    config = _resolve(config or Config(), support, feedforward, seconds, joints)
     robot = G1.load(config.robot, own_limits=config.safety.urdf_limits)
     if not isinstance(motion, Motion):
         motion = load_motion(motion)
@@ -108,7 +110,7 @@ def rollout(
     with _log_to(lambda data, _: on_sample(LOG, data, link.stamp())):
         loop.run()
     source = MemorySource(f"rollout of {motion.name}")
-    info = SessionInfo.of(config, motion, resolve_gains(config.gains)._asdict(), correction)
+    info = SessionInfo.of(config, motion, gains_in_play(config)._asdict(), correction)
     _write_header(source, config, robot, motion, info)
     if correction:
         data = correction.to_bytes()
@@ -139,6 +141,7 @@ def _resolve(
     support: Support | None,
     feedforward: FeedForwardKind | None,
     seconds: float | None,
+    joints: str | None,
 ) -> Config:
     """The config with the arguments of a rollout over its values."""
     support = support or config.sim.support
@@ -149,6 +152,7 @@ def _resolve(
             "sim.support": support,
             "stream.feedforward": feedforward or config.stream.feedforward or default,
             "stream.duration": None if seconds is None else float(seconds),
+            "stream.joints": joints,
         }
     )
     if config.stream.loop and config.stream.duration is None:

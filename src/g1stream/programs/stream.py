@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 from g1stream.analysis.summary import summarise_run
 from g1stream.clock import SystemClock
 from g1stream.config import SHIPPED, Config, load_config
-from g1stream.control.gains import resolve_gains
+from g1stream.control.gains import gains_in_play
 from g1stream.control.link import DdsLink
 from g1stream.control.loop import StreamLoop
 from g1stream.control.make_loop import make_loop
@@ -144,7 +144,7 @@ def stream(
             on_loop(loop)
         recorder = None
         if session:
-            info = SessionInfo.of(config, motion, resolve_gains(config.gains)._asdict(), correction)
+            info = SessionInfo.of(config, motion, gains_in_play(config)._asdict(), correction)
             recorder = _RecorderChild(session, force, config, info, loop)
         recording = None
         granted: list[Grant] = []

@@ -5,13 +5,19 @@ Motor order is the order of the motors in LowCmd and LowState. All arrays are re
 
 from __future__ import annotations
 
+from difflib import get_close_matches
+from fnmatch import fnmatchcase
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
 
+from g1stream.errors import ConfigError
+
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
 
     from g1stream.types import Floats
 
@@ -28,6 +34,8 @@ __all__ = [
     "N_JOINTS",
     "TORQUE_LIMIT",
     "by_joint",
+    "matching_joints",
+    "select_joints",
 ]
 
 _LEG: Final = ("hip_pitch", "hip_roll", "hip_yaw", "knee", "ankle_pitch", "ankle_roll")
@@ -63,6 +71,43 @@ JOINT_GROUPS: Final[Mapping[str, tuple[int, ...]]] = MappingProxyType(
     }
 )
 """Limb name to the motor indices of that limb; together the groups hold each joint once."""
+
+
+def matching_joints(pattern: str, where: str) -> list[int]:
+    """The motor indices of a limb, both arms or legs, a joint, or the joints of a pattern.
+
+    Args:
+        pattern: `left_arm`, `arms`, `waist_yaw_joint` or `*_knee_joint`.
+        where: what is wrong if nothing matches, such as `In stream.joints`; for the error.
+
+    Raises:
+        ConfigError: it matches no joint.
+    """
+    limbs = [limb for limb in JOINT_GROUPS if pattern in (limb, f"{limb.rpartition('_')[2]}s")]
+    found = [joint for limb in limbs for joint in JOINT_GROUPS[limb]]
+    found = found or [i for i, name in enumerate(JOINT_NAMES) if fnmatchcase(name, pattern)]
+    if not found:
+        close = get_close_matches(pattern, (*JOINT_GROUPS, "arms", "legs", *JOINT_NAMES))
+        raise ConfigError(
+            f"{where}: {pattern!r} matches no joint.",
+            f"Close matches: {', '.join(close)}."
+            if close
+            else f"Use {', '.join(JOINT_GROUPS)}, arms, legs, a pattern such as *_knee_joint, or "
+            f"one of {', '.join(JOINT_NAMES)}.",
+        )
+    return found
+
+
+def select_joints(selection: str | None) -> NDArray[np.bool_]:
+    """(29,) which joints `stream.joints` names: all if None.
+
+    Raises:
+        ConfigError: a part of the selection matches no joint.
+    """
+    chosen = np.full(N_JOINTS, selection is None)
+    for pattern in (selection or "").split(",") if selection is not None else ():
+        chosen[matching_joints(pattern.strip(), f"In stream.joints = {selection!r}")] = True
+    return chosen
 
 
 def by_joint(values: Sequence[N]) -> dict[str, N]:

@@ -180,6 +180,8 @@ class Reference(Stream):
         tick: (N,) of the control loop, from its first command.
         motion_time: (N,) s since the motion's first frame.
         phase: (N,) uint8, a `g1stream.types.Phase`.
+        played: (N,) uint32, bit i of which tells that joint i plays the motion; 0 in files of
+            earlier versions, in which all did: see `g1stream.dds.messages.played_joints`.
         q, dq, ddq, tau: (N, 29) rad, rad/s, rad/s^2, Nm, motor order.
         root_pos: (N, 3) m, world.
         root_quat_wxyz: (N, 4) pelvis to world.
@@ -193,6 +195,7 @@ class Reference(Stream):
     tick: NDArray[np.uint64]
     motion_time: Floats
     phase: NDArray[np.uint8]
+    played: NDArray[np.uint32]
     q: Floats
     dq: Floats
     ddq: Floats

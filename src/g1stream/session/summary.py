@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
+import numpy as np
 from pydantic import (
     BaseModel,
     BeforeValidator,
@@ -20,6 +21,7 @@ from pydantic import (
 )
 
 from g1stream.realtime import Grant
+from g1stream.robot.joints import JOINT_NAMES, select_joints
 from g1stream.types import FeedForwardKind, Phase, Support
 
 if TYPE_CHECKING:
@@ -182,6 +184,7 @@ class SessionInfo(Record):
         host, domain, interface: where it was recorded.
         motion: what is played.
         gains: kp in Nm/rad and kd in Nm s/rad, 29 each, motor order.
+        joints: names of those that play the motion; None in files of earlier versions: all.
         config: all settings of the streamer.
         correction: of the joint targets; None: without.
     """
@@ -193,6 +196,7 @@ class SessionInfo(Record):
     interface: str | None = None
     motion: MotionInfo | None = None
     gains: dict[str, list[float]] | None = None
+    joints: list[str] | None = None
     config: dict[str, Any] | None = None
     correction: CorrectionInfo | None = None
 
@@ -208,6 +212,7 @@ class SessionInfo(Record):
         return cls(
             motion=MotionInfo.of(motion),
             gains={name: values.tolist() for name, values in gains.items()},
+            joints=[JOINT_NAMES[i] for i in np.flatnonzero(select_joints(config.stream.joints))],
             config=config.model_dump(mode="json"),
             correction=correction and CorrectionInfo.of(correction),
         )
@@ -523,6 +528,7 @@ class Summary(Record):
         motion: what was played.
         settings: those that are not the defaults, keyed like `stream.rate`.
         gains: lowest and highest kp in Nm/rad and kd in Nm s/rad.
+        joints: names of those that played the motion; None where that is not known.
         phases: in order.
         termination: how it ended.
         feedforward_log: what was logged of feed-forward, also by a stream that was killed.
@@ -545,6 +551,7 @@ class Summary(Record):
     motion: MotionInfo | None = None
     settings: dict[str, Any] | None = None
     gains: dict[str, tuple[float, float]] | None = None
+    joints: list[str] | None = None
     phases: list[PhaseInterval] = []
     termination: Termination = Termination()
     feedforward_log: list[str] = []

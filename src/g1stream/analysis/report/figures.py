@@ -7,6 +7,7 @@ with the length of a session, and no peak is lost.
 from __future__ import annotations
 
 import base64
+import math
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -18,6 +19,8 @@ from g1stream.session.streams import Command, Measured
 from g1stream.text import printable
 
 if TYPE_CHECKING:
+    from collections.abc import Container, Mapping
+
     from g1stream.analysis.signals import Quantity, Signal
     from g1stream.session.metrics import Metrics
     from g1stream.session.session import Session
@@ -42,14 +45,17 @@ def figures(session: Session, summary: Summary, metrics: Metrics) -> dict[str, A
         shown = signal(session, quantity)
         signals[quantity] = _drawn(shown)
         if quantity == "error":
-            limbs = _limb_errors(shown)
+            played = summary.tracking.joints if summary.tracking else JOINT_NAMES
+            limbs = _limb_errors(shown, played)
     return {
         "joints": [name.removesuffix("_joint") for name in JOINT_NAMES],
         "colours": [COLOURS[limb] for limb, joints in JOINT_GROUPS.items() for _ in joints],
         "rmse_deg": _rmse_deg(summary),
-        "torque_limits": [one.limit_nm for one in metrics.torque.joints.values()]
-        if metrics.torque
-        else [],
+        "torque_limits": _of_each_joint(
+            {name: one.limit_nm for name, one in metrics.torque.joints.items()}
+            if metrics.torque
+            else {}
+        ),
         "first_joint": _first_joint(summary),
         "phases": [
             {
@@ -68,9 +74,14 @@ def figures(session: Session, summary: Summary, metrics: Metrics) -> dict[str, A
     }
 
 
-def _rmse_deg(summary: Summary) -> list[float]:
+def _rmse_deg(summary: Summary) -> list[float | None]:
     joints = summary.tracking.joints if summary.tracking else {}
-    return [float(np.degrees(one.rmse_rad)) for one in joints.values()]
+    return _of_each_joint({name: math.degrees(one.rmse_rad) for name, one in joints.items()})
+
+
+def _of_each_joint(values: Mapping[str, float]) -> list[float | None]:
+    """In motor order; None for a joint that has none, empty where no joint has."""
+    return [values.get(name) for name in JOINT_NAMES] if values else []
 
 
 def _first_joint(summary: Summary) -> int:
@@ -101,8 +112,12 @@ def _drawn(shown: Signal) -> dict[str, Any]:
     }
 
 
-def _limb_errors(error: Signal) -> list[dict[str, Any]]:
-    """The RMS error of each limb over time."""
+def _limb_errors(error: Signal, played: Container[str]) -> list[dict[str, Any]]:
+    """The RMS error of each limb over time, of the joints that were played."""
+    limbs = {
+        limb: [joint for joint in joints if JOINT_NAMES[joint] in played]
+        for limb, joints in JOINT_GROUPS.items()
+    }
     return [
         {
             "name": limb.replace("_", " "),
@@ -110,7 +125,8 @@ def _limb_errors(error: Signal) -> list[dict[str, Any]]:
             **_curve(line.time, np.sqrt(np.mean(np.square(line.values[:, joints]), axis=1))),
         }
         for line in error.lines
-        for limb, joints in JOINT_GROUPS.items()
+        for limb, joints in limbs.items()
+        if joints
     ]
 
 

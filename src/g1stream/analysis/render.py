@@ -122,6 +122,7 @@ def session_facts(summary: Summary) -> list[tuple[str, str]]:
         parts += [counted(motion.frames, "frame")] if motion.frames else []
         parts += [f"{motion.fps:g} fps"] if motion.fps else []
         parts += [f"sha256 {motion.sha256[:12]}"] if motion.sha256 else []
+        parts += motion.operations
         lines.append(("motion", ", ".join(parts)))
     if summary.joints and len(summary.joints) < N_JOINTS:
         lines.append(("joints", _joints(summary)))

@@ -171,6 +171,7 @@ def _motion_lines(report: MotionReport) -> list[str]:
         f"start; height {root.lowest:.2f} to {root.highest:.2f} m"
     )
     lines = [
+        *(_line("changed", what) for what in report.operations),
         _line("frames", f"{report.n_frames} at {report.fps:g} fps, {report.duration:.2f} s"),
         _line("root", travel),
         _line("joints", str(len(report.streamed.speeds))),

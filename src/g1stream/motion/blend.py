@@ -1,7 +1,7 @@
-"""Smooth transitions: minimum jerk, coasting to rest, and the seam of a motion that repeats.
+"""Smooth transitions: minimum jerk, coasting to rest, and the frames between two motions.
 
 Both polynomials take a number or an array. The control loop needs numbers, which cost it a third of
-a microsecond; the seam needs arrays.
+a microsecond; frames need arrays.
 """
 
 from __future__ import annotations
@@ -17,7 +17,14 @@ from g1stream.types import Floats
 if TYPE_CHECKING:
     T = TypeVar("T", float, Floats)
 
-__all__ = ["COAST", "MINIMUM_JERK_PEAK", "coast", "minimum_jerk", "seam_frames"]
+__all__ = [
+    "COAST",
+    "MINIMUM_JERK_PEAK",
+    "blend_frames",
+    "coast",
+    "minimum_jerk",
+    "seam_frames",
+]
 
 COAST: Final = 0.2
 """Seconds in which a velocity at either end of a motion dies away or is built up.
@@ -47,7 +54,7 @@ def minimum_jerk(s: T) -> tuple[T, T, T]:
     return progress, rate, acceleration
 
 
-def coast(seconds: T, length: float) -> tuple[T, T, T]:
+def coast(seconds: T, length: float | T) -> tuple[T, T, T]:
     """Distance, velocity and acceleration while a velocity of 1 is brought to 0.
 
     The quintic Hermite polynomial that starts with velocity 1 and without acceleration, and ends
@@ -67,9 +74,8 @@ def coast(seconds: T, length: float) -> tuple[T, T, T]:
 def seam_frames(linear: Floats, quat: Floats, fps: float) -> tuple[Floats, Floats]:
     """Append to the frames of a motion those that lead from the last back to the first.
 
-    Every joint coasts out of its last velocity, moves to frame 0 on a minimum-jerk path and is
-    brought up to its first velocity; the root does the same. These frames are not in the motion
-    file, so that they take only as long as the speeds need.
+    They are those of `blend_frames`. They are not in the motion file, so that they take only as
+    long as the speeds need.
 
     Args:
         linear: (T, D) joint angles, rad, and root position, m.
@@ -82,32 +88,61 @@ def seam_frames(linear: Floats, quat: Floats, fps: float) -> tuple[Floats, Float
     """
     from scipy.spatial.transform import Rotation
 
-    rotation = Rotation.from_quat(xyzw_from_wxyz(quat))
-    way = linear[0] - linear[-1]
-    turn = (rotation[-1].inv() * rotation[0]).as_rotvec()
-    furthest = max(float(np.abs(way).max()), float(np.linalg.norm(turn)))
+    rotation = Rotation.from_quat(xyzw_from_wxyz(quat[[-1, 0]]))
+    turn = (rotation[0].inv() * rotation[1]).magnitude()
+    furthest = max(float(np.abs(linear[0] - linear[-1]).max()), float(turn))
     seconds = max(_SHORTEST, furthest * MINIMUM_JERK_PEAK / _PEAK_SPEED)
-    n_steps = ceil(seconds * fps)
+    ends = (linear[-2:], linear[:2]), (quat[-2:], quat[:2])
+    path, turned = blend_frames(*ends, fps, ceil(seconds * fps))
+    return np.concatenate([linear, path]), np.concatenate([quat, turned])
+
+
+def blend_frames(
+    linear: tuple[Floats, Floats],
+    quat: tuple[Floats, Floats],
+    fps: float,
+    n_steps: int,
+    coasting: float | Floats = COAST,
+) -> tuple[Floats, Floats]:
+    """The frames that lead from the last of one motion to the first of another.
+
+    Every joint coasts out of its last velocity, moves to its first angle on a minimum-jerk path and
+    is brought up to its first velocity; the root does the same.
+
+    Args:
+        linear: (2, D) and (2, D), the last two frames of the one and the first two of the other:
+            joint angles, rad, and root position, m.
+        quat: (2, 4) and (2, 4) likewise, root orientation, wxyz.
+        fps: frames per second.
+        n_steps: from the one to the other, 2 or more.
+        coasting: how long each coasts, s: a number, or (D,); at most that of all steps counts.
+
+    Returns:
+        (S, D) and (S, 4), S = n_steps - 1.
+    """
+    from scipy.spatial.transform import Rotation
+
     steps = np.arange(1.0, n_steps)[:, np.newaxis]
     blend = minimum_jerk(steps / n_steps)[0]
-    after_last = coast(steps / fps, COAST)[0]
-    before_first = -coast((n_steps - steps) / fps, COAST)[0]
 
-    first_vel, last_vel = (linear[1] - linear[0]) * fps, (linear[-1] - linear[-2]) * fps
-    path = linear[-1] + blend * way + after_last * last_vel + before_first * first_vel
+    def coasts(length: float | Floats) -> tuple[Floats, Floats]:
+        length = np.minimum(length, n_steps / fps)
+        return coast(steps / fps, length)[0], -coast((n_steps - steps) / fps, length)[0]
 
-    first_rate = (rotation[0].inv() * rotation[1]).as_rotvec() * fps
-    last_rate = (rotation[-2].inv() * rotation[-1]).as_rotvec() * fps
+    (before, last), (first, after) = linear
+    after_last, before_first = coasts(coasting)
+    path = last + blend * (first - last)
+    path = path + after_last * (last - before) * fps + before_first * (after - first) * fps
+
+    before_r, last_r, first_r, after_r = Rotation.from_quat(xyzw_from_wxyz(np.concatenate(quat)))
+    after_last, before_first = coasts(COAST)
     turned = (
-        rotation[-1]
-        * Rotation.from_rotvec(after_last * last_rate)
-        * Rotation.from_rotvec(blend * turn)
-        * Rotation.from_rotvec(before_first * first_rate)
+        last_r
+        * Rotation.from_rotvec(after_last * (before_r.inv() * last_r).as_rotvec() * fps)
+        * Rotation.from_rotvec(blend * (last_r.inv() * first_r).as_rotvec())
+        * Rotation.from_rotvec(before_first * (first_r.inv() * after_r).as_rotvec() * fps)
     )
-    return (
-        np.concatenate([linear, path]),
-        np.concatenate([quat, wxyz_from_xyzw(turned.as_quat())]),
-    )
+    return path, wxyz_from_xyzw(turned.as_quat())
 
 
 def _unit(x: T) -> T:

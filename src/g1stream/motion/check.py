@@ -82,6 +82,7 @@ class MotionReport:
     root: RootTravel
     groups: dict[str, tuple[float, float]]  # lowest and highest angle by limb, rad
     warnings: tuple[str, ...]  # of the reader
+    operations: tuple[str, ...] = ()  # what was done to the motion in the file
     in_radians: bool = True
     suspicion: str = ""  # what a limit that is passed looks like: "frame 7 is a spike of 2.4 rad"
 
@@ -209,6 +210,7 @@ def check_motion(
         root=_root_travel(motion),
         groups={name: _range(motion.joint_pos[:, joints]) for name, joints in JOINT_GROUPS.items()},
         warnings=motion.warnings,
+        operations=motion.operations,
         in_radians=in_radians,
         suspicion=suspicion,
     )

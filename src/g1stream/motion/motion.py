@@ -53,6 +53,7 @@ class Motion:
         source: the file it came from, if any.
         sha256: of the whole source file, in hex, also where this is only a part of it.
         warnings: what a reader corrected, a sentence each.
+        operations: what was done to the motion in the file, in this order, such as `mirrored`.
 
     Raises:
         MotionError: the shapes do not fit together, there is only one frame, a value is not finite
@@ -67,6 +68,7 @@ class Motion:
     source: Path | None = None
     sha256: str | None = None
     warnings: tuple[str, ...] = ()
+    operations: tuple[str, ...] = ()
     joint_names: ClassVar = JOINT_NAMES
 
     @classmethod
@@ -158,12 +160,12 @@ class Motion:
 
     @cached_property
     def content_sha256(self) -> str:
-        """SHA-256 of frame rate, joint angles and root positions, in hex: which motion this is.
+        """SHA-256 of frame rate, joint angles and root poses, in hex: which motion this is.
 
         Other than `sha256` it tells parts of a file apart, and there is one without a file.
         """
         digest = sha256(repr(self.fps).encode())
-        for values in (self.joint_pos, self.root_pos):
+        for values in (self.joint_pos, self.root_pos, self.root_quat_wxyz):
             digest.update(values.astype("<f8").tobytes())
         return digest.hexdigest()
 
@@ -205,6 +207,68 @@ class Motion:
             root_pos=np.concatenate([point.root_pos for point in points]),
             root_quat_wxyz=np.concatenate([point.root_quat_wxyz for point in points]),
         )
+
+    def trim(self, start: float = 0.0, end: float | None = None) -> Motion:
+        """The part between two times, s, to the nearest frame; to the last frame if `end` is None.
+
+        Raises:
+            MotionError: these are not two frames or more of this motion.
+        """
+        from g1stream.motion.operations import trimmed
+
+        return trimmed(self, start, end)
+
+    def mirrored(self) -> Motion:
+        """The mirror image across the world's x-z plane: left is right.
+
+        Which joint mirrors which, and with which sign, follows from the axes in the URDF. Bodies
+        are where the mirror image puts them, to the 0.1 mm to which the URDF is symmetric.
+        """
+        from g1stream.motion.operations import mirrored
+
+        return mirrored(self)
+
+    def at_speed(self, factor: float) -> Motion:
+        """The same frames, `factor` times as many per second.
+
+        Raises:
+            MotionError: the factor is not positive.
+        """
+        from g1stream.motion.operations import at_speed
+
+        return at_speed(self, factor)
+
+    def then(self, other: Motion, blend: float = 0.5) -> Motion:
+        """The motion, a blend, and another motion.
+
+        All frames of both are kept, at the higher frame rate of the two. The other motion is turned
+        to the heading in which this one ends, and goes on from where it ends; height and tilt stay
+        as they are. In the blend each joint coasts out of its last velocity, moves on a
+        minimum-jerk path and is brought up to its first velocity, so that a `Trajectory` through it
+        is smooth (C2). A blend that is too short for the way is too fast for the joints, as
+        `g1stream motion` says and `stream` refuses.
+
+        Args:
+            other: what comes next.
+            blend: seconds from the last frame of this to the first one of the other; one frame if
+                0.
+
+        Raises:
+            MotionError: the blend is negative or longer than a minute.
+        """
+        from g1stream.motion.operations import joined
+
+        return joined(self, other, blend)
+
+    def looped(self, n: int, blend: float = 0.5) -> Motion:
+        """The motion `n` times, one after the other as by `then`.
+
+        Raises:
+            MotionError: `n` is less than 1, that is too long, or the blend is not possible.
+        """
+        from g1stream.motion.operations import looped
+
+        return looped(self, n, blend)
 
     def plot(self, joints: Sequence[str] | None = None) -> Figure:
         """Draw joint angles over time.

@@ -262,6 +262,7 @@ def _metadata(motion: Motion, robot: G1, options: Conversion) -> dict[str, Any]:
             "frames": motion.n_frames,
             "file": motion.source.name if motion.source else None,
             "sha256": motion.sha256,
+            "operations": list(motion.operations),
         },
         "robot": robot.name,
         "conversion": how,

@@ -125,6 +125,7 @@ class MotionInfo(Record):
         sha256: of its file.
         content_sha256: of its frames, see `Motion.content_sha256`.
         source: path of its file.
+        operations: what was done to the motion in the file, in this order.
     """
 
     name: str | None = None
@@ -133,6 +134,7 @@ class MotionInfo(Record):
     sha256: str | None = None
     content_sha256: str | None = None
     source: str | None = None
+    operations: list[str] = []
 
     @classmethod
     def of(cls, motion: Motion) -> MotionInfo:
@@ -144,6 +146,7 @@ class MotionInfo(Record):
             sha256=motion.sha256,
             content_sha256=motion.content_sha256,
             source=str(motion.source) if motion.source else None,
+            operations=list(motion.operations),
         )
 
     @property

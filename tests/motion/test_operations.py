@@ -1,0 +1,161 @@
+"""Motions made of motions: against the frames they are made of, and forward kinematics."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from g1stream.errors import MotionError, RobotError
+from g1stream.motion.trajectory import Trajectory
+from g1stream.robot.joints import JOINT_NAMES
+from g1stream.robot.kinematics import forward_kinematics
+from g1stream.robot.model import G1, REVISIONS
+from g1stream.robot.rotations import yaw_of
+from g1stream.robot.symmetry import MIRROR, mirror_of_joints, other_side
+from g1stream.robot.urdf import parse_urdf
+from g1stream.session.motions import load_motion
+
+KNEE = JOINT_NAMES.index("left_knee_joint")
+
+
+@pytest.fixture(scope="module")
+def demo():
+    return load_motion("demo")
+
+
+@pytest.fixture
+def walk(make_motion):
+    """Two seconds at 0.5 m/s and 0.8 rad/s of the knee, to the left."""
+    t = np.arange(61)[:, None] / 30.0
+    joints = np.zeros((61, 29))
+    joints[:, KNEE] = 0.3 + 0.8 * t[:, 0]
+    half = np.pi / 4
+    quat = np.tile([np.cos(half), 0.0, 0.0, np.sin(half)], (61, 1))
+    return make_motion(joints, [0.0, 0.0, 0.8] + t * [0.0, 0.5, 0.0], quat)
+
+
+def test_trim_takes_the_frames_of_that_time(demo):
+    part = demo.trim(1.0, 5.0)
+    assert part.duration == 4.0
+    np.testing.assert_array_equal(part.joint_pos, demo.joint_pos[30:151])
+    assert demo.trim(2.0).n_frames == demo.n_frames - 60
+    assert part.operations == ("trimmed to 1 to 5 s",)
+    assert part.content_sha256 == demo.frames(30, 151).content_sha256 != demo.content_sha256
+
+
+@pytest.mark.parametrize(("start", "end"), [(-1, 2), (5, 5), (5, 1), (0, 1e3), (np.nan, 1)])
+def test_parts_that_there_are_not(demo, start, end):
+    with pytest.raises(MotionError, match="has no part"):
+        demo.trim(start, end)
+
+
+@pytest.mark.parametrize("revision", REVISIONS)
+def test_mirrored_bodies_are_the_mirror_image(revision, wild_motion):
+    robot = G1.load(revision)
+    before, after = (
+        forward_kinematics(robot, one.joint_pos, one.root_pos, one.root_quat_wxyz).pos
+        for one in (wild_motion, wild_motion.mirrored())
+    )
+    links = [0, *np.flatnonzero(robot.joint_of_link >= 0)]
+    assert len(links) == 30
+    others = [robot.link_names.index(other_side(robot.link_names[link])) for link in links]
+    np.testing.assert_allclose(after[:, links], MIRROR * before[:, others], rtol=0, atol=1e-4)
+
+
+def test_a_mirrored_motion_keeps_the_limits_and_mirrored_twice_is_itself(demo):
+    mirror, robot = mirror_of_joints(G1.default()), G1.default()
+    limits = np.where(mirror.sign > 0, robot.lower[mirror.joint], -robot.upper[mirror.joint])
+    np.testing.assert_allclose(limits, robot.lower, rtol=0, atol=1e-9)
+    twice = demo.mirrored().mirrored()
+    assert twice.content_sha256 == demo.content_sha256
+    assert demo.mirrored().content_sha256 != demo.content_sha256
+
+
+def test_a_robot_that_is_not_symmetric_is_not_mirrored():
+    xml = parse_urdf(G1.default().urdf, "")
+    joint = next(one for one in xml.iter("joint") if one.get("name") == "left_elbow_joint")
+    text = G1.default().urdf
+    axis = joint.find("axis").get("xyz")
+    where = text.index('"left_elbow_joint"')
+    odd = text[:where] + text[where:].replace(f'axis xyz="{axis}"', 'axis xyz="1 0 1"', 1)
+    with pytest.raises(RobotError, match="elbow"):
+        mirror_of_joints(G1.from_urdf(odd, "odd"))
+
+
+def test_speed_changes_the_frame_rate_alone(demo):
+    slow = demo.at_speed(0.5)
+    assert slow.duration == 2 * demo.duration
+    np.testing.assert_array_equal(slow.joint_pos, demo.joint_pos)
+    with pytest.raises(MotionError):
+        demo.at_speed(0.0)
+
+
+def test_the_next_motion_goes_on_where_the_last_one_ends(demo, walk):
+    both = walk.then(demo, blend=0.5)
+    first, start = walk.n_frames, walk.n_frames + 14
+    assert both.n_frames == start + demo.n_frames
+    np.testing.assert_array_equal(both.joint_pos[:first], walk.joint_pos)
+    np.testing.assert_array_equal(both.joint_pos[start:], demo.joint_pos)
+    np.testing.assert_array_equal(both.root_pos[start:, 2], demo.root_pos[:, 2])
+    yaw = yaw_of(both.root_quat_wxyz[[first - 1, start]])
+    assert yaw[1] == pytest.approx(yaw[0], abs=1e-9)
+    # It walks out of the last step at the mean of 0.5 m/s and no speed.
+    ahead = both.root_pos[start, :2] - walk.root_pos[-1, :2]
+    np.testing.assert_allclose(ahead, [0.0, 0.125], rtol=0, atol=2e-3)
+
+
+def test_a_walk_goes_on_through_the_blend_as_it_was(walk):
+    both = walk.then(walk, blend=0.5)
+    velocity = np.diff(both.root_pos, axis=0) * 30.0
+    np.testing.assert_allclose(velocity, np.tile([0.0, 0.5, 0.0], (len(velocity), 1)), atol=1e-9)
+
+
+def test_a_blend_is_smooth_to_the_second_derivative(wild_motion):
+    """Its velocity, at ten thousand times a second, has no steps at its ends."""
+    both = wild_motion.then(wild_motion, blend=0.5)
+    last = wild_motion.duration
+    for seam in (last, last + 0.5):
+        times = seam + np.arange(-50, 51) * 1e-4
+        point = Trajectory(both).sample_many(times)
+        for velocity, acceleration in (
+            (point.joint_vel, point.joint_acc),
+            (point.root_lin_vel, point.root_lin_acc),
+            (point.root_ang_vel, point.root_ang_acc),
+        ):
+            np.testing.assert_allclose(
+                np.diff(velocity, axis=0) / 1e-4,
+                (acceleration[1:] + acceleration[:-1]) / 2,
+                rtol=0,
+                atol=1e-3 * np.abs(acceleration).max(),
+            )
+            steps = np.abs(np.diff(acceleration, axis=0)).max()
+            assert steps < 0.1 * np.abs(acceleration).max()
+
+
+def test_other_frame_rates_and_no_blend(demo):
+    both = demo.then(demo.resample(60.0), blend=0.0)
+    assert both.fps == 60.0
+    assert both.duration == pytest.approx(2 * demo.duration + 1 / 60)
+    with pytest.raises(MotionError, match="blend"):
+        demo.then(demo, blend=-0.1)
+
+
+def test_again_and_again(demo):
+    thrice = demo.looped(3, blend=1.0)
+    assert thrice.duration == pytest.approx(3 * demo.duration + 2.0)
+    assert (thrice.name, thrice.sha256) == (demo.name, demo.sha256)
+    assert demo.looped(1).n_frames == demo.n_frames
+    for n in (0, 10**6):
+        with pytest.raises(MotionError, match="repeated"):
+            demo.looped(n)
+
+
+def test_what_was_done_is_said(demo):
+    both = demo.trim(1, 5).mirrored().then(demo.at_speed(2), blend=0.5)
+    assert both.name == "demo+demo"
+    assert (both.source, both.sha256) == (None, None)
+    assert both.operations == (
+        "trimmed to 1 to 5 s",
+        "mirrored",
+        "then demo (at 2 times its speed) after a blend of 0.5 s",
+    )

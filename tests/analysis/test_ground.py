@@ -10,7 +10,6 @@ import pytest
 
 from g1stream.analysis.ground import (
     FRICTION,
-    Soles,
     beyond_support,
     floor_forces,
     touching,
@@ -21,6 +20,7 @@ from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1
 from g1stream.robot.mujoco_spec import mujoco_spec
+from g1stream.robot.soles import Soles
 
 RNG = np.random.default_rng(3)
 SQUARE = np.array([(1, 1, 0), (1, -1, 0), (-1, -1, 0), (-1, 1, 0)], dtype=float)

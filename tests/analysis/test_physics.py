@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from g1stream.analysis.ground import FRICTION, Soles, zero_moment_point
+from g1stream.analysis.ground import FRICTION, zero_moment_point
 from g1stream.analysis.loads import movement_loads
 from g1stream.analysis.physics import motion_physics
 from g1stream.motion.motion import Motion
@@ -19,6 +19,7 @@ from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1
 from g1stream.robot.rotations import quat_rotate
+from g1stream.robot.soles import Soles
 from g1stream.session.motions import load_motion
 from g1stream.sim.model import build_model
 

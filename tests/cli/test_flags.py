@@ -91,7 +91,6 @@ def test_a_value_that_is_not_accepted_is_named_with_its_flag(command, arguments,
         (["x", "--domain"], "--domain", "--domain N"),
         (["x", "--duration", "--arm"], "--duration", "--duration S"),
         (["x", "--support"], "--support", "--support {bolted,hanging,follow,free}"),
-        (["x", "y"], "y", "--help"),
         (["x", "--arm=yes"], "yes", "--help"),
     ],
 )

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from g1stream.errors import MotionError, RobotError
+from g1stream.motion.operations import height_of_floor
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.kinematics import forward_kinematics
@@ -159,3 +162,28 @@ def test_what_was_done_is_said(demo):
         "mirrored",
         "then demo (at 2 times its speed) after a blend of 0.5 s",
     )
+
+
+def test_a_fixed_root_stays_as_in_the_first_frame(walk):
+    fixed = walk.fixed_root()
+    assert (fixed.root_pos == walk.root_pos[0]).all()
+    assert (fixed.root_quat_wxyz == walk.root_quat_wxyz[0]).all()
+    np.testing.assert_array_equal(fixed.joint_pos, walk.joint_pos)
+
+
+@pytest.mark.parametrize("by", [-0.3, 0.05])
+def test_feet_are_put_on_the_floor(demo, by):
+    stands = height_of_floor(demo, G1.default())
+    assert stands == pytest.approx(0.0, abs=1e-3)
+    moved = replace(demo, root_pos=demo.root_pos + np.array([0.0, 0.0, by]))
+    assert height_of_floor(moved, G1.default()) == pytest.approx(stands + by, abs=1e-9)
+    put = moved.on_floor()
+    np.testing.assert_allclose(put.root_pos, demo.root_pos - [0.0, 0.0, stands], atol=1e-9)
+    assert len(put.operations) == 1
+
+
+def test_a_motion_in_the_air_is_not_put_on_the_floor(make_motion):
+    falling = make_motion(np.zeros((10, 1)), np.arange(10)[:, None] * [0.0, 0.0, -0.1])
+    assert height_of_floor(falling, G1.default()) is None
+    with pytest.raises(MotionError, match="no foot stands"):
+        falling.on_floor()

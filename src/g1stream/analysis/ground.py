@@ -1,7 +1,6 @@
 """The soles of a motion on a flat floor: which corners touch it, and what they can carry.
 
-The floor is at height 0. A sole is its four corners, as in unitree_mujoco, whose feet stand on four
-small spheres. docs/motion-physics.md has the formulas and their sources.
+The floor is at height 0. docs/motion-physics.md has the formulas and their sources.
 """
 
 from __future__ import annotations
@@ -11,31 +10,20 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from g1stream.errors import RobotError
-from g1stream.robot.hulls import read_hulls
-from g1stream.robot.joints import JOINT_NAMES
-from g1stream.robot.rotations import quat_rotate
 from g1stream.types import Floats
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from g1stream.robot.kinematics import LinkPoses
-    from g1stream.robot.model import G1
-
     Flags = NDArray[np.bool_]
 
 __all__ = [
     "FRICTION",
-    "SIDES",
-    "Soles",
     "beyond_support",
     "floor_forces",
     "touching",
     "zero_moment_point",
 ]
-
-SIDES: Final = ("left", "right")
 
 FRICTION: Final = 0.6
 """Coefficient of friction between sole and floor: rubber on a dry floor. Simulators have 1."""
@@ -46,8 +34,6 @@ FRICTION: Final = 0.6
 _TOUCHES: Final = (0.02, 0.25)
 _LEAVES: Final = (0.035, 0.5)
 
-#: Vertices of a sole this far above its lowest one belong to its lower side, m.
-_FLAT: Final = 1e-3
 #: The share of the squared forces in what is minimised when the floor's force is distributed: so
 #: small that the forces add up to what is needed within a millionth.
 _EVEN: Final = 1e-6
@@ -55,56 +41,6 @@ _EVEN: Final = 1e-6
 _EDGES: Final = np.array(
     [(FRICTION, 0, 1), (-FRICTION, 0, 1), (0, FRICTION, 1), (0, -FRICTION, 1)], dtype=float
 )
-
-
-class Soles:
-    """The corners of a robot's soles, left foot first: front left, front right, back right, left.
-
-    Args:
-        robot: the G1.
-
-    Attributes:
-        links: (2,) the links of the feet.
-
-    Raises:
-        RobotError: there is no hull for a foot of this robot.
-    """
-
-    def __init__(self, robot: G1) -> None:
-        joints = [JOINT_NAMES.index(f"{side}_ankle_roll_joint") for side in SIDES]
-        self.links = [int(np.flatnonzero(robot.joint_of_link == joint)[0]) for joint in joints]
-        self._robot = robot
-        self._corners = np.stack([_corners(robot, robot.link_names[link]) for link in self.links])
-        #: Of each foot, the links that a joint moves between the pelvis and its sole.
-        self._above = [_moved_links(robot, link) for link in self.links]
-
-    def positions(self, poses: LinkPoses) -> Floats:
-        """The corners (T, 8, 3) in the world, m."""
-        pos, quat = (values[:, self.links, np.newaxis] for values in poses)
-        corners = pos + quat_rotate(quat, self._corners)
-        return corners.reshape(len(corners), -1, 3)
-
-    def torques(self, poses: LinkPoses, corners: Floats, forces: Floats) -> Floats:
-        """What forces on the corners do to the joints: J^T f.
-
-        Args:
-            poses: of T frames.
-            corners: (T, 8, 3) m, world, as `positions` returns them.
-            forces: (T, 8, 3) N, world, of the floor on the corners.
-
-        Returns:
-            (T, 29) N·m, motor order: a . ((x - p) x f) for each joint with axis a through p.
-        """
-        robot = self._robot
-        tau = np.zeros((len(corners), len(JOINT_NAMES)))
-        for foot, links in enumerate(self._above):
-            own = slice(4 * foot, 4 * foot + 4)
-            joints = poses.pos[:, links]
-            lever = corners[:, np.newaxis, own] - joints[:, :, np.newaxis]
-            moment = np.cross(lever, forces[:, np.newaxis, own]).sum(axis=2)
-            axes = quat_rotate(poses.quat_wxyz[:, links], robot.axis[links])
-            tau[:, robot.joint_of_link[links]] = (axes * moment).sum(axis=-1)
-        return tau
 
 
 def touching(corners: Floats, fps: float) -> tuple[Flags, Floats]:
@@ -208,28 +144,3 @@ def floor_forces(corners: Floats, force: Floats, moment: Floats) -> Floats:
         shares = lsq_linear(factors, asked, bounds=(0.0, np.inf)).x
     forces: Floats = (shares[:, np.newaxis] * edges).reshape(len(corners), -1, 3).sum(axis=1)
     return forces
-
-
-def _corners(robot: G1, link: str) -> Floats:
-    """The corners (4, 3) of a foot's sole in its link's frame, m."""
-    soles = [hull.vertices for hull in read_hulls(robot) if hull.solid and hull.link == link]
-    if not soles:
-        raise RobotError(
-            f"The shape of the sole of {robot.name!r}'s {link} is not known.",
-            "Give a URDF whose feet are called left_ankle_roll_link and right_ankle_roll_link.",
-        )
-    sole = np.concatenate(soles)
-    lower = sole[sole[:, 2] < sole[:, 2].min() + _FLAT]
-    outward = np.array([(1, 1), (1, -1), (-1, -1), (-1, 1)])
-    corners: Floats = lower[(lower[:, :2] @ outward.T).argmax(axis=0)]
-    return corners
-
-
-def _moved_links(robot: G1, link: int) -> list[int]:
-    """The links from the root down to `link` that have a joint to their parent."""
-    links: list[int] = []
-    while link > 0:
-        if robot.joint_of_link[link] >= 0:
-            links.insert(0, link)
-        link = int(robot.parent[link])
-    return links

@@ -17,10 +17,11 @@ from g1stream.types import Floats, Support
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from g1stream.analysis.ground import Flags, Soles
+    from g1stream.analysis.ground import Flags
     from g1stream.motion.motion import Motion
     from g1stream.robot.dynamics import InverseDynamics
     from g1stream.robot.model import G1
+    from g1stream.robot.soles import Soles
 
 __all__ = ["Loads", "blocks", "movement_loads"]
 

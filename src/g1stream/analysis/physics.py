@@ -12,8 +12,6 @@ import numpy as np
 
 from g1stream.analysis.ground import (
     FRICTION,
-    SIDES,
-    Soles,
     beyond_support,
     touching,
     zero_moment_point,
@@ -33,6 +31,7 @@ from g1stream.robot.hulls import SelfCollision, read_hulls
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import G1
 from g1stream.robot.rotations import quat_rotate_inverse, tilt_of
+from g1stream.robot.soles import SIDES, Soles
 from g1stream.safety_settings import SafetyConfig
 from g1stream.types import Floats, Support
 

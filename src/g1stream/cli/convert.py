@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 from g1stream.cli.command import (
     EXIT_OK,
     EXIT_STOPPED,
-    Command,
     exit_code_of_signal,
     print_json,
     print_lines,
     print_warning,
 )
-from g1stream.cli.flags import MOTION, argument, flag, flag_name, fps_flag, joint_order_flag
+from g1stream.cli.flags import argument, flag, flag_name
+from g1stream.cli.motion_flags import MOTIONS, MotionFlags
 from g1stream.cli.progress import ProgressDisplay
 from g1stream.errors import ConfigError
+from g1stream.files import check_not_input
 from g1stream.text import counted
-from g1stream.types import JointOrder
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -31,13 +31,10 @@ if TYPE_CHECKING:
 
 __all__ = ["Convert"]
 
-#: Flags that go with --ros2, and with a motion file as output.
-_OF_ROS2: Final = {"motion", "out", "ros2", "compression", "force", "json"}
+#: Flags that go with --ros2, and with a motion file as output, those of the motion aside.
+_OF_ROS2: Final = {"files", "ros2", "compression", "force", "json"}
 _OF_MOTION_FILE: Final = {
-    "motion",
-    "out",
-    "fps",
-    "joint_order",
+    "files",
     "frames",
     "resample",
     "force",
@@ -50,7 +47,7 @@ class _StoppedError(BaseException):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Convert(Command):
+class Convert(MotionFlags):
     """Needs no robot, no simulator and no DDS. A failure leaves no file behind.
 
     Log and publish time of every message are the base time + frame / fps, to the nearest
@@ -65,6 +62,7 @@ class Convert(Command):
       g1stream convert dance.csv dance.mcap
       g1stream convert dance.csv part.mcap --frames 100:200 --resample 500
       g1stream convert dance.pkl dance.csv
+      g1stream convert wave.csv dance.npz both.npz --blend 1
       g1stream convert session.mcap session_ros2 --ros2
 
     Exit codes:
@@ -73,13 +71,12 @@ class Convert(Command):
       128 + n  ended by signal n, nothing was written: 130 after Ctrl-C
     """
 
-    motion: str = argument(MOTION, "MOTION")
-    out: Path = argument(
-        "The file to write, .mcap, .csv or .npz; with --ros2 the directory.", "FILE"
+    files: tuple[str, ...] = argument(
+        f"{MOTIONS} The last one is the file to write, .mcap, .csv or .npz; with --ros2 the "
+        "directory.",
+        "MOTION... FILE",
     )
     ros2: bool = flag(False, "Convert a session into a ROS 2 bag.")
-    fps: float | None = fps_flag()
-    joint_order: JointOrder | None = joint_order_flag()
     base_time: str = flag(
         "0",
         "Time of frame 0: ns since 1970, or ISO 8601 with a zone (2026-03-01T12:00:00Z).",
@@ -114,12 +111,31 @@ class Convert(Command):
     force: bool = flag(False, "Replace a file that exists already.")
     json: bool = flag(False, "Print the summary as JSON on standard output.")
 
+    @property
+    def motions(self) -> tuple[str, ...]:
+        """The motions to convert."""
+        return self.files[:-1]
+
+    @property
+    def out(self) -> Path:
+        """The file or directory to write."""
+        return Path(self.files[-1])
+
     def run(self) -> int:
         """Convert, and return the exit code."""
+        if len(self.files) < 2:
+            raise ConfigError(
+                "The argument MOTION or FILE is missing.",
+                "Add it; `g1stream convert --help` says what it is.",
+            )
+        check_not_input(self.out, *map(Path, self.motions))
         if self.ros2:
             self._require(_OF_ROS2, "--ros2, which keeps a session as it is")
+            if len(self.motions) > 1:
+                raise ConfigError("--ros2 converts one session.", "Give one session and FILE.")
         elif self.out.suffix.lower() in (".csv", ".npz"):
-            self._require(_OF_MOTION_FILE, f"a motion file ({self.out.name})")
+            of_motion = {f.name for f in fields(MotionFlags)}
+            self._require(_OF_MOTION_FILE | of_motion, f"a motion file ({self.out.name})")
             return self._motion_file()
         # Checked between chunks: an exception in a signal handler could come between creating the
         # temporary file and the code that removes it.
@@ -141,9 +157,7 @@ class Convert(Command):
             )
 
     def _motion_file(self) -> int:
-        from g1stream.session.motions import load_motion
-
-        motion = load_motion(self.motion, fps=self.fps, joint_order=self.joint_order)
+        motion = self.load(self.motions)
         first, behind = _frames(self.frames)
         motion = motion.frames(first or 0, motion.n_frames if behind is None else behind)
         if self.resample:
@@ -184,7 +198,7 @@ class Convert(Command):
         from g1stream.session.ros2 import write_ros2_bag
 
         report = write_ros2_bag(
-            Path(self.motion),
+            Path(self.motions[0]),
             self.out,
             force=self.force,
             compression=self.compression,
@@ -203,7 +217,6 @@ class Convert(Command):
     ) -> tuple[dict[str, Any], str, tuple[str, ...]]:
         from g1stream.programs.convert import Conversion, convert
         from g1stream.robot.model import G1
-        from g1stream.session.motions import load_motion
         from g1stream.session.timestamps import parse_time
 
         options = Conversion(
@@ -221,7 +234,7 @@ class Convert(Command):
         )
         robot = G1.load(self.urdf)
         report = convert(
-            load_motion(self.motion, fps=self.fps, joint_order=self.joint_order),
+            self.load(self.motions),
             self.out,
             options,
             robot=robot,

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from g1stream.cli.command import exit_code, print_summary, print_warning
-from g1stream.cli.flags import MOTION, flag, fps_flag, joint_order_flag
+from g1stream.cli.flags import flag
 from g1stream.cli.live import LiveCommand
+from g1stream.cli.motion_flags import MOTION, MotionFlags
 from g1stream.cli.stream import playing
-from g1stream.types import JointOrder
 
 if TYPE_CHECKING:
     from g1stream.config import Config
@@ -22,7 +22,7 @@ __all__ = ["Demo"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Demo(LiveCommand):
+class Demo(LiveCommand, MotionFlags):
     """Needs no robot and no other program. Writes session.mcap, tracking.png and report.html.
 
     Without a domain, in --domain or the config file, it takes the first of the DDS domains 1 to 8
@@ -42,8 +42,6 @@ class Demo(LiveCommand):
     """
 
     motion: str = flag("demo", MOTION, "MOTION")
-    fps: float | None = fps_flag()
-    joint_order: JointOrder | None = joint_order_flag()
     out: Path = flag(
         Path("demo-out"), "Directory for session.mcap, tracking.png and report.html.", "DIR"
     )
@@ -53,10 +51,9 @@ class Demo(LiveCommand):
     def run(self) -> int:
         """Run it, and return the exit code."""
         from g1stream.programs.demo import FIGURE, REPORT, demo
-        from g1stream.session.motions import load_motion
 
         config = self.resolve()
-        motion = load_motion(self.motion, fps=self.fps, joint_order=self.joint_order)
+        motion = self.load([self.motion])
         for warning in motion.warnings:
             print_warning(warning)
         with playing() as prepare, ExitStack() as stack:

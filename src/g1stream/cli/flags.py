@@ -37,20 +37,14 @@ if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
 
 __all__ = [
-    "MOTION",
     "argument",
     "flag",
     "flag_name",
-    "fps_flag",
     "given_settings",
-    "joint_order_flag",
     "parse_flags",
 ]
 
 CommandT = TypeVar("CommandT")
-
-#: Help of a flag or argument that names a motion.
-MOTION = "Motion file (CSV, NPZ, pickle), session file, or the name of a bundled motion: demo."
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,7 +89,7 @@ class _Option:
         arg = tyro.conf.arg(
             metavar=shown, help=self.text, help_behavior_hint=hint, aliases=self.aliases or None
         )
-        several = get_origin(kind) is tuple  # of paths or names
+        several = _is_several(kind)
 
         def read(texts: list[str]) -> Any:
             if several:
@@ -176,18 +170,6 @@ def argument(text: str, metavar: str) -> Any:
     return flag(MISSING, text, metavar, positional=True)
 
 
-def fps_flag() -> Any:
-    """The flag --fps of commands that read a motion."""
-    text = "Frames per second of the motion file, or to sample a session at."
-    return flag(None, text, "HZ", shown="what the file says; 30 for CSV", gt=0)
-
-
-def joint_order_flag() -> Any:
-    """The flag --joint-order of commands that read a motion."""
-    text = "Order of the joints in a motion file that does not name them."
-    return flag(None, text, shown="told by joint limits and bodies; motor order in a CSV file")
-
-
 def _wrapped(text: str) -> str:
     """A text with its paragraphs as wide as the terminal, 80 columns at most.
 
@@ -243,6 +225,9 @@ def parse_flags(
     show_help = not {"-h", "--help"}.isdisjoint(arguments)
     if not show_help:
         _check_flags(name, arguments, known)
+        several = [o.metadata["option"].positional for o in own if _is_several(hints[o.name])]
+        if several == [True]:
+            arguments = _positionals_first(arguments, known)
     try:
         command: CommandT
         command, extra = tyro.cli(
@@ -256,10 +241,7 @@ def parse_flags(
         )
     except SystemExit as done:
         if done.code:  # flags and their values are there
-            raise ConfigError(
-                f"The argument {' or '.join(required)} is missing.",
-                f"Add it; `g1stream {name} --help` says what it is.",
-            ) from None
+            raise _missing(name, required) from None
         print(_wrapped(inspect.cleandoc(kind.__doc__ or "")))  # tyro would join its lines
         raise
     if extra:
@@ -267,7 +249,17 @@ def parse_flags(
             f"The argument {extra[0]} is one too many for g1stream {name}.",
             f"Leave it out; `g1stream {name} --help` shows the arguments.",
         )
+    if () in (getattr(command, one.name) for one in own if one.metadata["option"].required):
+        raise _missing(name, required)
     return command
+
+
+def _missing(command: str, required: Sequence[str]) -> ConfigError:
+    names = " or ".join(name.removesuffix("...") for name in required)
+    return ConfigError(
+        f"The argument {names} is missing.",
+        f"Add it; `g1stream {command} --help` says what it is.",
+    )
 
 
 def _check_flags(command: str, arguments: Sequence[str], known: Mapping[str, str]) -> None:
@@ -294,6 +286,35 @@ def _check_flags(command: str, arguments: Sequence[str], known: Mapping[str, str
             )
         if known.get(flag) and not equals and _is_flag(after):
             raise ConfigError(f"The flag {flag} lacks its value.", f"Add it: {flag} {known[flag]}.")
+
+
+def _positionals_first(arguments: Sequence[str], known: Mapping[str, str]) -> list[str]:
+    """The same arguments, those given by position before the flags.
+
+    tyro takes arguments of any number from one place only.
+
+    Args:
+        arguments: what follows the command.
+        known: its flags, each with what stands for its value in the help, if it has one.
+    """
+    positional: list[str] = []
+    flags: list[str] = []
+    left = iter(arguments)
+    for text in left:
+        if text == "--":
+            return [*flags, text, *positional, *left]
+        if not _is_flag(text):
+            positional.append(text)
+            continue
+        flags.append(text)
+        if "=" not in text and known.get(text.replace("_", "-")):
+            flags.append(next(left))
+    return [*positional, *flags]
+
+
+def _is_several(hint: Any) -> bool:
+    """Whether a flag or an argument takes any number of values."""
+    return get_origin(hint) is tuple
 
 
 def _is_flag(text: str) -> bool:

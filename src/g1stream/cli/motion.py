@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from g1stream.analysis.render import labelled
@@ -15,11 +16,11 @@ from g1stream.cli.command import (
     print_lines,
     print_warning,
 )
-from g1stream.cli.flags import MOTION, argument, flag, fps_flag, joint_order_flag
+from g1stream.cli.flags import argument, flag
+from g1stream.cli.motion_flags import MOTIONS, MotionFlags
 from g1stream.cli.progress import ProgressDisplay
 from g1stream.errors import MotionError
 from g1stream.text import counted
-from g1stream.types import JointOrder
 
 if TYPE_CHECKING:
     from g1stream.analysis.physics_report import MotionPhysics
@@ -29,9 +30,12 @@ if TYPE_CHECKING:
 
 __all__ = ["Inspect", "render"]
 
+#: Feet that stand so near to height 0 are on the floor, m: what soles and floors give way.
+_ON_FLOOR = 2e-3
+
 
 @dataclass(frozen=True, kw_only=True)
-class Inspect(SettingsCommand):
+class Inspect(SettingsCommand, MotionFlags):
     """Prints what is in a motion file, what it asks of the robot, and what is beyond a limit.
 
     `stream` makes the same check. Warnings do not change the exit code. Joint targets between
@@ -46,6 +50,7 @@ class Inspect(SettingsCommand):
       g1stream motion dance.csv
       g1stream motion dance.csv --fps 60 --json
       g1stream motion dance.csv --physics
+      g1stream motion wave.csv dance.npz --blend 1 --on-floor
 
     Exit codes:
       0  within the limits
@@ -53,27 +58,32 @@ class Inspect(SettingsCommand):
       2  bad input: not a motion; what can be read of the file is printed
     """
 
-    motion: str = argument(MOTION, "MOTION")
-    fps: float | None = fps_flag()
-    joint_order: JointOrder | None = joint_order_flag()
+    motions: tuple[str, ...] = argument(MOTIONS, "MOTION...")
     physics: bool = flag(False, "What it would take to play it, with each support.")
     json: bool = flag(False, "Print the report as JSON.")
 
     def run(self) -> int:
         """Print the report, and return the exit code."""
+        from g1stream.motion.check import FileReport, check_motion
         from g1stream.robot.model import G1
         from g1stream.session.motions import check_motion_file
 
         config = self.resolve()
         robot = G1.load(config.robot, own_limits=config.safety.urdf_limits)
-        report = check_motion_file(
-            self.motion,
-            robot,
-            fps=self.fps,
-            joint_order=self.joint_order,
-            rate=config.stream.rate,
-            position_margin=config.safety.position_margin,
-        )
+        rate, margin = config.stream.rate, config.safety.position_margin
+        if len(self.motions) == 1:
+            report = check_motion_file(
+                self.motions[0],
+                robot,
+                fps=self.fps,
+                joint_order=self.joint_order,
+                change=lambda motion: self.join([motion]),
+                rate=rate,
+                position_margin=margin,
+            )
+        else:
+            motion = check_motion(self.load(self.motions), robot, rate=rate, position_margin=margin)
+            report = FileReport(Path(motion.name), kind="motions", motion=motion)
         if robot.warning:
             print_warning(robot.warning)
         physics = self._physics(report, robot, config) if self.physics else None
@@ -91,7 +101,6 @@ class Inspect(SettingsCommand):
     def _physics(self, report: FileReport, robot: G1, config: Config) -> MotionPhysics | None:
         """What it would take to play the motion; None where there is none, or not in radians."""
         from g1stream.analysis.physics import motion_physics
-        from g1stream.session.motions import load_motion
 
         if not (report.motion and report.motion.in_radians):
             return None
@@ -103,7 +112,7 @@ class Inspect(SettingsCommand):
 
         with ProgressDisplay(lambda: (done, f"physics {100 * done:3.0f} %")):
             return motion_physics(
-                load_motion(self.motion, fps=self.fps, joint_order=self.joint_order),
+                self.load(self.motions),
                 robot,
                 max_tilt=config.safety.max_tilt,
                 progress=progress,
@@ -142,6 +151,8 @@ def _content(report: FileReport) -> list[str]:
     """The lines about the file."""
     if report.kind == "session":
         return [_line("file", "a session; its motion is the recorded reference")]
+    if report.kind == "motions":
+        return []
     if report.kind == "arrays":
         labels = ("file", "joint order", "pelvis", "frame rate")
         lines = [_line(*pair) for pair in zip(labels, report.evidence, strict=False)]
@@ -174,6 +185,7 @@ def _motion_lines(report: MotionReport) -> list[str]:
         *(_line("changed", what) for what in report.operations),
         _line("frames", f"{report.n_frames} at {report.fps:g} fps, {report.duration:.2f} s"),
         _line("root", travel),
+        _line("feet", _feet(report.floor)),
         _line("joints", str(len(report.streamed.speeds))),
     ]
     lines += [
@@ -181,6 +193,16 @@ def _motion_lines(report: MotionReport) -> list[str]:
         for group, (lowest, highest) in report.groups.items()
     ]
     return [*lines, *_speed_lines(report)]
+
+
+def _feet(floor: float | None) -> str:
+    """Where the feet stand."""
+    if floor is None:
+        return "none stands"
+    if abs(floor) < _ON_FLOOR:
+        return f"stand on the floor, within {abs(floor) * 1e3:.1f} mm"
+    side = "above" if floor > 0 else "below"
+    return f"stand {abs(floor) * 1e3:.0f} mm {side} the floor; --on-floor puts them on it"
 
 
 def _speed_lines(report: MotionReport) -> list[str]:

@@ -16,12 +16,12 @@ from g1stream.cli.command import (
     print_warning,
     yes_flag,
 )
-from g1stream.cli.flags import MOTION, argument, flag, flag_name, fps_flag, joint_order_flag
+from g1stream.cli.flags import argument, flag, flag_name
 from g1stream.cli.live import LiveCommand
+from g1stream.cli.motion_flags import MOTIONS, MotionFlags
 from g1stream.cli.progress import ProgressDisplay, loop_status
 from g1stream.errors import ConfigError
 from g1stream.events import ConsoleHandler, handled_by
-from g1stream.types import JointOrder
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -138,7 +138,7 @@ class PlayCommand(LiveCommand):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Stream(PlayCommand):
+class Stream(PlayCommand, MotionFlags):
     """Waits for a LowState, moves to the first frame, plays, holds the last frame, and damps.
 
     Ctrl-C damps and ends.
@@ -146,6 +146,7 @@ class Stream(PlayCommand):
     Examples:
       g1stream stream demo
       g1stream stream dance.csv --record dance.mcap --support hanging
+      g1stream stream wave.csv dance.npz --blend 1 --trim 2:10 --mirror
       g1stream stream dance.csv --correction better.npz --record second.mcap
       g1stream stream dance.csv --config robot --interface eth0 --arm --duration 5
 
@@ -156,17 +157,14 @@ class Stream(PlayCommand):
       128 + n  ended by signal n: 130 after Ctrl-C
     """
 
-    motion: str = argument(MOTION, "MOTION")
-    fps: float | None = fps_flag()
-    joint_order: JointOrder | None = joint_order_flag()
+    motions: tuple[str, ...] = argument(MOTIONS, "MOTION...")
 
     def run(self) -> int:
         """Play, and return the exit code."""
         from g1stream.programs.stream import stream
-        from g1stream.session.motions import load_motion
 
         config = self.resolve()
-        motion = load_motion(self.motion, fps=self.fps, joint_order=self.joint_order)
+        motion = self.load(self.motions)
         for warning in motion.warnings:
             print_warning(warning)
         with self.serving(config), playing() as prepare:

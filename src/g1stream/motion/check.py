@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 
-from g1stream.errors import MotionError
+from g1stream.errors import MotionError, RobotError
 from g1stream.motion.csv import CsvFile
 from g1stream.motion.files import open_motion_file
 from g1stream.motion.limits import JointPeak, LimitReport, frame_peaks, measure_limits
 from g1stream.motion.motion import check_fps
+from g1stream.motion.operations import height_of_floor
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
 from g1stream.robot.rotations import tilt_of
@@ -21,6 +22,7 @@ from g1stream.types import STREAM_RATE
 
 if TYPE_CHECKING:
     import os
+    from collections.abc import Callable
 
     from g1stream.motion.array_file import ArrayFile
     from g1stream.motion.limits import Interval
@@ -83,6 +85,7 @@ class MotionReport:
     groups: dict[str, tuple[float, float]]  # lowest and highest angle by limb, rad
     warnings: tuple[str, ...]  # of the reader
     operations: tuple[str, ...] = ()  # what was done to the motion in the file
+    floor: float | None = None  # height at which its feet stand, m; None: none stands, or unknown
     in_radians: bool = True
     suspicion: str = ""  # what a limit that is passed looks like: "frame 7 is a spike of 2.4 rad"
 
@@ -103,7 +106,7 @@ class FileReport:
     """
 
     path: Path
-    kind: Literal["table", "arrays", "session"] = "table"
+    kind: Literal["table", "arrays", "session", "motions"] = "table"  # motions: several files
     n_rows: int = 0  # below the header
     n_columns: int = 0  # of the first line
     has_header: bool = False
@@ -128,10 +131,13 @@ def check_file(
     *,
     fps: float | None = None,
     joint_order: JointOrder | None = None,
+    change: Callable[[Motion], Motion] = lambda motion: motion,
     rate: float = STREAM_RATE,
     position_margin: float = 0.0,
 ) -> FileReport:
     """Check a motion file, or a bundled motion by its name; `rate` and so on as `check_motion`.
+
+    What `change` makes of its motion is checked.
 
     Raises:
         MotionError: no report is possible: there is no such file, it cannot be read, is empty or is
@@ -143,7 +149,9 @@ def check_file(
     report = FileReport(file.path)
     try:
         report = _content(file)
-        motion = check_motion(file.motion(fps), robot, rate=rate, position_margin=position_margin)
+        motion = check_motion(
+            change(file.motion(fps)), robot, rate=rate, position_margin=position_margin
+        )
         return replace(report, motion=motion)
     except MotionError as error:
         return replace(report, fault=error.cause, remedy=error.remedy)
@@ -211,6 +219,7 @@ def check_motion(
         groups={name: _range(motion.joint_pos[:, joints]) for name, joints in JOINT_GROUPS.items()},
         warnings=motion.warnings,
         operations=motion.operations,
+        floor=_floor(motion, robot),
         in_radians=in_radians,
         suspicion=suspicion,
     )
@@ -259,6 +268,12 @@ def _root_travel(motion: Motion) -> RootTravel:
         tilt=tilt_of(motion.root_quat_wxyz[furthest]),
         tilt_frame=furthest,
     )
+
+
+def _floor(motion: Motion, robot: G1) -> float | None:
+    with suppress(RobotError):  # feet that it does not know
+        return height_of_floor(motion, robot)
+    return None
 
 
 def _norms(file: CsvFile | ArrayFile) -> tuple[float, float] | None:

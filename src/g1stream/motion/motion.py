@@ -238,6 +238,25 @@ class Motion:
 
         return at_speed(self, factor)
 
+    def fixed_root(self) -> Motion:
+        """The motion with the pelvis where it is, and as it is turned, in the first frame."""
+        from g1stream.motion.operations import fixed_root
+
+        return fixed_root(self)
+
+    def on_floor(self) -> Motion:
+        """The motion raised or lowered as a whole until the feet that stand are on the floor.
+
+        The floor is at height 0. The feet stand at the median height of the lower sole, over the
+        frames in which its lowest corner is slower than 0.25 m/s.
+
+        Raises:
+            MotionError: no foot stands in it.
+        """
+        from g1stream.motion.operations import on_floor
+
+        return on_floor(self)
+
     def then(self, other: Motion, blend: float = 0.5) -> Motion:
         """The motion, a blend, and another motion.
 

@@ -13,20 +13,34 @@ import numpy as np
 from g1stream.errors import MotionError
 from g1stream.motion.blend import COAST, blend_frames
 from g1stream.robot.joints import N_JOINTS
+from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1
 from g1stream.robot.rotations import quat_from_axis_angle, quat_mul, quat_rotate, yaw_of
+from g1stream.robot.soles import Soles
 from g1stream.robot.symmetry import MIRROR, mirror_of_joints
 
 if TYPE_CHECKING:
     from g1stream.motion.motion import Motion
     from g1stream.types import Floats
 
-__all__ = ["at_speed", "joined", "looped", "mirrored", "trimmed"]
+__all__ = [
+    "at_speed",
+    "fixed_root",
+    "height_of_floor",
+    "joined",
+    "looped",
+    "mirrored",
+    "on_floor",
+    "trimmed",
+]
 
 #: A blend is no longer than this, s.
 _LONGEST_BLEND: Final = 60.0
 #: A motion that is repeated has no more frames: ten hours at 30 fps.
 _MOST_FRAMES: Final = 1_000_000
+#: A sole that is slower than this stands, m/s, and frames that are looked at together.
+_STANDS: Final = 0.25
+_PIECE: Final = 512
 _UP: Final = np.array([0.0, 0.0, 1.0])
 #: A mirrored turn: the vector part of a quaternion is a pseudovector.
 _MIRROR_QUAT: Final = np.concatenate([[1.0], -MIRROR])
@@ -67,6 +81,51 @@ def at_speed(motion: Motion, factor: float) -> Motion:
             "Give a factor above 0, such as 0.5.",
         )
     return _done(replace(motion, fps=motion.fps * factor), f"at {factor:g} times its speed")
+
+
+def fixed_root(motion: Motion) -> Motion:
+    """See `Motion.fixed_root`."""
+    fixed = replace(
+        motion,
+        root_pos=np.broadcast_to(motion.root_pos[0], motion.root_pos.shape),
+        root_quat_wxyz=np.broadcast_to(motion.root_quat_wxyz[0], motion.root_quat_wxyz.shape),
+    )
+    return _done(fixed, "pelvis fixed as in the first frame")
+
+
+def on_floor(motion: Motion) -> Motion:
+    """See `Motion.on_floor`."""
+    height = height_of_floor(motion, G1.default())
+    if height is None:
+        raise MotionError(
+            f"{motion.name} cannot be put on the floor: no foot stands in it.",
+            "Leave it where it is.",
+        )
+    lowered = replace(motion, root_pos=motion.root_pos - height * _UP)
+    way = "raised" if height < 0 else "lowered"
+    return _done(lowered, f"{way} by {abs(height) * 1e3:.1f} mm, onto the floor")
+
+
+def height_of_floor(motion: Motion, robot: G1) -> float | None:
+    """How high the floor is on which the feet of a motion stand, m; None where none stands.
+
+    It is the median height of the lowest corner of both soles over the frames in which that corner
+    is slower than 0.25 m/s: a foot that was retargeted slides a little.
+
+    Raises:
+        RobotError: the robot's soles are not known.
+    """
+    soles, standing = Soles(robot), []
+    for first in range(0, motion.n_frames - 1, _PIECE):
+        rows = slice(first, first + _PIECE + 1)  # one frame is in both pieces, for its speed
+        root = motion.root_pos[rows], motion.root_quat_wxyz[rows]
+        corners = soles.positions(forward_kinematics(robot, motion.joint_pos[rows], *root))
+        speed = np.linalg.norm(np.gradient(corners, axis=0), axis=-1) * motion.fps
+        lowest = corners[..., 2].argmin(axis=1)[:, np.newaxis]
+        slow = np.take_along_axis(speed, lowest, axis=1) < _STANDS
+        standing.append(np.take_along_axis(corners[..., 2], lowest, axis=1)[slow])
+    heights = np.concatenate(standing)
+    return float(np.median(heights)) if heights.size else None
 
 
 def joined(motion: Motion, other: Motion, blend: float) -> Motion:

@@ -18,6 +18,7 @@ from g1stream.types import STREAM_RATE, Floats, Phase
 
 if TYPE_CHECKING:
     import os
+    from collections.abc import Callable
 
     from g1stream.motion.check import FileReport
     from g1stream.robot.model import G1
@@ -72,6 +73,7 @@ def check_motion_file(
     *,
     fps: float | None = None,
     joint_order: JointOrder | None = None,
+    change: Callable[[Motion], Motion] = lambda motion: motion,
     rate: float = STREAM_RATE,
     position_margin: float = 0.0,
 ) -> FileReport:
@@ -82,6 +84,7 @@ def check_motion_file(
         robot: whose limits.
         fps: as for `load_motion`.
         joint_order: as for `load_motion`.
+        change: what it makes of the motion is checked.
         rate: joint targets per second when it is streamed, Hz.
         position_margin: rad, kept from position limits when it is streamed.
 
@@ -98,11 +101,12 @@ def check_motion_file(
             robot,
             fps=fps,
             joint_order=joint_order,
+            change=change,
             rate=rate,
             position_margin=position_margin,
         )
     motion = check_motion(
-        load_motion(path, fps=fps), robot, rate=rate, position_margin=position_margin
+        change(load_motion(path, fps=fps)), robot, rate=rate, position_margin=position_margin
     )
     return FileReport(path, kind="session", motion=motion)
 

@@ -1,0 +1,106 @@
+"""The flags of the commands that take a motion: how it is read, and what is done to it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import reduce
+from typing import TYPE_CHECKING, Final, Literal
+
+from g1stream.cli.command import Command
+from g1stream.cli.flags import flag
+from g1stream.errors import ConfigError
+from g1stream.types import JointOrder
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from g1stream.motion.motion import Motion
+
+__all__ = ["MOTION", "MOTIONS", "MotionFlags"]
+
+MOTION: Final = (
+    "Motion file (CSV, NPZ, pickle), session file, or the name of a bundled motion: demo."
+)
+"""Help of a flag that names a motion."""
+MOTIONS: Final = f"{MOTION} Several are joined in their order."
+"""Help of an argument that names motions."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionFlags(Command):
+    """Flags of the commands that take a motion, or several.
+
+    Each motion is trimmed, mirrored, put on the floor and changed in speed; then they are joined,
+    that is repeated, and the pelvis fixed.
+    """
+
+    fps: float | None = flag(
+        None,
+        "Frames per second of the motion file, or to sample a session at.",
+        "HZ",
+        shown="what the file says; 30 for CSV",
+        gt=0,
+    )
+    joint_order: JointOrder | None = flag(
+        None,
+        "Order of the joints in a motion file that does not name them.",
+        shown="told by joint limits and bodies; motor order in a CSV file",
+    )
+    trim: str = flag(
+        ":", "Only the part from A to B seconds of each motion, such as 1:5.", "A:B", shown="all"
+    )
+    mirror: bool = flag(False, "Mirror it: left is right.")
+    on_floor: bool = flag(False, "Raise or lower each motion until its feet stand on the floor.")
+    speed: float = flag(1.0, "How many times as fast as its frame rate says.", "X", gt=0)
+    blend: float = flag(0.5, "Time from the end of a motion to the start of the next.", "S")
+    repeat: int = flag(1, "How many times to play it, with blends.", "N", gt=0)
+    root: Literal["follow", "fix"] = flag(
+        "follow", "The pelvis as in the motion, or fixed as in its first frame."
+    )
+
+    def load(self, motions: Sequence[str]) -> Motion:
+        """Read one motion or more, and make one of them.
+
+        Raises:
+            ConfigError: a flag does not fit.
+            MotionError: a file is no motion, or what is asked for is not possible.
+            RecordingError: a session is damaged, or no motion was played in it.
+        """
+        from g1stream.session.motions import load_motion
+
+        return self.join(
+            [load_motion(one, fps=self.fps, joint_order=self.joint_order) for one in motions]
+        )
+
+    def join(self, motions: Sequence[Motion]) -> Motion:
+        """What the flags make of motions that are read.
+
+        Raises:
+            ConfigError: a flag does not fit.
+            MotionError: what is asked for is not possible.
+        """
+        joined = reduce(lambda one, other: one.then(other, self.blend), map(self._part, motions))
+        if self.repeat != 1:
+            joined = joined.looped(self.repeat, self.blend)
+        return joined.fixed_root() if self.root == "fix" else joined
+
+    def _part(self, motion: Motion) -> Motion:
+        start, end = self._times()
+        if start or end is not None:
+            motion = motion.trim(start, end)
+        if self.mirror:
+            motion = motion.mirrored()
+        if self.on_floor:
+            motion = motion.on_floor()
+        return motion.at_speed(self.speed) if self.speed != 1.0 else motion
+
+    def _times(self) -> tuple[float, float | None]:
+        start, _, end = self.trim.partition(":")
+        try:
+            if ":" in self.trim:
+                return float(start or 0.0), float(end) if end else None
+        except ValueError:
+            pass
+        raise ConfigError(
+            f"{self.trim!r} is not a range of seconds.", "Give A:B, such as 1:5, 2.5: or :4."
+        )

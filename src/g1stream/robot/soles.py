@@ -1,0 +1,99 @@
+"""The soles of a G1: four corners each, as in unitree_mujoco, whose feet stand on four spheres."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from g1stream.errors import RobotError
+from g1stream.robot.hulls import read_hulls
+from g1stream.robot.joints import JOINT_NAMES
+from g1stream.robot.rotations import quat_rotate
+
+if TYPE_CHECKING:
+    from g1stream.robot.kinematics import LinkPoses
+    from g1stream.robot.model import G1
+    from g1stream.types import Floats
+
+__all__ = ["SIDES", "Soles"]
+
+SIDES: Final = ("left", "right")
+
+#: Vertices of a sole this far above its lowest one belong to its lower side, m.
+_FLAT: Final = 1e-3
+
+
+class Soles:
+    """The corners of a robot's soles, left foot first: front left, front right, back right, left.
+
+    Args:
+        robot: the G1.
+
+    Attributes:
+        links: (2,) the links of the feet.
+
+    Raises:
+        RobotError: there is no hull for a foot of this robot.
+    """
+
+    def __init__(self, robot: G1) -> None:
+        joints = [JOINT_NAMES.index(f"{side}_ankle_roll_joint") for side in SIDES]
+        self.links = [int(np.flatnonzero(robot.joint_of_link == joint)[0]) for joint in joints]
+        self._robot = robot
+        self._corners = np.stack([_corners(robot, robot.link_names[link]) for link in self.links])
+        #: Of each foot, the links that a joint moves between the pelvis and its sole.
+        self._above = [_moved_links(robot, link) for link in self.links]
+
+    def positions(self, poses: LinkPoses) -> Floats:
+        """The corners (T, 8, 3) in the world, m."""
+        pos, quat = (values[:, self.links, np.newaxis] for values in poses)
+        corners = pos + quat_rotate(quat, self._corners)
+        return corners.reshape(len(corners), -1, 3)
+
+    def torques(self, poses: LinkPoses, corners: Floats, forces: Floats) -> Floats:
+        """What forces on the corners do to the joints: J^T f.
+
+        Args:
+            poses: of T frames.
+            corners: (T, 8, 3) m, world, as `positions` returns them.
+            forces: (T, 8, 3) N, world, of the floor on the corners.
+
+        Returns:
+            (T, 29) N·m, motor order: a . ((x - p) x f) for each joint with axis a through p.
+        """
+        robot = self._robot
+        tau = np.zeros((len(corners), len(JOINT_NAMES)))
+        for foot, links in enumerate(self._above):
+            own = slice(4 * foot, 4 * foot + 4)
+            joints = poses.pos[:, links]
+            lever = corners[:, np.newaxis, own] - joints[:, :, np.newaxis]
+            moment = np.cross(lever, forces[:, np.newaxis, own]).sum(axis=2)
+            axes = quat_rotate(poses.quat_wxyz[:, links], robot.axis[links])
+            tau[:, robot.joint_of_link[links]] = (axes * moment).sum(axis=-1)
+        return tau
+
+
+def _corners(robot: G1, link: str) -> Floats:
+    """The corners (4, 3) of a foot's sole in its link's frame, m."""
+    soles = [hull.vertices for hull in read_hulls(robot) if hull.solid and hull.link == link]
+    if not soles:
+        raise RobotError(
+            f"The shape of the sole of {robot.name!r}'s {link} is not known.",
+            "Give a URDF whose feet are called left_ankle_roll_link and right_ankle_roll_link.",
+        )
+    sole = np.concatenate(soles)
+    lower = sole[sole[:, 2] < sole[:, 2].min() + _FLAT]
+    outward = np.array([(1, 1), (1, -1), (-1, -1), (-1, 1)])
+    corners: Floats = lower[(lower[:, :2] @ outward.T).argmax(axis=0)]
+    return corners
+
+
+def _moved_links(robot: G1, link: int) -> list[int]:
+    """The links from the root down to `link` that have a joint to their parent."""
+    links: list[int] = []
+    while link > 0:
+        if robot.joint_of_link[link] >= 0:
+            links.insert(0, link)
+        link = int(robot.parent[link])
+    return links

@@ -1,0 +1,95 @@
+"""The flags that change a motion, on every command that takes one."""
+
+from __future__ import annotations
+
+import pytest
+
+from g1stream.cli.convert import Convert
+from g1stream.cli.demo import Demo
+from g1stream.cli.flags import parse_flags
+from g1stream.cli.main import main
+from g1stream.cli.motion import Inspect
+from g1stream.cli.stream import Stream
+from g1stream.errors import ConfigError, MotionError, RecordingError
+from g1stream.motion.motion import Motion
+from g1stream.session.motions import load_motion
+
+COMMANDS = {"stream": Stream, "motion": Inspect, "convert": Convert, "demo": Demo}
+CHANGES = ["--trim", "1:5", "--mirror", "--on-floor", "--speed", "0.5"]
+CHANGES += ["--repeat", "2", "--blend", "1", "--root", "fix"]
+
+
+def parsed(name: str, *arguments: str):
+    return parse_flags(COMMANDS[name], name, "", arguments)
+
+
+@pytest.fixture(scope="module")
+def demo() -> Motion:
+    return load_motion("demo")
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_change_is_made_and_named(name, demo):
+    given = [] if name == "demo" else ["demo", "out.npz"]
+    motion = parsed(name, *given, *CHANGES).load(["demo"])
+    part = demo.trim(1, 5).mirrored().on_floor().at_speed(0.5)
+    expected = part.looped(2, blend=1.0).fixed_root()
+    assert motion.operations == expected.operations
+    assert len(motion.operations) == 6
+    assert motion.content_sha256 == expected.content_sha256
+
+
+def test_without_flags_a_motion_is_as_it_is_in_the_file(demo):
+    motion = parsed("stream", "demo").load(["demo"])
+    assert motion.operations == ()
+    assert motion.content_sha256 == demo.content_sha256
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("a.csv", "b.npz", "--blend", "1", "--mirror"),
+        ("a.csv", "--blend", "1", "--mirror", "b.npz"),
+        ("--mirror", "a.csv", "--blend=1", "b.npz"),
+        ("--mirror", "a.csv", "--blend=1", "--", "b.npz"),
+    ],
+)
+def test_motions_and_flags_in_any_order(arguments):
+    command = parsed("stream", *arguments)
+    assert command.motions == ("a.csv", "b.npz")
+    assert (command.blend, command.mirror) == (1.0, True)
+
+
+def test_several_motions_become_one_file(tmp_path, demo):
+    demo.frames(0, 30).save(tmp_path / "a.csv")
+    demo.frames(60, 90).save(tmp_path / "b.npz")
+    out = tmp_path / "both.npz"
+    assert main(["convert", *(str(tmp_path / n) for n in ("a.csv", "b.npz", "both.npz"))]) == 0
+    assert load_motion(out).n_frames == 30 + 14 + 30
+    with pytest.raises(RecordingError, match="is the input"):
+        parsed("convert", "demo", str(out), str(out), "--force").run()
+
+
+@pytest.mark.parametrize("trim", ["1", "a:b", "1:2:3"])
+def test_times_that_are_none(trim):
+    with pytest.raises(ConfigError, match="range of seconds"):
+        parsed("motion", "demo", "--trim", trim).load(["demo"])
+
+
+@pytest.mark.parametrize("flags", [("--trim", "5:1"), ("--repeat", "2", "--blend", "-1")])
+def test_changes_that_are_not_possible(flags):
+    with pytest.raises(MotionError):
+        parsed("motion", "demo", *flags).load(["demo"])
+
+
+@pytest.mark.parametrize("name", ["stream", "motion", "convert"])
+def test_a_motion_is_needed(name):
+    with pytest.raises(ConfigError, match="MOTION"):
+        parsed(name).run()
+
+
+def test_the_report_is_about_the_changed_motion(capsys):
+    assert main(["motion", "demo", "--trim", "1:3", "--mirror"]) == 0
+    text = capsys.readouterr().out
+    assert "changed         trimmed to 1 to 3 s" in text
+    assert "61 at 30 fps, 2.00 s" in text

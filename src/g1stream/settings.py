@@ -19,6 +19,7 @@ from g1stream.types import (
     OnboardMode,
     OtherJoints,
     Support,
+    Via,
 )
 
 if TYPE_CHECKING:
@@ -152,6 +153,12 @@ class StreamConfig(Table):
         gt=0.0,
     )
     loop: bool = setting(False, "play again and again until stopped", flag=PLAY_FLAG)
+    via: Via = setting(
+        "lowcmd",
+        "lowcmd: command the motors; arm_sdk: hand targets for arms and waist to the robot's own "
+        "controller, which stands and balances meanwhile",
+        flag=PLAY_FLAG,
+    )
     joints: str | None = setting(
         None,
         "the joints that play the motion: limbs (arms, legs, left_arm, waist ...), names or "
@@ -212,6 +219,11 @@ class StreamConfig(Table):
         ge=0.5,
         le=1.05,
     )
+
+    @property
+    def played_joints(self) -> str | None:
+        """The joints that play the motion, as `joints` names them; None: all."""
+        return self.joints or ("arms,waist" if self.via == "arm_sdk" else None)
 
 
 class RealtimeConfig(Table):

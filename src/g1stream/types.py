@@ -21,6 +21,7 @@ __all__ = [
     "OtherJoints",
     "Phase",
     "Support",
+    "Via",
 ]
 
 Floats: TypeAlias = "NDArray[np.float64]"
@@ -42,6 +43,9 @@ OnboardMode = Literal["ai", "normal", "advanced"]
 
 OtherJoints = Literal["hold", "free"]
 """What joints that do not play the motion do: keep their measured pose, or only damp."""
+
+Via = Literal["lowcmd", "arm_sdk"]
+"""Whom commands go to: the motors, or the robot's own controller, which moves arms and waist."""
 
 ChannelSet = Literal["raw", "standard", "full"]
 """What a session file has beside the samples, the log and the metadata: nothing; what viewers show,

@@ -163,8 +163,10 @@ def _joints(summary: Summary) -> str:
         names = {JOINT_NAMES[i] for i in joints}
         short = sorted(name.removesuffix("_joint") for name in names & played)
         named += [limb.replace("_", " ")] if names <= played else short
-    others = (summary.settings or {}).get("stream.others")
-    rest = "only damp" if others == "free" else "hold their pose"
+    settings = summary.settings or {}
+    rest = "only damp" if settings.get("stream.others") == "free" else "hold their pose"
+    if settings.get("stream.via") == "arm_sdk":
+        rest = "are the robot's own controller's"
     return f"{len(played)} of {N_JOINTS} play: {', '.join(named)}; the others {rest}"
 
 

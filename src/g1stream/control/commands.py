@@ -280,6 +280,10 @@ class Composer:
         everything = np.ones(N_JOINTS, np.bool_)
         self._reference.played[()] = played_bits(everything if played is None else played)
 
+    def sent(self) -> None:
+        """The last command has been sent."""
+        self.limits.sent()
+
     def begin(self, q: NDArray[np.floating], mode_machine: int) -> None:
         """Enable the motors of a robot at the measured pose `q` (29,), rad."""
         self.limits.begin(q)
@@ -344,4 +348,7 @@ class Composer:
         reference.motion_time[()] = due.motion_time
         reference.target[:] = due.published
         reference.tau[:] = commanded.tau
-        return command.seal(), reference.tobytes()
+        return self._seal(phase), reference.tobytes()
+
+    def _seal(self, phase: Phase) -> bytes:
+        return self._command.seal()

@@ -55,7 +55,7 @@ def gains_in_play(config: Config) -> Gains:
     """
     gains, settings = resolve_gains(config.gains), config.stream
     if settings.others == "free":
-        return gains._replace(kp=np.where(select_joints(settings.joints), gains.kp, 0.0))
+        return gains._replace(kp=np.where(select_joints(settings.played_joints), gains.kp, 0.0))
     return gains
 
 

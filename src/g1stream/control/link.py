@@ -10,7 +10,7 @@ from g1stream.dds.domain import OBSERVER, robot_announced, support_announced
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.layout import CDR_HEADER, Layout
 from g1stream.dds.ticks import TickGaps
-from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE
+from g1stream.dds.topics import ARM_SDK, LOWCMD, LOWSTATE, REFERENCE, Topic
 
 if TYPE_CHECKING:
     from g1stream.control.guard import Heartbeat
@@ -69,7 +69,7 @@ def count_subscribers(participant: Participant, commands: RawWriter) -> int:
     matched = commands.matched
     if not matched:
         return 0
-    readers = participant.readers(LOWCMD.name)
+    readers = participant.readers(commands.topic.name)
     return max(0, matched - sum(reader.user_data == OBSERVER for reader in readers))
 
 
@@ -79,15 +79,22 @@ class DdsLink:
     Args:
         participant: whose domain to use.
         heartbeat: of the guard process; None: there is none.
+        topic: of the commands: LOWCMD, or ARM_SDK.
     """
 
-    def __init__(self, participant: Participant, heartbeat: Heartbeat | None = None) -> None:
+    def __init__(
+        self,
+        participant: Participant,
+        heartbeat: Heartbeat | None = None,
+        topic: Topic = LOWCMD,
+    ) -> None:
         self._participant = participant
         self._heartbeat = heartbeat
-        self._commands = RawWriter(participant, LOWCMD)
+        self._topic = topic
+        self._commands = RawWriter(participant, topic)
         self._references = RawWriter(participant, REFERENCE)
         self._states = RawReader(participant, LOWSTATE, depth=_STATE_DEPTH)
-        self._others = RawReader(participant, LOWCMD, ignore_own=True, user_data=OBSERVER)
+        self._others = RawReader(participant, topic, ignore_own=True, user_data=OBSERVER)
         self._gaps = TickGaps()
         self._heard: dict[int, int] = {}  # publisher of LowState -> when it was heard last, ns
         self._own_bridge = False
@@ -109,11 +116,11 @@ class DdsLink:
         if matches != self._matches:
             self._matches = matches
             participant = self._participant
-            unknown = matches[0] - len(participant.writers(LOWCMD.name))
+            unknown = matches[0] - len(participant.writers(self._topic.name))
             if unknown > 0:  # not announced yet: ask again
                 self._matches = None
             self._other_names = [
-                *(participant.owner(one) for one in participant.commanders()),
+                *(participant.owner(one) for one in participant.commanders(self._topic.name)),
                 *["an unnamed participant"] * max(0, unknown),
             ]
         return self._other_names
@@ -161,9 +168,11 @@ class DdsLink:
         Returns:
             When the LowCmd was written, ns of CLOCK_MONOTONIC.
         """
-        if self._heartbeat:
-            self._heartbeat.beat(command, time.monotonic_ns())
-        self._commands.write(command, stamp)
+        # Two publishers of a weight would contradict each other: the guard's alone goes on.
+        if not (self._topic is ARM_SDK and self._heartbeat and self._heartbeat.takeover):
+            if self._heartbeat:
+                self._heartbeat.beat(command, time.monotonic_ns())
+            self._commands.write(command, stamp)
         written = time.monotonic_ns()
         self._references.write(reference, stamp)
         return written
@@ -172,7 +181,7 @@ class DdsLink:
         """Why the guard process could not damp the robot, or "" if it could or there is none."""
         if self._heartbeat is None or self._heartbeat.subscribers:
             return ""
-        return f"the guard process has found no subscriber on {LOWCMD.name}"
+        return f"the guard process has found no subscriber on {self._topic.name}"
 
     def replaced(self) -> str:
         """Why the guard process damps the robot in our place, or ""."""

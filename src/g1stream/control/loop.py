@@ -20,7 +20,7 @@ from g1stream.control.report import LoopReport
 from g1stream.control.safety import Safety
 from g1stream.control.targets import Targets
 from g1stream.dds.messages import LowState
-from g1stream.dds.topics import LOWCMD
+from g1stream.dds.topics import LOWCMD, Topic
 from g1stream.errors import G1StreamError, SafetyError
 from g1stream.motion.blend import minimum_jerk
 from g1stream.motion.correction import CorrectionSpline
@@ -76,6 +76,7 @@ class StreamLoop:
         allow_second_writer: play although there is another publisher of LowCmd.
         feedforward: what a command carries beside the position; the velocity alone if left out.
         soft_start: ns of DAMP before RAMP, so that the first commands are not stiff.
+        topic: of the commands: LOWCMD, or ARM_SDK.
         correction: added to the joint targets of the commands, not to the published reference;
             needs a feed-forward.
 
@@ -103,6 +104,7 @@ class StreamLoop:
         allow_second_writer: bool = False,
         feedforward: FeedForward | None = None,
         soft_start: int = 0,
+        topic: Topic = LOWCMD,
         correction: CorrectionSpline | None = None,
     ) -> None:
         self._link = link
@@ -114,7 +116,8 @@ class StreamLoop:
         self._undamped = replace(timing, hold=_FOREVER)
         self._composer = composer
         self._period = period
-        self._others = OtherPublishers(link, allow_second_writer=allow_second_writer)
+        self._others = OtherPublishers(link, allow_second_writer=allow_second_writer, topic=topic)
+        self._topic = topic
         self._feedforward = feedforward
         self._soft_start = soft_start
         self._soft_until: int | None = None
@@ -235,7 +238,7 @@ class StreamLoop:
         report.lateness.add(self._link.send(command, reference, stamp) - deadline)
         report.commands += 1
         self._published_for = self._prepared_for
-        self._composer.limits.sent()
+        self._composer.sent()
         report.first_stamp = report.first_stamp or stamp
         report.last_stamp = stamp
 
@@ -273,7 +276,7 @@ class StreamLoop:
 
     def _no_subscriber(self) -> str:
         if not self._link.subscribers():
-            return f"no subscriber on {LOWCMD.name}"
+            return f"no subscriber on {self._topic.name}"
         return self._link.unguarded()
 
     def _robot_unknown(self, now: int) -> str:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from g1stream.control.arm_sdk import HAND_BACK_TIME, MOVED, WEIGHT_TIME, ArmSdkComposer
 from g1stream.control.commands import CommandLimits, Composer
 from g1stream.control.feedforward import FeedForward
 from g1stream.control.gains import gains_in_play
@@ -16,6 +17,7 @@ from g1stream.control.phases import Timing
 from g1stream.control.safety import Safety
 from g1stream.control.targets import Targets
 from g1stream.dds.domain import SETTLE
+from g1stream.dds.topics import ARM_SDK, LOWCMD
 from g1stream.errors import ConfigError
 from g1stream.motion.correction import Conditions, CorrectionSpline
 from g1stream.motion.limits import Interval
@@ -66,7 +68,7 @@ def make_loop(
     interval = Interval.from_config(settings, trajectory.motion)
     period = round(1e9 / settings.rate)  # whole, because deadlines are
     gains = gains_in_play(config)
-    played = select_joints(settings.joints)
+    played = select_joints(settings.played_joints)
     if not played.all() and (recorded or correction):
         raise ConfigError(
             f"stream.joints = {settings.joints!r} with "
@@ -77,6 +79,25 @@ def make_loop(
     # Recorded commands were checked, and are sent instead of those that are composed.
     beyond = "clamp" if recorded else settings.beyond_limits
     limits = CommandLimits(robot, config.safety, beyond)
+    composer = Composer(limits, gains, settings.damp_kd, played)
+    topic = LOWCMD
+    if settings.via == "arm_sdk":
+        if settings.others == "free":
+            raise ConfigError(
+                "stream.others = free with stream.via = arm_sdk: nothing would carry these joints.",
+                "Leave --others out: arms and waist that do not play then hold their pose.",
+            )
+        held, topic = MOVED, ARM_SDK
+        composer = ArmSdkComposer(limits, gains, played, period)
+        settings = settings.model_copy(
+            update={
+                "ramp": max(settings.ramp, WEIGHT_TIME),
+                "damp": HAND_BACK_TIME,
+                "soft_start": 0.0,
+                # How the base moves is the controller's business, and not known.
+                "feedforward": settings.feedforward or "velocity",
+            }
+        )
     spline = None
     if correction:
         _require_fit(correction, settings, robot, trajectory, gains)
@@ -96,13 +117,14 @@ def make_loop(
         Safety(robot, config.safety, period, held),
         Overruns(period, config.safety),
         Timing.from_config(settings, interval.length, settle=settle + period),
-        Composer(limits, gains, settings.damp_kd, played),
+        composer,
         period=period,
         allow_second_writer=config.safety.allow_second_writer,
         feedforward=FeedForward.from_config(
             settings, robot, period / 1e9, recorded=recorded, held=held
         ),
         soft_start=round(settings.soft_start * 1e9),
+        topic=topic,
         correction=spline,
     )
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from g1stream.dds.topics import LOWCMD, LOWSTATE
+from g1stream.dds.topics import LOWCMD, LOWSTATE, Topic
 
 if TYPE_CHECKING:
     from g1stream.control.link import Link
@@ -20,11 +20,12 @@ class OtherPublishers:
 
     Args:
         link: the wire.
-        allow_second_writer: whether there may be another publisher of LowCmd.
+        allow_second_writer: whether there may be another publisher of commands.
+        topic: of the commands.
     """
 
-    def __init__(self, link: Link, *, allow_second_writer: bool) -> None:
-        self._link = link
+    def __init__(self, link: Link, *, allow_second_writer: bool, topic: Topic = LOWCMD) -> None:
+        self._link, self._topic = link, topic
         self._allow_second_writer = allow_second_writer
         self._next_command_check = self._next_state_check = 0
 
@@ -44,7 +45,7 @@ class OtherPublishers:
         if not waiting:
             self._next_command_check = now + _PERIOD
         others = self._link.other_publishers()
-        return f"another publisher on {LOWCMD.name}: {', '.join(others)}" if others else ""
+        return f"another publisher on {self._topic.name}: {', '.join(others)}" if others else ""
 
     def of_state(self) -> str:
         """The publishers of LowState, if several publish at once, or ""."""

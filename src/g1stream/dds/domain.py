@@ -24,7 +24,7 @@ from cyclonedds.builtin import (
 from cyclonedds.core import DDSException, InstanceState, Policy
 from cyclonedds.domain import Domain, DomainParticipant
 
-from g1stream.dds.topics import LOG, LOWCMD, LOWSTATE, REFERENCE
+from g1stream.dds.topics import ARM_SDK, LOG, LOWCMD, LOWSTATE, REFERENCE
 from g1stream.errors import WireError
 
 if TYPE_CHECKING:
@@ -216,7 +216,7 @@ def identify_program(written: set[str], read: set[str]) -> str:
         return "g1stream stream"
     if {LOG.name, LOWSTATE.name} <= written:
         return "g1stream sim"
-    if {LOG.name, LOWCMD.name} <= written:
+    if LOG.name in written and written & {LOWCMD.name, ARM_SDK.name}:
         return "g1stream guard"
     if {LOG.name, REFERENCE.name} <= read and not written:
         return "g1stream record"
@@ -307,9 +307,9 @@ class Participant:
         """Readers of a topic, or of all, discovered so far; without this participant's."""
         return self._endpoints(self._readers, topic)
 
-    def commanders(self) -> list[Endpoint]:
-        """Writers of LowCmd discovered so far, without idle guards and this participant's."""
-        return [writer for writer in self.writers(LOWCMD.name) if not writer.idle_guard]
+    def commanders(self, topic: str = LOWCMD.name) -> list[Endpoint]:
+        """Writers of commands discovered so far, without idle guards and this participant's."""
+        return [writer for writer in self.writers(topic) if not writer.idle_guard]
 
     def owner(self, endpoint: Endpoint) -> str:
         """The process or participant of an endpoint; one of ours, which is `python`, by command."""

@@ -115,10 +115,12 @@ class _Motors(Message):
 
 
 class LowCmd(_Motors):
-    """The command to all motors, topic rt/lowcmd.
+    """The command to all motors, topic rt/lowcmd; to arms and waist only, topic rt/arm_sdk.
 
     Attributes:
         q, dq, tau, kp, kd: (29,) float32: rad, rad/s, Nm, Nm/rad, Nm s/rad.
+        weight: () float32, on rt/arm_sdk the share of these commands, 0 to 1; the rest is the
+            onboard controller's. It is the q of a motor that no G1 has.
         mode_pr, mode_machine: () uint8.
     """
 
@@ -130,6 +132,7 @@ class LowCmd(_Motors):
         self.q, self.dq, self.tau, self.kp, self.kd = map(
             self.motor_view, ("q", "dq", "tau", "kp", "kd")
         )
+        self.weight = self.view("motor_cmd.q")[N_JOINTS : N_JOINTS + 1].reshape(())
 
 
 class LowState(_Motors):

@@ -11,6 +11,8 @@ if TYPE_CHECKING:
     from g1stream.dds.messages import Message
 
 __all__ = [
+    "ARM_SDK",
+    "COMMANDS",
     "LOG",
     "LOWCMD",
     "LOWSTATE",
@@ -36,10 +38,14 @@ class Topic:
 
 
 LOWCMD: Final = Topic("rt/lowcmd", LowCmd)
+ARM_SDK: Final = Topic("rt/arm_sdk", LowCmd)
 LOWSTATE: Final = Topic("rt/lowstate", LowState)
 SPORTMODESTATE: Final = Topic("rt/sportmodestate", SportModeState)
 SECONDARY_IMU: Final = Topic("rt/secondary_imu", SecondaryImu)
 REFERENCE: Final = Topic("rt/g1stream/reference", Reference)
 LOG: Final = Topic("rt/g1stream/log", Log)
 
-TOPICS: Final = (LOWCMD, LOWSTATE, SPORTMODESTATE, SECONDARY_IMU, REFERENCE, LOG)
+COMMANDS: Final = {"lowcmd": LOWCMD, "arm_sdk": ARM_SDK}
+"""Where commands go, by `stream.via`."""
+
+TOPICS: Final = (LOWCMD, ARM_SDK, LOWSTATE, SPORTMODESTATE, SECONDARY_IMU, REFERENCE, LOG)

@@ -117,7 +117,7 @@ def _check(
 
 def _of_played(motion: Motion, robot: G1, config: Config) -> Motion:
     """The motion as far as limits are concerned: joints that do not play it rest within theirs."""
-    played = select_joints(config.stream.joints)
+    played = select_joints(config.stream.played_joints)
     if played.all():
         return motion
     middle = (robot.lower + robot.upper) / 2.0

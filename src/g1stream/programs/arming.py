@@ -35,7 +35,13 @@ if TYPE_CHECKING:
     from g1stream.doctor.facts import Finding
     from g1stream.types import Floats
 
-__all__ = ["ArmingReport", "LimbDistance", "inspect_for_arming", "require_arming"]
+__all__ = [
+    "ArmingReport",
+    "LimbDistance",
+    "inspect_for_arming",
+    "motion_service",
+    "require_arming",
+]
 
 #: Longest wait for the motion service, discovery included, s.
 _SERVICE_TIMEOUT: Final = 3.0
@@ -74,7 +80,8 @@ class ArmingReport:
         ramp: length of RAMP, s.
         peak_speed: the highest speed of a joint in RAMP, rad/s.
         limits: the safety settings in force, by name.
-        motion_service: that no mode is active; a warning where that is not known.
+        motion_service: that no mode is active, or with `stream.via` = arm_sdk which one is; a
+            warning where that is not known.
         findings: the doctor's.
     """
 
@@ -118,13 +125,14 @@ def inspect_for_arming(participant: Participant, config: Config, first: Floats) 
         first: joint positions (29,) of the first frame to be played, rad.
 
     Raises:
-        SafetyError: a mode of the motion service is active, which would fight our commands.
+        SafetyError: a mode of the motion service is active, which would fight our commands, or with
+            `stream.via` = arm_sdk none is.
         WireError: no plausible LowState is received.
     """
-    service = _motion_service(participant)
+    service = motion_service(participant, config)
     state = _plausible_state(participant, config)
     distance = first - state.q.astype(np.float64)
-    distance[~select_joints(config.stream.joints)] = 0.0
+    distance[~select_joints(config.stream.played_joints)] = 0.0
     ramp = Ramp.of(distance, config.stream.ramp, config.stream.ramp_speed)
     where = participant.domain, participant.interface
     wire = inspect_participant(participant, _LISTEN)
@@ -142,19 +150,34 @@ def inspect_for_arming(participant: Participant, config: Config, first: Floats) 
     )
 
 
-def _motion_service(participant: Participant) -> Finding:
+def motion_service(participant: Participant, config: Config) -> Finding:
+    """Whether the robot's own controller is inactive, or active where it is to move the arms.
+
+    Raises:
+        SafetyError: it is active and would fight our commands; or it has to be active and is not.
+    """
+    arms = config.stream.via == "arm_sdk"
     about = "motion service"
     try:
         active = MotionSwitcherClient(participant, _SERVICE_TIMEOUT).check().name
     except WireError as error:  # a simulator has none; other publishers are refused anyway
         return warning(
             about,
-            f"{error.cause} The robot's own controller may be active, and would fight our "
-            "commands.",
-            "Go on only if this is a simulator, or if you know that no mode is active.",
+            f"{error.cause} The robot's own controller may "
+            + ("not be active." if arms else "be active, and would fight our commands."),
+            "Go on only if you know that the robot stands by itself."
+            if arms
+            else "Go on only if this is a simulator, or if you know that no mode is active.",
         )
+    where = f"--domain {participant.domain} --interface {participant.interface}"
+    if arms and not active:
+        raise SafetyError(
+            "The robot's own controller is not active, which rt/arm_sdk needs: nothing would move.",
+            f"Let the robot stand by itself, with the remote or: g1stream robot restore ai {where}",
+        )
+    if arms:
+        return ok(about, f"mode {active} is active, and moves the arms for us")
     if active:
-        where = f"--domain {participant.domain} --interface {participant.interface}"
         raise SafetyError(
             f"The robot's own controller is active (mode {active}) and would fight our commands.",
             f"Support the robot, which goes limp, and run: g1stream robot release {where}",

@@ -13,17 +13,19 @@ import signal
 import time
 from contextlib import contextmanager, suppress
 from functools import partial
+from itertools import repeat
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from cyclonedds.core import DDSException
 
 from g1stream.clock import SystemClock, Ticker
+from g1stream.control.arm_sdk import HAND_BACK_TIME, hand_back_commands
 from g1stream.control.guard import LOG_NAME, Heartbeat, Takeover, Watch, damping_command
 from g1stream.control.link import count_subscribers
 from g1stream.dds.domain import Participant, is_local_only, user_data_of_guard
 from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.log_handler import dds_log_handler
-from g1stream.dds.topics import LOWCMD
+from g1stream.dds.topics import COMMANDS
 from g1stream.errors import ConfigError, SafetyError
 from g1stream.events import ConsoleHandler, handled_by
 from g1stream.programs.child_process import Child, ChildError, process_state, run_child
@@ -69,7 +71,7 @@ class Guard:
         self._failure = ""
         self._child: Child | None = None
         self._heartbeat: Heartbeat | None = None
-        self._end_timeout = _END_TIMEOUT + config.stream.damp
+        self._end_timeout = _END_TIMEOUT + max(config.stream.damp, HAND_BACK_TIME)
         if config.safety.guard:
             with self._only_warn():
                 self._heartbeat = Heartbeat()
@@ -160,6 +162,8 @@ class _Settings(NamedTuple):
         period: between two damping commands, ns.
         damp: for how long, ns.
         damp_kd: Nm s/rad.
+        arm_sdk: the stream commands arms and waist through the robot's own controller: these are
+            handed back to it, instead of damped.
     """
 
     memory: int
@@ -171,6 +175,7 @@ class _Settings(NamedTuple):
     period: int
     damp: int
     damp_kd: float
+    arm_sdk: bool
 
 
 def _settings(config: Config, memory: int) -> _Settings:
@@ -188,6 +193,7 @@ def _settings(config: Config, memory: int) -> _Settings:
         period=round(1e9 / settings.rate),
         damp=round(settings.damp * 1e9),
         damp_kd=settings.damp_kd,
+        arm_sdk=settings.via == "arm_sdk",
     )
 
 
@@ -200,7 +206,8 @@ def _run_child(parent: Parent) -> None:
     heartbeat = Heartbeat(settings.memory)
     allow_all_cpus()  # what takes the stream's CPU must not take the guard's
     with Participant(settings.domain, settings.interface) as participant:
-        commands = RawWriter(participant, LOWCMD, user_data=user_data_of_guard(settings.stream))
+        topic = COMMANDS["arm_sdk" if settings.arm_sdk else "lowcmd"]
+        commands = RawWriter(participant, topic, user_data=user_data_of_guard(settings.stream))
         events = dds_log_handler(participant, LOG_NAME)
         with handled_by(events, ConsoleHandler()), on_time(settings.priority):
             parent.ready()
@@ -237,26 +244,34 @@ def _state(pid: int) -> Takeover:
 
 def _damp(heartbeat: Heartbeat, settings: _Settings, commands: RawWriter, why: Takeover) -> None:
     heartbeat.takeover = why  # first, so that a stream that goes on sends nothing but DAMP
-    frame = damping_command(heartbeat.command, settings.damp_kd)
+    frames = _frames(heartbeat.command, settings)
     with suppress(DDSException):  # the next one may succeed
-        commands.write(frame)
+        commands.write(next(frames))
     silence = time.monotonic_ns() - heartbeat.last_write
     with suppress(DDSException):
         commands.announce(user_data_of_guard(settings.stream, publishing=True))
     _LOGGER.error(
-        "the guard damps: g1stream stream (pid %d) %s, %.0f ms after its last command",
+        "the guard %s: g1stream stream (pid %d) %s, %.0f ms after its last command",
+        "hands arms and waist back" if settings.arm_sdk else "damps",
         settings.stream,
         why,
         silence / 1e6,
     )
     clock = SystemClock()
     start = clock.now()
-    for _, deadline in Ticker(clock, settings.period, start):
+    for (_, deadline), frame in zip(Ticker(clock, settings.period, start), frames, strict=False):
         # A stream that goes on damps for as long itself, and then there is nothing left to do.
-        if deadline - start >= settings.damp or not heartbeat.last_write:
+        if not settings.arm_sdk and (deadline - start >= settings.damp or not heartbeat.last_write):
             break
         with suppress(DDSException):
             commands.write(frame)
+
+
+def _frames(command: bytes, settings: _Settings) -> Iterator[bytes]:
+    """What is published where `command` was the last one."""
+    if settings.arm_sdk:
+        return hand_back_commands(command, settings.period)
+    return repeat(damping_command(command, settings.damp_kd))
 
 
 if __name__ == "__main__":

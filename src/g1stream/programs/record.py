@@ -15,7 +15,7 @@ from g1stream._version import __version__
 from g1stream.analysis.summary import summarise_run
 from g1stream.config import Config
 from g1stream.dds.domain import Participant
-from g1stream.dds.topics import LOWCMD, REFERENCE
+from g1stream.dds.topics import COMMANDS, REFERENCE
 from g1stream.errors import RecordingError, WireError
 from g1stream.events import ConsoleHandler, handled_by
 from g1stream.files import timestamped
@@ -125,7 +125,7 @@ def record(
         on_recorder(recorder)
 
         def on_started() -> None:
-            if not session or _wait_for_stream(recorder, should_stop):
+            if not session or _wait_for_stream(recorder, config, should_stop):
                 on_ready()
 
         report = recorder.run(should_stop, on_started=on_started)
@@ -164,12 +164,13 @@ def _close(
     report.removed = not _has_samples(writer)
 
 
-def _wait_for_stream(recorder: Recorder, should_stop: Callable[[], bool]) -> bool:
+def _wait_for_stream(recorder: Recorder, config: Config, should_stop: Callable[[], bool]) -> bool:
     """Wait until the stream's publishers are matched; False if told to stop before."""
     end = time.monotonic() + _MATCH_TIMEOUT
+    commands = COMMANDS[config.stream.via]
     while not should_stop():
         matched = recorder.matched()
-        absent = [topic.name for topic in (LOWCMD, REFERENCE) if not matched[topic.name]]
+        absent = [topic.name for topic in (commands, REFERENCE) if not matched[topic.name]]
         if not absent:
             return True
         if time.monotonic() >= end:

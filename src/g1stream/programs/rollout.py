@@ -155,6 +155,11 @@ def _resolve(
             "stream.joints": joints,
         }
     )
+    if config.stream.via != "lowcmd":
+        raise ConfigError(
+            f"A rollout has no controller of the robot's own: stream.via = {config.stream.via}.",
+            "Leave it out, or play on `g1stream sim --onboard ai`.",
+        )
     if config.stream.loop and config.stream.duration is None:
         raise ConfigError(
             "A rollout of a motion that loops would not end: stream.loop is true.",

@@ -18,7 +18,7 @@ from g1stream.control.loop import StreamLoop
 from g1stream.control.make_loop import make_loop
 from g1stream.dds.domain import DISCOVERY, Participant, is_local_only
 from g1stream.dds.log_handler import dds_log_handler
-from g1stream.dds.topics import LOWCMD
+from g1stream.dds.topics import COMMANDS, LOWCMD
 from g1stream.doctor.findings import explain_no_robot
 from g1stream.doctor.wire import inspect_participant
 from g1stream.errors import G1StreamError, SafetyError, WireError
@@ -30,7 +30,7 @@ from g1stream.motion.fit import Playable, fit_to_robot
 from g1stream.motion.limits import Interval
 from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
-from g1stream.programs.arming import inspect_for_arming, require_arming
+from g1stream.programs.arming import inspect_for_arming, motion_service, require_arming
 from g1stream.programs.child_process import Child, ChildError
 from g1stream.programs.guard import Guard
 from g1stream.programs.ros2 import publishing_for_ros2
@@ -123,13 +123,12 @@ def stream(
         playable = _fit(motion, robot, config, recorded)
         trajectory, interval = playable.trajectory, playable.interval
         motion = trajectory.motion
-        if arm:
-            _arm(participant, on_wire, trajectory, interval, arm)
+        _arm(participant, on_wire, trajectory, interval, arm)
         stack.enter_context(publishing_for_ros2(config))  # nothing is published before arming
         if not config.safety.allow_second_writer:
             clock.sleep_until(joined + round(DISCOVERY * 1e9))
-            _refuse_if_commanded(participant)
-        link = _link(participant, recorded, guard.wait_until_ready())
+            _refuse_if_commanded(participant, config)
+        link = _link(participant, recorded, guard.wait_until_ready(), config)
         events = dds_log_handler(participant, "stream")
         loop = make_loop(
             on_wire,
@@ -186,11 +185,14 @@ def stream(
 
 
 def _link(
-    participant: Participant, recorded: RecordedCommands | None, heartbeat: Heartbeat | None
+    participant: Participant,
+    recorded: RecordedCommands | None,
+    heartbeat: Heartbeat | None,
+    config: Config,
 ) -> DdsLink:
     if recorded:
         return RecordedLink(participant, recorded, heartbeat)
-    return DdsLink(participant, heartbeat)
+    return DdsLink(participant, heartbeat, COMMANDS[config.stream.via])
 
 
 def _run(loop: StreamLoop, guard: Guard) -> LoopReport:
@@ -268,14 +270,17 @@ def _recording_path(path: Path, settings: RecordConfig, force: bool) -> Path:
     return path
 
 
-def _refuse_if_commanded(participant: Participant) -> None:
-    """Refuse before we publish LowCmd ourselves, which would stop another g1stream."""
-    others = participant.commanders()
+def _refuse_if_commanded(participant: Participant, config: Config) -> None:
+    """Refuse before we publish commands ourselves, which would stop another g1stream."""
+    topic = COMMANDS[config.stream.via]
+    others = participant.commanders(topic.name)
     if others:
         raise SafetyError(
-            f"There is another publisher on {LOWCMD.name}: "
+            f"There is another publisher on {topic.name}: "
             f"{', '.join(map(participant.owner, others))}.",
-            "Stop it; `g1stream robot release` releases the robot's own controller.",
+            "Stop it; `g1stream robot release` releases the robot's own controller."
+            if topic is LOWCMD
+            else "Stop it: one program at a time can move the arms.",
         )
 
 
@@ -292,8 +297,12 @@ def _arm(
     config: Config,
     trajectory: Trajectory,
     interval: Interval,
-    arm: Callable[[ArmingReport], bool],
+    arm: Callable[[ArmingReport], bool] | None,
 ) -> None:
+    if arm is None:
+        if config.stream.via == "arm_sdk":
+            motion_service(participant, config)
+        return
     first = trajectory.sample(interval.start).joint_pos
     if not arm(inspect_for_arming(participant, config, first)):
         raise SafetyError(

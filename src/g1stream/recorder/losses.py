@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final
 
 from g1stream.dds.messages import Samples
 from g1stream.dds.ticks import TickGaps
-from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE
+from g1stream.dds.topics import ARM_SDK, LOWCMD, LOWSTATE, REFERENCE
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -93,10 +93,13 @@ class Losses:
         self.lost: dict[str, int] = {}
         self._ticks: dict[str, dict[int, TickGaps]] = defaultdict(lambda: defaultdict(TickGaps))
         self._commands = MissingCommands()
+        self._commanded = LOWCMD.name  # where the commands of the references are
 
     def add(self, name: str, batch: Batch) -> None:
         """Take in samples of a topic, oldest first; every writer has ticks of its own."""
-        if name == LOWCMD.name:
+        if name in (LOWCMD.name, ARM_SDK.name):
+            if name == ARM_SDK.name:
+                self._commanded = name
             self._commands.add_commands(batch.publish_times)
         if name == REFERENCE.name:
             self._commands.add_references(batch.publish_times)
@@ -124,7 +127,7 @@ class Losses:
             numbered = name != LOWSTATE.name or own_bridge
             counters = self._ticks[name].values() if numbered else ()
             by_ticks = sum(c.missed or 0 for c in counters if c.received > _MIN_TICKS)
-            by_reference = self._commands.count if name == LOWCMD.name else 0
+            by_reference = self._commands.count if name == self._commanded else 0
             lost, before = max(by_reader, by_ticks, by_reference), self.lost.get(name, 0)
             if lost > before:
                 more[name] = lost - before

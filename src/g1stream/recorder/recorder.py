@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from g1stream.dds.domain import support_announced
-from g1stream.dds.topics import LOWSTATE, TOPICS
+from g1stream.dds.topics import ARM_SDK, LOWSTATE, TOPICS
 from g1stream.errors import RecordingError
 from g1stream.events import severity
 from g1stream.foxglove.encoders import encode_log
@@ -244,7 +244,8 @@ class Recorder:
     def _fill_report(self) -> None:
         report = self.report
         report.counts = {topic: n for topic, n in sorted(self._writer.counts.items()) if n}
-        report.absent = [t for t in CHANNEL_OF.values() if t not in report.counts]
+        expected = [topic for name, topic in CHANNEL_OF.items() if name != ARM_SDK.name]
+        report.absent = [topic for topic in expected if topic not in report.counts]
         for name in self._delays.keys() - self._publishers.keys():
             self._publishers[name] = Publishers.of(self._participant, name)
         self._losses.finish()

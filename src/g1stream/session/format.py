@@ -229,6 +229,7 @@ _ALL: Final = (
         latched=True,
     ),
     _dds("/lowcmd", "rt/lowcmd", "unitree_hg/msg/LowCmd", "commands to the motors"),
+    _dds("/arm_sdk", "rt/arm_sdk", "unitree_hg/msg/LowCmd", "targets for arms and waist"),
     _dds("/lowstate", "rt/lowstate", "unitree_hg/msg/LowState", "state of motors and IMU"),
     _dds(
         "/sportmodestate",

@@ -22,7 +22,17 @@ if TYPE_CHECKING:
 
     from g1stream.dds.topics import Topic
 
-__all__ = ["STREAMS", "Base", "Command", "LogEvent", "Measured", "Reference", "Stream", "TorsoImu"]
+__all__ = [
+    "STREAMS",
+    "ArmCommand",
+    "Base",
+    "Command",
+    "LogEvent",
+    "Measured",
+    "Reference",
+    "Stream",
+    "TorsoImu",
+]
 
 _TIMES: Final = ("log_time", "publish_time")
 
@@ -277,6 +287,15 @@ class Command(Stream):
     kd: Floats
 
 
+class ArmCommand(Command):
+    """The targets for arms and waist that the robot's own controller was given."""
+
+    topic = "/arm_sdk"
+    source = topics.ARM_SDK
+
+    __annotations__ = Command.__annotations__
+
+
 class Measured(Stream):
     """The state of the robot.
 
@@ -346,7 +365,7 @@ class TorsoImu(Stream):
 
 
 STREAMS: Final[Mapping[str, type[Stream]]] = {
-    kind.topic: kind for kind in (Reference, Command, Measured, Base, TorsoImu)
+    kind.topic: kind for kind in (Reference, Command, ArmCommand, Measured, Base, TorsoImu)
 }
 """The kind of stream of each topic that has one."""
 

@@ -215,7 +215,9 @@ class SessionInfo(Record):
         return cls(
             motion=MotionInfo.of(motion),
             gains={name: values.tolist() for name, values in gains.items()},
-            joints=[JOINT_NAMES[i] for i in np.flatnonzero(select_joints(config.stream.joints))],
+            joints=[
+                JOINT_NAMES[i] for i in np.flatnonzero(select_joints(config.stream.played_joints))
+            ],
             config=config.model_dump(mode="json"),
             correction=correction and CorrectionInfo.of(correction),
         )

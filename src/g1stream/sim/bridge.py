@@ -104,5 +104,8 @@ class Bridge:
         if command is not None:
             self._robot.receive_command(command.data, now)
         reference = self._references.take_latest()
-        if reference is not None:
+        stance = self._motion_service.stance(now)
+        if stance is not None:
+            self._robot.set_base(stance)
+        elif reference is not None:
             self._robot.receive_reference(reference.data)

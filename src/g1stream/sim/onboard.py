@@ -1,20 +1,26 @@
 """The robot's motion service and onboard controller, for the bridge.
 
 A real robot walks and stands by a controller of its own, which publishes LowCmd until the motion
-service releases it. Here the controller only holds the pose in which it was started.
+service releases it. Here the controller holds the pose in which it was started, and stands because
+the base is scripted: where the support follows a reference, it sways as a standing robot does. Into
+its command for arms and waist it blends what it receives on rt/arm_sdk, by the weight in it.
 """
 
 from __future__ import annotations
 
 import json
 import logging
+from math import cos, pi, sin
 from typing import TYPE_CHECKING, Any, Final, get_args
 
-from g1stream.dds.endpoints import RawWriter
+import numpy as np
+
+from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import LowCmd, LowState
 from g1stream.dds.motion_switcher import API_VERSION, ApiEndpoint, ApiId, ErrorCode, response_to
-from g1stream.dds.topics import LOWCMD
-from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP
+from g1stream.dds.topics import ARM_SDK, LOWCMD
+from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP, select_joints
+from g1stream.sim.supports import Root
 from g1stream.types import OnboardMode
 
 if TYPE_CHECKING:
@@ -25,10 +31,21 @@ __all__ = ["MotionService"]
 _LOGGER = logging.getLogger(__name__)
 
 _FORM: Final = "0"  # without wheels
+#: Where the base stands, m, and how it sways to both sides: by how much, m, and how often, Hz.
+_HEIGHT: Final = 0.79
+_SWAY: Final = 0.005
+_SWAYS: Final = 0.4
+#: Below this weight nobody moves the arms; the example of Unitree's SDK ends with 0.007.
+_LEAST: Final = 0.01
+#: What rt/arm_sdk moves.
+_ARMS: Final = select_joints("arms,waist")
 
 
 class MotionService:
     """Serves MotionSwitcher; while a mode is active, publishes LowCmds that hold the pose.
+
+    While a mode is active it subscribes to rt/arm_sdk, too. As on the robot, a weight that it was
+    sent stays until another comes.
 
     Args:
         participant: of the bridge.
@@ -40,7 +57,10 @@ class MotionService:
         self._calls = ApiEndpoint(participant, serves=True)
         self._mode = ""
         self._writer: RawWriter | None = None
-        self._command: bytes | None = None
+        self._arms: RawReader | None = None
+        self._command: LowCmd | None = None
+        self._asked = LowCmd()
+        self._started: int | None = None
         if mode:
             self._select(mode)
 
@@ -57,7 +77,41 @@ class MotionService:
                 self._calls.write(response_to(request, code, data))
         if self._writer:
             self._command = self._command or _hold(low_state)
-            self._writer.write(self._command, stamp)
+            self._take_arms()
+            self._writer.write(_blended(self._command, self._asked), stamp)
+
+    def stance(self, now: int) -> Root | None:
+        """The base pose at `now`, ns, of a robot that stands by itself; None without a mode."""
+        if not self._writer:
+            return None
+        self._started = now if self._started is None else self._started
+        angle = 2.0 * pi * _SWAYS * (now - self._started) / 1e9
+        return Root(
+            np.array([0.0, _SWAY * sin(angle), _HEIGHT]),
+            np.array([1.0, 0.0, 0.0, 0.0]),
+            np.array([0.0, _SWAY * 2.0 * pi * _SWAYS * cos(angle), 0.0]),
+            np.zeros(3),
+            playing=False,
+        )
+
+    def _take_arms(self) -> None:
+        """The newest command on rt/arm_sdk that is sound; its mode_machine is not looked at."""
+        sample = self._arms.take_latest() if self._arms else None
+        if sample is None:
+            return
+        command = LowCmd()
+        command.load(sample.data)
+        values = (command.q, command.dq, command.tau, command.kp, command.kd, command.weight)
+        if not command.crc_matches():
+            _LOGGER.warning("command on %s refused: its CRC is wrong", ARM_SDK.name)
+        elif not all(np.isfinite(one).all() for one in values):
+            _LOGGER.warning("command on %s refused: a value is not finite", ARM_SDK.name)
+        else:
+            moved = command.weight > _LEAST
+            if moved != (self._asked.weight > _LEAST):
+                how = "moved from" if moved else "handed back by"
+                _LOGGER.info("arms and waist are %s %s", how, ARM_SDK.name)
+            self._asked = command
 
     def _answer(self, api: int, parameter: str) -> tuple[ErrorCode, str]:
         if api == ApiId.API_VERSION:
@@ -80,6 +134,7 @@ class MotionService:
             self._release()
             self._mode = name
             self._writer = RawWriter(self._participant, LOWCMD)
+            self._arms = RawReader(self._participant, ARM_SDK)
             _LOGGER.info("motion service: mode %s is active and publishes LowCmd", name)
         return ErrorCode.DONE
 
@@ -87,7 +142,10 @@ class MotionService:
         if self._writer:
             _LOGGER.info("motion service: mode %s is released", self._mode)
             self._writer.close()
-        self._mode, self._writer, self._command = "", None, None
+        if self._arms:
+            self._arms.close()
+        self._mode, self._writer, self._arms, self._command = "", None, None, None
+        self._asked, self._started = LowCmd(), None
 
 
 def _name_in(parameter: str) -> Any:
@@ -98,7 +156,7 @@ def _name_in(parameter: str) -> Any:
         return None
 
 
-def _hold(low_state: bytes) -> bytes:
+def _hold(low_state: bytes) -> LowCmd:
     """A LowCmd that holds the pose of a LowState, with the gains of Unitree's example."""
     state, command = LowState(), LowCmd()
     state.load(low_state)
@@ -106,4 +164,14 @@ def _hold(low_state: bytes) -> bytes:
     command.mode_machine[()] = state.mode_machine
     command.q[:] = state.q
     command.kp[:], command.kd[:] = EXAMPLE_KP, EXAMPLE_KD
+    return command
+
+
+def _blended(own: LowCmd, asked: LowCmd) -> bytes:
+    """The own command, with those for arms and waist moved towards the asked ones by the weight."""
+    command, weight = LowCmd(), float(np.clip(asked.weight, 0.0, 1.0))
+    command.load(own.tobytes())
+    for name in ("q", "dq", "tau", "kp", "kd"):
+        values, others = getattr(command, name), getattr(asked, name)
+        values[_ARMS] += weight * (others[_ARMS] - values[_ARMS])
     return command.seal()

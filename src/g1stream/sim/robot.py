@@ -140,6 +140,10 @@ class SimulatedRobot:
             )
         )
 
+    def set_base(self, root: Root) -> None:
+        """Give the support the base pose that a controller of the robot's own wants."""
+        self._world.set_reference(root)
+
     def step(self, now: int) -> None:
         """Simulate one period from `now`, ns.
 

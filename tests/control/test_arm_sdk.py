@@ -1,0 +1,120 @@
+"""Commands on rt/arm_sdk: only arms and waist, and a weight that always goes back to 0."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from g1stream.clock import Ticker
+from g1stream.config import load_config
+from g1stream.control.arm_sdk import HAND_BACK_TIME, hand_back_commands
+from g1stream.control.make_loop import make_loop
+from g1stream.dds.messages import LowCmd
+from g1stream.errors import ConfigError
+from g1stream.types import Phase
+
+PERIOD = 2_000_000  # ns
+STEP = 0.001  # of the weight between two commands: 2 ms of 2 s
+LEGS, ARMS = slice(0, 12), slice(12, 29)
+
+#: What ends a session, n commands after its first one, and whether that is an error of the loop.
+ENDS = {
+    "the motion ends": None,
+    "a signal in RAMP": lambda loop, link: loop.request_stop("SIGINT"),
+    "the robot tilts": lambda loop, link: link.robot.quaternion.__setitem__(
+        slice(None), (0.7071, 0.7071, 0.0, 0.0)
+    ),
+    "LowState stops": lambda loop, link: setattr(link, "silent", True),
+    "the loop fails": lambda loop, link: setattr(link, "receive", None),
+    "another publisher": lambda loop, link: link.others.append("policy (pid 4242)"),
+}
+
+
+@pytest.fixture
+def made(link, clock, trajectory, robot):
+    def make(**settings):
+        over = {"stream.via": "arm_sdk", "stream.hold": 0.1, "stream.ramp": 0.5}
+        over |= {f"stream.{name}": value for name, value in settings.items()}
+        return make_loop(load_config(over=over), robot, trajectory, link, clock, settle=0)
+
+    return make
+
+
+@pytest.mark.parametrize("end", ENDS)
+def test_every_way_out_hands_arms_and_waist_back(made, link, clock, end):
+    loop = made()
+    if act := ENDS[end]:
+        link.at_send(600, lambda: act(loop, link))
+    try:
+        loop.run()
+    except TypeError:
+        assert end == "the loop fails"
+    commands = [sent.command for sent in link.sent]
+    weights = np.array([float(command.weight) for command in commands])
+    assert weights[0] == pytest.approx(STEP)
+    assert np.abs(np.diff(weights)).max() < STEP * 1.001
+    assert weights[-1] == 0.0
+    assert (weights == 0.0).sum() > 20  # a best-effort reader may miss some
+    falling = link.in_phase(Phase.DAMP)
+    assert len(falling) == round(HAND_BACK_TIME * 1e9 / PERIOD)
+    assert weights.max() == pytest.approx(1.0 if end == "the motion ends" else 0.601)
+    for sent in falling:  # neither limp nor moving
+        assert sent.command.q.tolist() == falling[0].command.q.tolist()
+        assert sent.command.kp.tolist() == commands[0].kp.tolist()
+        assert not sent.command.dq.any()
+        assert not sent.command.tau.any()
+    for command in commands:
+        assert command.crc_matches()
+        assert command.motor_mode.tolist() == [0] * 12 + [1] * 17
+        for values in (command.q, command.dq, command.tau, command.kp, command.kd):
+            assert not values[LEGS].any()
+        assert (command.kp[ARMS] > 0.0).all()
+
+
+def test_the_ramp_lasts_as_long_as_the_weight_needs(made, link):
+    made().run()
+    playing = link.in_phase(Phase.PLAY)
+    assert float(playing[0].command.weight) == pytest.approx(1.0)
+    assert len(link.in_phase(Phase.RAMP)) == 1000
+
+
+@pytest.mark.parametrize("settings", [{"joints": "legs,arms"}, {"others": "free"}])
+def test_what_cannot_be_is_refused(made, settings):
+    with pytest.raises(ConfigError):
+        made(**settings)
+
+
+def test_arms_that_do_not_play_hold_their_pose(made, link):
+    made(joints="left_arm").run()
+    for sent in link.sent:
+        assert (sent.command.kp[ARMS] > 0.0).all()
+        assert not sent.command.q[22:].any()
+
+
+@pytest.mark.parametrize("weight", [0.0, 0.3, 1.0, np.nan, 7.0])
+def test_what_a_guard_sends_after_a_command(weight):
+    last = LowCmd()
+    last.q[:], last.dq[:], last.tau[:], last.kp[:] = 0.5, 1.0, 2.0, 40.0
+    last.weight[()] = weight
+    frames = list(hand_back_commands(last.seal(), PERIOD))
+    command, weights = LowCmd(), []
+    for frame in frames:
+        command.load(frame)
+        assert command.crc_matches()
+        assert (command.q == 0.5).all()
+        assert (command.kp == 40.0).all()
+        assert not command.dq.any()
+        assert not command.tau.any()
+        weights.append(float(command.weight))
+    assert all(0.0 <= after <= before for before, after in itertools.pairwise(weights))
+    assert weights[-1] == 0.0
+    assert weights.count(0.0) > 20
+
+
+def test_frames_come_at_the_ticks_of_a_clock(clock):
+    frames = hand_back_commands(LowCmd().seal(), PERIOD)
+    start = clock.now()
+    ticks = [tick for tick, _ in zip(Ticker(clock, PERIOD, start), frames, strict=False)]
+    assert ticks[-1][1] - start == pytest.approx(HAND_BACK_TIME * 1e9, abs=PERIOD)

@@ -11,13 +11,15 @@ import json
 import os
 import pickle
 import resource
+import sqlite3
 import struct
 import subprocess
 import sys
 import zipfile
 import zlib
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
@@ -33,11 +35,13 @@ from g1stream.config import Config, load_config
 from g1stream.control.gains import read_gains
 from g1stream.dds.layout import CDR_HEADER
 from g1stream.dds.messages import Log, LowCmd, LowState, Reference
+from g1stream.dds.ros2 import encode_joint_state, encode_tf
 from g1stream.errors import ConfigError, G1StreamError, MotionError, RecordingError, RobotError
 from g1stream.exact_replay.commands import recorded_commands
 from g1stream.foxglove.encoders import encode_log
 from g1stream.motion.correction import Conditions, Correction
 from g1stream.motion.motion import Motion
+from g1stream.programs.convert import convert
 from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP, JOINT_NAMES
 from g1stream.robot.model import DEFAULT_URDF, G1
 from g1stream.session.format import CHANNELS
@@ -149,17 +153,45 @@ def stored(npz):
 
 
 def array_files():
-    """A motion as NPZ with names, and as pickle of two protocols."""
+    """A motion as NPZ with names, as pickle of two protocols, as Parquet, and one of PyTorch."""
     motion = load_motion("demo").frames(0, 4)
     arrays = {"fps": 30, "dof": motion.joint_pos, "dof_names": list(JOINT_NAMES)}
     arrays |= {"root_pos": motion.root_pos, "root_rot": motion.root_quat_wxyz}
     npz = io.BytesIO()
     np.savez(npz, **arrays)
-    return npz.getvalue(), pickle.dumps(arrays, protocol=2), pickle.dumps(arrays)
+    pickles = pickle.dumps(arrays, protocol=2), pickle.dumps(arrays)
+    tensors = Path(__file__).with_name("data") / "protomotions.pt"
+    with TemporaryDirectory() as directory:
+        parquet = motion.save(Path(directory) / "motion.parquet").read_bytes()
+    return npz.getvalue(), *pickles, parquet, tensors.read_bytes()
+
+
+def bags():
+    """Joint states and a transform in SQLite, and as `convert` writes them."""
+    motion = load_motion("demo").frames(0, 4)
+    with TemporaryDirectory() as directory:
+        path = Path(directory) / "bag.db3"
+        with closing(sqlite3.connect(path)) as database:
+            database.executescript(
+                "CREATE TABLE topics (id INTEGER, name TEXT, type TEXT, serialization_format TEXT);"
+                "CREATE TABLE messages (id INTEGER, topic_id INTEGER, timestamp INTEGER, data BLOB)"
+            )
+            types = ("joint_states", "sensor_msgs/msg/JointState"), ("tf", "tf2_msgs/msg/TFMessage")
+            rows = [(i, f"/{name}", kind, "cdr") for i, (name, kind) in enumerate(types)]
+            database.executemany("INSERT INTO topics VALUES (?, ?, ?, ?)", rows)
+            pose = encode_tf(0, ["world"], ["pelvis"], np.zeros((1, 3)), [[1.0, 0.0, 0.0, 0.0]])
+            for i, row in enumerate(motion.joint_pos.tolist()):
+                state = encode_joint_state(i * 10**8, JOINT_NAMES, row, [], [])
+                both = [(2 * i + k, k, i * 10**8, one) for k, one in enumerate((state, pose))]
+                database.executemany("INSERT INTO messages VALUES (?, ?, ?, ?)", both)
+            database.commit()
+        convert(motion, converted := Path(directory) / "motion.mcap")
+        return path.read_bytes(), converted.read_bytes()
 
 
 CORRECTION = correction_bytes()
 ARRAYS = array_files()
+BAGS = bags()
 
 
 @pytest.fixture(scope="module")
@@ -323,6 +355,21 @@ def test_motion_csv(path, content):
 @examples(200)
 @given(st.one_of(st.binary(max_size=80).map(b"\x80\x04".__add__), edited(*ARRAYS)))
 def test_motion_arrays(path, content):
+    path.write_bytes(content)
+    with suppress(G1StreamError):
+        motion = load_motion(path)
+        assert np.isfinite(motion.joint_pos).all()
+
+
+def test_bags_are_motions(path):
+    for content in BAGS:
+        path.write_bytes(content)
+        assert load_motion(path).n_frames == 4
+
+
+@examples(150)
+@given(edited(*BAGS))
+def test_bags(path, content):
     path.write_bytes(content)
     with suppress(G1StreamError):
         motion = load_motion(path)

@@ -3,25 +3,33 @@
 from __future__ import annotations
 
 import gzip
+import io
 import os
 import pickle
 import struct
 import tracemalloc
+import zipfile
 import zlib
+from pathlib import Path
 from typing import get_args
 
 import joblib
 import numpy as np
+import pyarrow
+import pyarrow.parquet
 import pytest
 
 import g1stream
 from g1stream.errors import MotionError, RecordingError
 from g1stream.motion.array_file import ArrayFile
+from g1stream.motion.arrays import read_torch
 from g1stream.motion.files import open_motion_file
 from g1stream.motion.joint_order import names_in_order
 from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1
 from g1stream.types import JointOrder
+
+DATA = Path(__file__).parents[1] / "data"
 
 #: Column of each motor in an array of Isaac Lab.
 ISAACLAB = [
@@ -182,7 +190,7 @@ def test_joblib(tmp_path, motion, compress):
     assert_same(g1stream.load_motion(path), motion)
 
 
-@pytest.mark.parametrize("suffix", ["csv", "npz"])
+@pytest.mark.parametrize("suffix", ["csv", "npz", "parquet"])
 def test_round_trip(tmp_path, motion, suffix):
     path = motion.save(tmp_path / f"motion.{suffix}")
     found = g1stream.load_motion(path, fps=50 if suffix == "csv" else None)
@@ -299,3 +307,151 @@ def test_order_told_by_limits_is_a_warning(tmp_path, motion):
     np.savez(path, q=motion.joint_pos)
     assert len(g1stream.load_motion(path).warnings) == 1
     assert g1stream.load_motion(path, joint_order="motor").warnings == ()
+
+
+def test_a_file_of_pytorch(motion):
+    """Written by PyTorch 2.13, with the arrays of ProtoMotions: frames 60 to 63 of the demo."""
+    file = open_motion_file(DATA / "protomotions.pt")
+    assert isinstance(file, ArrayFile)
+    assert "ProtoMotions" in file.evidence[0]
+    assert file.columns == g1stream.JOINT_NAMES
+    found = file.motion()
+    assert found.fps == 50.0
+    np.testing.assert_array_equal(found.joint_pos, motion.joint_pos[60:64].astype(np.float32))
+    half = 0.3 * np.arange(4) / 50.0
+    expected = np.stack([np.cos(half), 0 * half, 0 * half, np.sin(half)], axis=1)
+    np.testing.assert_allclose(found.root_quat_wxyz, expected, rtol=0, atol=1e-6)
+    tensors = read_torch((DATA / "protomotions.pt").read_bytes())
+    np.testing.assert_array_equal(tensors["transposed"], np.arange(6.0).reshape(2, 3).T)
+    assert tensors["contacts"].dtype == np.bool_
+    assert tensors["fps_tensor"] == 50.0
+
+
+def torch_file(path, pickled, numbers=b"\0" * 16):
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("a/data.pkl", pickled)
+        archive.writestr("a/data/0", numbers)
+    return path
+
+
+class Tensor:
+    """Pickled as PyTorch pickles a tensor of four numbers."""
+
+    def __init__(self, offset, shape, strides):
+        self.arguments = (Storage(), offset, shape, strides, False, {})
+
+    def __reduce__(self):
+        return rebuild, self.arguments
+
+
+class Storage:
+    pass
+
+
+def rebuild(*arguments):
+    raise AssertionError("a file was run")
+
+
+class TorchPickler(pickle._Pickler):
+    def persistent_id(self, obj):
+        return ("storage", FloatStorage, "0", "cpu", 4) if isinstance(obj, Storage) else None
+
+
+class FloatStorage:
+    pass
+
+
+def pickled(arrays):
+    """With the names of PyTorch for those of this module."""
+    stream = io.BytesIO()
+    TorchPickler(stream, 2).dump(arrays)
+    content = stream.getvalue()
+    for ours, theirs in (
+        (rebuild, "torch._utils\n_rebuild_tensor_v2"),
+        (FloatStorage, "torch\nFloatStorage"),
+    ):
+        name = f"c{ours.__module__}\n{ours.__qualname__}\n"
+        assert name.encode() in content
+        content = content.replace(name.encode(), f"c{theirs}\n".encode())
+    return content
+
+
+def test_tensors_are_within_their_storage(tmp_path):
+    path = torch_file(tmp_path / "a.pt", pickled({"q": Tensor(0, (2, 2), (2, 1))}))
+    assert read_torch(path.read_bytes())["q"].shape == (2, 2)
+    for arguments in (
+        (1, (2, 2), (2, 1)),
+        (0, (3, 2), (2, 1)),
+        (-1, (2, 2), (2, 1)),
+        (0, (2, 2), (-2, 1)),
+        (0, (10**9, 2), (0, 0)),
+        (0, (-2, 2), (2, 1)),
+    ):
+        path = torch_file(tmp_path / "a.pt", pickled({"q": Tensor(*arguments)}))
+        with pytest.raises(MotionError, match="tensor"):
+            open_motion_file(path)
+    torch_file(path, pickled({"q": Tensor(0, (2, 2), (2, 1))}), b"abc")
+    with pytest.raises(MotionError):
+        open_motion_file(path)
+
+
+def test_parquet_of_others(tmp_path, motion):
+    """Columns in any order, under other names, with a text and without the root."""
+    columns = {
+        f"{name.removesuffix('_joint')}": q
+        for name, q in zip(reversed(motion.joint_names), motion.joint_pos.T[::-1], strict=True)
+    }
+    table = pyarrow.table({"what": ["walk"] * motion.n_frames, **columns})
+    path = tmp_path / "motion.parquet"
+    pyarrow.parquet.write_table(table, path)
+    found = g1stream.load_motion(path, fps=50)
+    np.testing.assert_array_equal(found.joint_pos, motion.joint_pos)
+    assert not found.root_pos.any()
+    path.write_bytes(path.read_bytes()[:-50])
+    with pytest.raises(MotionError, match="damaged"):
+        open_motion_file(path)
+    pyarrow.parquet.write_table(pyarrow.table({"episode": [1, 2]}), path)
+    with pytest.raises(MotionError, match="episode"):
+        open_motion_file(path)
+
+
+def test_parquet_that_unpacks_to_more_than_a_motion(tmp_path):
+    path = tmp_path / "zeros.parquet"
+    table = pyarrow.table({name: np.zeros(3_000_000) for name in g1stream.JOINT_NAMES[:24]})
+    pyarrow.parquet.write_table(table, path)
+    assert path.stat().st_size < 2**20
+    with pytest.raises(MotionError, match="too large"):
+        open_motion_file(path)
+
+
+def test_one_array(tmp_path, motion):
+    path = tmp_path / "motion.npy"
+    np.save(path, np.hstack([motion.root_pos, motion.root_quat_wxyz, motion.joint_pos]))
+    assert_same(g1stream.load_motion(path, fps=50, joint_order="motor"), motion)
+
+
+def test_bodies_under_other_names(tmp_path, motion):
+    path, poses = tmp_path / "motion.npz", bodies(motion)
+    arrays = {"body_positions": poses["body_pos_w"], "body_rotations": poses["body_quat_w"]}
+    np.savez(path, fps=50, dof_positions=motion.joint_pos, dof_names=motion.joint_names, **arrays)
+    assert_same(g1stream.load_motion(path), motion, tolerance=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("content", "kind"),
+    [
+        (b"HIERARCHY\nROOT Hips\n", "BVH"),
+        (b"Kaydara FBX Binary  \0", "FBX"),
+        (b"\x89HDF\r\n\x1a\n", "HDF5"),
+        (b"#ROSBAG V2.0\n", "ROS 1"),
+        (b'{"fps": 30}', "JSON"),
+        (b'<?xml version="1.0"?>', "XML"),
+    ],
+)
+def test_files_that_are_known_but_not_read(tmp_path, content, kind):
+    path = tmp_path / "motion"
+    path.write_bytes(content)
+    with pytest.raises(MotionError) as caught:
+        open_motion_file(path)
+    assert kind in caught.value.cause
+    assert "CSV" in caught.value.remedy

@@ -53,7 +53,7 @@ class Convert(MotionFlags):
     Log and publish time of every message are the base time + frame / fps, to the nearest
     nanosecond. With the default base time the same input always gives the same bytes.
 
-    An output that ends in .csv or .npz is a motion file again.
+    An output that ends in .csv, .npz or .parquet is a motion file again.
 
     With --ros2 a session becomes a ROS 2 bag: a directory with metadata.yaml and an MCAP file that
     has messages of ROS only.
@@ -72,8 +72,8 @@ class Convert(MotionFlags):
     """
 
     files: tuple[str, ...] = argument(
-        f"{MOTIONS} The last one is the file to write, .mcap, .csv or .npz; with --ros2 the "
-        "directory.",
+        f"{MOTIONS} The last one is the file to write, .mcap, .csv, .npz or .parquet; with --ros2 "
+        "the directory.",
         "MOTION... FILE",
     )
     ros2: bool = flag(False, "Convert a session into a ROS 2 bag.")
@@ -128,12 +128,14 @@ class Convert(MotionFlags):
                 "The argument MOTION or FILE is missing.",
                 "Add it; `g1stream convert --help` says what it is.",
             )
+        from g1stream.motion.motion import MOTION_SUFFIXES
+
         check_not_input(self.out, *map(Path, self.motions))
         if self.ros2:
             self._require(_OF_ROS2, "--ros2, which keeps a session as it is")
             if len(self.motions) > 1:
                 raise ConfigError("--ros2 converts one session.", "Give one session and FILE.")
-        elif self.out.suffix.lower() in (".csv", ".npz"):
+        elif self.out.suffix.lower() in MOTION_SUFFIXES:
             of_motion = {f.name for f in fields(MotionFlags)}
             self._require(_OF_MOTION_FILE | of_motion, f"a motion file ({self.out.name})")
             return self._motion_file()

@@ -153,7 +153,7 @@ def _content(report: FileReport) -> list[str]:
         return [_line("file", "a session; its motion is the recorded reference")]
     if report.kind == "motions":
         return []
-    if report.kind == "arrays":
+    if report.kind in ("arrays", "bag"):
         labels = ("file", "joint order", "pelvis", "frame rate")
         lines = [_line(*pair) for pair in zip(labels, report.evidence, strict=False)]
         return [*lines, *_joint_lines(report)]

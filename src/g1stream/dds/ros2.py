@@ -8,9 +8,10 @@ Nothing here loads DDS until a type is asked for, as `convert` needs none.
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -18,8 +19,6 @@ from g1stream.dds.layout import CDR_HEADER
 from g1stream.types import Ints
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import ArrayLike
 
 __all__ = [
@@ -27,7 +26,12 @@ __all__ = [
     "ROBOT_DESCRIPTION",
     "TF",
     "Cdr",
+    "CdrReader",
+    "FramePose",
+    "JointAngles",
     "Ros2Topic",
+    "decode_joint_state",
+    "decode_tf",
     "encode_joint_state",
     "encode_string",
     "encode_tf",
@@ -156,6 +160,95 @@ class Cdr:
     def time(self, time_ns: int) -> None:
         """Write a builtin_interfaces/Time: ns since the epoch."""
         self.numbers("I", *divmod(time_ns, _NS_PER_S))
+
+
+class CdrReader:
+    """Reads CDR: each number at a multiple of its own size, after the header.
+
+    Args:
+        data: a message, CDR header included.
+
+    Raises:
+        ValueError: the data is no plain CDR, or ends too early; also from every method.
+    """
+
+    def __init__(self, data: bytes) -> None:
+        if len(data) < len(CDR_HEADER) or data[0] != 0 or data[1] > 1:
+            raise ValueError("it is no plain CDR")
+        self._order = "<" if data[1] else ">"
+        self._data, self._at = memoryview(data)[len(CDR_HEADER) :], 0
+
+    def numbers(self, kind: str, n: int = 1) -> tuple[Any, ...]:
+        """Numbers of one kind, a character of `struct`; of none not even the padding is there."""
+        if n == 0:
+            return ()
+        size = struct.calcsize(kind)
+        start = self._at + -self._at % size
+        self._at = start + n * size
+        if self._at > len(self._data):
+            raise ValueError("it ends too early")
+        return struct.unpack_from(f"{self._order}{n}{kind}", self._data, start)
+
+    def length(self) -> int:
+        """The length of a sequence, each element of which takes a byte or more."""
+        (n,) = self.numbers("I")
+        if n > len(self._data) - self._at:
+            raise ValueError("it ends too early")
+        return int(n)
+
+    def string(self) -> str:
+        """A string, without the zero at its end."""
+        return bytes(self.numbers("B", self.length())).rstrip(b"\0").decode()
+
+    def time(self) -> int:
+        """A builtin_interfaces/Time: ns since the epoch."""
+        (seconds,), (nanoseconds,) = self.numbers("i"), self.numbers("I")
+        return int(seconds * _NS_PER_S + nanoseconds)
+
+
+class JointAngles(NamedTuple):
+    """What a message says of joints: its stamp, ns since the epoch, their names, and rad."""
+
+    stamp: int
+    names: tuple[str, ...]
+    position: Sequence[float]
+
+
+class FramePose(NamedTuple):
+    """A transform: its stamp, ns since the epoch, the frames, (3) m and (4)."""
+
+    stamp: int
+    parent: str
+    child: str
+    pos: Sequence[float]
+    quat_wxyz: Sequence[float]
+
+
+def decode_joint_state(data: bytes) -> JointAngles:
+    """The angles in a sensor_msgs/JointState in CDR.
+
+    Raises:
+        ValueError: it is none.
+    """
+    cdr = CdrReader(data)
+    stamp = cdr.time()
+    cdr.string()
+    names = tuple(cdr.string() for _ in range(cdr.length()))
+    return JointAngles(stamp, names, cdr.numbers("d", cdr.length()))
+
+
+def decode_tf(data: bytes) -> list[FramePose]:
+    """The transforms in a tf2_msgs/TFMessage in CDR.
+
+    Raises:
+        ValueError: it is none.
+    """
+    cdr, poses = CdrReader(data), []
+    for _ in range(cdr.length()):
+        stamp, parent, child = cdr.time(), cdr.string(), cdr.string()
+        x, y, z, qx, qy, qz, qw = cdr.numbers("d", 7)
+        poses.append(FramePose(stamp, parent, child, (x, y, z), (qw, qx, qy, qz)))
+    return poses
 
 
 def encode_string(text: str) -> bytes:

@@ -1,4 +1,4 @@
-"""Motion files of named arrays: NPZ, and pickles of arrays.
+"""Motion files of named arrays: NPZ, Parquet, pickles of arrays, and what PyTorch saves.
 
 What the arrays are is told by their names and shapes, by the frame rate in the file, and where that
 leaves a choice by evidence: see `joint_order`.
@@ -7,6 +7,7 @@ leaves a choice by evidence: see `joint_order`.
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -14,10 +15,20 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from g1stream.errors import MotionError
-from g1stream.motion.arrays import is_zip, read_npz, read_pickle
+from g1stream.motion.arrays import (
+    is_npy,
+    is_pickle,
+    is_torch,
+    is_zip,
+    read_npy,
+    read_npz,
+    read_pickle,
+    read_torch,
+)
 from g1stream.motion.csv import DEFAULT_FPS
 from g1stream.motion.joint_order import Bodies, in_motor_order, names_in_order, tell_order
 from g1stream.motion.motion import SMALLEST_QUAT, Motion, norm_warnings
+from g1stream.motion.parquet import is_parquet, read_parquet
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.rotations import quat_normalize, quat_rotate, wxyz_from_xyzw
 
@@ -28,9 +39,9 @@ if TYPE_CHECKING:
 
     from g1stream.types import Floats, JointOrder
 
-__all__ = ["ArrayFile"]
+__all__ = ["ArrayFile", "is_array_file"]
 
-_ANGLES: Final = ("joint_pos", "dof_pos", "dof", "qpos", "joint_angles", "q")
+_ANGLES: Final = (*("joint_pos", "dof_pos", "dof_positions", "dof", "qpos", "joint_angles", "q"),)
 _NAMES: Final = ("joint_names", "dof_names")
 _POSITIONS: Final = ("root_pos", "root_trans", "root_trans_offset", "base_pos", "root_translation")
 #: An array that is converted to 64 bits has no more: 512 MiB.
@@ -50,6 +61,9 @@ _QUATS: Final = {
     "root_rotation": False,
     "base_quat": True,
 }
+#: Likewise of all bodies; and the arrays with their positions.
+_BODY_QUATS: Final = {"body_quat_w": True, "body_rotations": True, "rigid_body_rot": False}
+_BODY_POSITIONS: Final = ("body_pos_w", "body_positions", "rigid_body_pos")
 #: A pelvis that leans by more than the first on average, by less than the second if w is at the
 #: other end, is taken to have it there, rad.
 _LYING: Final = 1.05
@@ -61,6 +75,8 @@ _WRITERS: Final = (
     ("BeyondMimic and mjlab", {"joint_pos", "body_pos_w"}),
     ("GMR", {"root_pos", "root_rot", "dof_pos"}),
     ("PHC and ASAP", {"root_trans_offset", "dof"}),
+    ("ProtoMotions", {"dof_pos", "rigid_body_pos", "rigid_body_rot"}),
+    ("AMP for Isaac Lab", {"dof_positions", "body_positions"}),
     ("MuJoCo", {"qpos"}),
 )
 _READ: Final = (
@@ -68,6 +84,19 @@ _READ: Final = (
     "quaternion before the joints, (T, 36); root_pos and root_quat_wxyz, or body_pos_w and "
     "body_quat_w; fps; joint_names."
 )
+#: What each kind of file is called, how it is recognised, and what reads it.
+_KINDS: Final[tuple[tuple[str, Callable[[bytes], bool], Callable[[bytes], Any]], ...]] = (
+    ("Parquet", is_parquet, read_parquet),
+    ("NPY", is_npy, lambda data: {"qpos": read_npy(data)}),
+    ("file of PyTorch", is_torch, read_torch),
+    ("NPZ", is_zip, lambda data: read_npz(data, objects=True)),
+    ("pickle", is_pickle, read_pickle),
+)
+
+
+def is_array_file(data: bytes) -> bool:
+    """Whether content begins as that of a file which `ArrayFile` reads does."""
+    return any(is_one(data) for _, is_one, _ in _KINDS)
 
 
 class _Root(NamedTuple):
@@ -83,12 +112,14 @@ class ArrayFile:
 
     Args:
         path: where it is, for messages.
-        content: its bytes: an NPZ, or a pickle, plain or of joblib.
+        content: its bytes: an NPZ, an NPY, a Parquet file, a file of PyTorch, or a pickle, plain
+            or of joblib.
         joint_order: of the joints, if the file does not name them; told by evidence if None.
 
     Raises:
         MotionError: it cannot be read. Anything else wrong in it is an error only when what it is
             about is asked for.
+        ConfigError: it is a Parquet file, and pyarrow is not installed.
 
     Attributes:
         path: as given.
@@ -100,9 +131,9 @@ class ArrayFile:
         self.path = path
         self.sha256 = hashlib.sha256(content).hexdigest()
         self._asked = joint_order
-        self._npz = is_zip(content)
+        self._kind, read = next((kind, read) for kind, is_one, read in _KINDS if is_one(content))
         try:
-            arrays = read_npz(content, objects=True) if self._npz else read_pickle(content)
+            arrays = read(content)
         except ValueError as error:
             raise self._error(str(error), _READ) from error
         self._arrays = self._of_one_motion(arrays)
@@ -152,11 +183,10 @@ class ArrayFile:
         Raises:
             MotionError: as `motion`.
         """
-        kind = "NPZ" if self._npz else "pickle"
         writer = next((who for who, names in _WRITERS if names <= self._arrays.keys()), "")
         pelvis = self._root.source if self._root else "not in the file: upright at the origin"
         return (
-            f"{kind}, arrays as {writer} write them" if writer else f"{kind} of arrays",
+            f"{self._kind}, arrays as {writer} write them" if writer else f"{self._kind} of arrays",
             self._order[1],
             pelvis,
             f"{self._fps:g} fps, as the file says" if self._fps else "no frame rate in the file",
@@ -165,7 +195,7 @@ class ArrayFile:
     @property
     def _guessed(self) -> bool:
         """Whether only the joint limits speak for the order of the joints."""
-        return not (self._names or self._asked or "body_pos_w" in self._arrays)
+        return not (self._names or self._asked or self._body_pos)
 
     @property
     def n_rows(self) -> int:
@@ -235,8 +265,9 @@ class ArrayFile:
         if self._asked:
             return names_in_order(self._asked), f"{self._asked}, as asked for"
         known, root = None, self._root
-        if root and "body_pos_w" in self._arrays:
-            known = Bodies(self._bodies("body_pos_w", 3), root.pos, quat_normalize(root.quat_wxyz))
+        if root and self._body_pos:
+            pos = self._bodies(self._body_pos, 3)
+            known = Bodies(pos, root.pos, quat_normalize(root.quat_wxyz))
         order, why = tell_order(self._angles, known, self.path.name)
         return names_in_order(order), why
 
@@ -251,14 +282,25 @@ class ArrayFile:
             return self._pose(self._numbers(position, 2), quat, f"{position}, {rotation} {order}")
         if table.shape[1] > self._angles.shape[1]:
             return self._pose(table[:, :3], table[:, 3:_ROOT], f"in {angles}, quaternion wxyz")
-        if {"body_pos_w", "body_quat_w"} <= self._arrays.keys():
-            body = self._pelvis
-            pos, quat = self._bodies("body_pos_w", 3), self._bodies("body_quat_w", 4)
-            return self._pose(pos[:, body], quat[:, body], f"body {body}, quaternion wxyz")
+        rotations = next((name for name in _BODY_QUATS if name in self._arrays), None)
+        if self._body_pos and rotations:
+            body, bodies = (
+                self._pelvis,
+                (self._bodies(self._body_pos, 3), self._bodies(rotations, 4)),
+            )
+            pos, quat = (values[:, body].astype(np.float64) for values in bodies)
+            quat, order = self._wxyz(quat, w_first=_BODY_QUATS[rotations])
+            return self._pose(pos, quat, f"body {body}, quaternion {order}")
         return None
 
-    def _bodies(self, name: str, width: int) -> Floats:
-        values = self._numbers(name, 3)
+    @property
+    def _body_pos(self) -> str:
+        """Name of the array with the bodies' positions; empty without one."""
+        return next((name for name in _BODY_POSITIONS if name in self._arrays), "")
+
+    def _bodies(self, name: str, width: int) -> NDArray[Any]:
+        """(T, B, width) as in the file, in which they are most of the numbers."""
+        values = self._checked(name, 3)
         n_frames, n_bodies, n_numbers = values.shape
         if n_frames != self.n_rows or n_numbers != width or n_bodies <= self._pelvis:
             raise self._error(
@@ -307,6 +349,9 @@ class ArrayFile:
         return None
 
     def _numbers(self, name: str, dimensions: int) -> Floats:
+        return self._checked(name, dimensions).astype(np.float64)
+
+    def _checked(self, name: str, dimensions: int) -> NDArray[Any]:
         values = self._array(name)
         if values.dtype.kind not in "iuf" or values.ndim != dimensions or not values.size:
             raise self._error(
@@ -317,7 +362,7 @@ class ArrayFile:
             raise self._error(
                 f"{name} has more than {_MOST_NUMBERS:,} numbers", "Give a part of the motion."
             )
-        return values.astype(np.float64)
+        return values
 
     def _array(self, name: str) -> NDArray[Any]:
         try:

@@ -1,4 +1,4 @@
-"""Named arrays from NPZ files and pickles, without running anything or trusting a claimed size."""
+"""Arrays from NPZ files, pickles and files of PyTorch, running nothing and trusting no size."""
 
 from __future__ import annotations
 
@@ -19,7 +19,16 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["is_pickle", "is_zip", "read_npz", "read_pickle"]
+__all__ = [
+    "is_npy",
+    "is_pickle",
+    "is_torch",
+    "is_zip",
+    "read_npy",
+    "read_npz",
+    "read_pickle",
+    "read_torch",
+]
 
 #: All arrays of a file together have no more bytes than this: hours of a motion.
 _LARGEST: Final = 512 * 2**20
@@ -45,6 +54,22 @@ def is_pickle(data: bytes) -> bool:
     return data[:1] == pickle.PROTO or _is_compressed(data)
 
 
+def is_npy(data: bytes) -> bool:
+    """Whether content begins as that of an NPY file, one array, does."""
+    return data.startswith(b"\x93NUMPY")
+
+
+def is_torch(data: bytes) -> bool:
+    """Whether content is that of a file of `torch.save`, a ZIP with a pickle of tensors in it."""
+    if not is_zip(data):
+        return False
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            return any(name.endswith("/data.pkl") for name in archive.namelist())
+    except (zipfile.BadZipFile, NotImplementedError, ValueError):
+        return False
+
+
 def read_npz(data: bytes, *, objects: bool = False) -> dict[str, Any]:
     """The arrays of an NPZ file, by name.
 
@@ -55,6 +80,14 @@ def read_npz(data: bytes, *, objects: bool = False) -> dict[str, Any]:
     Raises:
         ValueError: it is larger than 512 MiB unpacked, or its content is not that of an NPZ.
     """
+    return {
+        name.removesuffix(".npy"): read_npy(content, objects=objects)
+        for name, content in _members(data).items()
+    }
+
+
+def _members(data: bytes) -> dict[str, bytes]:
+    """The files in a ZIP, by name."""
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             members = archive.infolist()
@@ -64,15 +97,13 @@ def read_npz(data: bytes, *, objects: bool = False) -> dict[str, Any]:
             plain = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
             if any(member.compress_type not in plain for member in members):
                 raise ValueError("it is compressed in another way than deflate")
-            return {
-                member.filename.removesuffix(".npy"): _read_npy(archive.read(member), objects)
-                for member in members
-            }
+            return {member.filename: archive.read(member) for member in members}
     except (zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, EOFError) as error:
         raise ValueError(str(error)) from error
 
 
-def _read_npy(data: bytes, objects: bool) -> Any:
+def read_npy(data: bytes, *, objects: bool = False) -> Any:
+    """The array in an NPY file; see `read_npz`."""
     file = io.BytesIO(data)
     if np.lib.format.read_magic(file) != (1, 0):
         raise ValueError("an array has another version than 1.0 of the NPY format")
@@ -111,6 +142,27 @@ def read_pickle(data: bytes) -> Any:
         raise
     except Exception as error:  # a damaged pickle raises whatever its last operation raises
         raise ValueError(f"it is a damaged pickle: {error!r:.80}") from error
+
+
+def read_torch(data: bytes) -> Any:
+    """What is in a file of `torch.save`, tensors as arrays; all else as `read_pickle`.
+
+    PyTorch is neither needed nor called.
+
+    Raises:
+        ValueError: there is something else in it, or it is damaged or larger than 512 MiB unpacked.
+    """
+    members = _members(data)
+    name = next(name for name in members if name.endswith("/data.pkl"))
+    place = name.removesuffix("data.pkl")
+    if members.get(f"{place}byteorder", b"little") != b"little":
+        raise ValueError("its tensors are big-endian")
+    try:
+        return _Unpickler(io.BytesIO(members[name]), members, f"{place}data/").load()
+    except ValueError:
+        raise
+    except Exception as error:  # as in `read_pickle`
+        raise ValueError(f"it is a damaged file of PyTorch: {error!r:.80}") from error
 
 
 def _is_compressed(data: bytes) -> bool:
@@ -192,6 +244,42 @@ def _array_of_buffer(content: Any, dtype: _Dtype, shape: Any, order: Any) -> _Ar
     return array
 
 
+def _tensor(storage: NDArray[Any], offset: int, shape: Any, strides: Any, *_: Any) -> _Array:
+    """A tensor: the numbers of a storage from an offset on, with strides in numbers."""
+    shape, strides = tuple(map(int, shape)), tuple(map(int, strides))
+    last = offset + sum((n - 1) * step for n, step in zip(shape, strides, strict=True))
+    if offset < 0 or min((*shape, *strides, 0)) < 0 or (prod(shape) and last >= len(storage)):
+        raise ValueError("it has a tensor beyond its storage")
+    if prod(shape) > max(len(storage), 1):  # steps of zero repeat numbers without end
+        raise ValueError("it has a tensor that is larger than its storage")
+    step = storage.itemsize
+    array = _Array()
+    array.values = np.lib.stride_tricks.as_strided(
+        storage[offset:], shape, [stride * step for stride in strides], writeable=False
+    ).copy()
+    return array
+
+
+class _Storage:
+    """Stands for the type of a storage of PyTorch, by the numpy name of its numbers."""
+
+    def __init__(self, dtype: str) -> None:
+        self.dtype = np.dtype(dtype)
+
+
+_STORAGES: Final = {
+    "DoubleStorage": "<f8",
+    "FloatStorage": "<f4",
+    "HalfStorage": "<f2",
+    "LongStorage": "<i8",
+    "IntStorage": "<i4",
+    "ShortStorage": "<i2",
+    "CharStorage": "i1",
+    "ByteStorage": "u1",
+    "BoolStorage": "?",
+}
+
+
 def _scalar(dtype: _Dtype, content: Any) -> Any:
     return _shaped(content, dtype, (), "C").item()
 
@@ -215,6 +303,7 @@ class _Unpickler(pickle._Unpickler):
             *(pickle.EMPTY_TUPLE, pickle.TUPLE),
             *(pickle.TUPLE1, pickle.TUPLE2, pickle.TUPLE3),
             *(pickle.GLOBAL, pickle.STACK_GLOBAL, pickle.REDUCE, pickle.NEWOBJ),
+            pickle.BINPERSID,
         )
     }
     stack: list[Any]
@@ -226,6 +315,7 @@ class _Unpickler(pickle._Unpickler):
         ("numpy", "dtype"): _Dtype,
         ("joblib.numpy_pickle", "NumpyArrayWrapper"): _JoblibArray,
         ("collections", "OrderedDict"): dict,
+        ("torch._utils", "_rebuild_tensor_v2"): _tensor,
         **{
             (f"numpy.{core}.{module}", name): stand_in
             for core in ("core", "_core")
@@ -237,18 +327,30 @@ class _Unpickler(pickle._Unpickler):
         },
     }
 
-    def __init__(self, file: io.BytesIO) -> None:
+    def __init__(
+        self, file: io.BytesIO, members: Mapping[str, bytes] | None = None, place: str = ""
+    ) -> None:
         super().__init__(file)
         self._file = file
+        self._members, self._place = members, place
         self._left = _LARGEST
 
     def find_class(self, module: str, name: str) -> Any:
         if (module, name) == ("_codecs", "encode"):
             return self._encoded
+        if module == "torch" and name in _STORAGES and self._members is not None:
+            return _Storage(_STORAGES[name])
         known = self._known.get((module, name))
         if known is None:
             raise ValueError(f"it is a pickle with a {module}.{name}, which is not read")
         return known
+
+    def persistent_load(self, pid: Any) -> Any:
+        """A storage of PyTorch, which is a file beside the pickle."""
+        _, kind, key, *_ = pid
+        if self._members is None or not isinstance(kind, _Storage):
+            raise ValueError("it is a pickle that refers to what is not in it")
+        return np.frombuffer(self._members[f"{self._place}{key}"], kind.dtype)
 
     def load(self) -> Any:
         return _Plain().of(super().load())

@@ -106,7 +106,7 @@ class FileReport:
     """
 
     path: Path
-    kind: Literal["table", "arrays", "session", "motions"] = "table"  # motions: several files
+    kind: Literal["table", "arrays", "bag", "session", "motions"] = "table"  # motions: several
     n_rows: int = 0  # below the header
     n_columns: int = 0  # of the first line
     has_header: bool = False

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
     from g1stream.types import Floats, JointOrder
 
-__all__ = ["DEFAULT_FPS", "ROOT_COLUMNS", "CsvFile", "to_csv"]
+__all__ = ["DEFAULT_FPS", "ROOT_COLUMNS", "CsvFile", "canonical_column", "to_csv"]
 
 DEFAULT_FPS: Final = 30.0
 """Frames per second of LAFAN1, assumed for both layouts if none is given."""
@@ -91,7 +91,7 @@ class CsvFile:
         if not self.has_header and self.n_columns == len(_LAFAN1):
             self.columns = (*_LAFAN1[:7], *names_in_order(joint_order or "motor"))
         elif self.has_header and self.n_columns > 1:
-            self.columns = tuple(map(_canonical, first))
+            self.columns = tuple(map(canonical_column, first))
         self.n_rows = self._text.count("\n") + 1 - self.has_header
 
     @cached_property
@@ -285,7 +285,7 @@ def to_csv(motion: Motion) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _canonical(column: str) -> str:
+def canonical_column(column: str) -> str:
     """The name of a column as g1stream writes it, where it is another name for the same."""
     lower = column.lower()
     if lower in _OTHER_NAMES:

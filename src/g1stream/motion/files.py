@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 from g1stream.errors import MotionError
 from g1stream.files import read_file
-from g1stream.motion.array_file import ArrayFile
-from g1stream.motion.arrays import is_pickle, is_zip
+from g1stream.motion.array_file import ArrayFile, is_array_file
 from g1stream.motion.csv import CsvFile
 
 if TYPE_CHECKING:
@@ -29,6 +28,23 @@ BUNDLED_MOTIONS: Final = ("demo",)
 
 #: Bytes of a motion file; an hour at 500 Hz has as many.
 _LARGEST: Final = 2**30
+
+#: How files begin that people have motions in, but that have no joint angles of a G1 as such.
+_NOT_READ: Final = {
+    b"HIERARCHY": "a BVH file, the motion of a skeleton that is still to be retargeted",
+    b"Kaydara FBX Binary": "an FBX file, the motion of a skeleton that is still to be retargeted",
+    b"#usda": "a USD stage",
+    b"PXR-USDC": "a USD stage",
+    b"\x89HDF": "an HDF5 file",
+    b"MATLAB": "a MATLAB file",
+    b"#ROSBAG V": "a bag of ROS 1",
+    b"{": "JSON",
+    b"<": "XML, such as a URDF or MJCF",
+}
+_READ: Final = (
+    "Read are CSV, NPZ, NPY, Parquet, pickles of arrays, files of PyTorch, and bags of ROS 2 and "
+    "MCAP files with joint states: docs/formats.md says with which content."
+)
 
 
 def open_motion_file(
@@ -47,8 +63,11 @@ def open_motion_file(
     if path_or_name in BUNDLED_MOTIONS:
         path = Path(str(resources.files("g1stream.motion") / f"{path_or_name}.csv"))
     content = _read(path)
-    if is_zip(content) or is_pickle(content):
+    if is_array_file(content):
         return ArrayFile(path, content, joint_order)
+    for start, kind in _NOT_READ.items():
+        if content.startswith(start):
+            raise MotionError(f"{path.name} looks like {kind}, which is not read.", _READ)
     return CsvFile(path, content, joint_order)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import TYPE_CHECKING, Final, NamedTuple, get_args
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, get_args
 
 import numpy as np
 
@@ -15,6 +15,8 @@ from g1stream.types import JointOrder
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from numpy.typing import NDArray
 
     from g1stream.types import Floats
 
@@ -38,12 +40,12 @@ class Bodies(NamedTuple):
     """Positions of links in the world, whatever their order, and the pelvis's pose.
 
     Attributes:
-        pos: (T, B, 3) m.
+        pos: (T, B, 3) m, of any floating-point type.
         root_pos: (T, 3) m.
         root_quat_wxyz: (T, 4) unit.
     """
 
-    pos: Floats
+    pos: NDArray[Any]
     root_pos: Floats
     root_quat_wxyz: Floats
 

@@ -24,7 +24,17 @@ if TYPE_CHECKING:
 
     from g1stream.types import Floats
 
-__all__ = ["LARGEST", "SMALLEST_QUAT", "Motion", "check_fps", "norm_warnings"]
+__all__ = [
+    "LARGEST",
+    "MOTION_SUFFIXES",
+    "SMALLEST_QUAT",
+    "Motion",
+    "check_fps",
+    "norm_warnings",
+]
+
+MOTION_SUFFIXES: Final = (".csv", ".npz", ".parquet")
+"""Of the files that `Motion.save` writes."""
 
 LARGEST: Final = 1e9
 """No value of a motion is larger, rad or m, so that nothing computed from them overflows."""
@@ -330,33 +340,39 @@ class Motion:
         return figure
 
     def save(self, path: str | os.PathLike[str], *, force: bool = False) -> Path:
-        """Write a CSV or NPZ file that `load_motion` reads back to the last bit.
+        """Write a CSV, NPZ or Parquet file that `load_motion` reads back to the last bit.
 
         A CSV file has a header and 37 columns: frame number, root position (m), root quaternion
         (xyzw) and the joints (rad). It has no frame rate: give `load_motion` the `fps` of the
-        motion if it is not 30. An NPZ file has the arrays `joint_pos`, `root_pos` and
-        `root_quat_wxyz` of this class, `joint_names` and `fps`.
+        motion if it is not 30. A Parquet file (extra `export`) has the same columns, and `fps` in
+        its metadata. An NPZ file has the arrays `joint_pos`, `root_pos` and `root_quat_wxyz` of
+        this class, `joint_names` and `fps`.
 
         Args:
-            path: ends in .csv or .npz.
+            path: ends in .csv, .npz or .parquet.
             force: replace a file that exists.
 
         Raises:
             MotionError: the path has another ending.
             RecordingError: the file exists, is the one the motion came from, or cannot be written.
+            ConfigError: it is a Parquet file, and pyarrow is not installed.
         """
         from g1stream.motion.csv import to_csv
+        from g1stream.motion.parquet import write_parquet
 
         path = Path(path)
-        if path.suffix.lower() not in (".csv", ".npz"):
+        suffix = path.suffix.lower()
+        if suffix not in MOTION_SUFFIXES:
             raise MotionError(
                 f"A motion cannot be saved as {path.name}.",
-                "Give a file name that ends in .csv or .npz.",
+                f"Give a file name that ends in {', '.join(MOTION_SUFFIXES)}.",
             )
         check_not_input(path, self.source)
         with complete_file(path, force=force) as temporary:
-            if path.suffix.lower() == ".csv":
+            if suffix == ".csv":
                 temporary.write_text(to_csv(self), encoding="utf-8")
+            elif suffix == ".parquet":
+                write_parquet(self, temporary)
             else:
                 with temporary.open("wb") as file:
                     np.savez_compressed(

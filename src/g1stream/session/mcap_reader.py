@@ -22,7 +22,7 @@ from typing import IO, TYPE_CHECKING, Any, Final, TypeVar
 import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Metadata, Statistics
+from mcap.records import Attachment, Channel, Metadata, Schema, Statistics
 
 from g1stream.errors import RecordingError
 from g1stream.session.format import METADATA_NAME, metadata_from_strings
@@ -119,6 +119,7 @@ class McapFile:
         path: of the file.
         complete: whether it was closed properly.
         counts: messages of each topic.
+        types: of each topic, the name of its schema and the encoding of its messages.
         metadata: the values of all of g1stream's metadata records; a later one replaces an earlier.
 
     Raises:
@@ -129,8 +130,10 @@ class McapFile:
         self.path = Path(path)
         self.complete = False
         self.counts: Counter[str] = Counter()
+        self.types: dict[str, tuple[str, str]] = {}
         self.metadata: dict[str, Any] = {}
         self._topics: dict[int, str] = {}
+        self._schemas: dict[int, str] = {}
         self._chunks: list[_Chunk] = []
         self._attachments: list[Record] = []
         self._content_size = 0
@@ -205,6 +208,8 @@ class McapFile:
             self._chunks.append(_Chunk(record))
         elif record.opcode == Opcode.MESSAGE_INDEX and self._chunks:
             self._chunks[-1].add_index(file, record)
+        elif record.opcode == Opcode.SCHEMA:
+            self._add_schema(content_of(file, record))
         elif record.opcode == Opcode.CHANNEL:
             self._add_channel(content_of(file, record))
         elif record.opcode == Opcode.STATISTICS:
@@ -245,7 +250,9 @@ class McapFile:
         (data,) = self._decompressed(file, [chunk])
         with self.damage_at(chunk.record):
             for opcode, start, length in records_in(data):
-                if opcode == Opcode.CHANNEL:
+                if opcode == Opcode.SCHEMA:
+                    self._add_schema(data[start : start + length])
+                elif opcode == Opcode.CHANNEL:
                     self._add_channel(data[start : start + length])
             return {channel: len(found) for channel, found in _message_offsets(data).items()}
 
@@ -282,6 +289,12 @@ class McapFile:
     def _add_channel(self, content: bytes) -> None:
         channel = Channel.read(ReadDataStream(BytesIO(content)))
         self._topics[channel.id] = channel.topic
+        schema = self._schemas.get(channel.schema_id, "")
+        self.types[channel.topic] = schema, channel.message_encoding
+
+    def _add_schema(self, content: bytes) -> None:
+        schema = Schema.read(ReadDataStream(BytesIO(content)))
+        self._schemas[schema.id] = schema.name
 
 
 def _message_offsets(data: bytes) -> dict[int, NDArray[np.int64]]:

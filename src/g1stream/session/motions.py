@@ -1,19 +1,18 @@
-"""Motions from motion files, and from sessions, so that what was played can be played again."""
+"""Motions from motion files, from bags, and from sessions, to play again what was played."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from g1stream.errors import RecordingError
 from g1stream.files import is_session
 from g1stream.motion.files import open_motion_file
-from g1stream.motion.motion import LARGEST, SMALLEST_QUAT, Motion, check_fps
-from g1stream.robot.joints import N_JOINTS
-from g1stream.robot.rotations import wxyz_from_xyzw, xyzw_from_wxyz
-from g1stream.text import counted
+from g1stream.motion.motion import Motion, check_fps
+from g1stream.session.bag import Bag, is_sqlite
+from g1stream.session.poses import motion_of_poses
 from g1stream.types import STREAM_RATE, Floats, Phase
 
 if TYPE_CHECKING:
@@ -28,22 +27,18 @@ if TYPE_CHECKING:
 __all__ = ["check_motion_file", "commanded_motion", "load_motion", "reference_motion"]
 
 
-#: A recorded motion has no more frames, or ten for each of its samples.
-_MOST_FRAMES: Final = 500_000
-
-
 def load_motion(
     path_or_name: str | os.PathLike[str],
     *,
     fps: float | None = None,
     joint_order: JointOrder | None = None,
 ) -> Motion:
-    """Read a motion file, a session file, or a bundled motion by its name (`demo`).
+    """Read a motion file, a session, a bag, or a bundled motion by its name (`demo`).
 
     Args:
-        path_or_name: a CSV or NPZ file or a pickle of arrays, of one of the formats in
-            docs/formats.md; a session file, whose motion is the reference that was played; or the
-            name of a bundled motion.
+        path_or_name: a file of one of the formats in docs/formats.md; a session file, whose motion
+            is the reference that was played; a bag with joint states; or the name of a bundled
+            motion.
         fps: frames per second; what the file says if None, or 30 where it does not, as a CSV file
             cannot. A session is sampled at it, at the rate of its reference if None.
         joint_order: of the joints where a file does not name them. If None, a CSV file without a
@@ -57,10 +52,12 @@ def load_motion(
         MotionError: there is no such file, or something in it is wrong; names line and column.
         RecordingError: the session is damaged, or no motion was played in it.
     """
-    if is_session(Path(path_or_name)):
+    path = Path(path_or_name)
+    if is_session(path) or is_sqlite(path):
         from g1stream.session.session import open_session
 
-        return open_session(path_or_name).motion(fps)
+        bag = Bag(path)
+        return bag.motion(fps) if bag.is_foreign else open_session(path).motion(fps)
     file = open_motion_file(path_or_name, joint_order)
     if fps is not None:
         check_fps(fps, file.path.stem)
@@ -95,6 +92,12 @@ def check_motion_file(
     from g1stream.motion.check import FileReport, check_file, check_motion
 
     path = Path(path_or_name)
+    if is_sqlite(path) or (is_session(path) and Bag(path).is_foreign):
+        bag = Bag(path)
+        motion = check_motion(
+            change(bag.motion(fps)), robot, rate=rate, position_margin=position_margin
+        )
+        return FileReport(path, kind="bag", evidence=bag.evidence, motion=motion)
     if not is_session(path):
         return check_file(
             path_or_name,
@@ -130,7 +133,7 @@ def reference_motion(reference: Reference, path: Path, fps: float | None = None)
             f"No motion was played in {path}.",
             "Give a session in which `g1stream stream` reached the phase PLAY.",
         )
-    return _resampled(play.motion_time, play.q, play.root_pos, play.root_quat_wxyz, path, fps)
+    return motion_of_poses(play.motion_time, play.q, play.root_pos, play.root_quat_wxyz, path, fps)
 
 
 def commanded_motion(times: Floats, q: Floats, path: Path) -> Motion:
@@ -145,57 +148,4 @@ def commanded_motion(times: Floats, q: Floats, path: Path) -> Motion:
         MotionError: that is less than two frames.
     """
     upright = np.tile([1.0, 0.0, 0.0, 0.0], (len(q), 1))
-    return _resampled(times, q, np.zeros((len(q), 3)), upright, path, None)
-
-
-def _resampled(
-    times: Floats,
-    q: Floats,
-    root_pos: Floats,
-    root_quat_wxyz: Floats,
-    path: Path,
-    fps: float | None,
-) -> Motion:
-    """A motion of constant frame rate from N poses, at their usual rate if `fps` is None.
-
-    Of poses within the same microsecond the first is taken. Where the times have the rate `fps`,
-    the frames are the poses.
-    """
-    from scipy.interpolate import CubicSpline
-    from scipy.spatial.transform import Rotation, Slerp
-
-    numbers = np.column_stack([times, q, root_pos, root_quat_wxyz])
-    norms = np.abs(root_quat_wxyz).max(axis=1)
-    valid = (np.abs(numbers) <= LARGEST).all(axis=1) & (norms > SMALLEST_QUAT)
-    if not valid.all():
-        raise RecordingError(
-            f"The motion of {path} has {counted(int((~valid).sum()), 'sample')} with a value that "
-            f"no motion has, the first at {np.argmin(valid)}: one that is not finite or beyond "
-            f"{LARGEST:g}, or a zero quaternion.",
-            "Record the motion again.",
-        )
-    _, first = np.unique(times.round(6), return_index=True)
-    times = times[first]
-    if len(times) < 2:
-        raise RecordingError(
-            f"The motion of {path} stands still at {times[0]:g} s.", "Record the motion again."
-        )
-    rate = round(1.0 / float(np.median(np.diff(times))), 3) if fps is None else fps
-    check_fps(rate, path.stem)
-    n_frames = int((times[-1] - times[0]) * rate + 1e-6) + 1
-    if n_frames > max(_MOST_FRAMES, 10 * len(times)):
-        raise RecordingError(
-            f"The motion of {path} takes {times[-1] - times[0]:g} s, but has {len(times)} samples.",
-            "Record the motion again.",
-        )
-    grid = np.minimum(times[0] + np.arange(n_frames) / rate, times[-1])
-    sampled = CubicSpline(times, np.hstack([q[first], root_pos[first]]))(grid)
-    rotations = Rotation.from_quat(xyzw_from_wxyz(root_quat_wxyz[first]))
-    return Motion(
-        name=path.stem,
-        fps=rate,
-        joint_pos=sampled[:, :N_JOINTS],
-        root_pos=sampled[:, N_JOINTS:],
-        root_quat_wxyz=wxyz_from_xyzw(Slerp(times, rotations)(grid).as_quat()),
-        source=path,
-    )
+    return motion_of_poses(times, q, np.zeros((len(q), 3)), upright, path, None)

@@ -53,8 +53,9 @@ class Config(Table):
 
     robot: Path | None = setting(
         None,
-        "revision g1_29dof_rev_1_0 or g1_29dof (which unitree_mujoco simulates), or a URDF file "
-        "of the robot; if unset, g1_29dof_rev_1_0, and for feed-forward the one that fits better",
+        "revision g1_29dof_rev_1_0 or g1_29dof (which unitree_mujoco simulates), a G1 with fewer "
+        "joints (g1_23dof, g1_29dof_lock_waist, g1_dual_arm), or a URDF file of the robot; if "
+        "unset, g1_29dof_rev_1_0, and for feed-forward the revision that fits better",
         flag=ROBOT_FLAG,
         example="g1_29dof",
         strict=False,

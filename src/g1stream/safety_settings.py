@@ -60,7 +60,8 @@ class SafetyConfig(Table):
     )
     mode_machine: tuple[int, ...] = setting(
         (0, 5),
-        "robots that may be commanded: 5 is the 29-joint G1, 0 a simulator that does not say",
+        "robots that may be commanded: 5 is the 29-joint G1, or in its place the kind that `robot` "
+        "is (4 with 23 joints), 0 a simulator that does not say",
         min_length=1,
         strict=False,  # TOML and JSON know lists only
     )

@@ -102,3 +102,10 @@ def test_the_guard_damps_where_the_last_command_was():
     assert (damping.kd == 3.0).all()
     assert (damping.motor_mode == 1).all()
     assert damping.mode_machine == 5
+
+
+def test_damping_leaves_the_slots_of_absent_motors_zero():
+    last, damping = LowCmd(), LowCmd()
+    last.motor_mode = np.where(np.arange(29) % 7, 1, 0).astype(np.uint8)
+    damping.load(damping_command(last.seal(), 3.0))
+    assert damping.kd.tolist() == [3.0 if i % 7 else 0.0 for i in range(29)]

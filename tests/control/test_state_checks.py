@@ -5,6 +5,7 @@ import pytest
 
 from g1stream.control.state_checks import Measured, StateChecks, is_unit
 from g1stream.dds.messages import LowState
+from g1stream.robot.model import G1
 from g1stream.safety_settings import SafetyConfig
 
 MS = 1_000_000
@@ -292,3 +293,13 @@ def test_the_fault_of_one_publisher_is_found_with_the_next_one_too(make):
     assert "norm 0.000" in it.publish()
     it.publisher = 2
     assert "norm 0.000" in it.publish()
+
+
+@pytest.mark.parametrize(("machine", "allowed"), [(4, True), (0, True), (5, False), (6, False)])
+def test_mode_machine_must_be_that_of_the_robot_with_fewer_joints(machine, allowed):
+    checks = StateChecks(G1.load("g1_23dof"), SafetyConfig())
+    state = LowState()
+    state.quaternion[:] = 1.0, 0.0, 0.0, 0.0
+    state.mode_machine[()] = machine
+    checks.take(state, 1, 1)
+    assert (checks.wrong_robot() == "") is allowed

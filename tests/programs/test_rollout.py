@@ -7,7 +7,7 @@ import pytest
 
 from g1stream.analysis.report.page import report
 from g1stream.config import Config
-from g1stream.dds.messages import played_joints
+from g1stream.dds.messages import LowCmd, played_joints
 from g1stream.errors import ConfigError, RecordingError
 from g1stream.programs.rollout import LATENCY, rollout
 from g1stream.robot.joints import JOINT_NAMES
@@ -216,3 +216,32 @@ def test_a_figure_and_a_report_show_some_joints(arms, tmp_path):
 def test_recorded_references_of_earlier_versions_play_all_joints():
     assert played_joints(np.zeros(1, np.uint32)).all()
     assert np.flatnonzero(played_joints(np.array([2**12 + 1], np.uint32))[0]).tolist() == [0, 12]
+
+
+@pytest.fixture(scope="module")
+def small() -> Session:
+    return rollout("demo", seconds=0.5, config=config(robot="g1_23dof"))
+
+
+def test_a_robot_with_23_joints_plays_those_it_has(small):
+    absent = [13, 14, 20, 21, 27, 28]
+    present = np.setdiff1d(np.arange(29), absent)
+    summary, command, state = small.summary(), small.command.read(), small.measured.read()
+    assert summary.termination.reason == ""
+    assert summary.absent == [JOINT_NAMES[i] for i in absent]
+    assert list(summary.tracking.joints) == [JOINT_NAMES[i] for i in present]
+    assert summary.tracking.rmse_rad < 0.01
+    assert small.robot.joint_set.mode_machine == 4
+    assert (command.mode[:, present] == 1).all()
+    assert (command.kd[:, present] > 0.0).all()
+    for name in ("mode", "q", "dq", "tau", "kp", "kd"):  # in every phase, DAMP included
+        assert not getattr(command, name)[:, absent].any()
+    for name in ("q", "dq", "ddq", "tau"):
+        assert not getattr(state, name)[:, absent].any()
+    raw = LowCmd()
+    for message in list(small.messages("/lowcmd"))[:: len(command) // 5]:
+        raw.load(message.data)
+        assert raw.crc_matches()
+        assert int(raw.mode_machine) == 4
+    assert any("g1_23dof lacks waist_roll" in event.text for event in small.log)
+    assert small.plot().axes

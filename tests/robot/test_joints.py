@@ -12,6 +12,7 @@ from g1stream.robot.joints import (
     JOINT_GROUPS,
     JOINT_NAMES,
     N_JOINTS,
+    JointSet,
     by_joint,
     select_joints,
 )
@@ -88,3 +89,30 @@ def test_joints_are_selected_by_limb_name_and_pattern(selection, joints):
 def test_a_selection_that_matches_no_joint_is_refused(selection):
     with pytest.raises(ConfigError, match=r"stream\.joints"):
         select_joints(selection)
+
+
+WRISTS = [f"{side}_wrist_{part}_joint" for side in ("left", "right") for part in ("pitch", "yaw")]
+LOCKED = ["waist_roll_joint", "waist_pitch_joint"]
+
+
+@pytest.mark.parametrize(
+    ("mode_machine", "name", "absent"),
+    [
+        (5, "g1_29dof_rev_1_0", []),
+        (4, "g1_23dof", [*LOCKED, *WRISTS]),
+        (6, "g1_29dof_lock_waist", LOCKED),
+        (9, "g1_dual_arm", list(JOINT_NAMES[:15])),
+    ],
+)
+def test_the_kinds_of_g1_by_mode_machine(mode_machine, name, absent):
+    kind = JointSet.of_mode(mode_machine)
+    assert kind is not None
+    assert kind.name == name
+    assert [JOINT_NAMES[i] for i in kind.absent] == absent
+    assert kind.present.sum() == 29 - len(absent)
+    assert kind.allowed((0, 5)) == (0, mode_machine)
+
+
+@pytest.mark.parametrize("mode_machine", [0, 1, 2, 3, 7, 255])
+def test_other_modes_are_of_no_known_kind(mode_machine):
+    assert JointSet.of_mode(mode_machine) is None

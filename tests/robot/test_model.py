@@ -11,9 +11,10 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
-from g1stream.errors import RobotError
+from g1stream.errors import ConfigError, RobotError
 from g1stream.robot.joints import JOINT_NAMES
-from g1stream.robot.model import DEFAULT_URDF, G1, REVISIONS
+from g1stream.robot.kinematics import forward_kinematics
+from g1stream.robot.model import DEFAULT_URDF, G1, REVISIONS, VARIANTS
 
 
 def assert_same_model(a, b, *, but=()):
@@ -154,3 +155,73 @@ def test_the_limits_of_a_robot_in_this_package_are_its_own(tmp_path, revision):
     path.write_text(builtin.urdf)
     assert G1.load(path).warning == ""
     assert_same_model(G1.load(path), builtin)
+
+
+@pytest.fixture(params=VARIANTS)
+def variant(request) -> G1:
+    return G1.load(request.param)
+
+
+def test_a_g1_with_fewer_joints_is_the_default_one_with_the_others_fixed_at_zero(variant, robot):
+    present = variant.present
+    assert set(variant.joint_of_link) == {-1, *np.flatnonzero(present)}
+    for name in ("lower", "upper", "velocity", "effort"):
+        assert (getattr(variant, name) == getattr(robot, name))[present].all()
+    q = np.random.default_rng(1).uniform(robot.lower, robot.upper, (3, 29))
+    q[:, JOINT_NAMES.index("waist_yaw_joint")] = 0.0  # its axis is elsewhere with 23 joints
+    base = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
+    own, whole = (
+        forward_kinematics(variant, q, *base),
+        forward_kinematics(robot, q * present, *base),
+    )
+    waist = [i for i, name in enumerate(robot.link_names) if name.startswith("waist")]
+    np.testing.assert_allclose(
+        np.delete(own.pos, waist, 1), np.delete(whole.pos, waist, 1), atol=1e-12
+    )
+    again = G1.from_urdf(variant.urdf, "again")
+    assert again.joint_set is variant.joint_set
+    assert again.name == variant.joint_set.name
+    assert not variant.capped
+
+
+def test_a_selection_has_none_of_the_joints_that_a_robot_lacks(variant):
+    assert variant.select(None).tolist() == variant.present.tolist()
+    assert (variant.select("arms") <= variant.present).all()
+
+
+def test_a_selection_of_what_a_robot_lacks_is_refused():
+    with pytest.raises(ConfigError, match="g1_dual_arm"):
+        G1.load("g1_dual_arm").select("legs")
+
+
+def test_a_urdf_that_knows_23_joints_only_is_read(tmp_path, robot):
+    root = ET.fromstring(robot.urdf)
+    gone = {"waist_roll_joint", "waist_pitch_joint"}
+    gone |= {f"{s}_wrist_{p}_joint" for s in ("left", "right") for p in ("pitch", "yaw")}
+    for joint in root.iter("joint"):
+        if joint.get("name") in gone:
+            joint.set("type", "fixed")
+            joint.set("name", f"{joint.get('name')}_fixed")
+    path = tmp_path / "own.urdf"
+    path.write_bytes(ET.tostring(root))
+    own = G1.load(path)
+    assert own.joint_set.mode_machine == 4
+    assert not own.capped
+
+
+def test_the_figures_of_unitrees_23_joint_robot():
+    """Against g1_23dof_rev_1_0.urdf: the axis of the waist, and the mass of a hand."""
+    small = G1.load("g1_23dof")
+    yaw = np.zeros((1, 29))
+    yaw[0, JOINT_NAMES.index("waist_yaw_joint")] = np.pi
+    turned = forward_kinematics(small, yaw, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
+    torso = turned.pos[0, small.link_index("torso_link")]
+    np.testing.assert_allclose(torso, [-0.0039635, 0.0, 0.044], atol=1e-12)
+    masses = {
+        link.get("name"): float(mass.get("value"))
+        for link in small.xml.findall("link")
+        if (mass := link.find("inertial/mass")) is not None
+    }
+    hand = [mass for name, mass in masses.items() if "left_wrist" in name or "left_rubber" in name]
+    assert sum(hand) == pytest.approx(0.35692864 + 3e-3)
+    assert masses["torso_link"] == 6.78

@@ -93,7 +93,9 @@ class Offscreen:
         self.meshes = has_meshes(robot)
         self._model = _compile(robot, size)
         self._data = mujoco.MjData(self._model)
-        self._joints = np.array([self._model.joint(name).qposadr[0] for name in JOINT_NAMES])
+        self._present = np.flatnonzero(robot.present)
+        joints = [self._model.joint(JOINT_NAMES[i]) for i in self._present]
+        self._joints = np.array([joint.qposadr[0] for joint in joints])
         self._options, self._perturb = mujoco.MjvOption(), mujoco.MjvPerturb()
         self._scene = mujoco.MjvScene(self._model, _MOST_SHAPES)
         self._camera = mujoco.MjvCamera()
@@ -162,7 +164,7 @@ class Offscreen:
         qpos = self._data.qpos
         qpos[:3], qpos[3:7] = posed.pos[frame], posed.quat_wxyz[frame]
         qpos[2] += self._lift
-        qpos[self._joints] = posed.q[frame]
+        qpos[self._joints] = posed.q[frame][self._present]
         np.nan_to_num(qpos, copy=False, posinf=0.0, neginf=0.0)
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)

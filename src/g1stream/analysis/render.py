@@ -124,7 +124,7 @@ def session_facts(summary: Summary) -> list[tuple[str, str]]:
         parts += [f"sha256 {motion.sha256[:12]}"] if motion.sha256 else []
         parts += motion.operations
         lines.append(("motion", ", ".join(parts)))
-    if summary.joints and len(summary.joints) < N_JOINTS:
+    if summary.joints and (summary.absent or len(summary.joints) < N_JOINTS):
         lines.append(("joints", _joints(summary)))
     ramp = _ramp(summary.stream)
     if summary.phases:
@@ -158,16 +158,20 @@ def session_facts(summary: Summary) -> list[tuple[str, str]]:
 
 def _joints(summary: Summary) -> str:
     """Which joints played the motion: limbs that did as a whole by their name."""
-    played, named = {*(summary.joints or ())}, []
+    played, missing, named = {*(summary.joints or ())}, {*summary.absent}, []
     for limb, joints in JOINT_GROUPS.items():
         names = {JOINT_NAMES[i] for i in joints}
         short = sorted(name.removesuffix("_joint") for name in names & played)
-        named += [limb.replace("_", " ")] if names <= played else short
+        named += [limb.replace("_", " ")] if played & names >= names - missing else short
     settings = summary.settings or {}
     rest = "only damp" if settings.get("stream.others") == "free" else "hold their pose"
     if settings.get("stream.via") == "arm_sdk":
         rest = "are the robot's own controller's"
-    return f"{len(played)} of {N_JOINTS} play: {', '.join(named)}; the others {rest}"
+    total = N_JOINTS - len(missing)
+    others = f"; the others {rest}" if len(played) < total else ""
+    lacks = ", ".join(name.removesuffix("_joint") for name in summary.absent)
+    has = f"; the robot lacks {lacks}" if lacks else ""
+    return f"{len(played)} of {total} play: {', '.join(named)}{others}{has}"
 
 
 def _files(summary: Summary) -> str:

@@ -14,6 +14,7 @@ from g1stream.analysis.render import most
 from g1stream.analysis.tracking import NothingToCompareError
 from g1stream.config import Config
 from g1stream.control.guard import LOG_NAME
+from g1stream.robot.joints import JOINT_NAMES
 from g1stream.session.streams import STREAMS, Reference
 from g1stream.session.summary import (
     MessageStats,
@@ -83,9 +84,14 @@ def summarise(session: Session) -> Summary:
         for topic, n in sorted(session.topics.items())
         if n
     }
-    gains = (info.gains or {}).items()
+    missing = {JOINT_NAMES.index(name) for name in info.absent if name in JOINT_NAMES}
+    gains = [
+        (name, [value for i, value in enumerate(values) if i not in missing])
+        for name, values in (info.gains or {}).items()
+    ]
     summary = Summary(
         joints=info.joints or (list(tracking.joints) if tracking else None),
+        absent=info.absent,
         files_bytes={str(path): path.stat().st_size for path in session.paths},
         complete=session.complete,
         first_ns=min((int(one.log_time.min()) for one in streams.values()), default=None),

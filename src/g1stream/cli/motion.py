@@ -238,6 +238,8 @@ def _result_lines(report: MotionReport, max_tilt: float) -> list[str]:
     ]
     problems += streamed.warnings[n_held:]
     warnings = [*streamed.warnings[:n_held], *report.warnings]
+    if report.dropped:
+        warnings.append(f"{report.dropped}.")
     if (root := report.root).tilt > max_tilt:
         warnings.append(
             f"The pelvis tilts by {root.tilt:.2f} rad at {root.tilt_frame / report.fps:.2f} s; "

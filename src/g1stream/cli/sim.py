@@ -43,6 +43,8 @@ class Sim(LiveCommand):
       g1stream sim
       g1stream sim --support hanging --viewer
       g1stream sim --domain 7 --duration 60
+      g1stream sim --robot g1_23dof
+      g1stream sim --onboard ai --support follow
 
     Exit codes:
       0  ended as asked, Ctrl-C included

@@ -46,7 +46,7 @@ class ArmSdkComposer(Composer):
     gains at the last target, without velocity and torque, while the controller takes them over.
 
     Args:
-        limits, gains, played: as of `Composer`.
+        limits, gains, played, commanded: as of `Composer`.
         period: ns between commands.
 
     Raises:
@@ -54,22 +54,21 @@ class ArmSdkComposer(Composer):
     """
 
     def __init__(
-        self, limits: CommandLimits, gains: Gains, played: NDArray[np.bool_], period: int
+        self,
+        limits: CommandLimits,
+        gains: Gains,
+        played: NDArray[np.bool_],
+        commanded: NDArray[np.bool_],
+        period: int,
     ) -> None:
         if (played & ~MOVED).any():
             raise ConfigError(
                 "stream.joints names joints of the legs, which stream.via = arm_sdk cannot move.",
                 "Choose of arms and waist, or leave --via out.",
             )
-        super().__init__(limits, gains, damp_kd=0.0, played=played)
+        super().__init__(limits, gains, 0.0, played, commanded)
         self._weight = self._next_weight = 0.0
         self._step = period / 1e9 / WEIGHT_TIME
-
-    def begin(self, q: NDArray[np.floating], mode_machine: int) -> None:
-        super().begin(q, mode_machine)
-        self._command.motor_mode = MOVED.astype(np.uint8)
-        for values in (self._command.kp, self._command.kd):
-            values[~MOVED] = 0.0
 
     def damp(self) -> None:
         """The gains stay: see `_seal`."""
@@ -79,13 +78,10 @@ class ArmSdkComposer(Composer):
         self._weight = self._next_weight
 
     def _seal(self, phase: Phase) -> bytes:
-        command = self._command
         step = -self._step if phase is Phase.DAMP else self._step
         self._next_weight = min(1.0, max(0.0, self._weight + step))
-        command.weight[()] = self._next_weight
-        for values in (command.q, command.dq, command.tau):
-            values[~MOVED] = 0.0
-        return command.seal()
+        self._command.weight[()] = self._next_weight
+        return super()._seal(phase)
 
 
 def hand_back_commands(command: bytes, period: int) -> Iterator[bytes]:

@@ -259,6 +259,7 @@ class Composer:
         gains: kp and kd in every phase but DAMP.
         damp_kd: kd in DAMP, Nm s/rad.
         played: (29,) which joints play the motion, all if None; told in the Reference.
+        commanded: (29,) which motors get commands, all if None; the slots of the others are all 0.
 
     Attributes:
         limits: as given; it counts what it has changed.
@@ -270,6 +271,7 @@ class Composer:
         gains: Gains,
         damp_kd: float,
         played: NDArray[np.bool_] | None = None,
+        commanded: NDArray[np.bool_] | None = None,
     ) -> None:
         self.limits = limits
         self._gains = gains
@@ -279,6 +281,8 @@ class Composer:
         self._command, self._reference = LowCmd(), Reference()
         everything = np.ones(N_JOINTS, np.bool_)
         self._reference.played[()] = played_bits(everything if played is None else played)
+        self._commanded = everything if commanded is None else commanded
+        self._silent = np.flatnonzero(~self._commanded)
 
     def sent(self) -> None:
         """The last command has been sent."""
@@ -288,7 +292,7 @@ class Composer:
         """Enable the motors of a robot at the measured pose `q` (29,), rad."""
         self.limits.begin(q)
         command = self._command
-        command.motor_mode = 1
+        command.motor_mode = self._commanded.astype(np.uint8)
         command.mode_pr[()] = 0  # the other mode changes the meaning of ankle and waist joints
         command.mode_machine[()] = mode_machine
         command.kp[:], command.kd[:] = self._gains
@@ -297,7 +301,7 @@ class Composer:
     def damp(self) -> None:
         """Set the gains of DAMP: kp 0."""
         self._command.kp[:] = 0.0
-        self._command.kd[:] = self._damp_kd
+        self._command.kd[:] = self._damp_kd * self._commanded
 
     def compose(
         self,
@@ -351,4 +355,8 @@ class Composer:
         return self._seal(phase), reference.tobytes()
 
     def _seal(self, phase: Phase) -> bytes:
-        return self._command.seal()
+        command = self._command
+        if len(self._silent):
+            for values in (command.q, command.dq, command.tau, command.kp, command.kd):
+                values[self._silent] = 0.0
+        return command.seal()

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from g1stream.errors import ConfigError
-from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP, matching_joints, select_joints
+from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP, matching_joints
 from g1stream.types import Floats
 
 if TYPE_CHECKING:
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from g1stream.config import Config
+    from g1stream.robot.model import G1
     from g1stream.settings import GainsConfig
 
 __all__ = ["Gains", "gains_in_play", "read_gains", "resolve_gains"]
@@ -47,16 +48,19 @@ def resolve_gains(config: GainsConfig, where: str = "[gains] of the config") -> 
     )
 
 
-def gains_in_play(config: Config) -> Gains:
-    """The gains of a session: those of the config, with kp 0 for the joints that are free.
+def gains_in_play(config: Config, robot: G1) -> Gains:
+    """The gains of a session: those of the config, but kp 0 for joints that are free.
+
+    Those of joints that the robot does not have are 0.
 
     Raises:
         ConfigError: a name or pattern matches no joint.
     """
     gains, settings = resolve_gains(config.gains), config.stream
+    held = robot.present
     if settings.others == "free":
-        return gains._replace(kp=np.where(select_joints(settings.played_joints), gains.kp, 0.0))
-    return gains
+        held = robot.select(settings.played_joints)
+    return Gains(np.where(held, gains.kp, 0.0), np.where(robot.present, gains.kd, 0.0))
 
 
 def _resolved(default: Floats, table: Mapping[str, float], where: str) -> Floats:

@@ -180,5 +180,5 @@ def damping_command(command: bytes, kd: float) -> bytes:
     damping = LowCmd()
     damping.load(command)
     damping.kp[:] = damping.dq[:] = damping.tau[:] = 0.0
-    damping.kd[:] = kd
+    damping.kd[:] = kd * (damping.motor_mode == 1)  # nothing to a motor that is not there
     return damping.seal()

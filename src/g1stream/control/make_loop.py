@@ -5,8 +5,6 @@ from __future__ import annotations
 from math import inf
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from g1stream.control.arm_sdk import HAND_BACK_TIME, MOVED, WEIGHT_TIME, ArmSdkComposer
 from g1stream.control.commands import CommandLimits, Composer
 from g1stream.control.feedforward import FeedForward
@@ -21,7 +19,6 @@ from g1stream.dds.topics import ARM_SDK, LOWCMD
 from g1stream.errors import ConfigError
 from g1stream.motion.correction import Conditions, CorrectionSpline
 from g1stream.motion.limits import Interval
-from g1stream.robot.joints import select_joints
 
 if TYPE_CHECKING:
     from g1stream.clock import Clock
@@ -67,19 +64,19 @@ def make_loop(
     settings = config.stream
     interval = Interval.from_config(settings, trajectory.motion)
     period = round(1e9 / settings.rate)  # whole, because deadlines are
-    gains = gains_in_play(config)
-    played = select_joints(settings.played_joints)
+    gains = gains_in_play(config, robot)
+    played = robot.select(settings.played_joints)
     if not played.all() and (recorded or correction):
         raise ConfigError(
             f"stream.joints = {settings.joints!r} with "
             f"{'recorded commands' if recorded else 'a correction'}, which are for all joints.",
             "Leave --joints out" + (", or --exact." if recorded else ", or --correction."),
         )
-    held = played if settings.others == "free" else np.ones_like(played)
+    held = played if settings.others == "free" else robot.present
     # Recorded commands were checked, and are sent instead of those that are composed.
     beyond = "clamp" if recorded else settings.beyond_limits
     limits = CommandLimits(robot, config.safety, beyond)
-    composer = Composer(limits, gains, settings.damp_kd, played)
+    composer = Composer(limits, gains, settings.damp_kd, played, robot.present)
     topic = LOWCMD
     if settings.via == "arm_sdk":
         if settings.others == "free":
@@ -87,8 +84,8 @@ def make_loop(
                 "stream.others = free with stream.via = arm_sdk: nothing would carry these joints.",
                 "Leave --others out: arms and waist that do not play then hold their pose.",
             )
-        held, topic = MOVED, ARM_SDK
-        composer = ArmSdkComposer(limits, gains, played, period)
+        held, topic = MOVED & robot.present, ARM_SDK
+        composer = ArmSdkComposer(limits, gains, played, held, period)
         settings = settings.model_copy(
             update={
                 "ramp": max(settings.ramp, WEIGHT_TIME),

@@ -105,7 +105,7 @@ class RobotMonitor:
     ) -> None:
         self._config = config
         self._max_step = max(_MAX_STEP, period)
-        self._names = robot.joint_names
+        self._names, self._present = robot.joint_names, robot.present
         self._held = held
         self._lower, self._upper = robot.lower, robot.upper
         self._torque = (robot.torque_limit * config.max_torque).astype(np.float32)
@@ -196,7 +196,7 @@ class RobotMonitor:
         )
 
     def _motor_off(self, state: LowState, now: int) -> str:
-        modes = state.motor_mode
+        modes = np.where(self._present, state.motor_mode, 1 if self._has_modes else 0)
         self._has_modes = self._has_modes or bool(modes.any())
         if not self._has_modes:
             return ""
@@ -210,7 +210,7 @@ class RobotMonitor:
         )
 
     def _motor_fault(self, state: LowState, now: int) -> str:
-        bits = state.motorstate & np.uint32(self._config.motor_fault_mask)
+        bits = state.motorstate & np.uint32(self._config.motor_fault_mask) * self._present
         joint = self._faults.beyond(now, bits != 0)
         if joint is None:
             return ""

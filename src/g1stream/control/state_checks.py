@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from g1stream.robot.joints import JointSet
 from g1stream.robot.rotations import UNIT_TOLERANCE
 
 if TYPE_CHECKING:
@@ -220,12 +221,15 @@ class StateChecks:
 
     def wrong_robot(self) -> str:
         """Why this robot may not be commanded, or ""."""
-        allowed = self._config.mode_machine
-        if self.measured is None or self.measured.mode_machine in allowed:
+        ours = self._robot.joint_set
+        allowed = ours.allowed(self._config.mode_machine)
+        if self.measured is None or (mode := self.measured.mode_machine) in allowed:
             return ""
+        theirs = JointSet.of_mode(mode)
         return (
-            f"the robot has mode_machine {self.measured.mode_machine} (allowed for 29 joints: "
-            f"{', '.join(map(str, allowed))})"
+            f"the robot has mode_machine {mode}"
+            + (f" ({theirs}: --robot {theirs.name})" if theirs else "")
+            + f"; {', '.join(map(str, allowed))} may be commanded as {ours}"
         )
 
     def _crc_is_right(self, state: LowState) -> bool:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 from g1stream.dds.topics import LOG, LOWCMD, LOWSTATE, SPORTMODESTATE
 from g1stream.doctor.facts import Facts, Finding, Level, Peer, Qos, ok, problem, warning
+from g1stream.robot.joints import JointSet
 from g1stream.text import counted
 
 if TYPE_CHECKING:
@@ -203,13 +204,18 @@ def _states(facts: Facts, wire: WireFacts) -> Iterator[Finding]:
         yield ok("LowState", text)
     yield from _tick_and_crc(state)
     if state.mode_machine in facts.allowed_robots:
-        text = "not provided" if state.mode_machine == 0 else f"{state.mode_machine}, 29 joints"
+        kind = JointSet.of_mode(state.mode_machine)
+        text = "not provided" if state.mode_machine == 0 else f"{state.mode_machine}"
+        text += f", {kind}" if kind else ""
         yield ok("mode_machine", text)
     else:
         yield problem(
             "mode_machine",
-            f"{state.mode_machine}: not a G1 with 29 joints",
-            "Use a 29-joint G1 (5), or allow it in the config: safety.mode_machine.",
+            f"{state.mode_machine}: not the robot that --robot names, "
+            f"{' or '.join(map(str, facts.allowed_robots))}",
+            f"Give --robot {kind.name}."
+            if (kind := JointSet.of_mode(state.mode_machine))
+            else "Use a G1 that has one of these, or allow it in the config: safety.mode_machine.",
         )
 
 

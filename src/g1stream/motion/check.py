@@ -11,6 +11,7 @@ import numpy as np
 
 from g1stream.errors import MotionError, RobotError
 from g1stream.motion.csv import CsvFile
+from g1stream.motion.dropped import Dropped, dropped_joints
 from g1stream.motion.files import open_motion_file
 from g1stream.motion.limits import JointPeak, LimitReport, frame_peaks, measure_limits
 from g1stream.motion.motion import check_fps
@@ -86,6 +87,7 @@ class MotionReport:
     warnings: tuple[str, ...]  # of the reader
     operations: tuple[str, ...] = ()  # what was done to the motion in the file
     floor: float | None = None  # height at which its feet stand, m; None: none stands, or unknown
+    dropped: Dropped | None = None  # joints that the robot does not have
     in_radians: bool = True
     suspicion: str = ""  # what a limit that is passed looks like: "frame 7 is a spike of 2.4 rad"
 
@@ -220,6 +222,7 @@ def check_motion(
         warnings=motion.warnings,
         operations=motion.operations,
         floor=_floor(motion, robot),
+        dropped=dropped_joints(motion, robot),
         in_radians=in_radians,
         suspicion=suspicion,
     )

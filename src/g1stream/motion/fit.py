@@ -11,9 +11,9 @@ import numpy as np
 
 from g1stream.errors import ConfigError, MotionError, SafetyError
 from g1stream.motion.check import MotionReport, check_motion
+from g1stream.motion.dropped import dropped_joints
 from g1stream.motion.limits import Interval
 from g1stream.motion.trajectory import Trajectory
-from g1stream.robot.joints import select_joints
 
 if TYPE_CHECKING:
     from g1stream.config import Config
@@ -97,6 +97,8 @@ def _check(
     events: list[tuple[int, str]] = []
     if robot.warning:
         events.append((logging.WARNING, robot.warning))
+    if dropped := dropped_joints(motion, robot):
+        events.append((logging.WARNING, f"{motion.name}: {dropped}"))
     if slowed != 1.0:
         motion = replace(motion, fps=motion.fps / slowed)
         text = f"{motion.name} is played {slowed:g} times slower, to fit the joints' speeds"
@@ -117,7 +119,7 @@ def _check(
 
 def _of_played(motion: Motion, robot: G1, config: Config) -> Motion:
     """The motion as far as limits are concerned: joints that do not play it rest within theirs."""
-    played = select_joints(config.stream.played_joints)
+    played = robot.select(config.stream.played_joints)
     if played.all():
         return motion
     middle = (robot.lower + robot.upper) / 2.0

@@ -22,7 +22,7 @@ from g1stream.doctor.findings import evaluate
 from g1stream.doctor.host import inspect_host
 from g1stream.doctor.wire import inspect_participant
 from g1stream.errors import SafetyError, WireError
-from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, select_joints
+from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
 from g1stream.robot.model import G1
 from g1stream.robot.rotations import tilt_of
 
@@ -132,11 +132,12 @@ def inspect_for_arming(participant: Participant, config: Config, first: Floats) 
     service = motion_service(participant, config)
     state = _plausible_state(participant, config)
     distance = first - state.q.astype(np.float64)
-    distance[~select_joints(config.stream.played_joints)] = 0.0
+    distance[~G1.load(config.robot).select(config.stream.played_joints)] = 0.0
     ramp = Ramp.of(distance, config.stream.ramp, config.stream.ramp_speed)
     where = participant.domain, participant.interface
     wire = inspect_participant(participant, _LISTEN)
     host = inspect_host(config.realtime)
+    allowed = G1.load(config.robot).joint_set.allowed(config.safety.mode_machine)
     return ArmingReport(
         domain=participant.domain,
         interface=network_name(participant.interface),
@@ -146,7 +147,7 @@ def inspect_for_arming(participant: Participant, config: Config, first: Floats) 
         peak_speed=ramp.peak_speed,
         limits=config.safety.model_dump(),
         motion_service=service,
-        findings=tuple(evaluate(Facts(*where, config.safety.mode_machine, host, wire))),
+        findings=tuple(evaluate(Facts(*where, allowed, host, wire))),
     )
 
 
@@ -207,7 +208,7 @@ def _plausible_state(participant: Participant, config: Config) -> Measured:
 
 
 def _limbs(distance: Floats, config: Config) -> tuple[LimbDistance, ...]:
-    gains = gains_in_play(config)
+    gains = gains_in_play(config, G1.load(config.robot))
     found = []
     for limb, joints in JOINT_GROUPS.items():
         indices = list(joints)

@@ -9,6 +9,7 @@ from g1stream.doctor.findings import evaluate
 from g1stream.doctor.host import inspect_host, measure_wakeup_latency
 from g1stream.doctor.wire import inspect_domain
 from g1stream.errors import WireError
+from g1stream.robot.model import G1
 
 if TYPE_CHECKING:
     from g1stream.config import Config
@@ -35,5 +36,5 @@ def diagnose(config: Config, seconds: float = 1.0) -> list[Finding]:
         wire = inspect_domain(domain, interface, host.interfaces, seconds)
     except WireError as error:
         join_error = error.cause
-    robots = config.safety.mode_machine
+    robots = G1.load(config.robot).joint_set.allowed(config.safety.mode_machine)
     return evaluate(Facts(domain, interface, robots, host, wire, join_error, latency))

@@ -91,7 +91,12 @@ def rollout(
     if not isinstance(motion, Motion):
         motion = load_motion(motion)
     pipeline = MessagePipeline(robot, config.record)
-    simulated = SimulatedRobot(make_world(robot, config.sim), config.sim, noise=noise)
+    simulated = SimulatedRobot(
+        make_world(robot, config.sim),
+        config.sim,
+        mode_machine=robot.joint_set.mode_machine,
+        noise=noise,
+    )
     batches: dict[str, Batch] = defaultdict(Batch)
 
     def on_sample(topic: Topic, data: bytes, stamp: int) -> None:
@@ -110,7 +115,7 @@ def rollout(
     with _log_to(lambda data, _: on_sample(LOG, data, link.stamp())):
         loop.run()
     source = MemorySource(f"rollout of {motion.name}")
-    info = SessionInfo.of(config, motion, gains_in_play(config)._asdict(), correction)
+    info = SessionInfo.of(config, robot, motion, gains_in_play(config, robot)._asdict(), correction)
     _write_header(source, config, robot, motion, info)
     if correction:
         data = correction.to_bytes()

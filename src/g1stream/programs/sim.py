@@ -64,7 +64,7 @@ def simulate(
         stack.enter_context(handled_by(dds_log_handler(participant, "sim")))
         stack.enter_context(publishing_for_ros2(config, should_stop))
         view = _viewer(world, stack) if settings.viewer else None
-        robot = SimulatedRobot(world, settings)
+        robot = SimulatedRobot(world, settings, mode_machine=model.joint_set.mode_machine)
         bridge = Bridge(
             participant,
             robot,

@@ -143,7 +143,8 @@ def stream(
             on_loop(loop)
         recorder = None
         if session:
-            info = SessionInfo.of(config, motion, gains_in_play(config)._asdict(), correction)
+            gains = gains_in_play(config, robot)._asdict()
+            info = SessionInfo.of(config, robot, motion, gains, correction)
             recorder = _RecorderChild(session, force, config, info, loop)
         recording = None
         granted: list[Grant] = []

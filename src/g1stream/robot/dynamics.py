@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from g1stream.errors import RobotError
-from g1stream.robot.joints import DAMPING, FRICTION, JOINT_NAMES
+from g1stream.robot.joints import DAMPING, FRICTION, JOINT_NAMES, N_JOINTS
 from g1stream.robot.mujoco_spec import mujoco_spec
 from g1stream.robot.rotations import quat_rotate, quat_rotate_inverse
 from g1stream.types import Floats
@@ -129,7 +129,8 @@ class InverseDynamics:
         self._mujoco: Any = mujoco
         self._model: Any = model
         self._data: Any = mujoco.MjData(model)
-        joints = [model.joint(name) for name in JOINT_NAMES]
+        self._present = np.flatnonzero(robot.present)
+        joints = [model.joint(JOINT_NAMES[i]) for i in self._present]
         self._q = np.array([joint.qposadr[0] for joint in joints])
         self._v = np.array([joint.dofadr[0] for joint in joints])
         self._rigid_part = _rigid_part(model, carrier)
@@ -167,7 +168,7 @@ class InverseDynamics:
         acc, v = self._acc, self._v
         self._place(q, dq, base)
         acc[:_BASE] = 0.0
-        acc[v] = ddq
+        acc[v] = ddq[self._present]
         external = self._carried(force) if support == "hanging" else 0.0
         if support == "follow":
             acc[:3], acc[3:_BASE] = base.lin_acc, base.ang_acc
@@ -176,7 +177,9 @@ class InverseDynamics:
             acc[:_BASE] = np.linalg.solve(self._base_inertia(), missing[:_BASE])
         total = self._inverse() - external
         base_acc = acc[:_BASE].copy()
-        return Solution(total[v] + friction_torque(dq), base_acc[:3], base_acc[3:], total[:_BASE])
+        tau = np.zeros(N_JOINTS)
+        tau[self._present] = total[v] + friction_torque(dq)[self._present]
+        return Solution(tau, base_acc[:3], base_acc[3:], total[:_BASE])
 
     @property
     def carrier(self) -> tuple[float, Floats]:
@@ -206,9 +209,9 @@ class InverseDynamics:
         """Set the state in MuJoCo; the base stays at the origin, as nothing depends on it."""
         mujoco, model, data = self._mujoco, self._model, self._data
         self._qpos[3:7] = base.quat_wxyz
-        self._qpos[self._q] = q
+        self._qpos[self._q] = q[self._present]
         self._qvel[3:_BASE] = base.ang_vel
-        self._qvel[self._v] = dq
+        self._qvel[self._v] = dq[self._present]
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_comVel(model, data)

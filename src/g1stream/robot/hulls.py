@@ -156,7 +156,9 @@ class SelfCollision:
         )
         self._model = spec.compile()
         self._data = mujoco.MjData(self._model)
-        self._joints = [self._model.joint(name).qposadr[0] for name in JOINT_NAMES]
+        self._present = np.flatnonzero(robot.present)
+        joints = (self._model.joint(JOINT_NAMES[i]) for i in self._present)
+        self._joints = [joint.qposadr[0] for joint in joints]
         self._order = {name: index for index, name in enumerate(robot.link_names)}
 
     def contacts(self, joint_pos: ArrayLike) -> tuple[Contact, ...]:
@@ -168,7 +170,7 @@ class SelfCollision:
         import mujoco
 
         model, data = self._model, self._data
-        data.qpos[self._joints] = joint_pos
+        data.qpos[self._joints] = np.asarray(joint_pos)[self._present]
         mujoco.mj_kinematics(model, data)
         mujoco.mj_collision(model, data)
         depths: dict[tuple[str, str], float] = {}

@@ -1,14 +1,18 @@
 """The 29 joints of a G1: names, limbs, motors and example gains, in motor order.
 
-Motor order is the order of the motors in LowCmd and LowState. All arrays are read-only.
+Motor order is the order of the motors in LowCmd and LowState. All arrays are read-only. G1s with
+fewer joints keep the order, and leave out motors: `JOINT_SETS`.
 """
 
 from __future__ import annotations
 
+import json
+from dataclasses import dataclass, field
 from difflib import get_close_matches
 from fnmatch import fnmatchcase
+from importlib import resources
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
 
@@ -31,8 +35,10 @@ __all__ = [
     "FRICTION",
     "JOINT_GROUPS",
     "JOINT_NAMES",
+    "JOINT_SETS",
     "N_JOINTS",
     "TORQUE_LIMIT",
+    "JointSet",
     "by_joint",
     "matching_joints",
     "select_joints",
@@ -108,6 +114,59 @@ def select_joints(selection: str | None) -> NDArray[np.bool_]:
     for pattern in (selection or "").split(",") if selection is not None else ():
         chosen[matching_joints(pattern.strip(), f"In stream.joints = {selection!r}")] = True
     return chosen
+
+
+@dataclass(frozen=True)
+class JointSet:
+    """Which of the 29 joints a kind of G1 has.
+
+    Attributes:
+        name: of the kind.
+        mode_machine: what its LowState says.
+        absent: motor indices of the joints that it does not have. On the wire their motors have
+            mode 0, and everything else 0.
+        figures: where its links differ from those of the 29-joint G1: origins of joints (m, as in a
+            URDF), inertials of links (kg, m, and xx xy xz yy yz zz in kg m^2), and links without a
+            mass, which a moving one gets as a gram.
+    """
+
+    name: str
+    mode_machine: int
+    absent: tuple[int, ...]
+    figures: Mapping[str, Any] = field(default_factory=dict, compare=False, repr=False)
+
+    @property
+    def present(self) -> NDArray[np.bool_]:
+        """(29,) which joints it has."""
+        return np.isin(np.arange(N_JOINTS), self.absent, invert=True)
+
+    def allowed(self, modes: Sequence[int]) -> tuple[int, ...]:
+        """`safety.mode_machine` for this kind: its own where there is that of 29 joints."""
+        return tuple(
+            self.mode_machine if mode == JOINT_SETS[0].mode_machine else mode for mode in modes
+        )
+
+    def __str__(self) -> str:
+        return f"{self.name}, {N_JOINTS - len(self.absent)} joints"
+
+    @classmethod
+    def of_mode(cls, mode_machine: int) -> JointSet | None:
+        """The kind of G1 whose LowState has this mode_machine; None where there is none."""
+        return next((one for one in JOINT_SETS if one.mode_machine == mode_machine), None)
+
+    @classmethod
+    def _read(cls) -> tuple[JointSet, ...]:
+        text = resources.files(__package__).joinpath("joint_sets.json").read_text(encoding="utf-8")
+        found = []
+        for one in json.loads(text):
+            joints = {j for pattern in one["absent"] for j in matching_joints(pattern, one["name"])}
+            figures = {key: one[key] for key in ("origins", "inertials", "massless") if key in one}
+            found.append(cls(one["name"], one["mode_machine"], tuple(sorted(joints)), figures))
+        return tuple(found)
+
+
+JOINT_SETS: Final = JointSet._read()
+"""The kinds of G1, that with all 29 joints first."""
 
 
 def by_joint(values: Sequence[N]) -> dict[str, N]:

@@ -1,34 +1,46 @@
-"""The robot model: the links, joints and limits of a 29-joint G1, as arrays."""
+"""The robot model: the links, joints and limits of a G1, as arrays.
+
+Arrays have 29 joints, in motor order, whichever of them a robot has: `G1.present` tells.
+"""
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import dataclass, fields, replace
 from difflib import get_close_matches
 from functools import cache, cached_property
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
+from xml.etree import ElementTree
 
 import numpy as np
 
-from g1stream.errors import RobotError
+from g1stream.errors import ConfigError, RobotError
 from g1stream.files import read_file
-from g1stream.robot.joints import TORQUE_LIMIT
+from g1stream.robot.joints import JOINT_NAMES, JOINT_SETS, TORQUE_LIMIT, JointSet, select_joints
 from g1stream.robot.urdf import parse_urdf, read_kinematics
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from xml.etree.ElementTree import Element
 
     from numpy.typing import NDArray
 
     from g1stream.types import Floats
 
-__all__ = ["DEFAULT_URDF", "G1", "REVISIONS"]
+__all__ = ["DEFAULT_URDF", "G1", "REVISIONS", "VARIANTS"]
 
 REVISIONS: Final = ("g1_29dof_rev_1_0", "g1_29dof")
 """The robots in this package, the default one first; unitree_mujoco simulates the other one."""
 
+VARIANTS: Final = {one.name: one for one in JOINT_SETS if one.absent}
+"""G1s with fewer joints, by name: the default one with the absent joints fixed at 0."""
+
 DEFAULT_URDF = resources.files(__package__) / f"{REVISIONS[0]}.urdf"
+
+#: A link that has no mass of its own; MuJoCo wants some of every link that moves.
+_MASSLESS: Final = {"mass": 1e-3, "origin": (0, 0, 0), "inertia": (1e-7, 0, 0, 1e-7, 0, 1e-7)}
 
 #: Limits in URDFs are rounded, rad, rad/s, N·m.
 _ROUNDING: Final = 1e-3
@@ -36,7 +48,7 @@ _ROUNDING: Final = 1e-3
 
 @dataclass(frozen=True, eq=False, repr=False)
 class G1:
-    """A 29-joint G1 as its URDF describes it. All arrays are read-only.
+    """A G1 as its URDF describes it. All arrays are read-only.
 
     L counts the links, moving and fixed. The joint of a link is the one to its parent; the link's
     frame is at the joint's origin, turned by `joint_pos` about the joint's axis.
@@ -52,6 +64,7 @@ class G1:
         origin_quat_wxyz: (L, 4) likewise, at zero joint position.
         axis: (L, 3) unit axis in the link's own frame, zero where the link does not move.
         joint_names: (29,) motor order.
+        joint_set: which of these joints it has; the others have limits that nothing passes.
         lower: (29,) rad.
         upper: (29,) rad.
         velocity: (29,) rad/s, highest speed in either direction.
@@ -76,6 +89,7 @@ class G1:
     velocity: Floats
     effort: Floats
     ignored_joints: tuple[str, ...]
+    joint_set: JointSet = JOINT_SETS[0]
     capped: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -99,6 +113,25 @@ class G1:
         )
 
     @property
+    def present(self) -> NDArray[np.bool_]:
+        """(29,) which joints the robot has."""
+        return self.joint_set.present
+
+    def select(self, selection: str | None) -> NDArray[np.bool_]:
+        """(29,) which of the robot's joints a selection such as `arms,waist` names: all if None.
+
+        Raises:
+            ConfigError: a part of it matches no joint, or the robot has none of them.
+        """
+        chosen = select_joints(selection) & self.present
+        if not chosen.any():
+            raise ConfigError(
+                f"stream.joints = {selection!r} names joints that a {self.joint_set.name} lacks.",
+                "Name some that it has.",
+            )
+        return chosen
+
+    @property
     def torque_limit(self) -> Floats:
         """(29,) N·m, the smaller of each motor's limit and the URDF's effort."""
         return np.minimum(TORQUE_LIMIT, self.effort)
@@ -119,8 +152,27 @@ class G1:
         return cls.from_urdf(urdf.read_text(encoding="utf-8"), name)
 
     @classmethod
+    @cache
+    def _variant(cls, name: str) -> G1:
+        root, kind = deepcopy(cls.default().xml), VARIANTS[name]
+        root.set("name", name)
+        origins = kind.figures.get("origins", {})
+        for joint in root.findall("joint"):
+            joint_name = joint.get("name", "")
+            if joint_name in {JOINT_NAMES[i] for i in kind.absent}:
+                joint.set("type", "fixed")
+            if joint_name in origins and (origin := joint.find("origin")) is not None:
+                origin.set("xyz", origins[joint_name])
+        inertials = dict.fromkeys(kind.figures.get("massless", ()), _MASSLESS)
+        inertials |= kind.figures.get("inertials", {})
+        for link in root.findall("link"):
+            if figures := inertials.get(link.get("name", "")):
+                _set_inertial(link, figures)
+        return cls.from_urdf(ElementTree.tostring(root, encoding="unicode"), name)
+
+    @classmethod
     def load(cls, path: str | Path | None = None, *, own_limits: bool = False) -> G1:
-        """The robot of a URDF file, or of a name in `REVISIONS`; without a path, the default one.
+        """The robot of a URDF file, or of a name in `REVISIONS` or `VARIANTS`; the first if None.
 
         Mesh files need not exist: only names, frames and limits are read. Limits that are wider
         than those of every robot in this package are narrowed to these: a motor does not get
@@ -131,18 +183,20 @@ class G1:
             own_limits: keep the URDF's limits however wide they are.
 
         Raises:
-            RobotError: there is no such file, or it does not describe a 29-joint G1.
+            RobotError: there is no such file, or it does not describe a G1.
         """
         if path is None:
             return cls.default()
         if str(path) in REVISIONS and not Path(path).exists():
             return cls._revision(str(path))
+        if str(path) in VARIANTS and not Path(path).exists():
+            return cls._variant(str(path))
         try:
             urdf = read_file(Path(path)).decode("utf-8")
         except OSError as error:
             raise RobotError(
                 f"The URDF {path} cannot be read: {error.strerror}.",
-                f"Give the path of a URDF file, {' or '.join(REVISIONS)}, or leave it out.",
+                f"Give the path of a URDF file or one of {', '.join((*REVISIONS, *VARIANTS))}.",
             ) from error
         except UnicodeDecodeError as error:
             raise RobotError(
@@ -164,7 +218,8 @@ class G1:
         }
         wider = np.zeros(len(self.joint_names), dtype=bool)
         for name, limit in limits.items():
-            wider |= np.abs(getattr(self, name) - limit) > _ROUNDING
+            limits[name] = np.where(self.present, limit, getattr(self, name))
+            wider |= np.abs(getattr(self, name) - limits[name]) > _ROUNDING
         capped = tuple(name for name, capped in zip(self.joint_names, wider, strict=True) if capped)
         return replace(self, **limits, capped=capped)
 
@@ -173,7 +228,7 @@ class G1:
         """The robot of a URDF's XML text; `source` is where it came from.
 
         Raises:
-            RobotError: it does not describe a 29-joint G1.
+            RobotError: it does not describe a G1.
         """
         kinematics = read_kinematics(parse_urdf(urdf, source), source)
         return cls(source=source, urdf=urdf, **kinematics)
@@ -211,3 +266,16 @@ class G1:
         for link, parent in enumerate(self.parent[1:], start=1):
             depth[link] = depth[parent] + 1
         return tuple(np.flatnonzero(depth == level) for level in range(1, int(depth.max()) + 1))
+
+
+def _set_inertial(link: Element, figures: Mapping[str, Any]) -> None:
+    """Give a link of a URDF these figures, see `JointSet.figures`."""
+    for old in link.findall("inertial"):
+        link.remove(old)
+    inertial = ElementTree.SubElement(link, "inertial")
+    xyz = " ".join(map(str, figures["origin"]))
+    ElementTree.SubElement(inertial, "origin", xyz=xyz, rpy="0 0 0")
+    ElementTree.SubElement(inertial, "mass", value=str(figures["mass"]))
+    names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    values = dict(zip(names, map(str, figures["inertia"]), strict=True))
+    ElementTree.SubElement(inertial, "inertia", values)

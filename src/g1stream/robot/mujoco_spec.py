@@ -6,6 +6,8 @@ from copy import deepcopy
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree as ET
 
+import numpy as np
+
 from g1stream.robot.joints import ARMATURE, FRICTION, JOINT_NAMES
 
 if TYPE_CHECKING:
@@ -36,10 +38,10 @@ def mujoco_spec(robot: G1, *, floating: bool, shapes: bool) -> Any:
     spec = mujoco.MjSpec.from_string(_simplified(robot, shapes))
     if floating:
         spec.worldbody.first_body().add_freejoint()
-    for name, armature, friction in zip(JOINT_NAMES, ARMATURE, FRICTION, strict=True):
-        joint = spec.joint(name)
-        joint.armature = armature
-        joint.frictionloss = friction
+    for motor in np.flatnonzero(robot.present):
+        joint = spec.joint(JOINT_NAMES[motor])
+        joint.armature = ARMATURE[motor]
+        joint.frictionloss = FRICTION[motor]
         joint.actfrclimited = False  # the URDF's effort; the motors have limits of their own
     return spec
 

@@ -1,4 +1,4 @@
-"""Reads the kinematics of a 29-joint G1 from a URDF, or says why that is not possible.
+"""Reads the kinematics of a G1 from a URDF, or says why that is not possible.
 
 A URDF has two readers. This one parses the XML once with ElementTree; the shapes (visuals.py) and
 the text for MuJoCo (mujoco_spec.py) are made from the same elements. The other is MuJoCo, which
@@ -17,7 +17,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from g1stream.errors import RobotError
-from g1stream.robot.joints import JOINT_NAMES
+from g1stream.robot.joints import JOINT_NAMES, JOINT_SETS, N_JOINTS, JointSet
 from g1stream.robot.rotations import quat_from_rpy
 from g1stream.text import counted
 
@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 __all__ = ["numbers", "parse_urdf", "read_kinematics"]
 
 _LIMITS: Final = ("lower", "upper", "velocity", "effort")
+#: Of joints that a robot does not have: rad, rad/s and Nm that nothing passes.
+_NO_LIMITS: Final = (-1e3, 1e3, 1e3, 1e3)
 _AXIS_TOLERANCE: Final = 1e-3  # more than rounding to four digits
 #: Of a URDF; a G1 with hands has some 60 links, and no figure of it is near the second.
 _MOST_LINKS: Final = 1000
@@ -105,7 +107,8 @@ def read_kinematics(root: ET.Element, source: str) -> dict[str, Any]:
         RobotError: the links are not one tree, or the joints are not a G1's.
     """
     joints = {joint.get("name", ""): joint for joint in root.findall("joint")}
-    _check_joints(joints, source)
+    joint_set = _joint_set(joints, source)
+    present = {JOINT_NAMES[i] for i in range(N_JOINTS) if i not in joint_set.absent}
     link_names, joint_above = _sort_links(root, source)
     n_links = len(link_names)
     parent, joint_of_link = np.full(n_links, -1), np.full(n_links, -1)
@@ -117,10 +120,13 @@ def read_kinematics(root: ET.Element, source: str) -> dict[str, Any]:
         parent[link] = link_names.index(_end(joint, "parent"))
         xyz[link] = numbers(joint.find("origin"), "xyz", 3, where, "0 0 0")
         rpy[link] = numbers(joint.find("origin"), "rpy", 3, where, "0 0 0")
-        if name in JOINT_NAMES:
+        if name in present:
             joint_of_link[link] = JOINT_NAMES.index(name)
             axis[link] = _unit_axis(joint, where)
-    limits = [_limits(joints[name], f"{source}: the joint {name!r}") for name in JOINT_NAMES]
+    limits = [
+        _limits(joints[name], f"{source}: the joint {name!r}") if name in present else _NO_LIMITS
+        for name in JOINT_NAMES
+    ]
     lower, upper, velocity, effort = np.transpose(limits).copy()
     return {
         "name": root.get("name", ""),
@@ -140,18 +146,22 @@ def read_kinematics(root: ET.Element, source: str) -> dict[str, Any]:
             for name, joint in joints.items()
             if joint.get("type") != "fixed" and name not in JOINT_NAMES
         ),
+        "joint_set": joint_set,
     }
 
 
-def _check_joints(joints: Mapping[str, ET.Element], source: str) -> None:
-    """The 29 joints exist and turn; all others stay where they are at zero."""
+def _joint_set(joints: Mapping[str, ET.Element], source: str) -> JointSet:
+    """The kind of G1 that has the joints that turn; all others stay where they are at zero."""
     types = {name: joint.get("type") for name, joint in joints.items()}
     missing = [name for name in JOINT_NAMES if types.get(name) != "revolute"]
-    if missing:
+    absent = tuple(map(JOINT_NAMES.index, missing))
+    found = next((one for one in JOINT_SETS if one.absent == absent), None)
+    if found is None:
         raise RobotError(
             f"{source} lacks {len(missing)} of the G1's {len(JOINT_NAMES)} revolute joints: "
             f"{', '.join(missing)}.",
-            "Use the URDF of a G1 with 29 joints, such as g1_29dof_rev_1_0.urdf.",
+            "Use the URDF of a G1 with 29 joints, such as g1_29dof_rev_1_0.urdf, or of "
+            f"{', '.join(one.name for one in JOINT_SETS if one.absent)} with exactly its joints.",
         )
     for name, kind in types.items():
         if kind in ("floating", "planar"):
@@ -159,6 +169,7 @@ def _check_joints(joints: Mapping[str, ET.Element], source: str) -> None:
                 f"{source}: the joint {name!r} is {kind}.",
                 "Remove it and the link above it: the root link moves freely without it.",
             )
+    return found
 
 
 def _end(joint: ET.Element, tag: str) -> str:

@@ -21,7 +21,7 @@ from pydantic import (
 )
 
 from g1stream.realtime import Grant
-from g1stream.robot.joints import JOINT_NAMES, select_joints
+from g1stream.robot.joints import JOINT_NAMES
 from g1stream.types import FeedForwardKind, Phase, Support
 
 if TYPE_CHECKING:
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from g1stream.config import Config
     from g1stream.motion.correction import Correction
     from g1stream.motion.motion import Motion
+    from g1stream.robot.model import G1
     from g1stream.types import Floats
 
 __all__ = [
@@ -188,6 +189,7 @@ class SessionInfo(Record):
         motion: what is played.
         gains: kp in Nm/rad and kd in Nm s/rad, 29 each, motor order.
         joints: names of those that play the motion; None in files of earlier versions: all.
+        absent: names of those that the robot does not have.
         config: all settings of the streamer.
         correction: of the joint targets; None: without.
     """
@@ -200,6 +202,7 @@ class SessionInfo(Record):
     motion: MotionInfo | None = None
     gains: dict[str, list[float]] | None = None
     joints: list[str] | None = None
+    absent: list[str] = []
     config: dict[str, Any] | None = None
     correction: CorrectionInfo | None = None
 
@@ -207,6 +210,7 @@ class SessionInfo(Record):
     def of(
         cls,
         config: Config,
+        robot: G1,
         motion: Motion,
         gains: Mapping[str, Floats],
         correction: Correction | None = None,
@@ -216,8 +220,9 @@ class SessionInfo(Record):
             motion=MotionInfo.of(motion),
             gains={name: values.tolist() for name, values in gains.items()},
             joints=[
-                JOINT_NAMES[i] for i in np.flatnonzero(select_joints(config.stream.played_joints))
+                JOINT_NAMES[i] for i in np.flatnonzero(robot.select(config.stream.played_joints))
             ],
+            absent=[JOINT_NAMES[i] for i in robot.joint_set.absent],
             config=config.model_dump(mode="json"),
             correction=correction and CorrectionInfo.of(correction),
         )
@@ -534,6 +539,7 @@ class Summary(Record):
         settings: those that are not the defaults, keyed like `stream.rate`.
         gains: lowest and highest kp in Nm/rad and kd in Nm s/rad.
         joints: names of those that played the motion; None where that is not known.
+        absent: names of those that the robot does not have.
         phases: in order.
         termination: how it ended.
         feedforward_log: what was logged of feed-forward, also by a stream that was killed.
@@ -557,6 +563,7 @@ class Summary(Record):
     settings: dict[str, Any] | None = None
     gains: dict[str, tuple[float, float]] | None = None
     joints: list[str] | None = None
+    absent: list[str] = []
     phases: list[PhaseInterval] = []
     termination: Termination = Termination()
     feedforward_log: list[str] = []

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
+
 from g1stream.errors import SimError
 from g1stream.robot.hulls import add_hulls, never_collide, read_hulls
 from g1stream.robot.joints import DAMPING, JOINT_NAMES, TORQUE_LIMIT
@@ -12,7 +14,7 @@ from g1stream.robot.mujoco_spec import mujoco_spec
 if TYPE_CHECKING:
     from g1stream.robot.model import G1
 
-__all__ = ["BASE_BODY", "BASE_TARGET", "add_floor_and_light", "build_model"]
+__all__ = ["BASE_BODY", "BASE_TARGET", "add_floor_and_light", "build_model", "torso_link"]
 
 BASE_BODY: Final = 1
 """The body of the URDF's root link: the world is body 0, and the root comes next."""
@@ -25,16 +27,23 @@ _LINKS: Final = 2  # the contact bit of the hulls, which collide with each other
 _HIDDEN: Final = 3  # the first group of shapes that MuJoCo's viewer hides by default
 
 
+def torso_link(robot: G1) -> str:
+    """The link above the waist; that of the name torso_link where the waist does not pitch."""
+    moved = robot.joint_of_link == JOINT_NAMES.index("waist_pitch_joint")
+    return robot.link_names[int(moved.argmax())] if moved.any() else "torso_link"
+
+
 def build_model(
     robot: G1, *, floating: bool, driven: bool, timestep: float, self_collision: bool
 ) -> Any:
     """Compile a `mujoco.MjModel` of the robot above a floor at height 0.
 
-    Motors are servos in motor order: with control c and `actuator_biasprm` (0, -kp, -kd) a motor's
-    force is c - kp q - kd dq, clipped at `g1stream.robot.joints.TORQUE_LIMIT`. Sensors have
-    unitree_mujoco's names: `imu_quat`, `imu_gyro`, `imu_acc` at the URDF's `imu_in_pelvis`, the
-    same with `secondary_` in front at its `imu_in_torso` (at the base and the torso where it has no
-    such frames), `frame_pos` and `frame_vel` of the base.
+    Motors are servos in motor order, of the joints that the robot has: with control c and
+    `actuator_biasprm` (0, -kp, -kd) a motor's force is c - kp q - kd dq, clipped at
+    `g1stream.robot.joints.TORQUE_LIMIT`. Sensors have unitree_mujoco's names: `imu_quat`,
+    `imu_gyro`, `imu_acc` at the URDF's `imu_in_pelvis`, the same with `secondary_` in front at its
+    `imu_in_torso` (at the base and the torso where it has no such frames), `frame_pos` and
+    `frame_vel` of the base.
 
     Meshes are left out, and so are the joints of fingers, which stay at zero. The robot's primitive
     shapes collide with the floor. With each other links collide as in unitree_mujoco: as the convex
@@ -63,8 +72,8 @@ def build_model(
             solid = [hull for hull in read_hulls(robot) if hull.solid]
             add_hulls(spec, solid, never_collide(robot), contact_bit=_LINKS)
         add_floor_and_light(spec)
-        _add_motors(spec)
-        _add_sensors(spec)
+        _add_motors(spec, robot)
+        _add_sensors(spec, robot)
         if driven:
             _add_base_target(spec, timestep)
         model = spec.compile()
@@ -73,7 +82,8 @@ def build_model(
             f"MuJoCo does not accept the URDF {robot.source}: {' '.join(str(error).split())}.",
             "Correct the URDF; every moving link needs a mass and an inertia.",
         ) from error
-    model.dof_damping[[model.joint(name).dofadr[0] for name in JOINT_NAMES]] = DAMPING
+    for motor in np.flatnonzero(robot.present):
+        model.dof_damping[model.joint(JOINT_NAMES[motor]).dofadr[0]] = DAMPING[motor]
     return model
 
 
@@ -129,10 +139,11 @@ def _add_base_target(spec: Any, timestep: float) -> None:
     )
 
 
-def _add_motors(spec: Any) -> None:
+def _add_motors(spec: Any, robot: G1) -> None:
     import mujoco
 
-    for name, limit in zip(JOINT_NAMES, TORQUE_LIMIT, strict=True):
+    for motor in np.flatnonzero(robot.present):
+        name, limit = JOINT_NAMES[motor], TORQUE_LIMIT[motor]
         spec.add_actuator(
             name=name.removesuffix("_joint"),
             target=name,
@@ -143,10 +154,10 @@ def _add_motors(spec: Any) -> None:
         )
 
 
-def _add_sensors(spec: Any) -> None:
+def _add_sensors(spec: Any, robot: G1) -> None:
     import mujoco
 
-    base, torso = spec.worldbody.first_body(), spec.joint("waist_pitch_joint").parent
+    base, torso = spec.worldbody.first_body(), spec.body(torso_link(robot))
     sensor, obj = mujoco.mjtSensor, mujoco.mjtObj
     for name, kind in (
         ("frame_pos", sensor.mjSENS_FRAMEPOS),

@@ -72,6 +72,7 @@ class SimulatedRobot:
     Args:
         world: its physics.
         config: rate of LowState and command timeout.
+        mode_machine: of the kind of G1 that the world simulates.
         noise: may change a LowState before it is published, as sensor noise does.
 
     Attributes:
@@ -84,11 +85,13 @@ class SimulatedRobot:
         world: World,
         config: SimConfig,
         *,
+        mode_machine: int = MODE_MACHINE_29,
         noise: Callable[[LowState], None] = lambda state: None,
     ) -> None:
         self.period = round(1e9 / config.rate)
         self.report = SimReport()
         self._world = world
+        self._mode_machine = mode_machine
         self._noise = noise
         self._steps = max(1, round(self.period / 1e9 / world.timestep))
         self._timeout = round(config.command_timeout * 1e9)
@@ -102,7 +105,7 @@ class SimulatedRobot:
         """The samples of what is measured now."""
         state, message = self._world.state(), self._low_state
         message.tick[()] = round(state.time * 1000)
-        message.mode_machine[()] = MODE_MACHINE_29
+        message.mode_machine[()] = self._mode_machine
         message.motor_mode = self._motors.enabled.astype(np.uint8)
         message.q[:], message.dq[:], message.ddq[:] = state.q, state.dq, state.ddq
         message.tau_est[:] = state.tau_est
@@ -173,8 +176,8 @@ class SimulatedRobot:
             return "its CRC is wrong"
         if int(command.mode_pr) != 0:
             return f"mode_pr is {int(command.mode_pr)}, only 0 (pitch and roll) is simulated"
-        if int(command.mode_machine) != MODE_MACHINE_29:
-            return f"mode_machine is {int(command.mode_machine)} instead of {MODE_MACHINE_29}"
+        if int(command.mode_machine) != self._mode_machine:
+            return f"mode_machine is {int(command.mode_machine)} instead of {self._mode_machine}"
         values = (command.q, command.dq, command.tau, command.kp, command.kd)
         if not all(np.isfinite(one).all() for one in values):
             return "a value is not finite"
@@ -182,10 +185,11 @@ class SimulatedRobot:
 
     def _accept(self, now: int) -> None:
         command = self._low_cmd
-        enabled = command.motor_mode == 1
-        if not enabled.all():
-            off = int(N_JOINTS - enabled.sum())
-            self.log(logging.WARNING, f"motors not enabled (mode 0): {off} of {N_JOINTS}", now)
+        present = self._world.present
+        enabled = (command.motor_mode == 1) & present
+        if off := int((present & ~enabled).sum()):
+            n = int(present.sum())
+            self.log(logging.WARNING, f"motors not enabled (mode 0): {off} of {n}", now)
         if self._accepted_at is None:
             self.log(logging.INFO, "LowCmd accepted", now)
         self._accepted_at = now

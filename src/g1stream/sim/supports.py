@@ -82,7 +82,7 @@ class Hanging(BaseSupport):
         weight = -model.opt.gravity[2] * model.body_subtreemass[BASE_BODY]
         self.height = float(self._TOP - weight / self._STIFFNESS)
         super().__init__(model, data)
-        torso = model.body_weldid == model.joint("waist_pitch_joint").bodyid
+        torso = model.body_weldid == model.body_weldid[model.site("secondary_imu").bodyid[0]]
         # Pulling each body of the torso in proportion to its mass pulls at their common centre.
         self._torso = np.flatnonzero(torso)
         self._share = (model.body_mass[torso] / model.body_mass[torso].sum())[:, None]

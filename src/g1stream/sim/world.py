@@ -91,6 +91,7 @@ class World:
         model: the `mujoco.MjModel`.
         data: its `mujoco.MjData`, for a viewer.
         timestep: s.
+        present: (29,) which joints the robot has; the state of the others is 0.
 
     Raises:
         SimError: the robot cannot be simulated.
@@ -120,14 +121,17 @@ class World:
         self.data: Any = mujoco.MjData(self.model)
         self._support = kind(self.model, self.data)
         self._support.place(self._support.height if base_height is None else base_height)
-        joints = [self.model.joint(name) for name in JOINT_NAMES]
+        self.present = robot.present
+        self._motors = np.flatnonzero(self.present)
+        joints = [self.model.joint(JOINT_NAMES[motor]) for motor in self._motors]
         self._dofs = np.array([joint.dofadr[0] for joint in joints])
         if joint_pos is not None:
-            self.data.qpos[[joint.qposadr[0] for joint in joints]] = joint_pos
+            places = [joint.qposadr[0] for joint in joints]
+            self.data.qpos[places] = np.asarray(joint_pos)[self._motors]
         self._imu, self._torso_imu = self._find_imu("imu"), self._find_imu("secondary_imu")
         self._base_pos = self.data.sensor("frame_pos").data
         self._base_lin_vel = self.data.sensor("frame_vel").data
-        self._kp, self._kd, self._work = np.zeros((3, N_JOINTS))
+        self._kp, self._kd, self._work, self._control = np.zeros((4, N_JOINTS))
         self._integrate = partial(mujoco.mj_step2, self.model, self.data)
         self._look = partial(mujoco.mj_step1, self.model, self.data)
         self._support.hold()
@@ -161,7 +165,7 @@ class World:
         self._support.set_reference(root)
 
     def _set_motors(self, command: MotorCommand) -> None:
-        kp, kd, work, control = self._kp, self._kd, self._work, self.data.ctrl
+        kp, kd, work, control = self._kp, self._kd, self._work, self._control
         np.multiply(command.kp, command.enabled, out=kp)
         np.multiply(command.kd, command.enabled, out=kd)
         np.multiply(command.tau, command.enabled, out=control)
@@ -172,19 +176,26 @@ class World:
         if not isfinite(control.sum()):
             joint = JOINT_NAMES[int(np.flatnonzero(~np.isfinite(control))[0])]
             raise SimError(f"The command to {joint} is not finite.", "Publish finite numbers only.")
-        bias = self.model.actuator_biasprm
-        np.negative(kp, out=bias[:, 1])
-        np.negative(kd, out=bias[:, 2])
+        bias, motors = self.model.actuator_biasprm, self._motors
+        self.data.ctrl[:] = control[motors]
+        bias[:, 1] = -kp[motors]
+        bias[:, 2] = -kd[motors]
+
+    def _by_motor(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(29,) values of the joints that the robot has, and 0 for the others; a copy."""
+        found = np.zeros(N_JOINTS)
+        found[self._motors] = values
+        return found
 
     def state(self) -> WorldState:
         """What is measured now."""
         data = self.data
         return WorldState(
             time=data.time,
-            q=data.actuator_length.copy(),
-            dq=data.actuator_velocity.copy(),
-            ddq=data.qacc[self._dofs],
-            tau_est=data.actuator_force.copy(),
+            q=self._by_motor(data.actuator_length),
+            dq=self._by_motor(data.actuator_velocity),
+            ddq=self._by_motor(data.qacc[self._dofs]),
+            tau_est=self._by_motor(data.actuator_force),
             imu=self._imu.copy(),
             torso_imu=self._torso_imu.copy(),
             base_pos=self._base_pos.copy(),

@@ -146,7 +146,9 @@ def _section(
         parts[f"missing_{name}"] = f'<p class="missing">{_text(reason)}</p>' if reason else ""
     parts["missing_timing"] = "" if parts["topics"] else '<p class="missing">No topic of DDS.</p>'
     if any(one["lines"] for one in drawn["signals"].values()):
-        parts["joint"] = _figure(number, "joint", f"Joint {_joint_choice(drawn['first_joint'])}")
+        parts["joint"] = _figure(
+            number, "joint", f"Joint {_joint_choice(drawn['first_joint'], summary.absent)}"
+        )
     for name, caption in (
         ("limbs", "RMS error of each limb over time, and events of the log"),
         ("rmse_deg", "RMSE of each joint; a click shows it above"),
@@ -178,16 +180,18 @@ def _figure(number: int, name: str, caption: str) -> str:
     )
 
 
-def _joint_choice(first: int) -> str:
+def _joint_choice(first: int, absent: Sequence[str]) -> str:
     groups = "".join(
         f'<optgroup label="{limb.replace("_", " ")}">'
         + "".join(
             f'<option value="{joint}"{" selected" * (joint == first)}>'
             f"{JOINT_NAMES[joint].removesuffix('_joint').replace('_', ' ')}</option>"
             for joint in joints
+            if JOINT_NAMES[joint] not in absent
         )
         + "</optgroup>"
         for limb, joints in JOINT_GROUPS.items()
+        if any(JOINT_NAMES[joint] not in absent for joint in joints)
     )
     return f'<select aria-label="joint">{groups}</select>'
 

@@ -56,8 +56,8 @@ def test_command_and_reference_have_their_own_targets(composer, target):
     assert command.crc_matches()
     assert (int(reference.tick), int(reference.phase)) == (7, Phase.PLAY)
     assert float(reference.motion_time) == 1.25
-    assert reference.q.tolist() == target.q.tolist()
-    assert reference.root_ang_vel.tolist() == target.root_ang_vel.tolist()
+    assert reference.q.tolist() == target.q.astype(np.float32).tolist()
+    assert reference.root_ang_vel.tolist() == target.root_ang_vel.astype(np.float32).tolist()
     assert reference.tau.tolist() == list(range(29))
 
 

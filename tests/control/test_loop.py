@@ -49,7 +49,7 @@ def test_play_is_sampled_exactly_at_its_deadlines(make_loop, link, trajectory):
     for i, sent in enumerate(played):
         target = Target.of(0.0, trajectory.sample(i * PERIOD / 1e9))
         assert float(sent.reference.motion_time) == i * PERIOD / 1e9
-        assert sent.reference.target.tolist() == target.published.tolist()
+        assert sent.reference.target.tolist() == target.published.astype(np.float32).tolist()
         assert sent.command.q.tolist() == target.q.astype(np.float32).tolist()
         assert sent.command.dq.tolist() == target.dq.astype(np.float32).tolist()
         assert not sent.command.tau.any()
@@ -217,7 +217,8 @@ def test_a_stall_in_the_ramp_shifts_nothing(make_loop, link, clock, trajectory):
     make_loop().run()
     sent = link.sent[RAMP - 2]
     assert int(sent.reference.phase) == Phase.PLAY
-    assert sent.reference.q.tolist() == trajectory.sample(3 * PERIOD / 1e9).joint_pos.tolist()
+    target = trajectory.sample(3 * PERIOD / 1e9).joint_pos
+    assert sent.reference.q.tolist() == target.astype(np.float32).tolist()
 
 
 def test_a_long_stall_damps(make_loop, link, clock):

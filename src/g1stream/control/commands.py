@@ -350,8 +350,9 @@ class Composer:
         reference.tick[()] = tick
         reference.phase[()] = phase
         reference.motion_time[()] = due.motion_time
-        reference.target[:] = due.published
-        reference.tau[:] = commanded.tau
+        # Rounded as the LowCmd is: more digits mean nothing, and do not compress.
+        reference.target[:] = due.published.astype(np.float32)
+        reference.tau[:] = commanded.tau.astype(np.float32)
         return self._seal(phase), reference.tobytes()
 
     def _seal(self, phase: Phase) -> bytes:

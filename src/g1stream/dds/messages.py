@@ -223,6 +223,8 @@ class SportModeState(Message):
 class Reference(Message):
     """The target of the motion at the publish time of its LowCmd, topic rt/g1stream/reference.
 
+    Its doubles are rounded to single precision, as those of the LowCmd are.
+
     Attributes:
         tick: () uint64, counts the references published.
         motion_time: () float64, s since the motion's first frame.

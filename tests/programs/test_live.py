@@ -145,10 +145,10 @@ def test_a_client_receives_channels_scenes_and_the_state_that_was_published(conf
         measured = {joint.name: joint.position for joint in joints.joints}
         assert measured == dict(zip(JOINT_NAMES, state.q.tolist(), strict=True))
 
-        late.subscribe("/robot_description", "/measured/scene")
+        late.subscribe("/measured/robot_description", "/measured/scene")
         once = {topic: payload for topic, _, payload in (late.receive(), late.receive())}
         assert once["/measured/scene"] == shown
-        assert b"<robot" in once["/robot_description"]
+        assert b"<robot" in once["/measured/robot_description"]
 
 
 def test_clients_that_never_read_cost_neither_others_nor_a_recording(

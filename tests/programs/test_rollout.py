@@ -64,7 +64,7 @@ def test_every_phase_and_channel_is_there(session):
             "/log",
         ),
         *("/ghost/tf", "/scene", "/measured/scene", "/ghost/scene", "/measured/path"),
-        "/robot_description",
+        "/measured/robot_description",
     }
     assert session.attachments.keys() >= {"robot.urdf", "config.json"}
     assert session.metadata["motion"]["name"] == "demo"

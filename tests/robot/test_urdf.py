@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from g1stream.errors import RobotError
 from g1stream.robot.model import G1
+from g1stream.robot.urdf import with_prefixed_links
+from g1stream.robot.visuals import read_visuals
 
 KNEE = 'name="left_knee_joint" type="revolute"'
 KNEE_PARENT = '<parent link="left_hip_yaw_link" />\n    <child link="left_knee_link" />'
@@ -132,3 +136,15 @@ def test_a_binary_file(tmp_path):
 def test_an_empty_file(load):
     with pytest.raises(RobotError, match="not XML: line 1, column 1"):
         load("")
+
+
+def test_links_for_a_viewer_have_the_names_of_their_frames_and_nothing_else_changes():
+    robot = G1.default()
+    shown = G1.from_urdf(with_prefixed_links(robot.urdf, "measured/"), "shown")
+    assert shown.link_names == tuple(f"measured/{name}" for name in robot.link_names)
+    assert shown.joint_names == robot.joint_names
+    assert shown.parent.tolist() == robot.parent.tolist()
+    visuals = tuple(replace(one, link=f"measured/{one.link}") for one in read_visuals(robot))
+    assert read_visuals(shown) == visuals
+    assert "<collision" in robot.urdf
+    assert "<collision" not in shown.urdf

@@ -30,6 +30,7 @@ from g1stream.foxglove.timing import Timing
 from g1stream.foxglove.tracking_error import Track, TrackingError, by_limb
 from g1stream.robot.joints import JOINT_GROUPS
 from g1stream.robot.meshes import robot_with_meshes
+from g1stream.robot.urdf import with_prefixed_links
 from g1stream.session.format import CHANNELS, TIMING_FIELDS, MessageBatch
 from g1stream.settings import RecordConfig
 from g1stream.types import Floats, Ints
@@ -137,7 +138,7 @@ class MessagePipeline:
         self._log = Log()
 
     def file_header(self, time_ns: int) -> list[MessageBatch]:
-        """What viewers need once: a scene for each robot that is shown, and the URDF; or nothing.
+        """What viewers need once: a scene for each robot, and the measured one's URDF; or nothing.
 
         Args:
             time_ns: log and publish time, ns since the epoch.
@@ -152,7 +153,9 @@ class MessagePipeline:
             "/measured/scene": scene(MEASURED_PREFIX),
             "/ghost/scene": scene(GHOST_PREFIX, GHOST_TINT),
             "/scene": scene(tint=REFERENCE_TINT),
-            "/robot_description": encode_string(self._robot.urdf),
+            "/measured/robot_description": encode_string(
+                with_prefixed_links(self._robot.urdf, MEASURED_PREFIX)
+            ),
         }
         time = np.array([time_ns])
         return [MessageBatch(topic, [data], time, time) for topic, data in payloads.items()]

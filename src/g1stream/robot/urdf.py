@@ -24,7 +24,7 @@ from g1stream.text import counted
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["numbers", "parse_urdf", "read_kinematics"]
+__all__ = ["numbers", "parse_urdf", "read_kinematics", "with_prefixed_links"]
 
 _LIMITS: Final = ("lower", "upper", "velocity", "effort")
 #: Of joints that a robot does not have: rad, rad/s and Nm that nothing passes.
@@ -72,6 +72,23 @@ def parse_urdf(text: str, source: str) -> ET.Element:
             "Give a URDF file; MJCF, SDF and USD files are not supported.",
         )
     return root
+
+
+def with_prefixed_links(text: str, prefix: str) -> str:
+    """A URDF for viewers: links named as their frames, and no shapes but those to be looked at.
+
+    Args:
+        text: of a URDF that can be parsed.
+        prefix: put before the names of links, such as `measured/`.
+    """
+    root = ET.fromstring(text, ET.XMLParser(target=_TreeBuilder()))
+    for link in root.findall("link"):
+        link.set("name", prefix + link.get("name", ""))
+        for collision in link.findall("collision"):
+            link.remove(collision)
+    for end in root.iterfind("joint/*[@link]"):
+        end.set("link", prefix + end.get("link", ""))
+    return ET.tostring(root, encoding="unicode")
 
 
 def numbers(

@@ -116,6 +116,12 @@ class Channel:
         return _LATCHED_QOS if self.latched else ""
 
 
+def _description(topic: str, what: str) -> Channel:
+    # In ROS's own message, which is what viewers read a URDF from.
+    schema = partial(message_text, "std_msgs/String")
+    return Channel(topic, "std_msgs/msg/String", "ros2msg", "cdr", what, schema, latched=True)
+
+
 def _foxglove(
     topic: str, message_class: type[Message], description: str, *, latched: bool = False
 ) -> Channel:
@@ -218,16 +224,8 @@ _ALL: Final = (
     _foxglove("/measured/scene", SceneUpdate, "shapes of the measured robot", latched=True),
     _foxglove("/ghost/scene", SceneUpdate, "shapes of the ghost, translucent", latched=True),
     _foxglove("/measured/path", SceneUpdate, "where the measured pelvis was in the last seconds"),
-    # In ROS's own message, as that is what viewers look for under this topic.
-    Channel(
-        "/robot_description",
-        "std_msgs/msg/String",
-        "ros2msg",
-        "cdr",
-        "the robot's URDF",
-        partial(message_text, "std_msgs/String"),
-        latched=True,
-    ),
+    _description("/robot_description", "the robot's URDF"),
+    _description("/measured/robot_description", "a URDF with the frames of the measured robot"),
     _dds("/lowcmd", "rt/lowcmd", "unitree_hg/msg/LowCmd", "commands to the motors"),
     _dds("/arm_sdk", "rt/arm_sdk", "unitree_hg/msg/LowCmd", "targets for arms and waist"),
     _dds("/lowstate", "rt/lowstate", "unitree_hg/msg/LowState", "state of motors and IMU"),

@@ -17,9 +17,10 @@ from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from google.protobuf.message import DecodeError
 
-from g1stream.dds.ros2 import Cdr, encode_joint_state, encode_tf, message_text
+from g1stream.dds.ros2 import Cdr, encode_joint_state, encode_string, encode_tf, message_text
 from g1stream.errors import RecordingError
 from g1stream.files import output_errors
+from g1stream.foxglove.encoders import MEASURED_PREFIX
 from g1stream.session.format import CHANNELS, Channel
 from g1stream.session.parts import (
     SessionFiles,
@@ -39,6 +40,9 @@ if TYPE_CHECKING:
     from g1stream.session.mcap_writer import Compression
 
 __all__ = ["Ros2Report", "write_ros2_bag"]
+
+#: Of the text in a CDR string: after the header and the length, bytes.
+_STRING_START: Final = 8
 
 
 @dataclass(frozen=True)
@@ -171,6 +175,12 @@ def _log(data: bytes) -> bytes:
     return bytes(cdr.data)
 
 
+def _description(data: bytes) -> bytes:
+    """The URDF without the prefix of its links, which RViz has a setting for."""
+    text = data[_STRING_START:].rstrip(b"\0").decode()
+    return encode_string(text.replace(f'"{MEASURED_PREFIX}', '"'))
+
+
 def _output(source: Channel) -> _Output | None:
     """What becomes of a channel of a session; None where ROS has no message for it."""
     if source.message_encoding == "cdr":
@@ -199,5 +209,5 @@ look for it (None: the session's own), and what makes the message."""
 
 _OUTPUTS: Final = {
     topic: output for topic, channel in CHANNELS.items() if (output := _output(channel))
-}
+} | {"/measured/robot_description": _Output(CHANNELS["/robot_description"], _description)}
 _CHANNELS: Final = {output.channel.topic: output.channel for output in _OUTPUTS.values()}

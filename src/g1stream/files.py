@@ -21,12 +21,14 @@ __all__ = [
     "check_output_path",
     "complete_file",
     "is_session",
+    "is_sqlite",
     "output_errors",
     "read_file",
     "timestamped",
 ]
 
 _MCAP: Final = b"\x89MCAP"
+_SQLITE: Final = b"SQLite format 3\0"
 #: A config, gains file, URDF, mesh, correction or metadata.yaml has no more bytes than this.
 _LARGEST: Final = 16 * 2**20
 
@@ -61,17 +63,28 @@ def read_file(path: Path, most: int = _LARGEST) -> bytes:
 def is_session(path: Path) -> bool:
     """Whether a path is that of a session: an MCAP file, or a directory with metadata.yaml.
 
-    False where neither can be read. Only regular files are opened: bytes read from a pipe are gone.
+    False where neither can be read.
     """
     try:
-        if (path / "metadata.yaml").is_file():
-            return True
-        if not path.is_file():
-            return False
-        with path.open("rb") as file:
-            return file.read(len(_MCAP)) == _MCAP
+        return (path / "metadata.yaml").is_file() or _begins_with(path, _MCAP)
     except OSError:
         return False
+
+
+def is_sqlite(path: Path) -> bool:
+    """Whether a path is that of an SQLite file, as a bag of ROS 2 may be; False if unreadable."""
+    try:
+        return _begins_with(path, _SQLITE)
+    except OSError:
+        return False
+
+
+def _begins_with(path: Path, magic: bytes) -> bool:
+    # Only regular files are opened: bytes read from a pipe are gone.
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return file.read(len(magic)) == magic
 
 
 def timestamped(path: Path, now_ns: int) -> Path:

@@ -22,9 +22,9 @@ import pytest
 import g1stream
 from g1stream.errors import MotionError, RecordingError
 from g1stream.motion.array_file import ArrayFile
-from g1stream.motion.arrays import read_torch
 from g1stream.motion.files import open_motion_file
 from g1stream.motion.joint_order import names_in_order
+from g1stream.motion.torch_file import read_torch
 from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1
 from g1stream.types import JointOrder

@@ -15,20 +15,13 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from g1stream.errors import MotionError
-from g1stream.motion.arrays import (
-    is_npy,
-    is_pickle,
-    is_torch,
-    is_zip,
-    read_npy,
-    read_npz,
-    read_pickle,
-    read_torch,
-)
+from g1stream.motion.arrays import is_npy, is_zip, read_npy, read_npz
 from g1stream.motion.csv import DEFAULT_FPS
 from g1stream.motion.joint_order import Bodies, in_motor_order, names_in_order, tell_order
 from g1stream.motion.motion import SMALLEST_QUAT, Motion, norm_warnings
 from g1stream.motion.parquet import is_parquet, read_parquet
+from g1stream.motion.pickles import is_pickle, read_pickle
+from g1stream.motion.torch_file import is_torch, read_torch
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.rotations import quat_normalize, quat_rotate, wxyz_from_xyzw
 

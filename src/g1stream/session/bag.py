@@ -17,6 +17,7 @@ import numpy as np
 
 from g1stream.dds.ros2 import FramePose, JointAngles, decode_joint_state, decode_tf
 from g1stream.errors import MotionError, RecordingError
+from g1stream.files import is_sqlite
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.rotations import quat_normalize, wxyz_from_xyzw, xyzw_from_wxyz
 from g1stream.session.mcap_reader import McapFile
@@ -33,11 +34,10 @@ if TYPE_CHECKING:
 
     from g1stream.motion.motion import Motion
 
-__all__ = ["Bag", "is_sqlite"]
+__all__ = ["Bag"]
 
 T = TypeVar("T")
 
-_SQLITE: Final = b"SQLite format 3\0"
 #: Bytes of the messages that are read.
 _LARGEST: Final = 512 * 2**20
 #: Messages that are taken from SQLite at once.
@@ -47,15 +47,6 @@ _PREFERRED: Final = ("/reference/joint_states", "/joint_states")
 #: Names of the pelvis's frame.
 _PELVIS: Final = ("pelvis", "base_link")
 _NS_PER_S: Final = 1_000_000_000
-
-
-def is_sqlite(path: Path) -> bool:
-    """Whether a path is that of an SQLite file, as bags were before MCAP."""
-    try:
-        with path.open("rb") as file:
-            return path.is_file() and file.read(len(_SQLITE)) == _SQLITE
-    except OSError:
-        return False
 
 
 class Bag:

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from g1stream.errors import RecordingError
-from g1stream.files import is_session
+from g1stream.files import is_session, is_sqlite
 from g1stream.motion.files import open_motion_file
 from g1stream.motion.motion import Motion, check_fps
-from g1stream.session.bag import Bag, is_sqlite
+from g1stream.session.bag import Bag
 from g1stream.session.poses import motion_of_poses
 from g1stream.types import STREAM_RATE, Floats, Phase
 

@@ -18,6 +18,7 @@ from g1stream.types import (
     FeedForwardKind,
     OnboardMode,
     OtherJoints,
+    StreamSupport,
     Support,
     Via,
 )
@@ -187,12 +188,19 @@ class StreamConfig(Table):
         flag=(*PLAY_FLAG, "demo"),
         example="velocity",
     )
-    support: Support | None = setting(
+    support: StreamSupport | None = setting(
         None,
         "how the robot is held, which the torque depends on (a wrong value tracks worse than no "
-        "torque); as the simulator says if unset",
+        "torque); feet: nothing holds it, and it is kept on its feet (extra `feet`); as the "
+        "simulator says if unset",
         flag=PLAY_FLAG,
         example="bolted",
+    )
+    experimental_feet: bool = setting(
+        False,
+        "allow --support feet on other interfaces than loopback, where there may be a robot; it "
+        "has been tried in simulators only",
+        flag=("stream",),
     )
     preview: float | None = setting(
         None,

@@ -14,7 +14,9 @@ import numpy as np
 
 from g1stream.dds.layout import CDR_HEADER, Layout
 from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE, SPORTMODESTATE
-from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP, N_JOINTS
+from g1stream.motion.blend import minimum_jerk
+from g1stream.motion.motion import Motion
+from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP, JOINT_NAMES, N_JOINTS
 from g1stream.session.streams import STREAMS
 from g1stream.types import Floats, Ints, Phase
 
@@ -27,7 +29,7 @@ if TYPE_CHECKING:
     from g1stream.session.source import MemorySource
     from g1stream.session.writer import SessionWriter
 
-__all__ = ["EPOCH", "SyntheticSession"]
+__all__ = ["EPOCH", "SyntheticSession", "squatting"]
 
 EPOCH: Final = 1_700_000_000_000_000_000
 """Publish time of the first sample, ns since the epoch."""
@@ -161,3 +163,38 @@ def _samples(topic: Topic, values: Mapping[str, Floats], n: int) -> NDArray[np.u
         octets = np.ascontiguousarray(given, place.dtype)[..., np.newaxis].view(np.uint8)
         rows[:, len(CDR_HEADER) + offsets[..., np.newaxis] + np.arange(octets.shape[-1])] = octets
     return rows
+
+
+def squatting(seconds: float, *, arms: float = 0.6, fps: float = 50.0) -> Motion:
+    """A motion that squats every 4 s, waves both arms and turns the waist, from rest.
+
+    Args:
+        seconds: its length.
+        arms: how far the shoulders swing, rad.
+        fps: frames per second.
+    """
+    time = np.arange(round(seconds * fps) + 1) / fps
+    begun = minimum_jerk(time / 2.0)[0]
+
+    def swing(hertz: float, phase: float = 0.0) -> Floats:
+        wave: Floats = begun * np.sin(2.0 * np.pi * hertz * time + phase)
+        return wave
+
+    knee = 0.75 + 0.25 * swing(0.25)
+    angles: dict[str, Floats | float] = {"waist_yaw": 0.4 * swing(0.2)}
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        angles |= {
+            f"{side}_hip_pitch": -0.5 * knee,
+            f"{side}_knee": knee,
+            f"{side}_ankle_pitch": -0.5 * knee,
+            f"{side}_hip_roll": 0.05 * sign,
+            f"{side}_ankle_roll": -0.05 * sign,
+            f"{side}_shoulder_pitch": arms * swing(0.5, 1.0 + 0.5 * sign),
+            f"{side}_shoulder_roll": sign * (0.3 + 0.5 * arms * (begun + swing(0.3, -np.pi / 2))),
+            f"{side}_elbow": 0.5 + 0.5 * swing(0.7),
+        }
+    joint_pos = np.zeros((len(time), N_JOINTS))
+    for name, angle in angles.items():
+        joint_pos[:, JOINT_NAMES.index(f"{name}_joint")] = angle
+    root_pos = np.tile([0.0, 0.0, 0.7], (len(time), 1))
+    return Motion.from_arrays(joint_pos, root_pos, fps=fps, name="squatting")

@@ -20,6 +20,7 @@ __all__ = [
     "OnboardMode",
     "OtherJoints",
     "Phase",
+    "StreamSupport",
     "Support",
     "Via",
 ]
@@ -29,6 +30,9 @@ Ints: TypeAlias = "NDArray[np.int64]"
 
 Support = Literal["bolted", "hanging", "follow", "free"]
 """How the pelvis is held."""
+StreamSupport = Literal["bolted", "hanging", "follow", "free", "feet"]
+"""What a stream takes for granted: how the pelvis is held, or with `feet` that nothing holds it and
+the stream keeps the robot on its feet."""
 FeedForwardKind = Literal["none", "velocity", "dynamics"]
 """What a command carries beside the position: nothing, velocity, or velocity and torque."""
 BeyondLimits = Literal["refuse", "scale-time", "clamp", "anyway"]

@@ -90,7 +90,7 @@ def test_a_value_that_is_not_accepted_is_named_with_its_flag(command, arguments,
         (["--arm"], "MOTION", "--help"),
         (["x", "--domain"], "--domain", "--domain N"),
         (["x", "--duration", "--arm"], "--duration", "--duration S"),
-        (["x", "--support"], "--support", "--support {bolted,hanging,follow,free}"),
+        (["x", "--support"], "--support", "--support {bolted,hanging,follow,free,feet}"),
         (["x", "--arm=yes"], "yes", "--help"),
     ],
 )

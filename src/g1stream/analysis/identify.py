@@ -110,9 +110,10 @@ def identify(session: Session, support: Support | None = None) -> Identification
 def _support(summary: Summary) -> Support | None:
     """How the robot was held, also by what a stream that was killed has left; None if unknown."""
     if summary.stream:
-        return summary.stream.support
-    known = {text.partition(", support ")[2] for text in summary.feedforward_log}
-    known.add((summary.settings or {}).get("stream.support", ""))
+        known = {str(summary.stream.support)}
+    else:
+        known = {text.partition(", support ")[2] for text in summary.feedforward_log}
+        known.add((summary.settings or {}).get("stream.support", ""))
     return next((support for support in get_args(Support) if support in known), None)
 
 

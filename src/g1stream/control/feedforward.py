@@ -10,16 +10,19 @@ from typing import TYPE_CHECKING, Final, get_args
 
 import numpy as np
 
+from g1stream.control.balance import Balance, Reading
 from g1stream.control.revision import RevisionFit
 from g1stream.control.state_checks import STALE, ImuReading, all_finite, is_unit
 from g1stream.control.support import ForceObserver, SupportCheck
+from g1stream.control.targets import LOWERED
 from g1stream.control.time_scale import TimeScale
+from g1stream.errors import ConfigError
 from g1stream.motion.blend import minimum_jerk
 from g1stream.robot.dynamics import BaseMotion, InverseDynamics
 from g1stream.robot.joints import N_JOINTS
 from g1stream.robot.model import G1, REVISIONS
 from g1stream.session.summary import FeedForwardChange
-from g1stream.types import FeedForwardKind, Floats, Ints, Phase, Support
+from g1stream.types import FeedForwardKind, Floats, Ints, Phase, StreamSupport, Support
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -65,6 +68,7 @@ class FeedForward:
             effect later; None: a period for a bridge that announces its support, otherwise 0.
         time_scale: simulated over real time; None: it is measured.
         recorded: the commands of PLAY are recorded ones, so that this applies to RAMP and HOLD.
+        balance: keeps a robot with support `feet` on them.
 
     Attributes:
         kind, support: as given; after `begin`, as decided.
@@ -78,7 +82,7 @@ class FeedForward:
     def __init__(
         self,
         kind: FeedForwardKind | None,
-        support: Support | None = None,
+        support: StreamSupport | None = None,
         *,
         dynamics: InverseDynamics | None = None,
         alternative: InverseDynamics | None = None,
@@ -88,6 +92,7 @@ class FeedForward:
         preview: float | None = 0.0,
         time_scale: float | None = 1.0,
         recorded: bool = False,
+        balance: Balance | None = None,
     ) -> None:
         self.kind = kind
         self.support = support
@@ -104,6 +109,8 @@ class FeedForward:
         self._weight = 1.0  # of the torque, 0 while faded out
         self._fault = ""  # the reported one
         self._tau = np.zeros(N_JOINTS)
+        self._balance = balance
+        self._reading: Reading | None = None
         self._observer: ForceObserver | None = None
         self._check: SupportCheck | None = None
         self._fit: RevisionFit | None = None
@@ -150,6 +157,14 @@ class FeedForward:
         """
         kind = settings.feedforward
         torque = kind in (None, "dynamics")
+        balance = None
+        if settings.support == "feet":
+            if recorded or not torque:
+                raise ConfigError(
+                    "support feet needs torques that are computed at every tick.",
+                    "Leave out --exact and --feedforward, or hold the robot otherwise.",
+                )
+            balance = Balance(robot, period)
         other = G1.load(REVISIONS[1]) if torque and robot is G1.default() else None
         return cls(
             kind,
@@ -162,7 +177,20 @@ class FeedForward:
             preview=settings.preview,
             time_scale=settings.time_scale,
             recorded=recorded,
+            balance=balance,
         )
+
+    def stand_on(self, first: Target) -> None:
+        """RAMP begins to this target, on whose feet the robot is to stand, if it is to."""
+        if self._balance:
+            self._balance.begin(first)
+
+    def verdict(self) -> str:
+        """Why a robot on its feet has to be damped, or ""."""
+        if self._balance is None:
+            return ""
+        lost = f"the torque that keeps the robot on its feet has faded out: {self._fault}"
+        return self._balance.fault or (lost if self._fault else "")
 
     def begin(self, announced: str | None, robot: str | None = None) -> None:
         """Decide on kind and support, and log the decision.
@@ -176,7 +204,8 @@ class FeedForward:
         self._trusted = given in (None, announced)
         self.support = given or next((s for s in get_args(Support) if s == announced), None)
         if self.kind is None:
-            held = self.support not in (None, "free")  # ground contact is not in the model
+            # Ground contact is in the model of a robot on its feet only.
+            held = self.support not in (None, "free")
             self.kind = "dynamics" if held and self._dynamics else "velocity"
         unknown = self.kind == "dynamics" and not (self._dynamics and self.support)
         if unknown:
@@ -189,6 +218,13 @@ class FeedForward:
         _LOGGER.log(logging.WARNING if unknown else logging.INFO, "feed-forward: %s", text)
         if self.kind != "dynamics":
             return
+        if given == "feet":
+            if announced not in (None, "free"):
+                raise ConfigError(
+                    f"The simulator holds the robot ({announced}); it does not stand on its feet.",
+                    "Start it with --support free, or stream without --support feet.",
+                )
+            return
         if given and announced and given != announced:
             _LOGGER.warning(
                 "the bridge announces support %s, not %s: tracking with a wrong support is worse "
@@ -196,21 +232,24 @@ class FeedForward:
                 announced,
                 given,
             )
-        if self._dynamics is None or self.support is None or self.recorded:
+        support = self.support
+        if self._dynamics is None or support is None or support == "feet" or self.recorded:
             return  # observer and check need every tick
         if self._alternative and robot == self._alternative.name:
             self._dynamics = self._alternative
         elif self._alternative and robot is None and self._limit.all():  # no joint is free
-            self._fit = RevisionFit(self.support, (self._dynamics, self._alternative))
+            self._fit = RevisionFit(support, (self._dynamics, self._alternative))
         self._use(self._dynamics)
 
     def _use(self, dynamics: InverseDynamics) -> None:
         """Compute torques with this model, and check the support by it."""
         self._dynamics = dynamics
         # What the bridge announces about itself needs no check.
-        told = self.support and not self._trusted
-        self._check = SupportCheck(dynamics, self.support) if told and self.support else None
-        if self.support == "hanging":
+        support = self.support
+        if support is None or support == "feet":
+            return
+        self._check = None if self._trusted else SupportCheck(dynamics, support)
+        if support == "hanging":
             self._observer = ForceObserver(dynamics, self._period)
 
     def observe(
@@ -230,6 +269,7 @@ class FeedForward:
             tau: (29,) N·m.
             imu: of the pelvis.
         """
+        self._reading = Reading(q, dq, tau, imu)
         phase = self._phase
         if phase is Phase.WAIT or (self.recorded and phase is Phase.PLAY):
             return
@@ -273,7 +313,11 @@ class FeedForward:
         blend = minimum_jerk(2.0 * elapsed / self.ramp)[0] if phase is Phase.RAMP else 1.0
         fault = self._find_fault(imu, age)
         if not fault:
-            self._tau = self._torque(target, imu)
+            self._tau = (
+                self._balanced(phase, elapsed / self.ramp, target, age)
+                if self._balance
+                else self._torque(target, imu)
+            )
         self._weight += (-1.0 if fault else 1.0) * self._period / _FADE
         self._weight = min(1.0, max(0.0, self._weight))
         self._log_change(fault, target.motion_time)
@@ -321,9 +365,18 @@ class FeedForward:
         change = FeedForwardChange(motion_time_s=motion_time, kind=kind, reason=self._fault)
         self.changes.append(change)
 
+    def _balanced(self, phase: Phase, ramped: float, target: Target, age: float) -> Floats:
+        """The torque of a robot on its feet."""
+        if self._balance is None or self._reading is None:
+            raise RuntimeError("nothing was measured, or there is no balance")
+        if phase is not Phase.RAMP:
+            return self._balance.torque(target, self._reading, age)
+        share = minimum_jerk((ramped - LOWERED) / (1.0 - LOWERED))[0] if self._announced else None
+        return self._balance.torque(target, self._reading, age, share=share, planted=False)
+
     def _torque(self, target: Target, imu: ImuReading) -> Floats:
         dynamics, support = self._dynamics, self.support
-        if dynamics is None or support is None:
+        if dynamics is None or support is None or support == "feet":
             raise RuntimeError("there is no model to compute torques with: call begin() first")
         base = _base(support, target, imu)
         force = self._observer.update(imu) if self._observer else None

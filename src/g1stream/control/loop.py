@@ -296,6 +296,8 @@ class StreamLoop:
         if unknown and phase is not Phase.WAIT:
             return self._others.of_state() or unknown
         wrong = "" if unknown else self._safety.verdict()
+        if self._feedforward:
+            wrong = wrong or self._feedforward.verdict()
         if wrong := wrong or self._overruns.verdict():
             return wrong
         other = self._others.verdict(now, waiting=phase is Phase.WAIT)
@@ -342,6 +344,7 @@ class StreamLoop:
         self._undamped = replace(self._timing, hold=_FOREVER)
         if self._feedforward:
             self._feedforward.ramp = ramp.length
+            self._feedforward.stand_on(self._targets.first)
 
     def _begin_feedforward(self) -> None:
         feedforward, report = self._feedforward, self.report

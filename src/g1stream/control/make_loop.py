@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from math import inf
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from g1stream.control.arm_sdk import HAND_BACK_TIME, MOVED, WEIGHT_TIME, ArmSdkComposer
 from g1stream.control.commands import CommandLimits, Composer
@@ -31,6 +31,9 @@ if TYPE_CHECKING:
     from g1stream.settings import StreamConfig
 
 __all__ = ["make_loop"]
+
+#: More than a leg is shorter in the lowest squat than stretched, m.
+_LIFT: Final = 0.4
 
 
 def make_loop(
@@ -72,6 +75,12 @@ def make_loop(
             f"{'recorded commands' if recorded else 'a correction'}, which are for all joints.",
             "Leave --joints out" + (", or --exact." if recorded else ", or --correction."),
         )
+    whole = bool(played.all() and robot.present.all()) and settings.via == "lowcmd"
+    if settings.support == "feet" and (settings.loop or not whole):
+        raise ConfigError(
+            "support feet needs all 29 joints, on rt/lowcmd, and a motion that does not repeat.",
+            "Leave out --joints, --via and --loop, or hold the robot otherwise.",
+        )
     held = played if settings.others == "free" else robot.present
     # Recorded commands were checked, and are sent instead of those that are composed.
     beyond = "clamp" if recorded else settings.beyond_limits
@@ -110,6 +119,7 @@ def make_loop(
             ramp=settings.ramp,
             ramp_speed=settings.ramp_speed,
             played=played,
+            lift=_LIFT if settings.support == "feet" else 0.0,
         ),
         Safety(robot, config.safety, period, held),
         Overruns(period, config.safety),

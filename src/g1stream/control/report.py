@@ -14,7 +14,7 @@ from g1stream.types import Ints
 if TYPE_CHECKING:
     from g1stream.control.commands import CommandLimits
     from g1stream.control.targets import Ramp
-    from g1stream.types import FeedForwardKind, Support
+    from g1stream.types import FeedForwardKind, StreamSupport
 
 __all__ = ["Lateness", "LoopReport"]
 
@@ -85,7 +85,7 @@ class LoopReport:
     saturated: Ints = field(default_factory=lambda: np.zeros(N_JOINTS, np.int64))
     reason: str = ""
     feedforward: FeedForwardKind | Literal["recorded"] | None = None
-    support: Support | None = None
+    support: StreamSupport | None = None
     feedforward_changes: list[FeedForwardChange] = field(default_factory=list)
     preview: float | None = None
     robot: str | None = None

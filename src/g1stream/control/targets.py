@@ -18,7 +18,10 @@ if TYPE_CHECKING:
 
     from g1stream.motion.trajectory import Trajectory, TrajectoryPoint
 
-__all__ = ["Ramp", "Target", "Targets"]
+__all__ = ["LOWERED", "Ramp", "Target", "Targets"]
+
+LOWERED: Final = 0.9
+"""Share of RAMP in which a lifted pelvis is lowered."""
 
 _N: Final = N_JOINTS
 _NO_TORQUE: Final = np.zeros(N_JOINTS)
@@ -171,6 +174,8 @@ class Targets:
         ramp_speed: highest speed of a joint on the way to the first frame, rad/s.
         played: (29,) which joints play the motion, all if None; the others keep the pose from which
             RAMP starts.
+        lift: m by which the pelvis is higher when RAMP begins: a simulator that holds it there
+            lowers the robot onto its feet with it.
 
     Attributes:
         first: the target at `start`.
@@ -185,6 +190,7 @@ class Targets:
         ramp: float,
         ramp_speed: float = inf,
         played: NDArray[np.bool_] | None = None,
+        lift: float = 0.0,
     ) -> None:
         self._trajectory = trajectory
         self._start = start
@@ -192,6 +198,7 @@ class Targets:
         self._least_ramp = self._ramp = ramp
         self._ramp_speed = ramp_speed
         self._played = None if played is None or played.all() else played
+        self._lift = np.array([0.0, 0.0, lift])
         self._from: Floats | None = None
         self.first = Target.of(start, trajectory.sample(start))
         self._last = self.first.at_rest()
@@ -248,7 +255,9 @@ class Targets:
         goal = _coasting(self.first, -way, rate, -acceleration)
         progress, speed, change = minimum_jerk(elapsed / self._ramp)
         distance = self.first.q - self._from
+        lifted = 1.0 - minimum_jerk(elapsed / (LOWERED * self._ramp))[0]
         return goal.replace(
+            root_pos=goal.root_pos + lifted * self._lift,
             q=self._from + progress * distance - way * self.first.dq,
             dq=goal.dq + speed / self._ramp * distance,
             ddq=goal.ddq + change / self._ramp**2 * distance,

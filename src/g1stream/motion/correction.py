@@ -21,7 +21,7 @@ from g1stream.files import complete_file, read_file
 from g1stream.motion.arrays import read_npz
 from g1stream.motion.blend import minimum_jerk
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS, by_joint
-from g1stream.types import FeedForwardKind, Support
+from g1stream.types import FeedForwardKind, StreamSupport
 
 if TYPE_CHECKING:
     import os
@@ -69,7 +69,7 @@ class Conditions:
     kp: Floats
     kd: Floats
     feedforward: FeedForwardKind | None
-    support: Support | None
+    support: StreamSupport | None
 
     def differences(self, other: Conditions) -> list[str]:
         """What differs, such as "rate 500 Hz and 250 Hz", in the order self and other."""
@@ -159,7 +159,7 @@ class Correction:
                 "Play the motion as it was learned, or learn from sessions like this one.",
             )
 
-    def require_feedforward(self, kind: FeedForwardKind, support: Support | None) -> None:
+    def require_feedforward(self, kind: FeedForwardKind, support: StreamSupport | None) -> None:
         """The same for feed-forward and support, once they have been decided."""
         self.require(replace(self.conditions, feedforward=kind, support=support))
 
@@ -248,7 +248,7 @@ class Correction:
             kp=_numbers(arrays, "kp", (N_JOINTS,)),
             kd=_numbers(arrays, "kd", (N_JOINTS,)),
             feedforward=_choice(arrays, "feedforward", FeedForwardKind),
-            support=_choice(arrays, "support", Support),
+            support=_choice(arrays, "support", StreamSupport),
         )
         if arrays["frozen"].dtype != np.bool_:
             raise ValueError(f"frozen is of type {arrays['frozen'].dtype}")

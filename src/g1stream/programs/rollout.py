@@ -22,6 +22,7 @@ from g1stream.motion.correction import ATTACHMENT_NAME, Correction
 from g1stream.motion.fit import fit_to_robot
 from g1stream.motion.motion import Motion
 from g1stream.programs.sim import make_world
+from g1stream.programs.standing import stand_if_asked
 from g1stream.robot.model import G1
 from g1stream.session.motions import load_motion
 from g1stream.session.session import Session
@@ -37,9 +38,11 @@ if TYPE_CHECKING:
 
     from g1stream.dds.messages import LowState
     from g1stream.dds.topics import Topic
-    from g1stream.types import FeedForwardKind, Support
+    from g1stream.types import FeedForwardKind, StreamSupport, Support
 
 __all__ = ["LATENCY", "rollout"]
+
+_LOGGER = logging.getLogger(__name__)
 
 LATENCY: Final = 100_000
 """Log time minus publish time of every message of a rollout, ns: about that of DDS on loopback."""
@@ -48,7 +51,7 @@ LATENCY: Final = 100_000
 def rollout(
     motion: Motion | str | Path,
     *,
-    support: Support | None = None,
+    support: StreamSupport | None = None,
     feedforward: FeedForwardKind | None = None,
     config: Config | None = None,
     seconds: float | None = None,
@@ -70,7 +73,8 @@ def rollout(
 
     Args:
         motion: a motion, a motion file, or the name of a bundled motion.
-        support: how the pelvis is held; `config.sim.support`, bolted by default, if None.
+        support: how the pelvis is held; `config.sim.support`, bolted by default, if None. With
+            `feet` nothing holds it, and the loop keeps the robot on its feet (extra `feet`).
         feedforward: what commands carry beside the position; if None `config.stream.feedforward`,
             by default dynamics, and velocity for support "free".
         config: all settings; the defaults if None. `dds` and `realtime` have no effect.
@@ -106,6 +110,7 @@ def rollout(
         batch.log_times.append(stamp + LATENCY)
 
     link = Lockstep(simulated, announced or config.sim.support, on_sample=on_sample)
+    motion, changed = stand_if_asked(motion, robot, config)
     fitted = fit_to_robot(motion, robot, config, simulated=True)
     trajectory, motion = fitted.trajectory, fitted.trajectory.motion
     if not isinstance(correction, Correction):
@@ -113,6 +118,8 @@ def rollout(
         correction = Correction.load(path) if path else None
     loop = make_loop(config, robot, trajectory, link, link, settle=0, correction=correction)
     with _log_to(lambda data, _: on_sample(LOG, data, link.stamp())):
+        if changed:
+            _LOGGER.warning("%s", changed)
         loop.run()
     source = MemorySource(f"rollout of {motion.name}")
     info = SessionInfo.of(config, robot, motion, gains_in_play(config, robot)._asdict(), correction)
@@ -143,12 +150,17 @@ def rollout(
 
 def _resolve(
     config: Config,
-    support: Support | None,
+    support: StreamSupport | None,
     feedforward: FeedForwardKind | None,
     seconds: float | None,
     joints: str | None,
 ) -> Config:
     """The config with the arguments of a rollout over its values."""
+    if support == "feet" or (support is None and config.stream.support == "feet"):
+        config = config.model_copy(
+            update={"stream": config.stream.model_copy(update={"support": "feet"})}
+        )
+        support, feedforward = "free", feedforward or "dynamics"
     support = support or config.sim.support
     default: FeedForwardKind = "velocity" if support == "free" else "dynamics"
     config = load_config(

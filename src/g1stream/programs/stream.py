@@ -34,6 +34,7 @@ from g1stream.programs.arming import inspect_for_arming, motion_service, require
 from g1stream.programs.child_process import Child, ChildError
 from g1stream.programs.guard import Guard
 from g1stream.programs.ros2 import publishing_for_ros2
+from g1stream.programs.standing import refuse_feet_on_robot, stand_if_asked
 from g1stream.realtime import describe, on_time
 from g1stream.robot.model import G1
 from g1stream.session.motions import load_motion
@@ -105,6 +106,7 @@ def stream(
     """
     config = config or Config()
     require_arming(config.dds.interface, armed=arm is not None)
+    refuse_feet_on_robot(config)
     config = with_robot_limits(config)
     on_wire = for_wire(config)
     session = None if record is None else _recording_path(Path(record), config.record, force)
@@ -290,7 +292,11 @@ def _fit(motion: Motion, robot: G1, config: Config, recorded: RecordedCommands |
     if recorded:
         interval = Interval.from_config(config.stream, motion)
         return Playable(Trajectory(motion, loop=config.stream.loop), interval)
-    return fit_to_robot(motion, robot, config, simulated=is_local_only(config.dds.interface))
+    motion, changed = stand_if_asked(motion, robot, config)
+    playable = fit_to_robot(motion, robot, config, simulated=is_local_only(config.dds.interface))
+    if changed:
+        playable = playable._replace(events=((logging.WARNING, changed), *playable.events))
+    return playable
 
 
 def _arm(

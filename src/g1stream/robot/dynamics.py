@@ -37,11 +37,12 @@ if TYPE_CHECKING:
     from g1stream.robot.model import G1
     from g1stream.types import Support
 
-__all__ = ["BaseMotion", "InverseDynamics", "Momentum", "Solution", "friction_torque"]
+__all__ = ["GRAVITY", "BaseMotion", "InverseDynamics", "Momentum", "Solution", "friction_torque"]
 
 _BASE: Final = 6
 _ROOT: Final = 1  # the base, after the world
-_GRAVITY: Final = 9.81
+GRAVITY: Final = 9.81
+"""m/s²."""
 
 #: Dry friction reaches its full value at about twice this speed, rad/s.
 _STICTION_SPEED: Final = 0.05
@@ -111,9 +112,7 @@ class InverseDynamics:
         RobotError: MuJoCo does not accept the URDF, or there is no link `carrier`.
     """
 
-    def __init__(
-        self, robot: G1, *, carrier: str = "torso_link", gravity: float = _GRAVITY
-    ) -> None:
+    def __init__(self, robot: G1, *, carrier: str = "torso_link", gravity: float = GRAVITY) -> None:
         import mujoco
 
         robot.link_index(carrier)

@@ -32,6 +32,7 @@ class Soles:
 
     Attributes:
         links: (2,) the links of the feet.
+        corners: (2, 4, 3) m, in the frames of these links.
 
     Raises:
         RobotError: there is no hull for a foot of this robot.
@@ -41,14 +42,14 @@ class Soles:
         joints = [JOINT_NAMES.index(f"{side}_ankle_roll_joint") for side in SIDES]
         self.links = [int(np.flatnonzero(robot.joint_of_link == joint)[0]) for joint in joints]
         self._robot = robot
-        self._corners = np.stack([_corners(robot, robot.link_names[link]) for link in self.links])
+        self.corners = np.stack([_corners(robot, robot.link_names[link]) for link in self.links])
         #: Of each foot, the links that a joint moves between the pelvis and its sole.
         self._above = [_moved_links(robot, link) for link in self.links]
 
     def positions(self, poses: LinkPoses) -> Floats:
         """The corners (T, 8, 3) in the world, m."""
         pos, quat = (values[:, self.links, np.newaxis] for values in poses)
-        corners = pos + quat_rotate(quat, self._corners)
+        corners = pos + quat_rotate(quat, self.corners)
         return corners.reshape(len(corners), -1, 3)
 
     def torques(self, poses: LinkPoses, corners: Floats, forces: Floats) -> Floats:

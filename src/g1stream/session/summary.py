@@ -22,7 +22,7 @@ from pydantic import (
 
 from g1stream.realtime import Grant
 from g1stream.robot.joints import JOINT_NAMES
-from g1stream.types import FeedForwardKind, Phase, Support
+from g1stream.types import FeedForwardKind, Phase, StreamSupport
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -318,7 +318,7 @@ class StreamSummary(Record):
     torque_limited_ticks: dict[str, Int] | None = None
     saturated_ticks: dict[str, Int] | None = None
     feedforward: FeedForwardKind | Literal["recorded"] | None = None
-    support: Support | None = None
+    support: StreamSupport | None = None
     preview_s: float | None = None
     feedforward_changes: list[FeedForwardChange] = []
     robot: str | None = None

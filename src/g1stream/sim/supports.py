@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import sqrt
+from math import inf, sqrt
 from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple
 
 import numpy as np
@@ -118,7 +118,7 @@ class Follow(BaseSupport):
         self._pos, self._quat = data.mocap_pos[target], data.mocap_quat[target]
         self._timestep = model.opt.timestep
         self._vel, self._ang_vel = np.zeros(3), np.zeros(3)
-        self._reference_age = 0.0
+        self._reference_age = inf
         floor = model.geom("floor").id
         model.geom_contype[floor] = model.geom_conaffinity[floor] = 0
 
@@ -135,7 +135,8 @@ class Follow(BaseSupport):
         self._quat[:] = quat_normalize(quat_mul(self._quat, np.array([1.0, *(turn / 2)])))
 
     def set_reference(self, root: Root) -> None:
-        if np.abs(root.pos - self._pos).max() > self._LEAP:
+        first = self._reference_age > self._TIMEOUT
+        if first or np.abs(root.pos - self._pos).max() > self._LEAP:
             self._move_base(root)
         self._pos[:], self._quat[:] = root.pos, root.quat_wxyz
         self._vel[:], self._ang_vel[:] = root.lin_vel, root.ang_vel

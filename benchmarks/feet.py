@@ -1,0 +1,184 @@
+"""`--support feet` in lockstep: seconds stood, RMSE, pushes, other masses, delay, friction, tick.
+
+With noise on every measurement and a tick of delay.
+Run: python benchmarks/feet.py [--runs 10] [--seconds 60]
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections import deque
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from g1stream.analysis.stance import stand
+from g1stream.config import Config
+from g1stream.control.balance import Balance, Reading
+from g1stream.control.feedforward import FeedForward
+from g1stream.control.make_loop import make_loop
+from g1stream.control.state_checks import ImuReading
+from g1stream.control.targets import Target
+from g1stream.motion.motion import Motion
+from g1stream.motion.trajectory import Trajectory
+from g1stream.programs.sim import make_world
+from g1stream.robot.model import G1
+from g1stream.robot.rotations import quat_normalize
+from g1stream.session.motions import load_motion
+from g1stream.sim.lockstep import Lockstep
+from g1stream.sim.robot import SimulatedRobot
+from g1stream.synthetic import squatting
+from g1stream.types import Floats, Phase
+
+if TYPE_CHECKING:
+    from g1stream.dds.messages import LowState
+
+ROBOT = G1.default()
+CONFIG = Config.model_validate(
+    {"sim": {"support": "free"}, "stream": {"support": "feet", "ramp": 2.0, "hold": 0.0}}
+)
+FALLEN = 0.5  # m, height of the pelvis
+
+
+class Trouble(NamedTuple):
+    """What is wrong with the robot."""
+
+    push: Floats = np.zeros(3)  # N at the torso, for 0.1 s, 1 s after PLAY began
+    mass: float = 1.0  # of the robot over the model's; the difference is in the torso
+    delay: int = 0  # ms more from a command to the robot
+    friction: float = 1.0  # of the floor
+
+
+class LateLink(Lockstep):
+    """Delivers commands some ticks later."""
+
+    def __init__(self, robot: SimulatedRobot, ticks: int) -> None:
+        super().__init__(robot, "free")
+        self._late = deque([(b"", b"")] * ticks)
+
+    def send(self, command: bytes, reference: bytes, stamp: int) -> int:
+        self._late.append((command, reference))
+        return super().send(*self._late.popleft(), stamp)
+
+
+def play(motion: Motion, trouble: Trouble, seed: int) -> tuple[float, float, str]:
+    """Seconds stood, joint RMSE meanwhile, rad, and why the run ended, if early."""
+    rng = np.random.default_rng(seed)
+    world = make_world(ROBOT, CONFIG.sim)
+    torso = world.model.body("torso_link").id
+    world.model.body_mass[torso] += (trouble.mass - 1.0) * world.model.body_mass.sum()
+    world.model.geom_friction[:, 0] = trouble.friction
+    stood, squares = 0, 0.0
+
+    def measure(state: LowState) -> None:
+        nonlocal stood, squares
+        playing = loop.state.phase is Phase.PLAY and loop.newest is not None
+        elapsed = loop.state.elapsed(link.now()) / 1e9
+        world.data.xfrc_applied[torso, :3] = trouble.push * (playing and 1.0 <= elapsed < 1.1)
+        if playing and world.data.qpos[2] > FALLEN:
+            stood += 1
+            squares += float(((state.q[:29] - loop.newest.target.q) ** 2).mean())
+        state.q[:29] += rng.normal(0.0, 5e-4, 29)
+        state.dq[:29] += rng.normal(0.0, 0.05, 29)
+        state.gyroscope[:] += rng.normal(0.0, 0.01, 3)
+        state.accelerometer[:] += rng.normal(0.0, 0.1, 3)
+        state.quaternion[:] = quat_normalize(state.quaternion + rng.normal(0.0, 5e-4, 4))
+
+    robot = SimulatedRobot(world, CONFIG.sim, noise=measure)
+    link = LateLink(robot, trouble.delay // 2)
+    loop: Any = make_loop(CONFIG, ROBOT, Trajectory(motion), link, link, settle=0)
+    reason = loop.run().reason
+    return stood / 500.0, float(np.sqrt(squares / max(stood, 1))), reason
+
+
+def table(name: str, motion: Motion, runs: int, trouble: Trouble = Trouble()) -> bool:  # noqa: B008
+    """Print one line; whether every run stood to its end."""
+    results = [play(motion, trouble, seed) for seed in range(runs)]
+    stood, rmse, reasons = zip(*results, strict=True)
+    lasted = sum(not reason for reason in reasons)
+    worst = next((reason for reason in reasons if reason), "")
+    print(
+        f"{name:34s} {lasted:2d} of {runs:2d} to the end; stood {min(stood):5.1f} s or more; RMSE "
+        f"{min(rmse):.4f} to {max(rmse):.4f} rad {worst}",
+        flush=True,
+    )
+    return lasted == runs
+
+
+def swaying(seconds: float) -> Motion:
+    """Weight shifts: the pelvis 5 cm to either side every 4 s, on knees bent by 0.75 rad."""
+    motion = squatting(seconds, arms=0.0)
+    time = np.arange(motion.n_frames) / motion.fps
+    pos = np.tile(motion.joint_pos[0], (motion.n_frames, 1))
+    angle = 0.07 * np.sin(0.5 * np.pi * time) * np.minimum(1.0, time / 2.0)
+    for hip, ankle in ((1, 5), (7, 11)):
+        pos[:, hip] += angle
+        pos[:, ankle] -= angle
+    return Motion.from_arrays(pos, motion.root_pos, fps=motion.fps, name="swaying")
+
+
+def pushes(motion: Motion) -> None:
+    """The largest push that it stands, by direction, in steps of 10 N."""
+    for name, way in (
+        ("forward", (1, 0)),
+        ("backward", (-1, 0)),
+        ("left", (0, 1)),
+        ("right", (0, -1)),
+    ):
+        force = 40.0
+        while force < 400.0:
+            push = Trouble(push=(force + 10.0) * np.array([*way, 0.0]))
+            if play(motion, push, 0)[2]:
+                break
+            force += 10.0
+        print(f"push {name:8s} for 0.1 s: {force:.0f} N", flush=True)
+
+
+def ticks(motion: Motion) -> None:
+    """What the torque of a tick takes, beside that of the feed-forward of a hanging robot."""
+    trajectory = Trajectory(motion)
+    targets = [Target.of(t, trajectory.sample(t)) for t in np.arange(0.0, motion.duration, 0.01)]
+    balance = Balance(ROBOT, 0.002)
+    balance.begin(targets[0])
+    settings = CONFIG.stream.model_copy(update={"support": "hanging"})
+    hanging = FeedForward.from_config(settings, ROBOT, 0.002)
+    hanging.begin(None)
+    taken: dict[str, list[float]] = {"hanging": [], "feet": []}
+    still = np.zeros(29, np.float32)
+    for target in targets:
+        imu = ImuReading(target.root_quat_wxyz, np.zeros(3), np.array([0.0, 0.0, 9.81]))
+        begun = time.perf_counter()
+        hanging.command(Phase.PLAY, target.motion_time, target, imu, 0.0)
+        between = time.perf_counter()
+        balance.torque(target, Reading(target.q, still, still, imu), 0.0)
+        taken["hanging"].append(between - begun)
+        taken["feet"].append(time.perf_counter() - between)
+    for name, values in taken.items():
+        median, high = 1e6 * np.percentile(values, [50, 99])
+        print(f"tick {name:8s} median {median:6.0f} us, 99 % {high:6.0f} us")
+    ratio = np.median(taken["feet"]) / np.median(taken["hanging"])
+    print(f"tick of feet over that of hanging: {ratio:.2f}", flush=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--runs", type=int, default=10)
+    parser.add_argument("--seconds", type=float, default=60.0)
+    args = parser.parse_args()
+    squat = stand(squatting(args.seconds), ROBOT).motion
+    short = stand(squatting(4.0), ROBOT).motion
+    ticks(short)
+    table("squat and arms", squat, args.runs)
+    table("weight shifts", stand(swaying(args.seconds), ROBOT).motion, args.runs)
+    demo = load_motion("demo")
+    table("demo, its first 8 s", stand(demo.frames(0, 241), ROBOT).motion, args.runs)
+    table("10 % heavier", squat, 1, Trouble(mass=1.1))
+    table("10 % lighter", squat, 1, Trouble(mass=0.9))
+    table("10 ms later", squat, 1, Trouble(delay=10))
+    table("friction 0.4", squat, 1, Trouble(friction=0.4))
+    pushes(short)
+
+
+if __name__ == "__main__":
+    main()

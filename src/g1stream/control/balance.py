@@ -1,0 +1,330 @@
+"""Balance: the torques with which a robot on its feet follows a reference and does not fall; pure.
+
+Each tick, the accelerations that bring the centre of mass and the pelvis back to the reference are
+wanted, and a quadratic program finds the forces of the floor that come nearest to them: the soles
+push and do not pull, they do not slip, the centre of pressure stays within each sole, and no joint
+of a leg exceeds its torque. The forces give the torques (`g1stream.robot.standing`). Waist and arms
+follow the reference by their servos. docs/feet.md has the formulas.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+from g1stream.control.base_estimate import BaseEstimate
+from g1stream.extras import import_extra
+from g1stream.robot.dynamics import GRAVITY
+from g1stream.robot.rotations import quat_conj, quat_mul, quat_normalize, quat_rotate, tilt_of
+from g1stream.robot.standing import LEGS, BodyState, StandingDynamics
+from g1stream.types import Floats
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from g1stream.control.state_checks import ImuReading
+    from g1stream.control.targets import Target
+    from g1stream.robot.model import G1
+    from g1stream.robot.standing import Terms
+
+__all__ = ["Balance", "Reading"]
+
+#: Wanted acceleration for an error, 1/s², and for the error of its rate, 1/s: of the centre of mass
+#: along x, y and z, and of the pelvis's attitude.
+_CENTRE: Final = np.array([25.0, 25.0, 60.0]), np.array([10.0, 10.0, 12.0])
+_TURN: Final = 60.0, 12.0
+#: What an error of the pelvis's angular acceleration counts, against one of the centre of mass.
+_TURN_COUNTS: Final = 0.2
+#: What the squares of the wrenches count, force and moment over the weight: feet that stand alike
+#: carry alike, and a moment is more to be avoided than a force.
+_EVEN: Final = 1e-3 * np.tile([10.0, 10.0, 1.0, 200.0, 200.0, 200.0], 2)
+#: What the floor is trusted with: the coefficient of friction, the least force on a foot over the
+#: weight, and how far the centre of pressure is kept from the edge of a sole, m.
+_FRICTION: Final = 0.4
+_LEAST: Final = 0.03
+_EDGE: Final = 0.01
+#: Radius of a circle as large as a sole, at which friction resists turning, m.
+_RADIUS: Final = 0.05
+#: Share of a leg's torque limit that is used.
+_TORQUE: Final = 0.95
+
+#: No bound, and the solver's word for a solution.
+_UNBOUNDED: Final = 1e30
+_OPTIMAL: Final = 1
+#: Iterations after which there is no solution in this tick; a few are usual.
+_ITERATIONS: Final = 100
+
+#: What is measured is extrapolated to half a period after the command takes effect, s.
+_LATENCY: Final = 0.001
+#: Time constants, s: of the force that something else than the floor exerts, of each foot's load.
+_OTHER_FORCE: Final = 0.3
+_LOAD: Final = 0.02
+
+#: The robot falls: it is tilted against the reference, rad; its centre of mass is beside the
+#: reference's, m; its feet carry less than this of its weight, or the floor cannot give what the
+#: centre of mass takes by so much, m/s², for longer than a time, s.
+_TILTED: Final = 0.5
+_BESIDE: Final = 0.15
+_UNLOADED: Final = 0.25, 0.15
+_MISSING: Final = 2.0, 0.4
+#: Time without a solution that ends the run, s.
+_UNSOLVED: Final = 0.05
+
+
+class Reading(NamedTuple):
+    """What a LowState has of the joints, (29,) in motor order, and of the pelvis."""
+
+    q: NDArray[np.floating]  # rad
+    dq: NDArray[np.floating]  # rad/s
+    tau: NDArray[np.floating]  # N·m
+    imu: ImuReading
+
+
+class Balance:
+    """Finds the torques of a robot that stands on both feet.
+
+    Args:
+        robot: the G1.
+        period: s between commands.
+
+    Attributes:
+        base: where the pelvis is.
+        carried: share of the weight that the feet carry, measured.
+        fault: why the robot cannot be kept on its feet; "" while it can.
+        failures: ticks without a solution.
+        wrench: (12,) force, N, and moment, N·m, of the floor on each sole, world; None before the
+            first solution.
+        terms: of the last state; None before it.
+
+    Raises:
+        ConfigError: the solver is not installed.
+        RobotError: the soles of this robot are not known.
+    """
+
+    def __init__(self, robot: G1, period: float) -> None:
+        self._solve: Any = import_extra("daqp", "feet", "Support feet needs").solve
+        self._dynamics = StandingDynamics(robot)
+        self._period = period
+        self._limit: Floats = _TORQUE * robot.torque_limit[:LEGS]
+        self._cone, self._cone_least = _cone(self._dynamics.sole)
+        #: Lower bounds, rows times the wrenches, upper bounds; kinds of bounds: inequalities.
+        n_rows = 2 * len(self._cone) + LEGS
+        self._rows, self._least = np.zeros((n_rows, 12)), np.zeros(n_rows)
+        self._most, self._kinds = np.full(n_rows, _UNBOUNDED), np.zeros(n_rows, np.int32)
+        self._least[: 2 * len(self._cone)] = np.tile(self._cone_least, 2)
+        self.base = BaseEstimate()
+        self._planted = np.zeros((2, 3)), np.zeros(2)
+        self.carried = 0.0
+        self.fault = ""
+        self.failures = 0
+        self.wrench: Floats | None = None
+        self.terms: Terms | None = None
+        self._other = np.zeros(3)
+        self._lasted = dict.fromkeys(("unloaded", "missing", "unsolved"), 0.0)
+
+    def begin(self, first: Target) -> None:
+        """The reference begins with a target, on whose soles the robot is to stand."""
+        pos, headings = self._dynamics.soles(_state_of(first))
+        self._planted = pos + first.root_pos, headings
+        self.base.begin(*self._planted)
+        self.wrench, self.fault, self.carried = None, "", 0.0
+        self._other = np.zeros(3)
+        self._lasted = dict.fromkeys(self._lasted, 0.0)
+
+    def torque(
+        self,
+        target: Target,
+        measured: Reading,
+        age: float,
+        *,
+        share: float | None = None,
+        planted: bool = True,
+    ) -> Floats:
+        """The torque (29,) of a command, N·m; that of the servos comes on top.
+
+        Args:
+            target: the reference when the command takes effect.
+            measured: the newest LowState.
+            age: s since that was received.
+            share: of the weight that the feet shall carry while something else holds the robot;
+                None: what the feet do not carry is found from the measured torques.
+            planted: the feet stand; otherwise they are still on their way to where they shall.
+        """
+        ahead = age + _LATENCY
+        imu, base = measured.imu, self.base
+        dq = measured.dq.astype(np.float64)
+        q = measured.q + ahead * dq
+        ang_vel = imu.gyroscope.astype(np.float64)
+        turned = np.concatenate([[1.0], 0.5 * ahead * ang_vel])
+        quat = quat_normalize(quat_mul(base.turn(imu), turned))
+        state = BodyState(quat, ang_vel, q, dq)
+        if share is not None:
+            self._other = np.array([0.0, 0.0, (1.0 - share) * self._dynamics.weight])
+        terms = self._dynamics.terms(state, target.ddq[LEGS:], target.dq, self._other)
+        self.terms = terms
+        if not planted:
+            base.begin(*self._planted)
+        base.update(terms, imu, self._load(), self._period)
+        self._find_other_force(terms, measured, found=share is None)
+        if share == 0.0:
+            return terms.gravity_tau
+        wanted_force, wanted_turn = self._wanted(target, state, terms, ahead)
+        wrench = self._distribute(terms, wanted_force, wanted_turn)
+        if planted:
+            self._watch(target, wanted_force, wrench)
+        legs, others = terms.leg_tau, terms.other_tau
+        tau: Floats = np.concatenate([legs[0] @ wrench + legs[1], others[0] @ wrench + others[1]])
+        return tau
+
+    def _load(self) -> Floats:
+        """What each foot carries (2,), in sum 1."""
+        if self.wrench is None:
+            return np.array([0.5, 0.5])
+        force = np.maximum(self.wrench[[2, 8]], 1e-3 * self._dynamics.weight)
+        load: Floats = force / force.sum()
+        return load
+
+    def _find_other_force(self, terms: Terms, measured: Reading, *, found: bool) -> None:
+        """The force that something else than the floor exerts, and what the feet carry.
+
+        The accelerometer has the sum of both, and the legs' torques that of the floor; the legs'
+        own acceleration is left out.
+        """
+        moved = (terms.gravity_tau - measured.tau)[:LEGS].reshape(2, 6, 1)
+        floor = np.linalg.solve(
+            terms.leg_jac @ terms.leg_jac.transpose(0, 2, 1) + 1e-6 * np.eye(6),
+            terms.leg_jac @ moved,
+        )[:, :3, 0].sum(axis=0)
+        carried = float(floor[2]) / self._dynamics.weight
+        self.carried += (carried - self.carried) * self._period / _LOAD
+        if not found:
+            return
+        specific = quat_rotate(self.base.quat_wxyz, measured.imu.accelerometer.astype(np.float64))
+        other = self._dynamics.mass * specific - floor
+        rate = self._period / _OTHER_FORCE
+        self._other = self._other + (other - self._other) * rate
+
+    def _wanted(
+        self, target: Target, state: BodyState, terms: Terms, ahead: float
+    ) -> tuple[Floats, Floats]:
+        """The force of the floor, N, and the pelvis's angular acceleration, rad/s², to aim at."""
+        reference = self._dynamics.movement(
+            _state_of(target),
+            target.root_pos,
+            target.root_lin_vel,
+            (target.root_lin_acc, target.root_ang_acc, target.ddq),
+        )
+        vel = terms.centre_vel + self.base.vel
+        pos = terms.centre + self.base.pos + ahead * self.base.vel
+        stiff, damp = _CENTRE
+        acc = stiff * (reference.pos - pos) + damp * (reference.vel - vel)
+        force = reference.force + self._dynamics.mass * acc - self._other
+        turn = _rotation_vector(quat_mul(quat_conj(state.quat_wxyz), target.root_quat_wxyz))
+        wanted = target.root_ang_acc + _TURN[0] * turn
+        return force, wanted + _TURN[1] * (target.root_ang_vel - state.ang_vel)
+
+    def _distribute(self, terms: Terms, force: Floats, turn: Floats) -> Floats:
+        """The wrenches (12,) that come nearest to a force and an angular acceleration.
+
+        The program is in wrenches over the weight, so that its numbers are of the size of 1.
+        """
+        weight = self._dynamics.weight
+        goal = np.zeros((6, 12))
+        goal[:3, :3] = goal[:3, 6:9] = GRAVITY * np.eye(3)
+        goal[3:] = weight * terms.base_acc[0][3:]
+        counts = np.array([1.0] * 3 + [_TURN_COUNTS] * 3)
+        wanted = np.concatenate([force / self._dynamics.mass, turn - terms.base_acc[1][3:]])
+        counted = goal.T * counts
+        square = counted @ goal + np.diag(_EVEN)
+        rows, n = self._rows, len(self._cone)
+        for foot, turned in enumerate(terms.turns):
+            own = slice(foot * n, foot * n + n)
+            rows[own, 6 * foot : 6 * foot + 3] = self._cone[:, :3] @ turned.T
+            rows[own, 6 * foot + 3 : 6 * foot + 6] = self._cone[:, 3:] @ turned.T
+        leg, constant = terms.leg_tau
+        rows[2 * n :] = leg * (weight / self._limit[:, np.newaxis])
+        idle = constant / self._limit
+        self._least[2 * n :], self._most[2 * n :] = -1.0 - idle, 1.0 - idle
+        found, _, flag, _ = self._solve(
+            square,
+            -(counted @ wanted),
+            rows,
+            self._most,
+            self._least,
+            self._kinds,
+            iter_limit=_ITERATIONS,
+        )
+        wrench: Floats = weight * found
+        if flag != _OPTIMAL or not np.isfinite(wrench).all():
+            self.failures += 1
+            self._last("unsolved", True)
+            return np.zeros(12) if self.wrench is None else self.wrench
+        self._last("unsolved", False)
+        self.wrench = wrench
+        return wrench
+
+    def _last(self, what: str, is_so: bool) -> float:
+        """For how long something is so, s, this tick included."""
+        self._lasted[what] = self._lasted[what] + self._period if is_so else 0.0
+        return self._lasted[what]
+
+    def _watch(self, target: Target, wanted: Floats, wrench: Floats) -> None:
+        """Find out whether the robot falls."""
+        base = self.base
+        tilt = tilt_of(quat_mul(base.quat_wxyz, quat_conj(target.root_quat_wxyz)))
+        missing = wanted - wrench[:3] - wrench[6:9]
+        missed = float(np.linalg.norm(missing)) / self._dynamics.mass
+        beside = float(np.linalg.norm((base.pos - target.root_pos)[:2]))
+        falls = ""
+        if tilt > _TILTED:
+            falls = f"the pelvis is tilted by {tilt:.2f} rad against the reference"
+        elif beside > _BESIDE:
+            falls = f"the pelvis is {1e3 * beside:.0f} mm beside the reference"
+        elif self._last("missing", missed > _MISSING[0]) > _MISSING[1]:
+            falls = "the centre of pressure is at the edge of the soles"
+        elif self._last("unloaded", self.carried < _UNLOADED[0]) > _UNLOADED[1]:
+            falls = f"the feet carry {100 * self.carried:.0f} % of the weight"
+        elif self._lasted["unsolved"] > _UNSOLVED:
+            falls = "no forces of the floor keep the robot on its feet"
+        if falls and not self.fault:
+            self.fault = f"the robot falls: {falls}"
+
+
+def _cone(sole: Floats) -> tuple[Floats, Floats]:
+    """What the wrench of a sole obeys: rows (11, 6) times it are at least these numbers (11,).
+
+    In the foot's frame, about the middle of the sole: the least force, the friction pyramid, the
+    centre of pressure (x = -m_y / f_z, y = m_x / f_z), and friction against turning.
+    """
+    front, back = sole[:2, 0].min() - _EDGE, -sole[2:, 0].max() - _EDGE
+    side = np.abs(sole[:, 1]).min() - _EDGE
+    mu, twist = _FRICTION, _FRICTION * _RADIUS
+    rows = np.array(
+        [
+            (0, 0, 1, 0, 0, 0),
+            (1, 0, mu, 0, 0, 0),
+            (-1, 0, mu, 0, 0, 0),
+            (0, 1, mu, 0, 0, 0),
+            (0, -1, mu, 0, 0, 0),
+            (0, 0, front, 0, 1, 0),
+            (0, 0, back, 0, -1, 0),
+            (0, 0, side, 1, 0, 0),
+            (0, 0, side, -1, 0, 0),
+            (0, 0, twist, 0, 0, 1),
+            (0, 0, twist, 0, 0, -1),
+        ]
+    )
+    least = np.zeros(len(rows))
+    least[0] = _LEAST
+    return rows, least
+
+
+def _state_of(target: Target) -> BodyState:
+    return BodyState(target.root_quat_wxyz, target.root_ang_vel, target.q, target.dq)
+
+
+def _rotation_vector(quat: Floats) -> Floats:
+    """The rotation vector (3,) of a small turn (4,), rad: twice its vector part."""
+    vector: Floats = 2.0 * np.copysign(1.0, quat[0]) * quat[1:]
+    return vector

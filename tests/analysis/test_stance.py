@@ -1,0 +1,83 @@
+"""A motion with planted feet: against kinematics, dynamics and the limits of the soles."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from g1stream.analysis.ground import beyond_support, touching
+from g1stream.analysis.stance import stand
+from g1stream.errors import MotionError
+from g1stream.motion.motion import Motion
+from g1stream.robot.joints import JOINT_NAMES
+from g1stream.robot.kinematics import forward_kinematics
+from g1stream.robot.model import G1
+from g1stream.robot.rotations import quat_from_rpy
+from g1stream.robot.soles import Soles
+from g1stream.robot.standing import BodyState, StandingDynamics
+from g1stream.synthetic import squatting
+
+ROBOT = G1.default()
+SOLES = Soles(ROBOT)
+
+
+def corners_of(motion):
+    poses = forward_kinematics(ROBOT, motion.joint_pos, motion.root_pos, motion.root_quat_wxyz)
+    return SOLES.positions(poses)
+
+
+@pytest.fixture(scope="module")
+def squat():
+    return squatting(4.0)
+
+
+def test_the_feet_stand_still_and_flat_on_the_floor(squat):
+    corners = corners_of(stand(squat, ROBOT).motion)
+    assert np.ptp(corners, axis=0) == pytest.approx(np.zeros((8, 3)), abs=1e-5)
+    assert corners[..., 2].min() == pytest.approx(0.0, abs=1e-5)
+    assert corners[..., 2].max() == pytest.approx(0.0, abs=1e-3)  # a corner is 0.7 mm higher
+    assert touching(corners, squat.fps)[0].all()
+
+
+def test_only_the_legs_are_changed_and_little(squat):
+    standing = stand(squat, ROBOT)
+    change = np.abs(standing.motion.joint_pos - squat.joint_pos)
+    assert change[:, 12:].max() == 0.0
+    assert np.degrees(change.max()) == pytest.approx(standing.joint_deg)
+    assert JOINT_NAMES[int(change.max(axis=0).argmax())] == standing.joint
+    assert standing.joint_deg < 1.0
+    assert standing.moved_mm < 5.0
+    assert np.array_equal(standing.motion.root_quat_wxyz, squat.root_quat_wxyz)
+
+
+def test_stretched_legs_are_bent(squat):
+    straight = Motion.from_arrays(np.zeros((20, 29)), np.tile([0, 0, 0.79], (20, 1)), fps=50.0)
+    standing = stand(straight, ROBOT)
+    knees = [JOINT_NAMES.index(f"{side}_knee_joint") for side in ("left", "right")]
+    assert standing.motion.joint_pos[:, knees].min() >= 0.12
+    assert 0.0 < standing.lowered_mm < 20.0
+
+
+def test_the_mass_is_kept_over_the_soles():
+    """Leant forward by 0.6 rad at the hips, the robot would fall on its face."""
+    squat = squatting(2.0, arms=0.0)
+    leant = squat.joint_pos.copy()
+    for side in ("left", "right"):
+        leant[:, JOINT_NAMES.index(f"{side}_hip_pitch_joint")] -= 0.6
+        leant[:, JOINT_NAMES.index(f"{side}_shoulder_pitch_joint")] = -1.5
+    quat = np.tile(quat_from_rpy(np.array([0.0, 0.6, 0.0])), (len(leant), 1))
+    standing = stand(Motion.from_arrays(leant, squat.root_pos, quat, fps=squat.fps), ROBOT)
+    assert standing.shifted_mm > 10.0
+    still = standing.motion.frames(0, 2)
+    state = BodyState(still.root_quat_wxyz[0], np.zeros(3), still.joint_pos[0], np.zeros(29))
+    none = np.zeros(3), np.zeros(3), np.zeros(29)
+    centre = StandingDynamics(ROBOT).movement(state, still.root_pos[0], np.zeros(3), none).pos
+    corners = corners_of(still)[:1]
+    assert beyond_support(centre[np.newaxis, :2], corners, np.ones((1, 8), bool)) < -0.015
+
+
+def test_a_lifted_foot_is_refused_with_its_frames(squat):
+    lifted = squat.joint_pos.copy()
+    lifted[50:60, JOINT_NAMES.index("left_knee_joint")] += 0.6
+    with pytest.raises(MotionError, match="left foot leaves the floor in frames 50 to 59"):
+        stand(Motion.from_arrays(lifted, squat.root_pos, fps=squat.fps), ROBOT)

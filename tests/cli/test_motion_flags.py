@@ -13,6 +13,8 @@ from g1stream.cli.stream import Stream
 from g1stream.errors import ConfigError, MotionError, RecordingError
 from g1stream.motion.motion import Motion
 from g1stream.session.motions import load_motion
+from g1stream.session.session import open_session
+from g1stream.session.summary import MotionInfo
 
 COMMANDS = {"stream": Stream, "motion": Inspect, "convert": Convert, "demo": Demo}
 CHANGES = ["--trim", "1:5", "--mirror", "--on-floor", "--speed", "0.5"]
@@ -68,6 +70,14 @@ def test_several_motions_become_one_file(tmp_path, demo):
     assert load_motion(out).n_frames == 30 + 14 + 30
     with pytest.raises(RecordingError, match="is the input"):
         parsed("convert", "demo", str(out), str(out), "--force").run()
+
+
+def test_what_was_done_is_in_the_metadata(tmp_path, demo):
+    out = tmp_path / "out.mcap"
+    assert main(["convert", "demo", str(out), "--trim", "1:2", "--mirror"]) == 0
+    operations = ["trimmed to 1 to 2 s", "mirrored"]
+    assert open_session(out).metadata["motion"]["operations"] == operations
+    assert MotionInfo.of(demo.trim(1, 2).mirrored()).operations == operations
 
 
 @pytest.mark.parametrize("trim", ["1", "a:b", "1:2:3"])

@@ -7,6 +7,7 @@ import sqlite3
 import numpy as np
 import pytest
 from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
+from mcap.writer import Writer as McapWriter
 from mcap_protobuf.writer import Writer as ProtobufWriter
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
@@ -167,6 +168,26 @@ def test_a_bag_with_other_things(tmp_path):
     text = [(START, of_ros("std_msgs/msg/String")("hello"))]
     path = write_bag(tmp_path / "bag", {"/chatter": ("std_msgs/msg/String", text)})
     with pytest.raises(RecordingError, match="std_msgs/msg/String"):
+        load_motion(path)
+
+
+def test_a_bag_of_the_robot_in_sqlite_is_no_session(tmp_path):
+    text = [(START, of_ros("std_msgs/msg/String")("hello"))]
+    path = write_bag(tmp_path / "bag", {"/lowstate": ("std_msgs/msg/String", text)})
+    with pytest.raises(RecordingError, match="without joint states"):
+        load_motion(path)
+
+
+def test_messages_outside_of_chunks(tmp_path):
+    path = tmp_path / "plain.mcap"
+    with path.open("wb") as file:
+        writer = McapWriter(file, use_chunking=False)
+        writer.start()
+        schema = writer.register_schema(JOINT_STATE, "ros2msg", b"")
+        channel = writer.register_channel("/joint_states", "cdr", schema)
+        writer.add_message(channel, START, encode_joint_state(START, ["a"], [0.0], [], []), START)
+        writer.finish()
+    with pytest.raises(RecordingError, match="chunk"):
         load_motion(path)
 
 

@@ -61,7 +61,7 @@ class Bag:
     Attributes:
         path: as given.
         types: of each topic, the name of its message type and the encoding of its messages.
-        is_foreign: whether it has none of the topics of a session.
+        is_foreign: whether it is no session: in SQLite, or with none of a session's topics.
     """
 
     def __init__(self, path: Path) -> None:
@@ -71,7 +71,8 @@ class Bag:
         ]
         self.types = {topic: kind for file in self._files for topic, kind in file.types.items()}
         self.counts = sum((file.counts for file in self._files), Counter[str]())
-        self.is_foreign = self.types.keys().isdisjoint(STREAMS)
+        in_sqlite = any(isinstance(file, _SqliteFile) for file in self._files)
+        self.is_foreign = in_sqlite or self.types.keys().isdisjoint(STREAMS)
 
     @cached_property
     def evidence(self) -> tuple[str, ...]:
@@ -146,6 +147,11 @@ class Bag:
                     rows.append([joints.position[i] for i in order])
                     stamps.append(joints.stamp)
                     published.append(time)
+        if not columns:
+            raise RecordingError(
+                f"{topic} in {self.path} has no message in a chunk.",
+                "Write the file with chunks, as `mcap compress` does.",
+            )
         missing = [name for name in JOINT_NAMES if name not in seen]
         if missing:
             raise MotionError(

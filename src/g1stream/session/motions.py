@@ -53,15 +53,24 @@ def load_motion(
         RecordingError: the session is damaged, or no motion was played in it.
     """
     path = Path(path_or_name)
-    if is_session(path) or is_sqlite(path):
+    if bag := _foreign_bag(path):
+        return bag.motion(fps)
+    if is_session(path):
         from g1stream.session.session import open_session
 
-        bag = Bag(path)
-        return bag.motion(fps) if bag.is_foreign else open_session(path).motion(fps)
+        return open_session(path).motion(fps)
     file = open_motion_file(path_or_name, joint_order)
     if fps is not None:
         check_fps(fps, file.path.stem)
     return file.motion(fps)
+
+
+def _foreign_bag(path: Path) -> Bag | None:
+    """The bag at a path; None where there is a session, or a motion file."""
+    if not (is_sqlite(path) or is_session(path)):
+        return None
+    bag = Bag(path)
+    return bag if bag.is_foreign else None
 
 
 def check_motion_file(
@@ -92,8 +101,7 @@ def check_motion_file(
     from g1stream.motion.check import FileReport, check_file, check_motion
 
     path = Path(path_or_name)
-    if is_sqlite(path) or (is_session(path) and Bag(path).is_foreign):
-        bag = Bag(path)
+    if bag := _foreign_bag(path):
         motion = check_motion(
             change(bag.motion(fps)), robot, rate=rate, position_margin=position_margin
         )

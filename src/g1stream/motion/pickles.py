@@ -22,7 +22,7 @@ __all__ = ["LARGEST", "ArrayStandIn", "Unpickler", "is_pickle", "read_pickle"]
 LARGEST: Final = 512 * 2**20
 """All arrays of a file together have no more bytes than this: hours of a motion."""
 #: The most numbers and texts that are not in an array, and how deep they may be in containers.
-_MOST_VALUES: Final = 20_000_000
+_MOST_VALUES: Final = 5_000_000
 _DEPTH: Final = 4
 #: Characters of the texts in an array of Python objects, each as long as the longest.
 _LONGEST_TEXTS: Final = 1_000_000

@@ -156,8 +156,8 @@ class StreamConfig(Table):
     loop: bool = setting(False, "play again and again until stopped", flag=PLAY_FLAG)
     via: Via = setting(
         "lowcmd",
-        "lowcmd: command the motors; arm_sdk: hand targets for arms and waist to the robot's own "
-        "controller, which stands and balances meanwhile",
+        "what is commanded; lowcmd: the motors; arm_sdk: the robot's own controller, which takes "
+        "targets for arms and waist while it stands and balances",
         flag=PLAY_FLAG,
     )
     joints: str | None = setting(

@@ -59,7 +59,10 @@ def test_every_way_out_hands_arms_and_waist_back(made, link, clock, end):
     assert (weights == 0.0).sum() > 20  # a best-effort reader may miss some
     falling = link.in_phase(Phase.DAMP)
     assert len(falling) == round(HAND_BACK_TIME * 1e9 / PERIOD)
-    assert (weights.max() == 1.0) is (end == "the motion ends")
+    if end == "the motion ends":
+        assert weights.max() == 1.0
+    else:  # 600 commands, and those until the silence was noticed
+        assert 0.6 < weights.max() < 0.7
     for sent in falling:  # neither limp nor moving
         assert sent.command.q.tolist() == falling[0].command.q.tolist()
         assert sent.command.kp.tolist() == commands[0].kp.tolist()

@@ -13,7 +13,7 @@ from g1stream.analysis.timing import timing_metrics
 from g1stream.analysis.torque import COMMAND_COLUMNS, torque_metrics
 from g1stream.analysis.tracking import NothingToCompareError, pooled, rms
 from g1stream.errors import RobotError
-from g1stream.robot.joints import JOINT_NAMES
+from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.session.metrics import (
     JointMetrics,
     LimbMetrics,
@@ -186,6 +186,8 @@ def _success(
     if body is None:
         return found
     moves = summary.stream is not None and summary.stream.support in {"follow", "free"}
+    if tracking and len(tracking.joints) + len(summary.absent) < N_JOINTS:
+        moves = False  # the base is not the motion's, but that of whoever moves the legs
     links = "pelvis_frame"
     if moves and body.root_relative:
         links = "world" if body.world else "root_relative"

@@ -133,6 +133,7 @@ class StateChecks:
         self.crc_errors = 0
         self._config = config
         self._robot = robot
+        self._allowed = robot.joint_set.allowed(config.mode_machine)
         self._timeout, self._timeout_words = state_timeout(config)
         self._set_tolerance(min(_START_TOLERANCE, config.limit_excess))
         self._wrong_crcs: deque[int] = deque(maxlen=config.max_crc_errors + 1)
@@ -221,15 +222,13 @@ class StateChecks:
 
     def wrong_robot(self) -> str:
         """Why this robot may not be commanded, or ""."""
-        ours = self._robot.joint_set
-        allowed = ours.allowed(self._config.mode_machine)
-        if self.measured is None or (mode := self.measured.mode_machine) in allowed:
+        if self.measured is None or (mode := self.measured.mode_machine) in self._allowed:
             return ""
         theirs = JointSet.of_mode(mode)
         return (
             f"the robot has mode_machine {mode}"
             + (f" ({theirs}: --robot {theirs.name})" if theirs else "")
-            + f"; {', '.join(map(str, allowed))} may be commanded as {ours}"
+            + f"; {', '.join(map(str, self._allowed))} may be commanded as {self._robot.joint_set}"
         )
 
     def _crc_is_right(self, state: LowState) -> bool:

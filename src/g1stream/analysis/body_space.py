@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from g1stream.analysis.frames import FPS
+from g1stream.analysis.tracking import blocks
 from g1stream.robot.joints import N_JOINTS
 from g1stream.robot.kinematics import LinkPoses, forward_kinematics
 from g1stream.robot.rotations import quat_conj, quat_mul, quat_rotate, quat_rotate_inverse
@@ -39,6 +40,8 @@ END_EFFECTORS: Final = (
 
 _DOWN: Final = np.array([0.0, 0.0, -1.0])
 _MM: Final = 1e3
+#: Frames whose links are computed at once: they stay in the cache.
+_BLOCK: Final = 256
 
 
 def body_metrics(robot: G1, frames: Frames, joints: Sequence[int] = range(N_JOINTS)) -> BodyMetrics:
@@ -55,35 +58,36 @@ def body_metrics(robot: G1, frames: Frames, joints: Sequence[int] = range(N_JOIN
     bodies = np.flatnonzero(_moved(robot, joints))
     names = [robot.link_names[i] for i in bodies]
     reference, measured = frames.reference, frames.measured
-    # Of the joints alone: both pelvises at the origin, upright.
-    asked, done = (_links(robot, one.q, bodies) for one in (reference, measured))
-    relative = world = terminations = None
-    if frames.has_attitude:
-        turned = [
-            quat_rotate(one.root_quat_wxyz[:, np.newaxis], links.pos)
-            for one, links in ((reference, asked), (measured, done))
-        ]
-        relative = turned[0] - turned[1]
-        if frames.has_position:
-            apart = reference.root_pos - measured.root_pos
-            world = relative + apart[:, np.newaxis]
-            ends = [names.index(name) for name in END_EFFECTORS if name in names]
-            terminations = TerminationMetrics(
-                max_pelvis_height_mm=float(np.abs(apart[:, 2]).max() * _MM),
-                max_gravity_difference=_gravity_difference(reference, measured),
-                max_end_effector_height_mm=float(np.abs(world[:, ends, 2]).max(initial=0.0) * _MM),
-            )
+    ends = [names.index(name) for name in END_EFFECTORS if name in names]
+    n_frames = len(frames.motion_time)
+    alone, relative = np.empty((2, n_frames, len(bodies), 3))
+    asked, done = (
+        LinkPoses(np.empty((n_frames, len(ends), 3)), np.empty((n_frames, len(ends), 4)))
+        for _ in range(2)
+    )
+    for part in blocks(n_frames, _BLOCK):
+        of_reference = _links(robot, reference, part, bodies)
+        of_measured = _links(robot, measured, part, bodies)
+        alone[part] = of_reference[0].pos - of_measured[0].pos
+        relative[part] = of_reference[1] - of_measured[1]
+        for kept, (links, _) in ((asked, of_reference), (done, of_measured)):
+            kept.pos[part], kept.quat_wxyz[part] = links.pos[:, ends], links.quat_wxyz[:, ends]
+    world = terminations = None
+    if frames.has_position:
+        apart = reference.root_pos - measured.root_pos
+        world = relative + apart[:, np.newaxis]
+        terminations = TerminationMetrics(
+            max_pelvis_height_mm=float(np.abs(apart[:, 2]).max() * _MM),
+            max_gravity_difference=_gravity_difference(reference, measured),
+            max_end_effector_height_mm=float(np.abs(world[:, ends, 2]).max(initial=0.0) * _MM),
+        )
     return BodyMetrics(
         fps=FPS,
-        frames=len(frames.motion_time),
+        frames=n_frames,
         world=None if world is None else _link_metrics(frames, names, world),
-        root_relative=None if relative is None else _link_metrics(frames, names, relative),
-        pelvis_frame=_link_metrics(frames, names, asked.pos - done.pos),
-        end_effectors={
-            name: _end_effector(asked, done, names.index(name))
-            for name in END_EFFECTORS
-            if name in names
-        },
+        root_relative=_link_metrics(frames, names, relative) if frames.has_attitude else None,
+        pelvis_frame=_link_metrics(frames, names, alone),
+        end_effectors={names[link]: _end_effector(asked, done, i) for i, link in enumerate(ends)},
         pelvis=_pelvis_metrics(frames) if frames.has_attitude else None,
         terminations=terminations,
     )
@@ -101,10 +105,13 @@ def _moved(robot: G1, joints: Sequence[int]) -> NDArray[np.bool_]:
     return np.asarray(moved & bodies)
 
 
-def _links(robot: G1, q: Floats, bodies: NDArray[np.intp]) -> LinkPoses:
-    """Poses of the bodies in the pelvis's frame."""
-    poses = forward_kinematics(robot, q, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
-    return LinkPoses(poses.pos[:, bodies], poses.quat_wxyz[:, bodies])
+def _links(
+    robot: G1, state: Robot, part: slice, bodies: NDArray[np.intp]
+) -> tuple[LinkPoses, Floats]:
+    """Poses of L bodies in the pelvis's frame, and their positions (F, L, 3) with its attitude."""
+    poses = forward_kinematics(robot, state.q[part], np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
+    links = LinkPoses(poses.pos[:, bodies], poses.quat_wxyz[:, bodies])
+    return links, quat_rotate(state.root_quat_wxyz[part, np.newaxis], links.pos)
 
 
 def _link_metrics(frames: Frames, names: list[str], difference: Floats) -> LinkMetrics:
@@ -114,8 +121,8 @@ def _link_metrics(frames: Frames, names: list[str], difference: Floats) -> LinkM
     worst = int(of_frame.argmax())
     both = frames.consecutive
     velocity = np.diff(difference, axis=0)
-    acceleration = np.diff(velocity, axis=0)[both[1:] & both[:-1]]
-    vel, acc = (_mean_norm(one) for one in (velocity[both], acceleration))
+    vel = _mean_norm(velocity[both])
+    acc = _mean_norm(np.diff(velocity, axis=0)[both[1:] & both[:-1]])
     return LinkMetrics(
         mpjpe_mm=float(of_frame.mean() * _MM),
         p99_mm=float(np.percentile(of_frame, 99.0) * _MM),

@@ -224,7 +224,7 @@ def _read(source: Session | str | Path) -> _Run:
         raise RecordingError(
             f"Several motions were played in {session.path}.", "Give sessions with one motion."
         )
-    found = session.tracking()
+    metrics, found = session.metrics(), session.tracking()
     start, stop = found.motion_time[[0, -1]].tolist()
     rows = np.arange(math.ceil(start * _RATE), math.floor(stop * _RATE) + 1)
     summary = session.summary()
@@ -239,7 +239,7 @@ def _read(source: Session | str | Path) -> _Run:
             [np.interp(rows / _RATE, found.motion_time, q) for q in found.reference.T]
         ),
         joints=found.joints,
-        metrics=session.metrics(),
+        metrics=metrics,
         facts=dict(_facts(session, summary)),
     )
 

@@ -36,6 +36,7 @@ REFERENCE_COLUMNS: Final = (
     "q",
     "dq",
     "phase",
+    "played",
     "motion_time",
     "root_pos",
     "root_quat_wxyz",
@@ -96,16 +97,13 @@ def frames(session: Session, tracking: Tracking) -> Frames | None:
     """
     reference = session.reference.read(*REFERENCE_COLUMNS)
     measured = session.measured.read(*MEASURED_COLUMNS)
-    order = np.argsort(reference.time, kind="stable")
-    states = _Sampler(tracking.time)
-    asked = _Sampler(reference.time[order])
+    states, asked = _Sampler(tracking.time), _Sampler(reference.time)
     numbers = np.arange(int((tracking.time[-1] - tracking.time[0]) * FPS + 1e-6) + 1)
     at = tracking.time[0] + numbers / FPS
     known = states.known(at) & asked.known(at)
     base = session.base
     if base is not None:
-        base_order = np.argsort(base.time, kind="stable")
-        base_times = _Sampler(base.time[base_order])
+        base_times = _Sampler(base.time)
         finite = all(np.isfinite(one).all() for one in (base.position, base.velocity))
         base_known = base_times.known(at) & finite
         if (known & base_known).any():
@@ -117,16 +115,16 @@ def frames(session: Session, tracking: Tracking) -> Frames | None:
         return None
     target = Robot(
         q=states.at(at, tracking.reference),
-        dq=asked.at(at, reference.dq[order]),
-        root_pos=asked.at(at, reference.root_pos[order]),
-        root_lin_vel=asked.at(at, reference.root_lin_vel[order]),
-        root_quat_wxyz=quat_normalize(asked.at(at, reference.root_quat_wxyz[order])),
-        root_ang_vel=asked.at(at, reference.root_ang_vel[order]),
+        dq=asked.at(at, reference.dq),
+        root_pos=asked.at(at, reference.root_pos),
+        root_lin_vel=asked.at(at, reference.root_lin_vel),
+        root_quat_wxyz=quat_normalize(asked.at(at, reference.root_quat_wxyz)),
+        root_ang_vel=asked.at(at, reference.root_ang_vel),
     )
     robot = target._replace(
-        q=states.at(at, tracking.measured), dq=states.at(at, measured.dq[tracking.states])
+        q=states.at(at, tracking.measured), dq=states.at(at, measured.dq, tracking.states)
     )
-    quat = states.at(at, measured.imu_quat_wxyz[tracking.states])
+    quat = states.at(at, measured.imu_quat_wxyz, tracking.states)
     # An IMU that is not there sends zeros.
     has_attitude = bool((np.abs(np.linalg.norm(quat, axis=1) - 1.0) <= UNIT_TOLERANCE).all())
     has_attitude &= bool(np.isfinite(measured.gyroscope).all())
@@ -136,13 +134,13 @@ def frames(session: Session, tracking: Tracking) -> Frames | None:
         turn = quat_from_axis_angle(_UP, np.asarray(yaw))
         robot = robot._replace(
             root_quat_wxyz=quat_mul(turn, quat),
-            root_ang_vel=states.at(at, measured.gyroscope[tracking.states]),
+            root_ang_vel=states.at(at, measured.gyroscope, tracking.states),
         )
         if base is not None:
-            pos = base_times.at(at, base.position[base_order])
+            pos = base_times.at(at, base.position)
             robot = robot._replace(
                 root_pos=target.root_pos[0] + quat_rotate(turn, pos - pos[0]),
-                root_lin_vel=quat_rotate(turn, base_times.at(at, base.velocity[base_order])),
+                root_lin_vel=quat_rotate(turn, base_times.at(at, base.velocity)),
             )
     return Frames(
         motion_time=states.at(at, tracking.motion_time[:, np.newaxis])[:, 0],
@@ -155,10 +153,11 @@ def frames(session: Session, tracking: Tracking) -> Frames | None:
 
 
 class _Sampler:
-    """Interpolates samples at N rising times (N,), s, linearly."""
+    """Interpolates samples at N times (N,), s, linearly."""
 
     def __init__(self, times: Floats) -> None:
-        self._times = times
+        self._order = np.argsort(times, kind="stable")
+        self._times = times[self._order]
 
     def _before(self, at: Floats) -> NDArray[np.intp]:
         after = np.searchsorted(self._times, at, side="right")
@@ -171,11 +170,12 @@ class _Sampler:
         inside = (at >= self._times[0]) & (at <= self._times[-1])
         return np.asarray(inside & (gaps <= MAX_GAP_NS / 1e9))
 
-    def at(self, at: Floats, values: Floats) -> Floats:
-        """(F, K) values (N, K) at the times (F,)."""
+    def at(self, at: Floats, values: Floats, rows: NDArray[np.intp] | None = None) -> Floats:
+        """(F, K) values (N, K), or some rows (N,) of values, at the times (F,)."""
         before = self._before(at)
         start, end = self._times[before], self._times[before + 1]
         weight = ((at - start) / np.maximum(end - start, 1e-9))[:, np.newaxis]
-        earlier = values[before]
-        between: Floats = earlier + weight * (values[before + 1] - earlier)
+        order = self._order if rows is None else rows[self._order]
+        earlier = values[order[before]]
+        between: Floats = earlier + weight * (values[order[before + 1]] - earlier)
         return between

@@ -8,9 +8,9 @@ import numpy as np
 
 from g1stream.analysis.body_space import body_metrics
 from g1stream.analysis.frames import FPS, MEASURED_COLUMNS, REFERENCE_COLUMNS, frames
-from g1stream.analysis.summary import played, summarise
+from g1stream.analysis.summary import played
 from g1stream.analysis.timing import timing_metrics
-from g1stream.analysis.torque import COMMAND_COLUMNS, torque_metrics
+from g1stream.analysis.torque import torque_metrics
 from g1stream.analysis.tracking import NothingToCompareError, pooled, rms
 from g1stream.errors import RobotError
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
@@ -52,7 +52,7 @@ def metrics(session: Session) -> Metrics:
         RecordingError: the file is damaged.
     """
     _read(session)
-    summary = summarise(session)
+    summary = session.summary()
     missing: dict[str, str] = {}
     tracking = None
     if played(summary.phases) > 1:
@@ -100,14 +100,16 @@ def _read(session: Session) -> None:
         session.reference.read(*REFERENCE_COLUMNS)
     if session.topics.get(Measured.topic):
         session.measured.read(*MEASURED_COLUMNS, "tau")
-    if session.topics.get(Command.topic):
-        session.command.read(*COMMAND_COLUMNS)
     if session.base is not None:
         session.base.read()
+    # First of all what is derived from the commands, which take much memory until then.
+    if session.topics.get(Command.topic) and session.topics.get(Measured.topic):
+        session.commanded_torque()
 
 
 def _tracking_metrics(tracking: Tracking, sampled: Frames | None) -> TrackingMetrics:
-    size = np.abs(tracking.error)
+    size = tracking.error
+    np.abs(size, out=size)
     columns: dict[str, Floats] = {
         "rmse_rad": tracking.rmse,
         "mae_rad": size.mean(axis=0),
@@ -137,7 +139,7 @@ def _tracking_metrics(tracking: Tracking, sampled: Frames | None) -> TrackingMet
         return LimbMetrics(
             rmse_rad=pooled(of["rmse_rad"]),
             mae_rad=float(of["mae_rad"].mean()),
-            p99_rad=float(np.percentile(size[:, list(members)], 99.0)),
+            p99_rad=float(np.percentile(size[:, list(members)], 99.0, overwrite_input=True)),
             max_abs_rad=float(of["max_abs_rad"][largest]),
             max_abs_at_s=float(of["max_abs_at_s"][largest]),
             worst_joint=JOINT_NAMES[members[worst]],

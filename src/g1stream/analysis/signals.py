@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Final, Literal, NamedTuple, get_args
 
 import numpy as np
 
-from g1stream.analysis.torque import commanded_torque
 from g1stream.analysis.tracking import NothingToCompareError
 from g1stream.errors import ConfigError
 from g1stream.session.streams import Command, Measured, Reference
@@ -66,7 +65,7 @@ def signal(session: Session, quantity: Quantity) -> Signal:
     """A quantity of the joints of a session; without lines where nothing of it was recorded.
 
     Positions, velocities and errors are in degrees. The torque asked for is that of
-    `commanded_torque`.
+    `Session.commanded_torque`.
     """
     makers: dict[Quantity, Callable[[Session], Signal]] = {
         "q": lambda one: Signal("position", "deg", _asked_and_measured(one, "q")),
@@ -139,7 +138,8 @@ def _errors(session: Session) -> tuple[Line, ...]:
         tracking = session.tracking()
     except NothingToCompareError:
         return ()
-    return (_line("reference - measured", tracking.time, np.degrees(tracking.error)),)
+    error = tracking.error
+    return (_line("reference - measured", tracking.time, np.degrees(error, out=error)),)
 
 
 def _torques(session: Session) -> tuple[Line, ...]:
@@ -147,7 +147,7 @@ def _torques(session: Session) -> tuple[Line, ...]:
     if session.topics.get(Measured.topic):
         measured = session.measured.read("q", "dq", "tau")
         if session.topics.get(Command.topic):
-            lines.append(_line("commanded", measured.time, commanded_torque(session)))
+            lines.append(_line("commanded", measured.time, session.commanded_torque()))
         lines.append(_line("estimated", measured.time, measured.tau))
     return tuple(lines)
 

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from g1stream.analysis.tracking import rms
+from g1stream.analysis.tracking import blocks, rms
 from g1stream.foxglove.tracking_error import MAX_GAP_NS
-from g1stream.robot.joints import JOINT_NAMES
+from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.session.metrics import JointTorque, TorqueMetrics
 from g1stream.session.streams import Command
-from g1stream.types import Floats, Ints
+from g1stream.types import Floats
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -19,12 +19,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from g1stream.session.session import Session
-    from g1stream.session.streams import Measured, Stream
+    from g1stream.session.streams import Stream
 
-__all__ = ["COMMAND_COLUMNS", "commanded_torque", "torque_metrics"]
+__all__ = ["commanded_torque", "torque_metrics"]
 
-COMMAND_COLUMNS: Final = ("q", "dq", "tau", "kp", "kd")
-"""The columns of the commands that are read."""
+_COMMANDED: Final = ("q", "dq", "tau", "kp", "kd")
+"""The columns of a command that make its torque."""
 
 #: A motor at this share of its limit, or more, is at its limit.
 _SATURATED: Final = 0.99
@@ -48,118 +48,108 @@ def torque_metrics(
     chosen = np.arange(len(measured)) if states is None else states
     times = (measured.publish_time + measured.clock_offset)[chosen]
     order = np.argsort(times, kind="stable")
-    finite = _finite(measured, ("q", "dq", "tau"))
-    order = order[finite[chosen[order]]]
+    order = order[_finite(measured, ("q", "dq", "tau"))[chosen[order]]]
     chosen, times = chosen[order], times[order]
     if not measured.tau[chosen].any():
         return None
+    commanded = session.commanded_torque() if session.topics.get(Command.topic) else None
     seconds = np.diff(times) / 1e9
     seconds[seconds * 1e9 > MAX_GAP_NS] = 0.0
-    has_velocity = measured.dq[chosen].any()
-    command = around = None
-    if session.topics.get(Command.topic):
-        command = session.command.read(*COMMAND_COLUMNS)
-        around = _newest(command, times)
-    saturated = np.zeros(len(times), dtype=bool)
-    found: list[dict[str, float]] = []
-    # Joint by joint, as all states of all joints at once would take a few times the memory.
-    counted = range(len(limits)) if joints is None else joints
-    for joint in counted:
-        limit = float(limits[joint])
-        tau = measured.tau[chosen, joint]
-        size = np.abs(tau)
-        at_limit = size >= _SATURATED * limit
-        saturated |= at_limit
-        p99 = float(np.percentile(size, 99.0))
-        figures = {
-            "limit_nm": limit,
-            "rms_nm": float(rms(tau)),
-            "p99_nm": p99,
-            "max_nm": float(size.max()),
-            "use": p99 / limit,
-            "saturated": float(at_limit.mean()),
-        }
-        if has_velocity:
-            power = tau * measured.dq[chosen, joint]
-            figures["work_j"] = _integral(np.abs(power), seconds)
-            figures["net_work_j"] = _integral(power, seconds)
-        if command is not None and around is not None:
-            known, newest = around
-            asked = _commanded(command, newest, measured, chosen[known], joint)
-            figures["commanded_rmse_nm"] = float(rms(asked - tau[known]))
-            figures["commanded_beyond"] = float((np.abs(asked) > limit).mean())
-        found.append(figures)
-    columns = {key: np.array([one[key] for one in found]) for key in found[0]}
+    counted = list(range(N_JOINTS) if joints is None else joints)
+    # By trapezoids: each state counts half of the interval before it and half of that after it.
+    weights = 0.5 * (np.append(seconds, 0.0) + np.append(0.0, seconds))
+    squares, greatest, work, net_work = np.zeros((4, N_JOINTS))
+    saturated, known, beyond, apart = np.zeros((4, N_JOINTS))
+    at_limit = 0
+    for part in blocks(len(chosen)):
+        rows = chosen[part]
+        tau = measured.tau[rows]
+        size, power = np.abs(tau), tau * measured.dq[rows]
+        squares += np.square(tau).sum(axis=0)
+        greatest = np.maximum(greatest, size.max(axis=0))
+        limited = size >= _SATURATED * limits
+        saturated += limited.sum(axis=0)
+        at_limit += int(limited[:, counted].any(axis=1).sum())
+        work += weights[part] @ np.abs(power)
+        net_work += weights[part] @ power
+        if commanded is not None:
+            asked = commanded[rows]
+            there = np.isfinite(asked).all(axis=1)
+            known += there.sum()
+            apart += np.square(asked[there] - tau[there]).sum(axis=0)
+            beyond += (np.abs(asked[there]) > limits).sum(axis=0)
+    n = len(chosen)
+    # Joint by joint: the absolute values of all of them would take as much memory as the torques.
+    p99 = [np.percentile(np.abs(measured.tau[chosen, joint]), 99.0) for joint in counted]
+    columns: dict[str, Floats] = {
+        "limit_nm": limits[counted],
+        "rms_nm": np.sqrt(squares / n)[counted],
+        "p99_nm": np.array(p99),
+        "max_nm": greatest[counted],
+        "use": np.array(p99) / limits[counted],
+        "saturated": saturated[counted] / n,
+    }
+    duration = float(seconds.sum())
+    if any(measured.dq[chosen[part]].any() for part in blocks(n)):
+        columns |= {"work_j": work[counted], "net_work_j": net_work[counted]}
+    if known.any():
+        columns["commanded_rmse_nm"] = np.sqrt(apart / known)[counted]
+        columns["commanded_beyond"] = (beyond / known)[counted]
+    total: dict[str, float] = {}
+    if "work_j" in columns:
+        total = {key: float(columns[key].sum()) for key in ("work_j", "net_work_j")}
+        total |= {"power_w": total["work_j"] / duration} if duration else {}
+    if "commanded_rmse_nm" in columns:
+        total["commanded_rmse_nm"] = float(rms(columns["commanded_rmse_nm"]))
     names = [JOINT_NAMES[joint] for joint in counted]
-    duration, commanded = float(seconds.sum()), columns.get("commanded_rmse_nm")
-    work = columns.get("work_j")
     return TorqueMetrics(
         in_play=states is not None,
         duration_s=duration,
         rms_nm=float(rms(columns["rms_nm"])),
         use=float(columns["use"].max()),
         most_used=names[int(columns["use"].argmax())],
-        saturated=float(saturated.mean()),
-        commanded_rmse_nm=None if commanded is None else float(rms(commanded)),
-        work_j=None if work is None else float(work.sum()),
-        net_work_j=None if work is None else float(columns["net_work_j"].sum()),
-        power_w=None if work is None or not duration else float(work.sum()) / duration,
-        joints={name: JointTorque(**figures) for name, figures in zip(names, found, strict=True)},
+        saturated=at_limit / n,
+        **total,
+        joints={
+            name: JointTorque(**{key: float(values[i]) for key, values in columns.items()})
+            for i, name in enumerate(names)
+        },
     )
 
 
 def commanded_torque(session: Session) -> Floats:
-    """(M, 29) Nm that the newest command asks of each state.
+    """(M, 29) Nm that the newest command asks of each state: `Session.commanded_torque`.
 
-    nan where it is more than 100 ms old, or where command or state is not finite.
+    It is tau + kp (q - measured) + kd (dq - measured), in the precision of the commands.
 
     Args:
         session: with commands and states.
     """
-    measured, command = session.measured.read("q", "dq"), session.command.read(*COMMAND_COLUMNS)
-    times = measured.publish_time + measured.clock_offset
-    torque: Floats = np.full(measured.q.shape, np.nan)
-    if around := _newest(command, times):
-        known, newest = around
-        for joint in range(torque.shape[1]):
-            torque[known, joint] = _commanded(
-                command, newest, measured, np.flatnonzero(known), joint
-            )
-    return torque
-
-
-def _integral(values: Floats, seconds: Floats) -> float:
-    """Integral of values (N,) over intervals (N - 1,) s, by trapezoids."""
-    return float(seconds @ (0.5 * (values[1:] + values[:-1])))
-
-
-def _finite(stream: Stream, columns: Sequence[str]) -> NDArray[np.bool_]:
-    """(N,) which samples are finite in these columns (N, 29)."""
-    finite = [np.isfinite(getattr(stream, name)).all(axis=1) for name in columns]
-    return np.asarray(np.all(finite, axis=0))
-
-
-def _newest(command: Command, instants: Ints) -> tuple[NDArray[np.bool_], NDArray[np.intp]] | None:
-    """Of instants (N,) which have a finite command as the newest, and that; None where none has."""
+    measured, command = session.measured.read("q", "dq"), session.command.as_recorded(*_COMMANDED)
+    instants = measured.publish_time + measured.clock_offset
     times = command.publish_time + command.clock_offset
     order = np.argsort(times, kind="stable")
     before = np.searchsorted(times[order], instants, side="right") - 1
     newest = order[before.clip(0)]
     known = (before >= 0) & (instants - times[newest] <= MAX_GAP_NS)
-    known &= _finite(command, COMMAND_COLUMNS)[newest]
-    return (known, newest[known]) if known.any() else None
-
-
-def _commanded(
-    command: Command,
-    commands: NDArray[np.intp],
-    measured: Measured,
-    states: NDArray[np.intp],
-    joint: int,
-) -> Floats:
-    """(N,) Nm that commands ask of a motor: tau + kp (q - measured) + kd (dq - measured)."""
-    at = commands, joint
-    away = command.q[at] - measured.q[states, joint]
-    faster = command.dq[at] - measured.dq[states, joint]
-    torque: Floats = command.tau[at] + command.kp[at] * away + command.kd[at] * faster
+    known &= _finite(command, _COMMANDED)[newest] & _finite(measured, ("q", "dq"))
+    torque = np.full(measured.q.shape, np.nan, command.tau.dtype)
+    for part in blocks(len(known)):
+        states = np.flatnonzero(known[part]) + part.start
+        asked = {name: getattr(command, name)[newest[states]] for name in _COMMANDED}
+        torque[states] = (
+            asked["tau"]
+            + asked["kp"] * (asked["q"] - measured.q[states])
+            + asked["kd"] * (asked["dq"] - measured.dq[states])
+        )
     return torque
+
+
+def _finite(stream: Stream, columns: Sequence[str]) -> NDArray[np.bool_]:
+    """(N,) which samples are finite in these columns (N, 29)."""
+    finite = np.ones(len(stream), dtype=bool)
+    for name in columns:
+        values = getattr(stream, name)
+        for part in blocks(len(finite)):
+            finite[part] &= np.isfinite(values[part]).all(axis=1)
+    return finite

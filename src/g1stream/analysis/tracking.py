@@ -24,14 +24,18 @@ from g1stream.session.summary import JointTracking, TrackingSummary
 from g1stream.types import Floats, Phase
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
     from g1stream.session.session import Session
 
-__all__ = ["NothingToCompareError", "Tracking", "compare", "pooled", "tracking"]
+__all__ = ["NothingToCompareError", "Tracking", "blocks", "compare", "pooled", "tracking"]
 
 #: Positions, rad, and motion times, s, that are not below this are left out, as is NaN.
 _LARGEST: Final = 1e9
+#: Rows of 29 joints that are computed at once.
+_BLOCK: Final = 2048
 
 
 class NothingToCompareError(RecordingError):
@@ -163,23 +167,35 @@ def compare(reference: Reference, measured: Measured) -> Tracking | None:
     times = reference.publish_time + reference.clock_offset
     state_times = measured.publish_time + measured.clock_offset
     order, state_order = np.argsort(times, kind="stable"), np.argsort(state_times, kind="stable")
-    sane = _is_sane(reference.q) & (np.abs(reference.motion_time) < _LARGEST)
+    sane = _are_sane(reference.q) & (np.abs(reference.motion_time) < _LARGEST)
     order = order[sane[order]]
     if not len(order):
         return None
-    times, q, phase = times[order], reference.q[order], reference.phase[order]
+    times, phase = times[order], reference.phase[order]
+    in_order = len(order) == len(sane) and (np.diff(order) == 1).all()
+    q = reference.q if in_order else reference.q[order]  # a copy only where one is needed
     around = neighbours(times, state_times[state_order])
     in_play = around.where(phase[around.before] == Phase.PLAY)
-    sane = _is_sane(measured.q)[state_order]
+    sane = _are_sane(measured.q)[state_order]
     compared = in_play.where((in_play.gap <= MAX_GAP_NS) & sane[in_play.instants])
     if not len(compared.gap):
         return None
     states = state_order[compared.instants]
-    asked, done = compared.interpolate(q), measured.q[states]
     motion_time = compared.interpolate(reference.motion_time[order][:, np.newaxis])[:, 0]
-    error = asked - done
     played = played_joints(np.bitwise_or.reduce(reference.played[order][phase == Phase.PLAY]))
-    worst = np.where(error.max(axis=0) > -error.min(axis=0), error.argmax(0), error.argmin(0))
+    asked, done = np.empty((2, len(states), N_JOINTS))
+    squares, total, largest = np.zeros((3, N_JOINTS))
+    worst, joints = np.zeros(N_JOINTS, dtype=np.intp), np.arange(N_JOINTS)
+    for part in blocks(len(states)):
+        asked[part] = compared.where(part).interpolate(q)
+        done[part] = measured.q[states[part]]
+        error = asked[part] - done[part]
+        squares += np.square(error).sum(axis=0)
+        total += error.sum(axis=0)
+        size = np.abs(error)
+        at = size.argmax(axis=0)
+        worst = np.where(size[at, joints] > largest, at + part.start, worst)
+        largest = np.maximum(largest, size[at, joints])
     gaps = np.diff(times)[phase[:-1] == Phase.PLAY]
     seconds, state_seconds = (times - times[0]) / 1e9, (state_times[states] - times[0]) / 1e9
     return Tracking(
@@ -189,9 +205,9 @@ def compare(reference: Reference, measured: Measured) -> Tracking | None:
         measured=done,
         excluded=len(in_play.gap) - len(compared.gap),
         duration=float(gaps[gaps <= MAX_GAP_NS].sum() / 1e9),
-        rmse=rms(error),
-        mean=error.mean(axis=0),
-        max_abs=np.abs(error[worst, np.arange(N_JOINTS)]),
+        rmse=np.sqrt(squares / len(states)),
+        mean=total / len(states),
+        max_abs=largest,
         max_abs_at=motion_time[worst],
         delays=Delays(seconds, q, state_seconds, done),
         states=states,
@@ -199,9 +215,17 @@ def compare(reference: Reference, measured: Measured) -> Tracking | None:
     )
 
 
-def _is_sane(values: Floats) -> NDArray[np.bool_]:
+def blocks(n_rows: int, size: int = _BLOCK) -> Iterator[slice]:
+    """Rows of a long array, some at a time, so that what is computed of them stays in the cache."""
+    return (slice(start, min(start + size, n_rows)) for start in range(0, n_rows, size))
+
+
+def _are_sane(values: Floats) -> NDArray[np.bool_]:
     """(N,) whether all of a row (N, K) are finite and of a sane size."""
-    return np.asarray((np.abs(values) < _LARGEST).all(axis=1))
+    sane = np.empty(len(values), dtype=bool)
+    for part in blocks(len(values)):
+        sane[part] = (np.abs(values[part]) < _LARGEST).all(axis=1)
+    return sane
 
 
 def pooled(values: Floats) -> float:

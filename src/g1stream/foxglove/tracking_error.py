@@ -41,8 +41,8 @@ class Neighbours(NamedTuple):
     gap: Ints
     weight: Floats
 
-    def where(self, mask: NDArray[np.bool_]) -> Neighbours:
-        """Some of the instants, by a mask (K,)."""
+    def where(self, mask: NDArray[np.bool_] | slice) -> Neighbours:
+        """Some of the instants, by a mask (K,) or a slice."""
         return Neighbours._make(values[mask] for values in self)
 
     def interpolate(self, values: NDArray[Any]) -> Floats:

@@ -71,6 +71,8 @@ _MESSAGE: Final = np.dtype(
 #: A chunk record without its compression and data; the first fields are its times.
 _CHUNK: Final = struct.Struct("<16xQ")
 _MOST_THREADS: Final = 4
+#: Chunks are decompressed some at a time, of together this many bytes at least.
+_GROUP: Final = 2**18
 
 # Far above what g1stream writes, as LARGEST_RECORD; samples compress to a fifth of their size.
 #: Bytes of all attachments together.
@@ -102,11 +104,22 @@ class _Chunk:
         if n_entries:
             self.index[channel] = (record.start + _INDEX.size, n_entries)
 
-    def offsets(self, file: IO[bytes], channel: int) -> NDArray[np.int64]:
-        """(N,) where in the decompressed chunk the messages of a channel are."""
+    @property
+    def end(self) -> int:
+        """Where in the file its last index ends; the end of its own record without an index."""
+        ends = (start + n * _INDEX_ENTRY.itemsize for start, n in self.index.values())
+        return max(ends, default=self.record.start + self.record.length)
+
+    def offsets(self, content: bytes, channel: int) -> NDArray[np.int64]:
+        """(N,) where in the decompressed chunk the messages of a channel are.
+
+        Args:
+            content: of the file, from the start of the record to `end`.
+            channel: one of `index`.
+        """
         start, n_entries = self.index[channel]
-        data = read_at(file, start, n_entries * _INDEX_ENTRY.itemsize)
-        return np.sort(np.frombuffer(data, _INDEX_ENTRY)["offset"])
+        entries = np.frombuffer(content, _INDEX_ENTRY, n_entries, start - self.record.start)
+        return entries["offset"]
 
 
 class McapFile:
@@ -161,9 +174,9 @@ class McapFile:
         channels = {channel for channel, topic in self._topics.items() if topic in topics}
         chunks = [c for c in self._chunks if not c.index or not channels.isdisjoint(c.index)]
         with self._open() as file:
-            for chunk, data in zip(chunks, self._decompressed(file, chunks), strict=True):
+            for chunk, content, data in self._decompressed(file, chunks):
                 with self.damage_at(chunk.record):
-                    found = _messages(file, chunk, data, channels)
+                    found = _messages(chunk, content, data, channels)
                 for channel, messages in found.items():
                     yield self._topic(channel), messages
 
@@ -247,7 +260,7 @@ class McapFile:
 
     def _search(self, file: IO[bytes], chunk: _Chunk) -> dict[int, int]:
         """Note the channels that a chunk describes, and count its messages by channel."""
-        (data,) = self._decompressed(file, [chunk])
+        ((_, _, data),) = self._decompressed(file, [chunk])
         with self.damage_at(chunk.record):
             for opcode, start, length in records_in(data):
                 if opcode == Opcode.SCHEMA:
@@ -256,14 +269,27 @@ class McapFile:
                     self._add_channel(data[start : start + length])
             return {channel: len(found) for channel, found in _message_offsets(data).items()}
 
-    def _decompressed(self, file: IO[bytes], chunks: Iterable[_Chunk]) -> Iterator[bytes]:
-        """The records of each chunk, decompressed a few chunks ahead."""
+    def _decompressed(
+        self, file: IO[bytes], chunks: Iterable[_Chunk]
+    ) -> Iterator[tuple[_Chunk, bytes, bytes]]:
+        """Each chunk, it and its index as they are in the file, and its records; read ahead."""
 
-        def decompress(item: tuple[Record, bytes]) -> bytes:
-            with self.damage_at(item[0]):
-                return decompressed(item[1])
+        def decompress(group: list[tuple[_Chunk, bytes]]) -> list[tuple[_Chunk, bytes, bytes]]:
+            found = []
+            for chunk, content in group:
+                with self.damage_at(chunk.record):
+                    found.append((chunk, content, decompressed(content[: chunk.record.length])))
+            return found
 
-        return _prefetch(decompress, ((c.record, content_of(file, c.record)) for c in chunks))
+        def read(chunk: _Chunk) -> bytes:
+            with self.damage_at(chunk.record):
+                if chunk.record.length > LARGEST_RECORD:
+                    raise ValueError("the record is too large")
+                return read_at(file, chunk.record.start, chunk.end - chunk.record.start)
+
+        groups = ([(chunk, read(chunk)) for chunk in group] for group in _groups(chunks))
+        for group in _prefetch(decompress, groups):
+            yield from group
 
     @contextmanager
     def damage_at(self, record: Record) -> Iterator[None]:
@@ -308,11 +334,11 @@ def _message_offsets(data: bytes) -> dict[int, NDArray[np.int64]]:
 
 
 def _messages(
-    file: IO[bytes], chunk: _Chunk, data: bytes, channels: set[int]
+    chunk: _Chunk, content: bytes, data: bytes, channels: set[int]
 ) -> dict[int, Messages]:
-    """By channel, the messages of a decompressed chunk."""
+    """By channel, the messages of a chunk, from its content in the file and its records."""
     if chunk.index:
-        offsets = {c: chunk.offsets(file, c) for c in sorted(channels & chunk.index.keys())}
+        offsets = {c: chunk.offsets(content, c) for c in sorted(channels & chunk.index.keys())}
     else:
         offsets = {c: found for c, found in _message_offsets(data).items() if c in channels}
     return {channel: _messages_at(data, where, channel) for channel, where in offsets.items()}
@@ -321,22 +347,41 @@ def _messages(
 def _messages_at(data: bytes, offsets: NDArray[np.int64], channel: int) -> Messages:
     """The messages of a channel in a decompressed chunk, from where their records are (N,)."""
     size, head = len(data), _MESSAGE.itemsize
-    if ((offsets < 0) | (offsets + head > size)).any():
+    steps = offsets[1:] - offsets[:-1]
+    if (steps <= 0).any():
+        offsets = np.sort(offsets)
+        steps = offsets[1:] - offsets[:-1]
+    if offsets[0] < 0 or offsets[-1] + head > size:
         raise ValueError("the index of a chunk points outside of it")
-    octets = np.frombuffer(data, np.uint8)
-    heads = octets[offsets[:, np.newaxis] + np.arange(head)].view(_MESSAGE)[:, 0]
-    ends = offsets + RECORD_HEAD.size + np.clip(heads["length"], 0, size)
+    step = int(steps[0]) if len(steps) else head
+    if step > 0 and (steps == step).all():  # samples of DDS are of one size
+        heads = np.ndarray(len(offsets), _MESSAGE, data, int(offsets[0]), (step,))
+    else:
+        octets = np.frombuffer(data, np.uint8)
+        heads = octets[offsets[:, np.newaxis] + np.arange(head)].view(_MESSAGE)[:, 0]
+    lengths = np.ascontiguousarray(heads["length"])
+    starts, ends = offsets + head, offsets + (RECORD_HEAD.size + lengths.clip(0, size))
     wrong = (heads["opcode"] != Opcode.MESSAGE) | (heads["channel"] != channel)
-    if (wrong | (ends < offsets + head) | (ends > size)).any():
+    if (wrong | (ends < starts) | (ends > size)).any():
         raise ValueError("the index of a chunk points to something else than a message")
-    for times in (heads["log_time"], heads["publish_time"]):
-        if ((times < 0) | (times >= _LATEST)).any():
-            raise ValueError("a message has a time after 2116")
-    return Messages(
-        np.ascontiguousarray(heads["log_time"]),
-        np.ascontiguousarray(heads["publish_time"]),
-        Slices(data, offsets + head, ends),
-    )
+    times = (np.ascontiguousarray(heads["log_time"]), np.ascontiguousarray(heads["publish_time"]))
+    if any(one.min() < 0 or one.max() >= _LATEST for one in times):
+        raise ValueError("a message has a time after 2116")
+    return Messages(*times, Slices(data, starts, ends))
+
+
+def _groups(chunks: Iterable[_Chunk]) -> Iterator[list[_Chunk]]:
+    """Chunks in their order, small ones together: handing one to a thread takes time, too."""
+    group: list[_Chunk] = []
+    size = 0
+    for chunk in chunks:
+        group.append(chunk)
+        size += chunk.record.length
+        if size >= _GROUP:
+            yield group
+            group, size = [], 0
+    if group:
+        yield group
 
 
 def _prefetch(work: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:

@@ -98,6 +98,8 @@ class Session:
         self.metadata = source.metadata
         self._streams: dict[type[Stream], Any] = {}
         self._tracking: Tracking | None = None
+        self._summary: Summary | None = None
+        self._commanded_torque: Floats | None = None
         if not any(self.topics.get(topic) for topic in (*_ESSENTIAL, _CONVERTED)):
             raise self._without_essentials()
 
@@ -287,9 +289,25 @@ class Session:
 
     def summary(self) -> Summary:
         """What is in the session, how well it went, and its problems; `print` shows it."""
-        from g1stream.analysis.summary import summarise
+        if self._summary is None:
+            from g1stream.analysis.summary import summarise
 
-        return summarise(self)
+            self._summary = summarise(self)
+        return self._summary
+
+    def commanded_torque(self) -> Floats:
+        """(M, 29) Nm, float32, that the newest command asked for at each of the M LowStates.
+
+        nan where it is more than 100 ms old, or where command or state is not finite.
+
+        Raises:
+            RecordingError: there are no states or no commands.
+        """
+        if self._commanded_torque is None:
+            from g1stream.analysis.torque import commanded_torque
+
+            self._commanded_torque = commanded_torque(self)
+        return self._commanded_torque
 
     def metrics(self) -> Metrics:
         """How well it went, in the metrics of motion-tracking papers; docs/metrics.md defines them.
@@ -473,23 +491,34 @@ class Session:
         self, topics: Sequence[str], decode: Callable[[Messages], dict[str, NDArray[Any]]]
     ) -> dict[str, dict[str, NDArray[Any]]]:
         """By topic and attribute, what all messages of some topics have; read in one pass."""
-        parts: dict[str, dict[str, list[NDArray[Any]]]] = {topic: {} for topic in topics}
+        columns: dict[str, dict[str, NDArray[Any]]] = {topic: {} for topic in topics}
+        filled = dict.fromkeys(topics, 0)
         for topic, messages in self._source.batches(set(topics)):
+            begin, end = filled[topic], filled[topic] + len(messages.log_times)
             times = {"log_time": messages.log_times, "publish_time": messages.publish_times}
-            for attribute, values in (times | decode(messages)).items():
-                parts[topic].setdefault(attribute, []).append(values)
-        for topic, columns in parts.items():
-            found = sum(map(len, columns.get("log_time", ())))
+            if end <= self.topics[topic]:
+                for name, values in (times | decode(messages)).items():
+                    if not begin:
+                        columns[topic][name] = self._empty(topic, values)
+                    columns[topic][name][begin:end] = values
+            filled[topic] = end
+        for topic, found in filled.items():
             if found != self.topics[topic]:
-                raise RecordingError(
-                    f"{self.path} is damaged: of {counted(self.topics[topic], 'message')} on "
-                    f"{topic} it has {found}.",
-                    RECOVER,
-                )
-        return {
-            topic: {attribute: _joined(columns.pop(attribute)) for attribute in list(columns)}
-            for topic, columns in parts.items()
-        }
+                raise self._miscounted(topic, f"it has {found}")
+            for values in columns[topic].values():
+                values.setflags(write=False)
+        return columns
+
+    def _empty(self, topic: str, values: NDArray[Any]) -> NDArray[Any]:
+        """A column for all messages of a topic, like the values (n, ...) of some of them."""
+        try:
+            return np.empty((self.topics[topic], *values.shape[1:]), values.dtype)
+        except (MemoryError, ValueError) as error:  # the number comes from the file
+            raise self._miscounted(topic, "no memory has room for so many") from error
+
+    def _miscounted(self, topic: str, found: str) -> RecordingError:
+        messages = counted(self.topics[topic], "message")
+        return RecordingError(f"{self.path} is damaged: of {messages} on {topic} {found}.", RECOVER)
 
     def _require(self, topic: str) -> None:
         if not self.topics.get(topic):
@@ -556,9 +585,3 @@ class _Selection(Session):
         self._require(topic)
         times = self._whole._read_times([topic])[topic].time
         return compress(self._whole.messages(topic), self._inside(times))
-
-
-def _joined(parts: list[NDArray[Any]]) -> NDArray[Any]:
-    values = np.concatenate(parts, dtype=np.float64 if parts[0].dtype.kind == "f" else None)
-    values.setflags(write=False)
-    return values

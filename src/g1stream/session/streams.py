@@ -59,7 +59,8 @@ class Stream:
     IDL field of a column that has another name there.
 
     Args:
-        load: reads columns by name; without it there are only the `columns` given.
+        load: reads columns by name, floats in any precision; without it there are only the
+            `columns` given.
         time: computes `time`.
         columns: those that are known already.
 
@@ -108,8 +109,24 @@ class Stream:
         if missing:
             if self._load is None:
                 raise AttributeError(f"{type(self).__name__} has no {', '.join(missing)}")
-            self.__dict__.update(self._load(missing))
+            found = dict(self._load(missing))
+            for name in missing:
+                self.__dict__[name] = _as_float64(found.pop(name))
         return self
+
+    def as_recorded(self: StreamT, *columns: str) -> StreamT:
+        """The same samples with these columns only, in the wire's precision: half the memory.
+
+        They are read anew, and this stream does not keep them.
+
+        Raises:
+            RecordingError: the file is damaged.
+        """
+        if self._load is None:
+            return self
+        found = self._load(list(dict.fromkeys((*_TIMES, *columns))))
+        self.__dict__.update({name: found[name] for name in _TIMES})
+        return type(self)(None, lambda: self.time, **found)
 
     if not TYPE_CHECKING:  # so that a type checker knows the columns, and no others
 
@@ -176,6 +193,10 @@ class Stream:
             return 0
         median = int(np.median(self.log_time - self.publish_time))
         return 0 if 0 <= median <= _SLOWEST_WIRE else median
+
+
+def _as_float64(values: NDArray[Any]) -> NDArray[Any]:
+    return _read_only(values.astype(np.float64)) if values.dtype == np.float32 else values
 
 
 def _read_only(values: NDArray[Any]) -> NDArray[Any]:

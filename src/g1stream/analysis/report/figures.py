@@ -47,6 +47,7 @@ def figures(session: Session, summary: Summary, metrics: Metrics) -> dict[str, A
         if quantity == "error":
             played = summary.tracking.joints if summary.tracking else JOINT_NAMES
             limbs = _limb_errors(shown, played)
+        del shown
     return {
         "joints": [name.removesuffix("_joint") for name in JOINT_NAMES],
         "colours": [COLOURS[limb] for limb, joints in JOINT_GROUPS.items() for _ in joints],

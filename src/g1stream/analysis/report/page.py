@@ -67,7 +67,7 @@ def numbers(sessions: Given | Iterable[Given]) -> dict[str, Any]:
     """The numbers of a report, as values for JSON: summary and metrics of each session."""
     return {
         "sessions": [
-            _values(session, session.summary(), session.metrics()) for session in _opened(sessions)
+            _values(session, session.metrics(), session.summary()) for session in _opened(sessions)
         ]
     }
 
@@ -100,7 +100,7 @@ def _opened(sessions: Given | Iterable[Given]) -> Iterator[Session]:
         yield one if isinstance(one, Session) else open_session(one)
 
 
-def _values(session: Session, summary: Summary, metrics: Metrics) -> dict[str, Any]:
+def _values(session: Session, metrics: Metrics, summary: Summary) -> dict[str, Any]:
     return {
         "path": str(session.path),
         "verdict": verdict(summary),
@@ -114,8 +114,9 @@ def _page(sessions: Iterable[Session]) -> str:
 
     values, sections, drawn = [], [], []
     for number, session in enumerate(sessions):
-        summary, metrics = session.summary(), session.metrics()
-        values.append(_values(session, summary, metrics))
+        # The metrics read all columns that are needed, the summary alone only some.
+        metrics, summary = session.metrics(), session.summary()
+        values.append(_values(session, metrics, summary))
         drawn.append(figures(session, summary, metrics))
         sections.append(_section(number, session, summary, values[-1]["metrics"], drawn[-1]))
     one = len(values) == 1

@@ -1,10 +1,11 @@
-"""Summary, metrics and report of ten minutes at 500 Hz: time and memory, and how they grow.
+"""Summary, metrics and report of 1, 2, 5 and 10 minutes at 500 Hz: time and memory, and growth.
 
-    python benchmarks/report.py [--minutes N] [--json]
+    python benchmarks/report.py [--minutes N ...] [--json]
 
-A synthetic session (`g1stream.synthetic`) of N minutes, and one of half that length, are written to
-temporary files; summary, metrics and the page of a report are made of each, in processes of
-their own.
+A synthetic session (`g1stream.synthetic`) of each length is written to a temporary file; summary,
+metrics and the page of a report are made of each, in processes of their own. Beside them, the stock
+reader of mcap does nothing but take each message of the same file. The last column is the CPU time
+for a minute against that of the shortest session: below 1 where the cost is less than linear.
 """
 
 from __future__ import annotations
@@ -30,14 +31,22 @@ def write(path: Path, seconds: float) -> None:
 
 
 def read(path: Path, what: str) -> dict[str, float]:
-    """Open a session and make its `summary`, its `metrics`, or the page of its `report`."""
+    """Make the `summary`, the `metrics` or the `report` of a session, or `iterate` over it."""
+    from mcap.reader import make_reader
+
     from g1stream.analysis.report.page import report
     from g1stream.session.session import open_session
 
-    path.read_bytes()  # so that the disk is not what is measured
+    with path.open("rb") as file:  # so that the disk is not what is measured
+        while file.read(2**20):
+            pass
     begun, used = time.perf_counter(), time.process_time()
     if what == "report":
         report(path, path.with_suffix(".html"), force=True)
+    elif what == "iterate":
+        with path.open("rb") as file:
+            for _ in make_reader(file).iter_messages():
+                pass
     else:
         getattr(open_session(path), what)()
     return {
@@ -55,11 +64,11 @@ def measured(path: Path, what: str) -> dict[str, float]:
     return figures
 
 
-def run(minutes: float) -> list[dict[str, Any]]:
-    """A row for each length and each of summary, metrics and report."""
+def run(minutes: list[float]) -> list[dict[str, Any]]:
+    """A row for each length and each of summary, metrics, report and the stock reader."""
     rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as directory:
-        for length in (minutes / 2, minutes):
+        for length in minutes:
             path = Path(directory) / f"{length}.mcap"
             write(path, 60.0 * length)
             rows += [
@@ -69,15 +78,18 @@ def run(minutes: float) -> list[dict[str, Any]]:
                     "what": what,
                     **measured(path, what),
                 }
-                for what in ("summary", "metrics", "report")
+                for what in ("summary", "metrics", "report", "iterate")
             ]
+    shortest = {row["what"]: row["cpu_s"] / row["minutes"] for row in reversed(rows)}
+    for row in rows:
+        row["per_minute"] = row["cpu_s"] / row["minutes"] / shortest[row["what"]]
     return rows
 
 
 def main() -> None:
     """Parse, measure, print."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--minutes", type=float, default=10.0)
+    parser.add_argument("--minutes", type=float, nargs="+", default=[1.0, 2.0, 5.0, 10.0])
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--read", nargs=2, help=argparse.SUPPRESS)
     flags = parser.parse_args()
@@ -88,11 +100,13 @@ def main() -> None:
     if flags.json:
         print(json.dumps(rows, indent=2))
         return
-    print(f"{'minutes':>8}{'MB':>8}  {'what':<8}{'wall s':>8}{'CPU s':>8}{'peak MB':>9}")
+    print(
+        f"{'minutes':>8}{'MB':>8}  {'what':<8}{'wall s':>8}{'CPU s':>8}{'peak MB':>9}{'growth':>8}"
+    )
     for row in rows:
         print(
             f"{row['minutes']:8.1f}{row['size_mb']:8.0f}  {row['what']:<8}{row['wall_s']:8.2f}"
-            f"{row['cpu_s']:8.2f}{row['peak_mb']:9.0f}"
+            f"{row['cpu_s']:8.2f}{row['peak_mb']:9.0f}{row['per_minute']:8.2f}"
         )
 
 

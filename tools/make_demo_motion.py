@@ -143,7 +143,7 @@ def upper_body() -> dict[str, Array]:
         "right_shoulder_pitch": both_pitch - 0.2 * WAVE + 0.6 * SWAY_LEFT - 0.9 * BOW,
         "left_shoulder_roll": 0.2 + 0.45 * WAVE + 1.3 * SPREAD + 0.1 * BOW,
         "right_shoulder_roll": -0.2 - 1.35 * WAVE - 1.3 * SPREAD,
-        "left_shoulder_yaw": -1.0 * WAVE,
+        "left_shoulder_yaw": -0.2 * WAVE,
         "right_shoulder_yaw": -1.4 * WAVE + 0.9 * BOW,
         "left_elbow": both_elbow - 0.6 * WAVE,
         "right_elbow": both_elbow - 0.9 * WAVE + 0.45 * HELLO - 0.8 * BOW,

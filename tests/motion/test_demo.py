@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from g1stream.motion.check import check_motion
 from g1stream.motion.trajectory import Trajectory
+from g1stream.robot.hulls import SelfCollision
 from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1
 from g1stream.session.motions import load_motion
@@ -84,6 +85,11 @@ def test_needs_less_than_half_of_the_torque_limits(demo, robot):
         torques.append(data.qfrc_inverse[speed])
     share = np.abs(torques).max(axis=0) / robot.effort
     assert 0.05 < share.max() < 0.5, robot.joint_names[int(share.argmax())]
+
+
+def test_its_links_do_not_touch(demo, robot):
+    touching = SelfCollision(robot)
+    assert not [frame for frame, q in enumerate(demo.joint_pos) if touching.contacts(q)]
 
 
 def test_the_lower_foot_is_on_the_ground(feet):

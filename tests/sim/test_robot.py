@@ -147,3 +147,15 @@ def test_without_commands_the_motors_only_damp(world, caplog):
     assert caplog.records[-1].levelno == logging.WARNING
     # Gravity alone moves it now: the motor resists speed and nothing else.
     assert state.tau_est[KNEE] == pytest.approx(-3.0 * state.dq[KNEE], abs=0.3)
+
+
+def test_no_commands_after_damp_are_no_fault(world, caplog):
+    caplog.set_level(logging.INFO)
+    simulated = SimulatedRobot(world, SimConfig(command_timeout=0.1))
+    damping = good_command()
+    damping.kp[:] = 0.0
+    run(simulated, range(150), damping.seal())
+    run(simulated, range(150, 300))
+    assert simulated.report.timeouts == 1
+    assert {record.levelno for record in caplog.records} == {logging.INFO}
+    assert "timeout" in caplog.records[-1].message

@@ -156,10 +156,12 @@ class SimulatedRobot:
         if self._accepted_at is not None and 0 < self._timeout < now - self._accepted_at:
             self._accepted_at = None
             self.report.timeouts += 1
+            # A stream ends in DAMP, without stiffness; that it stops then is no fault.
+            level = logging.WARNING if self._motors.kp.any() else logging.INFO
             self._motors = MotorCommand.off()._replace(
                 enabled=self._motors.enabled, kd=np.full(N_JOINTS, _TIMEOUT_KD)
             )
-            self.log(logging.WARNING, "LowCmd timeout: the motors only damp", now)
+            self.log(level, "LowCmd timeout: the motors only damp", now)
         for _ in range(self._steps):
             self._world.step(self._motors)
         self.report.simulated = float(self._world.data.time)

@@ -58,6 +58,14 @@ def test_at_rest_the_floor_carries_the_weight_evenly(balance, first):
     assert balance.base.pos == pytest.approx(first.root_pos, abs=1e-6)
 
 
+def test_a_target_that_is_lifted_before_the_feet_stand_pulls_nowhere(balance, first):
+    lifted = first.replace(root_pos=first.root_pos + np.array([0.0, 0.0, 0.4]))
+    low = balance.torque(first, reading(first), 0.0, planted=False)
+    balance.begin(first)
+    high = balance.torque(lifted, reading(first), 0.0, planted=False)
+    assert high == pytest.approx(low)
+
+
 def test_what_the_band_carries_is_left_to_it(balance, first):
     """Torques of half the weight, at rest: something else carries the other half."""
     half = balance.torque(first, reading(first), 0.0, share=0.5, planted=False)

@@ -115,6 +115,7 @@ class Balance:
         self._least[: 2 * len(self._cone)] = np.tile(self._cone_least, 2)
         self.base = BaseEstimate()
         self._planted = np.zeros((2, 3)), np.zeros(2)
+        self._root_pos = np.zeros(3)
         self.carried = 0.0
         self.fault = ""
         self.failures = 0
@@ -127,6 +128,7 @@ class Balance:
         """The reference begins with a target, on whose soles the robot is to stand."""
         pos, headings = self._dynamics.soles(_state_of(first))
         self._planted = pos + first.root_pos, headings
+        self._root_pos = first.root_pos
         self.base.begin(*self._planted)
         self.wrench, self.fault, self.carried = None, "", 0.0
         self._other = np.zeros(3)
@@ -165,6 +167,7 @@ class Balance:
         self.terms = terms
         if not planted:
             base.begin(*self._planted)
+            target = target.replace(root_pos=self._root_pos)  # the target's may be lifted
         base.update(terms, imu, self._load(), self._period)
         self._find_other_force(terms, measured, found=share is None)
         if share == 0.0:

@@ -81,6 +81,7 @@ def test_encodings_are_mcaps_well_known_ones(channel):
 def test_wire_channels_are_named_as_ros_names_them():
     assert {c.dds_topic: (c.topic, c.schema_name) for c in WIRE} == {
         "rt/lowcmd": ("/lowcmd", "unitree_hg/msg/LowCmd"),
+        "rt/arm_sdk": ("/arm_sdk", "unitree_hg/msg/LowCmd"),
         "rt/lowstate": ("/lowstate", "unitree_hg/msg/LowState"),
         "rt/sportmodestate": ("/sportmodestate", "unitree_go/msg/SportModeState"),
         "rt/secondary_imu": ("/secondary_imu", "unitree_hg/msg/IMUState"),

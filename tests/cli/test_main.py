@@ -59,7 +59,7 @@ CASES = {
     ),
     "a start beyond the end": (lambda tmp: ["stream", "demo", "--start", 99], "99"),
     "no such command": (lambda tmp: ["strem"], "stream"),
-    "no such flag": (lambda tmp: ["stream", "demo", "--speed", 2], "--speed"),
+    "no such flag": (lambda tmp: ["stream", "demo", "--velocity", 2], "--velocity"),
     "no such config": (lambda tmp: ["stream", "demo", "--config", tmp / "no.toml"], "no.toml"),
     "not TOML": (lambda tmp: ["sim", "--config", toml(tmp, "[dds")], "not valid TOML"),
     "no such setting": (

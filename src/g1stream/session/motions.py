@@ -11,7 +11,6 @@ from g1stream.errors import RecordingError
 from g1stream.files import is_session, is_sqlite
 from g1stream.motion.files import open_motion_file
 from g1stream.motion.motion import Motion, check_fps
-from g1stream.session.bag import Bag
 from g1stream.session.poses import motion_of_poses
 from g1stream.types import STREAM_RATE, Floats, Phase
 
@@ -21,6 +20,7 @@ if TYPE_CHECKING:
 
     from g1stream.motion.check import FileReport
     from g1stream.robot.model import G1
+    from g1stream.session.bag import Bag
     from g1stream.session.streams import Reference
     from g1stream.types import JointOrder
 
@@ -69,6 +69,8 @@ def _foreign_bag(path: Path) -> Bag | None:
     """The bag at a path; None where there is a session, or a motion file."""
     if not (is_sqlite(path) or is_session(path)):
         return None
+    from g1stream.session.bag import Bag
+
     bag = Bag(path)
     return bag if bag.is_foreign else None
 

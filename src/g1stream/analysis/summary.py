@@ -27,7 +27,7 @@ from g1stream.session.summary import (
     read_record,
 )
 from g1stream.text import counted
-from g1stream.types import Phase
+from g1stream.types import Floats, Phase
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -36,7 +36,15 @@ if TYPE_CHECKING:
     from g1stream.session.streams import Stream
     from g1stream.session.summary import MotionInfo, PhaseInterval
 
-__all__ = ["FEEDFORWARD", "find_problems", "message_stats", "played", "summarise", "summarise_run"]
+__all__ = [
+    "FEEDFORWARD",
+    "find_problems",
+    "message_stats",
+    "percentiles",
+    "played",
+    "summarise",
+    "summarise_run",
+]
 
 FEEDFORWARD: Final = "feed-forward: "
 """What the stream logs of its feed-forward begins with this."""
@@ -136,17 +144,21 @@ def message_stats(stream: Stream, lost: int | None = None) -> MessageStats:
     times_ns = np.sort(stream.publish_time)
     intervals = np.diff(times_ns) / 1e9
     span = float(times_ns[-1] - times_ns[0]) / 1e9
-    latency = (stream.log_time - stream.publish_time) / 1e3
-    p50, p99, p99_9, longest = np.percentile(latency, (50, 99, 99.9, 100)).tolist()
     return MessageStats(
         count=len(times_ns),
         lost=lost,
         rate_hz=len(intervals) / span if span > 0 else None,
         gaps=int(np.sum(intervals > _GAP * np.median(intervals))) if len(intervals) else 0,
         longest_interval_s=float(intervals.max()) if len(intervals) else None,
-        latency_us=Percentiles(p50=p50, p99=p99, p99_9=p99_9, max=longest),
+        latency_us=percentiles((stream.log_time - stream.publish_time) / 1e3),
         clock_offset_s=stream.clock_offset / 1e9,
     )
+
+
+def percentiles(values: Floats) -> Percentiles:
+    """Of one value at least."""
+    p50, p99, p99_9, longest = np.percentile(values, (50, 99, 99.9, 100)).tolist()
+    return Percentiles(p50=p50, p99=p99, p99_9=p99_9, max=longest)
 
 
 def summarise_run(

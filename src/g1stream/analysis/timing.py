@@ -6,15 +6,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from g1stream.analysis.summary import percentiles
 from g1stream.session.metrics import TimingMetrics
-from g1stream.session.summary import Percentiles
 
 if TYPE_CHECKING:
     from g1stream.session.session import Session
     from g1stream.session.summary import Summary
-    from g1stream.types import Floats
 
-__all__ = ["percentiles", "timing_metrics"]
+__all__ = ["timing_metrics"]
 
 
 def timing_metrics(session: Session, summary: Summary) -> TimingMetrics:
@@ -39,9 +38,3 @@ def timing_metrics(session: Session, summary: Summary) -> TimingMetrics:
         if known.any():
             found.state_age_us = percentiles((commands[known] - states[newest[known]]) / 1e3)
     return found
-
-
-def percentiles(values: Floats) -> Percentiles:
-    """Of one value at least."""
-    p50, p99, p99_9, longest = np.percentile(values, (50, 99, 99.9, 100)).tolist()
-    return Percentiles(p50=p50, p99=p99, p99_9=p99_9, max=longest)

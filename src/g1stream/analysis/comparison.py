@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from g1stream.analysis.comparison_table import SIGNIFICANT, table
+from g1stream.analysis.delay import interpolated
 from g1stream.analysis.summary import played
 from g1stream.errors import RecordingError
 from g1stream.session.session import Session, open_session
@@ -235,9 +236,7 @@ def _read(source: Session | str | Path) -> _Run:
         start=start,
         stop=stop,
         rows=rows,
-        reference=np.column_stack(
-            [np.interp(rows / _RATE, found.motion_time, q) for q in found.reference.T]
-        ),
+        reference=interpolated(rows / _RATE, found.motion_time, found.reference),
         joints=found.joints,
         metrics=metrics,
         facts=dict(_facts(session, summary)),

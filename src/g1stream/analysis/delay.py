@@ -22,7 +22,7 @@ from g1stream.types import Floats
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["Delay", "Delays"]
+__all__ = ["Delay", "Delays", "interpolated"]
 
 #: Delays that are searched, in steps: from -0.02 to 0.2 s; positive: the robot is behind.
 _STEP: Final = 0.005
@@ -80,8 +80,8 @@ class Delays:
             return
         # Of the reference the grid begins so much earlier that there is a row for each delay.
         grid = first + _STEP * np.arange(-_LAGS[-1], steps + 1 - _LAGS[0])
-        self._q = _columns(grid, times, q)
-        self._measured = _columns(self._at, state_times, measured)
+        self._q = interpolated(grid, times, q)
+        self._measured = interpolated(self._at, state_times, measured)
         middle = self._q.mean(axis=0)  # so that sums of squares keep their digits
         self._q -= middle
         self._measured -= middle
@@ -148,6 +148,6 @@ class Delays:
         return float(stdtrit(len(starts) - 1.0, 0.975) * spread / information)
 
 
-def _columns(at: Floats, times: Floats, values: Floats) -> Floats:
+def interpolated(at: Floats, times: Floats, values: Floats) -> Floats:
     """(T, J) values (R, J) of increasing times (R,) at other times (T,), linearly."""
     return np.column_stack([np.interp(at, times, column) for column in values.T])

@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from g1stream.analysis.delay import interpolated
 from g1stream.errors import RecordingError
 from g1stream.motion.correction import (
     ATTACHMENT_NAME,
@@ -147,7 +148,7 @@ def learn(sessions: Sequence[Session | str | Path] | Session | str | Path) -> Co
         _require_same(first, other)
     time = grid(first.start, min(one.stop for one in played))
     repetitions = _repetitions(played, time)
-    reference = _interpolated(time, first.time, first.reference)
+    reference = interpolated(time, first.time, first.reference)
     values, frozen, history = improve(
         repetitions, time, first.lower - reference, first.upper - reference
     )
@@ -272,14 +273,10 @@ def _filtered(played: _Played, time: Floats) -> Floats:
     cutoff = _CUTOFF if with_torque else _CUTOFF_WITHOUT_TORQUE
     numerator, denominator = butter(2, cutoff / (_RATE / 2))
     fine = np.arange(time[0], time[-1] + 1.0 / _RATE, 1.0 / _RATE)
-    error = _interpolated(fine, played.time, played.error)
+    error = interpolated(fine, played.time, played.error)
     padding = min(len(fine) - 1, round(_RATE / cutoff))
     smooth = filtfilt(numerator, denominator, error, axis=0, padlen=padding)
-    return _interpolated(time, fine, smooth)
-
-
-def _interpolated(at: Floats, times: Floats, values: Floats) -> Floats:
-    return np.column_stack([np.interp(at, times, column) for column in values.T])
+    return interpolated(time, fine, smooth)
 
 
 def _read(session: Session) -> _Played:

@@ -68,9 +68,9 @@ def worst_joints(session: Session) -> tuple[str, ...]:
     return tuple(JOINT_NAMES[joint] for joint in worst[:_N_PLOTS])
 
 
-def short_name(joint: str) -> str:
-    """Of a joint, for a title: `left knee`."""
-    return joint.removesuffix("_joint").replace("_", " ")
+def short_name(name: str) -> str:
+    """Of a joint, a link or a limb, for a title: `left knee`."""
+    return name.removesuffix("_joint").removesuffix("_link").replace("_", " ")
 
 
 def foxglove_layout(joints: Sequence[str], robot: G1 | None = None) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from string import Template
 from typing import TYPE_CHECKING, Any, Final, cast
 
 from g1stream._version import __version__
+from g1stream.analysis.layouts import short_name
 from g1stream.analysis.render import session_facts, stream_facts, verdict
 from g1stream.analysis.report.figures import figures
 from g1stream.analysis.report.tables import overview, tables
@@ -186,7 +187,7 @@ def _joint_choice(first: int, absent: Sequence[str]) -> str:
         f'<optgroup label="{limb.replace("_", " ")}">'
         + "".join(
             f'<option value="{joint}"{" selected" * (joint == first)}>'
-            f"{JOINT_NAMES[joint].removesuffix('_joint').replace('_', ' ')}</option>"
+            f"{short_name(JOINT_NAMES[joint])}</option>"
             for joint in joints
             if JOINT_NAMES[joint] not in absent
         )

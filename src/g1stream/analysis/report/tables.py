@@ -9,6 +9,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from g1stream.analysis.layouts import short_name
 from g1stream.text import printable
 
 if TYPE_CHECKING:
@@ -231,10 +232,8 @@ def _cell(column: Column, key: str, value: Any) -> str:
 
 
 def _plain(name: str) -> str:
-    """A joint, link or limb as people write it."""
-    for ending in ("_joint", "_link"):
-        name = name.removesuffix(ending)
-    return printable(name).replace("_", " ") if not name.startswith("/") else printable(name)
+    """A joint, link or limb as people write it; a topic as it is."""
+    return printable(name if name.startswith("/") else short_name(name))
 
 
 def _at(values: Any, path: str) -> Any:

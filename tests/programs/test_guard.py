@@ -284,7 +284,9 @@ def test_a_guard_that_cannot_be_started(lack, expected, monkeypatch):
 def test_the_guard_goes_on_damping_after_an_error_of_dds(domain_id, until, monkeypatch):
     config = Config.model_validate({"dds": {"domain": domain_id}})
     heartbeat = Heartbeat()
-    heartbeat.beat(LowCmd().seal(), time.monotonic_ns())
+    last = LowCmd()
+    last.motor_mode = 1
+    heartbeat.beat(last.seal(), time.monotonic_ns())
     write, written = RawWriter.write, []
 
     def every_other(writer, data):

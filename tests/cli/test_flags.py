@@ -163,6 +163,14 @@ def test_beyond_this_machine_is_announced_with_a_warning(monkeypatch, capsys, in
     assert "WARNING" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(("via", "topic"), [("lowcmd", "rt/lowcmd"), ("arm_sdk", "rt/arm_sdk")])
+def test_the_warning_names_the_topic_of_the_commands(monkeypatch, capsys, via, topic):
+    monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
+    config = {"dds": {"interface": "eth0"}, "stream": {"via": via}}
+    announce_wire(Config.model_validate(config))
+    assert topic in capsys.readouterr().err
+
+
 def test_a_program_that_sends_no_command_does_not_warn(monkeypatch, capsys):
     monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
     announce_wire(wire("eth0"), commands=False)

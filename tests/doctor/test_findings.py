@@ -227,6 +227,30 @@ def test_a_robot_that_appears_too_late():
     assert (finding.level, finding.about) == (Level.WARNING, "wire")
 
 
+def test_the_controller_that_moves_the_arms_for_us_is_not_to_be_ended(changed):
+    """It publishes on rt/lowcmd, keeps the robot on its feet, and reads rt/arm_sdk."""
+    wire = {"writers": (STATE, SPORT, COMMANDS), "readers": (READER, ARM)}
+    found = evaluate(changed(wire=wire, via="arm_sdk"))
+    assert {one.level for one in found} == {Level.OK}
+    (command,) = [one for one in evaluate(changed(wire=wire)) if one.level]
+    assert "rt/lowcmd" in command.cause
+
+
+def test_another_publisher_of_targets_for_the_arms(changed):
+    wire = {"writers": (STATE, SPORT, replace(ARM, owner="policy")), "readers": (ARM,)}
+    (found,) = [one for one in evaluate(changed(wire=wire, via="arm_sdk")) if one.level]
+    assert "rt/arm_sdk, policy" in found.cause
+
+
+def test_a_controller_that_takes_no_targets_for_the_arms(changed):
+    (found,) = [one for one in evaluate(changed(via="arm_sdk")) if one.level]
+    assert (found.level, found.about) == (PROBLEM, "LowCmd")
+    assert "rt/arm_sdk" in found.cause
+    wire = WireFacts((STATE,), (READER,), COMING, 1)
+    (waited,) = explain_no_robot(7, "eth0", wire, "rt/arm_sdk")
+    assert "rt/arm_sdk" in waited.cause
+
+
 def test_a_recorder_does_not_act_on_commands(changed):
     (found,) = [one for one in evaluate(changed(wire={"readers": (RECORDER,)})) if one.level]
     assert (found.level, found.about) == (Level.PROBLEM, "LowCmd")

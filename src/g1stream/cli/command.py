@@ -95,13 +95,15 @@ def announce_wire(config: Config, *, commands: bool = True) -> None:
         commands: whether what is published moves a robot.
     """
     from g1stream.dds.domain import is_local_only
+    from g1stream.dds.topics import COMMANDS
 
     where = f"DDS domain {config.dds.domain} on {config.dds.interface}"
     if os.environ.get("CYCLONEDDS_URI"):
         where = f"DDS domain {config.dds.domain}, on the interface in CYCLONEDDS_URI"
     if commands and not is_local_only(config.dds.interface):
         where = (
-            f"WARNING: {where}: every subscriber of rt/lowcmd will move, a real robot too. "
+            f"WARNING: {where}: every subscriber of {COMMANDS[config.stream.via].name} will move, "
+            "a real robot too. "
             "Keep its remote at hand"
         )
     print(f"{printable(where)}.", file=sys.stderr)

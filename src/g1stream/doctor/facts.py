@@ -12,6 +12,7 @@ from pydantic import ConfigDict, Field, field_serializer
 
 from g1stream.realtime import Grant
 from g1stream.session import summary
+from g1stream.types import Via
 
 __all__ = [
     "Facts",
@@ -152,8 +153,8 @@ class WireFacts:
         writers, readers: of other participants, on any topic.
         state: what was received on rt/lowstate.
         states_matched: how many writers of rt/lowstate match our reader.
-        commands_matched: how many subscribers of rt/lowcmd that are no observers match a writer of
-            ours; None where we have no writer, as the doctor.
+        commands_matched: how many subscribers of our commands that are no observers match a writer
+            of ours; None where we have no writer, as the doctor.
         elsewhere: other places where rt/lowstate is published, (domain, interface, owner); looked
             for only if it is not published here.
         searched: the places that were searched for it, (domain, interface).
@@ -183,3 +184,4 @@ class Facts:
     wire: WireFacts | None  # None where the domain could not be joined
     join_error: str = ""  # why it could not be joined
     wakeup_latency: WakeupLatency | None = None  # None where it was not measured
+    via: Via = "lowcmd"  # what is to be commanded

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from g1stream.dds.topics import LOG, LOWCMD, LOWSTATE, SPORTMODESTATE
+from g1stream.dds.topics import COMMANDS, LOG, LOWCMD, LOWSTATE, SPORTMODESTATE
 from g1stream.doctor.facts import Facts, Finding, Level, Peer, Qos, ok, problem, warning
 from g1stream.robot.joints import JointSet
 from g1stream.text import counted
@@ -20,6 +20,7 @@ __all__ = ["evaluate", "explain_no_robot", "identify_publisher", "qos_mismatch"]
 _ENOUGH_BUFFER: Final = 1 << 20
 _SLOW_CLOCKS: Final = ("hpet", "acpi_pm", "jiffies", "refined-jiffies")
 _START_ROBOT: Final = "Start a bridge (g1stream sim), or connect and switch on the robot."
+_START_CONTROLLER: Final = "Let the robot stand by its own controller, which subscribes to it."
 
 _OUR_READER: Final = Qos()
 _OUR_WRITER: Final = Qos(reliable=True)
@@ -46,13 +47,15 @@ def evaluate(facts: Facts) -> list[Finding]:
         *_publishers(facts, facts.wire),
         *_states(facts, facts.wire),
         *_base(facts.wire),
-        *_commands(facts.wire),
+        *_commands(facts.wire, COMMANDS[facts.via].name),
     ]
 
 
-def explain_no_robot(domain: int, interface: str, wire: WireFacts) -> list[Finding]:
-    """Why a streamer that waited for LowState and for a subscriber of LowCmd had no success."""
-    found = [*_state_mismatches(wire), *_command_mismatches(wire)]
+def explain_no_robot(
+    domain: int, interface: str, wire: WireFacts, topic: str = LOWCMD.name
+) -> list[Finding]:
+    """Why a streamer that waited for LowState and for a subscriber of its topic had no success."""
+    found = [*_state_mismatches(wire), *_command_mismatches(wire, topic)]
     if wire.states_matched and not wire.state.received:
         found.append(_silent_publisher(wire.state))
     if found:
@@ -61,8 +64,8 @@ def explain_no_robot(domain: int, interface: str, wire: WireFacts) -> list[Findi
     remedy = f"Run g1stream doctor --domain {domain} --interface {interface}: it searches further."
     if not wire.writers_of(LOWSTATE.name):
         return [problem("publisher", f"no publisher on {LOWSTATE.name} {here}", remedy)]
-    if not _command_subscribers(wire):
-        return [problem("LowCmd", f"no subscriber on {LOWCMD.name} {here}", remedy)]
+    if not _command_subscribers(wire, topic):
+        return [problem("LowCmd", f"no subscriber on {topic} {here}", remedy)]
     return [warning("wire", f"a robot appeared {here} after the wait ended", "Stream again.")]
 
 
@@ -258,21 +261,22 @@ def _base(wire: WireFacts) -> Iterator[Finding]:
         yield ok("base", "position and velocity not provided")
 
 
-def _commands(wire: WireFacts) -> Iterator[Finding]:
-    """Who reads and writes LowCmd."""
-    readers = _command_subscribers(wire)
-    mismatches = _command_mismatches(wire)
+def _commands(wire: WireFacts, topic: str) -> Iterator[Finding]:
+    """Who reads and writes the LowCmds of a topic."""
+    readers = _command_subscribers(wire, topic)
+    mismatches = _command_mismatches(wire, topic)
     yield from mismatches
     if not readers and wire.writers_of(LOWSTATE.name):
-        cause = f"no subscriber on {LOWCMD.name}: commands would move nothing"
-        yield problem("LowCmd", cause, _START_ROBOT)
+        cause = f"no subscriber on {topic}: commands would move nothing"
+        remedy = _START_ROBOT if topic == LOWCMD.name else _START_CONTROLLER
+        yield problem("LowCmd", cause, remedy)
     elif readers and not mismatches:
         yield ok("LowCmd", f"subscriber: {_owners(readers)}")
-    if writers := [one for one in wire.writers_of(LOWCMD.name) if not one.idle_guard]:
+    if writers := [one for one in wire.writers_of(topic) if not one.idle_guard]:
         yield warning(
             "LowCmd",
-            f"another publisher on {LOWCMD.name}, {_owners(writers)}: g1stream stream will refuse "
-            "to start",
+            f"another publisher on {topic}, {_owners(writers)}: g1stream stream will refuse to "
+            "start",
             "End it before you stream.",
         )
 
@@ -316,9 +320,9 @@ def _state_mismatches(wire: WireFacts) -> list[Finding]:
     return found
 
 
-def _command_mismatches(wire: WireFacts) -> list[Finding]:
-    """Why subscribers of LowCmd do not match a writer of ours."""
-    readers = _command_subscribers(wire)
+def _command_mismatches(wire: WireFacts, topic: str) -> list[Finding]:
+    """Why subscribers of a topic of LowCmds do not match a writer of ours."""
+    readers = _command_subscribers(wire, topic)
     found = [_mismatch(peer, qos_mismatch(_OUR_WRITER, peer.qos), "LowCmd") for peer in readers]
     findings = [one for one in found if one]
     if readers and not findings and wire.commands_matched == 0:
@@ -326,9 +330,9 @@ def _command_mismatches(wire: WireFacts) -> list[Finding]:
     return findings
 
 
-def _command_subscribers(wire: WireFacts) -> list[Peer]:
-    """The subscribers of LowCmd that may act on it."""
-    return [peer for peer in wire.readers if peer.topic == LOWCMD.name and not peer.observer]
+def _command_subscribers(wire: WireFacts, topic: str) -> list[Peer]:
+    """The subscribers of a topic that may act on it."""
+    return [peer for peer in wire.readers if peer.topic == topic and not peer.observer]
 
 
 def _silent_publisher(state: StateFacts) -> Finding:

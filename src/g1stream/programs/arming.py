@@ -147,7 +147,7 @@ def inspect_for_arming(participant: Participant, config: Config, first: Floats) 
         peak_speed=ramp.peak_speed,
         limits=config.safety.model_dump(),
         motion_service=service,
-        findings=tuple(evaluate(Facts(*where, allowed, host, wire))),
+        findings=tuple(evaluate(Facts(*where, allowed, host, wire, via=config.stream.via))),
     )
 
 

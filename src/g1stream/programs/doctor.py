@@ -37,4 +37,5 @@ def diagnose(config: Config, seconds: float = 1.0) -> list[Finding]:
     except WireError as error:
         join_error = error.cause
     robots = G1.load(config.robot).joint_set.allowed(config.safety.mode_machine)
-    return evaluate(Facts(domain, interface, robots, host, wire, join_error, latency))
+    via = config.stream.via
+    return evaluate(Facts(domain, interface, robots, host, wire, join_error, latency, via))

@@ -366,7 +366,8 @@ def _diagnose(
     # appeared in the meantime counts as matched.
     state = replace(wire.state, received=wire.state.received or report.states)
     wire = replace(wire, state=state, commands_matched=link.subscribers())
-    findings = explain_no_robot(config.dds.domain, config.dds.interface, wire)
+    topic = COMMANDS[config.stream.via].name
+    findings = explain_no_robot(config.dds.domain, config.dds.interface, wire, topic)
     for finding in findings:
         _LOGGER.error("%s", finding.cause)
     return findings

@@ -199,3 +199,18 @@ def test_what_cannot_be_learned_from_is_refused(session):
     with pytest.raises(RecordingError) as refused:
         learn(looped)
     assert "loop" in refused.value.cause
+
+
+def test_a_session_in_which_the_controller_moves_the_legs_is_refused():
+    """No setting of --via arm_sdk names joints."""
+    arms = played(joints="arms,waist", seconds=0.5)
+    arms.metadata["config"]["stream"] |= {"joints": None, "via": "arm_sdk"}
+    with pytest.raises(RecordingError) as refused:
+        learn(arms)
+    assert "some joints" in refused.value.cause
+
+
+def test_a_session_of_a_robot_with_fewer_joints_is_refused():
+    with pytest.raises(RecordingError) as refused:
+        learn(played(config={"robot": "g1_23dof"}, seconds=0.5))
+    assert "some joints" in refused.value.cause

@@ -292,7 +292,7 @@ def _read(session: Session) -> _Played:
     problems = {
         "it was ended early": stream.reason,
         "its motion was looped": settings.get("loop"),
-        "only some joints were played": settings.get("joints"),
+        "only some joints were played": info.joints is not None and len(info.joints) < N_JOINTS,
         "its commands were recorded ones": stream.feedforward == "recorded",
         "its feed-forward was switched off while it played": _switched_off(stream),
         "its recording is not complete": not session.complete,

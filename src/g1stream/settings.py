@@ -231,7 +231,9 @@ class StreamConfig(Table):
     @property
     def played_joints(self) -> str | None:
         """The joints that play the motion, as `joints` names them; None: all."""
-        return self.joints or ("arms,waist" if self.via == "arm_sdk" else None)
+        if self.joints is None and self.via == "arm_sdk":
+            return "arms,waist"
+        return self.joints
 
 
 class RealtimeConfig(Table):

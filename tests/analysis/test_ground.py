@@ -58,6 +58,11 @@ def test_a_robot_with_other_feet_is_refused(robot):
         Soles(other)
 
 
+def test_a_robot_without_joints_at_its_feet_is_refused():
+    with pytest.raises(RobotError, match="g1_dual_arm"):
+        Soles(G1.load("g1_dual_arm"))
+
+
 @pytest.mark.parametrize(
     ("point", "beyond"),
     [

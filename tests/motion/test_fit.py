@@ -10,7 +10,7 @@ from g1stream.errors import ConfigError, G1StreamError, MotionError, SafetyError
 from g1stream.motion.fit import fit_to_robot
 from g1stream.motion.motion import Motion
 from g1stream.robot.joints import JOINT_NAMES
-from g1stream.robot.model import G1
+from g1stream.robot.model import G1, VARIANTS
 from g1stream.session.motions import load_motion
 
 ROBOT = G1.default()
@@ -118,3 +118,15 @@ def test_joints_that_are_not_played_may_be_beyond_their_limits(demo):
     with pytest.raises(SafetyError):
         fitted(wild, joints="legs")
     assert fitted(wild, joints="arms").trajectory.motion is wild
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_every_kind_of_g1_plays_the_demo(demo, name):
+    """One has no joints at its feet, of which the floor's height would be told."""
+    playable = fit_to_robot(demo, G1.load(name), load_config(), simulated=True)
+    assert playable.trajectory.motion is demo
+
+
+def test_an_empty_selection_is_not_all_joints(demo):
+    with pytest.raises(ConfigError, match="joints = ''"):
+        fitted(demo, joints="")

@@ -35,11 +35,15 @@ class Soles:
         corners: (2, 4, 3) m, in the frames of these links.
 
     Raises:
-        RobotError: there is no hull for a foot of this robot.
+        RobotError: a foot of this robot has no joint, or no hull.
     """
 
     def __init__(self, robot: G1) -> None:
         joints = [JOINT_NAMES.index(f"{side}_ankle_roll_joint") for side in SIDES]
+        if not robot.present[joints].all():
+            raise RobotError(
+                f"{robot.name!r} has no joints at its feet.", "Give a robot that moves its feet."
+            )
         self.links = [int(np.flatnonzero(robot.joint_of_link == joint)[0]) for joint in joints]
         self._robot = robot
         self.corners = np.stack([_corners(robot, robot.link_names[link]) for link in self.links])

@@ -54,3 +54,8 @@ def test_the_support_of_a_killed_stream_is_that_of_its_log():
 def test_other_supports_are_refused(support):
     with pytest.raises(RecordingError, match=support):
         identify(session(None, support, 0.1))
+
+
+def test_a_robot_that_lacks_joints_is_refused():
+    with pytest.raises(RecordingError, match="lacks 6 joints"):
+        identify(session("g1_23dof", "bolted", 0.1))

@@ -14,6 +14,7 @@ from g1stream.errors import RecordingError
 from g1stream.robot.dynamics import InverseDynamics
 from g1stream.robot.joints import JOINT_GROUPS
 from g1stream.robot.model import G1, REVISIONS
+from g1stream.text import counted
 from g1stream.types import Support
 
 if TYPE_CHECKING:
@@ -72,13 +73,21 @@ def identify(session: Session, support: Support | None = None) -> Identification
         support: how it was held; as the session says if None.
 
     Raises:
-        RecordingError: the support is not known, or too little was recorded.
+        RecordingError: the support is not known, the robot lacks joints, or too little was
+            recorded.
     """
-    support = support or _support(session.summary())
+    summary = session.summary()
+    support = support or _support(summary)
     if support not in ("bolted", "hanging"):
         raise RecordingError(
             f"The robot cannot be identified: its support is {support or 'unknown'}.",
             "Give --support bolted or --support hanging, as it was held.",
+        )
+    if summary.absent:
+        raise RecordingError(
+            "The robot cannot be identified: it lacks "
+            f"{counted(len(summary.absent), 'joint')}, which the models have.",
+            "Give a session of a G1 with all 29 joints.",
         )
     models = tuple(InverseDynamics(G1.load(name)) for name in REVISIONS)
     fit, scale = RevisionFit(support, (models[0], models[1])), TimeScale()

@@ -70,11 +70,17 @@ def make_loop(
     gains = gains_in_play(config, robot)
     played = robot.select(settings.played_joints)
     if not played.all() and (recorded or correction):
-        raise ConfigError(
-            f"stream.joints = {settings.joints!r} with "
-            f"{'recorded commands' if recorded else 'a correction'}, which are for all joints.",
-            "Leave --joints out" + (", or --exact." if recorded else ", or --correction."),
-        )
+        what, flag = ("Recorded commands are", "--exact")
+        if not recorded:
+            what, flag = ("A correction is", "--correction")
+        cause, remedy = f"a {robot.joint_set.name} lacks some", f"Leave {flag} out."
+        if settings.joints is not None:
+            cause = f"stream.joints = {settings.joints!r} selects some"
+            remedy = f"Leave --joints out, or {flag}."
+        elif settings.via == "arm_sdk":
+            cause = "stream.via = arm_sdk moves arms and waist only"
+            remedy = f"Leave --via out, or {flag}."
+        raise ConfigError(f"{what} for all joints, and {cause}.", remedy)
     whole = bool(played.all() and robot.present.all()) and settings.via == "lowcmd"
     if settings.support == "feet" and (settings.loop or not whole):
         raise ConfigError(

@@ -7,6 +7,9 @@ from scipy.integrate import trapezoid
 import g1stream
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
 from g1stream.session.metrics import Metrics
+from g1stream.session.session import Session
+from g1stream.session.source import MemorySource
+from g1stream.synthetic import SyntheticSession
 
 SAG = np.linspace(-0.2, 0.1, 29)
 
@@ -149,3 +152,16 @@ def test_a_robot_that_cannot_be_used_is_not_replaced(rollout, monkeypatch):
     assert (
         metrics.tracking.all_joints.rmse_rad == rollout.sel(time=slice(0.5, 1.0)).tracking().overall
     )
+
+
+def test_timing_is_that_of_what_the_arms_were_sent():
+    """Beside it, /lowcmd has the commands of the robot's own controller, at 500 Hz."""
+    source = MemorySource()
+    SyntheticSession(1.0).write(source)
+    _, sent = next(source.batches({"/lowcmd"}))
+    few = slice(None, None, 5)
+    source.write_batch("/arm_sdk", sent.data[few], sent.log_times[few], sent.publish_times[few])
+    timing = Session(source).metrics().timing
+    assert timing.rate_hz == pytest.approx(100.0)
+    assert timing.interval_us.p50 == pytest.approx(10_000.0)
+    assert timing.state_age_us.p50 == pytest.approx(1000.0)

@@ -8,6 +8,7 @@ import numpy as np
 
 from g1stream.analysis.summary import percentiles
 from g1stream.session.metrics import TimingMetrics
+from g1stream.session.streams import ArmCommand, Command
 
 if TYPE_CHECKING:
     from g1stream.session.session import Session
@@ -17,8 +18,10 @@ __all__ = ["timing_metrics"]
 
 
 def timing_metrics(session: Session, summary: Summary) -> TimingMetrics:
-    """The metrics, from the summary and the publish times of commands and states."""
-    stream, command = summary.stream, summary.topics.get("/lowcmd")
+    """The metrics, from the summary and the publish times of our commands and of states."""
+    # With --via arm_sdk, those on /lowcmd are the robot's own controller's.
+    ours = ArmCommand if session.topics.get(ArmCommand.topic) else Command
+    stream, command = summary.stream, summary.topics.get(ours.topic)
     found = TimingMetrics(
         rate_hz=command and command.rate_hz,
         nominal_rate_hz=stream and stream.nominal_rate_hz,
@@ -29,7 +32,8 @@ def timing_metrics(session: Session, summary: Summary) -> TimingMetrics:
     )
     if command is None or not command.rate_hz:
         return found
-    commands = np.sort(session.command.publish_time) + session.command.clock_offset
+    sent = session.stream(ours)
+    commands = np.sort(sent.publish_time) + sent.clock_offset
     found.interval_us = percentiles(np.diff(commands) / 1e3)
     if "/lowstate" in found.topics:
         states = np.sort(session.measured.publish_time) + session.measured.clock_offset

@@ -80,6 +80,20 @@ def test_another_motion_is_refused(monkeypatch):
         g1stream.compare(first, session())
 
 
+def test_only_joints_that_play_in_all_sessions_count():
+    left, arms, right = (
+        g1stream.rollout("demo", joints=joints, seconds=0.5)
+        for joints in ("left_arm", "arms", "right_arm")
+    )
+    found, alone = g1stream.compare(left, arms), arms.tracking().rmse[15:22]
+    assert list(found.limbs) == ["left_arm"]
+    assert len(found.joints) == 7
+    assert found.metrics["rmse"].base == left.tracking().overall
+    assert found.metrics["rmse"].other == pytest.approx(np.sqrt(np.mean(alone**2)))
+    with pytest.raises(RecordingError, match="No joint"):
+        g1stream.compare([left, arms], right)
+
+
 def test_what_differs_is_said():
     gains = {"kp": [60.0] * 29, "kd": [1.0] * 29}
     soft = gains | {"kp": [40.0] * 29}

@@ -20,6 +20,7 @@ import numpy as np
 
 from g1stream.analysis.comparison_table import SIGNIFICANT, table
 from g1stream.analysis.delay import interpolated
+from g1stream.analysis.metrics import metrics
 from g1stream.analysis.summary import played
 from g1stream.errors import RecordingError
 from g1stream.session.session import Session, open_session
@@ -104,7 +105,7 @@ class Comparison(Record):
         motion: its name.
         base, other: paths of the sessions.
         start_s, stop_s: the part of the motion that all of them played, which is compared.
-        metrics: of the whole session, by the name that --fail-if takes.
+        metrics: of all joints that played in every session, by the name that --fail-if takes.
         limbs, joints: RMSE, rad, by name.
         differs: what else differs between the sides, such as `gains.kp` -> what it was in each.
     """
@@ -138,16 +139,23 @@ def compare(
         side nothing can.
 
     Raises:
-        RecordingError: a session has no tracking error, or its motion is another one.
+        RecordingError: a session has no tracking error, its motion is another one, or no joint
+            played in all of them.
     """
     sides = [[_read(one) for one in _several(side)] for side in (base, other)]
     runs = [*sides[0], *sides[1]]
     start, stop = max(run.start for run in runs), min(run.stop for run in runs)
+    joints = tuple(sorted(set.intersection(*({*run.joints} for run in runs))))
+    if not joints:
+        raise RecordingError(
+            "No joint plays the motion in all of these sessions.",
+            "Compare sessions in which the same joints play.",
+        )
     for run in runs[1:]:
         _require_same_motion(runs[0], run)
     if stop - start < _SHORTEST:
         raise _nothing_in_common(max(runs, key=lambda run: run.start), start, stop)
-    found = [[run.metrics_of(start, stop) for run in side] for side in sides]
+    found = [[run.metrics_of(start, stop, joints) for run in side] for side in sides]
     units = {name: unit for name, (unit, _) in _METRICS.items()}
     return Comparison(
         motion=runs[0].motion,
@@ -176,6 +184,7 @@ class _Run(NamedTuple):
         start, stop: motion time that was played, s.
         rows: (T,) motion times of `reference`, in steps of the grid that all runs share.
         reference: (T, 29) rad.
+        joints: motor indices of those that played.
         metrics: of the whole session.
         facts: what may make a difference, beside the motion.
     """
@@ -191,16 +200,19 @@ class _Run(NamedTuple):
     metrics: Metrics
     facts: dict[str, str]
 
-    def metrics_of(self, start: float, stop: float) -> Metrics:
-        """Of a part of the motion; of the whole session where it played little else."""
-        if max(start - self.start, self.stop - stop) < _SAME_INTERVAL:
+    def metrics_of(self, start: float, stop: float, joints: tuple[int, ...]) -> Metrics:
+        """Of some joints in a part of the motion; in the whole session if it played little else."""
+        whole = max(start - self.start, self.stop - stop) < _SAME_INTERVAL
+        if whole and joints == self.joints:
             return self.metrics
         session = _opened(self.source)
+        if whole:
+            return metrics(session, joints)
         found = session.tracking()
         inside = (found.motion_time >= start) & (found.motion_time <= stop)
         if inside.any():
             first, last = found.time[inside][[0, -1]].tolist()
-            part = session.sel(time=slice(first, last)).metrics()
+            part = metrics(session.sel(time=slice(first, last)), joints)
             if part.tracking:
                 return part
         raise _nothing_in_common(self, start, stop)
@@ -225,7 +237,7 @@ def _read(source: Session | str | Path) -> _Run:
         raise RecordingError(
             f"Several motions were played in {session.path}.", "Give sessions with one motion."
         )
-    metrics, found = session.metrics(), session.tracking()
+    of_all, found = session.metrics(), session.tracking()
     start, stop = found.motion_time[[0, -1]].tolist()
     rows = np.arange(math.ceil(start * _RATE), math.floor(stop * _RATE) + 1)
     summary = session.summary()
@@ -238,7 +250,7 @@ def _read(source: Session | str | Path) -> _Run:
         rows=rows,
         reference=interpolated(rows / _RATE, found.motion_time, found.reference),
         joints=found.joints,
-        metrics=metrics,
+        metrics=of_all,
         facts=dict(_facts(session, summary)),
     )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -45,8 +46,12 @@ _MOST_HEIGHT_ERROR: Final = 250.0
 _MOST_GRAVITY_DIFFERENCE: Final = 0.8
 
 
-def metrics(session: Session) -> Metrics:
+def metrics(session: Session, joints: tuple[int, ...] | None = None) -> Metrics:
     """The metrics of a session, whatever it holds.
+
+    Args:
+        session: of one motion or none.
+        joints: motor indices of those that count; all that played if None.
 
     Raises:
         RecordingError: the file is damaged.
@@ -60,6 +65,7 @@ def metrics(session: Session) -> Metrics:
     else:
         try:
             tracking = session.tracking()
+            tracking = tracking if joints is None else replace(tracking, joints=joints)
         except NothingToCompareError as error:
             missing["tracking"] = error.cause
     sampled = frames(session, tracking) if tracking else None

@@ -81,6 +81,19 @@ def test_a_drift_of_heading_is_no_turn_of_the_robot(balance, first):
     assert balance.base.pos == pytest.approx(first.root_pos, abs=1e-3)
 
 
+def test_the_heading_of_the_imu_is_none_of_the_robot_while_the_feet_are_on_their_way(
+    balance, first
+):
+    straight = balance.torque(first, reading(first), 0.0, share=0.5, planted=False)
+    balance.begin(first)
+    yawed = reading(first, rpy=(0.0, 0.0, 0.5))
+    balance.torque(first, yawed, 0.0, share=0.5, planted=False)  # finds it
+    for _ in range(4):
+        tau = balance.torque(first, yawed, 0.0, share=0.5, planted=False)
+        assert balance.base.quat_wxyz == pytest.approx(first.root_quat_wxyz, abs=1e-9)
+        assert tau == pytest.approx(straight, abs=1e-3)
+
+
 @pytest.mark.parametrize(
     ("rpy", "why"), [((0.6, 0.0, 0.0), "tilted"), ((0.0, -0.6, 0.0), "tilted")]
 )

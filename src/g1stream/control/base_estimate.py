@@ -42,22 +42,21 @@ class BaseEstimate:
 
     def __init__(self) -> None:
         self.soles, self._headings = np.zeros((2, 3)), np.zeros(2)
-        self._drift: float | None = None  # heading of the IMU's world in the reference's, rad
+        self._drift = 0.0  # heading of the IMU's world in the reference's, rad
+        self._begins = True  # the next LowState says where it is, without a history
         self.pos, self.vel = np.zeros(3), np.zeros(3)
         self.quat_wxyz = np.array([1.0, 0.0, 0.0, 0.0])
 
     def begin(self, soles: Floats, headings: Floats) -> None:
         """Set where the soles (2, 3) stand, m, and their headings (2,), rad."""
         self.soles, self._headings = soles.copy(), headings.copy()
-        self._drift = None
+        self._begins = True
         self.vel = np.zeros(3)
 
     def turn(self, imu: ImuReading) -> Floats:
         """Take the attitude of a reading over, and return it in the reference's world."""
-        self.quat_wxyz = imu.quat_wxyz.astype(np.float64)
-        if self._drift is not None:
-            drift = quat_from_axis_angle(_UP, np.asarray(-self._drift))
-            self.quat_wxyz = quat_mul(drift, self.quat_wxyz)
+        back = quat_from_axis_angle(_UP, np.asarray(-self._drift))
+        self.quat_wxyz = quat_mul(back, imu.quat_wxyz.astype(np.float64))
         return self.quat_wxyz
 
     def update(self, terms: Terms, imu: ImuReading, load: Floats, passed: float) -> None:
@@ -72,8 +71,8 @@ class BaseEstimate:
         turned = np.arctan2(terms.turns[:, 1, 0], terms.turns[:, 0, 0]) - self._headings
         error = float(np.arctan2(np.sin(turned), np.cos(turned)).mean())
         by_legs = -load @ terms.sole_vel
-        if self._drift is None:
-            self._drift, self.vel = error, by_legs
+        if self._begins:  # the error is that of a heading from which the drift is already taken
+            self._drift, self.vel, self._begins = self._drift + error, by_legs, False
         else:
             self._drift += error * min(1.0, passed / _HEADING)
             acc = quat_rotate(self.quat_wxyz, imu.accelerometer.astype(np.float64)) - _GRAVITY

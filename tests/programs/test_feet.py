@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 
 from g1stream.config import Config
+from g1stream.control.feedforward import FeedForward
 from g1stream.errors import ConfigError, MotionError, SafetyError
 from g1stream.programs.rollout import rollout
 from g1stream.programs.standing import refuse_feet_on_robot
+from g1stream.programs.stream import with_robot_limits
+from g1stream.robot.model import G1
 from g1stream.robot.rotations import quat_normalize
 from g1stream.synthetic import squatting
 
@@ -64,6 +67,19 @@ def test_a_motion_that_lifts_a_foot_is_refused():
 def test_it_needs_torques():
     with pytest.raises(ConfigError, match="torques"):
         rollout(squatting(1.0), support="feet", feedforward="velocity")
+
+
+def test_off_loopback_the_torques_have_to_be_asked_for_as_the_remedy_says():
+    def made(**stream):
+        given = {"support": "feet", "experimental_feet": True} | stream
+        off_loopback = Config.model_validate({"dds": {"interface": "eth0"}, "stream": given})
+        settings = with_robot_limits(off_loopback).stream
+        return FeedForward.from_config(settings, G1.default(), 0.002)
+
+    with pytest.raises(ConfigError) as refused:
+        made()
+    assert "--feedforward dynamics" in refused.value.remedy
+    assert made(feedforward="dynamics").kind == "dynamics"
 
 
 def test_where_there_may_be_a_robot_it_has_to_be_allowed():

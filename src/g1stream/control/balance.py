@@ -61,7 +61,7 @@ _LATENCY: Final = 0.001
 _OTHER_FORCE: Final = 0.3
 _LOAD: Final = 0.02
 
-#: The robot falls: it is tilted against the reference, rad; its centre of mass is beside the
+#: The robot falls: it is tilted against the reference, rad; its pelvis is beside the
 #: reference's, m; its feet carry less than this of its weight, or the floor cannot give what the
 #: centre of mass takes by so much, m/s², for longer than a time, s.
 _TILTED: Final = 0.5

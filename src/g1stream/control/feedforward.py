@@ -162,7 +162,9 @@ class FeedForward:
             if recorded or not torque:
                 raise ConfigError(
                     "support feet needs torques that are computed at every tick.",
-                    "Leave out --exact and --feedforward, or hold the robot otherwise.",
+                    "Leave out --exact, or hold the robot otherwise."
+                    if recorded
+                    else "Give --feedforward dynamics, or hold the robot otherwise.",
                 )
             balance = Balance(robot, period)
         other = G1.load(REVISIONS[1]) if torque and robot is G1.default() else None

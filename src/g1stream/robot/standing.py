@@ -106,7 +106,6 @@ class StandingDynamics:
         robot: the G1.
 
     Attributes:
-        name: of the robot.
         mass: kg.
         weight: N.
         sole: (4, 2) m, the corners of a sole about its middle, in the foot's frame.
@@ -129,12 +128,11 @@ class StandingDynamics:
         self._v = np.array([joint.dofadr[0] for joint in joints])
         self._feet = [model.body(robot.link_names[link]).id for link in soles.links]
         self._middle = soles.corners.mean(axis=1)
-        self.name = robot.name
         self.mass = float(model.body_mass.sum())
         self.weight = self.mass * GRAVITY
         self.sole: Floats = (soles.corners[0] - self._middle[0])[:, :2]
         n = model.nv
-        self._inertia, self._bias, self._zero = np.zeros((n, n)), np.zeros(n), np.zeros(n)
+        self._inertia, self._bias = np.zeros((n, n)), np.zeros(n)
         self._jac, self._jac_rate = np.zeros((2, _WRENCHES, n))
         self._force = np.zeros(n)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -180,6 +181,26 @@ def test_feet_are_put_on_the_floor(demo, by):
     put = moved.on_floor()
     np.testing.assert_allclose(put.root_pos, demo.root_pos - [0.0, 0.0, stands], atol=1e-9)
     assert len(put.operations) == 1
+
+
+def test_feet_are_put_on_the_floor_by_the_robot_that_is_given(demo):
+    urdf = ElementTree.fromstring(G1.default().urdf)
+    for side in ("left", "right"):
+        origin = urdf.find(f"joint[@name='{side}_ankle_pitch_joint']/origin")
+        x, y, z = map(float, origin.get("xyz").split())
+        origin.set("xyz", f"{x} {y} {z - 0.02}")
+    tall = G1.from_urdf(ElementTree.tostring(urdf, encoding="unicode"), "tall")
+    put = demo.on_floor(tall)
+    assert height_of_floor(put, tall) == pytest.approx(0.0, abs=1e-9)
+    assert abs(height_of_floor(put, G1.default())) > 0.01
+
+
+def test_frames_and_another_rate_are_named(demo):
+    assert demo.frames(0, demo.n_frames).operations == ()
+    assert demo.frames(3, 40).resample(50).operations == (
+        "cut to frames 3 to 40",
+        "resampled to 50 fps",
+    )
 
 
 def test_a_motion_in_the_air_is_not_put_on_the_floor(make_motion):

@@ -47,6 +47,7 @@ def test_it_stands_and_follows_the_reference(session):
     played = session.metadata["stream"]
     assert played["reason"] == ""
     assert played["support"] == "feet"
+    assert len(session.metadata["motion"]["operations"]) == 1  # it was changed to stand
     assert session.tracking().overall < 0.004
     playing = session.base.time < 3.0
     assert session.base.position[playing, 2].min() > 0.6

@@ -236,7 +236,7 @@ class Convert(MotionFlags):
         )
         robot = G1.load(self.urdf)
         report = convert(
-            self.load(self.motions),
+            self.load(self.motions, robot),
             self.out,
             options,
             robot=robot,

@@ -51,9 +51,10 @@ class Demo(LiveCommand, MotionFlags):
     def run(self) -> int:
         """Run it, and return the exit code."""
         from g1stream.programs.demo import FIGURE, REPORT, demo
+        from g1stream.robot.model import G1
 
         config = self.resolve()
-        motion = self.load([self.motion])
+        motion = self.load([self.motion], G1.load(config.robot))
         for warning in motion.warnings:
             print_warning(warning)
         with playing() as prepare, ExitStack() as stack:

@@ -77,12 +77,14 @@ class Inspect(SettingsCommand, MotionFlags):
                 robot,
                 fps=self.fps,
                 joint_order=self.joint_order,
-                change=lambda motion: self.join([motion]),
+                change=lambda motion: self.join([motion], robot),
                 rate=rate,
                 position_margin=margin,
             )
         else:
-            motion = check_motion(self.load(self.motions), robot, rate=rate, position_margin=margin)
+            motion = check_motion(
+                self.load(self.motions, robot), robot, rate=rate, position_margin=margin
+            )
             report = FileReport(Path(motion.name), kind="motions", motion=motion)
         if robot.warning:
             print_warning(robot.warning)
@@ -112,7 +114,7 @@ class Inspect(SettingsCommand, MotionFlags):
 
         with ProgressDisplay(lambda: (done, f"physics {100 * done:3.0f} %")):
             return motion_physics(
-                self.load(self.motions),
+                self.load(self.motions, robot),
                 robot,
                 max_tilt=config.safety.max_tilt,
                 progress=progress,

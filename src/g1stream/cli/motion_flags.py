@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from g1stream.motion.motion import Motion
+    from g1stream.robot.model import G1
 
 __all__ = ["MOTION", "MOTIONS", "MotionFlags"]
 
@@ -59,40 +60,42 @@ class MotionFlags(Command):
         "follow", "The pelvis as in the motion, or fixed as in its first frame."
     )
 
-    def load(self, motions: Sequence[str]) -> Motion:
-        """Read one motion or more, and make one of them.
+    def load(self, motions: Sequence[str], robot: G1 | None = None) -> Motion:
+        """Read one motion or more, and make one of them, for a robot.
 
         Raises:
             ConfigError: a flag does not fit.
             MotionError: a file is no motion, or what is asked for is not possible.
             RecordingError: a session is damaged, or no motion was played in it.
+            RobotError: the robot's soles, which --on-floor needs, are not known.
         """
         from g1stream.session.motions import load_motion
 
-        return self.join(
-            [load_motion(one, fps=self.fps, joint_order=self.joint_order) for one in motions]
-        )
+        read = [load_motion(one, fps=self.fps, joint_order=self.joint_order) for one in motions]
+        return self.join(read, robot)
 
-    def join(self, motions: Sequence[Motion]) -> Motion:
+    def join(self, motions: Sequence[Motion], robot: G1 | None = None) -> Motion:
         """What the flags make of motions that are read.
 
         Raises:
             ConfigError: a flag does not fit.
             MotionError: what is asked for is not possible.
+            RobotError: the robot's soles, which --on-floor needs, are not known.
         """
-        joined = reduce(lambda one, other: one.then(other, self.blend), map(self._part, motions))
+        parts = [self._part(motion, robot) for motion in motions]
+        joined = reduce(lambda one, other: one.then(other, self.blend), parts)
         if self.repeat != 1:
             joined = joined.looped(self.repeat, self.blend)
         return joined.fixed_root() if self.root == "fix" else joined
 
-    def _part(self, motion: Motion) -> Motion:
+    def _part(self, motion: Motion, robot: G1 | None) -> Motion:
         start, end = self._times()
         if start or end is not None:
             motion = motion.trim(start, end)
         if self.mirror:
             motion = motion.mirrored()
         if self.on_floor:
-            motion = motion.on_floor()
+            motion = motion.on_floor(robot)
         return motion.at_speed(self.speed) if self.speed != 1.0 else motion
 
     def _times(self) -> tuple[float, float | None]:

@@ -162,9 +162,10 @@ class Stream(PlayCommand, MotionFlags):
     def run(self) -> int:
         """Play, and return the exit code."""
         from g1stream.programs.stream import stream
+        from g1stream.robot.model import G1
 
         config = self.resolve()
-        motion = self.load(self.motions)
+        motion = self.load(self.motions, G1.load(config.robot))
         for warning in motion.warnings:
             print_warning(warning)
         with self.serving(config), playing() as prepare:

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import ArrayLike
 
+    from g1stream.robot.model import G1
     from g1stream.types import Floats
 
 __all__ = [
@@ -192,8 +193,10 @@ class Motion:
                 f"Give a start and a stop, two frames or more apart, from 0 to {self.n_frames}.",
             )
         part = slice(start, stop)
+        cut = () if stop - start == self.n_frames else (f"cut to frames {start} to {stop}",)
         return replace(
             self,
+            operations=self.operations + cut,
             joint_pos=self.joint_pos[part],
             root_pos=self.root_pos[part],
             root_quat_wxyz=self.root_quat_wxyz[part],
@@ -212,6 +215,7 @@ class Motion:
         points = [point for _, point in resample(self, fps, 0, self.n_frames)]
         return replace(
             self,
+            operations=(*self.operations, f"resampled to {fps:g} fps"),
             fps=fps,
             joint_pos=np.concatenate([point.joint_pos for point in points]),
             root_pos=np.concatenate([point.root_pos for point in points]),
@@ -254,18 +258,23 @@ class Motion:
 
         return fixed_root(self)
 
-    def on_floor(self) -> Motion:
+    def on_floor(self, robot: G1 | None = None) -> Motion:
         """The motion raised or lowered as a whole until the feet that stand are on the floor.
 
         The floor is at height 0. The feet stand at the median height of the lower sole, over the
         frames in which its lowest corner is slower than 0.25 m/s.
 
+        Args:
+            robot: whose soles stand; the default G1 if None.
+
         Raises:
             MotionError: no foot stands in it.
+            RobotError: the robot's soles are not known.
         """
         from g1stream.motion.operations import on_floor
+        from g1stream.robot.model import G1
 
-        return on_floor(self)
+        return on_floor(self, robot or G1.default())
 
     def then(self, other: Motion, blend: float = 0.5) -> Motion:
         """The motion, a blend, and another motion.

@@ -58,7 +58,8 @@ def trimmed(motion: Motion, start: float, end: float | None) -> Motion:
         )
     first, behind = round(start * motion.fps), round(last * motion.fps) + 1
     part = motion.frames(max(first, 0), min(behind, motion.n_frames))
-    return _done(part, f"trimmed to {start:g} to {last:g} s")
+    done = f"trimmed to {start:g} to {last:g} s"
+    return replace(part, operations=(*motion.operations, done))
 
 
 def mirrored(motion: Motion) -> Motion:
@@ -93,9 +94,9 @@ def fixed_root(motion: Motion) -> Motion:
     return _done(fixed, "pelvis fixed as in the first frame")
 
 
-def on_floor(motion: Motion) -> Motion:
+def on_floor(motion: Motion, robot: G1) -> Motion:
     """See `Motion.on_floor`."""
-    height = height_of_floor(motion, G1.default())
+    height = height_of_floor(motion, robot)
     if height is None:
         raise MotionError(
             f"{motion.name} cannot be put on the floor: no foot stands in it.",
@@ -158,6 +159,7 @@ def joined(motion: Motion, other: Motion, blend: float) -> Motion:
     both = replace(
         first,
         name=f"{motion.name}+{other.name}",
+        operations=motion.operations,
         joint_pos=joint_pos,
         root_pos=root_pos,
         root_quat_wxyz=np.concatenate([*quat, second.root_quat_wxyz]),

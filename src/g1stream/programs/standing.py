@@ -44,7 +44,8 @@ def stand_if_asked(motion: Motion, robot: G1, config: Config) -> tuple[Motion, s
         root_quat_wxyz=motion.root_quat_wxyz[rows],
     )
     standing = stand(part, robot)
-    return standing.motion, f"{motion.name} is changed {standing}"
+    changed = replace(standing.motion, operations=(*motion.operations, str(standing)))
+    return changed, f"{motion.name} is changed {standing}"
 
 
 def refuse_feet_on_robot(config: Config) -> None:

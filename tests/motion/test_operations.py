@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from g1stream.errors import MotionError, RobotError
+from g1stream.motion.motion import Motion
 from g1stream.motion.operations import height_of_floor
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.joints import JOINT_NAMES
@@ -152,6 +153,24 @@ def test_again_and_again(demo):
     for n in (0, 10**6):
         with pytest.raises(MotionError, match="repeated"):
             demo.looped(n)
+
+
+def test_each_repetition_goes_on_from_the_one_before(demo):
+    """As one after the other: of a motion that walks and turns, and of one that rests."""
+    t = np.arange(40) / 20.0
+    path = np.stack([t, 0.2 * t**2, 0.7 + 0.1 * np.sin(t)], axis=1)
+    quat = np.stack([np.cos(0.7 * t), 0.05 * np.sin(t), 0.0 * t, np.sin(0.7 * t)], axis=1)
+    turning = Motion.from_arrays(demo.joint_pos[:40], path, quat, fps=20)
+    for motion, blend in ((turning, 0.5), (turning, 0.0), (demo.frames(0, 40), 1.0)):
+        expected = motion
+        for _ in range(4):
+            expected = expected.then(motion, blend=blend)
+        found = motion.looped(5, blend=blend)
+        np.testing.assert_allclose(found.joint_pos, expected.joint_pos, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(found.root_pos, expected.root_pos, rtol=0, atol=1e-9)
+        same = np.sum(found.root_quat_wxyz * expected.root_quat_wxyz, axis=1)
+        np.testing.assert_allclose(np.abs(same), 1.0, rtol=0, atol=1e-12)
+        assert (np.sum(found.root_quat_wxyz[1:] * found.root_quat_wxyz[:-1], axis=1) > 0).all()
 
 
 def test_what_was_done_is_said(demo):

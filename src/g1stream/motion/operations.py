@@ -177,18 +177,28 @@ def looped(motion: Motion, n: int, blend: float) -> Motion:
             f"{motion.name} cannot be repeated {n} times.",
             f"Give a number from 1 on with which it has {_MOST_FRAMES} frames at most.",
         )
-    repeated = motion
-    for _ in range(n - 1):
-        repeated = joined(repeated, motion, blend)
     if n == 1:
         return motion
-    about = (*motion.operations, f"{n} times with blends of {blend:g} s")
+    # Each repetition is the same blend and motion again, from where the one before has led.
+    twice = joined(motion, motion, blend)
+    blended = twice.frames(motion.n_frames, twice.n_frames)
+    first, last = motion.root_quat_wxyz[[0, -1]]
+    angle = yaw_of(last) - yaw_of(first)
+    led = quat_rotate(quat_from_axis_angle(_UP, angle), motion.root_pos[0])
+    step = twice.root_pos[-motion.n_frames] - led
+    turns = quat_from_axis_angle(_UP, angle * np.arange(n - 1))[:, np.newaxis]
+    steps = quat_rotate(turns, step)
+    pos = quat_rotate(turns, blended.root_pos) + np.cumsum(steps, axis=0) - steps
+    quat = quat_mul(turns, blended.root_quat_wxyz)
     return replace(
-        repeated,
+        twice,
         name=motion.name,
+        joint_pos=np.concatenate([motion.joint_pos, np.tile(blended.joint_pos, (n - 1, 1))]),
+        root_pos=np.concatenate([motion.root_pos, pos.reshape(-1, 3)]),
+        root_quat_wxyz=np.concatenate([motion.root_quat_wxyz, quat.reshape(-1, 4)]),
         source=motion.source,
         sha256=motion.sha256,
-        operations=about,
+        operations=(*motion.operations, f"{n} times with blends of {blend:g} s"),
     )
 
 

@@ -1,5 +1,6 @@
 """ROS's messages against types that are written out here, and serialised by Cyclone DDS."""
 
+import tracemalloc
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,7 @@ from g1stream.dds.ros2 import (
     JOINT_STATES,
     ROBOT_DESCRIPTION,
     TF,
+    CdrReader,
     encode_joint_state,
     encode_string,
     encode_tf,
@@ -133,6 +135,16 @@ def test_every_transform_may_have_a_time_of_its_own():
     stamps = [one.header.stamp for one in TFMessage.deserialize(data).transforms]
     assert [one.sec - T // 10**9 for one in stamps] == [0, 2]
     assert stamps[1].nanosec - stamps[0].nanosec == 5
+
+
+def test_a_long_string_takes_its_size_in_memory():
+    data = encode_string("a" * 1_000_000)
+    tracemalloc.start()
+    try:
+        assert len(CdrReader(data).string()) == 1_000_000
+        assert tracemalloc.get_traced_memory()[1] < 4_000_000
+    finally:
+        tracemalloc.stop()
 
 
 @pytest.mark.parametrize(("topic", "data", "expected"), MESSAGES.values(), ids=MESSAGES)

@@ -198,7 +198,9 @@ class CdrReader:
 
     def string(self) -> str:
         """A string, without the zero at its end."""
-        return bytes(self.numbers("B", self.length())).rstrip(b"\0").decode()
+        n = self.length()
+        self._at += n
+        return bytes(self._data[self._at - n : self._at]).rstrip(b"\0").decode()
 
     def time(self) -> int:
         """A builtin_interfaces/Time: ns since the epoch."""

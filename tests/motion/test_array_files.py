@@ -10,6 +10,7 @@ import struct
 import tracemalloc
 import zipfile
 import zlib
+from collections import OrderedDict
 from pathlib import Path
 from typing import get_args
 
@@ -271,6 +272,29 @@ def many_encodings():
     return start + b"](" + b"h\0h\1h\2\x86R" * 2_000 + b"e."
 
 
+class Call:
+    """Pickled as a call of a function, which may have state after it."""
+
+    def __init__(self, *call):
+        self.call = call
+
+    def __reduce__(self):
+        return self.call
+
+
+def many_copies(kind):
+    """A small pickle that asks for the same large value to be copied again and again."""
+    if kind == "dict":
+        call = OrderedDict, (dict.fromkeys(range(20_000)),)
+    elif kind == "text":
+        scalar, _ = np.float64(0.0).__reduce__()
+        call = scalar, (np.dtype("<U99999"), "".ljust(99_999).encode("utf-32-le"))
+    else:
+        array, arguments, _ = np.zeros(1).__reduce__()
+        call = array, arguments, (1, (1000,), np.dtype("O"), False, [" " * 1000] * 1000)
+    return pickle.dumps([Call(*call) for _ in range(12_000)])
+
+
 @pytest.mark.parametrize(
     "content",
     [
@@ -279,8 +303,9 @@ def many_encodings():
         b"\x80\x04cos\nsystem\n.",
         b"\x80\x02(S'x'\nios\nsystem\n.",
         many_encodings(),
+        *map(many_copies, ("dict", "text", "texts")),
     ],
-    ids=["bytearray", "bytes", "global", "instance", "encodings"],
+    ids=["bytearray", "bytes", "global", "instance", "encodings", "dict", "text", "texts"],
 )
 def test_hostile_pickles(tmp_path, content):
     path = tmp_path / "motion.pkl"
@@ -413,6 +438,31 @@ def test_parquet_of_others(tmp_path, motion):
     pyarrow.parquet.write_table(pyarrow.table({"episode": [1, 2]}), path)
     with pytest.raises(MotionError, match="episode"):
         open_motion_file(path)
+
+
+def test_parquet_columns_of_the_same_joint(tmp_path):
+    path, q = tmp_path / "motion.parquet", np.zeros(9)
+    for other in ("left_knee", "left_knee_joint"):
+        table = pyarrow.Table.from_arrays([q, q], ["left_knee_joint", other])
+        pyarrow.parquet.write_table(table, path)
+        with pytest.raises(MotionError, match="two columns of left_knee_joint"):
+            open_motion_file(path)
+
+
+def test_parquet_columns_that_are_left_out_take_no_memory(tmp_path, motion):
+    path = tmp_path / "motion.parquet"
+    columns = dict(zip(motion.joint_names, motion.joint_pos.T, strict=True))
+    texts = pyarrow.array(["a" * 200_000] * motion.n_frames)
+    pyarrow.parquet.write_table(pyarrow.table({"image": texts, **columns}), path)
+    pool = pyarrow.proxy_memory_pool(pyarrow.default_memory_pool())
+    before = pyarrow.default_memory_pool()
+    pyarrow.set_memory_pool(pool)
+    try:
+        found = g1stream.load_motion(path, fps=50)
+    finally:
+        pyarrow.set_memory_pool(before)
+    np.testing.assert_array_equal(found.joint_pos, motion.joint_pos)
+    assert pool.max_memory() < 5_000_000
 
 
 def test_parquet_that_unpacks_to_more_than_a_motion(tmp_path):

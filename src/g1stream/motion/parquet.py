@@ -5,12 +5,11 @@ Needs pyarrow, the extra `export`.
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from g1stream.errors import ConfigError
+from g1stream.extras import import_extra
 from g1stream.motion.csv import ROOT_COLUMNS, canonical_column
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.rotations import xyzw_from_wxyz
@@ -38,26 +37,34 @@ def is_parquet(data: bytes) -> bool:
 def read_parquet(data: bytes) -> dict[str, Any]:
     """The columns of a Parquet file as named arrays: `joint_pos` with `joint_names`, and the root.
 
-    Columns that are no numbers are left out.
+    Columns that are no numbers are not read.
 
     Raises:
-        ValueError: it is damaged or too large, or has no column of a joint.
+        ValueError: it is damaged or too large, or has no column of a joint, or two of one.
         ConfigError: pyarrow is not installed.
     """
-    pyarrow, parquet = _required("pyarrow"), _required("pyarrow.parquet")
+    pyarrow, parquet = _pyarrow()
     try:
         file = parquet.ParquetFile(pyarrow.BufferReader(data))
         about = file.metadata
         size = sum(about.row_group(i).total_byte_size for i in range(about.num_row_groups))
         if size > _LARGEST or about.num_rows * about.num_columns > _MOST_NUMBERS:
             raise ValueError("it is too large: a motion has 512 MiB at most")
-        table = file.read()
+        numbers = [
+            field.name
+            for field in file.schema_arrow
+            if pyarrow.types.is_integer(field.type) or pyarrow.types.is_floating(field.type)
+        ]
+        table = file.read(columns=numbers)
     except (pyarrow.ArrowException, OSError) as error:
         raise ValueError(f"it is a damaged Parquet file: {error!s:.80}") from error
+    names = [canonical_column(name) for name in table.column_names]
+    repeated = {name for name in names if names.count(name) > 1}
+    if repeated:
+        raise ValueError(f"it has two columns of {', '.join(sorted(repeated))}")
     columns = {
-        canonical_column(field.name): table.column(field.name).to_numpy().astype(np.float64)
-        for field in table.schema
-        if pyarrow.types.is_integer(field.type) or pyarrow.types.is_floating(field.type)
+        name: column.to_numpy().astype(np.float64)
+        for name, column in zip(names, table.columns, strict=True)
     }
     joints = [name for name in columns if name not in ROOT_COLUMNS]
     if not set(joints) & set(JOINT_NAMES):
@@ -79,7 +86,7 @@ def write_parquet(motion: Motion, path: Path) -> None:
     Raises:
         ConfigError: pyarrow is not installed.
     """
-    pyarrow, parquet = _required("pyarrow"), _required("pyarrow.parquet")
+    pyarrow, parquet = _pyarrow()
     root = np.hstack([motion.root_pos, xyzw_from_wxyz(motion.root_quat_wxyz)])
     columns = {
         _FRAME: np.arange(motion.n_frames),
@@ -90,11 +97,6 @@ def write_parquet(motion: Motion, path: Path) -> None:
     parquet.write_table(table, path)
 
 
-def _required(package: str) -> Any:
-    try:
-        return import_module(package)
-    except ImportError as error:
-        raise ConfigError(
-            "Parquet files need pyarrow, which is not installed.",
-            "Install the extra: pip install 'g1stream[export]'",
-        ) from error
+def _pyarrow() -> tuple[Any, Any]:
+    extra = "export", "Parquet files need"
+    return import_extra("pyarrow", *extra), import_extra("pyarrow.parquet", *extra)

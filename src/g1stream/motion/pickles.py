@@ -6,6 +6,7 @@ import io
 import pickle
 import re
 import struct
+import sys
 import zlib
 from math import prod
 from typing import TYPE_CHECKING, Any, ClassVar, Final
@@ -26,6 +27,8 @@ _MOST_VALUES: Final = 5_000_000
 _DEPTH: Final = 4
 #: Characters of the texts in an array of Python objects, each as long as the longest.
 _LONGEST_TEXTS: Final = 1_000_000
+#: Calls what is on the stack.
+_REDUCE: Final[Any] = pickle._Unpickler.dispatch[pickle.REDUCE[0]]
 #: The types of numbers and texts that arrays may have; texts may be Python objects.
 _DTYPE: Final = re.compile(r"[<>|=]?([biufSU][0-9]{1,5}|O8?)")
 
@@ -93,10 +96,10 @@ class ArrayStandIn:
     """Stands for an array in a pickle, until its content is known.
 
     Attributes:
-        values: the array.
+        values: the array; empty until its state is set.
     """
 
-    values: NDArray[Any]
+    values: NDArray[Any] = np.empty(0)
 
     def __init__(self, *_: Any) -> None: ...
 
@@ -140,6 +143,11 @@ def _array_of_buffer(content: Any, dtype: _Dtype, shape: Any, order: Any) -> Arr
     return array
 
 
+def _encoded(text: str, _encoding: str) -> bytes:
+    """Bytes as protocol 2 writes them."""
+    return text.encode("latin1")
+
+
 def _scalar(dtype: _Dtype, content: Any) -> Any:
     return _shaped(content, dtype, (), "C").item()
 
@@ -174,6 +182,7 @@ class Unpickler(pickle._Unpickler):
         ("numpy", "dtype"): _Dtype,
         ("joblib.numpy_pickle", "NumpyArrayWrapper"): _JoblibArray,
         ("collections", "OrderedDict"): dict,
+        ("_codecs", "encode"): _encoded,
         **{
             (f"numpy.{core}.{module}", name): stand_in
             for core in ("core", "_core")
@@ -191,8 +200,6 @@ class Unpickler(pickle._Unpickler):
         self._left = LARGEST
 
     def find_class(self, module: str, name: str) -> Any:
-        if (module, name) == ("_codecs", "encode"):
-            return self._encoded
         known = self.known.get((module, name))
         if known is None:
             raise ValueError(f"it is a pickle with a {module}.{name}, which is not read")
@@ -201,12 +208,20 @@ class Unpickler(pickle._Unpickler):
     def load(self) -> Any:
         return _Plain().of(super().load())
 
-    def _encoded(self, text: str, _encoding: str) -> bytes:
-        """Bytes as protocol 2 writes them; every call makes new ones, so they are counted."""
-        self._left -= len(text)
+    def _count(self, made: Any) -> None:
+        """Count the memory of what a call has made: it may copy what is in the file only once."""
+        if not isinstance(made, ArrayStandIn):
+            self._left -= sys.getsizeof(made)
+        elif made.values.dtype.kind == "U":  # arrays of numbers are views
+            self._left -= made.values.nbytes
         if self._left < 0:
             raise ValueError(f"it is larger than {LARGEST / 2**20:g} MiB unpacked")
-        return text.encode("latin1")
+
+    def _reduce(self) -> None:
+        _REDUCE(self)
+        self._count(self.stack[-1])
+
+    dispatch[pickle.REDUCE[0]] = _reduce
 
     def _bytearray(self) -> None:
         # The standard one allocates the claimed size before it reads.
@@ -220,6 +235,7 @@ class Unpickler(pickle._Unpickler):
         if not isinstance(stand_in, (ArrayStandIn, _Dtype, _JoblibArray)):
             raise ValueError(f"it is a pickle that changes a {type(stand_in).__name__}")
         stand_in.__setstate__(self.stack.pop())
+        self._count(stand_in)
         if isinstance(stand_in, _JoblibArray):
             array = self.stack[-1] = ArrayStandIn()
             array.values = stand_in.read(self._file)

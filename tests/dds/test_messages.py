@@ -18,7 +18,7 @@ from g1stream.dds.messages import (
 from g1stream.dds.topics import LOWCMD, LOWSTATE, TOPICS
 from g1stream.errors import WireError
 
-MESSAGES = [topic.message for topic in TOPICS]
+MESSAGES = list(dict.fromkeys(topic.message for topic in TOPICS))
 each_message = pytest.mark.parametrize("cls", MESSAGES, ids=lambda c: c.__name__)
 with_motors = pytest.mark.parametrize(
     ("cls", "array", "fields"),
@@ -41,7 +41,7 @@ def random_sample(random_payload):
 
 
 #: Attributes of messages that are no view of a single field.
-_NO_FIELDS = ("payload", "_modes", "target", "_buttons", "_words", "_reading_words")
+_NO_FIELDS = ("payload", "_modes", "target", "_buttons", "_words", "_reading_words", "weight")
 
 
 @each_message
@@ -75,6 +75,13 @@ def test_every_attribute_shows_the_field_of_its_name(cls, random_sample):
         view[...] = 7
         part = message.layout[path].read(message.payload)[tuple(slice(n) for n in view.shape)]
         assert (part == 7).all()
+
+
+def test_the_weight_is_the_position_of_a_motor_that_no_g1_has(random_sample):
+    command = LowCmd()
+    command.load(random_sample(LowCmd))
+    command.weight[()] = 0.25
+    assert command.layout["motor_cmd.q"].read(command.payload)[29] == 0.25
 
 
 def test_readings_are_what_the_loop_uses_of_a_state(random_sample):
@@ -187,6 +194,7 @@ def test_a_field_can_be_viewed_by_its_path():
 def test_a_message_is_a_type_and_no_more():
     assert all(issubclass(cls, Message) for cls in MESSAGES)
     assert len({cls.idl_type.__idl_typename__ for cls in MESSAGES}) == len(MESSAGES)
+    assert {topic.message for topic in TOPICS} == set(MESSAGES)
 
 
 # Texts

@@ -136,6 +136,81 @@ def test_stamps_that_do_not_rise_are_not_taken(tmp_path, motion, joints):
     np.testing.assert_array_equal(found.joint_pos, motion.joint_pos)
 
 
+def test_times_of_both_topics_are_of_one_clock(tmp_path, motion, joints, transforms):
+    """Unstamped transforms, and unstamped joints with transforms in the time of a simulation."""
+    poses = list(zip(motion.root_pos, motion.root_quat_wxyz, strict=True))
+
+    def moved(stamp_of, published=START):
+        return [
+            (published + i * STEP, tf(stamp_of(i), "odom", "pelvis", *pose))
+            for i, pose in enumerate(poses)
+        ]
+
+    bare = [(t, joint_state(0, m.name, m.position)) for t, m in joints]
+    cases = {
+        "transforms": (joints, moved(lambda i: 0)),
+        "joints": (bare, moved(lambda i: i * STEP)),
+        "clocks": (joints, moved(lambda i: i * STEP)),
+    }
+    for name, (states, frames) in cases.items():
+        topics = {"/joint_states": (JOINT_STATE, states), "/tf": (TF, frames)}
+        found = load_motion(write_bag(tmp_path / name, topics))
+        np.testing.assert_array_equal(found.root_pos, motion.root_pos)
+    other = moved(lambda i: i * STEP, START + 10**12)
+    topics = {"/joint_states": (JOINT_STATE, joints), "/tf": (TF, other)}
+    with pytest.raises(RecordingError, match="another time"):
+        load_motion(write_bag(tmp_path / "other", topics))
+
+
+@pytest.mark.parametrize("quat", [[0, 0, 0, 0], [np.nan, 0, 0, 1]])
+def test_transforms_that_no_pelvis_has(tmp_path, joints, quat):
+    frames = [(t, tf(t, "odom", "pelvis", [0, 0, 1], quat)) for t, _ in joints[::3]]
+    topics = {"/joint_states": (JOINT_STATE, joints), "/tf": (TF, frames)}
+    with pytest.raises(RecordingError, match="quaternion"):
+        load_motion(write_bag(tmp_path / "bag", topics))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        "CREATE TABLE t AS SELECT id, topic_id, timestamp, NULL AS data FROM messages; "
+        "DROP TABLE messages; ALTER TABLE t RENAME TO messages",
+        "UPDATE messages SET data = 7 WHERE id = 3",
+        "UPDATE messages SET timestamp = 'now' WHERE id = 3",
+        "UPDATE messages SET timestamp = -9223372036854775808 WHERE id = 3",
+        "CREATE TABLE t AS SELECT NULL AS id, name, type, serialization_format FROM topics; "
+        "DROP TABLE topics; ALTER TABLE t RENAME TO topics",
+    ],
+)
+def test_values_that_no_bag_has(tmp_path, joints, change):
+    directory = write_bag(tmp_path / "bag", {"/joint_states": (JOINT_STATE, joints)})
+    (path,) = directory.glob("*.db3")
+    with sqlite3.connect(path) as database:
+        database.executescript(change)
+    database.close()
+    with pytest.raises(RecordingError, match="no bag of ROS 2"):
+        load_motion(path)
+
+
+def test_a_bag_of_the_robot_with_joint_states_is_no_session(tmp_path, motion, joints):
+    text = [(START, of_ros("std_msgs/msg/String")("hello"))]
+    topics = {"/lowstate": ("std_msgs/msg/String", text), "/joint_states": (JOINT_STATE, joints)}
+    found = load_motion(write_bag(tmp_path / "bag", topics, StoragePlugin.MCAP))
+    np.testing.assert_array_equal(found.joint_pos, motion.joint_pos)
+
+
+def test_a_time_that_no_recording_has(tmp_path, motion):
+    path, message = tmp_path / "robot.mcap", JointStates()
+    message.timestamp.seconds = 2 * 10**11
+    for name in motion.joint_names:
+        message.joints.add(name=name, position=0.0)
+    with path.open("wb") as file, ProtobufWriter(file) as writer:
+        for i in range(2):
+            writer.write_message("/joints", message, START + i * STEP, START + i * STEP)
+    with pytest.raises(RecordingError, match="JointStates"):
+        load_motion(path)
+
+
 def test_joint_states_of_foxglove(tmp_path, motion):
     path = tmp_path / "robot.mcap"
     with path.open("wb") as file, ProtobufWriter(file) as writer:

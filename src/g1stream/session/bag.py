@@ -10,6 +10,7 @@ import sqlite3
 from collections import Counter
 from contextlib import closing
 from functools import cached_property
+from itertools import islice
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 from urllib.parse import quote
 
@@ -18,19 +19,22 @@ import numpy as np
 from g1stream.dds.ros2 import FramePose, JointAngles, decode_joint_state, decode_tf
 from g1stream.errors import MotionError, RecordingError
 from g1stream.files import is_sqlite
+from g1stream.motion.motion import LARGEST, SMALLEST_QUAT
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.rotations import quat_normalize, wxyz_from_xyzw, xyzw_from_wxyz
-from g1stream.session.mcap_reader import McapFile
+from g1stream.session.mcap_reader import LATEST, McapFile
 from g1stream.session.parts import parts_of
 from g1stream.session.poses import motion_of_poses
 from g1stream.session.source import Messages
-from g1stream.session.streams import STREAMS
+from g1stream.session.streams import STREAMS, Reference
 from g1stream.text import counted
 from g1stream.types import Floats, Ints
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
+
+    from google.protobuf.timestamp_pb2 import Timestamp
 
     from g1stream.motion.motion import Motion
 
@@ -41,12 +45,14 @@ T = TypeVar("T")
 #: Bytes of the messages that are read.
 _LARGEST: Final = 512 * 2**20
 #: Messages that are taken from SQLite at once.
-_ROWS: Final = 1000
+_ROWS: Final = 100
 #: Topics that are taken before others.
 _PREFERRED: Final = ("/reference/joint_states", "/joint_states")
 #: Names of the pelvis's frame.
 _PELVIS: Final = ("pelvis", "base_link")
 _NS_PER_S: Final = 1_000_000_000
+#: Of the two rows of times: the stamps in messages, and when they were published.
+_STAMPS, _PUBLISHED = 0, 1
 
 
 class Bag:
@@ -61,7 +67,8 @@ class Bag:
     Attributes:
         path: as given.
         types: of each topic, the name of its message type and the encoding of its messages.
-        is_foreign: whether it is no session: in SQLite, or with none of a session's topics.
+        is_foreign: whether it is no session: in SQLite, or with none of a session's topics, or with
+            joint states and nothing that only sessions have, as a robot's own topics in a bag.
     """
 
     def __init__(self, path: Path) -> None:
@@ -72,7 +79,12 @@ class Bag:
         self.types = {topic: kind for file in self._files for topic, kind in file.types.items()}
         self.counts = sum((file.counts for file in self._files), Counter[str]())
         in_sqlite = any(isinstance(file, _SqliteFile) for file in self._files)
-        self.is_foreign = in_sqlite or self.types.keys().isdisjoint(STREAMS)
+        ours = Reference.topic in self.types or any(
+            isinstance(file, McapFile) and file.metadata for file in self._files
+        )
+        has_joints = any(kind in _JOINT_STATES for kind in self.types.values())
+        no_session = self.types.keys().isdisjoint(STREAMS) or (has_joints and not ours)
+        self.is_foreign = in_sqlite or no_session
 
     @cached_property
     def evidence(self) -> tuple[str, ...]:
@@ -80,7 +92,7 @@ class Bag:
         topic, pose = self._joints_topic, self._pelvis
         pelvis = "not in the file: upright at the origin"
         if pose is not None:
-            pelvis = f"{pose.child} in {pose.parent}, {counted(len(pose.times), 'transform')}"
+            pelvis = f"{pose.child} in {pose.parent}, {counted(len(pose.pos), 'transform')}"
         return (
             f"bag; {counted(self.counts[topic], 'message')} of {self.types[topic][0]} on {topic}",
             "named by the messages",
@@ -90,20 +102,32 @@ class Bag:
     def motion(self, fps: float | None = None) -> Motion:
         """The motion of its joint states, and of the pelvis in its transforms.
 
-        Times are the stamps in the messages, or where these do not rise, those of publishing.
+        Times are the stamps in the messages, or where those of the joint states do not rise or
+        those of the transforms are not of the same time, all are those of publishing.
 
         Args:
             fps: frames per second; the rate of the joint states if None.
 
         Raises:
-            RecordingError: the file is damaged, or has no joint states or several topics of them.
+            RecordingError: the file is damaged, or has no joint states or several topics of them,
+                or transforms of another time.
             MotionError: joints are missing, or `fps` is not a frame rate.
         """
-        times, q = self._joints
+        clocks, q = self._joints
         pose = self._pelvis
-        root_pos, quat = np.zeros((len(times), 3)), np.tile([1.0, 0.0, 0.0, 0.0], (len(times), 1))
+        root_pos, quat = np.zeros((len(q), 3)), np.tile([1.0, 0.0, 0.0, 0.0], (len(q), 1))
+        rise = (np.diff(clocks[_STAMPS]) > 0).all()
+        stamped = rise and (pose is None or pose.overlaps(clocks, _STAMPS))
+        clock = _STAMPS if stamped else _PUBLISHED
+        times = clocks[clock]
         if pose is not None:
-            root_pos, quat = pose.at(times)
+            if not pose.overlaps(clocks, clock):
+                raise RecordingError(
+                    f"The transforms of {pose.child} in {self.path} are from another time than "
+                    "its joint states.",
+                    "Record both together, or leave the transforms out.",
+                )
+            root_pos, quat = pose.at(times, clock)
         seconds = (times - times[0]) / _NS_PER_S
         return motion_of_poses(seconds, q, root_pos, quat, self.path, fps)
 
@@ -127,7 +151,7 @@ class Bag:
 
     @cached_property
     def _joints(self) -> tuple[Ints, Floats]:
-        """Times (T,) int64, ns, and angles (T, 29), rad, of the messages with all joints."""
+        """Times (2, T) int64, ns, and angles (T, 29), rad, of the messages with all joints."""
         topic = self._joints_topic
         decode = _JOINT_STATES[self.types[topic]]
         stamps, published, rows, seen = [], [], [], set[str]()
@@ -163,29 +187,35 @@ class Bag:
                 f"{topic} in {self.path} has {counted(len(rows), 'message')} with all 29 joints.",
                 "Give a bag in which each message has all of them.",
             )
-        times = _rising(stamps, published)
-        return times, np.array(rows, dtype=np.float64)
+        return np.array([stamps, published], np.int64), np.array(rows, dtype=np.float64)
 
     @cached_property
     def _pelvis(self) -> _Poses | None:
         """The pelvis's poses in the frame above it; None without transforms of it."""
-        found: dict[tuple[str, str], list[FramePose]] = {}
+        found: dict[tuple[str, str], list[tuple[FramePose, int]]] = {}
         for topic in sorted(topic for topic, kind in self.types.items() if kind in _TRANSFORMS):
             decode = _TRANSFORMS[self.types[topic]]
             for messages in self._messages(topic):
-                for data in messages.data:
+                for time, data in zip(messages.publish_times.tolist(), messages.data, strict=True):
                     for one in self._decoded(topic, decode, data):
                         if one.child in _PELVIS:
-                            found.setdefault((one.child, one.parent), []).append(one)
+                            found.setdefault((one.child, one.parent), []).append((one, time))
             if found:
                 break
         if not found:
             return None
         (child, parent), poses = max(found.items(), key=lambda item: len(item[1]))
-        times, first = np.unique([one.stamp for one in poses], return_index=True)
-        pos = np.array([poses[i].pos for i in first])
-        quat = np.array([poses[i].quat_wxyz for i in first])
-        return _Poses(child, parent, times, pos, quat)
+        clocks = np.array([(one.stamp, time) for one, time in poses], np.int64).T
+        pos = np.array([one.pos for one, _ in poses])
+        quat = np.array([one.quat_wxyz for one, _ in poses])
+        valid = (np.abs(np.hstack([pos, quat])) <= LARGEST).all(axis=1)
+        if not (valid & (np.abs(quat).max(axis=1) > SMALLEST_QUAT)).all():
+            raise RecordingError(
+                f"A transform of {child} in {self.path} has a number that is not finite or beyond "
+                f"{LARGEST:g}, or a zero quaternion.",
+                "Record it again.",
+            )
+        return _Poses(child, parent, clocks, pos, quat)
 
     def _messages(self, topic: str) -> Iterator[Messages]:
         size = 0
@@ -212,33 +242,35 @@ class Bag:
 
 
 class _Poses(NamedTuple):
-    """Where a frame is in another: times (N,) int64, ns, (N, 3) m and (N, 4)."""
+    """Where a frame is in another: times (2, N) int64, ns, (N, 3) m and (N, 4)."""
 
     child: str
     parent: str
-    times: Ints
+    clocks: Ints
     pos: Floats
     quat_wxyz: Floats
 
-    def at(self, times: Ints) -> tuple[Floats, Floats]:
+    def overlaps(self, clocks: Ints, clock: int) -> bool:
+        """Whether they are of the same time as others (2, T); a single one is of any time."""
+        own, other = self.clocks[clock], clocks[clock]
+        between = own.min() <= other.max() and other.min() <= own.max()
+        return len(own) == 1 or bool(own.min() < own.max() and between)
+
+    def at(self, times: Ints, clock: int) -> tuple[Floats, Floats]:
         """(T, 3) and (T, 4) at other times: on straight lines between them, and as at the ends."""
         from scipy.spatial.transform import Rotation, Slerp
 
-        if np.array_equal(times, self.times):
-            return self.pos, self.quat_wxyz
-        if len(self.times) == 1:
-            return np.tile(self.pos, (len(times), 1)), np.tile(self.quat_wxyz, (len(times), 1))
-        known, wanted = ((one - self.times[0]) / _NS_PER_S for one in (self.times, times))
+        own, first = np.unique(self.clocks[clock], return_index=True)
+        own_pos, own_quat = self.pos[first], self.quat_wxyz[first]
+        if np.array_equal(times, own):
+            return own_pos, own_quat
+        if len(own) == 1:
+            return np.tile(own_pos, (len(times), 1)), np.tile(own_quat, (len(times), 1))
+        known, wanted = ((one - own[0]) / _NS_PER_S for one in (own, times))
         wanted = np.clip(wanted, known[0], known[-1])
-        pos = np.column_stack([np.interp(wanted, known, column) for column in self.pos.T])
-        rotations = Rotation.from_quat(xyzw_from_wxyz(quat_normalize(self.quat_wxyz)))
+        pos = np.column_stack([np.interp(wanted, known, column) for column in own_pos.T])
+        rotations = Rotation.from_quat(xyzw_from_wxyz(quat_normalize(own_quat)))
         return pos, wxyz_from_xyzw(Slerp(known, rotations)(wanted).as_quat())
-
-
-def _rising(stamps: list[int], published: list[int]) -> Ints:
-    """The times that rise, (T,) int64, ns: the stamps in messages, if they do."""
-    times = np.array(stamps, dtype=np.int64)
-    return times if (np.diff(times) > 0).all() else np.array(published, dtype=np.int64)
 
 
 class _SqliteFile:
@@ -259,8 +291,10 @@ class _SqliteFile:
             raise self._error("it has no tables of topics and messages")
         topics = self._rows("SELECT id, name, type, serialization_format FROM topics")
         for number, name, kind, encoding in topics:
+            if not isinstance(number, int):
+                raise self._error("a topic has no number")
             self.types[str(name)] = str(kind), str(encoding)
-            self._ids[str(name)] = int(number)
+            self._ids[str(name)] = number
         counts = dict(self._rows("SELECT topic_id, COUNT(*) FROM messages GROUP BY topic_id"))
         self.counts.update({name: counts.get(number, 0) for name, number in self._ids.items()})
 
@@ -268,11 +302,15 @@ class _SqliteFile:
         """The messages of some topics, in the order of their times."""
         for topic in sorted(topics & self._ids.keys()):
             query = "SELECT timestamp, data FROM messages WHERE topic_id = ? ORDER BY timestamp, id"
-            rows = list(self._rows(query, self._ids[topic]))
-            for start in range(0, len(rows), _ROWS):
-                times, data = zip(*rows[start : start + _ROWS], strict=True)
-                stamps = np.array(times, dtype=np.int64)
-                yield topic, Messages(stamps, stamps, data)
+            rows = self._rows(query, self._ids[topic])
+            while some := list(islice(rows, _ROWS)):
+                times, data = zip(*some, strict=True)
+                if not all(isinstance(time, int) and 0 <= time < LATEST for time in times):
+                    raise self._error("a message has no time")
+                if not all(isinstance(one, bytes) for one in data):
+                    raise self._error("a message has no content")
+                published = np.array(times, dtype=np.int64)
+                yield topic, Messages(published, published, data)
 
     def _rows(self, query: str, *values: int) -> Iterator[Any]:
         # Read as it is: without its journal, and without what its schema may run.
@@ -290,13 +328,20 @@ class _SqliteFile:
         )
 
 
+def _nanoseconds(timestamp: Timestamp) -> int:
+    time = int(timestamp.ToNanoseconds())
+    if not 0 <= time < LATEST:
+        raise ValueError("its time is not one of a recording")
+    return time
+
+
 def _foxglove_joints(data: bytes) -> JointAngles:
     from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 
     message = JointStates.FromString(data)
     names = tuple(joint.name for joint in message.joints)
     position = [joint.position for joint in message.joints if joint.HasField("position")]
-    return JointAngles(message.timestamp.ToNanoseconds(), names, position)
+    return JointAngles(_nanoseconds(message.timestamp), names, position)
 
 
 def _foxglove_transforms(data: bytes) -> list[FramePose]:
@@ -304,7 +349,7 @@ def _foxglove_transforms(data: bytes) -> list[FramePose]:
 
     return [
         FramePose(
-            one.timestamp.ToNanoseconds(),
+            _nanoseconds(one.timestamp),
             one.parent_frame_id,
             one.child_frame_id,
             (one.translation.x, one.translation.y, one.translation.z),

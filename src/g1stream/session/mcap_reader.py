@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["RECOVER", "McapFile"]
+__all__ = ["LATEST", "RECOVER", "McapFile"]
 
 RECOVER: Final = "Recover the rest with a tool such as `pymcap-cli recover`."
 """The remedy for a damaged file."""
@@ -80,8 +80,8 @@ _LARGEST_ATTACHMENTS: Final = 256 * 2**20
 #: The content of all chunks: bytes in any case, and for each byte of the file.
 _LARGEST_CONTENT: Final = 256 * 2**20
 _LARGEST_RATIO: Final = 100
-#: Times are before this, ns since the epoch (in 2116), so that sums of two are 64-bit numbers.
-_LATEST: Final = 2**62
+LATEST: Final = 2**62
+"""Times are before this, ns since the epoch (in 2116), so that sums of two are 64-bit numbers."""
 
 
 @dataclass
@@ -365,7 +365,7 @@ def _messages_at(data: bytes, offsets: NDArray[np.int64], channel: int) -> Messa
     if (wrong | (ends < starts) | (ends > size)).any():
         raise ValueError("the index of a chunk points to something else than a message")
     times = (np.ascontiguousarray(heads["log_time"]), np.ascontiguousarray(heads["publish_time"]))
-    if any(one.min() < 0 or one.max() >= _LATEST for one in times):
+    if any(one.min() < 0 or one.max() >= LATEST for one in times):
         raise ValueError("a message has a time after 2116")
     return Messages(*times, Slices(data, starts, ends))
 

@@ -140,7 +140,7 @@ def test_an_empty_file(load):
 
 def test_links_for_a_viewer_have_the_names_of_their_frames_and_nothing_else_changes():
     robot = G1.default()
-    shown = G1.from_urdf(with_prefixed_links(robot.urdf, "measured/"), "shown")
+    shown = G1.from_urdf(with_prefixed_links(robot.xml, "measured/"), "shown")
     assert shown.link_names == tuple(f"measured/{name}" for name in robot.link_names)
     assert shown.joint_names == robot.joint_names
     assert shown.parent.tolist() == robot.parent.tolist()

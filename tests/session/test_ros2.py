@@ -59,7 +59,7 @@ def recorded(write_session, samples):
         "/timing/states": np.frombuffer(b"{}" * N, np.uint8).reshape(N, 2),
     }
     streams = {topic: [row.tobytes() for row in rows] for topic, rows in derived.items()}
-    shown = with_prefixed_links(robot.urdf, "measured/")
+    shown = with_prefixed_links(robot.xml, "measured/")
     description = {"/measured/robot_description": [encode_string(shown)]}
     return write_session(*(samples | streams | description).items())
 

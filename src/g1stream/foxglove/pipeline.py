@@ -154,7 +154,7 @@ class MessagePipeline:
             "/ghost/scene": scene(GHOST_PREFIX, GHOST_TINT),
             "/scene": scene(tint=REFERENCE_TINT),
             "/measured/robot_description": encode_string(
-                with_prefixed_links(self._robot.urdf, MEASURED_PREFIX)
+                with_prefixed_links(self._robot.xml, MEASURED_PREFIX)
             ),
         }
         time = np.array([time_ns])

@@ -10,6 +10,7 @@ that the tests compare this one with. MuJoCo alone is slow to import, and fails 
 
 from __future__ import annotations
 
+from copy import deepcopy
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Final
 from xml.etree import ElementTree as ET
@@ -74,14 +75,14 @@ def parse_urdf(text: str, source: str) -> ET.Element:
     return root
 
 
-def with_prefixed_links(text: str, prefix: str) -> str:
+def with_prefixed_links(root: ET.Element, prefix: str) -> str:
     """A URDF for viewers: links named as their frames, and no shapes but those to be looked at.
 
     Args:
-        text: of a URDF that can be parsed.
+        root: of a URDF; it is not changed.
         prefix: put before the names of links, such as `measured/`.
     """
-    root = ET.fromstring(text, ET.XMLParser(target=_TreeBuilder()))
+    root = deepcopy(root)
     for link in root.findall("link"):
         link.set("name", prefix + link.get("name", ""))
         for collision in link.findall("collision"):

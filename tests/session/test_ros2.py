@@ -189,9 +189,10 @@ def test_a_bag_is_replaced_only_when_forced_and_nothing_else_is(recorded, bag, t
     assert sorted(path.name for path in tmp_path.iterdir()) == ["bag", "session.mcap"]
 
 
-def test_what_cannot_be_decoded_leaves_nothing_behind(write_session, samples, tmp_path):
-    damaged = write_session(*samples.items(), ("/tf", [b"\xff"]), name="damaged.mcap")
-    with pytest.raises(RecordingError, match="/tf"):
+@pytest.mark.parametrize("topic", ["/tf", "/measured/robot_description"])
+def test_what_cannot_be_decoded_leaves_nothing_behind(write_session, samples, tmp_path, topic):
+    damaged = write_session(*samples.items(), (topic, [b"\xff"]), name="damaged.mcap")
+    with pytest.raises(RecordingError, match=topic):
         write_ros2_bag(damaged, tmp_path / "bag")
     assert [path.name for path in tmp_path.iterdir()] == ["damaged.mcap"]
 

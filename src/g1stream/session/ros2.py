@@ -17,7 +17,14 @@ from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from google.protobuf.message import DecodeError
 
-from g1stream.dds.ros2 import Cdr, encode_joint_state, encode_string, encode_tf, message_text
+from g1stream.dds.ros2 import (
+    Cdr,
+    CdrReader,
+    encode_joint_state,
+    encode_string,
+    encode_tf,
+    message_text,
+)
 from g1stream.errors import RecordingError
 from g1stream.files import output_errors
 from g1stream.foxglove.encoders import MEASURED_PREFIX
@@ -40,9 +47,6 @@ if TYPE_CHECKING:
     from g1stream.session.mcap_writer import Compression
 
 __all__ = ["Ros2Report", "write_ros2_bag"]
-
-#: Of the text in a CDR string: after the header and the length, bytes.
-_STRING_START: Final = 8
 
 
 @dataclass(frozen=True)
@@ -132,9 +136,9 @@ def _converted(session: Path, topic: str, output: _Output, data: Sequence[bytes]
         return list(data)
     try:
         return [output.convert(one) for one in data]
-    except DecodeError as error:
+    except (DecodeError, ValueError) as error:
         raise RecordingError(
-            f"{topic} in {session} is not in Foxglove's protobuf.",
+            f"A message of {topic} in {session} is not as g1stream writes it.",
             "Give a session that g1stream recorded.",
         ) from error
 
@@ -177,8 +181,7 @@ def _log(data: bytes) -> bytes:
 
 def _description(data: bytes) -> bytes:
     """The URDF without the prefix of its links, which RViz has a setting for."""
-    text = data[_STRING_START:].rstrip(b"\0").decode()
-    return encode_string(text.replace(f'"{MEASURED_PREFIX}', '"'))
+    return encode_string(CdrReader(data).string().replace(f'"{MEASURED_PREFIX}', '"'))
 
 
 def _output(source: Channel) -> _Output | None:

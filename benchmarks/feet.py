@@ -15,11 +15,12 @@ import numpy as np
 
 from g1stream.analysis.stance import stand
 from g1stream.config import Config
-from g1stream.control.balance import Balance, Reading
+from g1stream.control.balance import Balance
 from g1stream.control.feedforward import FeedForward
 from g1stream.control.make_loop import make_loop
 from g1stream.control.state_checks import ImuReading
 from g1stream.control.targets import Target
+from g1stream.control.torques import Reading
 from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.programs.sim import make_world

@@ -25,6 +25,7 @@ from g1stream.control.gains import resolve_gains
 from g1stream.control.safety import Safety
 from g1stream.control.state_checks import ImuReading, Measured
 from g1stream.control.targets import Targets
+from g1stream.control.torques import HeldTorques
 from g1stream.dds.messages import LowState
 from g1stream.motion.trajectory import Trajectory
 from g1stream.realtime import on_time
@@ -50,8 +51,8 @@ def parts() -> dict[str, Callable[[int], object]]:
     target = targets.at(Phase.PLAY, 0.0)
 
     def torque(support: str) -> Callable[[int], object]:
-        model = InverseDynamics(robot)
-        feed = FeedForward("dynamics", dynamics=model, limit=limit, period=PERIOD, ramp=1.0)
+        source = HeldTorques(InverseDynamics(robot), period=PERIOD)
+        feed = FeedForward("dynamics", source=source, limit=limit, period=PERIOD, ramp=1.0)
         feed.begin(support)
         return lambda k: feed.command(Phase.PLAY, k * PERIOD, target, imu, 0.001)
 

@@ -8,13 +8,14 @@ import pytest
 from g1stream.analysis.stance import stand
 from g1stream.control.state_checks import ImuReading
 from g1stream.control.targets import Target
+from g1stream.control.torques import Reading
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.model import G1
 from g1stream.robot.rotations import quat_from_rpy, quat_mul
 from g1stream.synthetic import squatting
 
 pytest.importorskip("daqp")
-from g1stream.control.balance import Balance, Reading
+from g1stream.control.balance import Balance
 
 ROBOT = G1.default()
 PERIOD = 0.002
@@ -54,7 +55,8 @@ def test_at_rest_the_floor_carries_the_weight_evenly(balance, first):
     assert left[2] == pytest.approx(right[2], rel=0.05)
     assert np.abs(left + right)[:2] == pytest.approx([0.0, 0.0], abs=1.0)
     assert balance.carried == pytest.approx(1.0, abs=0.01)
-    assert balance.fault == ""
+    balance.watch(first)
+    assert balance.fall == balance.fault == ""
     assert balance.base.pos == pytest.approx(first.root_pos, abs=1e-6)
 
 
@@ -99,13 +101,15 @@ def test_the_heading_of_the_imu_is_none_of_the_robot_while_the_feet_are_on_their
 )
 def test_a_tilted_robot_is_given_up_at_once(balance, first, rpy, why):
     balance.torque(first, reading(first, rpy=rpy), 0.0)
-    assert why in balance.fault
+    balance.watch(first)
+    assert why in balance.fall
 
 
 def test_feet_that_carry_nothing_are_given_up(balance, first):
     for _ in range(150):
         balance.torque(first, reading(first), 0.0)
-    assert "the feet carry" in balance.fault
+        balance.watch(first)
+    assert "the feet carry" in balance.fall
 
 
 def test_forces_stay_within_what_the_floor_can_give(balance, first):

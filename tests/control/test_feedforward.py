@@ -17,6 +17,7 @@ from g1stream.control.safety import Safety
 from g1stream.control.state_checks import ImuReading
 from g1stream.control.support import ForceObserver
 from g1stream.control.targets import Targets
+from g1stream.control.torques import HeldTorques
 from g1stream.dds.topics import LOWSTATE
 from g1stream.motion.blend import minimum_jerk
 from g1stream.motion.trajectory import Trajectory
@@ -68,7 +69,8 @@ def target(trajectory):
 
 def made(model, kind="dynamics", support="bolted", **other):
     limit = np.full(29, 10.0)
-    return FeedForward(kind, support, dynamics=model, limit=limit, period=0.002, ramp=1.0, **other)
+    source = HeldTorques(model, period=0.002) if model else None
+    return FeedForward(kind, support, source=source, limit=limit, period=0.002, ramp=1.0, **other)
 
 
 def test_none_asks_for_positions_only(model, target, imu):
@@ -271,7 +273,7 @@ def play(robot, support, told, seconds=4.0, *, kind="dynamics", announced=True):
     feed = FeedForward(
         kind,
         told,
-        dynamics=InverseDynamics(robot),
+        source=HeldTorques(InverseDynamics(robot), period=0.002),
         limit=robot.effort,
         period=0.002,
         ramp=1.0,

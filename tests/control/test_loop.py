@@ -10,6 +10,7 @@ import pytest
 
 from g1stream.control.feedforward import FeedForward
 from g1stream.control.targets import Target, Targets
+from g1stream.control.torques import HeldTorques
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.dynamics import Solution
 from g1stream.safety_settings import SafetyConfig
@@ -93,7 +94,7 @@ class ConstantTorque:
 
 def test_stale_state_fades_the_torque_out_and_in_again(make_loop, link):
     """60 ms without a LowState, the last 40 of them stale: 0.4 of the fade."""
-    feed = feedforward("dynamics", "bolted", dynamics=ConstantTorque())
+    feed = feedforward("dynamics", "bolted", source=HeldTorques(ConstantTorque(), period=0.002))
     link.announced = "bolted"  # needs no check, and so no model
     silent = range(150, 180)
     link.on_send = lambda i: setattr(link, "silent", i in silent)

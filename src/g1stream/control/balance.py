@@ -9,7 +9,7 @@ follow the reference by their servos. docs/feet.md has the formulas.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -21,14 +21,12 @@ from g1stream.robot.standing import LEGS, BodyState, StandingDynamics
 from g1stream.types import Floats
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from g1stream.control.state_checks import ImuReading
     from g1stream.control.targets import Target
+    from g1stream.control.torques import Reading
     from g1stream.robot.model import G1
     from g1stream.robot.standing import Terms
 
-__all__ = ["Balance", "Reading"]
+__all__ = ["Balance"]
 
 #: Wanted acceleration for an error, 1/s², and for the error of its rate, 1/s: of the centre of mass
 #: along x, y and z, and of the pelvis's attitude.
@@ -68,17 +66,8 @@ _TILTED: Final = 0.5
 _BESIDE: Final = 0.15
 _UNLOADED: Final = 0.25, 0.15
 _MISSING: Final = 2.0, 0.4
-#: Time without a solution that ends the run, s.
+#: Time without a solution after which the torque fades out, s.
 _UNSOLVED: Final = 0.05
-
-
-class Reading(NamedTuple):
-    """What a LowState has of the joints, (29,) in motor order, and of the pelvis."""
-
-    q: NDArray[np.floating]  # rad
-    dq: NDArray[np.floating]  # rad/s
-    tau: NDArray[np.floating]  # N·m
-    imu: ImuReading
 
 
 class Balance:
@@ -91,7 +80,7 @@ class Balance:
     Attributes:
         base: where the pelvis is.
         carried: share of the weight that the feet carry, measured.
-        fault: why the robot cannot be kept on its feet; "" while it can.
+        fall: why the robot cannot be kept on its feet; "" while it can.
         failures: ticks without a solution.
         wrench: (12,) force, N, and moment, N·m, of the floor on each sole, world; None before the
             first solution.
@@ -117,11 +106,12 @@ class Balance:
         self._planted = np.zeros((2, 3)), np.zeros(2)
         self._root_pos = np.zeros(3)
         self.carried = 0.0
-        self.fault = ""
+        self.fall = ""
         self.failures = 0
         self.wrench: Floats | None = None
         self.terms: Terms | None = None
         self._other = np.zeros(3)
+        self._missing = np.zeros(3)
         self._lasted = dict.fromkeys(("unloaded", "missing", "unsolved"), 0.0)
 
     def begin(self, first: Target) -> None:
@@ -130,7 +120,7 @@ class Balance:
         self._planted = pos + first.root_pos, headings
         self._root_pos = first.root_pos
         self.base.begin(*self._planted)
-        self.wrench, self.fault, self.carried = None, "", 0.0
+        self.wrench, self.fall, self.carried = None, "", 0.0
         self._other = np.zeros(3)
         self._lasted = dict.fromkeys(self._lasted, 0.0)
 
@@ -174,11 +164,34 @@ class Balance:
             return terms.gravity_tau
         wanted_force, wanted_turn = self._wanted(target, state, terms, ahead)
         wrench = self._distribute(terms, wanted_force, wanted_turn)
-        if planted:
-            self._watch(target, wanted_force, wrench)
+        self._missing = wanted_force - wrench[:3] - wrench[6:9]
         legs, others = terms.leg_tau, terms.other_tau
         tau: Floats = np.concatenate([legs[0] @ wrench + legs[1], others[0] @ wrench + others[1]])
         return tau
+
+    @property
+    def fault(self) -> str:
+        """That there has been no solution for too long, or ""."""
+        unsolved = self._lasted["unsolved"] > _UNSOLVED
+        return "no forces of the floor keep the robot on its feet" if unsolved else ""
+
+    def watch(self, target: Target) -> None:
+        """Find out whether a robot that nothing holds falls."""
+        base = self.base
+        tilt = tilt_of(quat_mul(base.quat_wxyz, quat_conj(target.root_quat_wxyz)))
+        missed = float(np.linalg.norm(self._missing)) / self._dynamics.mass
+        beside = float(np.linalg.norm((base.pos - target.root_pos)[:2]))
+        falls = ""
+        if tilt > _TILTED:
+            falls = f"the pelvis is tilted by {tilt:.2f} rad against the reference"
+        elif beside > _BESIDE:
+            falls = f"the pelvis is {1e3 * beside:.0f} mm beside the reference"
+        elif self._last("missing", missed > _MISSING[0]) > _MISSING[1]:
+            falls = "the centre of pressure is at the edge of the soles"
+        elif self._last("unloaded", self.carried < _UNLOADED[0]) > _UNLOADED[1]:
+            falls = f"the feet carry {100 * self.carried:.0f} % of the weight"
+        if falls and not self.fall:
+            self.fall = f"the robot falls: {falls}"
 
     def _load(self) -> Floats:
         """What each foot carries (2,), in sum 1."""
@@ -271,27 +284,6 @@ class Balance:
         """For how long something is so, s, this tick included."""
         self._lasted[what] = self._lasted[what] + self._period if is_so else 0.0
         return self._lasted[what]
-
-    def _watch(self, target: Target, wanted: Floats, wrench: Floats) -> None:
-        """Find out whether the robot falls."""
-        base = self.base
-        tilt = tilt_of(quat_mul(base.quat_wxyz, quat_conj(target.root_quat_wxyz)))
-        missing = wanted - wrench[:3] - wrench[6:9]
-        missed = float(np.linalg.norm(missing)) / self._dynamics.mass
-        beside = float(np.linalg.norm((base.pos - target.root_pos)[:2]))
-        falls = ""
-        if tilt > _TILTED:
-            falls = f"the pelvis is tilted by {tilt:.2f} rad against the reference"
-        elif beside > _BESIDE:
-            falls = f"the pelvis is {1e3 * beside:.0f} mm beside the reference"
-        elif self._last("missing", missed > _MISSING[0]) > _MISSING[1]:
-            falls = "the centre of pressure is at the edge of the soles"
-        elif self._last("unloaded", self.carried < _UNLOADED[0]) > _UNLOADED[1]:
-            falls = f"the feet carry {100 * self.carried:.0f} % of the weight"
-        elif self._lasted["unsolved"] > _UNSOLVED:
-            falls = "no forces of the floor keep the robot on its feet"
-        if falls and not self.fault:
-            self.fault = f"the robot falls: {falls}"
 
 
 def _cone(sole: Floats) -> tuple[Floats, Floats]:

@@ -22,7 +22,7 @@ from g1stream.control.targets import Targets
 from g1stream.dds.messages import LowState
 from g1stream.dds.topics import LOWCMD, Topic
 from g1stream.errors import G1StreamError, SafetyError
-from g1stream.motion.blend import minimum_jerk
+from g1stream.motion.blend import COAST, minimum_jerk
 from g1stream.motion.correction import CorrectionSpline
 from g1stream.text import counted
 from g1stream.types import Phase
@@ -113,7 +113,6 @@ class StreamLoop:
         self._safety = safety
         self._overruns = overruns
         self._timing = timing
-        self._undamped = replace(timing, hold=_FOREVER)
         self._composer = composer
         self._period = period
         self._others = OtherPublishers(link, allow_second_writer=allow_second_writer, topic=topic)
@@ -121,6 +120,7 @@ class StreamLoop:
         self._feedforward = feedforward
         self._soft_start = soft_start
         self._soft_until: int | None = None
+        self._waits = False  # RAMP is longer than it was to be
         self._correction = correction
         self._low_state = LowState()
         self._measured: Measured | None = None
@@ -263,6 +263,8 @@ class StreamLoop:
 
     def _advance(self, now: int, deadline: int) -> None:
         before = self.state
+        if self._feedforward and before.phase is Phase.RAMP:
+            self._wait_in_ramp(self._feedforward.awaited(), before.elapsed(deadline))
         unknown = self._robot_unknown(now)
         missing = ""
         if before.phase is Phase.WAIT:
@@ -273,6 +275,17 @@ class StreamLoop:
             self._enter_phase(before.phase)
         elif self._soft_until is not None and self.state.phase is Phase.RAMP:
             self._damp_before_ramp(deadline)
+
+    def _wait_in_ramp(self, awaited: str, elapsed: int) -> None:
+        """Let RAMP end, at rest, no earlier than what the feed-forward waits for has come."""
+        end = elapsed + self._period + round(COAST * 1e9)
+        if not awaited or end <= self._timing.ramp:
+            return
+        if not self._waits:
+            self._waits = True
+            _LOGGER.info("RAMP waits: %s", awaited)
+        self._timing = replace(self._timing, ramp=end)
+        self._targets.ramp_end = end / 1e9
 
     def _no_subscriber(self) -> str:
         if not self._link.subscribers():
@@ -313,8 +326,8 @@ class StreamLoop:
         phase, measured = self.state.phase, self._measured
         if phase is Phase.RAMP and measured is not None:
             self._safety.begin()
-            self._begin(measured)
             self._begin_feedforward()
+            self._begin(measured)
             if self._soft_start:
                 self._soft_until = self.state.since + self._soft_start
                 self._composer.damp()
@@ -341,10 +354,10 @@ class StreamLoop:
         self._composer.begin(measured.q, measured.mode_machine)
         self.report.ramp = ramp = self._targets.begin(measured.q)
         self._timing = replace(self._timing, ramp=round(ramp.length * 1e9))
-        self._undamped = replace(self._timing, hold=_FOREVER)
+        self._waits = False
         if self._feedforward:
             self._feedforward.ramp = ramp.length
-            self._feedforward.stand_on(self._targets.first)
+            self._feedforward.ramp_to(self._targets.first)
 
     def _begin_feedforward(self) -> None:
         feedforward, report = self._feedforward, self.report
@@ -380,7 +393,7 @@ class StreamLoop:
 
     def _target_at(self, then: int) -> Target:
         """The target at a later time, in the phase of that time, if the session continues."""
-        state = step(then, self.state, Inputs(), self._undamped)
+        state = step(then, self.state, Inputs(), replace(self._timing, hold=_FOREVER))
         return self._targets.at(state.phase, state.elapsed(then) / 1e9)
 
     def _compose(self, due: Target, commanded: Target, deadline: int) -> None:

@@ -179,6 +179,8 @@ class Targets:
 
     Attributes:
         first: the target at `start`.
+        ramp_end: when RAMP ends, s after it began. It may be set to later than `begin` sets it:
+            RAMP then rests at the first frame until `COAST` before that.
     """
 
     def __init__(
@@ -195,7 +197,7 @@ class Targets:
         self._trajectory = trajectory
         self._start = start
         self._play = play
-        self._least_ramp = self._ramp = ramp
+        self._least_ramp = self._ramp = self.ramp_end = ramp
         self._ramp_speed = ramp_speed
         self._played = None if played is None or played.all() else played
         self._lift = np.array([0.0, 0.0, lift])
@@ -209,7 +211,7 @@ class Targets:
         self._from = np.asarray(q, dtype=np.float64).copy()
         self.first = self._sampled = self._of_played(self.first)
         ramp = Ramp.of(self.first.q - self._from, self._least_ramp, self._ramp_speed)
-        self._ramp = ramp.length
+        self._ramp = self.ramp_end = ramp.length
         return ramp
 
     def at(self, phase: Phase, elapsed: float) -> Target:
@@ -250,7 +252,7 @@ class Targets:
     def _ramping(self, elapsed: float) -> Target:
         if self._from is None:
             raise RuntimeError("RAMP has no start pose: call begin() first")
-        left = max(0.0, self._ramp - elapsed)
+        left = max(0.0, self.ramp_end - elapsed)
         way, rate, acceleration = coast(left, min(COAST, self._ramp))  # braking in reverse
         goal = _coasting(self.first, -way, rate, -acceleration)
         progress, speed, change = minimum_jerk(elapsed / self._ramp)

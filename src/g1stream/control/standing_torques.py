@@ -1,0 +1,136 @@
+"""The torque of a robot that is to stand: hanging until its feet carry it, then balancing; pure.
+
+docs/feet.md explains how the feet take the weight.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar, Final
+
+from g1stream.control.balance import Balance
+from g1stream.control.targets import LOWERED
+from g1stream.control.torques import HeldTorques
+from g1stream.errors import ConfigError
+from g1stream.motion.blend import minimum_jerk
+from g1stream.robot.dynamics import InverseDynamics
+from g1stream.types import Phase
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from g1stream.control.targets import Target
+    from g1stream.control.torques import Moment, Reading
+    from g1stream.robot.model import G1
+    from g1stream.types import Floats, StreamSupport
+
+__all__ = ["StandingTorques"]
+
+#: The feet stand once they carry this share of the weight, and no more below this one.
+_LANDS, _LIFTS = 0.2, 0.1
+#: Between these shares, the torque changes from that of a hanging robot to that of a standing one.
+_HANGS, _STANDS = 0.1, 0.5
+#: PLAY begins when the feet have carried this share for this time, s.
+_CARRIED: Final = 0.9, 1.0
+
+
+class StandingTorques:
+    """The torque of a hanging robot, and of one on its feet once they carry it.
+
+    The bridge of g1stream holds the pelvis until PLAY begins and lowers the robot in RAMP: there
+    the feet take the weight at the end of RAMP. Elsewhere the robot is taken to hang from a band at
+    its torso, and the measured load on the feet decides; RAMP waits until they carry it.
+
+    Args:
+        robot: the G1.
+        alternative: another revision of it, see `HeldTorques`.
+        period: s between commands.
+
+    Raises:
+        ConfigError: the solver is not installed.
+        RobotError: the soles of a robot are not known.
+    """
+
+    needed: ClassVar = True
+
+    def __init__(self, robot: G1, alternative: G1 | None, period: float) -> None:
+        robots: Sequence[G1] = [robot] if alternative is None else [robot, alternative]
+        self._balances = {one.name: Balance(one, period) for one in robots}
+        self._hanging = HeldTorques(*(InverseDynamics(one) for one in robots), period=period)
+        self._period = period
+        self._lowered_by_bridge = False
+        self._reading: Reading | None = None
+        self._landed = False
+        self._carried_for = 0.0
+
+    @property
+    def name(self) -> str:
+        """Of the robot's model."""
+        return self._hanging.name
+
+    @property
+    def balance(self) -> Balance:
+        """Of the revision in use."""
+        return self._balances[self.name]
+
+    @property
+    def fault(self) -> str:
+        """Why there is no torque that keeps the robot on its feet, or ""."""
+        return self.balance.fault
+
+    @property
+    def fall(self) -> str:
+        """Why the robot cannot be kept on its feet, or ""."""
+        return self.balance.fall
+
+    @property
+    def awaited(self) -> str:
+        """What RAMP waits for, or ""."""
+        if self._lowered_by_bridge or self._carried_for > _CARRIED[1]:
+            return ""
+        return (
+            f"the feet carry {100 * self.balance.carried:.0f} % of the weight; lower the robot "
+            f"until they carry {100 * _CARRIED[0]:.0f} %, then let it go"
+        )
+
+    def begin(self, support: StreamSupport, announced: str | None, robot: str | None) -> None:
+        """RAMP begins; `TorqueSource` has the arguments."""
+        if announced not in (None, "free"):
+            raise ConfigError(
+                f"The simulator holds the robot ({announced}); it does not stand on its feet.",
+                "Start it with --support free, or stream without --support feet.",
+            )
+        self._lowered_by_bridge = announced == "free"
+        self._hanging.begin("hanging", "hanging", robot)
+
+    def ramp_to(self, first: Target) -> None:
+        """RAMP begins, or begins anew, to the first target of PLAY."""
+        for balance in self._balances.values():
+            balance.begin(first)
+        self._landed, self._carried_for = False, 0.0
+
+    def observe(self, phase: Phase, time: float, reading: Reading, scale: float) -> None:
+        """Take a LowState into account; `TorqueSource` has the arguments."""
+        self._reading = reading
+        if not self._lowered_by_bridge:
+            self._hanging.observe(phase, time, reading, scale)
+
+    def torque(self, moment: Moment) -> Floats:
+        """The torque (29,) of a command, N·m; that of the servos comes on top."""
+        phase, ramped, target, _, age = moment
+        balance, reading = self.balance, self._reading
+        if reading is None:
+            raise RuntimeError("nothing was measured")
+        if phase is not Phase.RAMP:
+            tau = balance.torque(target, reading, age)
+            balance.watch(target)
+            return tau
+        if self._lowered_by_bridge:
+            share = minimum_jerk((ramped - LOWERED) / (1.0 - LOWERED))[0]
+            return balance.torque(target, reading, age, share=share, planted=False)
+        hanging = self._hanging.torque(moment)
+        standing = balance.torque(target, reading, age, planted=self._landed)
+        carried = balance.carried
+        self._landed = carried > (_LIFTS if self._landed else _LANDS)
+        self._carried_for = self._carried_for + self._period if carried > _CARRIED[0] else 0.0
+        stands = minimum_jerk((carried - _HANGS) / (_STANDS - _HANGS))[0]
+        return hanging + stands * (standing - hanging)

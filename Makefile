@@ -29,12 +29,12 @@ $(VENV)/.dev: $(VENV)/.run
 demo: $(VENV)/.run
 	$(BIN)/g1stream demo --out demo-out --force
 
-# First what needs no DDS, on all cores; then what is about time and processes, file by file; the
-# faults last and alone, as they measure what the motors get while something else goes wrong.
+# First what needs no DDS, on all cores; then what is about time and processes, file by file; last
+# what an armed guard ends, or a figure misses, where another test takes the CPU.
 test: $(VENV)/.dev
 	$(BIN)/python -m pytest -n auto -m "not dds"
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m dds --ignore tests/faults
-	$(BIN)/python -m pytest -m dds tests/faults
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "dds and not alone"
+	$(BIN)/python -m pytest -m alone
 
 test-fast: $(VENV)/.dev
 	$(BIN)/python -m pytest -n auto -m "not dds and not slow"

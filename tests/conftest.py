@@ -171,9 +171,14 @@ _DDS_FIXTURES = {"domain_id", "module_domain_id", "claim_domain", "domain_zero"}
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark what goes over DDS `dds`, and the tests of whole programs `slow`."""
+    """Mark what goes over DDS `dds`, the tests of whole programs `slow`, and faults `alone`.
+
+    Faults measure what the motors get while something else goes wrong.
+    """
     for item in items:
         if _DDS_FIXTURES & set(getattr(item, "fixturenames", ())):
             item.add_marker(pytest.mark.dds)
+            if "faults" in item.path.parts:
+                item.add_marker(pytest.mark.alone)
         if {"integration", "faults"} & set(item.path.parts):
             item.add_marker(pytest.mark.slow)

@@ -91,7 +91,8 @@ def in_namespace(tmp_path):
     return run
 
 
-@pytest.mark.dds  # an armed stream is damped where other tests keep it from its CPU
+@pytest.mark.dds
+@pytest.mark.alone  # the guard damps an armed stream that another test keeps from its CPU
 def test_from_an_active_mode_to_an_armed_session(in_namespace, tmp_path):
     (tmp_path / "settings.toml").write_text(SETTINGS)
     done = in_namespace(SESSION)

@@ -120,7 +120,7 @@ def learn_table(
         motion: CSV file.
         seconds: how much of it to play.
         repetitions: how many corrections are learned and tried in a series, each from all sessions
-            of that series before it.
+            of that series before it, of which two are without a correction.
         runs: how many series, each from the start.
         flags: more flags of `g1stream stream`.
         keep: a folder for the sessions and corrections; None: deleted.
@@ -150,14 +150,15 @@ def _learn(
     correction: list[str] = []
     sessions: list[Path] = []
     series: list[Run] = []
-    for repetition in range(repetitions + 1):
-        session = directory / f"{name}-{repetition}.mcap"
+    without = 2  # what differs between them is not learned
+    for number in range(without + repetitions):
+        session = directory / f"{name}-{number}.mcap"
         with _simulator(program):
             every = [*STREAMS["dynamics, hanging"], *flags, *correction]
             series.append(_stream(motion, seconds, every, session))
         if series[-1].rmse is not None:
             sessions.append(session)
-        if sessions and repetition < repetitions:
+        if sessions and without <= number + 1 < without + repetitions:
             file = learn(sessions).save(session.with_suffix(".npz"), force=True)
             correction = ["--correction", str(file)]
     return series

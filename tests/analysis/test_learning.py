@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from g1stream.analysis.learning import Repetition, improve, learn
+from g1stream.analysis.learning import Repetition, improve, learn, repeating
 from g1stream.config import Config
 from g1stream.errors import ConfigError, RecordingError
 from g1stream.motion.correction import LARGEST_CORRECTION, Correction, grid
@@ -68,6 +68,40 @@ def test_it_continues_from_the_best_repetition():
     values, _, _ = improve(bad, TIME, -FREE, FREE)
     start = improve(bad[:1], TIME, -FREE, FREE)[0]
     assert np.abs(values).max() < np.abs(start).max()
+
+
+@pytest.mark.parametrize(("noise", "sessions"), [(0.02, 2), (0.02, 6), (0.1, 6)])
+def test_the_share_that_repeats_is_known_from_what_differs(noise, sessions):
+    """Signal 1, noise of n sessions: 1 / (1 + noise² / n) of the mean is what comes next."""
+    time, signal, rng = grid(0.0, 60.0), 0.03, np.random.default_rng(1)
+    frozen, weight = np.zeros((len(time), 29), dtype=bool), np.ones(len(time))
+    every = [
+        Repetition(c, signal + noise * rng.standard_normal(frozen.shape) - c, 0.0, frozen, weight)
+        for c in (np.full(frozen.shape, 0.01 * n) for n in range(sessions))
+    ]
+    power = signal**2
+    expected = power / (power + noise**2 / sessions)
+    assert repeating(every, time).mean() == pytest.approx(expected, abs=0.05)
+    assert repeating(every[:1], time).tolist() == np.ones(frozen.shape).tolist()
+
+
+def test_noise_is_not_learned():
+    rng, frozen, weight = np.random.default_rng(2), np.zeros(SHAPE, dtype=bool), np.ones(len(TIME))
+    noise = [0.01 * rng.standard_normal(SHAPE) for _ in range(3)]
+    every = [Repetition(np.zeros(SHAPE), one, 0.01, frozen, weight) for one in noise]
+    mean = Repetition(np.zeros(SHAPE), sum(noise) / 3, 0.01, frozen, weight)
+    learned, _, _ = improve([mean], TIME, -FREE, FREE, repeating(every, TIME))
+    without, _, _ = improve([mean], TIME, -FREE, FREE)
+    assert np.sqrt(np.mean(learned**2)) < np.sqrt(np.mean(without**2)) / 2
+
+
+def test_a_single_session_of_a_slow_simulator_is_refused(session, correction):
+    slow = played()
+    slow.metadata["stream"]["time_scale"] = 0.93
+    with pytest.raises(RecordingError) as refused:
+        learn(slow)
+    assert "0.93" in refused.value.cause
+    assert learn([slow, session]).values == pytest.approx(correction.values)
 
 
 def test_what_a_stall_leaves_is_not_learned():

@@ -4,6 +4,8 @@ import json
 import os
 import pty
 import signal
+import subprocess
+import sys
 import threading
 import time
 
@@ -72,6 +74,17 @@ def test_signals_that_must_not_be_handled_are_not(number):
     before = signal.getsignal(number)
     with on_signals(lambda _: None):
         assert signal.getsignal(number) == before
+
+
+def test_a_handler_that_is_not_python_s_stays():
+    """`-X faulthandler` has one of SIGABRT, which Python could not put back."""
+    program = (
+        "import signal; from g1stream.cli.command import on_signals\n"
+        "with on_signals(print): print(signal.getsignal(signal.SIGABRT))"
+    )
+    command = [sys.executable, "-X", "faulthandler", "-c", program]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.stdout, done.stderr, done.returncode) == ("None\n", "", 0)
 
 
 @pytest.fixture

@@ -9,12 +9,14 @@ computes the torque sees a consistent motion.
 
 A joint that follows its target has the error c + e without correction, so that every session
 measures the same, whatever its correction was. The next correction approaches the mean of that over
-all sessions, in which the n-th repetition has the weight n: what does not repeat averages out.
+all sessions, in which the n-th repetition has the weight n, times the share of it that repeats.
 
-Three rules keep it from making anything worse. It continues from the best repetition that it is
-given. Nothing is learned from the time after a stall, of the simulator or of this machine. And
-where an error did not respond to a change of the correction, as in a limb that presses against
-another, that joint's correction is taken back there, to what it was before, and stays.
+Four rules keep it from making anything worse. It continues from the best repetition that it is
+given. What differs between sessions is not learned; where the simulator is slower than real time,
+most of the error may, and one session cannot tell. Nothing is learned from the time after a stall,
+of the simulator or of this machine. And where an error did not respond to a change of the
+correction, as in a limb that presses against another, that joint's correction is taken back there,
+to what it was before, and stays.
 """
 
 from __future__ import annotations
@@ -65,7 +67,10 @@ _LARGEST_STEP: Final = 0.05
 _STALL: Final = 0.02
 #: ... after which a robot that hangs swings for some time, s.
 _SETTLING: Final = 3.0
-#: Whether an error responds is judged over this time, s.
+#: Below this share of real time a simulator's pace varies, and with it the error, as seen on that of
+#: unitree_mujoco in Python: by 0.006 to 0.012 rad where it runs at 0.86 to 0.94.
+_STEADY: Final = 0.97
+#: Whether an error repeats, and whether it responds, is judged over this time, s.
 _WINDOW: Final = 0.5
 #: ... where the correction has changed by more than this, rms, rad.
 _LEAST_CHANGE: Final = 0.002
@@ -119,6 +124,7 @@ class _Played:
     reference: Floats  # (N, 29) rad
     stalls: list[tuple[float, float]]  # motion time, s
     rmse: float
+    time_scale: float  # simulated over real time
     correction: Correction | None
     lower: Floats
     upper: Floats
@@ -147,16 +153,47 @@ def learn(sessions: Sequence[Session | str | Path] | Session | str | Path) -> Co
     for other in played[1:]:
         _require_same(first, other)
     time = grid(first.start, min(one.stop for one in played))
-    repetitions = _repetitions(played, time)
+    if len(played) == 1 and first.time_scale < _STEADY:
+        raise RecordingError(
+            f"In {first.path} the simulator ran at {first.time_scale:.2f} of real time, where errors "
+            "differ from run to run, and one session does not tell which repeat.",
+            "Learn from two or more sessions that were played in the same way.",
+        )
+    repetitions = [_repetition(one, time) for one in played]
     reference = interpolated(time, first.time, first.reference)
     values, frozen, history = improve(
-        repetitions, time, first.lower - reference, first.upper - reference
+        _averaged(repetitions),
+        time,
+        first.lower - reference,
+        first.upper - reference,
+        repeating(repetitions, time),
     )
     return Correction(first.conditions, time, values, frozen, np.array(history))
 
 
+def repeating(sessions: Sequence[Repetition], time: Floats) -> Floats:
+    """(T, 29) the share of the mean of c + e over sessions that repeats, 0 to 1.
+
+    1 - (variance of the mean) / (its square), both over a window around each time: the factor by
+    which the mean is nearest to what comes next, as in a Wiener filter. 1 for a single session.
+    """
+    weights = np.array([_weight(one) for one in sessions])
+    sums = np.array([one.values + one.error for one in sessions])
+    total = np.maximum(weights.sum(axis=0), 1e-9)
+    mean = (weights * sums).sum(axis=0) / total
+    spread = (weights * (sums - mean) ** 2).sum(axis=0) / total
+    effective = total**2 / np.maximum((weights**2).sum(axis=0), 1e-9)  # sessions of equal weight
+    variance = np.where(effective > 1.0, spread / np.maximum(effective - 1.0, 1e-9), 0.0)
+    power = np.maximum(_smooth(mean**2, time, _WINDOW), 1e-12)
+    return np.clip(1.0 - _smooth(variance, time, _WINDOW) / power, 0.0, 1.0)
+
+
 def improve(
-    repetitions: Sequence[Repetition], time: Floats, lower: Floats, upper: Floats
+    repetitions: Sequence[Repetition],
+    time: Floats,
+    lower: Floats,
+    upper: Floats,
+    share: Floats | float = 1.0,
 ) -> tuple[Floats, NDArray[np.bool_], tuple[float, ...]]:
     """The next correction from those before and what they have brought; pure.
 
@@ -165,6 +202,7 @@ def improve(
         time: (T,) the grid, s.
         lower: (T, 29) rad, from the joint targets to their lower limits.
         upper: (T, 29) rad, to their upper limits.
+        share: (T, 29) of the mean of c + e that repeats, see `repeating`.
 
     Returns:
         The correction (T, 29) rad, where it is frozen (T, 29), and the RMSE of each repetition.
@@ -174,12 +212,11 @@ def improve(
     # Compared where no repetition has a stall.
     common = np.min([one.weight for one in in_order], axis=0) + 1e-9
     best = min(in_order, key=lambda one: np.average(np.mean(one.error**2, 1), weights=common))
-    # Later ones count more: they were measured nearer to what will be played.
-    weights = [(len(one.history) + 1) * one.weight[:, np.newaxis] for one in in_order]
-    way = sum(
-        weight * (one.values + one.error - best.values)
-        for weight, one in zip(weights, in_order, strict=True)
-    ) / np.maximum(sum(weights), 1.0)
+    weights = np.array([_weight(one) for one in in_order])
+    sums = np.array([one.values + one.error for one in in_order])
+    total = weights.sum(axis=0)
+    mean = (weights * sums).sum(axis=0) / np.maximum(total, 1e-9)
+    way = np.minimum(total, 1.0) * (share * mean - best.values)  # none where all have a stall
     values = best.values + np.clip(_GAIN * way, -_LARGEST_STEP, _LARGEST_STEP)
     # The first change without effect is taken back last, so that it counts.
     held = [(_unresponsive(*pair, time), pair[0].values) for pair in pairwise(in_order)][::-1]
@@ -190,6 +227,11 @@ def improve(
     limit = LARGEST_CORRECTION
     values = np.clip(values, np.clip(lower, -limit, 0.0), np.clip(upper, 0.0, limit))
     return values, np.logical_or.reduce([where for where, _ in held]), history
+
+
+def _weight(one: Repetition) -> Floats:
+    """(T, 1) Later ones count more: they were measured nearer to what will be played."""
+    return (len(one.history) + 1) * one.weight[:, np.newaxis]
 
 
 def _unresponsive(before: Repetition, after: Repetition, time: Floats) -> NDArray[np.bool_]:
@@ -223,23 +265,25 @@ def _smooth(values: Floats, time: Floats, window: float) -> Floats:
     return np.column_stack([np.convolve(column, weights, "same") / norm for column in values.T])
 
 
-def _repetitions(played: Sequence[_Played], time: Floats) -> list[Repetition]:
-    """The sessions by the correction that they were played with, on one grid."""
+def _repetition(one: _Played, time: Floats) -> Repetition:
+    """A session, with the correction that it was played with, on a grid."""
+    values = np.zeros((len(time), N_JOINTS))
+    frozen, history = np.zeros(values.shape, dtype=np.bool_), ()
+    if one.correction:
+        values = CorrectionSpline(one.correction, one.start, one.stop).at_many(time)
+        nearest = np.abs(one.correction.time[:, np.newaxis] - time).argmin(axis=0)
+        frozen = one.correction.frozen[nearest]
+        history = tuple(one.correction.history.tolist())
+    weight = _undisturbed(one, time)
+    return Repetition(values, _filtered(one, time), one.rmse, frozen, weight, history)
+
+
+def _averaged(sessions: Sequence[Repetition]) -> list[Repetition]:
+    """A repetition for each correction that was played, the mean of its sessions."""
     groups: dict[bytes, list[Repetition]] = {}
-    for one in played:
-        values, frozen, history = np.zeros((len(time), N_JOINTS)), None, ()
-        if one.correction:
-            values = CorrectionSpline(one.correction, one.start, one.stop).at_many(time)
-            nearest = np.abs(one.correction.time[:, np.newaxis] - time).argmin(axis=0)
-            frozen = one.correction.frozen[nearest]
-            history = tuple(one.correction.history.tolist())
-        if frozen is None:
-            frozen = np.zeros(values.shape, dtype=np.bool_)
-        error = _filtered(one, time)
+    for one in sessions:
         # Rounded: the last bit depends on the interval that was played.
-        group = groups.setdefault(np.round(values, 9).tobytes(), [])
-        weight = _undisturbed(one, time)
-        group.append(Repetition(values, error, one.rmse, frozen, weight, history))
+        groups.setdefault(np.round(one.values, 9).tobytes(), []).append(one)
     return [_mean(group) for group in groups.values()]
 
 
@@ -339,6 +383,7 @@ def _read(session: Session) -> _Played:
         tracking.reference,
         _stalls(session, tracking.motion_time),
         tracking.overall,
+        stream.time_scale or 1.0,
         correction,
         robot.lower,
         robot.upper,

@@ -150,10 +150,15 @@ def confirmed(interface: str, yes: str | None) -> bool:
 
 @contextmanager
 def on_signals(stop: Callable[[str], None]) -> Iterator[None]:
-    """Call `stop` with the name of each signal that would end or stop the process, in a `with`."""
+    """Call `stop` with the name of each signal that would end or stop the process, in a `with`.
+
+    Those with a handler that is not Python's stay as they are: it could not be put back.
+    `python -X faulthandler` has one of SIGABRT.
+    """
     before = {
         number: signal.signal(number, lambda received, _: stop(_signal_name(received)))
         for number in _HANDLED
+        if signal.getsignal(number) is not None
     }
     try:
         yield

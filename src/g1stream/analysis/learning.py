@@ -29,28 +29,21 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from g1stream.analysis.delay import interpolated
+from g1stream.analysis.played import read_played, require_same
 from g1stream.errors import RecordingError
-from g1stream.motion.correction import (
-    ATTACHMENT_NAME,
-    LARGEST_CORRECTION,
-    Conditions,
-    Correction,
-    CorrectionSpline,
-    grid,
-)
+from g1stream.motion.correction import LARGEST_CORRECTION, Correction, CorrectionSpline, grid
 from g1stream.robot.joints import N_JOINTS
-from g1stream.robot.model import G1
 from g1stream.session.session import Session, open_session
-from g1stream.session.summary import SessionInfo, StreamSummary, read_record
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
+    from g1stream.analysis.played import Played
     from g1stream.types import Floats
 
-__all__ = ["Repetition", "improve", "learn"]
+__all__ = ["Repetition", "improve", "learn", "repeating"]
 
 #: Cut-off of the zero-phase low-pass, Hz. The model's torque makes a joint follow up to some 5 Hz;
 #: a servo of Unitree's gains alone moves a leg at less than 1 Hz without lag or resonance.
@@ -63,16 +56,13 @@ _GAIN: Final = 0.8
 #: No correction changes by more than this in one repetition, rad: a single session is not believed
 #: as it is.
 _LARGEST_STEP: Final = 0.05
-#: A longer time without a state or a command is a stall, s: the torque begins to fade out then.
-_STALL: Final = 0.02
-#: ... after which a robot that hangs swings for some time, s.
+#: A robot that hangs swings for this long after a stall, s.
 _SETTLING: Final = 3.0
-#: Below this share of real time a simulator's pace varies, and with it the error, as seen on that of
-#: unitree_mujoco in Python: by 0.006 to 0.012 rad where it runs at 0.86 to 0.94.
+#: Below this share of real time a simulator's pace varies, and with it the error.
 _STEADY: Final = 0.97
 #: Whether an error repeats, and whether it responds, is judged over this time, s.
 _WINDOW: Final = 0.5
-#: ... where the correction has changed by more than this, rms, rad.
+#: An error is asked to respond where the correction has changed by more than this, rms, rad.
 _LEAST_CHANGE: Final = 0.002
 #: An error that changes by less than this share of the correction's change does not respond.
 _LEAST_RESPONSE: Final = 0.25
@@ -80,14 +70,6 @@ _LEAST_RESPONSE: Final = 0.25
 _LEAST_FALL: Final = 0.7
 #: A correction that is taken back blends into its surroundings over this time, s.
 _BLEND: Final = 0.2
-#: The torque may have been off for this long, s, such as after a late LowState.
-_LONGEST_DROPOUT: Final = 0.5
-#: A motion of which something can be learned, s: as long as one could hold in memory, and longer
-#: than the windows over which an error is judged.
-_LONGEST: Final = 1e4
-_SHORTEST: Final = 0.8
-#: Intervals that were played may differ by this, s: a few LowStates.
-_SAME_INTERVAL: Final = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,25 +93,6 @@ class Repetition:
     history: tuple[float, ...] = ()
 
 
-@dataclass(frozen=True, eq=False)
-class _Played:
-    """What learning takes from a session."""
-
-    conditions: Conditions
-    path: Path
-    start: float
-    stop: float
-    time: Floats  # (N,) motion time, s
-    error: Floats  # (N, 29) rad
-    reference: Floats  # (N, 29) rad
-    stalls: list[tuple[float, float]]  # motion time, s
-    rmse: float
-    time_scale: float  # simulated over real time
-    correction: Correction | None
-    lower: Floats
-    upper: Floats
-
-
 def learn(sessions: Sequence[Session | str | Path] | Session | str | Path) -> Correction:
     """Learn a correction of the joint targets from one or several sessions of a motion.
 
@@ -148,15 +111,15 @@ def learn(sessions: Sequence[Session | str | Path] | Session | str | Path) -> Co
     given = [sessions] if isinstance(sessions, (Session, str, Path)) else list(sessions)
     if not given:
         raise RecordingError("There is no session to learn from.", "Give one or more.")
-    played = [_read(one if isinstance(one, Session) else open_session(one)) for one in given]
+    played = [read_played(one if isinstance(one, Session) else open_session(one)) for one in given]
     first = played[0]
     for other in played[1:]:
-        _require_same(first, other)
+        require_same(first, other)
     time = grid(first.start, min(one.stop for one in played))
     if len(played) == 1 and first.time_scale < _STEADY:
         raise RecordingError(
-            f"In {first.path} the simulator ran at {first.time_scale:.2f} of real time, where errors "
-            "differ from run to run, and one session does not tell which repeat.",
+            f"In {first.path} the simulator ran at {first.time_scale:.2f} of real time, where "
+            "errors differ from run to run, and one session does not tell which repeat.",
             "Learn from two or more sessions that were played in the same way.",
         )
     repetitions = [_repetition(one, time) for one in played]
@@ -265,7 +228,7 @@ def _smooth(values: Floats, time: Floats, window: float) -> Floats:
     return np.column_stack([np.convolve(column, weights, "same") / norm for column in values.T])
 
 
-def _repetition(one: _Played, time: Floats) -> Repetition:
+def _repetition(one: Played, time: Floats) -> Repetition:
     """A session, with the correction that it was played with, on a grid."""
     values = np.zeros((len(time), N_JOINTS))
     frozen, history = np.zeros(values.shape, dtype=np.bool_), ()
@@ -301,7 +264,7 @@ def _mean(group: Sequence[Repetition]) -> Repetition:
     )
 
 
-def _undisturbed(played: _Played, time: Floats) -> Floats:
+def _undisturbed(played: Played, time: Floats) -> Floats:
     """(T,) 0 from a stall until the robot has settled, otherwise 1."""
     disturbed = np.zeros((len(time), 1), dtype=np.bool_)
     for begin, end in played.stalls:
@@ -309,7 +272,7 @@ def _undisturbed(played: _Played, time: Floats) -> Floats:
     return 1.0 - _blend(disturbed, time)[:, 0]
 
 
-def _filtered(played: _Played, time: Floats) -> Floats:
+def _filtered(played: Played, time: Floats) -> Floats:
     """(T, 29) the error, low-pass filtered without delay."""
     from scipy.signal import butter, filtfilt
 
@@ -321,110 +284,3 @@ def _filtered(played: _Played, time: Floats) -> Floats:
     padding = min(len(fine) - 1, round(_RATE / cutoff))
     smooth = filtfilt(numerator, denominator, error, axis=0, padlen=padding)
     return interpolated(time, fine, smooth)
-
-
-def _read(session: Session) -> _Played:
-    """A session with all that learning needs, which must be there."""
-    info, _ = read_record(SessionInfo, dict(session.metadata))
-    stream, _ = read_record(StreamSummary, session.metadata.get("stream"))
-    motion = info and info.motion
-    if not (info and motion and motion.content_sha256 and info.gains and info.config and stream):
-        raise _cannot(session, "it does not say what was streamed and how", "record it with")
-    settings = info.config.get("stream")
-    if not isinstance(settings, dict):
-        raise _cannot(session, "its settings are damaged", "record it with")
-    problems = {
-        "it was ended early": stream.reason,
-        "its motion was looped": settings.get("loop"),
-        "only some joints were played": info.joints is not None and len(info.joints) < N_JOINTS,
-        "its commands were recorded ones": stream.feedforward == "recorded",
-        "its feed-forward was switched off while it played": _switched_off(stream),
-        "its recording is not complete": not session.complete,
-    }
-    if reasons := [reason for reason, found in problems.items() if found]:
-        raise _cannot(session, reasons[0], "repeat it, in one piece, with")
-    data = session.attachments.get(ATTACHMENT_NAME)
-    if info.correction and data is None:
-        raise _cannot(
-            session, "the correction that it was played with is missing", "repeat it with"
-        )
-    correction = None if data is None else Correction.from_bytes(data, session.path)
-    robot = G1.from_urdf(
-        session.attachments.get("robot.urdf", b"").decode(errors="replace"),
-        f"robot.urdf of {session.path}",
-    )
-    kp, kd = (np.array(info.gains.get(name, ())) for name in ("kp", "kd"))
-    rate = settings.get("rate")
-    if not (kp.shape == kd.shape == (N_JOINTS,) and isinstance(rate, (int, float)) and rate > 0):
-        raise _cannot(session, "its gains or its rate are damaged", "record it with")
-    tracking = session.tracking()
-    start, stop = tracking.motion_time[[0, -1]].tolist()
-    elapsed = float(np.ptp(tracking.time))
-    if not (0.0 <= stop - start < _LONGEST and abs(elapsed - (stop - start)) < 1.0):
-        raise _cannot(session, "its motion times do not fit its publish times", "repeat it with")
-    if stop - start < _SHORTEST:
-        raise _cannot(session, f"it has {stop - start:.2f} s of a motion", "record more of it with")
-    return _Played(
-        Conditions(
-            motion=motion.name or "",
-            motion_sha256=motion.content_sha256,
-            robot=robot.name,
-            rate=float(rate),
-            kp=kp,
-            kd=kd,
-            feedforward=stream.feedforward if stream.feedforward != "recorded" else None,
-            support=stream.support,
-        ),
-        session.path,
-        start,
-        stop,
-        tracking.motion_time,
-        tracking.error,
-        tracking.reference,
-        _stalls(session, tracking.motion_time),
-        tracking.overall,
-        stream.time_scale or 1.0,
-        correction,
-        robot.lower,
-        robot.upper,
-    )
-
-
-def _stalls(session: Session, states: Floats) -> list[tuple[float, float]]:
-    """Where states, or commands, were missing for a while: begin and end, motion time in s."""
-    commands = session.sel("PLAY").reference.read("motion_time").motion_time
-    return [
-        (times[i], times[i + 1])
-        for times in (states, commands)
-        for i in np.flatnonzero(np.diff(times) > _STALL)
-    ]
-
-
-def _switched_off(stream: StreamSummary) -> bool:
-    """Whether the torque was off for longer than a moment."""
-    off = 0.0
-    for change in stream.feedforward_changes:
-        off += change.motion_time_s if change.kind == "dynamics" else -change.motion_time_s
-    return not 0.0 <= off <= _LONGEST_DROPOUT  # negative: never switched on again
-
-
-def _require_same(first: _Played, other: _Played) -> None:
-    different = first.conditions.differences(other.conditions)
-    if max(abs(first.start - other.start), abs(first.stop - other.stop)) > _SAME_INTERVAL:
-        different.append(
-            f"played from {first.start:.2f} to {first.stop:.2f} s and from {other.start:.2f} to "
-            f"{other.stop:.2f} s"
-        )
-    if different:
-        raise RecordingError(
-            f"{first.path} and {other.path} are not repetitions of the same: "
-            f"{'; '.join(different)}.",
-            "Learn from sessions of one motion, played in the same way.",
-        )
-
-
-def _cannot(session: Session, reason: str, remedy: str) -> RecordingError:
-    return RecordingError(
-        f"{session.path} cannot be learned from: {reason}.",
-        f"{remedy.capitalize()} `g1stream stream MOTION --record FILE`.",
-    )

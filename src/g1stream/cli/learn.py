@@ -25,7 +25,8 @@ class Learn(Command):
     """Corrects the joint targets by the error that repeats, for `stream --correction`.
 
     Give all sessions of the motion so far: it continues from the best one, and leaves alone what
-    did not respond. They must agree in motion, rate, gains, support and feed-forward.
+    did not respond or does not repeat. They must agree in motion, rate, gains, support and
+    feed-forward. Begin with two sessions or more where the simulator is slower than real time.
 
     Examples:
       g1stream stream dance.csv --record first.mcap

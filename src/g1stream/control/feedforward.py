@@ -272,7 +272,8 @@ class FeedForward:
         fault = self._source.fault or _find_fault(imu, age)
         if not fault:
             ramped = min(1.0, elapsed / self.ramp) if phase is Phase.RAMP else 1.0
-            self._tau = self._source.torque(Moment(phase, ramped, target, imu, age))
+            target = self._source.command(Moment(phase, ramped, target, imu, age))
+            self._tau = target.tau
         self._weight += (-1.0 if fault else 1.0) * self._period / _FADE
         self._weight = min(1.0, max(0.0, self._weight))
         self._log_change(fault, target.motion_time)

@@ -7,12 +7,17 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, ClassVar, Final
 
+import numpy as np
+
 from g1stream.control.balance import Balance
 from g1stream.control.targets import LOWERED
 from g1stream.control.torques import HeldTorques
 from g1stream.errors import ConfigError
 from g1stream.motion.blend import minimum_jerk
 from g1stream.robot.dynamics import InverseDynamics
+from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
+from g1stream.robot.rotations import quat_conj, quat_mul, quat_rotate_inverse, rotation_vector
+from g1stream.robot.soles import SIDES
 from g1stream.types import Phase
 
 if TYPE_CHECKING:
@@ -26,11 +31,18 @@ if TYPE_CHECKING:
 __all__ = ["StandingTorques"]
 
 #: The feet stand once they carry this share of the weight, and no more below this one.
-_LANDS, _LIFTS = 0.2, 0.1
+_LANDS, _LIFTS = 0.1, 0.05
 #: Between these shares, the torque changes from that of a hanging robot to that of a standing one.
-_HANGS, _STANDS = 0.1, 0.5
+_HANGS, _STANDS = 0.05, 0.25
 #: PLAY begins when the feet have carried this share for this time, s.
 _CARRIED: Final = 0.9, 1.0
+#: The joints that turn a sole about y and about x, (2, 2).
+_ANKLES: Final = np.array(
+    [
+        [JOINT_NAMES.index(f"{side}_ankle_{axis}_joint") for axis in ("pitch", "roll")]
+        for side in SIDES
+    ]
+)
 
 
 class StandingTorques:
@@ -114,8 +126,8 @@ class StandingTorques:
         if not self._lowered_by_bridge:
             self._hanging.observe(phase, time, reading, scale)
 
-    def torque(self, moment: Moment) -> Floats:
-        """The torque (29,) of a command, N·m; that of the servos comes on top."""
+    def command(self, moment: Moment) -> Target:
+        """The target with the torque of its command; that of the servos comes on top."""
         phase, ramped, target, _, age = moment
         balance, reading = self.balance, self._reading
         if reading is None:
@@ -123,14 +135,27 @@ class StandingTorques:
         if phase is not Phase.RAMP:
             tau = balance.torque(target, reading, age)
             balance.watch(target)
-            return tau
+            return target.replace(tau=tau)
         if self._lowered_by_bridge:
             share = minimum_jerk((ramped - LOWERED) / (1.0 - LOWERED))[0]
-            return balance.torque(target, reading, age, share=share, planted=False)
-        hanging = self._hanging.torque(moment)
+            tau = balance.torque(target, reading, age, share=share, planted=False)
+            return target.replace(tau=tau)
+        hanging = self._hanging.command(moment).tau
         standing = balance.torque(target, reading, age, planted=self._landed)
         carried = balance.carried
         self._landed = carried > (_LIFTS if self._landed else _LANDS)
         self._carried_for = self._carried_for + self._period if carried > _CARRIED[0] else 0.0
         stands = minimum_jerk((carried - _HANGS) / (_STANDS - _HANGS))[0]
-        return hanging + stands * (standing - hanging)
+        return target.replace(
+            q=target.q + (1.0 - stands) * self._levelled(target),
+            tau=hanging + stands * (standing - hanging),
+        )
+
+    def _levelled(self, target: Target) -> Floats:
+        """By how much to turn the ankles (29,), rad, so that a tilted robot lands on flat soles."""
+        turn = quat_mul(self.balance.base.quat_wxyz, quat_conj(target.root_quat_wxyz))
+        tilt = quat_rotate_inverse(target.root_quat_wxyz, rotation_vector(turn))
+        change = np.zeros(N_JOINTS)
+        change[_ANKLES[:, 0]] = -tilt[1]
+        change[_ANKLES[:, 1]] = -tilt[0]
+        return change

@@ -13,7 +13,7 @@ import numpy as np
 from g1stream.control.revision import RevisionFit
 from g1stream.control.support import ForceObserver, SupportCheck
 from g1stream.robot.dynamics import BaseMotion, InverseDynamics
-from g1stream.types import Floats, Phase, StreamSupport, Support
+from g1stream.types import Phase, StreamSupport, Support
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -102,8 +102,8 @@ class TorqueSource(Protocol):
         `scale` is simulated over real time.
         """
 
-    def torque(self, moment: Moment) -> Floats:
-        """The torque (29,) of a command, N·m; that of the servos comes on top."""
+    def command(self, moment: Moment) -> Target:
+        """The target with the torque of its command; that of the servos comes on top."""
 
 
 class HeldTorques:
@@ -195,8 +195,8 @@ class HeldTorques:
         elif self._check and phase is Phase.PLAY:
             self._check.add(time, q, dq, imu, self._expected_rate, scale)
 
-    def torque(self, moment: Moment) -> Floats:
-        """The torque (29,) of a command, N·m; that of the servos comes on top."""
+    def command(self, moment: Moment) -> Target:
+        """The target with the torque of its command; that of the servos comes on top."""
         if self._fit and (moment.phase is not Phase.RAMP or moment.ramped > _DECISION):
             self._decide(self._fit.position)
             self._fit = None
@@ -212,7 +212,7 @@ class HeldTorques:
         solution = dynamics.solve(self._support, target.q, target.dq, target.ddq, base, force=force)
         if self._observer:
             self._observer.expect(dynamics.specific_force(solution, base))
-        return solution.tau
+        return target.replace(tau=solution.tau)
 
     def _decide(self, position: float | None) -> None:
         """Continue with the model that the measured torques are nearer to."""

@@ -27,6 +27,7 @@ __all__ = [
     "quat_rotate",
     "quat_rotate_inverse",
     "quat_to_rpy",
+    "rotation_vector",
     "tilt_of",
     "wxyz_from_xyzw",
     "xyzw_from_wxyz",
@@ -129,6 +130,12 @@ def quat_to_rpy(quat: Floats) -> Floats:
     rpy = np.stack([half_sum + half_difference, pitch, half_sum - half_difference], axis=-1)
     wrapped: Floats = rpy - 2 * np.pi * np.round(rpy / (2 * np.pi))
     return wrapped
+
+
+def rotation_vector(quat: Floats) -> Floats:
+    """The rotation vector (3,) of a small turn (4,), rad: twice its vector part."""
+    vector: Floats = 2.0 * np.copysign(1.0, quat[0]) * quat[1:]
+    return vector
 
 
 def tilt_of(quat_wxyz: NDArray[np.floating]) -> float:

@@ -18,6 +18,7 @@ from g1stream.control.overruns import Overruns
 from g1stream.control.phases import Inputs, PhaseState, Timing, step
 from g1stream.control.report import LoopReport
 from g1stream.control.safety import Safety
+from g1stream.control.squat import SQUAT_TIME
 from g1stream.control.targets import Targets
 from g1stream.dds.messages import LowState
 from g1stream.dds.topics import LOWCMD, Topic
@@ -128,7 +129,8 @@ class StreamLoop:
         self._target: Target | None = None
         self._prepared: tuple[bytes, bytes] | None = None
         self._prepared_for = self._published_for = 0
-        self._stop_reason = ""
+        self._requested = ""  # to end the run, when there is time
+        self._stop_reason = ""  # to end it at once
         self.state = PhaseState(Phase.WAIT, 0)
         self.motion_time = 0.0
         self.damped = True
@@ -137,8 +139,11 @@ class StreamLoop:
         self.report = LoopReport(period, composer.limits)
 
     def request_stop(self, reason: str) -> None:
-        """End the run through DAMP; may be called from a signal handler or another thread."""
-        self._stop_reason = self._stop_reason or reason
+        """End the run through DAMP; may be called from a signal handler or another thread.
+
+        A robot on its feet squats down before; a second request damps it at once.
+        """
+        self._requested = self._requested or reason
         self.stop_requests += 1
 
     def run(self) -> LoopReport:
@@ -200,7 +205,7 @@ class StreamLoop:
             return False
         if not (reason := self._link.replaced()):
             return False
-        self.request_stop(reason)
+        self._stop_reason = self._stop_reason or reason
         self._advance(self._clock.now(), deadline)
         self._prepare(deadline)
         return True
@@ -219,7 +224,7 @@ class StreamLoop:
             self.state = replace(self.state, since=self.state.since + gap)
         else:
             if stalled := self._overruns.stalled(gap):
-                self.request_stop(stalled)
+                self._stop_reason = self._stop_reason or stalled
             delay = max(0, gap - max(0, _CATCH_UP - self._period))
             self.state = replace(self.state, since=self.state.since + delay)
             self.report.delay += delay
@@ -262,6 +267,8 @@ class StreamLoop:
         return self._target.q if self._target else None
 
     def _advance(self, now: int, deadline: int) -> None:
+        if self._requested:
+            self._end_as_requested(deadline)
         before = self.state
         if self._feedforward and before.phase is Phase.RAMP:
             self._wait_in_ramp(self._feedforward.awaited(), before.elapsed(deadline))
@@ -286,6 +293,22 @@ class StreamLoop:
             _LOGGER.info("RAMP waits: %s", awaited)
         self._timing = replace(self._timing, ramp=end)
         self._targets.ramp_end = end / 1e9
+
+    def _end_as_requested(self, deadline: int) -> None:
+        """End PLAY or HOLD now if there is a way down from there, and the run otherwise."""
+        state = self.state
+        standing = self._targets.squats and state.phase in (Phase.PLAY, Phase.HOLD)
+        if not standing or self.stop_requests > 1:
+            self._stop_reason = self._stop_reason or self._requested
+        elif not state.reason:
+            play, hold = self._timing.play or 0, self._timing.hold
+            way_down, elapsed = round(SQUAT_TIME * 1e9), state.elapsed(deadline)
+            if state.phase is Phase.PLAY:
+                play, elapsed = elapsed, 0
+            hold = min(hold - way_down, max(elapsed, round(COAST * 1e9)))
+            self._targets.end(play / 1e9, hold / 1e9)
+            self._timing = replace(self._timing, play=play, hold=hold + way_down)
+            self.state = replace(state, reason=self._requested)
 
     def _no_subscriber(self) -> str:
         if not self._link.subscribers():
@@ -411,7 +434,7 @@ class StreamLoop:
             age=(deadline - measured.received) / 1e9 if measured else 0.0,
         )
         if fault := self._composer.limits.fault:
-            self.request_stop(fault)
+            self._stop_reason = self._stop_reason or fault
         self._prepared_for = deadline
         self.motion_time = due.motion_time
         self._target = due

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import inf
 from typing import TYPE_CHECKING, Final
 
@@ -13,10 +14,12 @@ from g1stream.control.loop import StreamLoop
 from g1stream.control.overruns import Overruns
 from g1stream.control.phases import Timing
 from g1stream.control.safety import Safety
+from g1stream.control.squat import SQUAT_TIME, Squat
 from g1stream.control.targets import Targets
 from g1stream.dds.domain import SETTLE
 from g1stream.dds.topics import ARM_SDK, LOWCMD
 from g1stream.errors import ConfigError
+from g1stream.motion.blend import COAST
 from g1stream.motion.correction import Conditions, CorrectionSpline
 from g1stream.motion.limits import Interval
 
@@ -110,6 +113,11 @@ def make_loop(
                 "feedforward": settings.feedforward or "velocity",
             }
         )
+    squat, timing = None, Timing.from_config(settings, interval.length, settle=settle + period)
+    if settings.support == "feet":
+        squat = Squat(robot)
+        hold = round(1e9 * (max(settings.hold, COAST) + SQUAT_TIME))
+        timing = replace(timing, hold=hold)
     spline = None
     if correction:
         _require_fit(correction, settings, robot, trajectory, gains)
@@ -125,11 +133,13 @@ def make_loop(
             ramp=settings.ramp,
             ramp_speed=settings.ramp_speed,
             played=played,
-            lift=_LIFT if settings.support == "feet" else 0.0,
+            lift=_LIFT if squat else 0.0,
+            squat=squat,
+            hold=settings.hold,
         ),
         Safety(robot, config.safety, period, held),
         Overruns(period, config.safety),
-        Timing.from_config(settings, interval.length, settle=settle + period),
+        timing,
         composer,
         period=period,
         allow_second_writer=config.safety.allow_second_writer,

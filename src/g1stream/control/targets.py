@@ -16,6 +16,7 @@ from g1stream.types import Floats, Phase
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from g1stream.control.squat import Squat
     from g1stream.motion.trajectory import Trajectory, TrajectoryPoint
 
 __all__ = ["LOWERED", "Ramp", "Target", "Targets"]
@@ -176,11 +177,14 @@ class Targets:
             RAMP starts.
         lift: m by which the pelvis is higher when RAMP begins: a simulator that holds it there
             lowers the robot onto its feet with it.
+        squat: the way down, for a robot that is on its feet.
+        hold: s of HOLD before that way down.
 
     Attributes:
         first: the target at `start`.
         ramp_end: when RAMP ends, s after it began. It may be set to later than `begin` sets it:
             RAMP then rests at the first frame until `COAST` before that.
+        squats: whether HOLD ends in a squat.
     """
 
     def __init__(
@@ -193,6 +197,8 @@ class Targets:
         ramp_speed: float = inf,
         played: NDArray[np.bool_] | None = None,
         lift: float = 0.0,
+        squat: Squat | None = None,
+        hold: float = 0.0,
     ) -> None:
         self._trajectory = trajectory
         self._start = start
@@ -201,6 +207,9 @@ class Targets:
         self._ramp_speed = ramp_speed
         self._played = None if played is None or played.all() else played
         self._lift = np.array([0.0, 0.0, lift])
+        self._squat, self._hold = squat, max(hold, COAST)
+        self._down = False
+        self.squats = squat is not None
         self._from: Floats | None = None
         self.first = Target.of(start, trajectory.sample(start))
         self._last = self.first.at_rest()
@@ -226,10 +235,22 @@ class Targets:
         elif phase is Phase.RAMP:
             self._last = self._ramping(elapsed)
         elif phase is Phase.HOLD:
-            self._last = _coasting(self._playing(self._play or 0.0), *coast(elapsed, COAST))
+            self._last = self._holding(elapsed)
         else:
             self._last = self._last.at_rest()
         return self._last
+
+    def end(self, play: float, hold: float) -> None:
+        """PLAY has ended, or ends, after `play` s, and the way down begins `hold` s later."""
+        self._play, self._hold = play, max(hold, COAST)
+
+    def _holding(self, elapsed: float) -> Target:
+        if self._squat is None or elapsed < self._hold:
+            return _coasting(self._playing(self._play or 0.0), *coast(elapsed, COAST))
+        if not self._down:
+            self._down = True
+            self._squat.begin(self._playing(self._play or 0.0).at_rest())
+        return self._squat.at(elapsed - self._hold)
 
     def _playing(self, elapsed: float) -> Target:
         time = self._start + (elapsed if self._play is None else min(elapsed, self._play))

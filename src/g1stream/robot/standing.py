@@ -159,11 +159,69 @@ class StandingDynamics:
             self._force[:3].copy(),
         )
 
+    def sole_poses(self, state: BodyState) -> tuple[Floats, Floats]:
+        """The middle of each sole (2, 3), m from the base's origin, and foot to world (2, 3, 3)."""
+        self._place(self._reference, state)
+        found: tuple[Floats, Floats] = self._find_soles(self._reference)
+        return found
+
     def soles(self, state: BodyState) -> tuple[Floats, Floats]:
         """The middle of each sole (2, 3), m from the base's origin, world, and its heading (2,)."""
-        self._place(self._reference, state)
-        pos, turns = self._find_soles(self._reference)
+        pos, turns = self.sole_poses(state)
         return pos, np.arctan2(turns[:, 1, 0], turns[:, 0, 0])
+
+    def towards(self, state: BodyState, soles: Floats, turns: Floats) -> Floats:
+        """The joints (29,), rad, one step of Newton's method nearer to where the soles shall be.
+
+        Args:
+            state: of which waist and arms are kept.
+            soles: (2, 3) m from the base's origin, world.
+            turns: (2, 3, 3) foot to world.
+        """
+        now, turned = self.sole_poses(state)
+        self._find_sole_jacobians(self._reference, now)
+        skew = turns @ turned.transpose(0, 2, 1)
+        skew = 0.5 * (skew - skew.transpose(0, 2, 1))
+        turn = skew[:, [2, 0, 1], [1, 2, 0]]
+        q: Floats = state.q.copy()
+        q[:LEGS] += self._by_legs(np.concatenate([soles - now, turn], axis=1))
+        return q
+
+    def joint_motion(self, state: BodyState, vel: Floats, acc: Floats) -> tuple[Floats, Floats]:
+        """Speeds (29,), rad/s, and accelerations, rad/s², of the legs over soles that stand.
+
+        Args:
+            state: its base does not turn, and its waist and arms rest.
+            vel: (3,) m/s of its base, world.
+            acc: (3,) m/s² likewise.
+        """
+        dq, ddq = np.zeros((2, len(JOINT_NAMES)))
+        still = np.zeros((2, 3))
+        now, _ = self.sole_poses(state)
+        self._find_sole_jacobians(self._reference, now)
+        dq[:LEGS] = self._by_legs(np.concatenate([still - vel, still], axis=1))
+        self._place(self._reference, state._replace(dq=dq))
+        self._mujoco.mj_comVel(self._model, self._reference)
+        rate = self._find_sole_jacobians(self._reference, now, rate=True)
+        moved = (rate @ self._reference.qvel).reshape(2, 6)
+        ddq[:LEGS] = self._by_legs(np.concatenate([still - acc, still], axis=1) - moved)
+        return dq, ddq
+
+    def _by_legs(self, wanted: Floats) -> Floats:
+        """The joints' part (12,) in what the soles (2, 6) shall do, by the last Jacobians."""
+        jac = _of_legs(self._jac)
+        square = jac @ jac.transpose(0, 2, 1) + _DAMPING * np.eye(6)
+        solved: Floats = jac.transpose(0, 2, 1) @ np.linalg.solve(square, wanted[:, :, np.newaxis])
+        return solved.reshape(LEGS)
+
+    def _find_sole_jacobians(self, data: Any, soles: Floats, *, rate: bool = False) -> Floats:
+        """The Jacobian (12, 35) of the soles, or its time derivative."""
+        mujoco: Any = self._mujoco
+        found: Floats = self._jac_rate if rate else self._jac
+        find = mujoco.mj_jacDot if rate else mujoco.mj_jac
+        for foot, sole, row in zip(self._feet, soles, (0, 6), strict=True):
+            find(self._model, data, found[row : row + 3], found[row + 3 : row + 6], sole, foot)
+        return found
 
     def terms(self, state: BodyState, acc: Floats, friction_at: Floats, other: Floats) -> Terms:
         """The terms of a state.
@@ -175,7 +233,7 @@ class StandingDynamics:
             other: (3,) N, world, a force on the base that is not the floor's.
         """
         mujoco, model, data = self._mujoco, self._model, self._data
-        m, h, jac, rate = self._inertia, self._bias, self._jac, self._jac_rate
+        m, h = self._inertia, self._bias
         self._place(data, state)
         mujoco.mj_comVel(model, data)
         mujoco.mj_subtreeVel(model, data)
@@ -183,16 +241,13 @@ class StandingDynamics:
         self._fill_inertia(data)
         mujoco.mj_rne(model, data, 0, h)
         soles, turns = self._find_soles(data)
-        for foot, sole, row in zip(self._feet, soles, (0, 6), strict=True):
-            rows = jac[row : row + 3], jac[row + 3 : row + 6]
-            rates = rate[row : row + 3], rate[row + 3 : row + 6]
-            mujoco.mj_jac(model, data, *rows, sole, foot)
-            mujoco.mj_jacDot(model, data, *rates, sole, foot)
+        jac = self._find_sole_jacobians(data, soles)
+        rate = self._find_sole_jacobians(data, soles, rate=True)
         v = data.qvel
         moved = (jac @ v).reshape(2, 6)
         base, legs, others = slice(0, _BASE), slice(_BASE, _BASE + LEGS), slice(_BASE + LEGS, None)
         # The legs' acceleration is L (base's acceleration) + l.
-        leg_jac = np.stack([jac[:6, _BASE : _BASE + 6], jac[6:, _BASE + 6 : _BASE + 12]])
+        leg_jac = _of_legs(jac)
         square = leg_jac @ leg_jac.transpose(0, 2, 1) + _DAMPING * np.eye(6)
         to_soles = np.concatenate([jac[:, base], (rate @ v)[:, np.newaxis]], axis=1)
         solved = leg_jac.transpose(0, 2, 1) @ np.linalg.solve(square, to_soles.reshape(2, 6, 7))
@@ -242,3 +297,9 @@ class StandingDynamics:
         turns = data.xmat[self._feet].reshape(2, 3, 3)
         pos: Floats = data.xpos[self._feet] + (turns @ self._middle[:, :, np.newaxis])[:, :, 0]
         return pos, turns
+
+
+def _of_legs(jac: Floats) -> Floats:
+    """The parts (2, 6, 6) of the soles' Jacobian (12, 35) that are of the joints of their legs."""
+    parts: Floats = np.stack([jac[:6, _BASE : _BASE + 6], jac[6:, _BASE + 6 : _BASE + 12]])
+    return parts

@@ -23,9 +23,12 @@ from g1stream.analysis.physics_report import (
     Excess,
     Foot,
     MotionPhysics,
+    OnFeet,
     TorquePeak,
     Verdict,
 )
+from g1stream.analysis.stance import stand
+from g1stream.errors import MotionError
 from g1stream.robot.dynamics import InverseDynamics
 from g1stream.robot.hulls import SelfCollision, read_hulls
 from g1stream.robot.joints import JOINT_NAMES
@@ -138,6 +141,7 @@ def motion_physics(
         robot=robot.name,
         mass_kg=loads.mass,
         verdicts={support: _verdict(support, excesses) for support, excesses in found.items()},
+        on_feet=_on_both_feet(motion, robot),
         tilt_rad=float(tilt.max()),
         hanging_tilt_rad=float(loads.hanging_tilt.max()),
         feet=tuple(_foot(frames, robot.link_names[link], i) for i, link in enumerate(soles.links)),
@@ -150,6 +154,13 @@ def motion_physics(
             support: _peaks(frames, tau, robot.torque_limit) for support, tau in loads.tau.items()
         },
     )
+
+
+def _on_both_feet(motion: Motion, robot: G1) -> OnFeet:
+    try:
+        return OnFeet(playable=True, why=str(stand(motion, robot)))
+    except MotionError as error:
+        return OnFeet(playable=False, why=error.cause.partition(": ")[2] or error.cause)
 
 
 def _without_dynamics(motion: Motion, robot: G1, soles: Soles) -> _Frames:

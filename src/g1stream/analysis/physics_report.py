@@ -14,7 +14,7 @@ from g1stream.analysis.render import labelled, table
 from g1stream.text import counted
 from g1stream.types import Support
 
-__all__ = ["Collision", "Excess", "Foot", "MotionPhysics", "TorquePeak", "Verdict"]
+__all__ = ["Collision", "Excess", "Foot", "MotionPhysics", "OnFeet", "TorquePeak", "Verdict"]
 
 Cause = Literal[
     "self-collision",
@@ -101,6 +101,18 @@ class Verdict(_Record):
         return "inexact" if self.excesses else "yes"
 
 
+class OnFeet(_Record):
+    """Whether `stream --support feet` can play a motion.
+
+    Attributes:
+        playable: with both feet planted.
+        why: what is changed for it; or what forbids it, and the frames.
+    """
+
+    playable: bool
+    why: str
+
+
 class Foot(_Record):
     """A foot on the floor at height 0.
 
@@ -182,6 +194,7 @@ class MotionPhysics(_Record):
         robot: name of the model.
         mass_kg: of the robot.
         verdicts: by support.
+        on_feet: whether it can be played on both feet; None: not examined.
         tilt_rad: of the pelvis in the motion, at most.
         hanging_tilt_rad: of the pelvis of a robot that hangs at rest in a pose of the motion.
         feet: left and right.
@@ -201,6 +214,7 @@ class MotionPhysics(_Record):
     robot: str
     mass_kg: float
     verdicts: dict[Support, Verdict]
+    on_feet: OnFeet | None = None
     tilt_rad: float
     hanging_tilt_rad: float
     feet: tuple[Foot, ...]
@@ -231,6 +245,9 @@ class MotionPhysics(_Record):
             # Nothing in the loop looks at where the mass centre is.
             can = "can be played" + " by a controller that balances" * (support == "free")
             lines.append(_line(f"  {support}", "; ".join(answers) or can))
+        if self.on_feet:
+            can = "can be played, changed" if self.on_feet.playable else "cannot be played:"
+            lines.append(_line("  feet", f"{can} {self.on_feet.why}"))
         return lines
 
     def _reasons(self) -> list[str]:

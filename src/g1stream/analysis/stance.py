@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from g1stream.motion.motion import Motion
     from g1stream.robot.model import G1
 
-__all__ = ["Standing", "stand"]
+__all__ = ["Standing", "on_standing_legs", "stand"]
 
 #: A foot that is so much higher than the other is lifted, one that is so far from where it mostly
 #: is steps, m.
@@ -53,6 +53,8 @@ _ITERATIONS: Final = 40
 #: An iteration turns no joint by more, rad; added to the squares of a leg's singular values.
 _LARGEST_TURN: Final = 0.3
 _DAMPING: Final = 1e-6
+#: Legs that do not play the motion are bent by this angle at hip and ankle, rad, the knee by twice.
+_STANCE: Final = 0.35
 #: Stretches of frames that an error names.
 _NAMED: Final = 3
 
@@ -128,6 +130,31 @@ def stand(motion: Motion, robot: G1) -> Standing:
         shifted_mm=1e3 * float(np.linalg.norm((shifted.root_pos - root)[:, :2], axis=-1).max()),
         joint_deg=float(np.degrees(change.max())),
         joint=JOINT_NAMES[joint],
+    )
+
+
+def on_standing_legs(motion: Motion, robot: G1, played: NDArray[np.bool_]) -> Motion:
+    """The motion of some joints of an upright robot, whose legs stand with bent knees.
+
+    Args:
+        motion: its pelvis is not used.
+        robot: the G1.
+        played: (29,) the joints that play it; waist and arms that do not are at 0.
+    """
+    pose = np.zeros(len(JOINT_NAMES))
+    for name, turns in (("hip_pitch", -1.0), ("knee", 2.0), ("ankle_pitch", -1.0)):
+        for side in SIDES:
+            pose[JOINT_NAMES.index(f"{side}_{name}_joint")] = turns * _STANCE
+    upright = np.tile([1.0, 0.0, 0.0, 0.0], (motion.n_frames, 1))
+    soles = Soles(robot)
+    still = np.zeros((1, 3))
+    poses = forward_kinematics(robot, pose[np.newaxis], still, upright[:1])
+    root = np.tile([0.0, 0.0, -soles.positions(poses)[..., 2].min()], (motion.n_frames, 1))
+    return replace(
+        motion,
+        joint_pos=np.where(played, motion.joint_pos, pose),
+        root_pos=root,
+        root_quat_wxyz=upright,
     )
 
 

@@ -43,8 +43,8 @@ class Inspect(SettingsCommand, MotionFlags):
 
     With --physics it also prints what it would take to play the motion bolted, hanging, with the
     pelvis led (follow) or on its feet (free): contacts and skating of the feet, self-collision,
-    centre of pressure, tilt and torques, and the frames that forbid it. That does not change the
-    exit code.
+    centre of pressure, tilt and torques, and the frames that forbid it; and whether `stream
+    --support feet` can play it (feet). That does not change the exit code.
 
     Examples:
       g1stream motion dance.csv

@@ -26,7 +26,7 @@ SQUAT_TIME: Final = 2.0
 """How long the way down takes, s."""
 
 #: Angle of hip and ankle in the squat, rad; that of the knee is twice as large.
-_BENT: Final = 0.75
+_BENT: Final = 0.85
 #: Steps of Newton's method from standing to the squat, and the times that the centre of mass is
 #: shifted to where it shall be meanwhile.
 _STEPS: Final = 3

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from g1stream.analysis.stance import stand
+from g1stream.analysis.stance import on_standing_legs, stand
 from g1stream.dds.domain import is_local_only
 from g1stream.errors import SafetyError
 from g1stream.motion.limits import Interval
@@ -23,7 +23,8 @@ __all__ = ["refuse_feet_on_robot", "stand_if_asked"]
 def stand_if_asked(motion: Motion, robot: G1, config: Config) -> tuple[Motion, str]:
     """The motion with its feet planted, and what was changed; with other supports as it is, and "".
 
-    The part that is not played need not be able to stand: it becomes a pause.
+    The part that is not played need not be able to stand: it becomes a pause. Where the legs do not
+    play the motion, they stand.
 
     Raises:
         ConfigError: the part to play is not within the motion.
@@ -43,6 +44,9 @@ def stand_if_asked(motion: Motion, robot: G1, config: Config) -> tuple[Motion, s
         root_pos=motion.root_pos[rows],
         root_quat_wxyz=motion.root_quat_wxyz[rows],
     )
+    played = robot.select(config.stream.played_joints)
+    if not played.all():
+        part = on_standing_legs(part, robot, played)
     standing = stand(part, robot)
     changed = replace(standing.motion, operations=(*motion.operations, str(standing)))
     return changed, f"{motion.name} is changed {standing}"

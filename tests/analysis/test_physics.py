@@ -22,6 +22,7 @@ from g1stream.robot.rotations import quat_rotate
 from g1stream.robot.soles import Soles
 from g1stream.session.motions import load_motion
 from g1stream.sim.model import build_model
+from g1stream.synthetic import squatting
 
 G = 9.81
 FPS = 30.0
@@ -355,3 +356,12 @@ def test_the_dance_presses_its_arm_on_the_torso():
     assert (touch.link, touch.other) == ("torso_link", "left_shoulder_yaw_link")
     assert touch.spans == ((122 - 90, 128 - 90),)
     assert touch.depth_mm == pytest.approx(17.8, abs=1.0)
+
+
+def test_feet_that_may_stay_and_feet_that_step():
+    squat = motion_physics(squatting(1.0)).on_feet
+    assert squat.playable
+    assert "pelvis lowered" in squat.why
+    demo = motion_physics(load_motion("demo").frames(280, 300)).on_feet
+    assert not demo.playable
+    assert "frames 5 to 14" in demo.why

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from g1stream.analysis.ground import beyond_support, touching
-from g1stream.analysis.stance import stand
+from g1stream.analysis.stance import on_standing_legs, stand
 from g1stream.errors import MotionError
 from g1stream.motion.motion import Motion
 from g1stream.robot.joints import JOINT_NAMES
@@ -81,3 +81,18 @@ def test_a_lifted_foot_is_refused_with_its_frames(squat):
     lifted[50:60, JOINT_NAMES.index("left_knee_joint")] += 0.6
     with pytest.raises(MotionError, match="left foot leaves the floor in frames 50 to 59"):
         stand(Motion.from_arrays(lifted, squat.root_pos, fps=squat.fps), ROBOT)
+
+
+def test_arms_play_on_legs_that_stand(squat):
+    """Of a motion that turns and walks, the arms and the waist are left."""
+    walking = Motion.from_arrays(
+        squat.joint_pos + 0.1, squat.root_pos + np.arange(len(squat.root_pos))[:, None], fps=50.0
+    )
+    played = ROBOT.select("arms")
+    changed = on_standing_legs(walking, ROBOT, played)
+    assert np.array_equal(changed.joint_pos[:, played], walking.joint_pos[:, played])
+    assert np.ptp(changed.joint_pos[:, ~played], axis=0).max() == 0.0
+    assert not changed.joint_pos[:, 12:15].any()
+    standing = stand(changed, ROBOT)
+    assert standing.lowered_mm == 0.0
+    assert corners_of(standing.motion)[..., 2].min() == pytest.approx(0.0, abs=1e-5)

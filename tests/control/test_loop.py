@@ -275,3 +275,30 @@ def test_memory_does_not_grow_with_the_motion(make_loop, link, clock, motion, ti
 
 def sleep_without_a_record(clock, deadline):
     clock.time = max(clock.time, deadline)
+
+
+class Awaiting(HeldTorques):
+    """Torques for a robot that is not ready for PLAY."""
+
+    awaited = "the robot is not there"
+
+
+def test_ramp_rests_at_the_first_frame_until_what_it_waits_for_has_come(make_loop, link, events):
+    source = Awaiting(ConstantTorque(), period=0.002)
+    link.announced = "bolted"
+
+    def come(i):
+        source.awaited = "" if i >= 200 else Awaiting.awaited
+
+    link.on_send = come
+    loop = make_loop(feedforward=feedforward("dynamics", "bolted", source=source))
+    assert loop.run().reason == ""
+    coasting = 100  # commands, 0.2 s
+    assert link.phases()["RAMP"] == 200 + coasting + 1
+    assert link.phases()["PLAY"] == PLAY
+    resting = np.array([sent.reference.q for sent in link.sent[RAMP + 2 : 200]])
+    first = link.in_phase(Phase.PLAY)[0].reference
+    assert np.ptp(resting, axis=0).max() == 0.0
+    assert resting[0] == pytest.approx(first.q, abs=1e-6)
+    assert not any(sent.reference.dq.any() for sent in link.sent[RAMP + 2 : 200])
+    assert (logging.INFO, f"RAMP waits: {Awaiting.awaited}") in events()

@@ -5,15 +5,23 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from g1stream.analysis.stance import stand
 from g1stream.config import Config
 from g1stream.control.feedforward import FeedForward
+from g1stream.control.make_loop import make_loop
 from g1stream.errors import ConfigError, MotionError, SafetyError
+from g1stream.motion.trajectory import Trajectory
 from g1stream.programs.rollout import rollout
 from g1stream.programs.standing import refuse_feet_on_robot
 from g1stream.programs.stream import with_robot_limits
-from g1stream.robot.model import G1
+from g1stream.robot.model import G1, REVISIONS
 from g1stream.robot.rotations import quat_normalize
+from g1stream.settings import SimConfig
+from g1stream.sim.lockstep import Lockstep
+from g1stream.sim.robot import SimulatedRobot
+from g1stream.sim.world import World
 from g1stream.synthetic import squatting
+from g1stream.types import Phase
 
 pytest.importorskip("daqp")
 
@@ -94,3 +102,82 @@ def test_where_there_may_be_a_robot_it_has_to_be_allowed():
     refuse_feet_on_robot(asked(experimental_feet=True))
     refuse_feet_on_robot(asked(support="hanging"))
     refuse_feet_on_robot(config(support="feet"))
+
+
+@pytest.mark.slow
+def test_it_ends_in_a_squat(session):
+    base, reference = session.base, session.reference
+    squat = base.time[-1] - 0.5 - 0.05  # just before DAMP
+    before = np.searchsorted(base.time, squat)
+    assert base.position[before, 2] < 0.65
+    assert np.linalg.norm(base.velocity[before]) < 0.02
+    assert set(np.unique(reference.phase)) >= {Phase.PLAY, Phase.HOLD, Phase.DAMP}
+
+
+def play(world, motion, announced, on_state, **stream):
+    """The loop of a motion on a world, in lockstep; `on_state` gets it at every LowState."""
+    robot = G1.default()
+    settings = Config.model_validate({"stream": SHORT | {"support": "feet"} | stream})
+    simulated = SimulatedRobot(world, SimConfig(), noise=lambda state: on_state(loop))
+    link = Lockstep(simulated, announced)
+    trajectory = Trajectory(stand(motion, robot).motion)
+    loop = make_loop(settings, robot, trajectory, link, link, settle=0)
+    loop.run()
+    return loop
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("requests", [1, 2])
+def test_a_requested_stop_squats_and_a_second_one_damps_at_once(requests):
+    world = World(G1.default(), "free")
+    heights = {}
+
+    def stop(loop):
+        phase = loop.state.phase
+        heights[phase] = float(world.data.qpos[2])
+        playing = phase is Phase.PLAY and loop.motion_time > 0.3
+        if (playing and not loop.stop_requests) or (phase is Phase.HOLD and requests == 2):
+            loop.request_stop("enough")
+
+    loop = play(world, squatting(3.0), "free", stop)
+    assert loop.report.reason == "enough"
+    assert (heights[Phase.HOLD] < 0.65) == (requests == 1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", REVISIONS)
+def test_a_robot_that_hangs_is_lowered_onto_its_feet_and_stands(name):
+    """As in unitree_mujoco: a band that is lowered, and let go once PLAY has begun."""
+    world = World(G1.load(name), "hanging")
+    band = world._support
+    heights, waited = [], []
+
+    def lower(loop):
+        if loop.state.phase is Phase.RAMP and loop.state.elapsed(loop._clock.now()) > 1.5e9:
+            waited.append(float(world.data.qpos[2]))
+            band._TOP -= 0.0006  # 0.3 m/s
+        elif loop.state.phase is Phase.PLAY:
+            band._STIFFNESS = band._DAMPING = 0.0
+            heights.append(float(world.data.qpos[2]))
+
+    loop = play(world, squatting(2.0), None, lower)
+    assert loop.report.reason == ""
+    assert loop.report.robot == name
+    assert waited[0] > 1.0  # it hung in the air
+    assert len(heights) == 1000
+    assert min(heights) > 0.68
+
+
+def test_the_legs_play_as_a_whole_or_not_at_all():
+    with pytest.raises(ConfigError, match="left_leg"):
+        rollout(squatting(1.0), support="feet", joints="left_leg,arms")
+
+
+@pytest.mark.slow
+def test_arms_of_a_motion_that_steps_play_on_planted_feet():
+    session = rollout(
+        "demo", support="feet", joints="arms", seconds=2.0, config=config(start=8.0), noise=noise()
+    )
+    assert session.metadata["stream"]["reason"] == ""
+    assert session.tracking().overall < 0.01
+    assert len(session.tracking().joints) == 14

@@ -143,9 +143,15 @@ class Stream(PlayCommand, MotionFlags):
 
     Ctrl-C damps and ends.
 
+    With --support feet the robot stands on its own feet, if both stay where they are in the motion,
+    and squats before it is damped; a second Ctrl-C damps at once. In g1stream's simulator start
+    `g1stream sim --support free`. In unitree_mujoco, where it hangs, wait for `RAMP waits`, press 8
+    in the simulator's window about once a second until the motion begins, and then 9.
+
     Examples:
       g1stream stream demo
       g1stream stream dance.csv --record dance.mcap --support hanging
+      g1stream stream dance.csv --support feet --joints arms,waist
       g1stream stream wave.csv dance.npz --blend 1 --trim 2:10 --mirror
       g1stream stream dance.csv --correction better.npz --record second.mcap
       g1stream stream dance.csv --config robot --interface eth0 --arm --duration 5

@@ -1,7 +1,7 @@
 """`--support feet` in lockstep: seconds stood, RMSE, pushes, other masses, delay, friction, tick.
 
 With noise on every measurement and a tick of delay.
-Run: python benchmarks/feet.py [--runs 10] [--seconds 60]
+Run: python benchmarks/feet.py [--runs 10] [--first 0] [--seconds 60] [--clip CSV] [--only TEXT]
 """
 
 from __future__ import annotations
@@ -9,11 +9,12 @@ from __future__ import annotations
 import argparse
 import time
 from collections import deque
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from g1stream.analysis.stance import stand
+from g1stream.analysis.stance import on_standing_legs, stand
 from g1stream.config import Config
 from g1stream.control.balance import Balance
 from g1stream.control.feedforward import FeedForward
@@ -33,8 +34,11 @@ from g1stream.synthetic import squatting
 from g1stream.types import Floats, Phase
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from g1stream.dds.messages import LowState
 
+CLIP = Path(__file__).parents[2] / "shared" / "lafan1" / "joints_labeled.csv"
 ROBOT = G1.default()
 CONFIG = Config.model_validate(
     {"sim": {"support": "free"}, "stream": {"support": "feet", "ramp": 2.0, "hold": 0.0}}
@@ -49,6 +53,15 @@ class Trouble(NamedTuple):
     mass: float = 1.0  # of the robot over the model's; the difference is in the torso
     delay: int = 0  # ms more from a command to the robot
     friction: float = 1.0  # of the floor
+
+
+NONE = Trouble()
+TROUBLES = {
+    "10 % heavier": Trouble(mass=1.1),
+    "10 % lighter": Trouble(mass=0.9),
+    "10 ms later": Trouble(delay=10),
+    "friction 0.4": Trouble(friction=0.4),
+}
 
 
 class LateLink(Lockstep):
@@ -93,18 +106,17 @@ def play(motion: Motion, trouble: Trouble, seed: int) -> tuple[float, float, str
     return stood / 500.0, float(np.sqrt(squares / max(stood, 1))), reason
 
 
-def table(name: str, motion: Motion, runs: int, trouble: Trouble = Trouble()) -> bool:  # noqa: B008
-    """Print one line; whether every run stood to its end."""
-    results = [play(motion, trouble, seed) for seed in range(runs)]
+def table(name: str, motion: Motion, seeds: range, trouble: Trouble = NONE) -> None:
+    """Print one line."""
+    results = [play(motion, trouble, seed) for seed in seeds]
     stood, rmse, reasons = zip(*results, strict=True)
     lasted = sum(not reason for reason in reasons)
     worst = next((reason for reason in reasons if reason), "")
     print(
-        f"{name:34s} {lasted:2d} of {runs:2d} to the end; stood {min(stood):5.1f} s or more; RMSE "
-        f"{min(rmse):.4f} to {max(rmse):.4f} rad {worst}",
+        f"{name:34s} {lasted:2d} of {len(seeds):2d} to the end; stood {min(stood):5.1f} s or more; "
+        f"RMSE {min(rmse):.4f} to {max(rmse):.4f} rad {worst}",
         flush=True,
     )
-    return lasted == runs
 
 
 def swaying(seconds: float) -> Motion:
@@ -162,23 +174,43 @@ def ticks(motion: Motion) -> None:
     print(f"tick of feet over that of hanging: {ratio:.2f}", flush=True)
 
 
+def motions(seconds: float, clip: Path) -> dict[str, Callable[[], Motion]]:
+    """By name: what makes the motion."""
+
+    def dancing() -> Motion:
+        dance = load_motion(clip)
+        dance = dance.frames(0, min(dance.n_frames, round(seconds * dance.fps) + 1))
+        return on_standing_legs(dance, ROBOT, ROBOT.select("arms,waist"))
+
+    return {
+        "squat and arms": lambda: squatting(seconds),
+        "weight shifts": lambda: swaying(seconds),
+        "demo, its first 8 s": lambda: load_motion("demo").frames(0, 241),
+        "dance, arms and waist": dancing,
+    }
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=10)
+    parser.add_argument("--first", type=int, default=0, help="seed of the first run")
     parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--clip", type=Path, default=CLIP, help="whose arms are danced")
+    parser.add_argument("--only", default="", help="the lines with this text in their names")
     args = parser.parse_args()
-    squat = stand(squatting(args.seconds), ROBOT).motion
+    seeds = range(args.first, args.first + args.runs)
+    for name, make in motions(args.seconds, args.clip).items():
+        if args.only in name:
+            table(name, stand(make(), ROBOT).motion, seeds)
+    squat = stand(squatting(min(args.seconds, 20.0)), ROBOT).motion
+    for name, trouble in TROUBLES.items():
+        if args.only in name:
+            table(name, squat, seeds[:1], trouble)
     short = stand(squatting(4.0), ROBOT).motion
-    ticks(short)
-    table("squat and arms", squat, args.runs)
-    table("weight shifts", stand(swaying(args.seconds), ROBOT).motion, args.runs)
-    demo = load_motion("demo")
-    table("demo, its first 8 s", stand(demo.frames(0, 241), ROBOT).motion, args.runs)
-    table("10 % heavier", squat, 1, Trouble(mass=1.1))
-    table("10 % lighter", squat, 1, Trouble(mass=0.9))
-    table("10 ms later", squat, 1, Trouble(delay=10))
-    table("friction 0.4", squat, 1, Trouble(friction=0.4))
-    pushes(short)
+    if args.only in "pushes":
+        pushes(short)
+    if args.only in "ticks":
+        ticks(short)
 
 
 if __name__ == "__main__":

@@ -41,6 +41,8 @@ _LOGGER = logging.getLogger(__name__)
 
 #: Time of the motion that one command may pass, ns.
 _CATCH_UP: Final = round(MAX_STEP_TIME * 1e9)
+#: What RAMP waits for is said again after this, ns.
+_TOLD_AGAIN: Final = 3_000_000_000
 #: Longer than any session, ns.
 _FOREVER: Final = 1 << 62
 
@@ -121,7 +123,7 @@ class StreamLoop:
         self._feedforward = feedforward
         self._soft_start = soft_start
         self._soft_until: int | None = None
-        self._waits = False  # RAMP is longer than it was to be
+        self._told = -_TOLD_AGAIN  # when in RAMP it was said that it waits, ns
         self._correction = correction
         self._low_state = LowState()
         self._measured: Measured | None = None
@@ -288,8 +290,8 @@ class StreamLoop:
         end = elapsed + self._period + round(COAST * 1e9)
         if not awaited or end <= self._timing.ramp:
             return
-        if not self._waits:
-            self._waits = True
+        if elapsed >= self._told + _TOLD_AGAIN:
+            self._told = elapsed
             _LOGGER.info("RAMP waits: %s", awaited)
         self._timing = replace(self._timing, ramp=end)
         self._targets.ramp_end = end / 1e9
@@ -377,7 +379,7 @@ class StreamLoop:
         self._composer.begin(measured.q, measured.mode_machine)
         self.report.ramp = ramp = self._targets.begin(measured.q)
         self._timing = replace(self._timing, ramp=round(ramp.length * 1e9))
-        self._waits = False
+        self._told = -_TOLD_AGAIN
         if self._feedforward:
             self._feedforward.ramp = ramp.length
             self._feedforward.ramp_to(self._targets.first)

@@ -100,8 +100,8 @@ class StandingTorques:
         if self._lowered_by_bridge or self._carried_for > _CARRIED[1]:
             return ""
         return (
-            f"the feet carry {100 * self.balance.carried:.0f} % of the weight; lower the robot "
-            f"until they carry {100 * _CARRIED[0]:.0f} %, then let it go"
+            f"the feet carry {max(0.0, 100 * self.balance.carried):.0f} % of the weight; lower "
+            f"the robot until they carry {100 * _CARRIED[0]:.0f} %, and let it go in PLAY"
         )
 
     def begin(self, support: StreamSupport, announced: str | None, robot: str | None) -> None:

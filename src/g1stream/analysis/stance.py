@@ -2,9 +2,10 @@
 
 Of a motion as it comes, even of one that means to stand, the feet slide by millimetres, sink into
 the floor and turn, and its centre of pressure may be outside of the soles. Here the feet are put
-where they are on average, flat on the floor; the pelvis keeps its height above them and its
-attitude; it is moved sideways until the centre of pressure is inside the soles; and the joints of
-the legs follow from both. Waist and arms are not changed. docs/feet.md has the method.
+where they are on average while they stand, flat on the floor; a foot that is lifted comes back
+there. The pelvis keeps its height above them and its attitude; it is moved sideways until the
+centre of pressure is inside the soles that stand; and the joints of the legs follow from both.
+Waist and arms are not changed. docs/feet.md has the method.
 """
 
 from __future__ import annotations
@@ -16,12 +17,13 @@ import numpy as np
 
 from g1stream.analysis.ground import beyond_support, zero_moment_point
 from g1stream.errors import MotionError
+from g1stream.motion.blend import minimum_jerk
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.dynamics import GRAVITY, BaseMotion, InverseDynamics
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
 from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.rotations import quat_conj, quat_from_rpy, quat_mul, quat_rotate, yaw_of
-from g1stream.robot.soles import SIDES, Soles
+from g1stream.robot.soles import OFF_FLOOR, SIDES, Soles
 from g1stream.types import Floats
 
 if TYPE_CHECKING:
@@ -32,15 +34,18 @@ if TYPE_CHECKING:
 
 __all__ = ["Standing", "on_standing_legs", "stand"]
 
-#: A foot that is so much higher than the other is lifted, one that is so far from where it mostly
-#: is steps, m.
-_LIFTED: Final = 0.03
+#: A foot that is so much higher than the other is lifted, from when it was higher by the second
+#: figure until it is not, m.
+_LIFTED: Final = 0.03, 0.01
+#: A foot that stands so far from where it mostly stands steps, m.
 _STEPS: Final = 0.1
+#: A lifted foot comes off its place, and back, within this, s.
+_LEAVES: Final = 0.1
 #: How far the centre of pressure is kept from the edge of the support polygon, m.
 _MARGIN: Final = 0.02
 #: A centre of pressure this near to where it shall be is there, m, and attempts to get it there.
 _NEAR: Final = 0.002
-_ATTEMPTS: Final = 6
+_ATTEMPTS: Final = 12
 #: A knee is bent by this at least, rad: a stretched one cannot lift the pelvis.
 _KNEE: Final = 0.12
 _BENT: Final = 0.4  # where the search begins
@@ -61,11 +66,11 @@ _NAMED: Final = 3
 
 @dataclass(frozen=True)
 class Standing:
-    """A motion that can be played on both feet, and what was changed for it.
+    """A motion that can be played on the feet, and what was changed for it.
 
     Attributes:
-        motion: the changed motion, its feet flat on a floor at height 0.
-        moved_mm: how far a foot was moved relative to the other at most.
+        motion: the changed motion, its feet flat, on a floor at height 0 unless they are lifted.
+        moved_mm: how far a foot that stands was moved relative to the other at most.
         turned_deg: by how much a foot was turned at most.
         lowered_mm: by how much the pelvis was lowered over the feet.
         shifted_mm: by how much it was moved sideways over the feet at most.
@@ -91,35 +96,46 @@ class Standing:
 
 
 def stand(motion: Motion, robot: G1) -> Standing:
-    """The motion with both feet planted.
+    """The motion with its feet planted but for when they are lifted.
 
     Args:
-        motion: whose feet both stay on the floor.
+        motion: whose feet stay where they are, but for lifting one at a time.
         robot: the G1.
 
     Raises:
-        MotionError: it cannot be played on both feet; the frames are named.
+        MotionError: it cannot be played on the feet; the frames are named.
         RobotError: the soles of this robot are not known.
     """
     soles = Soles(robot)
     poses = forward_kinematics(robot, motion.joint_pos, motion.root_pos, motion.root_quat_wxyz)
     feet, turns = poses.pos[:, soles.links], poses.quat_wxyz[:, soles.links]
-    _require_planted(motion, feet, soles.positions(poses))
-    heading = yaw_of(turns)
+    lifted = _find_lifted(motion, feet, soles.positions(poses))
+    both = ~lifted.any(axis=1)
+    heading = yaw_of(turns[both])
     mean = np.arctan2(np.sin(heading).mean(axis=0), np.cos(heading).mean(axis=0))
     flat = quat_from_rpy(np.stack([0.0 * mean, 0.0 * mean, mean], axis=-1))
     turned = 2.0 * np.arccos(np.abs(quat_mul(quat_conj(flat), turns)[..., 0]).clip(0.0, 1.0))
-    height = -soles.corners[..., 2].min()
-    middle = feet.mean(axis=1)
-    apart = feet - middle[:, np.newaxis]
-    planted = middle[0] + apart.mean(axis=0)
-    planted[:, 2] = height
-    root = motion.root_pos + planted.mean(axis=0) - middle
-    legs = _Legs(robot, soles, planted, flat)
+    middle = feet.mean(axis=1, keepdims=True)
+    apart = (feet - middle)[both]
+    planted = middle[both][0] + apart.mean(axis=0)
+    planted[:, 2] = -soles.corners[..., 2].min()
+    # The pelvis is over the feet that stand as it was.
+    away = np.stack([_leaving(one, motion.fps) for one in lifted.T], axis=1)[..., np.newaxis]
+    stands = 1.0 - away
+    root = motion.root_pos + (stands * (planted - feet)).sum(axis=1) / stands.sum(axis=1)
+    off = (feet - feet[:, ::-1]) - (planted - planted[::-1])
+    legs = _Legs(robot, soles, planted + away * off, flat)
     lowered, joint_pos = legs.lowered(motion, root)
-    root = root - [0.0, 0.0, lowered]
-    standing = replace(motion, joint_pos=joint_pos, root_pos=root)
-    shifted = _balanced(standing, robot, legs)
+    while True:
+        low = root - [0.0, 0.0, lowered]
+        try:
+            shifted = _balanced(replace(motion, joint_pos=joint_pos, root_pos=low), robot, legs)
+            break
+        except _OutOfReachError as error:
+            lowered += 2.0 * _STEP
+            if lowered > _LOWEST:
+                raise error.refusal from None
+            joint_pos, _ = legs.reach(joint_pos, root - [0.0, 0.0, lowered], motion.root_quat_wxyz)
     change = np.abs(shifted.joint_pos - motion.joint_pos)
     joint = int(change.max(axis=0).argmax())
     return Standing(
@@ -127,7 +143,7 @@ def stand(motion: Motion, robot: G1) -> Standing:
         moved_mm=1e3 * float(np.linalg.norm(apart - apart.mean(axis=0), axis=-1).max()),
         turned_deg=float(np.degrees(turned.max())),
         lowered_mm=1e3 * lowered,
-        shifted_mm=1e3 * float(np.linalg.norm((shifted.root_pos - root)[:, :2], axis=-1).max()),
+        shifted_mm=1e3 * float(np.linalg.norm((shifted.root_pos - low)[:, :2], axis=-1).max()),
         joint_deg=float(np.degrees(change.max())),
         joint=JOINT_NAMES[joint],
     )
@@ -158,36 +174,67 @@ def on_standing_legs(motion: Motion, robot: G1, played: NDArray[np.bool_]) -> Mo
     )
 
 
-def _require_planted(motion: Motion, feet: Floats, corners: Floats) -> None:
-    """Refuse a motion that lifts a foot or steps.
+def _find_lifted(motion: Motion, feet: Floats, corners: Floats) -> NDArray[np.bool_]:
+    """Which foot is lifted (T, 2); never both.
 
     The floor is where the lower foot is, because retargeted feet float and sink.
+
+    Raises:
+        MotionError: a foot steps, or the feet never stand both.
     """
     lowest = corners[..., 2].reshape(-1, 2, 4).min(axis=2)
     above = lowest - lowest.min(axis=1, keepdims=True)
-    moved = np.linalg.norm((feet - np.median(feet, axis=0))[..., :2], axis=-1)
+    lifted = np.zeros(above.shape, np.bool_)
+    for foot in range(len(SIDES)):
+        for first, stop in _stretches(above[:, foot] > _LIFTED[1]):
+            lifted[first:stop, foot] = above[first:stop, foot].max() > _LIFTED[0]
+    both = ~(lifted[:, 0] | lifted[:, 1])
+    if not both.any():
+        raise _refused(motion, "the feet never stand both", ~both)
+    moved = np.linalg.norm((feet - np.median(feet[both], axis=0))[..., :2], axis=-1)
     for foot, side in enumerate(SIDES):
-        for why, where in (
-            ("leaves the floor", above[:, foot] > _LIFTED),
-            ("steps", moved[:, foot] > _STEPS),
-        ):
-            if where.any():
-                raise _refused(motion, f"the {side} foot {why}", where)
+        steps = (moved[:, foot] > _STEPS) & ~lifted[:, foot]
+        if steps.any():
+            raise _refused(motion, f"the {side} foot steps", steps)
+    return lifted
+
+
+def _leaving(lifted: NDArray[np.bool_], fps: float) -> Floats:
+    """How far a foot follows the motion instead of standing (T,): 1 while it is lifted, or 0."""
+    frames = np.arange(len(lifted))
+    if not lifted.any():
+        return np.zeros(len(lifted))
+    nearest = np.abs(frames[:, np.newaxis] - np.flatnonzero(lifted)).min(axis=1)
+    away: Floats = 1.0 - minimum_jerk(nearest / (fps * _LEAVES))[0]
+    return away
+
+
+def _stretches(where: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """First frame and the one after the last of each stretch, (N, 2)."""
+    edges: NDArray[np.intp] = np.flatnonzero(np.diff(where, prepend=False, append=False))
+    return edges.reshape(-1, 2)
+
+
+class _OutOfReachError(Exception):
+    """The legs are too short for where the pelvis is."""
+
+    def __init__(self, refusal: MotionError) -> None:
+        self.refusal = refusal
 
 
 def _refused(motion: Motion, why: str, where: NDArray[np.bool_]) -> MotionError:
-    edges = np.flatnonzero(np.diff(where, prepend=False, append=False)).reshape(-1, 2)
+    edges = _stretches(where)
     named = ", ".join(f"{first} to {stop - 1}" for first, stop in edges[:_NAMED])
     more = f" and {len(edges) - _NAMED} more stretches" if len(edges) > _NAMED else ""
     return MotionError(
-        f"{motion.name} cannot be played on both feet: {why} in frames {named}{more}.",
-        "Play a part in which both feet stand (--start, --duration), or hold the robot and give "
+        f"{motion.name} cannot be played on its feet: {why} in frames {named}{more}.",
+        "Play a part in which the feet can stand (--start, --duration), or hold the robot and give "
         "--support hanging.",
     )
 
 
 class _Legs:
-    """The joints of the legs for feet that stand."""
+    """The joints of the legs for given feet: (T, 2, 3) m, and (2, 4) how they are turned."""
 
     def __init__(self, robot: G1, soles: Soles, feet: Floats, turns: Floats) -> None:
         self._robot, self._soles = robot, soles
@@ -198,8 +245,10 @@ class _Legs:
             for joints in self._joints
         ]
         self._knees = [JOINT_NAMES.index(f"{side}_knee_joint") for side in SIDES]
-        corners = quat_rotate(turns[:, np.newaxis], soles.corners) + feet[:, np.newaxis]
-        self.corners: Floats = corners.reshape(8, 3)
+        corners = quat_rotate(turns[:, np.newaxis], soles.corners) + feet[:, :, np.newaxis]
+        self.corners: Floats = corners.reshape(-1, 8, 3)
+        floor = -soles.corners[..., 2].min()
+        self.touches = np.repeat(feet[..., 2] < floor + OFF_FLOOR, 4, axis=1)
 
     def lowered(self, motion: Motion, root: Floats) -> tuple[float, Floats]:
         """By how much the pelvis has to be lowered, m, and the joints (T, 29) then.
@@ -239,7 +288,7 @@ class _Legs:
                 turn = quat_mul(self._turns[foot], quat_conj(poses.quat_wxyz[:, link]))
                 turn *= np.sign(turn[:, :1])
                 off = np.concatenate(
-                    [self._feet[foot] - poses.pos[:, link], 2.0 * turn[:, 1:]], axis=1
+                    [self._feet[:, foot] - poses.pos[:, link], 2.0 * turn[:, 1:]], axis=1
                 )
                 worst = np.maximum(worst, np.abs(off).max(axis=1))
                 axes = quat_rotate(poses.quat_wxyz[:, links], self._robot.axis[links])
@@ -262,16 +311,16 @@ def _balanced(motion: Motion, robot: G1, legs: _Legs) -> Motion:
 
     Raises:
         MotionError: it cannot be, because the motion is too fast.
+        _OutOfReachError: the legs are too short for that.
     """
     from scipy.linalg import solveh_banded
 
     dynamics = InverseDynamics(robot)
-    everywhere = np.ones((motion.n_frames, 8), bool)
-    corners = np.broadcast_to(legs.corners, (motion.n_frames, 8, 3))
-    middle = legs.corners[:, :2].mean(axis=0)
+    touches = legs.touches[..., np.newaxis]
+    middle = (touches * legs.corners[..., :2]).sum(axis=1) / touches.sum(axis=1)
     for _ in range(_ATTEMPTS):
         points, height = _pressure(motion, dynamics)
-        outside = beyond_support(points, corners, everywhere) + _MARGIN
+        outside = beyond_support(points, legs.corners, legs.touches) + _MARGIN
         if outside.max() <= _NEAR:
             return motion
         inward = middle - points
@@ -285,7 +334,8 @@ def _balanced(motion: Motion, robot: G1, legs: _Legs) -> Motion:
         root[:, :2] += solveh_banded(bands, wanted)
         joint_pos, error = legs.reach(motion.joint_pos, root, motion.root_quat_wxyz)
         if error.max() > _EXACT:
-            raise _refused(motion, "the legs do not reach the floor", error > _EXACT)
+            why = _refused(motion, "the legs do not reach the floor", error > _EXACT)
+            raise _OutOfReachError(why)
         motion = replace(motion, joint_pos=joint_pos, root_pos=root)
     raise _refused(motion, "the centre of pressure leaves the soles", outside > _MARGIN)
 

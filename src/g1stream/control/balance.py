@@ -24,6 +24,7 @@ from g1stream.robot.rotations import (
     rotation_vector,
     tilt_of,
 )
+from g1stream.robot.soles import OFF_FLOOR
 from g1stream.robot.standing import LEGS, BodyState, StandingDynamics
 from g1stream.types import Floats
 
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     from g1stream.control.targets import Target
     from g1stream.control.torques import Reading
     from g1stream.robot.model import G1
-    from g1stream.robot.standing import Terms
+    from g1stream.robot.standing import Movement, Terms
 
 __all__ = ["Balance"]
 
@@ -78,7 +79,7 @@ _UNSOLVED: Final = 0.05
 
 
 class Balance:
-    """Finds the torques of a robot that stands on both feet.
+    """Finds the torques of a robot that stands on its feet, or on one while the other is lifted.
 
     Args:
         robot: the G1.
@@ -111,6 +112,7 @@ class Balance:
         self._least[: 2 * len(self._cone)] = np.tile(self._cone_least, 2)
         self.base = BaseEstimate()
         self._planted = np.zeros((2, 3)), np.zeros(2)
+        self._stands = True, True
         self._root_pos = np.zeros(3)
         self.carried = 0.0
         self.fall = ""
@@ -127,6 +129,7 @@ class Balance:
         self._planted = pos + first.root_pos, headings
         self._root_pos = first.root_pos
         self.base.begin(*self._planted)
+        self._stands = True, True
         self.wrench, self.fall, self.carried = None, "", 0.0
         self._other = np.zeros(3)
         self._lasted = dict.fromkeys(self._lasted, 0.0)
@@ -160,16 +163,20 @@ class Balance:
         state = BodyState(quat, ang_vel, q, dq)
         if share is not None:
             self._other = np.array([0.0, 0.0, (1.0 - share) * self._dynamics.weight])
-        terms = self._dynamics.terms(state, target.ddq[LEGS:], target.dq, self._other)
+        reference = self._reference(target)
+        if planted:
+            self._stands = tuple(reference.soles[:, 2] < self._planted[0][:, 2] + OFF_FLOOR)
+        terms = self._dynamics.terms(state, target.ddq, target.dq, self._other, self._stands)
         self.terms = terms
         if not planted:
             base.begin(*self._planted)
             target = target.replace(root_pos=self._root_pos)  # the target's may be lifted
+            reference = self._reference(target)
         base.update(terms, imu, self._load(), self._period)
         self._find_other_force(terms, measured, found=share is None)
         if share == 0.0:
             return terms.gravity_tau
-        wanted_force, wanted_turn = self._wanted(target, state, terms, ahead)
+        wanted_force, wanted_turn = self._wanted(target, reference, state, terms, ahead)
         wrench = self._distribute(terms, wanted_force, wanted_turn)
         self._missing = wanted_force - wrench[:3] - wrench[6:9]
         legs, others = terms.leg_tau, terms.other_tau
@@ -200,11 +207,15 @@ class Balance:
         if falls and not self.fall:
             self.fall = f"the robot falls: {falls}"
 
+    def _reference(self, target: Target) -> Movement:
+        acc = target.root_lin_acc, target.root_ang_acc, target.ddq
+        state = _state_of(target)
+        return self._dynamics.movement(state, target.root_pos, target.root_lin_vel, acc)
+
     def _load(self) -> Floats:
-        """What each foot carries (2,), in sum 1."""
-        if self.wrench is None:
-            return np.array([0.5, 0.5])
-        force = np.maximum(self.wrench[[2, 8]], 1e-3 * self._dynamics.weight)
+        """What each foot carries (2,), in sum 1; 0 of a foot that is lifted."""
+        force = np.full(2, 0.5) if self.wrench is None else self.wrench[[2, 8]]
+        force = np.maximum(force, 1e-3 * self._dynamics.weight) * self._stands
         load: Floats = force / force.sum()
         return load
 
@@ -215,10 +226,11 @@ class Balance:
         own acceleration is left out.
         """
         moved = (terms.gravity_tau - measured.tau)[:LEGS].reshape(2, 6, 1)
-        floor = np.linalg.solve(
+        wrenches = np.linalg.solve(
             terms.leg_jac @ terms.leg_jac.transpose(0, 2, 1) + 1e-6 * np.eye(6),
             terms.leg_jac @ moved,
-        )[:, :3, 0].sum(axis=0)
+        )[:, :3, 0]
+        floor = wrenches[list(self._stands)].sum(axis=0)
         carried = float(floor[2]) / self._dynamics.weight
         self.carried += (carried - self.carried) * self._period / _LOAD
         if not found:
@@ -229,15 +241,9 @@ class Balance:
         self._other = self._other + (other - self._other) * rate
 
     def _wanted(
-        self, target: Target, state: BodyState, terms: Terms, ahead: float
+        self, target: Target, reference: Movement, state: BodyState, terms: Terms, ahead: float
     ) -> tuple[Floats, Floats]:
         """The force of the floor, N, and the pelvis's angular acceleration, rad/s², to aim at."""
-        reference = self._dynamics.movement(
-            _state_of(target),
-            target.root_pos,
-            target.root_lin_vel,
-            (target.root_lin_acc, target.root_ang_acc, target.ddq),
-        )
         vel = terms.centre_vel + self.base.vel
         pos = terms.centre + self.base.pos + ahead * self.base.vel
         stiff, damp = _CENTRE
@@ -269,15 +275,18 @@ class Balance:
         rows[2 * n :] = leg * (weight / self._limit[:, np.newaxis])
         idle = constant / self._limit
         self._least[2 * n :], self._most[2 * n :] = -1.0 - idle, 1.0 - idle
-        found, _, flag, _ = self._solve(
-            square,
-            -(counted @ wanted),
-            rows,
-            self._most,
-            self._least,
-            self._kinds,
-            iter_limit=_ITERATIONS,
+        linear, least, most, kinds = -(counted @ wanted), self._least, self._most, self._kinds
+        found = np.zeros(12)
+        free = np.repeat(self._stands, 6)
+        if not free.all():  # without the wrench of the lifted foot
+            used = np.concatenate([np.repeat(self._stands, n), np.ones(LEGS, np.bool_)])
+            square, linear = np.ascontiguousarray(square[np.ix_(free, free)]), linear[free]
+            rows = np.ascontiguousarray(rows[np.ix_(used, free)])
+            least, most, kinds = least[used], most[used], kinds[used]
+        solved, _, flag, _ = self._solve(
+            square, linear, rows, most, least, kinds, iter_limit=_ITERATIONS
         )
+        found[free] = solved
         wrench: Floats = weight * found
         if flag != _OPTIMAL or not np.isfinite(wrench).all():
             self.failures += 1

@@ -1,8 +1,8 @@
 """Where the pelvis of a standing robot is, from its legs and its IMU; pure.
 
-The soles do not move. So the joints of the legs say where the pelvis is and how fast it moves, and
-the IMU how it is turned. The accelerometer is fresher and less noisy than the joints' speeds: the
-velocity follows it at once, and the legs within `_FOLLOWS` (a complementary filter).
+Soles that stand do not move. So the joints of the legs say where the pelvis is and how fast it
+moves, and the IMU how it is turned. The accelerometer is fresher and less noisy than the joints'
+speeds: the velocity follows it at once, and the legs within `_FOLLOWS` (a complementary filter).
 """
 
 from __future__ import annotations
@@ -42,6 +42,7 @@ class BaseEstimate:
 
     def __init__(self) -> None:
         self.soles, self._headings = np.zeros((2, 3)), np.zeros(2)
+        self._floor = 0.0
         self._drift = 0.0  # heading of the IMU's world in the reference's, rad
         self._begins = True  # the next LowState says where it is, without a history
         self.pos, self.vel = np.zeros(3), np.zeros(3)
@@ -50,6 +51,7 @@ class BaseEstimate:
     def begin(self, soles: Floats, headings: Floats) -> None:
         """Set where the soles (2, 3) stand, m, and their headings (2,), rad."""
         self.soles, self._headings = soles.copy(), headings.copy()
+        self._floor = float(soles[:, 2].mean())
         self._begins = True
         self.vel = np.zeros(3)
 
@@ -65,11 +67,11 @@ class BaseEstimate:
         Args:
             terms: of the pelvis as turned last.
             imu: the reading.
-            load: (2,) what each foot carries, in sum 1.
+            load: (2,) what each foot carries, in sum 1; 0 of a foot that is lifted.
             passed: s since the last one.
         """
         turned = np.arctan2(terms.turns[:, 1, 0], terms.turns[:, 0, 0]) - self._headings
-        error = float(np.arctan2(np.sin(turned), np.cos(turned)).mean())
+        error = float(load @ np.arctan2(np.sin(turned), np.cos(turned)))
         by_legs = -load @ terms.sole_vel
         if self._begins:  # the error is that of a heading from which the drift is already taken
             self._drift, self.vel, self._begins = self._drift + error, by_legs, False
@@ -81,3 +83,6 @@ class BaseEstimate:
         self.pos = load @ (self.soles - terms.soles)
         slipped = self.pos + terms.soles - self.soles
         self.soles = self.soles + slipped * (passed / _SLIPPED)
+        lifted = load == 0.0  # it stands where it comes down
+        self.soles[lifted, :2] += slipped[lifted, :2] * (1.0 - passed / _SLIPPED)
+        self.soles[lifted, 2] = self._floor

@@ -16,9 +16,12 @@ if TYPE_CHECKING:
     from g1stream.robot.model import G1
     from g1stream.types import Floats
 
-__all__ = ["SIDES", "Soles"]
+__all__ = ["OFF_FLOOR", "SIDES", "Soles"]
 
 SIDES: Final = ("left", "right")
+
+OFF_FLOOR: Final = 0.002
+"""A sole that a reference has so much above the floor is lifted, m."""
 
 #: Vertices of a sole this far above its lowest one belong to its lower side, m.
 _FLAT: Final = 1e-3

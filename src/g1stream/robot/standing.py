@@ -1,4 +1,4 @@
-"""The equations of motion of a robot whose feet stand still on the floor.
+"""The equations of motion of a robot whose feet stand still on the floor, or are lifted.
 
 With a = (base's acceleration, joints' acceleration) and a wrench w of the floor on each sole,
 
@@ -6,7 +6,8 @@ With a = (base's acceleration, joints' acceleration) and a wrench w of the floor
 
 (R. Featherstone, "Rigid Body Dynamics Algorithms", 2008, chapter 8). The second equation says that
 the soles do not move; it gives the legs' acceleration from the base's. What the waist and the arms
-do is given. So the twelve numbers of w are all that is free, and everything else is linear in them.
+do is given, and what the leg of a lifted foot does, where w is 0. So the numbers of w are all that
+is free, and everything else is linear in them.
 """
 
 from __future__ import annotations
@@ -54,17 +55,19 @@ class BodyState(NamedTuple):
 
 
 class Movement(NamedTuple):
-    """How the centre of mass moves.
+    """How a reference moves.
 
     Attributes:
-        pos: (3,) m, world.
+        pos: (3,) m, world, of the centre of mass.
         vel: (3,) m/s, world.
         force: (3,) N, world, of the floor that this takes, the weight included.
+        soles: (2, 3) m, world, the middle of each sole.
     """
 
     pos: Floats
     vel: Floats
     force: Floats
+    soles: Floats
 
 
 class Terms(NamedTuple):
@@ -139,7 +142,7 @@ class StandingDynamics:
     def movement(
         self, state: BodyState, pos: Floats, lin_vel: Floats, acc: tuple[Floats, Floats, Floats]
     ) -> Movement:
-        """How the centre of mass of a reference moves.
+        """How a reference moves.
 
         Args:
             state: of the reference.
@@ -157,6 +160,7 @@ class StandingDynamics:
             data.subtree_com[_ROOT] + pos,
             data.subtree_linvel[_ROOT] + lin_vel,
             self._force[:3].copy(),
+            self._find_soles(data)[0] + pos,
         )
 
     def sole_poses(self, state: BodyState) -> tuple[Floats, Floats]:
@@ -223,14 +227,22 @@ class StandingDynamics:
             find(self._model, data, found[row : row + 3], found[row + 3 : row + 6], sole, foot)
         return found
 
-    def terms(self, state: BodyState, acc: Floats, friction_at: Floats, other: Floats) -> Terms:
+    def terms(
+        self,
+        state: BodyState,
+        acc: Floats,
+        friction_at: Floats,
+        other: Floats,
+        stands: tuple[bool, bool] = (True, True),
+    ) -> Terms:
         """The terms of a state.
 
         Args:
             state: measured.
-            acc: (17,) rad/s², what the joints of waist and arms shall do.
+            acc: (29,) rad/s², what the joints of waist and arms shall do, and of a lifted leg.
             friction_at: (29,) rad/s, the speeds at which the joints' friction is taken.
             other: (3,) N, world, a force on the base that is not the floor's.
+            stands: which foot does.
         """
         mujoco, model, data = self._mujoco, self._model, self._data
         m, h = self._inertia, self._bias
@@ -251,9 +263,12 @@ class StandingDynamics:
         square = leg_jac @ leg_jac.transpose(0, 2, 1) + _DAMPING * np.eye(6)
         to_soles = np.concatenate([jac[:, base], (rate @ v)[:, np.newaxis]], axis=1)
         solved = leg_jac.transpose(0, 2, 1) @ np.linalg.solve(square, to_soles.reshape(2, 6, 7))
-        led = -solved.reshape(LEGS, 7)
+        led = -solved
+        for foot in (foot for foot in (0, 1) if not stands[foot]):
+            led[foot, :, :6], led[foot, :, 6] = 0.0, acc[6 * foot : 6 * foot + 6]
+        led = led.reshape(LEGS, 7)
         m_bl = m[base, legs]
-        given = m[:, others] @ acc + h
+        given = m[:, others] @ acc[LEGS:] + h
         inertia = m[base, base] + m_bl @ led[:, :6]
         known = given[:_BASE] + m_bl @ led[:, 6]
         known[:3] -= other

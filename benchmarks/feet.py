@@ -185,7 +185,7 @@ def motions(seconds: float, clip: Path) -> dict[str, Callable[[], Motion]]:
     return {
         "squat and arms": lambda: squatting(seconds),
         "weight shifts": lambda: swaying(seconds),
-        "demo, its first 8 s": lambda: load_motion("demo").frames(0, 241),
+        "demo": lambda: load_motion("demo"),
         "dance, arms and waist": dancing,
     }
 

@@ -358,10 +358,13 @@ def test_the_dance_presses_its_arm_on_the_torso():
     assert touch.depth_mm == pytest.approx(17.8, abs=1.0)
 
 
-def test_feet_that_may_stay_and_feet_that_step():
-    squat = motion_physics(squatting(1.0)).on_feet
-    assert squat.playable
-    assert "pelvis lowered" in squat.why
-    demo = motion_physics(load_motion("demo").frames(280, 300)).on_feet
-    assert not demo.playable
-    assert "frames 5 to 14" in demo.why
+def test_feet_that_stay_and_feet_that_walk():
+    squat = squatting(1.0)
+    found = motion_physics(squat).on_feet
+    assert found.playable
+    assert "pelvis lowered" in found.why
+    q, root_pos = squat.joint_pos, squat.root_pos.copy()
+    root_pos[:, 0] += np.linspace(0.0, 1.0, len(root_pos))
+    found = motion_physics(moving(q, root_pos)).on_feet
+    assert not found.playable
+    assert "left foot steps in frames 0 to " in found.why

@@ -141,7 +141,7 @@ def motion_physics(
         robot=robot.name,
         mass_kg=loads.mass,
         verdicts={support: _verdict(support, excesses) for support, excesses in found.items()},
-        on_feet=_on_both_feet(motion, robot),
+        on_feet=_on_planted_feet(motion, robot),
         tilt_rad=float(tilt.max()),
         hanging_tilt_rad=float(loads.hanging_tilt.max()),
         feet=tuple(_foot(frames, robot.link_names[link], i) for i, link in enumerate(soles.links)),
@@ -156,7 +156,7 @@ def motion_physics(
     )
 
 
-def _on_both_feet(motion: Motion, robot: G1) -> OnFeet:
+def _on_planted_feet(motion: Motion, robot: G1) -> OnFeet:
     try:
         return OnFeet(playable=True, why=str(stand(motion, robot)))
     except MotionError as error:

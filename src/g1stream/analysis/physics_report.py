@@ -105,7 +105,7 @@ class OnFeet(_Record):
     """Whether `stream --support feet` can play a motion.
 
     Attributes:
-        playable: with both feet planted.
+        playable: as it is changed.
         why: what is changed for it; or what forbids it, and the frames.
     """
 
@@ -194,7 +194,7 @@ class MotionPhysics(_Record):
         robot: name of the model.
         mass_kg: of the robot.
         verdicts: by support.
-        on_feet: whether it can be played on both feet; None: not examined.
+        on_feet: whether it can be played on its feet; None: not examined.
         tilt_rad: of the pelvis in the motion, at most.
         hanging_tilt_rad: of the pelvis of a robot that hangs at rest in a pose of the motion.
         feet: left and right.

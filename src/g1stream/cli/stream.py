@@ -143,10 +143,11 @@ class Stream(PlayCommand, MotionFlags):
 
     Ctrl-C damps and ends.
 
-    With --support feet the robot stands on its own feet, if both stay where they are in the motion,
-    and squats before it is damped; a second Ctrl-C damps at once. In g1stream's simulator start
-    `g1stream sim --support free`. In unitree_mujoco, where it hangs, wait for `RAMP waits`, press 8
-    in the simulator's window about once a second until the motion begins, and then 9.
+    With --support feet the robot stands on its own feet, if they stay where they are in the motion
+    or are lifted one by one, and squats before it is damped; a second Ctrl-C damps at once. In
+    g1stream's simulator start `g1stream sim --support free`. In unitree_mujoco, where it hangs,
+    wait for `RAMP waits`, press 8 in the simulator's window about once a second until the motion
+    begins, and then 9.
 
     Examples:
       g1stream stream demo

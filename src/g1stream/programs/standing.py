@@ -28,7 +28,7 @@ def stand_if_asked(motion: Motion, robot: G1, config: Config) -> tuple[Motion, s
 
     Raises:
         ConfigError: the part to play is not within the motion.
-        MotionError: it cannot be played on both feet.
+        MotionError: it cannot be played on its feet.
         RobotError: the soles of this robot are not known.
     """
     if config.stream.support != "feet":

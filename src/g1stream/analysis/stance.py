@@ -23,7 +23,7 @@ from g1stream.robot.dynamics import GRAVITY, BaseMotion, InverseDynamics
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
 from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.rotations import quat_conj, quat_from_rpy, quat_mul, quat_rotate, yaw_of
-from g1stream.robot.soles import OFF_FLOOR, SIDES, Soles
+from g1stream.robot.soles import OFF_FLOOR, SIDES, Soles, bent_legs
 from g1stream.types import Floats
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ _ITERATIONS: Final = 40
 #: An iteration turns no joint by more, rad; added to the squares of a leg's singular values.
 _LARGEST_TURN: Final = 0.3
 _DAMPING: Final = 1e-6
-#: Legs that do not play the motion are bent by this angle at hip and ankle, rad, the knee by twice.
+#: Legs that do not play the motion are bent by this angle at hip and ankle, rad.
 _STANCE: Final = 0.35
 #: Stretches of frames that an error names.
 _NAMED: Final = 3
@@ -125,6 +125,9 @@ def stand(motion: Motion, robot: G1) -> Standing:
     root = motion.root_pos + (stands * (planted - feet)).sum(axis=1) / stands.sum(axis=1)
     off = (feet - feet[:, ::-1]) - (planted - planted[::-1])
     legs = _Legs(robot, soles, planted + away * off, flat)
+    flying: NDArray[np.bool_] = ~legs.touches.any(axis=1)
+    if flying.any():
+        raise _refused(motion, "both feet are lifted", flying)
     lowered, joint_pos = legs.lowered(motion, root)
     while True:
         low = root - [0.0, 0.0, lowered]
@@ -157,10 +160,7 @@ def on_standing_legs(motion: Motion, robot: G1, played: NDArray[np.bool_]) -> Mo
         robot: the G1.
         played: (29,) the joints that play it; waist and arms that do not are at 0.
     """
-    pose = np.zeros(len(JOINT_NAMES))
-    for name, turns in (("hip_pitch", -1.0), ("knee", 2.0), ("ankle_pitch", -1.0)):
-        for side in SIDES:
-            pose[JOINT_NAMES.index(f"{side}_{name}_joint")] = turns * _STANCE
+    pose = bent_legs(_STANCE)
     upright = np.tile([1.0, 0.0, 0.0, 0.0], (motion.n_frames, 1))
     soles = Soles(robot)
     still = np.zeros((1, 3))
@@ -201,11 +201,12 @@ def _find_lifted(motion: Motion, feet: Floats, corners: Floats) -> NDArray[np.bo
 
 def _leaving(lifted: NDArray[np.bool_], fps: float) -> Floats:
     """How far a foot follows the motion instead of standing (T,): 1 while it is lifted, or 0."""
-    frames = np.arange(len(lifted))
+    from scipy.ndimage import distance_transform_edt
+
     if not lifted.any():
         return np.zeros(len(lifted))
-    nearest = np.abs(frames[:, np.newaxis] - np.flatnonzero(lifted)).min(axis=1)
-    away: Floats = 1.0 - minimum_jerk(nearest / (fps * _LEAVES))[0]
+    frames: Floats = distance_transform_edt(~lifted)  # to the nearest one in which it is
+    away: Floats = 1.0 - minimum_jerk(frames / (fps * _LEAVES))[0]
     return away
 
 

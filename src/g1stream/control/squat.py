@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from g1stream.motion.blend import minimum_jerk
-from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
-from g1stream.robot.soles import SIDES
+from g1stream.robot.joints import N_JOINTS
+from g1stream.robot.soles import bent_legs
 from g1stream.robot.standing import BodyState, StandingDynamics
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ __all__ = ["SQUAT_TIME", "Squat"]
 SQUAT_TIME: Final = 2.0
 """How long the way down takes, s."""
 
-#: Angle of hip and ankle in the squat, rad; that of the knee is twice as large.
+#: By how much the legs are bent in the squat, see `bent_legs`, rad.
 _BENT: Final = 0.85
 #: Steps of Newton's method from standing to the squat, and the times that the centre of mass is
 #: shifted to where it shall be meanwhile.
@@ -45,12 +45,8 @@ class Squat:
 
     def __init__(self, robot: G1) -> None:
         self._dynamics = StandingDynamics(robot)
-        bent = np.zeros(N_JOINTS)
-        for joint, turns in (("hip_pitch", -1.0), ("knee", 2.0), ("ankle_pitch", -1.0)):
-            for side in SIDES:
-                bent[JOINT_NAMES.index(f"{side}_{joint}_joint")] = turns * _BENT
         upright = np.array([1.0, 0.0, 0.0, 0.0])
-        squatting = BodyState(upright, np.zeros(3), bent, np.zeros(N_JOINTS))
+        squatting = BodyState(upright, np.zeros(3), bent_legs(_BENT), np.zeros(N_JOINTS))
         self._height = -float(self._dynamics.soles(squatting)[0][:, 2].mean())
         self._from: Target | None = None
         self._way = np.zeros(3)

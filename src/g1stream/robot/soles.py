@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from g1stream.robot.model import G1
     from g1stream.types import Floats
 
-__all__ = ["OFF_FLOOR", "SIDES", "Soles"]
+__all__ = ["OFF_FLOOR", "SIDES", "Soles", "bent_legs"]
 
 SIDES: Final = ("left", "right")
 
@@ -80,6 +80,18 @@ class Soles:
             axes = quat_rotate(poses.quat_wxyz[:, links], robot.axis[links])
             tau[:, robot.joint_of_link[links]] = (axes * moment).sum(axis=-1)
         return tau
+
+
+def bent_legs(angle: float) -> Floats:
+    """The pose (29,), rad, whose hips and ankles are bent by an angle, and whose knees by twice.
+
+    So the soles are level below an upright pelvis. All other joints are at 0.
+    """
+    pose = np.zeros(len(JOINT_NAMES))
+    for joint, turns in (("hip_pitch", -1.0), ("knee", 2.0), ("ankle_pitch", -1.0)):
+        for side in SIDES:
+            pose[JOINT_NAMES.index(f"{side}_{joint}_joint")] = turns * angle
+    return pose
 
 
 def _corners(robot: G1, link: str) -> Floats:

@@ -125,7 +125,7 @@ def stand(motion: Motion, robot: G1) -> Standing:
     root = motion.root_pos + (stands * (planted - feet)).sum(axis=1) / stands.sum(axis=1)
     off = (feet - feet[:, ::-1]) - (planted - planted[::-1])
     legs = _Legs(robot, soles, planted + away * off, flat)
-    flying: NDArray[np.bool_] = ~legs.touches.any(axis=1)
+    flying = legs.touches.sum(axis=1) == 0
     if flying.any():
         raise _refused(motion, "both feet are lifted", flying)
     lowered, joint_pos = legs.lowered(motion, root)
@@ -180,7 +180,7 @@ def _find_lifted(motion: Motion, feet: Floats, corners: Floats) -> NDArray[np.bo
     The floor is where the lower foot is, because retargeted feet float and sink.
 
     Raises:
-        MotionError: a foot steps, or the feet never stand both.
+        MotionError: a foot steps, or is lifted where the motion begins or ends.
     """
     lowest = corners[..., 2].reshape(-1, 2, 4).min(axis=2)
     above = lowest - lowest.min(axis=1, keepdims=True)
@@ -189,8 +189,9 @@ def _find_lifted(motion: Motion, feet: Floats, corners: Floats) -> NDArray[np.bo
         for first, stop in _stretches(above[:, foot] > _LIFTED[1]):
             lifted[first:stop, foot] = above[first:stop, foot].max() > _LIFTED[0]
     both = ~(lifted[:, 0] | lifted[:, 1])
-    if not both.any():
-        raise _refused(motion, "the feet never stand both", ~both)
+    ends = np.isin(np.arange(len(both)), (0, len(both) - 1)) & ~both
+    if ends.any():
+        raise _refused(motion, "a foot is lifted at the beginning or the end,", ends)
     moved = np.linalg.norm((feet - np.median(feet[both], axis=0))[..., :2], axis=-1)
     for foot, side in enumerate(SIDES):
         steps = (moved[:, foot] > _STEPS) & ~lifted[:, foot]

@@ -297,12 +297,12 @@ class StreamLoop:
         self._targets.ramp_end = end / 1e9
 
     def _end_as_requested(self, deadline: int) -> None:
-        """End PLAY or HOLD now if there is a way down from there, and the run otherwise."""
+        """End PLAY or HOLD once there is a way down from there, and a run without one at once."""
         state = self.state
         standing = self._targets.squats and state.phase in (Phase.PLAY, Phase.HOLD)
         if not standing or self.stop_requests > 1:
             self._stop_reason = self._stop_reason or self._requested
-        elif not state.reason:
+        elif not state.reason and self._targets.may_end():
             play, hold = self._timing.play or 0, self._timing.hold
             way_down, elapsed = round(SQUAT_TIME * 1e9), state.elapsed(deadline)
             if state.phase is Phase.PLAY:

@@ -13,7 +13,7 @@ import numpy as np
 
 from g1stream.motion.blend import minimum_jerk
 from g1stream.robot.joints import N_JOINTS
-from g1stream.robot.soles import bent_legs
+from g1stream.robot.soles import OFF_FLOOR, bent_legs
 from g1stream.robot.standing import BodyState, StandingDynamics
 
 if TYPE_CHECKING:
@@ -52,11 +52,15 @@ class Squat:
         self._way = np.zeros(3)
         self._q = np.zeros(N_JOINTS)
 
+    def possible(self, target: Target) -> bool:
+        """Whether both feet stand in a target."""
+        heights = self._dynamics.soles(_state_of(target))[0][:, 2]
+        return float(np.ptp(heights)) < OFF_FLOOR
+
     def begin(self, standing: Target) -> None:
         """Plan the way down from a target at rest."""
-        dynamics, quat = self._dynamics, standing.root_quat_wxyz
-        still = np.zeros(3)
-        state = BodyState(quat, still, standing.q, np.zeros(N_JOINTS))
+        dynamics, still = self._dynamics, np.zeros(3)
+        state = _state_of(standing)
         soles, self._turns = dynamics.sole_poses(state)
         self._soles = soles + standing.root_pos
         middle = self._soles.mean(axis=0)
@@ -78,7 +82,11 @@ class Squat:
         progress, rate, change = minimum_jerk(elapsed / SQUAT_TIME)
         pos = start.root_pos + progress * self._way
         vel, acc = rate / SQUAT_TIME * self._way, change / SQUAT_TIME**2 * self._way
-        state = BodyState(start.root_quat_wxyz, np.zeros(3), self._q, start.dq)
+        state = _state_of(start)._replace(q=self._q)
         self._q = q = dynamics.towards(state, self._soles - pos, self._turns)
         dq, ddq = dynamics.joint_motion(state._replace(q=q), vel, acc)
         return start.replace(q=q, dq=dq, ddq=ddq, root_pos=pos, root_lin_vel=vel, root_lin_acc=acc)
+
+
+def _state_of(target: Target) -> BodyState:
+    return BodyState(target.root_quat_wxyz, np.zeros(3), target.q, np.zeros(N_JOINTS))

@@ -184,7 +184,6 @@ class Targets:
         first: the target at `start`.
         ramp_end: when RAMP ends, s after it began. It may be set to later than `begin` sets it:
             RAMP then rests at the first frame until `COAST` before that.
-        squats: whether HOLD ends in a squat.
     """
 
     def __init__(
@@ -209,7 +208,6 @@ class Targets:
         self._lift = np.array([0.0, 0.0, lift])
         self._squat, self._hold = squat, max(hold, COAST)
         self._down = False
-        self.squats = squat is not None
         self._from: Floats | None = None
         self.first = Target.of(start, trajectory.sample(start))
         self._last = self.first.at_rest()
@@ -239,6 +237,15 @@ class Targets:
         else:
             self._last = self._last.at_rest()
         return self._last
+
+    @property
+    def squats(self) -> bool:
+        """Whether HOLD ends in a squat."""
+        return self._squat is not None
+
+    def may_end(self) -> bool:
+        """Whether the newest target is one to squat down from: both feet stand."""
+        return self._squat is not None and self._squat.possible(self._last)
 
     def end(self, play: float, hold: float) -> None:
         """PLAY has ended, or ends, after `play` s, and the way down begins `hold` s later."""

@@ -12,6 +12,7 @@ from g1stream.control.torques import Reading
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.model import G1
 from g1stream.robot.rotations import quat_from_rpy, quat_mul
+from g1stream.session.motions import load_motion
 from g1stream.synthetic import squatting
 
 pytest.importorskip("daqp")
@@ -125,3 +126,15 @@ def test_forces_stay_within_what_the_floor_can_give(balance, first):
                 assert np.abs(force[:2]).max() <= 0.4 * force[2] + 1e-6
                 assert abs(moment[0] / force[2]) < 0.03
                 assert -0.13 < -moment[1] / force[2] < 0.13
+
+
+def test_a_foot_that_the_reference_lifts_carries_nothing(balance):
+    """In the demo, the right foot is up by 9 cm at 8.67 s."""
+    trajectory = Trajectory(stand(load_motion("demo"), ROBOT).motion)
+    lifting = Target.of(8.67, trajectory.sample(8.67))
+    balance.begin(Target.of(7.5, trajectory.sample(7.5)))
+    balance.torque(lifting, reading(lifting), 0.0)
+    left, right = balance.wrench.reshape(2, 6)
+    assert not right.any()
+    assert left[2] > 250.0
+    assert balance.base.pos == pytest.approx(lifting.root_pos, abs=2e-3)

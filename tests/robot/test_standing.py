@@ -31,13 +31,15 @@ def state():
     return BodyState(quat, rng.uniform(-0.3, 0.3, 3), q, rng.uniform(-0.5, 0.5, 29))
 
 
-def test_its_torques_and_wrenches_give_its_accelerations(dynamics, state):
-    """Put into MuJoCo, they move waist and arms as given, and leave the soles where they are."""
+@pytest.mark.parametrize("stands", [(True, True), (True, False), (False, True)])
+def test_its_torques_and_wrenches_give_its_accelerations(dynamics, state, stands):
+    """Put into MuJoCo, they move waist, arms and a lifted leg as given, and no sole that stands."""
     rng = np.random.default_rng(5)
-    given, wrench = rng.uniform(-2.0, 2.0, 29 - LEGS), rng.uniform(-30.0, 30.0, 12)
+    given, wrench = rng.uniform(-2.0, 2.0, 29), rng.uniform(-30.0, 30.0, 12)
     wrench[[2, 8]] = 160.0
+    wrench *= np.repeat(stands, 6)
     other = np.array([20.0, -10.0, 80.0])
-    terms = dynamics.terms(state, given, state.dq, other)
+    terms = dynamics.terms(state, given, state.dq, other, stands)
     legs, others, base = terms.leg_tau, terms.other_tau, terms.base_acc
     tau = np.concatenate([legs[0] @ wrench + legs[1], others[0] @ wrench + others[1]])
 
@@ -58,9 +60,10 @@ def test_its_torques_and_wrenches_give_its_accelerations(dynamics, state):
     for foot, sole, part in zip(feet, terms.soles, wrench.reshape(2, 6), strict=True):
         mujoco.mj_applyFT(model, data, part[:3], part[3:], sole, foot, data.qfrc_applied)
     mujoco.mj_forward(model, data)
-    assert data.qacc[dofs][LEGS:] == pytest.approx(given, abs=1e-6)
+    led = np.concatenate([np.repeat(stands, LEGS // 2), np.zeros(29 - LEGS, bool)])
+    assert data.qacc[dofs][~led] == pytest.approx(given[~led], abs=1e-6)
     assert data.qacc[:6] == pytest.approx(base[0] @ wrench + base[1], abs=1e-4)
-    for foot, sole in zip(feet, terms.soles, strict=True):
+    for foot, sole in zip(np.array(feet)[[*stands]], terms.soles[[*stands]], strict=True):
         jac, rate = np.zeros((2, 6, model.nv))
         mujoco.mj_jac(model, data, jac[:3], jac[3:], sole, foot)
         mujoco.mj_jacDot(model, data, rate[:3], rate[3:], sole, foot)
@@ -73,5 +76,5 @@ def test_a_reference_at_rest_takes_its_weight(dynamics, state):
     movement = dynamics.movement(still, np.array([0.1, 0.2, 0.7]), np.zeros(3), acc)
     assert movement.force == pytest.approx([0.0, 0.0, dynamics.weight])
     assert movement.vel == pytest.approx(np.zeros(3))
-    terms = dynamics.terms(still, np.zeros(29 - LEGS), still.dq, np.zeros(3))
+    terms = dynamics.terms(still, np.zeros(29), still.dq, np.zeros(3))
     assert terms.centre + np.array([0.1, 0.2, 0.7]) == pytest.approx(movement.pos)

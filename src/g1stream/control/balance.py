@@ -163,15 +163,14 @@ class Balance:
         state = BodyState(quat, ang_vel, q, dq)
         if share is not None:
             self._other = np.array([0.0, 0.0, (1.0 - share) * self._dynamics.weight])
-        reference = self._reference(target)
-        if planted:
-            self._stands = tuple(reference.soles[:, 2] < self._planted[0][:, 2] + OFF_FLOOR)
-        terms = self._dynamics.terms(state, target.ddq, target.dq, self._other, self._stands)
-        self.terms = terms
         if not planted:
             base.begin(*self._planted)
             target = target.replace(root_pos=self._root_pos)  # the target's may be lifted
-            reference = self._reference(target)
+        reference = self._reference(target)
+        lifted = reference.soles[:, 2] > self._planted[0][:, 2] + OFF_FLOOR
+        self._stands = tuple(~lifted) if planted else (True, True)
+        terms = self._dynamics.terms(state, target.ddq, target.dq, self._other, self._stands)
+        self.terms = terms
         base.update(terms, imu, self._load(), self._period)
         self._find_other_force(terms, measured, found=share is None)
         if share == 0.0:

@@ -141,7 +141,8 @@ class StandingTorques:
             tau = balance.torque(target, reading, age, share=share, planted=False)
             return target.replace(tau=tau)
         hanging = self._hanging.command(moment).tau
-        standing = balance.torque(target, reading, age, planted=self._landed)
+        loaded = None if self._landed or balance.carried > _HANGS else 0.0
+        standing = balance.torque(target, reading, age, share=loaded, planted=self._landed)
         carried = balance.carried
         self._landed = carried > (_LIFTS if self._landed else _LANDS)
         self._carried_for = self._carried_for + self._period if carried > _CARRIED[0] else 0.0

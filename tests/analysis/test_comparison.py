@@ -6,6 +6,7 @@ from scipy.stats import ttest_ind
 
 import g1stream
 from g1stream.analysis.condition import Condition
+from g1stream.analysis.differences import differences
 from g1stream.cli.main import main
 from g1stream.errors import ConfigError, RecordingError
 from g1stream.session.session import Session
@@ -57,6 +58,22 @@ def test_one_session_a_side_tells_nothing():
     assert found.metrics["rmse"].other == pytest.approx(2 * found.metrics["rmse"].base, rel=1e-3)
     assert found.metrics["rmse"].significant is None
     assert max(map(len, str(found).splitlines())) <= 80
+
+
+def test_a_share_of_what_has_a_sign_or_is_zero_says_nothing():
+    found = g1stream.compare(session(delay=0.001), session(delay=0.004)).metrics["delay"]
+    assert found.change is None
+    assert found.difference == pytest.approx(0.003, abs=2e-4)
+    assert differences([[{"x": 0.0}], [{"x": 2.0}]], {})["x"].change is None
+    assert differences([[{"x": 4.0}], [{"x": 2.0}]], {})["x"].change == -0.5
+
+
+def test_settings_that_one_side_lacks_are_no_difference():
+    config = {"stream": {"preview": 0.004}}
+    first, other = session(metadata={"config": config}), session()
+    assert g1stream.compare(first, other).differs == {}
+    default = session(metadata={"config": {}})
+    assert g1stream.compare(first, default).differs == {"stream.preview": ("0.004", "not set")}
 
 
 def test_runs_that_repeat_exactly():
@@ -164,6 +181,10 @@ def test_the_command(tmp_path, capsys):
     assert main([*given, "--fail-if", "rmse > 1.1 * base"]) == 1
     assert main([*given, "--fail-if", "rmse < base"]) == 0
     assert main(["compare", paths[0]]) == 2
+    page = tmp_path / "compare.html"
+    assert main([*given, "-o", str(page)]) == 0
+    assert main([*given, "-o", str(page)]) == 2
+    assert main([*given, "-o", str(page), "--force"]) == 0
     assert main([*given, "--fail-if", "rmse"]) == 2
     capsys.readouterr()
     assert main([*given, "--json", "--fail-if", "rmse > base"]) == 1

@@ -196,6 +196,27 @@ def test_what_cannot_be_written(path, tmp_path):
     assert out.read_text().startswith("<!doctype html>")
 
 
+def test_the_tables_of_a_comparison_are_its_json(path, play, write_session, tmp_path):
+    others = [write_session(*play(0.04, offset), name=f"{offset}.mcap") for offset in (0.2, 0.21)]
+    out = tmp_path / "compare.html"
+    comparison = g1stream.compare([path, path], others, page=out)
+    text = out.read_text()
+    page, values = Page(text), json.loads(comparison.model_dump_json())
+    assert len(page.values) > 29 * 5
+    for key, value in page.values.items():
+        assert value == at(values, key), key
+    rmse = values["joints"]["left_knee_joint"]["base"]
+    assert page.shown["joints.left_knee_joint.base"] == f"{np.degrees(rmse):.3f}"
+    (drawn,) = figures(text)
+    assert [one["side"] for one in drawn["lines"]] == [0, 0, 1, 1]
+    time = open_session(others[0]).tracking().motion_time
+    shown = floats(drawn["lines"][2]["error"][3]["x"])
+    assert (shown[0], shown[-1]) == pytest.approx((time[0], time[-1]), abs=0.01)
+    for one in (out, path):
+        with pytest.raises(RecordingError):
+            g1stream.compare(path, others[0], page=one)
+
+
 def test_the_joints_to_choose_from(path, tmp_path):
     text = g1stream.report(path, tmp_path / "report.html").read_text()
     options = re.findall(r'<option value="(\d+)"(?: selected)?>([^<]+)<', text)

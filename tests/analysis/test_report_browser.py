@@ -1,4 +1,4 @@
-"""The page in a real browser: its figures draw, the joint can be chosen, it prints on A4."""
+"""The pages in a real browser: their figures draw, the joint can be chosen, they print on A4."""
 
 import json
 import re
@@ -16,29 +16,37 @@ pytestmark = [
     pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed"),
 ]
 
-#: Asks the page for what a reader sees, once it is drawn.
+#: Asks the page for what a reader sees, once it is drawn, and tells the page around it.
 PROBE = """<script>
 const wait = setInterval(() => {
   if (!document.documentElement.dataset.drawn) return;
   clearInterval(wait);
-  const plot = document.querySelector("[data-figure=joint]");
+  const select = document.querySelector("select"), before = select.value;
+  const plot = select.closest("figure").querySelector("[data-figure]");
   const lines = () => plot.data.map((one) => [one.name, one.yaxis, Math.max(...one.y)]);
-  const before = lines();
-  const select = document.querySelector("select");
-  select.value = "3";
-  select.dispatchEvent(new Event("change"));
-  const seen = {
-    before, after: lines(), wide: document.documentElement.scrollWidth - innerWidth,
+  const joint = (name) => {
+    select.value = name;
+    select.dispatchEvent(new Event("change"));
+    return lines();
+  };
+  parent.postMessage({
+    first: Number(before), before: lines(), after: joint("3"), width: innerWidth,
+    wide: document.documentElement.scrollWidth - innerWidth,
     figures: [...document.querySelectorAll("[data-figure]")].map((one) => [
       one.dataset.figure, one.querySelectorAll("path.js-line, .bars path").length,
       [...one.querySelectorAll(".xtitle, .ytitle, .y2title, .y3title")].map((t) => t.textContent),
     ]),
-  };
+  }, "*");
+}, 20);
+</script></body>"""
+#: The window of a browser without a screen cannot be as narrow as a phone; a frame in it can.
+PHONE = """<body><iframe src="{}" style="width:390px;height:844px;border:0"></iframe><script>
+addEventListener("message", ({{ data }}) => {{
   const told = document.createElement("pre");
   told.id = "seen";
-  told.textContent = JSON.stringify(seen);
+  told.textContent = JSON.stringify(data);
   document.body.append(told);
-}, 20);
+}});
 </script></body>"""
 
 
@@ -60,29 +68,63 @@ def path(play, write_session):
     return write_session(*play(0.04, 0.1), {"stream": histogram})
 
 
-def test_its_figures_draw_and_the_joint_can_be_chosen(path, tmp_path):
-    page = g1stream.report(path, tmp_path / "report.html")
+@pytest.fixture
+def other(play, write_session):
+    return write_session(*play(0.04, 0.2), name="other.mcap")
+
+
+def seen_on_a_phone(page, tmp_path):
     page.write_text(page.read_text().replace("</body>", PROBE))
-    done = chromium(tmp_path, "--window-size=390,844", "--dump-dom", page.as_uri())
+    around = tmp_path / "phone.html"
+    around.write_text(PHONE.format(page.as_uri()))
+    done = chromium(tmp_path, "--dump-dom", around.as_uri())
     assert "CONSOLE" not in done.stderr
     seen = json.loads(re.search(r'<pre id="seen">([^<]+)<', done.stdout)[1])
+    assert seen["width"] == 390
     assert seen["wide"] <= 0
-    drawn = {name: (marks, titles) for name, marks, titles in seen["figures"]}
-    assert set(drawn) == {"limbs", "joint", "rmse_deg", "lateness", "intervals"}
-    for marks, titles in drawn.values():
+    for _, marks, titles in seen["figures"]:
         assert marks >= 1
         assert len(titles) >= 2
         assert all(titles)
+    return seen
+
+
+def test_its_figures_draw_and_the_joint_can_be_chosen(path, tmp_path):
+    seen = seen_on_a_phone(g1stream.report(path, tmp_path / "report.html"), tmp_path)
+    assert {one[0] for one in seen["figures"]} == {
+        "limbs",
+        "joint",
+        "rmse_deg",
+        "lateness",
+        "intervals",
+    }
     session = g1stream.open_session(path)
-    first = session.tracking().rmse.argmax()
-    for told, joint in ((seen["before"], first), (seen["after"], 3)):
+    assert seen["first"] == session.tracking().rmse.argmax()
+    for told, joint in ((seen["before"], seen["first"]), (seen["after"], 3)):
         measured = next(top for name, axis, top in told if name == "measured")
         assert measured == pytest.approx(np.degrees(session.measured.q[:, joint].max()), rel=1e-6)
     assert {axis for _, axis, _ in seen["after"]} == {"y", "y2", "y3"}
 
 
-def test_it_prints_on_a4(path, tmp_path):
-    page, pdf = g1stream.report(path, tmp_path / "report.html"), tmp_path / "report.pdf"
+def test_the_sides_of_a_comparison_draw_over_each_other(path, other, tmp_path):
+    page = tmp_path / "compare.html"
+    g1stream.compare(path, other, page=page)
+    seen = seen_on_a_phone(page, tmp_path)
+    assert {one[0] for one in seen["figures"]} == {"errors", "sides_rmse", "overlay"}
+    for side, file in (("base", path), ("other", other)):
+        tracking = g1stream.open_session(file).tracking()
+        tops = {axis: top for name, axis, top in seen["after"] if name == side}
+        assert tops["y"] == pytest.approx(np.degrees(tracking.measured[:, 3].max()), rel=1e-6)
+        assert tops["y2"] == pytest.approx(np.degrees(tracking.error[:, 3].max()), rel=1e-4)
+
+
+@pytest.mark.parametrize("what", ["report", "comparison"])
+def test_it_prints_on_a4(path, other, tmp_path, what):
+    page, pdf = tmp_path / "page.html", tmp_path / "page.pdf"
+    if what == "report":
+        g1stream.report(path, page)
+    else:
+        g1stream.compare(path, other, page=page)
     chromium(tmp_path, f"--print-to-pdf={pdf}", "--no-pdf-header-footer", page.as_uri())
     boxes = re.findall(rb"/MediaBox \[([\d. ]+)\]", pdf.read_bytes())
     assert boxes

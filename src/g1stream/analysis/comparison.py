@@ -1,33 +1,26 @@
-"""Two sets of sessions of one motion, metric by metric.
-
-Whether a difference is more than the noise from run to run is told by Welch's t-test (B. Welch,
-Biometrika, 1947) on one value for each session: samples within a session are far from independent,
-and the two sides need not be equally noisy. Of several values that are tested together (29 joints,
-5 limbs, those of the whole session) the p-values are adjusted by Holm's method (S. Holm,
-Scandinavian Journal of Statistics, 1979), so that one of many joints does not stand out by chance.
-A permutation test would ask for less, but of five sessions a side its least p-value is 2/252, which
-29 joints adjust to 0.23: it could never tell anything.
-"""
+"""Two sets of sessions of one motion, metric by metric."""
 
 from __future__ import annotations
 
 import math
 from pathlib import Path
-from statistics import fmean
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from g1stream.analysis.comparison_table import SIGNIFICANT, table
+from g1stream.analysis.comparison_table import comparison_table
 from g1stream.analysis.delay import interpolated
+from g1stream.analysis.differences import Difference, differences
 from g1stream.analysis.metrics import metrics
-from g1stream.analysis.summary import played
+from g1stream.analysis.summary import flat, played
+from g1stream.config import Config
 from g1stream.errors import RecordingError
+from g1stream.files import check_output_path
 from g1stream.session.session import Session, open_session
 from g1stream.session.summary import Record, SessionInfo, read_record
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -35,7 +28,7 @@ if TYPE_CHECKING:
     from g1stream.session.summary import Summary
     from g1stream.types import Floats
 
-__all__ = ["Comparison", "Difference", "compare"]
+__all__ = ["Comparison", "compare"]
 
 #: References of one motion differ by no more than this at the same motion time, rad.
 _SAME_MOTION: Final = 0.01
@@ -66,36 +59,7 @@ _METRICS: Final = {
     "lateness_p99": ("us", "timing.lateness_us.p99"),
     "state_age_p99": ("us", "timing.state_age_us.p99"),
 }
-
-
-class Difference(Record):
-    """A metric on both sides.
-
-    Attributes:
-        unit: of the values.
-        base, other: mean over the sessions of a side.
-        base_values, other_values: of each session.
-        p: of Welch's t-test; None with one session on a side.
-        p_adjusted: by Holm's method, over the metrics of the same kind.
-    """
-
-    unit: str
-    base: float
-    other: float
-    base_values: list[float]
-    other_values: list[float]
-    p: float | None = None
-    p_adjusted: float | None = None
-
-    @property
-    def change(self) -> float | None:
-        """(other - base) / |base|; None where base is 0."""
-        return (self.other - self.base) / abs(self.base) if self.base else None
-
-    @property
-    def significant(self) -> bool | None:
-        """Whether it is more than the noise from run to run; None where that cannot be told."""
-        return None if self.p_adjusted is None else self.p_adjusted < SIGNIFICANT
+_SIGNED: Final = {"delay"}
 
 
 class Comparison(Record):
@@ -121,18 +85,24 @@ class Comparison(Record):
     differs: dict[str, tuple[str, str]]
 
     def __str__(self) -> str:
-        return table(self)
+        return comparison_table(self)
 
 
 def compare(
     base: Sequence[Session | str | Path] | Session | str | Path,
     other: Sequence[Session | str | Path] | Session | str | Path,
+    *,
+    page: str | Path | None = None,
+    force: bool = False,
 ) -> Comparison:
     """Compare sessions of one motion with others, over the part that all of them played.
 
     Args:
         base: one or several sessions, or their files.
         other: those that are compared with them.
+        page: of an HTML page, which is written too: it shows both sides over each other and needs
+            no network.
+        force: replace a page that is there.
 
     Returns:
         The differences. Three sessions or more on each side tell noise from change; with one on a
@@ -140,8 +110,10 @@ def compare(
 
     Raises:
         RecordingError: a session has no tracking error, its motion is another one, or no joint
-            played in all of them.
+            played in all of them; or the page cannot be written.
     """
+    if page is not None:
+        check_output_path(Path(page), force=force)  # before all sessions are read
     sides = [[_read(one) for one in _several(side)] for side in (base, other)]
     runs = [*sides[0], *sides[1]]
     start, stop = max(run.start for run in runs), min(run.stop for run in runs)
@@ -156,23 +128,27 @@ def compare(
     if stop - start < _SHORTEST:
         raise _nothing_in_common(max(runs, key=lambda run: run.start), start, stop)
     found = [[run.metrics_of(start, stop, joints) for run in side] for side in sides]
-    units = {name: unit for name, (unit, _) in _METRICS.items()}
-    return Comparison(
+    comparison = Comparison(
         motion=runs[0].motion,
         base=[run.path for run in sides[0]],
         other=[run.path for run in sides[1]],
         start_s=start,
         stop_s=stop,
-        metrics=_differences(
+        metrics=differences(
             [[{n: _at(m, p) for n, (_, p) in _METRICS.items()} for m in side] for side in found],
-            units.__getitem__,
+            {name: unit for name, (unit, _) in _METRICS.items()},
+            _SIGNED,
         ),
-        limbs=_differences([[_rmse(m, "limbs") for m in side] for side in found], lambda _: "rad"),
-        joints=_differences(
-            [[_rmse(m, "joints") for m in side] for side in found], lambda _: "rad"
-        ),
+        limbs=differences([[_rmse(m, "limbs") for m in side] for side in found], {}),
+        joints=differences([[_rmse(m, "joints") for m in side] for side in found], {}),
         differs=_circumstances(*sides),
     )
+    if page is not None:
+        from g1stream.analysis.report.comparison import write_page
+
+        sources = [[run.source for run in side] for side in sides]
+        write_page(comparison, sources, joints, Path(page), force=force)
+    return comparison
 
 
 class _Run(NamedTuple):
@@ -294,81 +270,42 @@ def _rmse(found: Metrics, which: str) -> dict[str, float | None]:
     return {name: one.rmse_rad for name, one in getattr(found.tracking, which).items()}
 
 
-def _differences(
-    sides: Sequence[Sequence[dict[str, float | None]]], unit: Callable[[str], str]
-) -> dict[str, Difference]:
-    """Of the metrics that all sessions of both sides have, tested together."""
-    found: dict[str, Difference] = {}
-    for name in sides[0][0]:
-        values = [[v for one in side if (v := one.get(name)) is not None] for side in sides]
-        base, other = values
-        if [len(side) for side in values] == [len(side) for side in sides]:
-            found[name] = Difference(
-                unit=unit(name),
-                base=fmean(base),
-                other=fmean(other),
-                base_values=base,
-                other_values=other,
-                p=_welch(np.array(base), np.array(other)),
-            )
-    # Holm: the k-th smallest of n p-values counts n + 1 - k times, and no less than those before.
-    ordered = sorted((d for d in found.values() if d.p is not None), key=lambda d: d.p or 0.0)
-    least = 0.0
-    for i, one in enumerate(ordered):
-        least = max(least, min(1.0, (len(ordered) - i) * (one.p or 0.0)))
-        one.p_adjusted = least
-    return found
-
-
-def _welch(a: Floats, b: Floats) -> float | None:
-    """The two-sided p-value of Welch's t-test; None with one value on a side."""
-    from scipy.special import stdtr
-
-    if min(len(a), len(b)) < 2:
-        return None
-    errors = [one.var(ddof=1) / len(one) for one in (a, b)]
-    apart, error = abs(a.mean() - b.mean()), sum(errors)
-    # Rollouts repeat bit for bit: without any noise every difference is one.
-    if error <= np.square(1e-12 * np.abs(np.concatenate([a, b])).max()):
-        return 1.0 if apart <= 1e-12 * np.abs(a).max() else 0.0
-    degrees = error**2 / sum(
-        one**2 / (len(values) - 1) for one, values in zip(errors, (a, b), strict=True)
-    )
-    return float(2.0 * stdtr(degrees, -apart / math.sqrt(error)))
-
-
 def _circumstances(base: Sequence[_Run], other: Sequence[_Run]) -> dict[str, tuple[str, str]]:
     """By name, what the sessions of the two sides do not have in common."""
     sides = [[run.facts for run in side] for side in (base, other)]
-    names = dict.fromkeys(name for side in sides for one in side for name in one)
+    every = [one for side in sides for one in side]
+    # Of a recording that lacks its settings, nothing says that they were others.
     shown = {
-        name: tuple(
-            ", ".join(dict.fromkeys(one.get(name, "not recorded") for one in side))
-            for side in sides
-        )
-        for name in names
+        name: tuple(", ".join(dict.fromkeys(one[name] for one in side)) for side in sides)
+        for name in every[0]
+        if all(name in one for one in every)
     }
     return {name: (a, b) for name, (a, b) in shown.items() if a != b}
 
 
 def _facts(session: Session, summary: Summary) -> Iterator[tuple[str, str]]:
-    """What may make a difference, beside the motion."""
+    """What may make a difference, beside the motion; what is not known is left out."""
     info = read_record(SessionInfo, dict(session.metadata))[0] or SessionInfo()
-    stream = summary.stream
-    if stream:
-        yield "feed-forward", str(stream.feedforward)
-        yield "support", str(stream.support)
-        yield "robot", str(stream.robot)
-        yield "rate", f"{stream.nominal_rate_hz:g} Hz" if stream.nominal_rate_hz else "unknown"
+    if stream := summary.stream:
+        known = {
+            "feed-forward": stream.feedforward,
+            "support": stream.support,
+            "robot": stream.robot,
+            "rate": stream.nominal_rate_hz and f"{stream.nominal_rate_hz:g} Hz",
+        }
+        yield from ((name, str(value)) for name, value in known.items() if value is not None)
         yield "slowed", f"{stream.slowed or 1.0:g}"
     for name, gains in (info.gains or {}).items():
         yield f"gains.{name}", _short(gains)
     yield "correction", str(info.correction.source) if info.correction else "none"
     yield from ((f"version of {name}", v) for name, v in summary.versions.items())
-    yield "host", str(summary.host)
-    for name, value in (summary.settings or {}).items():
+    if summary.host:
+        yield "host", summary.host
+    if info.config is None:
+        return
+    for name, value in (flat(Config().model_dump(mode="json")) | flat(info.config)).items():
         if not name.startswith(("stream.feedforward", "stream.rate", "gains.", "record.")):
-            yield name, str(value)
+            yield name, "not set" if value is None else str(value)
 
 
 def _short(gains: Sequence[Any]) -> str:

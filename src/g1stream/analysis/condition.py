@@ -15,7 +15,8 @@ from g1stream.errors import ConfigError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from g1stream.analysis.comparison import Comparison, Difference
+    from g1stream.analysis.comparison import Comparison
+    from g1stream.analysis.differences import Difference
 
 __all__ = ["Condition"]
 

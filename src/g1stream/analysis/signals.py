@@ -41,6 +41,17 @@ class Line(NamedTuple):
     time: Floats
     values: Floats
 
+    @classmethod
+    def of(cls, name: str, time: Floats, values: Floats) -> Line:
+        """In the order of time, interrupted where the samples have a gap."""
+        if (np.diff(time) < 0.0).any():
+            order = np.argsort(time, kind="stable")
+            time, values = time[order], values[order]
+        if len(gaps := np.flatnonzero(np.diff(time) > _GAP) + 1):
+            time = np.insert(time, gaps, time[gaps])
+            values = np.insert(values, gaps, np.nan, axis=0)
+        return cls(name, time, values)
+
 
 @dataclass(frozen=True, eq=False)
 class Signal:
@@ -123,13 +134,13 @@ def _asked_and_measured(session: Session, column: Literal["q", "dq"]) -> tuple[L
         reference = session.reference.read("phase", column)
         asked = np.degrees(getattr(reference, column))
         asked[reference.phase == Phase.DAMP] = np.nan  # where nothing is asked for but damping
-        lines.append(_line("reference", reference.time, asked))
+        lines.append(Line.of("reference", reference.time, asked))
     elif session.topics.get(Command.topic):
         command = session.command.read(column)
-        lines.append(_line("command", command.time, np.degrees(getattr(command, column))))
+        lines.append(Line.of("command", command.time, np.degrees(getattr(command, column))))
     if session.topics.get(Measured.topic):
         measured = session.measured.read(column)
-        lines.append(_line("measured", measured.time, np.degrees(getattr(measured, column))))
+        lines.append(Line.of("measured", measured.time, np.degrees(getattr(measured, column))))
     return tuple(lines)
 
 
@@ -139,7 +150,7 @@ def _errors(session: Session) -> tuple[Line, ...]:
     except NothingToCompareError:
         return ()
     error = tracking.error
-    return (_line("reference - measured", tracking.time, np.degrees(error, out=error)),)
+    return (Line.of("reference - measured", tracking.time, np.degrees(error, out=error)),)
 
 
 def _torques(session: Session) -> tuple[Line, ...]:
@@ -147,16 +158,6 @@ def _torques(session: Session) -> tuple[Line, ...]:
     if session.topics.get(Measured.topic):
         measured = session.measured.read("q", "dq", "tau")
         if session.topics.get(Command.topic):
-            lines.append(_line("commanded", measured.time, session.commanded_torque()))
-        lines.append(_line("estimated", measured.time, measured.tau))
+            lines.append(Line.of("commanded", measured.time, session.commanded_torque()))
+        lines.append(Line.of("estimated", measured.time, measured.tau))
     return tuple(lines)
-
-
-def _line(name: str, time: Floats, values: Floats) -> Line:
-    """A line in the order of time, interrupted where its stream has a gap."""
-    if (np.diff(time) < 0.0).any():
-        order = np.argsort(time, kind="stable")
-        time, values = time[order], values[order]
-    if len(gaps := np.flatnonzero(np.diff(time) > _GAP) + 1):
-        time, values = np.insert(time, gaps, time[gaps]), np.insert(values, gaps, np.nan, axis=0)
-    return Line(name, time, values)

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 __all__ = [
     "FEEDFORWARD",
     "find_problems",
+    "flat",
     "message_stats",
     "percentiles",
     "played",
@@ -333,15 +334,14 @@ def _undamped_in(
 
 def _changed_settings(config: Mapping[str, Any]) -> dict[str, Any]:
     """By key, such as `stream.rate`, what is not this version's default."""
+    defaults = flat(Config().model_dump(mode="json"))
+    return {key: value for key, value in flat(config).items() if value != defaults.get(key)}
 
-    def changed(values: Mapping[str, Any], defaults: Mapping[str, Any], prefix: str) -> None:
-        for key, value in values.items():
-            default = defaults.get(key)
-            if isinstance(value, dict) and isinstance(default, dict):
-                changed(value, default, f"{prefix}{key}.")
-            elif value != default:
-                found[f"{prefix}{key}"] = value
 
+def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """The values in nested tables by key, such as `stream.rate`."""
     found: dict[str, Any] = {}
-    changed(config, Config().model_dump(mode="json"), "")
+    for key, value in values.items():
+        name = f"{prefix}{key}"
+        found |= flat(value, f"{name}.") if isinstance(value, dict) else {name: value}
     return found

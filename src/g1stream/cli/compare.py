@@ -23,18 +23,24 @@ class Compare(Command):
     Examples:
       g1stream compare before.mcap --with after.mcap
       g1stream compare a1.mcap a2.mcap a3.mcap --with b1.mcap b2.mcap b3.mcap
+      g1stream compare good.mcap --with new.mcap -o compare.html
       g1stream compare good.mcap --with new.mcap --fail-if 'rmse > 1.1 * base'
 
     Exit codes:
       0  compared
       1  the condition of --fail-if holds
-      2  bad input: not sessions of one motion, or a condition that cannot be used
+      2  bad input: not sessions of one motion, a condition that cannot be used, a page that
+         cannot be written
     """
 
     base: tuple[Path, ...] = argument("Session files to compare with.", "BASE...")
     other: tuple[Path, ...] = flag(
         MISSING, "Session files that are compared with them.", "OTHER...", aliases=("--with",)
     )
+    out: Path | None = flag(
+        None, "A page that shows both sides over each other.", "HTML", aliases=("-o",)
+    )
+    force: bool = flag(False, "Replace a page that is there.")
     fail_if: str | None = flag(None, "Exit code 1 where this holds.", "CONDITION")
     json: bool = flag(False, "Print the comparison as JSON.")
 
@@ -49,7 +55,7 @@ class Compare(Command):
                 "Give both: g1stream compare BASE... --with OTHER...",
             )
         condition = None if self.fail_if is None else Condition(self.fail_if)
-        comparison = compare(self.base, self.other)
+        comparison = compare(self.base, self.other, page=self.out, force=self.force)
         failed = condition is not None and condition.holds(comparison)
         if self.json:
             print_json(comparison.model_dump(mode="json") | {"failed": failed})

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from g1stream.session.summary import Summary
     from g1stream.types import Floats
 
-__all__ = ["figures"]
+__all__ = ["curve", "figures"]
 
 _MOST_POINTS: Final = 2000
 _MOST_EVENTS: Final = 500
@@ -107,7 +107,7 @@ def _drawn(shown: Signal) -> dict[str, Any]:
     return {
         "label": shown.label,
         "lines": [
-            {"name": one.name, "joints": [_curve(one.time, values) for values in one.values.T]}
+            {"name": one.name, "joints": [curve(one.time, values) for values in one.values.T]}
             for one in shown.lines
         ],
     }
@@ -123,7 +123,7 @@ def _limb_errors(error: Signal, played: Container[str]) -> list[dict[str, Any]]:
         {
             "name": limb.replace("_", " "),
             "colour": COLOURS[limb],
-            **_curve(line.time, np.sqrt(np.mean(np.square(line.values[:, joints]), axis=1))),
+            **curve(line.time, np.sqrt(np.mean(np.square(line.values[:, joints]), axis=1))),
         }
         for line in error.lines
         for limb, joints in limbs.items()
@@ -136,7 +136,7 @@ def _intervals(session: Session) -> list[dict[str, Any]]:
     kinds = [kind for kind in (Command, Measured) if session.topics.get(kind.topic)]
     times = {kind.topic: np.sort(session.stream(kind).time) for kind in kinds}
     return [
-        {"name": topic, **_curve(at[1:], np.diff(at) * 1e3)}
+        {"name": topic, **curve(at[1:], np.diff(at) * 1e3)}
         for topic, at in times.items()
         if len(at) > 1
     ]
@@ -160,8 +160,9 @@ def _lateness(summary: Summary) -> list[dict[str, Any]]:
     return bins[int((ticks > 0).argmax()) :]
 
 
-def _curve(times: Floats, values: Floats) -> dict[str, str]:
-    shown = min_max(values, _MOST_POINTS)
+def curve(times: Floats, values: Floats, most: int = _MOST_POINTS) -> dict[str, str]:
+    """A line of a figure: samples that show its peaks, about `most` of them."""
+    shown = min_max(values, most)
     return {"x": _packed(times[shown]), "y": _packed(values[shown])}
 
 

@@ -13,15 +13,18 @@
   const script = document.createElement("script");
   script.textContent = await unpack("plotly");
   document.head.append(script);
-  const sessions = JSON.parse(await unpack("figures"));
+  const drawn = JSON.parse(await unpack("figures"));
 
   const DARK = "#1a1a1a", MUTED = "#5f6670", GRID = "#e9ecef";
   const LEVELS = { WARNING: "#d97706", ERROR: "#b3261e", FATAL: "#b3261e" };
-  const TIME = "time since the motion began, s";
+  const TIME = "time since the motion began, s", MOTION_TIME = "time in the motion, s";
   const touch = matchMedia("(pointer: coarse)").matches;
 
   const axis = (title, more) => ({
     title: { text: title }, gridcolor: GRID, zeroline: false, automargin: true, ...more,
+  });
+  const jointAxis = () => axis("joint", {
+    tickangle: -90, tickfont: { size: 10 }, dtick: 1, title: { text: "joint", standoff: 8 },
   });
   const layout = (height, more) => ({
     height, autosize: true, margin: { l: 56, r: 8, t: 28, b: 44 },
@@ -87,8 +90,7 @@
                      marker: { color: session.colours },
                      hovertemplate: "%{x}<br>%{y:.3f} deg<extra></extra>" };
       return [[bars], layout(340, {
-        xaxis: axis("joint", { tickangle: -90, tickfont: { size: 10 }, dtick: 1, title: { text: "joint", standoff: 8 } }),
-        yaxis: axis("RMSE, deg") })];
+        xaxis: jointAxis(), yaxis: axis("RMSE, deg") })];
     },
     lateness(session) {
       const bars = { type: "bar", x: session.lateness.map((bin) => bin.us),
@@ -104,7 +106,48 @@
         shapes: phases(session), xaxis: axis(TIME),
         yaxis: axis("interval, ms", { rangemode: "tozero" }) })];
     },
+    errors(comparison) {
+      return [comparison.lines.map((one, i) => ofSide(comparison, i, one.rms)),
+        layout(300, { xaxis: axis(MOTION_TIME),
+                      yaxis: axis("RMS error, deg", { rangemode: "tozero" }) })];
+    },
+    sides_rmse(comparison) {
+      const { joints } = comparison;
+      const mean = (values) => values && values.reduce((sum, one) => sum + one, 0) / values.length;
+      const bars = comparison.sides.map((side, i) => ({
+        type: "bar", name: side.name, x: joints, y: side.rmse_deg.map(mean), offsetgroup: i,
+        marker: { color: side.colour }, hovertemplate: "%{x}<br>%{y:.3f} deg<extra></extra>",
+        error_y: {
+          type: "data", symmetric: false, thickness: 1, width: 2, color: DARK,
+          array: side.rmse_deg.map((one) => one && Math.max(...one) - mean(one)),
+          arrayminus: side.rmse_deg.map((one) => one && mean(one) - Math.min(...one)),
+        },
+      }));
+      return [bars, layout(360, { barmode: "group", xaxis: jointAxis(), yaxis: axis("RMSE, deg") })];
+    },
+    overlay(comparison, chosen) {
+      const reference = line(comparison.reference[chosen],
+        { name: "reference", line: { width: 1, color: DARK, dash: "dash" } });
+      const rows = [["measured", "y"], ["error", "y2"]];
+      const traces = rows.flatMap(([what, yaxis]) => comparison.lines.map((one, i) =>
+        ofSide(comparison, i, one[what][chosen], { yaxis, more: yaxis !== "y" })));
+      return [[...traces, reference], layout(520, {
+        xaxis: axis(MOTION_TIME, { anchor: "y2" }),
+        yaxis: axis("position, deg", { domain: [0.46, 1] }),
+        yaxis2: axis("reference - measured, deg", { domain: [0, 0.38] }),
+      })];
+    },
   };
+  // A line of a session; its side is named once in the legend, and shown or hidden as a whole.
+  function ofSide(comparison, i, curve, { yaxis = "y", more = false } = {}) {
+    const { side, name } = comparison.lines[i], { name: legend, colour } = comparison.sides[side];
+    const first = comparison.lines.findIndex((one) => one.side === side) === i;
+    return line(curve, {
+      yaxis, name: legend, legendgroup: legend, showlegend: first && !more, text: name,
+      opacity: 0.75, line: { width: 1.2, color: colour },
+      hovertemplate: `%{x:.2f} s, %{y:.3f} deg<br>${plain(name)}<extra></extra>`,
+    });
+  }
 
   const config = {
     responsive: true, displaylogo: false, displayModeBar: touch ? false : "hover",
@@ -112,14 +155,14 @@
   };
   const plots = [...document.querySelectorAll("[data-figure]")];
   for (const plot of plots) {
-    const session = sessions[plot.dataset.session], figure = draw[plot.dataset.figure];
+    const data = drawn[plot.dataset.drawn], figure = draw[plot.dataset.figure];
     const select = plot.closest("figure").querySelector("select");
-    await Plotly.newPlot(plot, ...figure(session, Number(select?.value)), config);
+    await Plotly.newPlot(plot, ...figure(data, Number(select?.value)), config);
     if (select) {
       select.addEventListener("change", () =>
-        Plotly.react(plot, ...figure(session, Number(select.value)), config));
+        Plotly.react(plot, ...figure(data, Number(select.value)), config));
     }
-    if (plot.dataset.figure === "rmse_deg") {
+    if (plot.dataset.figure.includes("rmse")) {
       plot.on("plotly_click", ({ points }) => {
         const joints = plot.closest("section").querySelector("select");
         joints.value = points[0].pointIndex;

@@ -15,7 +15,7 @@ from g1stream.text import printable
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-__all__ = ["overview", "tables"]
+__all__ = ["differences", "overview", "tables"]
 
 _DEG: Final = 180.0 / math.pi
 #: Stands for a value that is not known.
@@ -29,84 +29,84 @@ class Column:
     Attributes:
         title, unit: of its head.
         key: of the value in what the row shows; with dots where it is deeper.
-        digits: after the point.
+        form: of a number, as `format` takes it.
         scale: from the unit of the JSON to that shown.
     """
 
     title: str
     unit: str
     key: str
-    digits: int = 0
+    form: str = ".0f"
     scale: float = 1.0
 
 
 _DELAYS: Final = (
-    Column("delay", "ms", "delay_s", 1, 1e3),
-    Column("± 95 %", "ms", "delay_ci95_s", 1, 1e3),
-    Column("correlation", "", "correlation", 4),
+    Column("delay", "ms", "delay_s", ".1f", 1e3),
+    Column("± 95 %", "ms", "delay_ci95_s", ".1f", 1e3),
+    Column("correlation", "", "correlation", ".4f"),
 )
 _RATES: Final = (
-    Column("E_vel", "rad/s", "velocity_rmse_rad_s", 3),
-    Column("E_acc", "rad/s²", "acceleration_rmse_rad_s2", 2),
+    Column("E_vel", "rad/s", "velocity_rmse_rad_s", ".3f"),
+    Column("E_acc", "rad/s²", "acceleration_rmse_rad_s2", ".2f"),
 )
 _ERRORS: Final = (
-    Column("RMSE", "deg", "rmse_rad", 3, _DEG),
-    Column("MAE", "deg", "mae_rad", 3, _DEG),
-    Column("p99", "deg", "p99_rad", 3, _DEG),
-    Column("worst", "deg", "max_abs_rad", 2, _DEG),
-    Column("at", "s", "max_abs_at_s", 2),
+    Column("RMSE", "deg", "rmse_rad", ".3f", _DEG),
+    Column("MAE", "deg", "mae_rad", ".3f", _DEG),
+    Column("p99", "deg", "p99_rad", ".3f", _DEG),
+    Column("worst", "deg", "max_abs_rad", ".2f", _DEG),
+    Column("at", "s", "max_abs_at_s", ".2f"),
 )
 _LIMBS: Final = (
     *_ERRORS,
     Column("worst joint", "by RMSE", "worst_joint"),
-    Column("bias", "deg", "bias_rad", 3, _DEG),
+    Column("bias", "deg", "bias_rad", ".3f", _DEG),
     *_DELAYS,
     *_RATES,
 )
-_JOINTS: Final = (*_ERRORS, Column("bias", "deg", "mean_rad", 3, _DEG), *_DELAYS, *_RATES)
+_JOINTS: Final = (*_ERRORS, Column("bias", "deg", "mean_rad", ".3f", _DEG), *_DELAYS, *_RATES)
 _LINKS: Final = (
-    Column("MPJPE", "mm", "mpjpe_mm", 2),
-    Column("p99", "mm", "p99_mm", 2),
-    Column("worst", "mm", "max_mm", 2),
-    Column("at", "s", "max_at_s", 2),
-    Column("E_vel", "mm/frame", "vel_mm_per_frame", 3),
-    Column("E_acc", "mm/frame²", "acc_mm_per_frame2", 3),
+    Column("MPJPE", "mm", "mpjpe_mm", ".2f"),
+    Column("p99", "mm", "p99_mm", ".2f"),
+    Column("worst", "mm", "max_mm", ".2f"),
+    Column("at", "s", "max_at_s", ".2f"),
+    Column("E_vel", "mm/frame", "vel_mm_per_frame", ".3f"),
+    Column("E_acc", "mm/frame²", "acc_mm_per_frame2", ".3f"),
 )
 _END_EFFECTORS: Final = (
-    Column("position", "mm", "position_mm", 2),
-    Column("worst", "mm", "max_position_mm", 2),
-    Column("orientation", "deg", "orientation_rad", 3, _DEG),
+    Column("position", "mm", "position_mm", ".2f"),
+    Column("worst", "mm", "max_position_mm", ".2f"),
+    Column("orientation", "deg", "orientation_rad", ".3f", _DEG),
 )
 _PELVIS: Final = (
-    Column("orientation", "deg", "orientation_rad", 3, _DEG),
-    Column("worst", "deg", "max_orientation_rad", 2, _DEG),
-    Column("yaw rate", "rad/s", "yaw_rate_rad_s", 3),
-    Column("position", "mm", "position_mm", 1),
-    Column("worst", "mm", "max_position_mm", 1),
-    Column("at the end", "mm", "final_position_mm", 1),
-    Column("velocity", "m/s", "lin_vel_m_s", 3),
+    Column("orientation", "deg", "orientation_rad", ".3f", _DEG),
+    Column("worst", "deg", "max_orientation_rad", ".2f", _DEG),
+    Column("yaw rate", "rad/s", "yaw_rate_rad_s", ".3f"),
+    Column("position", "mm", "position_mm", ".1f"),
+    Column("worst", "mm", "max_position_mm", ".1f"),
+    Column("at the end", "mm", "final_position_mm", ".1f"),
+    Column("velocity", "m/s", "lin_vel_m_s", ".3f"),
 )
 _ALL_TORQUES: Final = (
-    Column("RMS", "Nm", "rms_nm", 2),
-    Column("highest use", "%", "use", 1, 100.0),
+    Column("RMS", "Nm", "rms_nm", ".2f"),
+    Column("highest use", "%", "use", ".1f", 100.0),
     Column("of", "joint", "most_used"),
-    Column("saturated", "% of states", "saturated", 2, 100.0),
-    Column("commanded - estimated", "Nm RMS", "commanded_rmse_nm", 2),
-    Column("work ∫|τ dq|", "J", "work_j", 1),
-    Column("net ∫τ dq", "J", "net_work_j", 1),
-    Column("power", "W", "power_w", 1),
+    Column("saturated", "% of states", "saturated", ".2f", 100.0),
+    Column("commanded - estimated", "Nm RMS", "commanded_rmse_nm", ".2f"),
+    Column("work ∫|τ dq|", "J", "work_j", ".1f"),
+    Column("net ∫τ dq", "J", "net_work_j", ".1f"),
+    Column("power", "W", "power_w", ".1f"),
 )
 _TORQUES: Final = (
-    Column("limit", "Nm", "limit_nm", 0),
-    Column("RMS", "Nm", "rms_nm", 2),
-    Column("p99", "Nm", "p99_nm", 2),
-    Column("max", "Nm", "max_nm", 2),
-    Column("use", "p99, %", "use", 1, 100.0),
-    Column("saturated", "%", "saturated", 2, 100.0),
-    Column("commanded - estimated", "Nm RMS", "commanded_rmse_nm", 2),
-    Column("commanded beyond", "%", "commanded_beyond", 2, 100.0),
-    Column("work", "J", "work_j", 1),
-    Column("net", "J", "net_work_j", 1),
+    Column("limit", "Nm", "limit_nm", ".0f"),
+    Column("RMS", "Nm", "rms_nm", ".2f"),
+    Column("p99", "Nm", "p99_nm", ".2f"),
+    Column("max", "Nm", "max_nm", ".2f"),
+    Column("use", "p99, %", "use", ".1f", 100.0),
+    Column("saturated", "%", "saturated", ".2f", 100.0),
+    Column("commanded - estimated", "Nm RMS", "commanded_rmse_nm", ".2f"),
+    Column("commanded beyond", "%", "commanded_beyond", ".2f", 100.0),
+    Column("work", "J", "work_j", ".1f"),
+    Column("net", "J", "net_work_j", ".1f"),
 )
 _PERCENTILES: Final = (
     Column("p50", "µs", "p50"),
@@ -117,31 +117,51 @@ _PERCENTILES: Final = (
 _TOPICS: Final = (
     Column("messages", "", "count"),
     Column("lost", "", "lost"),
-    Column("rate", "Hz", "rate_hz", 1),
+    Column("rate", "Hz", "rate_hz", ".1f"),
     Column("gaps", "", "gaps"),
-    Column("longest interval", "ms", "longest_interval_s", 1, 1e3),
+    Column("longest interval", "ms", "longest_interval_s", ".1f", 1e3),
     Column("latency p50", "µs", "latency_us.p50"),
     Column("p99", "µs", "latency_us.p99"),
     Column("max", "µs", "latency_us.max"),
-    Column("clock offset", "ms", "clock_offset_s", 1, 1e3),
+    Column("clock offset", "ms", "clock_offset_s", ".1f", 1e3),
 )
 _SUCCESS: Final = (
     Column("success", "", "success"),
     Column("with BeyondMimic's limits", "", "success_strict"),
     Column("completed", "", "completed"),
-    Column("played", "%", "progress", 1, 100.0),
-    Column("farthest links", "mm", "max_link_error_mm", 1),
+    Column("played", "%", "progress", ".1f", 100.0),
+    Column("farthest links", "mm", "max_link_error_mm", ".1f"),
     Column("by", "links", "links"),
 )
 _OVERVIEW: Final = (
-    Column("RMSE", "deg", "metrics.tracking.all_joints.rmse_rad", 3, _DEG),
-    Column("worst", "deg", "metrics.tracking.all_joints.max_abs_rad", 2, _DEG),
+    Column("RMSE", "deg", "metrics.tracking.all_joints.rmse_rad", ".3f", _DEG),
+    Column("worst", "deg", "metrics.tracking.all_joints.max_abs_rad", ".2f", _DEG),
     Column("worst joint", "by RMSE", "metrics.tracking.all_joints.worst_joint"),
-    Column("delay", "ms", "metrics.tracking.all_joints.delay_s", 1, 1e3),
-    Column("MPJPE", "mm, joints alone", "metrics.body.pelvis_frame.mpjpe_mm", 2),
-    Column("torque", "Nm RMS", "metrics.torque.rms_nm", 2),
-    Column("rate", "Hz", "metrics.timing.rate_hz", 1),
+    Column("delay", "ms", "metrics.tracking.all_joints.delay_s", ".1f", 1e3),
+    Column("MPJPE", "mm, joints alone", "metrics.body.pelvis_frame.mpjpe_mm", ".2f"),
+    Column("torque", "Nm RMS", "metrics.torque.rms_nm", ".2f"),
+    Column("rate", "Hz", "metrics.timing.rate_hz", ".1f"),
     Column("skipped", "ticks", "metrics.timing.skipped_ticks"),
+)
+_SIGNIFICANCE: Final = (
+    Column("p", "Welch", "p", ".2g"),
+    Column("p", "Holm", "p_adjusted", ".2g"),
+    Column("significant", "", "significant"),
+)
+_DIFFERENCES: Final = (
+    Column("base", "", "base", ".4g"),
+    Column("other", "", "other", ".4g"),
+    Column("other - base", "", "difference", "+.3g"),
+    Column("unit", "", "unit"),
+    Column("change", "%", "change", "+.1f", 100.0),
+    *_SIGNIFICANCE,
+)
+_RMSE_DIFFERENCES: Final = (
+    Column("base", "deg RMSE", "base", ".3f", _DEG),
+    Column("other", "deg RMSE", "other", ".3f", _DEG),
+    Column("other - base", "deg", "difference", "+.3f", _DEG),
+    Column("change", "%", "change", "+.1f", 100.0),
+    *_SIGNIFICANCE,
 )
 _SPACES: Final = {
     "world": "world: with the base",
@@ -193,6 +213,23 @@ def overview(sessions: Sequence[Mapping[str, Any]]) -> str:
     return _table("session", _OVERVIEW, rows)
 
 
+def differences(comparison: Mapping[str, Any]) -> dict[str, str]:
+    """The tables of a `Comparison` as JSON has it: metrics, limbs and joints."""
+    heads = {
+        "metrics": ("metric", _DIFFERENCES),
+        "limbs": ("limb", _RMSE_DIFFERENCES),
+        "joints": ("joint", _RMSE_DIFFERENCES),
+    }
+    return {
+        kind: _table(
+            head,
+            columns,
+            [(_plain(name), f"{kind}.{name}", one) for name, one in comparison[kind].items()],
+        )
+        for kind, (head, columns) in heads.items()
+    }
+
+
 def _table(head: str, columns: Sequence[Column], rows: Iterable[tuple[str, str, Any]]) -> str:
     """Columns in which no row has a value are left out; nothing where none has one."""
     rows = list(rows)
@@ -225,8 +262,9 @@ def _cell(column: Column, key: str, value: Any) -> str:
     elif isinstance(value, str):
         text = _plain(value)
     else:
-        rounded = round(value * column.scale, column.digits) + 0.0  # no minus before a zero
-        text = f"{rounded:.{column.digits}f}"
+        text = format(value * column.scale, column.form)
+        if not float(text):
+            text = format(0.0, column.form)  # no minus before a zero
     known = escape(json.dumps(value))
     return f'<td><data value="{known}" data-key="{escape(key)}">{escape(text)}</data></td>'
 

@@ -89,7 +89,7 @@ def test_the_numbers_are_the_sessions(path):
     session = open_session(path)
     assert one["metrics"] == json.loads(session.metrics().model_dump_json())
     assert one["summary"] == json.loads(session.summary().model_dump_json())
-    rows = list(csv.DictReader(io.StringIO(to_csv({"sessions": [one]}))))
+    rows = list(csv.DictReader(io.StringIO(to_csv(path))))
     assert {row["session"] for row in rows} == {str(path)}
     told = {row["key"]: row["value"] for row in rows}
     assert len(told) == len(rows)
@@ -117,6 +117,34 @@ def test_the_lateness_histogram_keeps_every_tick(play, write_session, tmp_path):
     (drawn,) = figures(g1stream.report(path, tmp_path / "report.html").read_text())
     bins = {one["us"]: one["ticks"] for one in drawn["lateness"] if one["ticks"]}
     assert bins == {"0–1": 5, "10–20": 8, "20–30": 2, "3000–5000": 1}
+
+
+def test_the_physics_of_what_was_played(tmp_path):
+    motion = g1stream.load_motion("demo").trim(0.0, 2.0)
+    rollouts = [
+        g1stream.rollout(one, support="bolted", seconds=0.5)
+        for one in (g1stream.load_motion("demo"), motion)
+    ]
+    text = g1stream.report(rollouts, tmp_path / "report.html").read_text()
+    values = numbers(rollouts)
+    attached, reference = (one["physics"] for one in values["sessions"])
+    whole = g1stream.motion_physics(g1stream.load_motion("demo"))
+    assert attached == json.loads(whole.model_dump_json())
+    assert reference["frames"] == round(0.5 * motion.fps) + 1  # what was played of it
+    shown = {key: value for key, value in Page(text).values.items() if ".physics." in key}
+    assert {key.split(".")[1] for key in shown} == {"0", "1"}
+    for key, value in shown.items():
+        assert value == at(values, key), key
+    assert "bolted, as in this session" in " ".join(Page(text).texts)
+
+
+def test_the_physics_of_nothing(play, write_session, tmp_path):
+    twice = ((1, 0.2), (2, 0.5), (3, 0.2), (2, 0.5), (4, 0.2))
+    for i, streams in enumerate((play(phases=twice), play()._replace(reference=None))):
+        path = write_session(*streams, name=f"{i}.mcap")
+        assert numbers(path)["sessions"][0]["physics"] is None
+        page = g1stream.report(path, path.with_suffix(".html")).read_text()
+        assert "Physics of the motion" in page
 
 
 def test_several_sessions_share_the_script(path, play, write_session, tmp_path):
@@ -173,6 +201,16 @@ def test_a_video_beside_the_session_is_shown(path, tmp_path):
     path.with_suffix(".mp4").write_bytes(b"film")
     text = g1stream.report(path, tmp_path / "report.html").read_text()
     assert f"data:video/mp4;base64,{base64.b64encode(b'film').decode()}" in text
+
+
+@pytest.mark.slow
+def test_a_video_is_rendered_into_the_page(path, tmp_path):
+    av = pytest.importorskip("av")
+    text = g1stream.report(path, tmp_path / "report.html", video=True).read_text()
+    video = base64.b64decode(re.search(r'data:video/mp4;base64,([^"]+)"', text)[1])
+    with av.open(io.BytesIO(video)) as container:
+        assert container.streams.video[0].width == 640
+    assert not path.with_suffix(".mp4").exists()
 
 
 def test_a_session_in_memory_has_no_video_beside_it(tmp_path, monkeypatch):

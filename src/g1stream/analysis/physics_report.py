@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, computed_field
+from pydantic import computed_field
 
 from g1stream.analysis.render import labelled, table
+from g1stream.session.summary import Record
 from g1stream.text import counted
 from g1stream.types import Support
 
@@ -33,11 +34,7 @@ _ROWS = 10
 _SPANS = 4
 
 
-class _Record(BaseModel):
-    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
-
-
-class Excess(_Record):
+class Excess(Record, frozen=True):
     """A quantity that is beyond its limit in some frames.
 
     Attributes:
@@ -48,7 +45,7 @@ class Excess(_Record):
             polygon. friction: the coefficient that is needed. penetration: of a foot below the
             floor. skating: speed of a foot on the floor.
         where: joint, links or foot of the worst value; empty for the whole robot.
-        worst, limit: in `unit`.
+        worst, limit: in `unit`; of an excess that forbids the motion, in the stretches that do.
         frame: of the worst value.
         time_s: of that frame.
         spans: first and last frame of each stretch beyond the limit; of an excess that forbids the
@@ -81,7 +78,7 @@ class Excess(_Record):
         )
 
 
-class Verdict(_Record):
+class Verdict(Record, frozen=True):
     """Whether a motion can be played with a support.
 
     Attributes:
@@ -100,8 +97,17 @@ class Verdict(_Record):
             return "no"
         return "inexact" if self.excesses else "yes"
 
+    def __str__(self) -> str:
+        against = [e.cause for e in self.excesses if e.forbids]
+        harmless = [e.cause for e in self.excesses if not e.forbids]
+        answers = [f"cannot be played: {', '.join(against)}"] if against else []
+        answers += [f"not exactly: {', '.join(harmless)}"] if harmless else []
+        # Nothing in the loop looks at where the mass centre is.
+        can = "can be played" + " by a controller that balances" * (self.support == "free")
+        return "; ".join(answers) or can
 
-class OnFeet(_Record):
+
+class OnFeet(Record, frozen=True):
     """Whether `stream --support feet` can play a motion.
 
     Attributes:
@@ -112,8 +118,11 @@ class OnFeet(_Record):
     playable: bool
     why: str
 
+    def __str__(self) -> str:
+        return f"{'can be played, changed' if self.playable else 'cannot be played:'} {self.why}"
 
-class Foot(_Record):
+
+class Foot(Record, frozen=True):
     """A foot on the floor at height 0.
 
     Attributes:
@@ -137,7 +146,7 @@ class Foot(_Record):
     skating_max_frame: int | None
 
 
-class Collision(_Record):
+class Collision(Record, frozen=True):
     """Two links that would be inside each other.
 
     Attributes:
@@ -158,7 +167,7 @@ class Collision(_Record):
     simulated: bool
 
 
-class TorquePeak(_Record):
+class TorquePeak(Record, frozen=True):
     """Where the motion takes the largest torque of a joint.
 
     Attributes:
@@ -183,7 +192,7 @@ class TorquePeak(_Record):
         return abs(self.torque_nm) / self.limit_nm
 
 
-class MotionPhysics(_Record):
+class MotionPhysics(Record, frozen=True):
     """What it would take to play a motion.
 
     `str()` of it is the text that `g1stream motion --physics` prints.
@@ -227,39 +236,49 @@ class MotionPhysics(_Record):
 
     def __str__(self) -> str:
         sections = (
-            [_line("physics", f"of {self.robot}, {self.mass_kg:.1f} kg"), *self._verdicts()],
-            self._reasons(),
+            [
+                _line("physics", f"of {self.robot}, {self.mass_kg:.1f} kg"),
+                *(_line(f"  {support}", str(one)) for support, one in self.verdicts.items()),
+                *([_line("  feet", str(self.on_feet))] if self.on_feet else []),
+            ],
+            [_line(of, str(excess)) for of, excess in self.reasons],
             self._feet(),
             self._torques(),
             self._collisions(),
         )
         return "\n\n".join("\n".join(lines) for lines in sections if lines)
 
-    def _verdicts(self) -> list[str]:
-        lines = []
-        for support, verdict in self.verdicts.items():
-            against = [e.cause for e in verdict.excesses if e.forbids]
-            harmless = [e.cause for e in verdict.excesses if not e.forbids]
-            answers = [f"cannot be played: {', '.join(against)}"] if against else []
-            answers += [f"not exactly: {', '.join(harmless)}"] if harmless else []
-            # Nothing in the loop looks at where the mass centre is.
-            can = "can be played" + " by a controller that balances" * (support == "free")
-            lines.append(_line(f"  {support}", "; ".join(answers) or can))
-        if self.on_feet:
-            can = "can be played, changed" if self.on_feet.playable else "cannot be played:"
-            lines.append(_line("  feet", f"{can} {self.on_feet.why}"))
-        return lines
-
-    def _reasons(self) -> list[str]:
-        """Each excess once, with the supports that it is about."""
+    @property
+    def reasons(self) -> list[tuple[str, Excess]]:
+        """What speaks against the motion, each with the supports that it is about, named."""
         supports: dict[Excess, list[str]] = {}
         for support, verdict in self.verdicts.items():
             for excess in verdict.excesses:
                 supports.setdefault(excess, []).append(support)
         return [
-            _line("any support" if len(of) == len(self.verdicts) else ", ".join(of), str(excess))
+            ("any support" if len(of) == len(self.verdicts) else ", ".join(of), excess)
             for excess, of in sorted(supports.items(), key=lambda one: not one[0].forbids)
         ]
+
+    @property
+    def pressure(self) -> str:
+        """Where the centre of pressure is, in a sentence; empty where nothing is on the feet."""
+        if self.margin_mm is None or self.margin_frame is None:
+            return ""
+        side = "inside" if self.margin_mm >= 0 else "outside"
+        return (
+            f"inside the support polygon in {self.inside_share:.0%} of the frames with weight on a "
+            f"foot ({self.supported_share:.0%} have a foot on the floor); in the worst single "
+            f"frame {abs(self.margin_mm):.0f} mm {side}, at {self.margin_frame / self.fps:.2f} s"
+        )
+
+    @property
+    def tilt(self) -> str:
+        """How far the pelvis leans, in a sentence."""
+        return (
+            f"{self.tilt_rad:.2f} rad at most; {self.hanging_tilt_rad:.2f} rad where the robot "
+            "hangs at rest in a pose of the motion"
+        )
 
     def _feet(self) -> list[str]:
         rows = [("foot", "contact", "height mm", "deepest mm", "skating mm/s", "fastest mm/s")]
@@ -274,20 +293,8 @@ class MotionPhysics(_Record):
             )
             for foot in self.feet
         ]
-        tilt = (
-            f"{self.tilt_rad:.2f} rad at most; {self.hanging_tilt_rad:.2f} rad where the robot "
-            "hangs at rest in a pose of the motion"
-        )
-        lines = [*table(rows, left=(0,)), "", _line("tilt", tilt)]
-        if self.margin_mm is not None and self.margin_frame is not None:
-            side = "inside" if self.margin_mm >= 0 else "outside"
-            pressure = (
-                f"inside the support polygon in {self.inside_share:.0%} of the frames with weight "
-                f"on a foot ({self.supported_share:.0%} have a foot on the floor); at worst "
-                f"{abs(self.margin_mm):.0f} mm {side}, at {self.margin_frame / self.fps:.2f} s"
-            )
-            lines.append(_line("pressure", pressure))
-        return lines
+        lines = [*table(rows, left=(0,)), "", _line("tilt", self.tilt)]
+        return [*lines, _line("pressure", self.pressure)] if self.pressure else lines
 
     def _torques(self) -> list[str]:
         rows = [("support", "largest torques", "N·m", "limit", "at s", "frames beyond")]

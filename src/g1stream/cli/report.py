@@ -8,6 +8,7 @@ from typing import Final
 
 from g1stream.cli.command import EXIT_OK, Command, print_json
 from g1stream.cli.flags import argument, flag
+from g1stream.cli.progress import ProgressDisplay
 
 __all__ = ["Report"]
 
@@ -17,13 +18,14 @@ _PAGE: Final = Path("report.html")
 
 @dataclass(frozen=True, kw_only=True)
 class Report(Command):
-    """The page needs no network: what ran, tracking by joint and limb, body space, torque, timing,
-    events, and figures of every joint. A video or picture beside a session, of the same name, is
-    shown in it: `g1stream render session.mcap session.mp4`.
+    """The page needs no network: what ran, tracking by joint and limb, body space, torque, what
+    the motion asks of a robot, timing, events, and figures of every joint. A video or picture
+    beside a session, of the same name, is shown in it; --video renders one.
 
     Examples:
       g1stream report session.mcap
       g1stream report monday.mcap tuesday.mcap -o both.html
+      g1stream report session.mcap --video
       g1stream report session.mcap --json | jq '.sessions[0].metrics.tracking'
 
     Exit codes:
@@ -35,6 +37,7 @@ class Report(Command):
         "Session files, or directories of split recordings.", "SESSION..."
     )
     out: Path | None = flag(None, "The page to write.", "HTML", shown=str(_PAGE), aliases=("-o",))
+    video: bool = flag(False, "Render each session into the page (extra `render`).")
     force: bool = flag(False, "Replace a file that is there.")
     json: bool = flag(False, "Print summary and metrics as JSON, and write no page.")
     csv: bool = flag(False, "Print the metrics as CSV, and write no page.")
@@ -48,10 +51,28 @@ class Report(Command):
             raise ConfigError(
                 "More than one of --json, --csv and --out is given.", "Give one of them."
             )
+        done: tuple[float | None, str] = None, "reading"
+
+        def progress(what: str, fraction: float) -> None:
+            nonlocal done
+            done = fraction, f"{what} {100 * fraction:3.0f} %"
+
+        if self.csv:
+            print(to_csv(self.sessions), end="")
+            return EXIT_OK
+        with ProgressDisplay(lambda: done):
+            if self.json:
+                found = numbers(self.sessions, progress)
+            else:
+                page = report(
+                    self.sessions,
+                    self.out or _PAGE,
+                    video=self.video,
+                    force=self.force,
+                    progress=progress,
+                )
         if self.json:
-            print_json(numbers(self.sessions))
-        elif self.csv:
-            print(to_csv(numbers(self.sessions)), end="")
+            print_json(found)
         else:
-            print(report(self.sessions, self.out or _PAGE, force=self.force))
+            print(page)
         return EXIT_OK

@@ -62,7 +62,22 @@ def open_motion_file(
     path = Path(path_or_name)
     if path_or_name in BUNDLED_MOTIONS:
         path = Path(str(resources.files("g1stream.motion") / f"{path_or_name}.csv"))
-    content = _read(path)
+    return motion_file(path, _read(path), joint_order)
+
+
+def motion_file(
+    path: Path, content: bytes, joint_order: JointOrder | None = None
+) -> CsvFile | ArrayFile:
+    """A motion file from its bytes; see `open_motion_file`.
+
+    Args:
+        path: names it.
+        content: its bytes.
+        joint_order: of the joints, where it does not name them.
+
+    Raises:
+        MotionError: it is empty, or of another format.
+    """
     if is_array_file(content):
         return ArrayFile(path, content, joint_order)
     for start, kind in _NOT_READ.items():

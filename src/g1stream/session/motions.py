@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from g1stream.errors import RecordingError
+from g1stream.errors import MotionError, RecordingError
 from g1stream.files import is_session, is_sqlite
-from g1stream.motion.files import open_motion_file
+from g1stream.motion.files import motion_file, open_motion_file
 from g1stream.motion.motion import Motion, check_fps
 from g1stream.session.poses import motion_of_poses
+from g1stream.session.summary import MotionInfo, read_record
 from g1stream.types import STREAM_RATE, Floats, Phase
 
 if TYPE_CHECKING:
@@ -21,10 +22,17 @@ if TYPE_CHECKING:
     from g1stream.motion.check import FileReport
     from g1stream.robot.model import G1
     from g1stream.session.bag import Bag
+    from g1stream.session.session import Session
     from g1stream.session.streams import Reference
     from g1stream.types import JointOrder
 
-__all__ = ["check_motion_file", "commanded_motion", "load_motion", "reference_motion"]
+__all__ = [
+    "attached_motion",
+    "check_motion_file",
+    "commanded_motion",
+    "load_motion",
+    "reference_motion",
+]
 
 
 def load_motion(
@@ -144,6 +152,22 @@ def reference_motion(reference: Reference, path: Path, fps: float | None = None)
             "Give a session in which `g1stream stream` reached the phase PLAY.",
         )
     return motion_of_poses(play.motion_time, play.q, play.root_pos, play.root_quat_wxyz, path, fps)
+
+
+def attached_motion(session: Session) -> Motion | None:
+    """The whole motion in the attached file, where that is the one which was played.
+
+    None where no file is attached, or what was played is something else that was made of it.
+    """
+    info, _ = read_record(MotionInfo, session.metadata.get("motion"))
+    if info is None or info.source is None or info.content_sha256 is None:
+        return None
+    path = Path(info.source)
+    try:
+        motion = motion_file(path, session.attachments[path.name]).motion(info.fps)
+    except (KeyError, MotionError):
+        return None
+    return motion if motion.content_sha256 == info.content_sha256 else None
 
 
 def commanded_motion(times: Floats, q: Floats, path: Path) -> Motion:

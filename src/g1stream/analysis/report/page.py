@@ -6,28 +6,34 @@ import base64
 import csv
 import io
 import os
+from functools import partial
 from mimetypes import guess_type
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Final, cast
 
 from g1stream.analysis.render import session_facts, stream_facts, verdict
 from g1stream.analysis.report import html
 from g1stream.analysis.report.figures import figures
+from g1stream.analysis.report.physics import physics_section, session_physics
 from g1stream.analysis.report.tables import overview, tables
 from g1stream.analysis.summary import flat
-from g1stream.errors import ConfigError
+from g1stream.analysis.video import render
+from g1stream.errors import ConfigError, RecordingError
 from g1stream.files import complete_file, read_file
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.session.session import Session, open_session
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from typing import TypeAlias
 
+    from g1stream.analysis.physics_report import MotionPhysics
     from g1stream.session.metrics import Metrics
     from g1stream.session.summary import Summary
 
     Given: TypeAlias = Session | str | os.PathLike[str]
+    Progress: TypeAlias = Callable[[str, float], None]
 
 __all__ = ["numbers", "report", "to_csv"]
 
@@ -37,7 +43,12 @@ _LARGEST_PICTURE: Final = 50 * 2**20
 
 
 def report(
-    sessions: Given | Iterable[Given], path: str | os.PathLike[str], *, force: bool = False
+    sessions: Given | Iterable[Given],
+    path: str | os.PathLike[str],
+    *,
+    video: bool = False,
+    force: bool = False,
+    progress: Progress = lambda what, fraction: None,
 ) -> Path:
     """Write the report of one session or several: an HTML page that needs no network.
 
@@ -46,34 +57,41 @@ def report(
     Args:
         sessions: sessions, or their paths.
         path: of the page.
+        video: render each session for the page, see `Session.render`; needs the extra `render`.
         force: replace a file that is there.
+        progress: called with what takes its time, and the fraction of it that is done, 0 to 1.
 
     Raises:
-        ConfigError: there are no sessions.
+        ConfigError: there are no sessions, or a package for the video is not installed.
         RecordingError: a session is damaged, or the page cannot be written.
+        SimError: there is no OpenGL to draw the video with.
     """
     with complete_file(Path(path), force=force) as temporary:
-        temporary.write_text(_page(_opened(sessions)), encoding="utf-8")
+        page = _page(_opened(sessions), _rendered if video else _beside, progress)
+        temporary.write_text(page, encoding="utf-8")
     return Path(path)
 
 
-def numbers(sessions: Given | Iterable[Given]) -> dict[str, Any]:
-    """The numbers of a report, as values for JSON: summary and metrics of each session."""
-    return {
-        "sessions": [
-            _values(session, session.metrics(), session.summary()) for session in _opened(sessions)
-        ]
-    }
+def numbers(
+    sessions: Given | Iterable[Given], progress: Progress = lambda what, fraction: None
+) -> dict[str, Any]:
+    """The numbers of a report as values for JSON: summary, metrics and physics of each session."""
+    found = []
+    for session in _opened(sessions):
+        metrics, summary = session.metrics(), session.summary()
+        physics = session_physics(session, summary, partial(progress, "physics"))
+        found.append(_values(session, metrics, summary, physics))
+    return {"sessions": found}
 
 
-def to_csv(values: Mapping[str, Any]) -> str:
-    """The metrics among the numbers of a report as CSV: a row for each, by session and key."""
+def to_csv(sessions: Given | Iterable[Given]) -> str:
+    """The metrics of sessions as CSV: a row for each, by session and key."""
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(("session", "key", "value"))
-    for one in values["sessions"]:
-        known = ((key, v) for key, v in flat(one["metrics"]).items() if v is not None)
-        rows.writerows((one["path"], key, value) for key, value in known)
+    for session in _opened(sessions):
+        values = flat(session.metrics().model_dump(mode="json"))
+        rows.writerows((session.path, key, v) for key, v in values.items() if v is not None)
     return text.getvalue()
 
 
@@ -87,23 +105,37 @@ def _opened(sessions: Given | Iterable[Given]) -> Iterator[Session]:
         yield one if isinstance(one, Session) else open_session(one)
 
 
-def _values(session: Session, metrics: Metrics, summary: Summary) -> dict[str, Any]:
+def _values(
+    session: Session, metrics: Metrics, summary: Summary, physics: MotionPhysics | str
+) -> dict[str, Any]:
     return {
         "path": str(session.path),
         "verdict": verdict(summary),
         "summary": summary.model_dump(mode="json"),
         "metrics": metrics.model_dump(mode="json"),
+        "physics": None if isinstance(physics, str) else physics.model_dump(mode="json"),
     }
 
 
-def _page(sessions: Iterable[Session]) -> str:
+def _page(
+    sessions: Iterable[Session],
+    picture: Callable[[Session, Callable[[float], None]], str],
+    progress: Progress,
+) -> str:
     values, sections, drawn = [], [], []
     for number, session in enumerate(sessions):
         # The metrics read all columns that are needed, the summary alone only some.
         metrics, summary = session.metrics(), session.summary()
-        values.append(_values(session, metrics, summary))
+        physics = session_physics(session, summary, partial(progress, "physics"))
+        values.append(_values(session, metrics, summary, physics))
         drawn.append(figures(session, summary, metrics))
-        sections.append(_section(number, session, summary, values[-1]["metrics"], drawn[-1]))
+        support = summary.stream.support if summary.stream else None
+        parts = {
+            "picture": picture(session, partial(progress, "video")),
+            "physics": physics_section(physics, support, f"sessions.{number}.physics"),
+        }
+        shown = values[-1]["metrics"], drawn[-1]
+        sections.append(_section(number, session, summary, *shown, parts))
     one = len(values) == 1
     title = Path(values[0]["path"]).name if one else f"{len(values)} sessions"
     return html.page(
@@ -121,6 +153,7 @@ def _section(
     summary: Summary,
     metrics: Mapping[str, Any],
     drawn: Mapping[str, Any],
+    more: Mapping[str, str],
 ) -> str:
     parts = tables(metrics, f"sessions.{number}.metrics")
     for name in ("joints", "torques"):
@@ -142,7 +175,7 @@ def _section(
     if summary.versions:
         facts.append(("versions", ", ".join(map(" ".join, summary.versions.items()))))
     return html.template("session.html").substitute(
-        {"joint": "", **parts},
+        {"joint": "", **parts, **more},
         number=number,
         name=html.escaped(session.path.name),
         verdict=html.escaped(verdict(summary)),
@@ -150,7 +183,6 @@ def _section(
         problems="".join(
             f'<p class="problem">{html.escaped(text)}</p>' for text in summary.problems
         ),
-        picture=_picture(session),
         facts=html.facts(facts),
         stream=html.facts(stream_facts(summary.stream) if summary.stream else []),
         events=_events(drawn["events"]),
@@ -165,12 +197,25 @@ def _events(events: Sequence[Mapping[str, Any]]) -> str:
     return html.details(f"{len(events)} in the log", table)
 
 
-def _picture(session: Session) -> str:
+def _beside(session: Session, _: Callable[[float], None]) -> str:
     """The video or picture beside a session file; none beside a session in memory."""
     paths = [session.path.with_suffix(suffix) for suffix in _PICTURES] if session.paths else []
     path = next(filter(Path.is_file, paths), None)
-    if path is None:
-        return ""
+    return _picture(path) if path else ""
+
+
+def _rendered(session: Session, progress: Callable[[float], None]) -> str:
+    """A video of the session, if there is something in it to show."""
+    with TemporaryDirectory() as directory:
+        path = Path(directory) / "session.mp4"
+        try:
+            render(session, path, progress=progress)
+        except RecordingError as error:
+            return html.missing(error.cause)
+        return _picture(path)
+
+
+def _picture(path: Path) -> str:
     try:
         data = base64.b64encode(read_file(path, _LARGEST_PICTURE)).decode()
     except OSError as error:

@@ -15,7 +15,7 @@ from g1stream.text import printable
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-__all__ = ["differences", "overview", "tables"]
+__all__ = ["Column", "differences", "overview", "table", "tables"]
 
 _DEG: Final = 180.0 / math.pi
 #: Stands for a value that is not known.
@@ -183,10 +183,10 @@ def tables(metrics: Mapping[str, Any], key: str) -> dict[str, str]:
         key: where they are in the JSON of the report, such as `sessions.0.metrics`.
     """
 
-    def table(head: str, columns: Sequence[Column], rows: Mapping[str, str]) -> str:
+    def table_of(head: str, columns: Sequence[Column], rows: Mapping[str, str]) -> str:
         shown = [(name, path, _at(metrics, path)) for path, name in rows.items()]
-        known = [(name, f"{key}.{path}", row) for name, path, row in shown if row is not None]
-        return _table(head, columns, known)
+        there = [(name, f"{key}.{path}", row) for name, path, row in shown if row is not None]
+        return table(head, columns, there)
 
     def each(path: str) -> dict[str, str]:
         names = _at(metrics, path) or {}
@@ -194,23 +194,25 @@ def tables(metrics: Mapping[str, Any], key: str) -> dict[str, str]:
 
     limbs = {**each("tracking.limbs"), "tracking.all_joints": "all joints"}
     return {
-        "success": table("", _SUCCESS, {"success": "motion"}),
-        "limbs": table("limb", _LIMBS, limbs),
-        "joints": table("joint", _JOINTS, each("tracking.joints")),
-        "links": table("links", _LINKS, {f"body.{k}": v for k, v in _SPACES.items()}),
-        "end_effectors": table("hand or foot", _END_EFFECTORS, each("body.end_effectors")),
-        "pelvis": table("", _PELVIS, {"body.pelvis": "pelvis"}),
-        "torque": table("", _ALL_TORQUES, {"torque": "all joints"}),
-        "torques": table("joint", _TORQUES, each("torque.joints")),
-        "punctuality": table("", _PERCENTILES, {f"timing.{k}": v for k, v in _PUNCTUALITY.items()}),
-        "topics": table("topic", _TOPICS, each("timing.topics")),
+        "success": table_of("", _SUCCESS, {"success": "motion"}),
+        "limbs": table_of("limb", _LIMBS, limbs),
+        "joints": table_of("joint", _JOINTS, each("tracking.joints")),
+        "links": table_of("links", _LINKS, {f"body.{k}": v for k, v in _SPACES.items()}),
+        "end_effectors": table_of("hand or foot", _END_EFFECTORS, each("body.end_effectors")),
+        "pelvis": table_of("", _PELVIS, {"body.pelvis": "pelvis"}),
+        "torque": table_of("", _ALL_TORQUES, {"torque": "all joints"}),
+        "torques": table_of("joint", _TORQUES, each("torque.joints")),
+        "punctuality": table_of(
+            "", _PERCENTILES, {f"timing.{k}": v for k, v in _PUNCTUALITY.items()}
+        ),
+        "topics": table_of("topic", _TOPICS, each("timing.topics")),
     }
 
 
 def overview(sessions: Sequence[Mapping[str, Any]]) -> str:
     """A table with a row for each of several sessions, each as in the JSON of the report."""
     rows = [(Path(one["path"]).name, f"sessions.{i}", one) for i, one in enumerate(sessions)]
-    return _table("session", _OVERVIEW, rows)
+    return table("session", _OVERVIEW, rows)
 
 
 def differences(comparison: Mapping[str, Any]) -> dict[str, str]:
@@ -221,7 +223,7 @@ def differences(comparison: Mapping[str, Any]) -> dict[str, str]:
         "joints": ("joint", _RMSE_DIFFERENCES),
     }
     return {
-        kind: _table(
+        kind: table(
             head,
             columns,
             [(_plain(name), f"{kind}.{name}", one) for name, one in comparison[kind].items()],
@@ -230,8 +232,14 @@ def differences(comparison: Mapping[str, Any]) -> dict[str, str]:
     }
 
 
-def _table(head: str, columns: Sequence[Column], rows: Iterable[tuple[str, str, Any]]) -> str:
-    """Columns in which no row has a value are left out; nothing where none has one."""
+def table(head: str, columns: Sequence[Column], rows: Iterable[tuple[str, str, Any]]) -> str:
+    """A table as HTML; columns without a value are left out, and a table without any is empty.
+
+    Args:
+        head: of the first column.
+        columns: the others.
+        rows: name, key in the JSON, and values there.
+    """
     rows = list(rows)
     columns = [one for one in columns if any(_at(row, one.key) is not None for _, _, row in rows)]
     if not columns:

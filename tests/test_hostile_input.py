@@ -528,7 +528,7 @@ def odd(tmp_path):
 COMMANDS = (
     ("info", "{}"),
     ("motion", "{}"),
-    ("convert", "{}", "{out}"),
+    ("convert", "{}", "{out}.mcap"),
     ("replay", "{}"),
     ("learn", "{}", "-o", "{out}"),
     ("identify", "{}"),

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 
 from g1stream.analysis.report.page import report
+from g1stream.analysis.video import Poses
 from g1stream.config import Config
 from g1stream.dds.messages import LowCmd, played_joints
 from g1stream.errors import ConfigError, RecordingError
@@ -45,6 +47,11 @@ def test_times_are_simulated(session):
     for topic in ("/lowcmd", "/lowstate", "/reference", "/sportmodestate", "/log", "/tf"):
         assert {m.log_time - m.publish_time for m in session.messages(topic)} == {LATENCY}
     assert session.command.publish_time.tolist() == reference.publish_time.tolist()
+    summary = session.summary()
+    assert summary.simulated
+    assert "2000-01-01" not in str(summary)
+    assert {stats.latency_us for stats in summary.topics.values()} == {None}
+    assert session.metrics().timing.state_age_us.max == pytest.approx(1000.0)
 
 
 def test_every_phase_and_channel_is_there(session):
@@ -205,6 +212,26 @@ def test_only_played_joints_count(arms, session):
     assert (arms.reference.played == sum(1 << joint for joint in range(15, 29))).all()
     assert (session.reference.played == 2**29 - 1).all()
     assert session.metadata["joints"] == list(JOINT_NAMES)
+
+
+def test_the_error_of_a_limb_is_that_of_its_played_joints(arms):
+    *_, last = (JointStates.FromString(m.data) for m in arms.messages("/tracking_error/limbs"))
+    *_, joints = (
+        JointStates.FromString(m.data) for m in arms.messages("/tracking_error/joint_states")
+    )
+    assert last.timestamp == joints.timestamp
+    error = np.array([joint.position for joint in joints.joints])
+    found = {joint.name: joint.position for joint in last.joints}
+    assert [name for name, value in found.items() if np.isnan(value)] == [
+        "left_leg",
+        "right_leg",
+        "waist",
+    ]
+    assert found["left_arm"] == pytest.approx(np.sqrt(np.mean(error[15:22] ** 2)))
+    shown, tracking = Poses(arms, np.array([0.8])), arms.tracking()
+    at = np.abs(tracking.time - 0.8).argmin()
+    expected = np.degrees(np.sqrt(np.mean(tracking.error[at, 15:] ** 2)))
+    assert f"{expected:.2f} deg" in shown.text(0)[1]
 
 
 def test_a_figure_and_a_report_show_some_joints(arms, tmp_path):

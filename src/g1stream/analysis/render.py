@@ -185,7 +185,8 @@ def _files(summary: Summary) -> str:
 
 def _recorded(summary: Summary) -> str:
     begin = datetime.fromtimestamp((summary.first_ns or 0) / 1e9, timezone.utc)
-    parts = [f"{begin:%Y-%m-%d %H:%M:%S} UTC", f"{summary.duration_s or 0.0:.2f} s"]
+    when = "in simulated time" if summary.simulated else f"{begin:%Y-%m-%d %H:%M:%S} UTC"
+    parts = [when, f"{summary.duration_s or 0.0:.2f} s"]
     parts += [f"on {summary.host}"] if summary.host else []
     parts += [f"domain {summary.domain} on {summary.interface}"] if summary.interface else []
     version = summary.versions.get("g1stream")
@@ -308,7 +309,7 @@ def stream_facts(stream: StreamSummary) -> list[tuple[str, str]]:
     if stream.slowed not in (None, 1.0):
         lines.append(("slowed", f"{stream.slowed:g} times, to fit the joints' speeds"))
     if stream.delay_s:
-        lines.append(("delay", f"stalls of the loop delayed the motion by {stream.delay_s:.3f} s"))
+        lines.append(("stalls", f"of the loop delayed the motion by {stream.delay_s:.3f} s"))
     for label, what, ticks in (
         ("clamped", "joint targets at their limits", stream.clamped_ticks),
         ("too fast", "joint targets held back to the joint's speed", stream.speed_limited_ticks),

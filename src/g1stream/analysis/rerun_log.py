@@ -23,6 +23,7 @@ import numpy as np
 from g1stream.analysis.layouts import BLUE, LIMB_COLORS, ORANGE, RED, short_name, worst_joints
 from g1stream.analysis.offscreen import with_shapes
 from g1stream.analysis.rerun_layout import APPLICATION, import_rerun, rerun_layout
+from g1stream.dds.messages import played_joints
 from g1stream.files import complete_file
 from g1stream.foxglove.encoders import IDENTITY_POSE
 from g1stream.foxglove.measured_base import MeasuredBase
@@ -50,7 +51,7 @@ if TYPE_CHECKING:
 __all__ = ["RerunLog", "log_session", "save_session"]
 
 #: The columns that are read of each stream.
-_REFERENCE: Final = ("phase", "q", "dq", "tau", "root_pos", "root_quat_wxyz")
+_REFERENCE: Final = ("phase", "played", "q", "dq", "tau", "root_pos", "root_quat_wxyz")
 _MEASURED: Final = ("q", "dq", "tau", "imu_quat_wxyz")
 _PHASES: Final = {phase.value: phase.name for phase in Phase}
 #: Tinted shapes are smaller by this factor, so that surfaces that would coincide do not flicker.
@@ -157,7 +158,8 @@ class RerunLog:
             return
         times, logged = self._times(stream), stream.log_time
         self._base.add_references(times, stream.root_pos, stream.root_quat_wxyz)
-        self._error.add_references(Track(times, logged, stream.q, stream.dq))
+        played = played_joints(np.bitwise_or.reduce(stream.played))
+        self._error.add_references(Track(times, logged, stream.q, stream.dq), played)
         at = self._at(times, logged)
         self._joints("position/reference", at, stream.q)
         self._joints("torque/feed-forward", at, stream.tau)
@@ -223,7 +225,9 @@ class RerunLog:
         self._joints("error", self._at(errors.publish_times, errors.log_times), errors.q)
         few = self._few_errors.pick(errors.publish_times)
         at = self._at(errors.publish_times[few], errors.log_times[few])
-        for limb, rms in zip(JOINT_GROUPS, by_limb(errors.q[few]).T, strict=True):
+        for limb, rms in zip(
+            JOINT_GROUPS, by_limb(errors.q[few], self._error.played).T, strict=True
+        ):
             self._scalars(f"error/{limb}", at, rms)
 
     def _times(self, stream: Stream) -> Ints:

@@ -28,7 +28,7 @@ def timing_metrics(session: Session, summary: Summary) -> TimingMetrics:
         lateness_us=stream and stream.lateness_us,
         lateness_histogram_us=stream and stream.lateness_histogram_us,
         skipped_ticks=stream and stream.skipped_ticks,
-        topics={t: stats for t, stats in summary.topics.items() if stats.latency_us},
+        topics={t: stats for t, stats in summary.topics.items() if stats.gaps is not None},
     )
     if command is None or not command.rate_hz:
         return found

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 
 from g1stream.analysis.offscreen import Offscreen, PosedRobot, with_shapes
+from g1stream.dds.messages import played_joints
 from g1stream.errors import ConfigError, RecordingError
 from g1stream.extras import import_extra
 from g1stream.files import complete_file
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 
     Picture = NDArray[np.uint8]
 
-__all__ = ["AZIMUTHS", "Camera", "Video", "parse_size", "render"]
+__all__ = ["AZIMUTHS", "Camera", "Poses", "Video", "parse_size", "render"]
 
 Camera = Literal["front", "oblique", "left", "back", "right"]
 
@@ -96,7 +97,7 @@ def render(
         )
     one = path.suffix.lower() == ".png"
     times = _frame_times(session, start, 0.0 if one else duration, fps)
-    poses = _Poses(session, times)
+    poses = Poses(session, times)
     robot = with_shapes(session.robot)
     with (
         complete_file(path, force=force) as temporary,
@@ -162,7 +163,7 @@ def _frame_times(
     return times
 
 
-class _Poses:
+class Poses:
     """The robots of T frames, and what is written beside them.
 
     Args:
@@ -182,7 +183,8 @@ class _Poses:
         self._phases: list[str] = []
         self._error = self._age = np.full(len(times), np.nan)
         if reference is not None:
-            reference.read("phase", "q", "root_pos", "root_quat_wxyz")
+            reference.read("phase", "played", "q", "root_pos", "root_quat_wxyz")
+            played = played_joints(np.bitwise_or.reduce(reference.played))
             asked = reference[_latest(reference, times)]
             known = {int(phase): phase.name for phase in Phase}
             self._phases = [known.get(int(number), "?") for number in asked.phase]
@@ -206,7 +208,8 @@ class _Poses:
             at_state = [
                 np.interp(done.time, reference.time[order], q[order]) for q in reference.q.T
             ]
-            self._error = np.sqrt(np.mean((np.stack(at_state, axis=1) - done.q) ** 2, axis=1))
+            errors = (np.stack(at_state, axis=1) - done.q)[:, played]
+            self._error = np.sqrt(np.mean(errors**2, axis=1))
 
     def text(self, frame: int) -> tuple[str, str]:
         """Names and values of what is written into a frame, a line each."""

@@ -29,8 +29,8 @@ class Compare(Command):
     Exit codes:
       0  compared
       1  the condition of --fail-if holds
-      2  bad input: not sessions of one motion, a condition that cannot be used, a page that
-         cannot be written
+      2  bad input: not sessions of one motion, a condition that cannot be used,
+         a page that cannot be written
     """
 
     base: tuple[Path, ...] = argument("Session files to compare with.", "BASE...")

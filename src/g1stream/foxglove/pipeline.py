@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from g1stream.dds.messages import Log, Samples
+from g1stream.dds.messages import Log, Samples, played_joints
 from g1stream.dds.ros2 import encode_string
 from g1stream.dds.topics import LOG, LOWSTATE, REFERENCE, SPORTMODESTATE
 from g1stream.errors import ConfigError
@@ -195,7 +195,8 @@ class MessagePipeline:
         self.base.add_references(published, root_pos, root_quat)
         if not self._derives:
             return []
-        self._tracking_error.add_references(Track(published, logged, q, dq))
+        played = played_joints(np.bitwise_or.reduce(samples["played"]))
+        self._tracking_error.add_references(Track(published, logged, q, dq), played)
         few = self._reference_decimator.pick(published)
         tf = self._tf.encode(published[few], q[few], root_pos[few], root_quat[few])
         ghost = self._ghost_tf.encode(published[few], q[few], *IDENTITY_POSE)
@@ -237,7 +238,7 @@ class MessagePipeline:
     def _from_errors(self, errors: Track) -> list[MessageBatch]:
         times, logged = errors.publish_times, errors.log_times
         few = self._error_decimator.pick(times)
-        limbs = by_limb(errors.q), by_limb(errors.dq)
+        limbs = (by_limb(one, self._tracking_error.played) for one in (errors.q, errors.dq))
         return [
             self._error_joints.encode(times, logged, few, errors.q, errors.dq),
             self._error_limbs.encode(times, logged, few, *limbs),

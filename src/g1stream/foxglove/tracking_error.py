@@ -96,14 +96,20 @@ class TrackingError:
 
     Args:
         n_joints: how many joints there are.
+
+    Attributes:
+        played: (n_joints,) those that play the motion, by the references taken in last.
     """
 
     def __init__(self, n_joints: int) -> None:
         times, joints = np.empty(0, dtype=np.int64), np.empty((0, n_joints))
         self._references = self._states = Track(times, times, joints, joints)
+        self.played = np.ones(n_joints, dtype=bool)
 
-    def add_references(self, references: Track) -> None:
-        """Take in references."""
+    def add_references(self, references: Track, played: NDArray[np.bool_] | None = None) -> None:
+        """Take in references, and which joints (n_joints,) play them; all if None."""
+        if played is not None:
+            self.played = played
         together = self._references.then(references)
         # Two writers' references may come interleaved.
         self._references = together.where(np.argsort(together.publish_times, kind="stable"))
@@ -131,10 +137,20 @@ class TrackingError:
         )
 
 
-def by_limb(errors: Floats) -> Floats:
-    """(T, 5) RMS over each limb's joints of (T, 29) errors, limbs as in `JOINT_GROUPS`."""
-    means = [(errors[:, list(joints)] ** 2).mean(axis=1) for joints in JOINT_GROUPS.values()]
-    limbs: Floats = np.sqrt(np.stack(means, axis=1))
+def by_limb(errors: Floats, played: NDArray[np.bool_]) -> Floats:
+    """RMS over the joints of each limb that play the motion.
+
+    Args:
+        errors: (T, 29).
+        played: (29,) which joints play.
+
+    Returns:
+        (T, 5), limbs as in `JOINT_GROUPS`; nan for one of which no joint plays.
+    """
+    limbs = np.full((len(errors), len(JOINT_GROUPS)), np.nan)
+    for limb, joints in enumerate(JOINT_GROUPS.values()):
+        if members := [joint for joint in joints if played[joint]]:
+            limbs[:, limb] = np.sqrt((errors[:, members] ** 2).mean(axis=1))
     return limbs
 
 

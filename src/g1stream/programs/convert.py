@@ -134,6 +134,12 @@ def convert(
         G1StreamError: the motion, the robot, an option or the file does not allow it.
     """
     options = options or Conversion()
+    out = Path(out)
+    if out.suffix.lower() != ".mcap":
+        raise ConfigError(
+            f"{out} is not the name of a session file.",
+            "Use one that ends in .mcap, or for a motion file in .csv, .npz or .parquet.",
+        )
     robot = robot or G1.default()
     motion = _load(motion, robot, fps)
     start, stop = _frame_range(motion, options.frames)
@@ -143,7 +149,6 @@ def convert(
     )
     fields = ("position",) if options.resample is None else _RESAMPLED_FIELDS
     joint_states = JointStatesTemplate(robot.joint_names, fields)
-    out = Path(out)
     check_not_input(out, motion.source, Path(robot.source))
     channels = _channels(options.topic)
     with (

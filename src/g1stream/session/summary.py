@@ -186,6 +186,7 @@ class SessionInfo(Record):
         g1stream: version that recorded it.
         versions: of the packages that it used.
         host, domain, interface: where it was recorded.
+        log_clock: that of the log times; of a rollout it begins with "simulated".
         motion: what is played.
         gains: kp in Nm/rad and kd in Nm s/rad, 29 each, motor order.
         joints: names of those that play the motion; None in files of earlier versions: all.
@@ -199,6 +200,7 @@ class SessionInfo(Record):
     host: str | None = None
     domain: Int | None = None
     interface: str | None = None
+    log_clock: str | None = None
     motion: MotionInfo | None = None
     gains: dict[str, list[float]] | None = None
     joints: list[str] | None = None
@@ -466,7 +468,8 @@ class MessageStats(Record):
         rate_hz: messages per second from the first to the last publish time.
         gaps: publish intervals of more than 3 medians.
         longest_interval_s: between two publish times.
-        latency_us: log time - publish time; where the two clocks differ, that is in it.
+        latency_us: log time - publish time; where the two clocks differ, that is in it. None where
+            both are a simulation's.
         clock_offset_s: what must be added to publish times to be on the recorder's clock; 0 where
             the clocks agree as far as can be seen.
     """
@@ -533,6 +536,7 @@ class Summary(Record):
         files_bytes: path of each file -> size, oldest first.
         complete: whether all files are there and were closed properly.
         first_ns, last_ns: log times of the first and the last message, since the epoch.
+        simulated: whether its times are a simulation's, as in a rollout, and not of any clock.
         host, domain, interface: where it was recorded, or streamed.
         versions: of g1stream and the packages that it used.
         motion: what was played.
@@ -555,6 +559,7 @@ class Summary(Record):
     complete: bool | None = None
     first_ns: Int | None = None
     last_ns: Int | None = None
+    simulated: bool = False
     host: str | None = None
     domain: Int | None = None
     interface: str | None = None

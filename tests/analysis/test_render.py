@@ -8,18 +8,16 @@ import pytest
 from g1stream.analysis.render import WIDTH, most, render
 from g1stream.realtime import Grant
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
+from g1stream.session.info import MotionInfo
+from g1stream.session.recorder_summary import RecorderSummary, TopicDelay
+from g1stream.session.records import Percentiles
+from g1stream.session.stream_summary import FeedForwardChange, StreamSummary
 from g1stream.session.summary import (
-    FeedForwardChange,
     JointTracking,
     MessageStats,
-    MotionInfo,
-    Percentiles,
     PhaseInterval,
-    RecorderSummary,
-    StreamSummary,
     Summary,
     Termination,
-    TopicDelay,
     TrackingSummary,
 )
 from g1stream.types import Phase

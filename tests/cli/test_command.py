@@ -18,7 +18,8 @@ from g1stream.cli.command import (
     on_signals,
     print_summary,
 )
-from g1stream.session.summary import RecorderSummary, Summary, Termination
+from g1stream.session.recorder_summary import RecorderSummary
+from g1stream.session.summary import Summary, Termination
 
 
 @pytest.mark.parametrize(

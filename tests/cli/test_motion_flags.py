@@ -12,9 +12,9 @@ from g1stream.cli.motion import Inspect
 from g1stream.cli.stream import Stream
 from g1stream.errors import ConfigError, MotionError, RecordingError
 from g1stream.motion.motion import Motion
+from g1stream.session.info import MotionInfo
 from g1stream.session.motions import load_motion
 from g1stream.session.session import open_session
-from g1stream.session.summary import MotionInfo
 
 COMMANDS = {"stream": Stream, "motion": Inspect, "convert": Convert, "demo": Demo}
 CHANGES = ["--trim", "1:5", "--mirror", "--on-floor", "--speed", "0.5"]

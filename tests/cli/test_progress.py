@@ -16,7 +16,7 @@ import pytest
 from g1stream.cli.progress import ProgressDisplay, RecorderStatus, loop_status, sim_status
 from g1stream.control.loop import LoopReport, Newest
 from g1stream.control.phases import PhaseState
-from g1stream.session.summary import RecorderSummary
+from g1stream.session.recorder_summary import RecorderSummary
 from g1stream.sim.robot import SimReport
 from g1stream.types import Phase
 

@@ -20,8 +20,8 @@ from g1stream.foxglove.pipeline import MessagePipeline
 from g1stream.recorder.clocks import ClockReading, read_clocks
 from g1stream.recorder.recorder import Recorder
 from g1stream.robot.model import G1
+from g1stream.session.recorder_summary import MeasuredTf
 from g1stream.session.session import open_session
-from g1stream.session.summary import MeasuredTf
 from g1stream.session.writer import SessionWriter
 from g1stream.settings import RecordConfig
 from g1stream.types import ChannelSet

@@ -18,8 +18,8 @@ from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE
 from g1stream.errors import ConfigError, WireError
 from g1stream.programs import record as program
 from g1stream.robot.model import G1
+from g1stream.session.info import MotionInfo, SessionInfo
 from g1stream.session.mcap_reader import McapFile
-from g1stream.session.summary import MotionInfo, SessionInfo
 from g1stream.session.writer import SessionWriter
 
 SESSION = SessionInfo(motion=MotionInfo(name="walk"))

@@ -16,8 +16,9 @@ from g1stream.analysis.summary import flat, played
 from g1stream.config import Config
 from g1stream.errors import RecordingError
 from g1stream.files import check_output_path
+from g1stream.session.info import SessionInfo
+from g1stream.session.records import Record, read_record
 from g1stream.session.session import Session, open_session
-from g1stream.session.summary import Record, SessionInfo, read_record
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

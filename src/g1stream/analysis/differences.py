@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from pydantic import computed_field
 
-from g1stream.session.summary import Record
+from g1stream.session.records import Record
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence

@@ -22,7 +22,7 @@ from g1stream.session.metrics import (
     SuccessMetrics,
     TrackingMetrics,
 )
-from g1stream.session.streams import Command, Measured, Reference
+from g1stream.session.streams import Base, Command, Measured, Reference, TorsoImu
 from g1stream.types import Floats
 
 if TYPE_CHECKING:
@@ -101,24 +101,28 @@ def metrics(session: Session, joints: tuple[int, ...] | None = None) -> Metrics:
 
 
 def _read(session: Session) -> None:
-    """Read the columns that are needed together, so that each topic is read from the file once."""
-    if session.topics.get(Reference.topic):
-        session.reference.read(*REFERENCE_COLUMNS)
-    if session.topics.get(Measured.topic):
-        session.measured.read(*MEASURED_COLUMNS, "tau")
-    if session.base is not None:
-        session.base.read()
-    # First of all what is derived from the commands, which take much memory until then.
+    """Read the columns that are needed in one pass, and with another what is made of commands."""
+    session.read(
+        {
+            Reference: REFERENCE_COLUMNS,
+            Measured: (*MEASURED_COLUMNS, "tau"),
+            Base: (),
+            TorsoImu: ("publish_time",),
+        }
+    )
+    # Before anything else takes memory: the commands take much until their torque is known.
     if session.topics.get(Command.topic) and session.topics.get(Measured.topic):
         session.commanded_torque()
 
 
 def _tracking_metrics(tracking: Tracking, sampled: Frames | None) -> TrackingMetrics:
-    size = tracking.error
+    # As precise as the positions were recorded.
+    size = np.empty(tracking.reference.shape, np.float32)
+    np.subtract(tracking.reference, tracking.measured, out=size, casting="same_kind")
     np.abs(size, out=size)
     columns: dict[str, Floats] = {
         "rmse_rad": tracking.rmse,
-        "mae_rad": size.mean(axis=0),
+        "mae_rad": size.mean(axis=0, dtype=np.float64),
         "p99_rad": np.percentile(size, 99.0, axis=0),
         "mean_rad": tracking.mean,
         "max_abs_rad": tracking.max_abs,

@@ -6,16 +6,28 @@ frames are inclusive.
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from pydantic import computed_field
 
 from g1stream.analysis.render import labelled, table
-from g1stream.session.summary import Record
+from g1stream.session.records import Record
 from g1stream.text import counted
 from g1stream.types import Support
 
-__all__ = ["Collision", "Excess", "Foot", "MotionPhysics", "OnFeet", "TorquePeak", "Verdict"]
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+__all__ = [
+    "Collision",
+    "Excess",
+    "Foot",
+    "MotionPhysics",
+    "OnFeet",
+    "TorquePeak",
+    "Verdict",
+    "reasons",
+]
 
 Cause = Literal[
     "self-collision",
@@ -241,24 +253,12 @@ class MotionPhysics(Record, frozen=True):
                 *(_line(f"  {support}", str(one)) for support, one in self.verdicts.items()),
                 *([_line("  feet", str(self.on_feet))] if self.on_feet else []),
             ],
-            [_line(of, str(excess)) for of, excess in self.reasons],
+            [_line(of, str(excess)) for of, excess in reasons(self.verdicts)],
             self._feet(),
             self._torques(),
             self._collisions(),
         )
         return "\n\n".join("\n".join(lines) for lines in sections if lines)
-
-    @property
-    def reasons(self) -> list[tuple[str, Excess]]:
-        """What speaks against the motion, each with the supports that it is about, named."""
-        supports: dict[Excess, list[str]] = {}
-        for support, verdict in self.verdicts.items():
-            for excess in verdict.excesses:
-                supports.setdefault(excess, []).append(support)
-        return [
-            ("any support" if len(of) == len(self.verdicts) else ", ".join(of), excess)
-            for excess, of in sorted(supports.items(), key=lambda one: not one[0].forbids)
-        ]
 
     @property
     def pressure(self) -> str:
@@ -329,6 +329,18 @@ class MotionPhysics(Record, frozen=True):
         ]
         more = len(self.collisions) - _ROWS
         return [*table(rows, left=(0, 1, 5)), *([f"and {more} more pairs"] if more > 0 else [])]
+
+
+def reasons(verdicts: Mapping[Support, Verdict]) -> list[tuple[str, Excess]]:
+    """Each excess once, what forbids a motion first, with the supports that it is about, named."""
+    supports: dict[Excess, list[str]] = {}
+    for support, verdict in verdicts.items():
+        for excess in verdict.excesses:
+            supports.setdefault(excess, []).append(support)
+    return [
+        ("any support" if len(of) == len(verdicts) else ", ".join(of), excess)
+        for excess, of in sorted(supports.items(), key=lambda one: not one[0].forbids)
+    ]
 
 
 def _line(label: str, text: str) -> str:

@@ -11,7 +11,9 @@ from g1stream.errors import RecordingError
 from g1stream.motion.correction import ATTACHMENT_NAME, Conditions, Correction
 from g1stream.robot.joints import N_JOINTS
 from g1stream.robot.model import G1
-from g1stream.session.summary import SessionInfo, StreamSummary, read_record
+from g1stream.session.info import SessionInfo
+from g1stream.session.records import read_record
+from g1stream.session.stream_summary import StreamSummary
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -26,8 +26,10 @@ from g1stream.analysis.tracking import NothingToCompareError
 from g1stream.errors import ConfigError, RecordingError
 from g1stream.files import complete_file
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
+from g1stream.session.info import MotionInfo
+from g1stream.session.records import read_record
+from g1stream.session.stream_summary import StreamSummary
 from g1stream.session.streams import Measured, Reference
-from g1stream.session.summary import MotionInfo, StreamSummary, read_record
 from g1stream.text import counted
 from g1stream.types import Floats, Phase
 

@@ -15,15 +15,9 @@ from g1stream.types import Phase
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
 
-    from g1stream.session.summary import (
-        FeedForwardChange,
-        MessageStats,
-        Percentiles,
-        StreamSummary,
-        Summary,
-        Termination,
-        TrackingSummary,
-    )
+    from g1stream.session.records import Percentiles
+    from g1stream.session.stream_summary import FeedForwardChange, StreamSummary
+    from g1stream.session.summary import MessageStats, Summary, Termination, TrackingSummary
 
 __all__ = [
     "WIDTH",
@@ -121,7 +115,9 @@ def session_facts(summary: Summary) -> list[tuple[str, str]]:
         parts = [motion.name or "unknown"]
         parts += [counted(motion.frames, "frame")] if motion.frames else []
         parts += [f"{motion.fps:g} fps"] if motion.fps else []
-        parts += [f"sha256 {motion.sha256[:12]}"] if motion.sha256 else []
+        if motion.sha256 or motion.content_sha256:  # joined motions come from no one file
+            of = "" if motion.sha256 else "of its frames "
+            parts.append(f"sha256 {of}{(motion.sha256 or motion.content_sha256 or '')[:12]}")
         parts += motion.operations
         lines.append(("motion", ", ".join(parts)))
     if summary.joints and (summary.absent or len(summary.joints) < N_JOINTS):

@@ -15,26 +15,22 @@ from g1stream.analysis.tracking import NothingToCompareError
 from g1stream.config import Config
 from g1stream.control.guard import LOG_NAME
 from g1stream.robot.joints import JOINT_NAMES
+from g1stream.session.info import SessionInfo
+from g1stream.session.recorder_summary import RecorderSummary
+from g1stream.session.records import Percentiles, read_record
+from g1stream.session.stream_summary import StreamSummary
 from g1stream.session.streams import STREAMS, Reference
-from g1stream.session.summary import (
-    MessageStats,
-    Percentiles,
-    RecorderSummary,
-    SessionInfo,
-    StreamSummary,
-    Summary,
-    Termination,
-    read_record,
-)
+from g1stream.session.summary import MessageStats, Summary, Termination
 from g1stream.text import counted
 from g1stream.types import Floats, Phase
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
+    from g1stream.session.info import MotionInfo
     from g1stream.session.session import Session
     from g1stream.session.streams import Stream
-    from g1stream.session.summary import MotionInfo, PhaseInterval
+    from g1stream.session.summary import PhaseInterval
 
 __all__ = [
     "FEEDFORWARD",

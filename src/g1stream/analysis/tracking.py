@@ -183,12 +183,14 @@ def compare(reference: Reference, measured: Measured) -> Tracking | None:
     states = state_order[compared.instants]
     motion_time = compared.interpolate(reference.motion_time[order][:, np.newaxis])[:, 0]
     played = played_joints(np.bitwise_or.reduce(reference.played[order][phase == Phase.PLAY]))
-    asked, done = np.empty((2, len(states), N_JOINTS))
+    asked = np.empty((len(states), N_JOINTS))
+    # Of states without a gap it is a view: a long recording has much of everything.
+    whole = (np.diff(states) == 1).all()
+    done = measured.q[states[0] : states[-1] + 1] if whole else measured.q[states]
     squares, total, largest = np.zeros((3, N_JOINTS))
     worst, joints = np.zeros(N_JOINTS, dtype=np.intp), np.arange(N_JOINTS)
     for part in blocks(len(states)):
         asked[part] = compared.where(part).interpolate(q)
-        done[part] = measured.q[states[part]]
         error = asked[part] - done[part]
         squares += np.square(error).sum(axis=0)
         total += error.sum(axis=0)

@@ -19,7 +19,7 @@ from g1stream.motion.blend import minimum_jerk
 from g1stream.robot.dynamics import InverseDynamics
 from g1stream.robot.joints import N_JOINTS
 from g1stream.robot.model import G1, REVISIONS
-from g1stream.session.summary import FeedForwardChange
+from g1stream.session.stream_summary import FeedForwardChange
 from g1stream.types import FeedForwardKind, Floats, Ints, Phase, StreamSupport, Support
 
 if TYPE_CHECKING:

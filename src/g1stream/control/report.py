@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from g1stream.robot.joints import N_JOINTS, by_joint
-from g1stream.session.summary import FeedForwardChange, Percentiles, StreamSummary
+from g1stream.session.records import Percentiles
+from g1stream.session.stream_summary import FeedForwardChange, StreamSummary
 from g1stream.types import Ints
 
 if TYPE_CHECKING:

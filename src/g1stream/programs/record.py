@@ -27,15 +27,16 @@ from g1stream.realtime import lower_priority
 from g1stream.recorder.recorder import Recorder
 from g1stream.robot.model import G1
 from g1stream.session.format import CHANNELS
+from g1stream.session.info import SessionInfo
 from g1stream.session.parts import remove_recording
-from g1stream.session.summary import SessionInfo
 from g1stream.session.writer import SessionWriter, attach_motion
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from g1stream.programs.child_process import Parent
-    from g1stream.session.summary import RecorderSummary, Summary
+    from g1stream.session.recorder_summary import RecorderSummary
+    from g1stream.session.summary import Summary
 
 __all__ = ["record"]
 

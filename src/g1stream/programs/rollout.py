@@ -24,10 +24,11 @@ from g1stream.motion.motion import Motion
 from g1stream.programs.sim import make_world
 from g1stream.programs.standing import stand_if_asked
 from g1stream.robot.model import G1
+from g1stream.session.info import SessionInfo
 from g1stream.session.motions import load_motion
+from g1stream.session.recorder_summary import RecorderSummary
 from g1stream.session.session import Session
 from g1stream.session.source import MemorySource
-from g1stream.session.summary import RecorderSummary, SessionInfo
 from g1stream.session.writer import attach_motion
 from g1stream.sim.lockstep import EPOCH, Lockstep
 from g1stream.sim.robot import SimulatedRobot

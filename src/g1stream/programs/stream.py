@@ -37,17 +37,13 @@ from g1stream.programs.ros2 import publishing_for_ros2
 from g1stream.programs.standing import refuse_feet_on_robot, stand_if_asked
 from g1stream.realtime import describe, on_time
 from g1stream.robot.model import G1
+from g1stream.session.info import MotionInfo, SessionInfo
 from g1stream.session.motions import load_motion
 from g1stream.session.parts import check_recording_path
+from g1stream.session.recorder_summary import RecorderSummary
 from g1stream.session.session import open_session
-from g1stream.session.summary import (
-    MotionInfo,
-    RecorderSummary,
-    SessionInfo,
-    StreamSummary,
-    Summary,
-    Termination,
-)
+from g1stream.session.stream_summary import StreamSummary
+from g1stream.session.summary import Summary, Termination
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -23,7 +23,7 @@ from g1stream.realtime import quick_thread_switches
 from g1stream.recorder.clocks import DelayEstimator, StepDetector, read_clocks
 from g1stream.recorder.losses import Losses, dropped_datagrams
 from g1stream.recorder.receiver import Receiver
-from g1stream.session.summary import ClockStep, RecorderSummary, TopicDelay
+from g1stream.session.recorder_summary import ClockStep, RecorderSummary, TopicDelay
 from g1stream.text import counted
 
 if TYPE_CHECKING:

@@ -6,7 +6,8 @@ the names; None stands for what is not known.
 
 from __future__ import annotations
 
-from g1stream.session.summary import Int, JointTracking, MessageStats, Percentiles, Record
+from g1stream.session.records import Int, Percentiles, Record
+from g1stream.session.summary import JointTracking, MessageStats
 
 __all__ = [
     "BodyMetrics",

@@ -11,8 +11,9 @@ from g1stream.errors import MotionError, RecordingError
 from g1stream.files import is_session, is_sqlite
 from g1stream.motion.files import motion_file, open_motion_file
 from g1stream.motion.motion import Motion, check_fps
+from g1stream.session.info import MotionInfo
 from g1stream.session.poses import motion_of_poses
-from g1stream.session.summary import MotionInfo, read_record
+from g1stream.session.records import read_record
 from g1stream.types import STREAM_RATE, Floats, Phase
 
 if TYPE_CHECKING:

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 from functools import cached_property
-from itertools import compress
 from pathlib import Path
 from types import NoneType
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from g1stream.dds.messages import Samples
-from g1stream.errors import RecordingError, WireError
 from g1stream.robot.model import G1
-from g1stream.session.mcap_reader import RECOVER
+from g1stream.session.columns import CONVERTED, Columns, samples
 from g1stream.session.parts import SessionFiles
-from g1stream.session.source import Slices
 from g1stream.session.streams import Base, Command, LogEvent, Measured, Reference, Stream, TorsoImu
-from g1stream.text import counted
 from g1stream.types import Floats, Phase
 
 if TYPE_CHECKING:
@@ -32,15 +28,12 @@ if TYPE_CHECKING:
     from g1stream.analysis.video import Camera
     from g1stream.motion.motion import Motion
     from g1stream.session.metrics import Metrics
-    from g1stream.session.source import Messages, SessionSource
+    from g1stream.session.source import SessionSource
     from g1stream.session.summary import PhaseInterval, Summary
 
 __all__ = ["LogEvent", "Message", "Session", "open_session"]
 
-_ESSENTIAL: Final = (Reference.topic, Command.topic, Measured.topic)
-#: What `convert` makes of a motion has its joints, and no samples of DDS.
-_CONVERTED: Final = "/reference/joint_states"
-
+T = TypeVar("T")
 StreamT = TypeVar("StreamT", bound=Stream)
 
 
@@ -96,12 +89,15 @@ class Session:
         self.complete = source.complete
         self.topics = source.topics
         self.metadata = source.metadata
-        self._streams: dict[type[Stream], Any] = {}
-        self._tracking: Tracking | None = None
-        self._summary: Summary | None = None
-        self._commanded_torque: Floats | None = None
-        if not any(self.topics.get(topic) for topic in (*_ESSENTIAL, _CONVERTED)):
-            raise self._without_essentials()
+        self._columns = Columns(source)
+        self._kept: dict[object, Any] = {}
+
+    def _once(self, what: object, make: Callable[[], T]) -> T:
+        """What is made when it is first used, and kept."""
+        if what not in self._kept:
+            self._kept[what] = make()
+        kept: T = self._kept[what]
+        return kept
 
     def __repr__(self) -> str:
         counts = ", ".join(f"{topic} {n}" for topic, n in sorted(self.topics.items()) if n)
@@ -139,15 +135,31 @@ class Session:
         Args:
             kind: one of the values of `STREAMS`.
         """
-        if kind not in self._streams:
-            self._streams[kind] = self._make_stream(kind)
-        stream: StreamT = self._streams[kind]
-        return stream
+        return self._once(kind, lambda: self._make_stream(kind))
 
     def _make_stream(self, kind: type[StreamT]) -> StreamT:
-        self._require(kind.topic)
-        stream = kind(lambda names: self._read(kind, names), lambda: stream.since(self.start_ns))
+        self._columns.require(kind.topic)
+        stream = kind(
+            lambda names: self._columns.of({kind: names})[kind],
+            lambda: stream.since(self.start_ns),
+        )
         return stream
+
+    def read(self, columns: Mapping[type[Stream], Sequence[str]]) -> None:
+        """Read columns of several streams in one pass, which takes less time than one each.
+
+        Args:
+            columns: names by stream, all of its columns if there are none. Of a topic without
+                messages nothing is read.
+
+        Raises:
+            RecordingError: the file is damaged, or a stream has no such column.
+        """
+        streams = {kind: self.stream(kind) for kind in columns if self.topics.get(kind.topic)}
+        missing = {kind: stream.missing(*columns[kind]) for kind, stream in streams.items()}
+        wanted = {kind: names for kind, names in missing.items() if names}
+        for kind, found in self._columns.of(wanted).items() if wanted else ():
+            streams[kind].keep(found)
 
     @cached_property
     def robot(self) -> G1:
@@ -185,12 +197,11 @@ class Session:
             made = Stream(lambda _: columns, lambda: made.since(self.start_ns))
             return made
 
-        columns = self._columns(topics, lambda _: {})
-        return {topic: stream(columns[topic]) for topic in topics}
+        return {topic: stream(found) for topic, found in self._columns.times(topics).items()}
 
     def messages(self, topic: str) -> Iterator[Message]:
         """The messages of any topic, one after the other, in the order of the file."""
-        self._require(topic)
+        self._columns.require(topic)
         for _, batch in self._source.batches({topic}):
             times = batch.log_times.tolist(), batch.publish_times.tolist()
             yield from map(Message, *times, batch.data)
@@ -205,13 +216,7 @@ class Session:
         Raises:
             RecordingError: one of them is not of the topic's type.
         """
-        try:
-            return Samples(kind.source, data)
-        except WireError as error:
-            raise RecordingError(
-                f"{kind.topic} in {self.path} cannot be decoded. {error.cause}",
-                "Read it with the version of g1stream that recorded it.",
-            ) from error
+        return samples(kind, data, self.path)
 
     @cached_property
     def start_ns(self) -> int:
@@ -224,7 +229,7 @@ class Session:
         for kind in (Reference, Command, Measured):
             if self.topics.get(kind.topic):
                 return self.stream(kind).start_ns
-        return self._read_times([_CONVERTED])[_CONVERTED].start_ns
+        return self._read_times([CONVERTED])[CONVERTED].start_ns
 
     @property
     def phases(self) -> list[PhaseInterval]:
@@ -254,26 +259,9 @@ class Session:
         """
         if not isinstance(time, (slice, NoneType)):
             raise TypeError(f"time takes a slice of seconds, such as slice(2.0, 5.0), not {time!r}")
-        ranges = [(-np.inf, np.inf)] if phase is None else self._phase_ranges(phase)
-        if time is not None:
-            first = -np.inf if time.start is None else time.start
-            end = np.inf if time.stop is None else np.nextafter(time.stop, np.inf)
-            ranges = [(max(a, first), min(b, end)) for a, b in ranges]
-        return _Selection(self, ranges)
+        from g1stream.session.selection import select
 
-    def _phase_ranges(self, phase: str | Phase) -> list[tuple[float, float]]:
-        name = phase.name if isinstance(phase, Phase) else phase.upper()
-        if name not in Phase.__members__:
-            raise RecordingError(
-                f"There is no phase {phase!r}.", f"Choose from {', '.join(Phase.__members__)}."
-            )
-        phases = self.phases
-        ends = [*(one.start_s for one in phases[1:]), np.inf][: len(phases)]
-        return [
-            (one.start_s, end)
-            for one, end in zip(phases, ends, strict=True)
-            if one.phase is Phase[name]
-        ]
+        return select(self, phase, time)
 
     def tracking(self) -> Tracking:
         """How closely the robot followed the reference in PLAY.
@@ -281,19 +269,15 @@ class Session:
         Raises:
             RecordingError: there is nothing to compare.
         """
-        if self._tracking is None:
-            from g1stream.analysis.tracking import tracking
+        from g1stream.analysis.tracking import tracking
 
-            self._tracking = tracking(self)
-        return self._tracking
+        return self._once(tracking, lambda: tracking(self))
 
     def summary(self) -> Summary:
         """What is in the session, how well it went, and its problems; `print` shows it."""
-        if self._summary is None:
-            from g1stream.analysis.summary import summarise
+        from g1stream.analysis.summary import summarise
 
-            self._summary = summarise(self)
-        return self._summary
+        return self._once(summarise, lambda: summarise(self))
 
     def commanded_torque(self) -> Floats:
         """(M, 29) Nm, float32, that the newest command asked for at each of the M LowStates.
@@ -303,11 +287,9 @@ class Session:
         Raises:
             RecordingError: there are no states or no commands.
         """
-        if self._commanded_torque is None:
-            from g1stream.analysis.torque import commanded_torque
+        from g1stream.analysis.torque import commanded_torque
 
-            self._commanded_torque = commanded_torque(self)
-        return self._commanded_torque
+        return self._once(commanded_torque, lambda: commanded_torque(self))
 
     def metrics(self) -> Metrics:
         """How well it went, in the metrics of motion-tracking papers; docs/metrics.md defines them.
@@ -474,114 +456,3 @@ class Session:
         from g1stream.session.export import to_parquet
 
         return to_parquet(self, Path(directory))
-
-    def _read(self, kind: type[Stream], names: list[str]) -> Mapping[str, NDArray[Any]]:
-        paths = {name: path for name, path in kind.wire_fields().items() if name in names}
-
-        def decode(messages: Messages) -> dict[str, NDArray[Any]]:
-            if not paths:
-                return {}
-            rows = messages.data.rows() if isinstance(messages.data, Slices) else None
-            samples = self.samples(kind, messages.data if rows is None else rows)
-            return {name: samples[path] for name, path in paths.items()}
-
-        return self._columns([kind.topic], decode)[kind.topic]
-
-    def _columns(
-        self, topics: Sequence[str], decode: Callable[[Messages], dict[str, NDArray[Any]]]
-    ) -> dict[str, dict[str, NDArray[Any]]]:
-        """By topic and attribute, what all messages of some topics have; read in one pass."""
-        columns: dict[str, dict[str, NDArray[Any]]] = {topic: {} for topic in topics}
-        filled = dict.fromkeys(topics, 0)
-        for topic, messages in self._source.batches(set(topics)):
-            begin, end = filled[topic], filled[topic] + len(messages.log_times)
-            times = {"log_time": messages.log_times, "publish_time": messages.publish_times}
-            if end <= self.topics[topic]:
-                for name, values in (times | decode(messages)).items():
-                    if not begin:
-                        columns[topic][name] = self._empty(topic, values)
-                    columns[topic][name][begin:end] = values
-            filled[topic] = end
-        for topic, found in filled.items():
-            if found != self.topics[topic]:
-                raise self._miscounted(topic, f"it has {found}")
-            for values in columns[topic].values():
-                values.setflags(write=False)
-        return columns
-
-    def _empty(self, topic: str, values: NDArray[Any]) -> NDArray[Any]:
-        """A column for all messages of a topic, like the values (n, ...) of some of them."""
-        try:
-            return np.empty((self.topics[topic], *values.shape[1:]), values.dtype)
-        except (MemoryError, ValueError) as error:  # the number comes from the file
-            raise self._miscounted(topic, "no memory has room for so many") from error
-
-    def _miscounted(self, topic: str, found: str) -> RecordingError:
-        messages = counted(self.topics[topic], "message")
-        return RecordingError(f"{self.path} is damaged: of {messages} on {topic} {found}.", RECOVER)
-
-    def _require(self, topic: str) -> None:
-        if not self.topics.get(topic):
-            raise RecordingError(
-                f"{self.path} has no messages on {topic}, {self._other_topics()}.",
-                "Record while its publisher runs.",
-            )
-
-    def _without_essentials(self) -> RecordingError:
-        none = f"{', '.join(_ESSENTIAL[:-1])} or {_ESSENTIAL[-1]}"
-        if not self.complete:
-            return RecordingError(
-                f"The session file {self.path} was cut off before the first sample of {none}.",
-                "Copy it again, or record again.",
-            )
-        if "started_ns" in self.metadata:  # a recording without samples
-            where = f"domain {self.metadata['domain']}", str(self.metadata["interface"])
-            return RecordingError(
-                f"Nothing was recorded into {self.path}: there was no publisher of {none} on "
-                f"{' on '.join(where)}.",
-                f"`g1stream doctor --{where[0]} --interface {where[1]}` lists the participants; "
-                "start the robot or the simulator, then record.",
-            )
-        return RecordingError(
-            f"{self.path} is not a session of g1stream: it has no messages on {none}, "
-            f"{self._other_topics()}.",
-            "Give a file that `g1stream record` or `g1stream stream --record` made.",
-        )
-
-    def _other_topics(self) -> str:
-        if not self.topics:
-            return "nor on any other topic"
-        return "only on " + ", ".join(sorted(self.topics))
-
-
-class _Selection(Session):
-    """A session restricted to ranges of time (first, end), s, the end excluded."""
-
-    def __init__(self, whole: Session, ranges: list[tuple[float, float]]) -> None:
-        super().__init__(whole._source)
-        self._whole, self._ranges = whole, ranges
-        self.start_ns = whole.start_ns
-
-    def _inside(self, times: Floats) -> NDArray[np.bool_]:
-        inside = np.zeros(len(times), dtype=bool)
-        for first, end in self._ranges:
-            inside |= (times >= first) & (times < end)
-        return inside
-
-    def _make_stream(self, kind: type[StreamT]) -> StreamT:
-        stream = self._whole.stream(kind)
-        return stream[self._inside(stream.time)]
-
-    @cached_property
-    def times(self) -> dict[str, Stream]:
-        return {topic: one[self._inside(one.time)] for topic, one in self._whole.times.items()}
-
-    @cached_property
-    def log(self) -> list[LogEvent]:
-        seconds = np.array([event.time - self.start_ns for event in self._whole.log]) / 1e9
-        return list(compress(self._whole.log, self._inside(seconds)))
-
-    def messages(self, topic: str) -> Iterator[Message]:
-        self._require(topic)
-        times = self._whole._read_times([topic])[topic].time
-        return compress(self._whole.messages(topic), self._inside(times))

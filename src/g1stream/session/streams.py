@@ -98,6 +98,19 @@ class Stream:
         Raises:
             RecordingError: the file is damaged, or the stream has no such column.
         """
+        missing = self.missing(*columns)
+        if missing:
+            if self._load is None:
+                raise AttributeError(f"{type(self).__name__} has no {', '.join(missing)}")
+            self.keep(dict(self._load(missing)))
+        return self
+
+    def missing(self, *columns: str) -> list[str]:
+        """Of some columns and the times, those that are not read yet; of all if none are named.
+
+        Raises:
+            RecordingError: the stream has no such column.
+        """
         known = self.wire_fields()
         if unknown := [name for name in columns if name not in known and name not in _TIMES]:
             raise RecordingError(
@@ -105,14 +118,12 @@ class Stream:
                 f"Choose from {', '.join((*_TIMES, *known))}.",
             )
         wanted = dict.fromkeys((*_TIMES, *(columns or known)))
-        missing = [name for name in wanted if name not in self.__dict__]
-        if missing:
-            if self._load is None:
-                raise AttributeError(f"{type(self).__name__} has no {', '.join(missing)}")
-            found = dict(self._load(missing))
-            for name in missing:
-                self.__dict__[name] = _as_float64(found.pop(name))
-        return self
+        return [name for name in wanted if name not in self.__dict__]
+
+    def keep(self, columns: dict[str, NDArray[Any]]) -> None:
+        """Take in columns that were read, floats in any precision; none is left in the dict."""
+        for name in list(columns):  # one after the other: of a long recording each is large
+            self.__dict__[name] = _as_float64(columns.pop(name))
 
     def as_recorded(self: StreamT, *columns: str) -> StreamT:
         """The same samples with these columns only, in the wire's precision: half the memory.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 from g1stream.analysis.physics import motion_physics
+from g1stream.analysis.physics_report import reasons
 from g1stream.analysis.report import html
 from g1stream.analysis.report.tables import Column, table
 from g1stream.analysis.summary import played
@@ -119,7 +120,10 @@ def physics_section(physics: MotionPhysics | str, support: str | None, key: str)
         for one, verdict in physics.verdicts.items()
         for i, excess in enumerate(verdict.excesses)
     }
-    reasons = [(of, keys[excess], excess.model_dump(mode="json")) for of, excess in physics.reasons]
+    against = [
+        (of, keys[excess], excess.model_dump(mode="json"))
+        for of, excess in reasons(physics.verdicts)
+    ]
     peaks = [
         (one, f"{key}.torques.{one}.{i}", row)
         for one, rows in values["torques"].items()
@@ -130,7 +134,7 @@ def physics_section(physics: MotionPhysics | str, support: str | None, key: str)
     return "\n".join(
         (
             html.facts([*verdicts, *(one for one in more if one[1])]),
-            table("support", _EXCESSES, reasons),
+            table("support", _EXCESSES, against),
             table("foot", _FEET, each("feet", "link", values["feet"])),
             table("support", _PEAKS, peaks),
             html.details(

@@ -22,11 +22,12 @@ def timing_metrics(session: Session, summary: Summary) -> TimingMetrics:
     # With --via arm_sdk, those on /lowcmd are the robot's own controller's.
     ours = ArmCommand if session.topics.get(ArmCommand.topic) else Command
     stream, command = summary.stream, summary.topics.get(ours.topic)
+    late = None if summary.simulated else stream  # a simulation waits for the loop
     found = TimingMetrics(
         rate_hz=command and command.rate_hz,
         nominal_rate_hz=stream and stream.nominal_rate_hz,
-        lateness_us=stream and stream.lateness_us,
-        lateness_histogram_us=stream and stream.lateness_histogram_us,
+        lateness_us=late and late.lateness_us,
+        lateness_histogram_us=late and late.lateness_histogram_us,
         skipped_ticks=stream and stream.skipped_ticks,
         topics={t: stats for t, stats in summary.topics.items() if stats.gaps is not None},
     )

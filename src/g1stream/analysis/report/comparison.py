@@ -63,7 +63,10 @@ def write_page(
                 "overlay", f"Joint {html.joint_choice(drawn['first_joint'], comparison.joints)}"
             ),
             errors=html.figure("errors", "RMS error of all joints over the motion"),
-            sides_rmse=html.figure("sides_rmse", "RMSE of each joint; a click shows it below"),
+            sides_rmse=html.figure(
+                "sides_rmse",
+                "RMSE of each joint, the mean of a side and its sessions; a click shows it below",
+            ),
         )
         page = html.page("comparison", f"Comparison: {comparison.motion}", content, [drawn])
         temporary.write_text(page, encoding="utf-8")

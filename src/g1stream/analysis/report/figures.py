@@ -71,7 +71,7 @@ def figures(session: Session, summary: Summary, metrics: Metrics) -> dict[str, A
         "signals": signals,
         "limbs": limbs,
         "intervals": _intervals(session),
-        "lateness": _lateness(summary),
+        "lateness": _lateness(metrics),
     }
 
 
@@ -142,9 +142,9 @@ def _intervals(session: Session) -> list[dict[str, Any]]:
     ]
 
 
-def _lateness(summary: Summary) -> list[dict[str, Any]]:
+def _lateness(metrics: Metrics) -> list[dict[str, Any]]:
     """Ticks by how late they were, in bins that widen: 10 to 20 us, 20 to 30, 30 to 50 ..."""
-    histogram = (summary.stream.lateness_histogram_us if summary.stream else None) or {}
+    histogram = metrics.timing.lateness_histogram_us or {}
     if not histogram:
         return []
     edges = [0]

@@ -160,6 +160,12 @@ def _section(
         parts[name] = html.details("Each joint", parts[name])
     for name in ("tracking", "body", "torque"):
         parts[f"missing_{name}"] = html.missing(metrics["missing"].get(name))
+    support = summary.stream.support if summary.stream else None
+    if metrics["body"] and support in {"bolted", "hanging"}:
+        parts["missing_body"] += html.missing(
+            f"The pelvis was held ({support}): only the figures of the joints alone, and of hands "
+            "and feet, tell how closely the robot followed."
+        )
     parts["missing_timing"] = html.missing(None if parts["topics"] else "No topic of DDS.")
     if any(one["lines"] for one in drawn["signals"].values()):
         choice = html.joint_choice(drawn["first_joint"], {*JOINT_NAMES} - {*summary.absent})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
+from g1stream.analysis.layouts import short_name
 from g1stream.analysis.physics import motion_physics
 from g1stream.analysis.physics_report import reasons
 from g1stream.analysis.report import html
@@ -30,8 +31,8 @@ _MOST_FRAMES: Final = 6000
 _EXCESSES: Final = (
     Column("what", "", "cause"),
     Column("of", "", "where"),
-    Column("worst", "", "worst", ".3g"),
-    Column("limit", "", "limit", ".3g"),
+    Column("worst", "", "worst", ".4g"),
+    Column("limit", "", "limit", ".4g"),
     Column("unit", "", "unit"),
     Column("at", "s", "time_s", ".2f"),
     Column("longest", "s", "longest_s", ".2f"),
@@ -107,7 +108,7 @@ def physics_section(physics: MotionPhysics | str, support: str | None, key: str)
     values = physics.model_dump(mode="json")
 
     def each(path: str, name: str, rows: Sequence[Any]) -> list[tuple[str, str, Any]]:
-        return [(row[name], f"{key}.{path}.{i}", row) for i, row in enumerate(rows)]
+        return [(short_name(row[name]), f"{key}.{path}.{i}", row) for i, row in enumerate(rows)]
 
     verdicts = [
         (f"{one}, as in this session" if one == support else one, str(verdict))

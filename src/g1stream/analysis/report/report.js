@@ -118,7 +118,8 @@
         type: "bar", name: side.name, x: joints, y: side.rmse_deg.map(mean), offsetgroup: i,
         marker: { color: side.colour }, hovertemplate: "%{x}<br>%{y:.3f} deg<extra></extra>",
         error_y: {
-          type: "data", symmetric: false, thickness: 1, width: 2, color: DARK,
+          type: "data", visible: side.rmse_deg.some((one) => one?.length > 1),
+          symmetric: false, thickness: 1, width: 2, color: DARK,
           array: side.rmse_deg.map((one) => one && Math.max(...one) - mean(one)),
           arrayminus: side.rmse_deg.map((one) => one && mean(one) - Math.min(...one)),
         },
@@ -144,7 +145,7 @@
     const first = comparison.lines.findIndex((one) => one.side === side) === i;
     return line(curve, {
       yaxis, name: legend, legendgroup: legend, showlegend: first && !more, text: name,
-      opacity: 0.75, line: { width: 1.2, color: colour },
+      opacity: 0.8, line: { width: 1.3, color: colour },
       hovertemplate: `%{x:.2f} s, %{y:.3f} deg<br>${plain(name)}<extra></extra>`,
     });
   }

@@ -114,6 +114,8 @@ def physics_section(physics: MotionPhysics | str, support: str | None, key: str)
         (f"{one}, as in this session" if one == support else one, str(verdict))
         for one, verdict in physics.verdicts.items()
     ]
+    if physics.on_feet:
+        verdicts.append(("feet", str(physics.on_feet)))
     more = [("tilt", physics.tilt), ("centre of pressure", physics.pressure)]
     # The same excess may speak against several supports: it is in the JSON of each.
     keys = {

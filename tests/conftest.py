@@ -7,21 +7,29 @@ import itertools
 import json
 import os
 import socket
+import subprocess
+import sys
 import tempfile
+import threading
 import time
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
+from g1stream.dds.domain import OBSERVER, Participant
+from g1stream.dds.endpoints import RawReader
 from g1stream.dds.layout import members
+from g1stream.dds.messages import LowCmd
+from g1stream.dds.topics import LOWCMD, Topic
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+    from contextlib import AbstractContextManager
 
 # On a busy machine, examples take longer than hypothesis expects; that is no failure.
 settings.register_profile("busy", deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -120,6 +128,66 @@ def until() -> Callable[[Callable[[], Any], str], None]:
             time.sleep(0.005)
 
     return wait
+
+
+@contextmanager
+def _running(*arguments: object, **options: Any) -> Iterator[subprocess.Popen[str]]:
+    command = [sys.executable, "-m", "g1stream", *map(str, arguments)]
+    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, **options}
+    process = subprocess.Popen(command, **streams)
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+@pytest.fixture(scope="session")
+def running() -> Callable[..., AbstractContextManager[subprocess.Popen[str]]]:
+    """Run `g1stream` with these arguments as a process of its own, killed in the end.
+
+    Keyword arguments are those of Popen.
+    """
+    return _running
+
+
+class Received(NamedTuple):
+    """A command: publish time, ns; Cyclone's handle of its writer; what it asks for."""
+
+    stamp: int
+    writer: int
+    command: LowCmd
+
+
+@contextmanager
+def _tap(domain_id: int, topic: Topic = LOWCMD) -> Iterator[list[Received]]:
+    stop, received = threading.Event(), []
+    with Participant(domain_id, "lo") as participant:
+        reader = RawReader(participant, topic, depth=5000, user_data=OBSERVER)
+
+        def take() -> None:
+            while not stop.wait(0.01):
+                for sample in reader.take(5000):
+                    command = LowCmd()
+                    command.load(sample.data)
+                    writer = sample.sample_info.publication_handle
+                    received.append(Received(sample.publish_time, writer, command))
+
+        thread = threading.Thread(target=take)
+        thread.start()
+        try:
+            yield received
+        finally:
+            stop.set()
+            thread.join()
+    assert all(one.command.crc_matches() for one in received)
+
+
+@pytest.fixture(scope="session")
+def tap() -> Callable[..., AbstractContextManager[list[Received]]]:
+    """All commands on rt/lowcmd, or another topic, of a domain, while they arrive."""
+    return _tap
 
 
 @pytest.fixture(scope="session")

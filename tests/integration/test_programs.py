@@ -10,7 +10,6 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,34 +25,11 @@ from g1stream.session.session import open_session
 from g1stream.types import Phase
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable
 
 RAMP = 0.5
 PLAY = 2.0
 PLAYING = "RAMP -> PLAY"
-
-
-def command(*arguments: object) -> list[str]:
-    return [sys.executable, "-m", "g1stream", *map(str, arguments)]
-
-
-@contextmanager
-def running(*arguments: object) -> Iterator[subprocess.Popen[str]]:
-    process = subprocess.Popen(
-        command(*arguments), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-    try:
-        yield process
-    finally:
-        if process.poll() is None:
-            process.kill()
-        process.communicate()
-
-
-@contextmanager
-def simulator(domain_id: int, *more: object) -> Iterator[subprocess.Popen[str]]:
-    with running("sim", "--domain", domain_id, *more) as process:
-        yield process
 
 
 PATIENT = Path(__file__).parents[1] / "data" / "patient.toml"
@@ -66,9 +42,8 @@ def stream_arguments(domain_id: int, *more: object) -> list[object]:
 
 
 def run(arguments: list[object], timeout: float = 60.0) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        command(*arguments), capture_output=True, text=True, timeout=timeout, check=False
-    )
+    command = [sys.executable, "-m", "g1stream", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=timeout, check=False)
 
 
 def wait_for(process: subprocess.Popen[str], text: str) -> None:
@@ -91,12 +66,12 @@ def times(path: Path) -> dict[str, np.ndarray[Any, Any]]:
 
 @pytest.fixture(scope="module")
 def played(
-    tmp_path_factory: pytest.TempPathFactory, module_domain_id: int
+    tmp_path_factory: pytest.TempPathFactory, module_domain_id: int, running: Callable[..., Any]
 ) -> tuple[Path, dict[str, Any]]:
     """A session of two seconds of the bundled motion on our bridge, and what stream printed."""
     domain_id = module_domain_id
     path = tmp_path_factory.mktemp("played") / "session.mcap"
-    with simulator(domain_id):
+    with running("sim", "--domain", domain_id):
         done = run(
             stream_arguments(domain_id, "--duration", PLAY, "--record", path, "--json"),
         )
@@ -192,10 +167,10 @@ def test_the_file_carries_what_a_session_needs(played):
     assert metadata["recorder"]["lost"]["/reference"] == 0
 
 
-def test_a_simulator_that_dies_leads_to_damping(domain_id, tmp_path):
+def test_a_simulator_that_dies_leads_to_damping(domain_id, running, tmp_path):
     path = tmp_path / "killed.mcap"
     with (
-        simulator(domain_id) as sim,
+        running("sim", "--domain", domain_id) as sim,
         running(*stream_arguments(domain_id, "--record", path)) as stream,
     ):
         wait_for(stream, PLAYING)
@@ -209,10 +184,10 @@ def test_a_simulator_that_dies_leads_to_damping(domain_id, tmp_path):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTSTP, signal.SIGALRM])
-def test_signals_lead_to_damping(domain_id, tmp_path, number):
+def test_signals_lead_to_damping(domain_id, running, tmp_path, number):
     path = tmp_path / "signal.mcap"
     with (
-        simulator(domain_id),
+        running("sim", "--domain", domain_id),
         running(*stream_arguments(domain_id, "--record", path)) as stream,
     ):
         wait_for(stream, PLAYING)
@@ -226,10 +201,10 @@ def test_signals_lead_to_damping(domain_id, tmp_path, number):
     assert damped[-1] - damped[0] > 0.9e9
 
 
-def test_a_recorder_ends_with_its_streamer(domain_id, tmp_path):
+def test_a_recorder_ends_with_its_streamer(domain_id, running, tmp_path):
     path = tmp_path / "orphan.mcap"
     with (
-        simulator(domain_id),
+        running("sim", "--domain", domain_id),
         running(*stream_arguments(domain_id, "--record", path)) as stream,
     ):
         wait_for(stream, PLAYING)
@@ -240,9 +215,9 @@ def test_a_recorder_ends_with_its_streamer(domain_id, tmp_path):
     assert open_session(path).complete
 
 
-def test_a_second_writer_is_refused_by_name_and_the_first_plays_on(domain_id, tmp_path):
+def test_a_second_writer_is_refused_by_name_and_the_first_plays_on(domain_id, running, tmp_path):
     with (
-        simulator(domain_id),
+        running("sim", "--domain", domain_id),
         running(*stream_arguments(domain_id, "--loop", "--record", tmp_path / "a.mcap")) as first,
     ):
         wait_for(first, PLAYING)
@@ -327,11 +302,11 @@ def recorder_of(stream: subprocess.Popen[str]) -> int:
     ids=["SIGKILL", "SIGTERM", "SIGSTOP", "deleted", "replaced"],
 )
 def test_a_recorder_that_fails_is_told_while_the_motion_is_played_to_its_end(
-    domain_id, tmp_path, fault, why
+    domain_id, running, tmp_path, fault, why
 ):
     path = tmp_path / "s.mcap"
     with (
-        simulator(domain_id),
+        running("sim", "--domain", domain_id),
         running(*stream_arguments(domain_id, "--duration", 3, "--record", path)) as stream,
     ):
         wait_for(stream, PLAYING)
@@ -347,10 +322,10 @@ def test_a_recorder_that_fails_is_told_while_the_motion_is_played_to_its_end(
         assert not path.exists() or not path.stat().st_size
 
 
-def test_a_required_recorder_that_fails_ends_the_motion(domain_id, tmp_path):
+def test_a_required_recorder_that_fails_ends_the_motion(domain_id, running, tmp_path):
     where = ["--record", tmp_path / "s.mcap", "--require-record", "--loop"]
     with (
-        simulator(domain_id),
+        running("sim", "--domain", domain_id),
         running(*stream_arguments(domain_id, *where)) as stream,
     ):
         wait_for(stream, PLAYING)

@@ -6,7 +6,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import threading
 import time
 from contextlib import contextmanager
@@ -19,20 +18,6 @@ from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.messages import LowState
 from g1stream.dds.topics import LOWSTATE
 from g1stream.session.session import open_session
-
-PROGRAM = [sys.executable, "-m", "g1stream"]
-
-
-@contextmanager
-def command(*arguments, **options):
-    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, **options}
-    process = subprocess.Popen([*PROGRAM, *map(str, arguments)], **streams)
-    try:
-        yield process
-    finally:
-        if process.poll() is None:
-            process.kill()
-        process.communicate()
 
 
 @contextmanager
@@ -66,11 +51,11 @@ def lowstates(path):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGTSTP])
-def test_every_signal_ends_with_a_complete_file(domain_id, tmp_path, until, number):
+def test_every_signal_ends_with_a_complete_file(domain_id, running, tmp_path, until, number):
     path = tmp_path / "s.mcap"
     with (
         robot(domain_id) as sent,
-        command("record", path, "--domain", domain_id, "--json") as process,
+        running("record", path, "--domain", domain_id, "--json") as process,
     ):
         until(lambda: len(sent) > 200, "samples")
         process.send_signal(number)
@@ -82,12 +67,12 @@ def test_every_signal_ends_with_a_complete_file(domain_id, tmp_path, until, numb
     assert recorded == sent[first : first + len(recorded)]
 
 
-def test_a_closed_standard_output_does_not_end_the_recording(domain_id, tmp_path, until):
+def test_a_closed_standard_output_does_not_end_the_recording(domain_id, running, tmp_path, until):
     path = tmp_path / "s.mcap"
     reading, writing = os.pipe()
     with (
         robot(domain_id) as sent,
-        command("record", path, "--domain", domain_id, stdout=writing) as process,
+        running("record", path, "--domain", domain_id, stdout=writing) as process,
     ):
         os.close(writing)
         os.close(reading)
@@ -99,10 +84,10 @@ def test_a_closed_standard_output_does_not_end_the_recording(domain_id, tmp_path
     assert len(lowstates(path)) >= 200
 
 
-def test_a_split_recording_is_a_directory_of_parts(domain_id, tmp_path, until):
+def test_a_split_recording_is_a_directory_of_parts(domain_id, running, tmp_path, until):
     with (
         robot(domain_id) as sent,
-        command(
+        running(
             "record", tmp_path / "s.mcap", "--domain", domain_id, "--split-duration", 0.5, "--json"
         ) as process,
     ):
@@ -120,17 +105,17 @@ def test_a_split_recording_is_a_directory_of_parts(domain_id, tmp_path, until):
     assert recorded == sent[first : first + len(recorded)]
 
 
-def test_a_file_is_not_replaced_without_force(domain_id, tmp_path, until):
+def test_a_file_is_not_replaced_without_force(domain_id, running, tmp_path, until):
     path = tmp_path / "s.mcap"
     path.write_bytes(b"precious")
-    with command("record", path, "--domain", domain_id) as process:
+    with running("record", path, "--domain", domain_id) as process:
         _, told = process.communicate(timeout=30)
     assert process.returncode == 2
     assert "--force" in told
     assert path.read_bytes() == b"precious"
     with (
         robot(domain_id) as sent,
-        command("record", path, "--domain", domain_id, "--auto-name") as process,
+        running("record", path, "--domain", domain_id, "--auto-name") as process,
     ):
         until(lambda: len(sent) > 50, "samples")
         process.send_signal(signal.SIGINT)
@@ -139,9 +124,9 @@ def test_a_file_is_not_replaced_without_force(domain_id, tmp_path, until):
     assert open_session(named).complete
 
 
-def test_no_publisher_is_an_exit_code_and_leaves_no_file(domain_id, tmp_path):
+def test_no_publisher_is_an_exit_code_and_leaves_no_file(domain_id, running, tmp_path):
     path = tmp_path / "s.mcap"
-    with command("record", path, "--domain", domain_id) as process:
+    with running("record", path, "--domain", domain_id) as process:
         while not path.exists() or not path.stat().st_size:
             time.sleep(0.05)
         time.sleep(0.5)
@@ -165,15 +150,17 @@ def small_disk(tmp_path):
     subprocess.run(["umount", str(place)], check=True)
 
 
-def test_a_full_disk_ends_the_recording_but_not_the_stream(domain_id, small_disk, tmp_path):
+def test_a_full_disk_ends_the_recording_but_not_the_stream(
+    domain_id, running, small_disk, tmp_path
+):
     path = small_disk / "s.mcap"
     patient = tmp_path / "patient.toml"  # with a simulator that shares a busy machine
     patient.write_text("[safety]\nstate_timeout = 1.0\n")
     play = ["stream", "demo", "--domain", domain_id, "--config", patient, "--json"]
     play += ["--ramp", 0.5, "--duration", 4]
     with (
-        command("sim", "--domain", domain_id),
-        command(*play, "--record", path) as stream,
+        running("sim", "--domain", domain_id),
+        running(*play, "--record", path) as stream,
     ):
         said, told = stream.communicate(timeout=60)
     outcome = json.loads(said)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +15,7 @@ from g1stream.session.session import open_session
 from g1stream.types import Phase
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable
 
     from g1stream.session.session import Session
 
@@ -24,30 +23,16 @@ PATIENT = Path(__file__).parents[1] / "data" / "patient.toml"
 PLAY = 2.0
 
 
-def command(*arguments: object) -> list[str]:
-    return [sys.executable, "-m", "g1stream", *map(str, arguments)]
-
-
 def run(*arguments: object, folder: Path | None = None) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "g1stream", *map(str, arguments)]
     return subprocess.run(
-        command(*arguments), capture_output=True, text=True, timeout=90, check=False, cwd=folder
+        command, capture_output=True, text=True, timeout=90, check=False, cwd=folder
     )
-
-
-@contextmanager
-def simulator(domain_id: int) -> Iterator[None]:
-    with subprocess.Popen(
-        command("sim", "--domain", domain_id), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    ) as process:
-        try:
-            yield
-        finally:
-            process.kill()
 
 
 @pytest.fixture(scope="module")
 def sessions(
-    module_domain_id: int, tmp_path_factory: pytest.TempPathFactory
+    module_domain_id: int, running: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory
 ) -> dict[str, tuple[Session, dict[str, Any]]]:
     """A motion as it was streamed, replayed, replayed exactly and replayed at half speed."""
     directory = tmp_path_factory.mktemp("replay")
@@ -59,7 +44,7 @@ def sessions(
         "slow": ["replay", first, "--speed", 0.5],
     }
     found = {}
-    with simulator(module_domain_id):
+    with running("sim", "--domain", module_domain_id):
         for name, arguments in runs.items():
             path = directory / f"{name}.mcap"
             shared = ["--domain", module_domain_id, "--config", PATIENT, "--ramp", 0.5, "--json"]

@@ -12,7 +12,6 @@ import threading
 import time
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NamedTuple
 
 import pytest
 from cyclonedds.core import DDSException
@@ -20,8 +19,8 @@ from pydantic import ValidationError
 
 from g1stream.config import Config
 from g1stream.control.guard import Heartbeat, Takeover
-from g1stream.dds.domain import OBSERVER, Participant
-from g1stream.dds.endpoints import RawReader, RawWriter
+from g1stream.dds.domain import Participant
+from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.messages import LowCmd
 from g1stream.dds.topics import LOWCMD
 from g1stream.errors import ConfigError, SafetyError
@@ -37,63 +36,28 @@ DAMP = 1.0  # stream.damp
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the guard needs Linux")
 
 
-class Received(NamedTuple):
-    """A LowCmd: publish time, ns; Cyclone's handle of its writer; the highest of each gain."""
-
-    stamp: int
-    writer: int
-    kp: float
-    kd: float
-
-
-@contextmanager
-def tap(domain_id):
-    """All LowCmds in a domain, in order of their publish times."""
-    stop, commands, command = threading.Event(), [], LowCmd()
-    with Participant(domain_id, "lo") as participant:
-        reader = RawReader(participant, LOWCMD, depth=5000, user_data=OBSERVER)
-
-        def take():
-            while not stop.wait(0.01):
-                for sample in reader.take(5000):
-                    command.load(sample.data)
-                    assert command.crc_matches()
-                    writer = sample.sample_info.publication_handle
-                    gains = float(command.kp.max()), float(command.kd.max())
-                    commands.append(Received(sample.publish_time, writer, *gains))
-
-        thread = threading.Thread(target=take)
-        thread.start()
-        try:
-            yield commands
-        finally:
-            stop.set()
-            thread.join()
-
-
-@contextmanager
-def running(*arguments):
-    command = [sys.executable, "-m", "g1stream", *map(str, arguments)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    try:
-        yield process
-    finally:
-        if process.poll() is None:
-            process.kill()
-        process.communicate()
-
-
-@contextmanager
-def streaming(domain_id, until, *more):
+@pytest.fixture
+def streaming(domain_id, until, running, tap):
     """A stream that plays on our bridge; yields its process and the tap's commands."""
-    play = ["stream", "demo", "--config", PATIENT, "--ramp", 0.5, "--json", "--domain", domain_id]
-    with (
-        tap(domain_id) as commands,
-        running("sim", "--domain", domain_id),
-        running(*play, *more) as stream,
-    ):
-        until(lambda: len(commands) > 400, "commands")
-        yield stream, commands
+
+    @contextmanager
+    def started(*more):
+        play = ["stream", "demo", "--config", PATIENT, "--ramp", 0.5, "--json"]
+        with (
+            tap(domain_id) as commands,
+            running("sim", "--domain", domain_id),
+            running(*play, "--domain", domain_id, *more) as stream,
+        ):
+            until(lambda: len(commands) > 400, "commands")
+            yield stream, commands
+
+    return started
+
+
+def is_limp(received):
+    """Whether a command asks for no position, and all joints are damped."""
+    command = received.command
+    return not command.kp.any() and (command.kd > 0.0).all()
 
 
 def child(pid, program):
@@ -131,28 +95,28 @@ def debug(pid):
     ids=["SIGKILL", "SIGSEGV", "SIGSTOP", "debugger"],
 )
 def test_a_stream_that_can_no_longer_damp_is_replaced(
-    domain_id, tmp_path, until, fault, record_property
+    streaming, tmp_path, until, fault, record_property
 ):
     path = tmp_path / "s.mcap"
-    with streaming(domain_id, until, "--record", path) as (stream, commands):
+    with streaming("--record", path) as (stream, commands):
         guard = child(stream.pid, "guard")
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGUSR1):
             os.kill(guard, number)  # what is sent to all processes of a session
         debugger = fault(stream.pid)
-        until(lambda: commands[-1].kp == 0, "damping")
+        until(lambda: is_limp(commands[-1]), "damping")
         until(lambda: process_state(guard) in ("", "Z"), "the guard to end")
         stream.kill()
         if debugger:  # it would keep the stream from being waited for
             debugger.communicate()
         stream.communicate()
-    stiff = [one for one in commands if one.kp > 0]
+    stiff = [one for one in commands if one.command.kp.any()]
     damping = [one for one in commands if one.stamp > stiff[-1].stamp]
     silence = (damping[0].stamp - stiff[-1].stamp) / 1e9
     record_property("silence_ms", silence * 1e3)
     assert silence < SimConfig().command_timeout
     (writer,) = {one.writer for one in damping}
     assert writer != stiff[-1].writer
-    assert all(one.kp == 0 and one.kd > 0 for one in damping)
+    assert all(map(is_limp, damping))
     assert (damping[-1].stamp - damping[0].stamp) / 1e9 == pytest.approx(DAMP, abs=0.1 * DAMP)
     until(lambda: open_session(path).complete, "the recorder")
     session = open_session(path)
@@ -164,15 +128,15 @@ def test_a_stream_that_can_no_longer_damp_is_replaced(
     assert session.command.kp[-1].max() == 0
 
 
-def test_a_stream_that_goes_on_after_a_stop_sends_nothing_but_damping(domain_id, until):
-    with streaming(domain_id, until) as (stream, commands):
+def test_a_stream_that_goes_on_after_a_stop_sends_nothing_but_damping(streaming, until):
+    with streaming() as (stream, commands):
         stream.send_signal(signal.SIGSTOP)
-        until(lambda: commands[-1].kp == 0, "damping")
+        until(lambda: is_limp(commands[-1]), "damping")
         stream.send_signal(signal.SIGCONT)
         said, _ = stream.communicate(timeout=30)
-    first = next(i for i, one in enumerate(commands) if one.kp == 0)
+    first = next(i for i, one in enumerate(commands) if is_limp(one))
     after = commands[first:]
-    assert all(one.kp == 0 for one in after)
+    assert all(map(is_limp, after))
     assert len({one.writer for one in after}) == 2
     assert stream.returncode == 1
     assert "was stopped" in json.loads(said)["stream"]["reason"]
@@ -182,29 +146,29 @@ def test_a_stream_that_goes_on_after_a_stop_sends_nothing_but_damping(domain_id,
     ("number", "duration", "cause"),
     [(signal.SIGKILL, 1.5, "guard ended by SIGKILL"), (signal.SIGSTOP, 4.0, "guard is stopped")],
 )
-def test_on_loopback_a_stream_goes_on_without_its_guard(domain_id, until, number, duration, cause):
-    with streaming(domain_id, until, "--duration", duration) as (stream, commands):
+def test_on_loopback_a_stream_goes_on_without_its_guard(streaming, number, duration, cause):
+    with streaming("--duration", duration) as (stream, commands):
         os.kill(child(stream.pid, "guard"), number)
         _, told = stream.communicate(timeout=30)
     assert stream.returncode == 0
     assert cause in told
     assert len({one.writer for one in commands}) == 1
-    assert commands[-1].kp == 0
+    assert is_limp(commands[-1])
 
 
-def test_a_guard_has_nothing_to_do_where_the_stream_damps(domain_id, until):
-    with streaming(domain_id, until) as (stream, commands):
+def test_a_guard_has_nothing_to_do_where_the_stream_damps(streaming):
+    with streaming() as (stream, commands):
         guard = child(stream.pid, "guard")
         stream.send_signal(signal.SIGUSR2)
         stream.communicate(timeout=30)
         assert not process_state(guard)
     assert stream.returncode == 128 + signal.SIGUSR2
     assert len({one.writer for one in commands}) == 1
-    assert commands[-1].kp == 0
+    assert is_limp(commands[-1])
 
 
-def test_an_idle_guard_is_no_publisher_and_one_that_publishes_is(domain_id, until):
-    with streaming(domain_id, until) as (stream, _), Participant(domain_id, "lo") as observer:
+def test_an_idle_guard_is_no_publisher_and_one_that_publishes_is(streaming, domain_id, until):
+    with streaming() as (stream, _), Participant(domain_id, "lo") as observer:
         until(lambda: len(observer.writers(LOWCMD.name)) == 2, "stream and guard")
         (only,) = observer.commanders()
         assert only.pid == str(stream.pid)
@@ -281,7 +245,7 @@ def test_a_guard_that_cannot_be_started(lack, expected, monkeypatch):
     assert error.value.remedy
 
 
-def test_the_guard_goes_on_damping_after_an_error_of_dds(domain_id, until, monkeypatch):
+def test_the_guard_goes_on_damping_after_an_error_of_dds(domain_id, until, tap, monkeypatch):
     config = Config.model_validate({"dds": {"domain": domain_id}})
     heartbeat = Heartbeat()
     last = LowCmd()
@@ -308,7 +272,7 @@ def test_the_guard_goes_on_damping_after_an_error_of_dds(domain_id, until, monke
         until(lambda: len(commands) == len(written) // 2, "damping")
     heartbeat.close()
     assert len(commands) > 1
-    assert all(one.kp == 0 and one.kd > 0 for one in commands)
+    assert all(map(is_limp, commands))
 
 
 def test_the_guard_has_a_priority_above_the_highest_of_a_loop():

@@ -61,6 +61,7 @@ class Fault:
             official reader reads it) or "any"; None: the session is not recorded.
         handover_ms: longest time between the streamer's last command and the guard's first.
         q: pose of the robot at the start.
+        arms: the robot stands by its own controller, and the command is `stream --via arm_sdk`.
         command: arguments of g1stream, instead of `stream MOTION`.
         alone: run while no other fault is.
         impossible: why it cannot be brought about on this machine.
@@ -81,6 +82,7 @@ class Fault:
     record: str | None = "complete"
     handover_ms: float | None = None
     q: Sequence[float] | None = None
+    arms: bool = False
     command: Sequence[str] = ()
     alone: bool = False
     impossible: str = ""
@@ -259,10 +261,13 @@ def play(fault: Fault, domain: int, folder: Path) -> Outcome:
     more = list(fault.prepare(session)) if fault.prepare else []
     arguments = list(fault.command) or ["stream", str(session.motion)]
     arguments += ["--domain", str(domain), "--config", str(session.config), "--json", *more]
+    if fault.arms:
+        arguments += ["--via", "arm_sdk"]
     if fault.record:
         arguments += ["--record", str(session.path)]
     spec: dict[str, Any] = {"domain": domain, "interface": session.interface}
     spec |= {"out": str(folder / "tap.npz"), "faults": list(fault.robot)}
+    spec["arm_sdk"] = fault.arms
     if fault.q:
         spec["q"] = list(fault.q)
     session.robot = robot = Robot(spec, session.prefix)

@@ -1,4 +1,4 @@
-"""The joints of a G1 in motor order, from Unitree's g1_29dof.urdf."""
+"""The joints of a G1 in motor order, from Unitree's g1_29dof.urdf, and those of rt/arm_sdk."""
 
 from __future__ import annotations
 
@@ -43,4 +43,6 @@ _ROWS: Final = (
     | {f"right_{name}": _mirrored(name, row) for name, row in _ARM.items()}
 )
 JOINTS: Final = tuple(f"{name}_joint" for name in _ROWS)
+#: The joints that rt/arm_sdk moves, and the slot whose q is the weight.
+ARMS, WEIGHT = slice(JOINTS.index("waist_yaw_joint"), len(JOINTS)), len(JOINTS)
 LOWER, UPPER, EFFORT, VELOCITY = np.array(list(_ROWS.values()), float).T

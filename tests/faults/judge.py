@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import unitree_hg
-from g1 import EFFORT, LOWER, UPPER, VELOCITY
+from g1 import ARMS, EFFORT, LOWER, UPPER, VELOCITY, WEIGHT
 from mcap.exceptions import McapError
 from mcap.reader import NonSeekingReader, make_reader
 
@@ -37,7 +37,7 @@ class Outcome:
         worst_torque: of kp (q - measured) + kd (dq - measured) + tau, as a share of the effort.
         silence_ms: longest time between two commands, less what the robot's process lost itself.
         handover_ms: from the last command of the first publisher to the first of the next one.
-        ending: what the last command is: damped, stiff or none.
+        ending: what the last command is: damped, handed back, stiff or none.
         file: complete, cut, unreadable or none.
         wrong: what must not be.
     """
@@ -75,14 +75,18 @@ def _structs(record: dict[str, Any]) -> Any:
 
 def _measure(outcome: Outcome, record: dict[str, Any]) -> None:
     command, received = _structs(record), record["received"]
+    arms = outcome.fault.arms
     motor = command["motor"][:, :29]
     kp, kd, q, dq, tau = (motor[name].astype(float) for name in ("kp", "kd", "q", "dq", "tau"))
     stiff = (kp > 0).any(axis=1)
+    on = np.zeros(29, bool)
+    on[ARMS if arms else slice(None)] = True
+    share = command["motor"]["q"][:, WEIGHT, None] if arms else 1.0
     torque = np.full(q.shape, inf)
     for age in range(OLDEST + 1):
         measured = (np.vstack([x[:1]] * age + [x])[: len(x)] for x in (record["q"], record["dq"]))
         position, velocity = measured
-        asked = np.abs(kp * (q - position) + kd * (dq - velocity) + tau) / EFFORT
+        asked = share * np.abs(kp * (q - position) + kd * (dq - velocity) + tau) / EFFORT
         torque = np.minimum(torque, asked)
     step = np.abs(np.diff(q, axis=0))
     outcome.commands = len(command)
@@ -97,7 +101,8 @@ def _measure(outcome: Outcome, record: dict[str, Any]) -> None:
     rules = {
         "a command is not finite": not np.isfinite([q, dq, tau, kp, kd]).all(),
         "a command has a wrong CRC": crcs != command["crc"].tolist(),
-        "a command has a wrong mode": command["mode_pr"].any() or (motor["mode"] != 1).any(),
+        "a command has a wrong mode": command["mode_pr"].any() or (motor["mode"] != on).any(),
+        "a joint that is not commanded": any(values[:, ~on].any() for values in (kp, kd, tau)),
         f"a step of {outcome.worst_step:.3g} rad": (step > possible)[stiff[1:]].any(),
         f"dq of {outcome.worst_dq:.3g} rad/s": (np.abs(dq) > VELOCITY * 1.005).any(),
         f"{outcome.worst_torque:.2f} of a joint's torque": outcome.worst_torque > TORQUE,
@@ -105,6 +110,9 @@ def _measure(outcome: Outcome, record: dict[str, Any]) -> None:
     }
     outcome.wrong += [what for what, broken in rules.items() if broken]
     _pauses(outcome, record)
+    if arms:
+        _weigh(outcome, command, record)
+        return
     limp = ~stiff & (kd > 0).all(axis=1) & ~tau.any(axis=1) & ~dq.any(axis=1)
     outcome.ending = "damped" if limp[-1] else "stiff"
     if outcome.fault.soft and not limp[0]:
@@ -120,6 +128,29 @@ def _measure(outcome: Outcome, record: dict[str, Any]) -> None:
             outcome.wrong.append(f"damped for {length:.2f} s only")
 
 
+def _weigh(outcome: Outcome, command: Any, record: dict[str, Any]) -> None:
+    """Whether arms and waist are taken over and handed back slowly, and rest meanwhile."""
+    motor, times = command["motor"], record["published"]
+    weight, kp = motor["q"][:, WEIGHT], motor["kp"][:, ARMS]
+    highest = int(np.flatnonzero(weight == weight.max())[-1])
+    falling = motor["q"][highest + 1 :, ARMS]
+    outcome.ending = "stiff" if weight[-1] or not (kp > 0.0).all() else "handed back"
+    step = np.abs(np.diff(weight, prepend=0.0)).max()
+    length = (times[-1] - times[highest]) / 1e9
+    rules = {
+        f"a step of the weight by {step:.3f}": step > WEIGHT_STEP,
+        "the weight rises again": (np.diff(weight[highest:]) > 0.0).any(),
+        f"handed back in {length:.2f} s only": length < SHARE * WEIGHT_TIME * weight.max(),
+        "arms or waist move while they are handed back": np.ptp(falling, axis=0).any(),
+    }
+    outcome.wrong += [what for what, broken in rules.items() if broken]
+
+
+#: The weight goes from 0 to 1 in this time, s; less of it in a step than in 1.01 periods, and
+#: in most of the time that it should take, however late commands are.
+WEIGHT_TIME: Final = 2.0
+WEIGHT_STEP: Final = 1.01 / RATE / WEIGHT_TIME
+SHARE: Final = 0.9
 #: Share of a joint's effort, with the state that is the mildest of those not older than so many
 #: commands: which one was known where the command was made is not known here.
 TORQUE: Final = 1.05
@@ -165,7 +196,7 @@ def _read(outcome: Outcome, path: Path, sent: set[bytes], received: set[bytes]) 
         file.seek(0)
         try:
             for _, channel, message in NonSeekingReader(file).iter_messages(log_time_order=False):
-                if channel.topic == "/lowcmd":
+                if channel.topic == ("/arm_sdk" if fault.arms else "/lowcmd"):
                     recorded.add(unitree_hg.cmd_of(message.data))
                 elif channel.topic == "/log":
                     log.append(message.data)
@@ -189,12 +220,14 @@ def _compare(outcome: Outcome) -> None:
     fault, handover = outcome.fault, outcome.handover_ms
     codes = fault.code if isinstance(fault.code, tuple) else (fault.code,)
     played = outcome.commands / RATE
+    ending = "handed back" if fault.arms else "damped"
+    longest = LENGTH + (2 * WEIGHT_TIME + 0.5 if fault.arms else 1.7)
     allowed = fault.handover_ms
     rules = {
         f"exit code {outcome.code}, not {' or '.join(map(str, codes))}": outcome.code not in codes,
         f"{fault.reason!r} is not told": fault.reason not in outcome.said and not fault.mute,
         "a traceback": "Traceback" in outcome.said,
-        f"the last command is {outcome.ending}": fault.sent and outcome.ending != "damped",
+        f"the last command is {outcome.ending}": fault.sent and outcome.ending != ending,
         f"{outcome.commands} commands were sent": not fault.sent and outcome.commands,
         f"the file is {outcome.file}": fault.sent
         and fault.record in ("complete", "cut")
@@ -203,6 +236,6 @@ def _compare(outcome: Outcome) -> None:
         "nobody took over": allowed is not None and handover is None,
         f"{handover} ms until the guard damped": (handover or 0.0) > (allowed or inf),
         f"played for {played:.1f} s only": fault.sent and not fault.ends and played < LENGTH,
-        f"played on for {played:.1f} s": fault.sent and fault.ends and played > LENGTH + 1.7,
+        f"played on for {played:.1f} s": fault.sent and fault.ends and played > longest,
     }
     outcome.wrong += [what for what, broken in rules.items() if broken]

@@ -3,9 +3,11 @@
     python robot.py '{"domain": 20, "out": "tap.npz", "faults": [{"at": 0.8, "do": "silent"}]}'
 
 29 joints with the servo of a motor (kp, kd, tau, limited to its effort) follow rt/lowcmd; the last
-command stays in force, as on the robot. rt/lowstate tells of them at 250 Hz. Each fault acts from
-`at` to `until`, s after the first stiff command; negative: from the beginning. A fault sets fields
-of LowState ("set": {"motor.q.3": NaN}, `*` for all 29) or does one of `Robot.DO`.
+command stays in force, as on the robot. With "arm_sdk" its own controller holds the joints at 0,
+and blends what comes on rt/arm_sdk into its command for arms and waist. rt/lowstate tells of them
+at 250 Hz. Each fault acts from `at` to `until`, s after the first stiff command; negative: from the
+beginning. A fault sets fields of LowState ("set": {"motor.q.3": NaN}, `*` for all 29) or does one
+of `Robot.DO`.
 
 It prints `ready` and `commanded`, and writes `out` when its standard input ends. After SIGUSR1 it
 has no publisher any more.
@@ -23,7 +25,7 @@ from typing import Any, Final
 
 import numpy as np
 import unitree_hg
-from g1 import EFFORT
+from g1 import EFFORT, WEIGHT
 
 PERIOD: Final = 2_000_000
 _BIT_OF_TICK: Final = 1_000_000  # ns; the robot's tick counts milliseconds
@@ -40,13 +42,17 @@ class Robot:
         *("silent", "zeros", "bad_crc", "no_crc", "frozen_tick", "frozen_content"),
         *("stuck", "jam", "leap", "restart", "twin", "rogue"),
     )
+    #: q, dq, tau, kp and kd (5, 29) of the robot's own controller.
+    OWN: Final = np.repeat([[0.0], [0.0], [0.0], [60.0], [1.0]], 29, axis=1)
 
     def __init__(self, spec: dict[str, Any]) -> None:
         self.gone = False
         self.faults = spec.get("faults", [])
         assert all(f["do"] in self.DO for f in self.faults if "do" in f)
         self.wire = unitree_hg.Wire(spec["domain"], spec.get("interface", "lo"))
-        self.commands = self.wire.reader("rt/lowcmd", unitree_hg.LowCmd)
+        self.arm_sdk = spec.get("arm_sdk", False)
+        self.topic = "rt/arm_sdk" if self.arm_sdk else "rt/lowcmd"
+        self.commands = self.wire.reader(self.topic, unitree_hg.LowCmd)
         self.states = self.wire.writer("rt/lowstate", unitree_hg.LowState)
         self.twin: Any = None
         self.rogue: Any = None
@@ -100,10 +106,15 @@ class Robot:
 
     def move(self, doing: dict[str, dict[str, Any]]) -> None:
         motor = self.command["motor"][:29]
-        kp, kd = motor["kp"].astype(float), motor["kd"].astype(float)
+        asked = np.array([motor[name] for name in ("q", "dq", "tau", "kp", "kd")], float)
+        on = motor["mode"] == 1
+        if self.arm_sdk:
+            weight = np.where(on, float(self.command["motor"]["q"][WEIGHT]), 0.0)
+            asked, on = self.OWN + weight * (asked - self.OWN), np.ones(29, bool)
+        q, dq, tau, kp, kd = asked
         friction = np.maximum(0.3, 1.4 * np.sqrt(kp * self.inertia) - kd)
-        self.tau = kp * (motor["q"] - self.q) + kd * (motor["dq"] - self.dq) + motor["tau"]
-        self.tau = np.clip(np.nan_to_num(self.tau), -EFFORT, EFFORT) * (motor["mode"] == 1)
+        self.tau = kp * (q - self.q) + kd * (dq - self.dq) + tau
+        self.tau = np.clip(np.nan_to_num(self.tau), -EFFORT, EFFORT) * on
         dt = PERIOD / 1e9
         damping = 1.0 + dt * friction / self.inertia
         self.dq = (self.dq + dt * self.tau / self.inertia) / damping
@@ -151,7 +162,7 @@ class Robot:
         """Publish commands of our own, which damp."""
         if self.rogue is None:
             self.wire.another()
-            self.rogue = self.wire.writer("rt/lowcmd", unitree_hg.LowCmd)
+            self.rogue = self.wire.writer(self.topic, unitree_hg.LowCmd)
         raw = bytearray(unitree_hg.CMD.itemsize)
         command = unitree_hg.struct_in(raw, unitree_hg.CMD)
         command["mode_machine"] = 5

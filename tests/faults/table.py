@@ -280,6 +280,60 @@ DEADMAN: Final = [
     ),
 ]
 
+# Arms and waist, while the robot stands by itself.
+
+
+def _arms(name: str, robot: list[dict[str, Any]] | None = None, **more: Any) -> Fault:
+    return Fault(f"arms: {name}", "arms", robot or (), arms=True, **more)
+
+
+ARMS: Final = [
+    _arms("the motion ends", code=0, ends=False),
+    _arms("no LowState any more", does("silent"), reason="safety.state_timeout"),
+    _arms("no LowState any more in PLAY", [{"at": 2.5, "do": "silent"}], reason="state_timeout"),
+    _arms("q is NaN", says(f"motor.q.{ELBOW}", NAN), reason="NaN"),
+    _arms(
+        "pelvis tilts by 1.2 rad",
+        says("imu.quaternion", [0.825, 0, 0.565, 0]),
+        reason="safety.max_tilt",
+    ),
+    _arms("the elbow jams", does("jam", joint=ELBOW), prepare=settings(JAM), reason="jam_motion"),
+    _arms("second publisher of arm_sdk", does("rogue"), reason="rt/arm_sdk"),
+    _arms(
+        "another publisher of arm_sdk from the start",
+        [{"do": "rogue"}],
+        code=2,
+        sent=False,
+        reason="rt/arm_sdk",
+    ),
+    _arms("SIGINT", act=send(signal.SIGINT), code=130, reason="SIGINT"),
+    _arms("Ctrl-C twice in PLAY", act=twice, at=2.5, code=130, reason="SIGINT"),
+    *(
+        _arms(
+            name,
+            act=act,
+            at=2.5,
+            code=-9,
+            mute=True,
+            handover_ms=HANDOVER,
+            alone=True,
+            reason="guard",
+        )
+        for name, act in (
+            ("SIGKILL", send(signal.SIGKILL)),
+            ("SIGSTOP and never continued", stop(3.0, then=signal.SIGKILL)),
+        )
+    ),
+    _arms(
+        "joints of the legs",
+        prepare=flags("--joints", "legs"),
+        code=2,
+        sent=False,
+        record=None,
+        reason="stream.joints",
+    ),
+]
+
 # Motions and files.
 
 
@@ -479,4 +533,7 @@ ARMING: Final = [
     )
 ]
 
-FAULTS: Final = [*STATES, *ROBOT, *DEADMAN, *INPUTS, *ANYWAY, *SIGNALS, *RECORDER, *LOAD, *ARMING]
+FAULTS: Final = [
+    *(*STATES, *ROBOT, *DEADMAN, *ARMS),
+    *(*INPUTS, *ANYWAY, *SIGNALS, *RECORDER, *LOAD, *ARMING),
+]

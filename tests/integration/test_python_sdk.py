@@ -1,11 +1,15 @@
 """LowCmd and LowState between g1stream and a process of Unitree's Python SDK, over real DDS."""
 
 import json
+import os
+import signal
+import subprocess
 import threading
 import time
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 from cyclonedds.idl import make_idl_struct
 from cyclonedds.idl.types import uint32
@@ -15,6 +19,8 @@ from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import LowState, Message
 from g1stream.dds.motion_switcher import ApiId
 from g1stream.dds.topics import LOWCMD, LOWSTATE, SECONDARY_IMU, SPORTMODESTATE, Topic
+from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
+from g1stream.session.session import open_session
 from g1stream.sim.onboard import MotionService
 
 TOPICS = {
@@ -25,6 +31,8 @@ TOPICS = {
 }
 
 DATA = Path(__file__).parents[1] / "data"
+#: A checkout of unitree_sdk2_python; its wheel has no examples.
+SDK = os.environ.get("UNITREE_SDK2_PYTHON", "")
 
 each_topic = pytest.mark.parametrize("name", TOPICS)
 either_order = pytest.mark.parametrize("first", ["sdk", "ours"])
@@ -149,6 +157,58 @@ def test_sdk_calls_our_motion_service(sdk_on, domain_id):
         (0, {"form": "0", "name": "normal"}),
         (3203, ""),
     ]
+
+
+def test_sdk_moves_the_arms_of_a_robot_that_stands(sdk_on, domain_id, running, until):
+    elbow, state = JOINT_NAMES.index("left_elbow_joint"), LowState()
+    with (
+        running("sim", "--domain", domain_id, "--onboard", "ai", "--support", "follow"),
+        Participant(domain_id, "lo") as participant,
+    ):
+        reader = RawReader(participant, LOWSTATE)
+
+        def measured():
+            if sample := reader.take_latest():
+                state.load(sample.data)
+            return state.q
+
+        until(reader.take_latest, "the simulator")
+        peer = sdk_on("arm_sdk-writer")
+        for weight, angle in ((1.0, 0.8), (0.0, 0.0)):
+            motors = [[1, 0.8 * (joint == elbow), 0, 0, 60.0, 1.5, 0] for joint in range(N_JOINTS)]
+            motors += [[0, weight * (slot == N_JOINTS), 0, 0, 0, 0, 0] for slot in range(29, 35)]
+            peer.tell({"motor_cmd": motors})
+            until(lambda angle=angle: abs(measured()[elbow] - angle) < 0.1, f"the elbow at {angle}")
+        assert np.abs(measured()[:12]).max() < 0.1
+
+
+@pytest.mark.skipif(not SDK, reason="set UNITREE_SDK2_PYTHON to a checkout of unitree_sdk2_python")
+def test_the_sdks_own_arm_example_drives_our_bridge(domain_zero, running, sdk_python, tmp_path):
+    example = Path(SDK) / "example" / "g1" / "high_level" / "g1_arm7_sdk_dds_example.py"
+    roll, path = JOINT_NAMES.index("left_shoulder_roll_joint"), tmp_path / "s.mcap"
+    where = ("--domain", domain_zero)
+    with (
+        running("sim", *where, "--onboard", "ai", "--support", "follow"),
+        running("record", path, *where) as recorder,
+    ):
+        done = subprocess.run(
+            [sdk_python, example, "lo"],
+            input="\n",
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=60,
+            env={**os.environ, "PYTHONPATH": SDK},
+        )
+        recorder.send_signal(signal.SIGINT)
+        recorder.communicate(timeout=30)
+    assert "Done!" in done.stdout, done.stderr
+    session = open_session(path)
+    q = session.measured.q
+    assert session.topics["/arm_sdk"] > 900  # 21 s at 50 Hz
+    assert q[:, roll].max() == pytest.approx(np.pi / 2, abs=0.2)
+    assert np.abs(q[-1]).max() < 0.1  # handed back
+    assert np.abs(q[:, :12]).max() < 0.1
 
 
 def test_sdk_refuses_another_type_and_lives_on(sdk_on, domain_id, golden, until):

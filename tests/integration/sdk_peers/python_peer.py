@@ -68,6 +68,7 @@ from unitree_sdk2py.utils.crc import CRC  # noqa: E402
 # The type on each topic, and what makes the SDK's empty sample of it.
 TOPICS = {
     "lowcmd": (LowCmd_, unitree_hg_msg_dds__LowCmd_),
+    "arm_sdk": (LowCmd_, unitree_hg_msg_dds__LowCmd_),
     "lowstate": (LowState_, unitree_hg_msg_dds__LowState_),
     "secondary_imu": (IMUState_, unitree_hg_msg_dds__IMUState_),
     "sportmodestate": (SportModeState_, unitree_go_msg_dds__SportModeState_),

@@ -157,6 +157,17 @@ def test_a_motion_service_that_does_not_answer_is_a_warning(still_robot, config)
     assert report.motion_service.level is Level.WARNING
 
 
+@pytest.mark.parametrize(("robot", "warned"), [(None, False), ("g1_23dof", True)])
+def test_motor_numbers_that_no_robot_has_confirmed_are_a_warning(
+    still_robot, config, robot, warned
+):
+    still_robot()
+    config = config.model_copy(update={"robot": robot})
+    with Participant(config.dds.domain, "lo") as participant:
+        report = inspect_for_arming(participant, config, np.zeros(29))
+    assert ("motors" in {one.about for one in report.findings}) == warned
+
+
 def test_the_pose_is_that_of_a_state_whose_crc_is_not_provided(still_robot, config):
     still_robot(crc=bytes(4))
     with Participant(config.dds.domain, "lo") as participant:

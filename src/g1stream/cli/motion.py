@@ -190,6 +190,8 @@ def _motion_lines(report: MotionReport) -> list[str]:
         _line("feet", _feet(report.floor)),
         _line("joints", str(len(report.streamed.speeds))),
     ]
+    if report.dropped and not report.dropped.moved:
+        lines.append(_line("left out", f"{report.dropped}"))
     lines += [
         f"    {group:<12}  {lowest:6.2f} to {highest:5.2f} rad"
         for group, (lowest, highest) in report.groups.items()
@@ -240,7 +242,7 @@ def _result_lines(report: MotionReport, max_tilt: float) -> list[str]:
     ]
     problems += streamed.warnings[n_held:]
     warnings = [*streamed.warnings[:n_held], *report.warnings]
-    if report.dropped:
+    if report.dropped and report.dropped.moved:
         warnings.append(f"{report.dropped}.")
     if (root := report.root).tilt > max_tilt:
         warnings.append(

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1
 
@@ -34,30 +35,40 @@ class Dropped:
 
     Attributes:
         robot: its name.
-        joints: their names; those that are 0 in the motion are not missed.
+        joints: their names.
+        moved: those of them that are not 0 throughout the motion, and are missed.
         errors_mm: of each hand and the head the mean and the greatest distance, mm, from where the
             motion has it in the pelvis's frame.
     """
 
     robot: str
     joints: tuple[str, ...]
+    moved: tuple[str, ...]
     errors_mm: dict[str, tuple[float, float]]
 
     def __str__(self) -> str:
+        lacks = f"{self.robot} lacks {_short(self.joints)}, which stay at 0"
+        if not self.moved:
+            return f"{lacks}, as in the motion"
         errors = ", ".join(
             f"{part} {mean:.0f} mm on average, {most:.0f} at most"
             for part, (mean, most) in self.errors_mm.items()
         )
-        names = ", ".join(name.removesuffix("_joint") for name in self.joints)
-        return f"{self.robot} lacks {names}, which stay at 0: {errors} from the motion's"
+        which = "all" if self.moved == self.joints else _short(self.moved)
+        return f"{lacks}; the motion moves {which} of them: {errors} from the motion's"
+
+
+def _short(joints: tuple[str, ...]) -> str:
+    return ", ".join(name.removesuffix("_joint") for name in joints)
 
 
 def dropped_joints(motion: Motion, robot: G1) -> Dropped | None:
-    """What the robot leaves out of a motion; None where it has every joint that moves."""
-    q = motion.joint_pos[:: max(1, -(-motion.n_frames // _MOST_FRAMES))]
-    absent = ~robot.present & (motion.joint_pos != 0.0).any(axis=0)
+    """What the robot leaves out of a motion; None where it has all joints."""
+    absent = ~robot.present
     if not absent.any():
         return None
+    q = motion.joint_pos[:: max(1, -(-motion.n_frames // _MOST_FRAMES))]
+    moved = absent & (motion.joint_pos != 0.0).any(axis=0)
     full, base = G1.default(), (np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
     links = [full.link_index(link) for link in _LINKS.values()]
     asked, done = (
@@ -67,6 +78,7 @@ def dropped_joints(motion: Motion, robot: G1) -> Dropped | None:
     errors = zip(_LINKS, distance.mean(axis=0).tolist(), distance.max(axis=0).tolist(), strict=True)
     return Dropped(
         robot.joint_set.name,
-        tuple(name for name, missing in zip(motion.joint_names, absent, strict=True) if missing),
+        tuple(JOINT_NAMES[i] for i in np.flatnonzero(absent)),
+        tuple(JOINT_NAMES[i] for i in np.flatnonzero(moved)),
         {part: (mean, most) for part, mean, most in errors},
     )

@@ -98,7 +98,8 @@ def _check(
     if robot.warning:
         events.append((logging.WARNING, robot.warning))
     if dropped := dropped_joints(motion, robot):
-        events.append((logging.WARNING, f"{motion.name}: {dropped}"))
+        level = logging.WARNING if dropped.moved else logging.INFO
+        events.append((level, f"{motion.name}: {dropped}"))
     if slowed != 1.0:
         motion = replace(motion, fps=motion.fps / slowed)
         text = f"{motion.name} is played {slowed:g} times slower, to fit the joints' speeds"

@@ -22,7 +22,7 @@ from g1stream.doctor.findings import evaluate
 from g1stream.doctor.host import inspect_host
 from g1stream.doctor.wire import inspect_participant
 from g1stream.errors import SafetyError, WireError
-from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
+from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
 from g1stream.robot.model import G1
 from g1stream.robot.rotations import tilt_of
 
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from g1stream.control.state_checks import Measured
     from g1stream.dds.domain import Participant
     from g1stream.doctor.facts import Finding
+    from g1stream.robot.joints import JointSet
     from g1stream.types import Floats
 
 __all__ = [
@@ -137,7 +138,11 @@ def inspect_for_arming(participant: Participant, config: Config, first: Floats) 
     where = participant.domain, participant.interface
     wire = inspect_participant(participant, _LISTEN)
     host = inspect_host(config.realtime)
-    allowed = G1.load(config.robot).joint_set.allowed(config.safety.mode_machine)
+    kind = G1.load(config.robot).joint_set
+    allowed = kind.allowed(config.safety.mode_machine)
+    findings = evaluate(Facts(*where, allowed, host, wire, via=config.stream.via))
+    if kind.absent:
+        findings.append(_motor_numbering(kind))
     return ArmingReport(
         domain=participant.domain,
         interface=network_name(participant.interface),
@@ -147,7 +152,16 @@ def inspect_for_arming(participant: Participant, config: Config, first: Floats) 
         peak_speed=ramp.peak_speed,
         limits=config.safety.model_dump(),
         motion_service=service,
-        findings=tuple(evaluate(Facts(*where, allowed, host, wire, via=config.stream.via))),
+        findings=tuple(findings),
+    )
+
+
+def _motor_numbering(kind: JointSet) -> Finding:
+    return warning(
+        "motors",
+        f"On a {kind}, each joint is taken to have the motor number that it has with {N_JOINTS}; "
+        "no such robot has confirmed this.",
+        "Hang it, play one joint first (--joints left_elbow_joint), and see that this one moves.",
     )
 
 

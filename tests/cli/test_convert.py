@@ -157,6 +157,9 @@ def test_a_session_becomes_a_ros2_bag_and_the_flags_of_motions_are_refused(out):
     refused = run(out, bag, "--ros2", "--frames", "1:2")
     assert refused.returncode == 2
     assert "--frames" in refused.stderr
+    no_session = run(DEMO, bag, "--ros2")
+    assert no_session.returncode == 2
+    assert "session" in no_session.stderr
     assert not bag.exists()
     done = run(out, bag, "--ros2", "--json")
     assert done.returncode == 0

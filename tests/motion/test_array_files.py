@@ -28,6 +28,7 @@ from g1stream.motion.joint_order import names_in_order
 from g1stream.motion.torch_file import read_torch
 from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1
+from g1stream.robot.rotations import xyzw_from_wxyz
 from g1stream.types import JointOrder
 
 DATA = Path(__file__).parents[1] / "data"
@@ -206,6 +207,31 @@ def test_fps_overrides(tmp_path, motion):
     assert g1stream.load_motion(path, fps=25).fps == 25.0
 
 
+def test_one_of_several_motions_is_taken_by_its_name(tmp_path, motion):
+    path = tmp_path / "library.pkl"
+    arrays = {"dof": motion.joint_pos, "fps": motion.fps, "root_trans_offset": motion.root_pos}
+    arrays["root_rot"] = xyzw_from_wxyz(motion.root_quat_wxyz)
+    other = {**arrays, "dof": np.zeros_like(motion.joint_pos)}
+    path.write_bytes(pickle.dumps({"walk/0:1": arrays, "stand": other}))
+    found = g1stream.load_motion(f"{path}:stand", joint_order="motor")
+    assert found.name == "stand"
+    assert found.source == path
+    assert not found.joint_pos.any()
+    for wrong in ("run", "", "dof"):
+        with pytest.raises(MotionError):
+            g1stream.load_motion(f"{path}:{wrong}")
+    with pytest.raises(MotionError) as refused:
+        g1stream.load_motion(path)
+    assert refused.value.remedy.endswith(f"{path}:walk/0:1")
+    assert_same(g1stream.load_motion(f"{path}:walk/0:1", joint_order="motor"), motion)
+
+
+def test_a_file_of_one_motion_has_no_other(tmp_path, motion):
+    for path in (motion.save(tmp_path / "m.npz"), motion.save(tmp_path / "m.csv")):
+        with pytest.raises(MotionError):
+            g1stream.load_motion(f"{path}:m")
+
+
 class Command:
     """Runs a command where it is unpickled."""
 
@@ -252,7 +278,7 @@ def with_root(pos, quat):
             "3",
         ),
         ({"dof": np.zeros((9, 2)), "dof_names": ["left_knee", "right_knee"]}, "lacks"),
-        ({"a": {}, "b": {}}, "2 motions"),
+        ({"a": {}, "b": {}}, "2 motions.*: a, b"),
         ([1, 2, 3], "no arrays"),
         ({"dof": shared_lists()}, "values"),
         ({"dof": {1, 2}}, "dof"),
@@ -496,6 +522,7 @@ def test_bodies_under_other_names(tmp_path, motion):
         (b"#ROSBAG V2.0\n", "ROS 1"),
         (b'{"fps": 30}', "JSON"),
         (b'<?xml version="1.0"?>', "XML"),
+        (b"\x89PNG\r\n\x1a\n", "PNG"),
     ],
 )
 def test_files_that_are_known_but_not_read(tmp_path, content, kind):

@@ -36,3 +36,8 @@ def test_paths_that_are_not_readable_files(tmp_path, kind):
         os.mkfifo(path)
     with pytest.raises(MotionError, match=r"odd\.csv"):
         open_motion_file(path)
+
+
+def test_a_directory_is_told_from_a_bag(tmp_path):
+    with pytest.raises(MotionError, match=r"metadata\.yaml"):
+        open_motion_file(tmp_path)

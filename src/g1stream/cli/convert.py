@@ -21,7 +21,7 @@ from g1stream.cli.flags import argument, flag, flag_name
 from g1stream.cli.motion_flags import MOTIONS, MotionFlags
 from g1stream.cli.progress import ProgressDisplay
 from g1stream.errors import ConfigError
-from g1stream.files import check_not_input
+from g1stream.files import check_not_input, is_session
 from g1stream.text import counted
 
 if TYPE_CHECKING:
@@ -128,13 +128,18 @@ class Convert(MotionFlags):
                 "The argument MOTION or FILE is missing.",
                 "Add it; `g1stream convert --help` says what it is.",
             )
-        from g1stream.motion.motion import MOTION_SUFFIXES
+        from g1stream.motion.save import MOTION_SUFFIXES
 
         check_not_input(self.out, *map(Path, self.motions))
         if self.ros2:
             self._require(_OF_ROS2, "--ros2, which keeps a session as it is")
             if len(self.motions) > 1:
                 raise ConfigError("--ros2 converts one session.", "Give one session and FILE.")
+            if not is_session(session := Path(self.motions[0])):
+                raise ConfigError(
+                    f"--ros2 converts a session, and {session} is no session file.",
+                    "Give one; `g1stream convert MOTION OUT.mcap` makes one of a motion.",
+                )
         elif self.out.suffix.lower() in MOTION_SUFFIXES:
             of_motion = {f.name for f in fields(MotionFlags)}
             self._require(_OF_MOTION_FILE | of_motion, f"a motion file ({self.out.name})")

@@ -15,6 +15,19 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from g1stream.errors import MotionError
+from g1stream.motion.array_names import (
+    ANGLES,
+    BODY_POSITIONS,
+    BODY_QUATS,
+    FPS,
+    HUMAN,
+    NAMES,
+    POSITIONS,
+    QUATS,
+    READ,
+    ROOT,
+    WRITERS,
+)
 from g1stream.motion.arrays import is_npy, is_zip, read_npy, read_npz
 from g1stream.motion.csv import DEFAULT_FPS
 from g1stream.motion.joint_order import Bodies, in_motor_order, names_in_order, tell_order
@@ -34,49 +47,14 @@ if TYPE_CHECKING:
 
 __all__ = ["ArrayFile", "is_array_file"]
 
-_ANGLES: Final = (*("joint_pos", "dof_pos", "dof_positions", "dof", "qpos", "joint_angles", "q"),)
-_NAMES: Final = ("joint_names", "dof_names")
-_POSITIONS: Final = ("root_pos", "root_trans", "root_trans_offset", "base_pos", "root_translation")
 #: An array that is converted to 64 bits has no more: 512 MiB.
 _MOST_NUMBERS: Final = 2**26
-#: Position and quaternion.
-_ROOT: Final = 7
-#: Arrays of the motions of human body models.
-_HUMAN: Final = {"poses", "pose_aa", "betas"}
-_FPS: Final = ("fps", "framerate", "frame_rate", "mocap_framerate", "mocap_frame_rate")
-
-#: Name of an array with the pelvis's orientation, and whether w is first in it by convention.
-_QUATS: Final = {
-    "root_quat_wxyz": True,
-    "root_quat_xyzw": False,
-    "root_rot": False,
-    "root_quat": True,
-    "root_rotation": False,
-    "base_quat": True,
-}
-#: Likewise of all bodies; and the arrays with their positions.
-_BODY_QUATS: Final = {"body_quat_w": True, "body_rotations": True, "rigid_body_rot": False}
-_BODY_POSITIONS: Final = ("body_pos_w", "body_positions", "rigid_body_pos")
+#: Motions of a file that an error names.
+_NAMED: Final = 20
 #: A pelvis that leans by more than the first on average, by less than the second if w is at the
 #: other end, is taken to have it there, rad.
 _LYING: Final = 1.05
 _UPRIGHT: Final = 0.8
-
-#: Who writes files with these arrays; the first that fits.
-_WRITERS: Final = (
-    ("holosoma", {"joint_pos", "joint_names", "body_pos_w"}),
-    ("BeyondMimic and mjlab", {"joint_pos", "body_pos_w"}),
-    ("GMR", {"root_pos", "root_rot", "dof_pos"}),
-    ("PHC and ASAP", {"root_trans_offset", "dof"}),
-    ("ProtoMotions", {"dof_pos", "rigid_body_pos", "rigid_body_rot"}),
-    ("AMP for Isaac Lab", {"dof_positions", "body_positions"}),
-    ("MuJoCo", {"qpos"}),
-)
-_READ: Final = (
-    "Read are joint_pos, dof_pos, dof or qpos, (T, 29) or, with the pelvis's position and "
-    "quaternion before the joints, (T, 36); root_pos and root_quat_wxyz, or body_pos_w and "
-    "body_quat_w; fps; joint_names."
-)
 #: What each kind of file is called, how it is recognised, and what reads it.
 _KINDS: Final[tuple[tuple[str, Callable[[bytes], bool], Callable[[bytes], Any]], ...]] = (
     ("Parquet", is_parquet, read_parquet),
@@ -108,10 +86,11 @@ class ArrayFile:
         content: its bytes: an NPZ, an NPY, a Parquet file, a file of PyTorch, or a pickle, plain
             or of joblib.
         joint_order: of the joints, if the file does not name them; told by evidence if None.
+        member: the name of the motion, in a file of several.
 
     Raises:
-        MotionError: it cannot be read. Anything else wrong in it is an error only when what it is
-            about is asked for.
+        MotionError: it cannot be read, or has no such motion. Anything else wrong in it is an error
+            only when what it is about is asked for.
         ConfigError: it is a Parquet file, and pyarrow is not installed.
 
     Attributes:
@@ -120,16 +99,23 @@ class ArrayFile:
         has_header: whether the file names the joints.
     """
 
-    def __init__(self, path: Path, content: bytes, joint_order: JointOrder | None = None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        content: bytes,
+        joint_order: JointOrder | None = None,
+        member: str | None = None,
+    ) -> None:
         self.path = path
+        self._name = member or path.stem
         self.sha256 = hashlib.sha256(content).hexdigest()
         self._asked = joint_order
         self._kind, read = next((kind, read) for kind, is_one, read in _KINDS if is_one(content))
         try:
             arrays = read(content)
         except ValueError as error:
-            raise self._error(str(error), _READ) from error
-        self._arrays = self._of_one_motion(arrays)
+            raise self._error(str(error), READ) from error
+        self._arrays = self._of_one_motion(arrays, member)
         self.has_header = bool(self._names)
 
     def motion(self, fps: float | None = None) -> Motion:
@@ -152,7 +138,7 @@ class ArrayFile:
             root and root.pos,
             root and root.quat_wxyz,
             fps=fps or self._fps or DEFAULT_FPS,
-            name=self.path.stem,
+            name=self._name,
         )
         warnings = []
         if self.unknown:
@@ -176,7 +162,7 @@ class ArrayFile:
         Raises:
             MotionError: as `motion`.
         """
-        writer = next((who for who, names in _WRITERS if names <= self._arrays.keys()), "")
+        writer = next((who for who, names in WRITERS if names <= self._arrays.keys()), "")
         pelvis = self._root.source if self._root else "not in the file: upright at the origin"
         return (
             f"{self._kind}, arrays as {writer} write them" if writer else f"{self._kind} of arrays",
@@ -221,17 +207,17 @@ class ArrayFile:
     @cached_property
     def _table(self) -> tuple[str, Floats]:
         """Name and content of the array with the angles, (T, 29) or with the pelvis before them."""
-        for name in _ANGLES:
+        for name in ANGLES:
             if name in self._arrays:
                 return name, self._numbers(name, 2)
         found = ", ".join(sorted(self._arrays)) or "nothing"
-        human = " It is the motion of a human body model." * bool(_HUMAN & self._arrays.keys())
-        raise self._error(f"no array has joint angles; it has {found}.{human}".rstrip("."), _READ)
+        human = " It is the motion of a human body model." * bool(HUMAN & self._arrays.keys())
+        raise self._error(f"no array has joint angles; it has {found}.{human}".rstrip("."), READ)
 
     @cached_property
     def _names(self) -> tuple[str, ...]:
         """The joints that the file names, as g1stream names them."""
-        for key in _NAMES:
+        for key in NAMES:
             if key in self._arrays:
                 names = [str(name) for name in self._array(key).ravel().tolist()]
                 return tuple(f"{name.removesuffix('_joint')}_joint" for name in names)
@@ -242,10 +228,10 @@ class ArrayFile:
         """(T, n) rad."""
         name, table = self._table
         n_joints = len(self._names) or N_JOINTS
-        if table.shape[1] not in (n_joints, _ROOT + n_joints):
+        if table.shape[1] not in (n_joints, ROOT + n_joints):
             raise self._error(
                 f"{name} has {table.shape[1]} columns for {n_joints} joints",
-                f"Give it a column for each joint, or {_ROOT} more before them: the pelvis's "
+                f"Give it a column for each joint, or {ROOT} more before them: the pelvis's "
                 "position and quaternion (wxyz).",
             )
         return table[:, -n_joints:]
@@ -268,28 +254,28 @@ class ArrayFile:
     def _root(self) -> _Root | None:
         """The pelvis's pose, from arrays of its own, before the angles, or from the first body."""
         angles, table = self._table
-        position = next((name for name in _POSITIONS if name in self._arrays), None)
-        rotation = next((name for name in _QUATS if name in self._arrays), None)
+        position = next((name for name in POSITIONS if name in self._arrays), None)
+        rotation = next((name for name in QUATS if name in self._arrays), None)
         if position and rotation:
-            quat, order = self._wxyz(self._numbers(rotation, 2), w_first=_QUATS[rotation])
+            quat, order = self._wxyz(self._numbers(rotation, 2), w_first=QUATS[rotation])
             return self._pose(self._numbers(position, 2), quat, f"{position}, {rotation} {order}")
         if table.shape[1] > self._angles.shape[1]:
-            return self._pose(table[:, :3], table[:, 3:_ROOT], f"in {angles}, quaternion wxyz")
-        rotations = next((name for name in _BODY_QUATS if name in self._arrays), None)
+            return self._pose(table[:, :3], table[:, 3:ROOT], f"in {angles}, quaternion wxyz")
+        rotations = next((name for name in BODY_QUATS if name in self._arrays), None)
         if self._body_pos and rotations:
             body, bodies = (
                 self._pelvis,
                 (self._bodies(self._body_pos, 3), self._bodies(rotations, 4)),
             )
             pos, quat = (values[:, body].astype(np.float64) for values in bodies)
-            quat, order = self._wxyz(quat, w_first=_BODY_QUATS[rotations])
+            quat, order = self._wxyz(quat, w_first=BODY_QUATS[rotations])
             return self._pose(pos, quat, f"body {body}, quaternion {order}")
         return None
 
     @property
     def _body_pos(self) -> str:
         """Name of the array with the bodies' positions; empty without one."""
-        return next((name for name in _BODY_POSITIONS if name in self._arrays), "")
+        return next((name for name in BODY_POSITIONS if name in self._arrays), "")
 
     def _bodies(self, name: str, width: int) -> NDArray[Any]:
         """(T, B, width) as in the file, in which they are most of the numbers."""
@@ -333,7 +319,7 @@ class ArrayFile:
     @cached_property
     def _fps(self) -> float | None:
         """Frames per second as the file says; None if it does not."""
-        for name in _FPS:
+        for name in FPS:
             if name in self._arrays:
                 values = self._array(name).ravel()
                 if values.size == 1 and values.dtype.kind in "iuf" and values[0] > 0:
@@ -365,19 +351,26 @@ class ArrayFile:
                 f"the rows of {name} differ in length", "Give it a row for each frame."
             ) from None
 
-    def _of_one_motion(self, content: Any) -> dict[str, Any]:
-        """The arrays; those of the only motion in a file of several, as joblib's mostly are."""
+    def _of_one_motion(self, content: Any, member: str | None) -> dict[str, Any]:
+        """The arrays; those of the chosen, or only, motion where there is a dict of motions."""
         if not isinstance(content, dict) or not content:
-            raise self._error("it has no arrays by name", _READ)
+            raise self._error("it has no arrays by name", READ)
         if not all(isinstance(one, dict) for one in content.values()):
-            return content
-        if len(content) > 1:
-            names = ", ".join(list(content)[:5])
+            if member is None:
+                return content
+            raise self._error(f"it is one motion, and has none named {member}", "Leave that out.")
+        if member is None and len(content) == 1:
+            (member,) = content
+        if member not in content:
+            count = f"{len(content)} motions" if len(content) > 1 else "one motion"
+            has = f"it has {count}" + (f", and none named {member}" if member else "")
+            names = list(content)
+            more = f" and {len(names) - _NAMED} more" * (len(names) > _NAMED)
             raise self._error(
-                f"it has {len(content)} motions: {names}{', ...' * (len(content) > 5)}",
-                "Save the one to play in a file of its own.",
+                f"{has}: {', '.join(names[:_NAMED])}{more}",
+                f"Give one by its name: {self.path}:{names[0]}",
             )
-        arrays: dict[str, Any] = next(iter(content.values()))
+        arrays: dict[str, Any] = content[member]
         return arrays
 
     def _error(self, cause: str, remedy: str) -> MotionError:

@@ -38,6 +38,11 @@ _NOT_READ: Final = {
     b"\x89HDF": "an HDF5 file",
     b"MATLAB": "a MATLAB file",
     b"#ROSBAG V": "a bag of ROS 1",
+    b"\x89PNG": "a PNG picture",
+    b"\xff\xd8\xff": "a JPEG picture",
+    b"GIF8": "a GIF picture",
+    b"%PDF": "a PDF document",
+    b"\x7fELF": "a program",
     b"{": "JSON",
     b"<": "XML, such as a URDF or MJCF",
 }
@@ -53,13 +58,13 @@ def open_motion_file(
     """Open a motion file, or a bundled motion by its name.
 
     Args:
-        path_or_name: of the file.
+        path_or_name: of the file; followed by `:NAME` for a motion in a file of several.
         joint_order: of the joints, where a file does not name them.
 
     Raises:
         MotionError: there is no such file, or it cannot be read, is empty, or of another format.
     """
-    path = Path(path_or_name)
+    path, member = _of_member(Path(path_or_name))
     if path_or_name in BUNDLED_MOTIONS:
         path = Path(str(resources.files("g1stream.motion") / f"{path_or_name}.csv"))
     return motion_file(path, _read(path), joint_order)
@@ -79,16 +84,32 @@ def motion_file(
         MotionError: it is empty, or of another format.
     """
     if is_array_file(content):
-        return ArrayFile(path, content, joint_order)
+        return ArrayFile(path, content, joint_order, member)
+    if member is not None:
+        raise MotionError(f"{path.name} is not a file of several motions.", f"Give {path} alone.")
     for start, kind in _NOT_READ.items():
         if content.startswith(start):
             raise MotionError(f"{path.name} looks like {kind}, which is not read.", _READ)
     return CsvFile(path, content, joint_order)
 
 
+def _of_member(path: Path) -> tuple[Path, str | None]:
+    """The file, and the name of a motion in it where the path is that of no file."""
+    text = str(path)
+    for at in (i for i, character in enumerate(text) if character == ":"):
+        if Path(text[:at]).is_file() and not path.exists():
+            return Path(text[:at]), text[at + 1 :]
+    return path, None
+
+
 def _read(path: Path) -> bytes:
     try:
         return read_file(path, _LARGEST)
+    except IsADirectoryError:
+        raise MotionError(
+            f"{path} is a directory, and no bag or session: it has no metadata.yaml.",
+            "Give a motion file in it.",
+        ) from None
     except FileNotFoundError:
         raise MotionError(
             f"There is no motion file {path}.",

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, ClassVar, Final
 import numpy as np
 
 from g1stream.errors import MotionError
-from g1stream.files import check_not_input, complete_file
-from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
+from g1stream.robot.joints import JOINT_NAMES
+from g1stream.robot.rotations import sign_continuous
 from g1stream.text import counted
 
 if TYPE_CHECKING:
@@ -27,15 +27,11 @@ if TYPE_CHECKING:
 
 __all__ = [
     "LARGEST",
-    "MOTION_SUFFIXES",
     "SMALLEST_QUAT",
     "Motion",
     "check_fps",
     "norm_warnings",
 ]
-
-MOTION_SUFFIXES: Final = (".csv", ".npz", ".parquet")
-"""Of the files that `Motion.save` writes."""
 
 LARGEST: Final = 1e9
 """No value of a motion is larger, rad or m, so that nothing computed from them overflows."""
@@ -149,7 +145,7 @@ class Motion:
         for field, values in (
             ("joint_pos", joint_pos),
             ("root_pos", root_pos),
-            ("root_quat_wxyz", _sign_continuous(quat)),
+            ("root_quat_wxyz", sign_continuous(quat)),
         ):
             values.setflags(write=False)
             set_field(self, field, values)
@@ -210,17 +206,9 @@ class Motion:
         Raises:
             MotionError: `fps` is not positive, or leaves fewer than two frames.
         """
-        from g1stream.motion.trajectory import resample
+        from g1stream.motion.operations import resampled
 
-        points = [point for _, point in resample(self, fps, 0, self.n_frames)]
-        return replace(
-            self,
-            operations=(*self.operations, f"resampled to {fps:g} fps"),
-            fps=fps,
-            joint_pos=np.concatenate([point.joint_pos for point in points]),
-            root_pos=np.concatenate([point.root_pos for point in points]),
-            root_quat_wxyz=np.concatenate([point.root_quat_wxyz for point in points]),
-        )
+        return resampled(self, fps)
 
     def trim(self, start: float = 0.0, end: float | None = None) -> Motion:
         """The part between two times, s, to the nearest frame; to the last frame if `end` is None.
@@ -321,32 +309,9 @@ class Motion:
         Raises:
             MotionError: the motion does not have one of the joints.
         """
-        from matplotlib.figure import Figure
+        from g1stream.motion.figure import draw_motion
 
-        unknown = [joint for joint in joints or () if joint not in JOINT_NAMES]
-        if unknown:
-            raise MotionError(
-                f"The motion {self.name} has no joint {', '.join(unknown)}.",
-                f"Its joints are {', '.join(JOINT_NAMES)}.",
-            )
-        panels = {
-            limb.replace("_", " "): [JOINT_NAMES[i] for i in motors]
-            for limb, motors in JOINT_GROUPS.items()
-        }
-        if joints is not None:
-            panels = {"": list(joints)}
-        figure = Figure(figsize=(9.0, 1.0 + 2.4 * len(panels)), layout="constrained")
-        figure.suptitle(self.name)
-        times = np.arange(self.n_frames) / self.fps
-        axes = figure.subplots(len(panels), sharex=True, squeeze=False)[:, 0]
-        for axis, (limb, names) in zip(axes, panels.items(), strict=True):
-            for joint in names:
-                axis.plot(times, self.joint_pos[:, JOINT_NAMES.index(joint)], label=joint)
-            axis.set(title=limb, ylabel="angle (rad)")
-            axis.grid(alpha=0.3)
-            axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize="small")
-        axes[-1].set_xlabel("time (s)")
-        return figure
+        return draw_motion(self, joints)
 
     def save(self, path: str | os.PathLike[str], *, force: bool = False) -> Path:
         """Write a CSV, NPZ or Parquet file that `load_motion` reads back to the last bit.
@@ -366,32 +331,10 @@ class Motion:
             RecordingError: the file exists, is the one the motion came from, or cannot be written.
             ConfigError: it is a Parquet file, and pyarrow is not installed.
         """
-        from g1stream.motion.csv import to_csv
-        from g1stream.motion.parquet import write_parquet
+        from g1stream.motion.save import save_motion
 
         path = Path(path)
-        suffix = path.suffix.lower()
-        if suffix not in MOTION_SUFFIXES:
-            raise MotionError(
-                f"A motion cannot be saved as {path.name}.",
-                f"Give a file name that ends in {', '.join(MOTION_SUFFIXES)}.",
-            )
-        check_not_input(path, self.source)
-        with complete_file(path, force=force) as temporary:
-            if suffix == ".csv":
-                temporary.write_text(to_csv(self), encoding="utf-8")
-            elif suffix == ".parquet":
-                write_parquet(self, temporary)
-            else:
-                with temporary.open("wb") as file:
-                    np.savez_compressed(
-                        file,
-                        fps=self.fps,
-                        joint_names=np.array(self.joint_names),
-                        joint_pos=self.joint_pos,
-                        root_pos=self.root_pos,
-                        root_quat_wxyz=self.root_quat_wxyz,
-                    )
+        save_motion(self, path, force=force)
         return path
 
     def _array(self, field: str, shape: tuple[int, int]) -> Floats:
@@ -450,10 +393,3 @@ def _check_joint_names(name: str, joint_names: Sequence[str]) -> None:
             f"{', '.join(wrong) or 'none'}.",
             "Name each of the joints in g1stream.JOINT_NAMES once.",
         )
-
-
-def _sign_continuous(quat: Floats) -> Floats:
-    """Flip quaternions (T, 4) so that each has a non-negative dot product with the one before."""
-    flips = np.einsum("ij,ij->i", quat[1:], quat[:-1]) < 0
-    signs = np.where(np.logical_xor.accumulate(flips), -1.0, 1.0)
-    return np.concatenate([quat[:1], quat[1:] * signs[:, np.newaxis]])

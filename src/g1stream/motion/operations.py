@@ -12,6 +12,7 @@ import numpy as np
 
 from g1stream.errors import MotionError
 from g1stream.motion.blend import COAST, blend_frames
+from g1stream.motion.trajectory import resample
 from g1stream.robot.joints import N_JOINTS
 from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1
@@ -31,6 +32,7 @@ __all__ = [
     "looped",
     "mirrored",
     "on_floor",
+    "resampled",
     "trimmed",
 ]
 
@@ -44,6 +46,19 @@ _PIECE: Final = 512
 _UP: Final = np.array([0.0, 0.0, 1.0])
 #: A mirrored turn: the vector part of a quaternion is a pseudovector.
 _MIRROR_QUAT: Final = np.concatenate([[1.0], -MIRROR])
+
+
+def resampled(motion: Motion, fps: float) -> Motion:
+    """See `Motion.resample`."""
+    points = [point for _, point in resample(motion, fps, 0, motion.n_frames)]
+    return replace(
+        motion,
+        operations=(*motion.operations, f"resampled to {fps:g} fps"),
+        fps=fps,
+        joint_pos=np.concatenate([point.joint_pos for point in points]),
+        root_pos=np.concatenate([point.root_pos for point in points]),
+        root_quat_wxyz=np.concatenate([point.root_quat_wxyz for point in points]),
+    )
 
 
 def trimmed(motion: Motion, start: float, end: float | None) -> Motion:

@@ -28,6 +28,7 @@ __all__ = [
     "quat_rotate_inverse",
     "quat_to_rpy",
     "rotation_vector",
+    "sign_continuous",
     "tilt_of",
     "wxyz_from_xyzw",
     "xyzw_from_wxyz",
@@ -162,3 +163,10 @@ def wxyz_from_xyzw(quat_xyzw: Floats) -> Floats:
 def xyzw_from_wxyz(quat_wxyz: Floats) -> Floats:
     """Reorder quaternions (..., 4) from wxyz to xyzw (files, Foxglove, ROS, scipy)."""
     return np.roll(quat_wxyz, -1, axis=-1)
+
+
+def sign_continuous(quat_wxyz: Floats) -> Floats:
+    """Flip quaternions (T, 4) so that each has a non-negative dot product with the one before."""
+    flips = np.einsum("ij,ij->i", quat_wxyz[1:], quat_wxyz[:-1]) < 0
+    signs = np.where(np.logical_xor.accumulate(flips), -1.0, 1.0)
+    return np.concatenate([quat_wxyz[:1], quat_wxyz[1:] * signs[:, np.newaxis]])

@@ -45,7 +45,8 @@ def load_motion(
     """Read a motion file, a session, a bag, or a bundled motion by its name (`demo`).
 
     Args:
-        path_or_name: a file of one of the formats in docs/formats.md; a session file, whose motion
+        path_or_name: a file of one of the formats in docs/formats.md, followed by `:NAME` for a
+            motion in a file of several; a session file, whose motion
             is the reference that was played; a bag with joint states; or the name of a bundled
             motion.
         fps: frames per second; what the file says if None, or 30 where it does not, as a CSV file

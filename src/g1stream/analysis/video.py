@@ -150,7 +150,8 @@ def _frame_times(
     length = end - start if duration is None else min(duration, end - start)
     if not (np.isfinite(start) and first - _OLD <= start <= end and length >= 0.0):
         raise RecordingError(
-            f"{session.path} has nothing at {start:g} s for {length:g} s.",
+            f"{session.path} has nothing at {start:g} s"
+            + (f" for {duration:g} s." if duration is not None else "."),
             f"It lasts from {first:.2f} s to {end:.2f} s on the motion's clock.",
         )
     frames = max(1, int(length * fps))

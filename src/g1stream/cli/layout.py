@@ -47,7 +47,7 @@ class Layout(Command):
         "The viewer: foxglove, lichtblick, plotjuggler or rerun.", "VIEWER"
     )
     session: Path | None = flag(
-        None, "A session file, to choose the joints by.", "MCAP", positional=True
+        None, "A session file, to choose the joints by.", "SESSION", positional=True
     )
     dir: Path = flag(Path(), "Write the layout into this directory.", "DIR", shown="here")
     force: bool = flag(False, "Replace a file that exists already.")

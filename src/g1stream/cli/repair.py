@@ -27,7 +27,7 @@ class Repair(Command):
       2  bad input: not a session, damaged, or still being recorded
     """
 
-    session: Path = argument("The session file, or the directory of a split recording.", "MCAP")
+    session: Path = argument("The session file, or the directory of a split recording.", "SESSION")
 
     def run(self) -> int:
         """Write the index, and return the exit code."""

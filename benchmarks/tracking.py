@@ -1,6 +1,7 @@
 """How closely the simulated robot follows: each feed-forward on each support, in one table.
 
     python benchmarks/tracking.py [--motion CSV] [--seconds 20] [--dds] [--plot PNG] [--json]
+    python benchmarks/tracking.py --arms [--motion CSV] [--seconds 20]
     python benchmarks/tracking.py --peers [--runs 10] [--rows TEXT] [--keep DIR] [--json]
     python benchmarks/tracking.py --peers --learn 3 [--runs 3] [--keep DIR] [--json]
 
@@ -12,6 +13,8 @@ and a cell comes out the same every time. What is measured is distorted by a gen
 seed: encoders by 0.1 mrad and 10 mrad/s, the gyroscope by 10 mrad/s, the accelerometer by
 0.1 m/s^2. `--dds` adds the same on our bridge over DDS in real time. What a wrong support does is
 measured in lockstep, with the check that would notice it left out.
+
+`--arms` plays arms and waist through the controller of our bridge (`--via arm_sdk`), over DDS.
 
 `--peers` plays the motion on Unitree's own simulators instead, see tracking_peers.py; `--learn`
 learns there from repetition to repetition.
@@ -167,6 +170,24 @@ def over_dds(
         sim.kill()
 
 
+def arms(motion: Motion, seconds: float, domain: int) -> None:
+    """Print the RMSE of arms and waist under the controller of our bridge, rad, by limb."""
+    over = {"dds.domain": domain, "stream.duration": seconds, "stream.via": "arm_sdk"}
+    over |= {"sim.onboard": "ai", "sim.support": "follow"}
+    for kind in KINDS:
+        config = load_config(None, SETTINGS | over | {"stream.feedforward": kind})
+        sim = Child("sim", config)
+        try:
+            sim.wait_until_ready()
+            with tempfile.TemporaryDirectory() as directory:
+                found = stream(motion, config, record=Path(directory, "s.mcap")).tracking
+        finally:
+            sim.kill()
+        if found:
+            limbs = (f"{limb} {value:.4f}" for limb, value in found.rmse_by_limb_rad.items())
+            print(f"{kind:10} {found.rmse_rad:.4f}   {', '.join(limbs)}")
+
+
 def draw(sessions: dict[str, Session], path: Path) -> None:
     """Three joints, reference and measured."""
     import matplotlib as mpl
@@ -208,7 +229,8 @@ def parsed() -> argparse.Namespace:
     parser.add_argument("--motion", default=str(CLIP) if CLIP.exists() else "demo")
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--dds", action="store_true", help="also in real time over DDS")
-    parser.add_argument("--domain", type=int, default=79, help="DDS domain for --dds")
+    parser.add_argument("--arms", action="store_true", help="arms and waist, with --via arm_sdk")
+    parser.add_argument("--domain", type=int, default=79, help="DDS domain for --dds and --arms")
     parser.add_argument("--plot", type=Path, help="draw three joints into this PNG")
     parser.add_argument("--json", action="store_true", help="print every cell as JSON")
     parser.add_argument("--peers", action="store_true", help="on Unitree's own simulators")
@@ -253,6 +275,9 @@ def main() -> None:
     seconds = min(arguments.seconds, motion.duration)
     if arguments.peers:
         on_peers(motion, seconds, arguments)
+        return
+    if arguments.arms:
+        arms(motion, seconds, arguments.domain)
         return
 
     cells: dict[str, dict[str, Cell]] = {}

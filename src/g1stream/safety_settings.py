@@ -145,5 +145,8 @@ class SafetyConfig(Table):
         flag=(*PLAY_FLAG, "motion"),
     )
     allow_second_writer: bool = setting(
-        False, "play although another publisher is on rt/lowcmd; dangerous", flag=PLAY_FLAG
+        False,
+        "play although another publisher is on rt/lowcmd, or with stream.via = arm_sdk on "
+        "rt/arm_sdk; dangerous",
+        flag=PLAY_FLAG,
     )

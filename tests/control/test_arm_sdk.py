@@ -9,15 +9,17 @@ import pytest
 
 from g1stream.clock import Ticker
 from g1stream.config import load_config
-from g1stream.control.arm_sdk import HAND_BACK_TIME, hand_back_commands
+from g1stream.control.arm_sdk import hand_back_commands
 from g1stream.control.make_loop import make_loop
 from g1stream.dds.messages import LowCmd
 from g1stream.errors import ConfigError
+from g1stream.programs.stream import for_wire
 from g1stream.robot.model import G1
 from g1stream.types import Phase
 
 PERIOD = 2_000_000  # ns
 STEP = 0.001  # of the weight between two commands: 2 ms of 2 s
+HANDING_BACK = 2.05  # s
 LEGS, ARMS = slice(0, 12), slice(12, 29)
 
 #: What ends a session, n commands after its first one, and whether that is an error of the loop.
@@ -37,8 +39,10 @@ ENDS = {
 def made(link, clock, trajectory, robot):
     def make(**settings):
         over = {"stream.via": "arm_sdk", "stream.hold": 0.1, "stream.ramp": 0.5}
+        over["safety.state_timeout"] = 0.1
         over |= {f"stream.{name}": value for name, value in settings.items()}
-        return make_loop(load_config(over=over), robot, trajectory, link, clock, settle=0)
+        config = for_wire(load_config(over=over))
+        return make_loop(config, robot, trajectory, link, clock, settle=0)
 
     return make
 
@@ -58,8 +62,8 @@ def test_every_way_out_hands_arms_and_waist_back(made, link, clock, end):
     assert np.abs(np.diff(weights)).max() < STEP * 1.001
     assert weights[-1] == 0.0
     assert (weights == 0.0).sum() > 20  # a best-effort reader may miss some
-    falling = link.in_phase(Phase.DAMP)
-    assert len(falling) == round(HAND_BACK_TIME * 1e9 / PERIOD)
+    falling, last = link.in_phase(Phase.DAMP), [c for c in commands if c.dq.any()][-1]
+    assert len(falling) == round(HANDING_BACK * 1e9 / PERIOD)
     if end == "the motion ends":
         assert weights.max() == 1.0
     else:  # 600 commands, and those until the silence was noticed
@@ -68,7 +72,8 @@ def test_every_way_out_hands_arms_and_waist_back(made, link, clock, end):
         assert sent.command.q.tolist() == falling[0].command.q.tolist()
         assert sent.command.kp.tolist() == commands[0].kp.tolist()
         assert not sent.command.dq.any()
-        assert not sent.command.tau.any()
+        if end != "the motion ends":
+            assert sent.command.tau.tolist() == last.tau.tolist()
     for command in commands:
         assert command.crc_matches()
         assert command.motor_mode.tolist() == [0] * 12 + [1] * 17
@@ -84,10 +89,14 @@ def test_the_ramp_lasts_as_long_as_the_weight_needs(made, link):
     assert len(link.in_phase(Phase.RAMP)) == 1000
 
 
-@pytest.mark.parametrize("settings", [{"joints": "legs,arms"}, {"others": "free"}])
-def test_what_cannot_be_is_refused(made, settings):
-    with pytest.raises(ConfigError):
-        made(**settings)
+@pytest.mark.parametrize(
+    ("flag", "value"),
+    [("joints", "legs,arms"), ("joints", "*"), ("others", "free"), ("support", "hanging")],
+)
+def test_what_cannot_be_is_refused(flag, value):
+    with pytest.raises(ConfigError) as refused:
+        for_wire(load_config(over={"stream.via": "arm_sdk", f"stream.{flag}": value}))
+    assert f"stream.{flag}" in refused.value.cause
 
 
 @pytest.mark.parametrize(
@@ -128,7 +137,7 @@ def test_what_a_guard_sends_after_a_command(weight):
         assert (command.q == 0.5).all()
         assert (command.kp == 40.0).all()
         assert not command.dq.any()
-        assert not command.tau.any()
+        assert (command.tau == 2.0).all()
         weights.append(float(command.weight))
     assert all(0.0 <= after <= before for before, after in itertools.pairwise(weights))
     assert weights[-1] == 0.0
@@ -139,4 +148,4 @@ def test_frames_come_at_the_ticks_of_a_clock(clock):
     frames = hand_back_commands(LowCmd().seal(), PERIOD)
     start = clock.now()
     ticks = [tick for tick, _ in zip(Ticker(clock, PERIOD, start), frames, strict=False)]
-    assert ticks[-1][1] - start == pytest.approx(HAND_BACK_TIME * 1e9, abs=PERIOD)
+    assert ticks[-1][1] - start == pytest.approx(HANDING_BACK * 1e9, abs=PERIOD)

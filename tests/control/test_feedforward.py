@@ -306,3 +306,29 @@ def test_the_right_support_follows_ten_times_as_closely_as_none(robot, caplog, s
 def test_lockstep_is_the_same_every_time(robot):
     first, second = (play(robot, "hanging", None, 0.4)[0] for _ in range(2))
     assert first == second
+
+
+def test_under_the_robots_own_controller_the_measured_attitude_decides(model, target, imu, events):
+    tilted = imu._replace(quat_wxyz=np.array([0.8, 0.6, 0, 0], np.float32))
+    feed = made(model, None, None, onboard=True)
+    feed.begin("follow")
+    assert feed.kind == "dynamics"
+    assert feed.support is None
+    asked = feed.command(Phase.PLAY, 0.0, target, tilted, NOW)
+    ((support, _, base, _),) = model.asked
+    assert support == "bolted"
+    assert base.quat_wxyz == pytest.approx([0.8, 0.6, 0, 0])
+    assert asked.tau.tolist() == model.tau.tolist()
+    rng = np.random.default_rng(1)
+    for tick in range(4000):  # a robot that walks contradicts no support
+        walking = imu._replace(gyroscope=rng.normal(size=3).astype(np.float32))
+        feed.observe(0.002 * tick, target.q, target.dq, target.tau, walking)
+    assert feed.command(Phase.PLAY, 0.0, target, tilted, NOW).tau.any()
+    assert [level for level, _ in events()] == [logging.INFO]
+
+
+def test_a_robot_under_its_own_controller_sags_without_torque_and_says_so(model, target, events):
+    feed = made(model, None, None, onboard=True)
+    feed.begin(None)
+    assert feed.kind == "velocity"
+    assert [level for level, _ in events()] == [logging.WARNING]

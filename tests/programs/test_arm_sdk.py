@@ -5,20 +5,15 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
 import sys
-import threading
-from contextlib import contextmanager
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pytest
 
-from g1stream.dds.domain import OBSERVER, Participant
-from g1stream.dds.endpoints import RawReader, RawWriter
-from g1stream.dds.messages import LowCmd
-from g1stream.dds.topics import ARM_SDK, LOWCMD, LOWSTATE
+from g1stream.dds.domain import Participant
+from g1stream.dds.endpoints import RawWriter
+from g1stream.dds.topics import ARM_SDK, LOWSTATE
 from g1stream.session.session import open_session
 from g1stream.types import Phase
 
@@ -33,59 +28,8 @@ pytestmark = [
 ]
 
 
-class Received(NamedTuple):
-    """A command on rt/arm_sdk: publish time, ns; Cyclone's handle of its writer; its values."""
-
-    stamp: int
-    writer: int
-    weight: float
-    q: np.ndarray
-    kp: np.ndarray
-
-
-@contextmanager
-def tap(domain_id):
-    """All commands on rt/arm_sdk, and the newest on rt/lowcmd."""
-    stop, commands, newest = threading.Event(), [], LowCmd()
-    with Participant(domain_id, "lo") as participant:
-        reader = RawReader(participant, ARM_SDK, depth=5000, user_data=OBSERVER)
-        motors = RawReader(participant, LOWCMD, user_data=OBSERVER)
-
-        def take():
-            command = LowCmd()
-            while not stop.wait(0.01):
-                for sample in reader.take(5000):
-                    command.load(sample.data)
-                    assert command.crc_matches()
-                    writer = sample.sample_info.publication_handle
-                    values = float(command.weight), command.q.copy(), command.kp.copy()
-                    commands.append(Received(sample.publish_time, writer, *values))
-                if sample := motors.take_latest():
-                    newest.load(sample.data)
-
-        thread = threading.Thread(target=take)
-        thread.start()
-        try:
-            yield commands, newest
-        finally:
-            stop.set()
-            thread.join()
-
-
-@contextmanager
-def running(*arguments):
-    command = [sys.executable, "-m", "g1stream", *map(str, arguments)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    try:
-        yield process
-    finally:
-        if process.poll() is None:
-            process.kill()
-        process.communicate()
-
-
 @pytest.fixture(scope="module")
-def standing(module_domain_id):
+def standing(module_domain_id, running):
     """A robot that stands by itself; its domain."""
     with running("sim", "--domain", module_domain_id, "--onboard", "ai", "--support", "follow"):
         yield module_domain_id
@@ -96,17 +40,21 @@ def arguments(domain_id, *more):
     return (*play, "--domain", domain_id, *more)
 
 
+def weight_of(received):
+    return float(received.command.weight)
+
+
 def assert_handed_back(commands):
-    weights = np.array([one.weight for one in commands])
+    weights = np.array([weight_of(one) for one in commands])
     assert weights[0] < 0.1
     assert weights.max() > 0.2
     assert np.abs(np.diff(weights)).max() < 1.001 * STEP
     assert weights[-1] == 0.0
     falling = commands[int(weights.argmax()) :]
     assert (falling[-1].stamp - falling[0].stamp) / 1e9 > 1.8 * weights.max()
-    assert all((one.kp[ARMS] > 0.0).all() for one in commands)
-    assert not any(one.kp[LEGS].any() for one in commands)
-    assert max(np.ptp([one.q for one in falling[100:]], axis=0)) == 0.0
+    assert all((one.command.kp[ARMS] > 0.0).all() for one in commands)
+    assert not any(one.command.kp[LEGS].any() for one in commands)
+    assert max(np.ptp([one.command.q for one in falling[100:]], axis=0)) == 0.0
 
 
 @pytest.mark.parametrize(
@@ -119,16 +67,21 @@ def assert_handed_back(commands):
     ],
     ids=lambda value: getattr(value, "name", ""),
 )
-def test_what_ends_a_stream_hands_the_arms_back(standing, until, number, code):
-    with tap(standing) as (commands, newest), running(*arguments(standing)) as stream:
-        until(lambda: commands and commands[-1].weight > 0.5, "a weight")
+def test_what_ends_a_stream_hands_the_arms_back(standing, until, running, tap, number, code):
+    with (
+        tap(standing, ARM_SDK) as commands,
+        tap(standing) as motors,
+        running(*arguments(standing)) as stream,
+    ):
+        until(lambda: commands and weight_of(commands[-1]) > 0.5, "a weight")
         os.kill(stream.pid, number)
         if number == signal.SIGSTOP:
             until(lambda: len({one.writer for one in commands}) == 2, "the guard")
             os.kill(stream.pid, signal.SIGCONT)
-        until(lambda: commands[-1].weight == 0.0, "the arms to be handed back")
+        until(lambda: weight_of(commands[-1]) == 0.0, "the arms to be handed back")
         said, _ = stream.communicate(timeout=30)
-        until(lambda: np.abs(newest.q).max() < 1e-3, "the pose of the onboard controller")
+        at_rest = lambda: np.abs(motors[-1].command.q).max() < 1e-3  # noqa: E731
+        until(at_rest, "the pose of the onboard controller")
     assert stream.returncode == code
     assert_handed_back(commands)
     guarded = number in (signal.SIGKILL, signal.SIGSTOP)
@@ -137,7 +90,7 @@ def test_what_ends_a_stream_hands_the_arms_back(standing, until, number, code):
         assert "was stopped" in json.loads(said)["stream"]["reason"]
 
 
-def test_a_session_has_what_the_arms_were_asked_and_did(standing, tmp_path):
+def test_a_session_has_what_the_arms_were_asked_and_did(standing, running, tmp_path):
     path = tmp_path / "arms.mcap"
     with running(*arguments(standing, "--duration", 1, "--record", path)) as stream:
         said, told = stream.communicate(timeout=60)
@@ -146,6 +99,8 @@ def test_a_session_has_what_the_arms_were_asked_and_did(standing, tmp_path):
     assert summary["stream"]["reason"] == ""
     assert len(summary["tracking"]["joints"]) == 17
     assert set(summary["tracking"]["rmse_by_limb_rad"]) == {"waist", "left_arm", "right_arm"}
+    assert summary["stream"]["feedforward"] == "dynamics"  # without it, the waist alone has 0.1
+    assert summary["tracking"]["rmse_rad"] < 0.02
     assert session.topics["/arm_sdk"] == session.topics["/reference"]
     playing = session.reference.phase == Phase.PLAY
     reference = session.reference.q[playing][-1]
@@ -160,7 +115,7 @@ def test_a_session_has_what_the_arms_were_asked_and_did(standing, tmp_path):
     assert np.abs(session.base.position[:, 2] - 0.79).max() < 0.01
 
 
-def test_a_robot_that_does_not_stand_by_itself_is_refused(domain_id, until):
+def test_a_robot_that_does_not_stand_by_itself_is_refused(domain_id, until, running):
     with running("sim", "--domain", domain_id), Participant(domain_id, "lo") as participant:
         until(lambda: participant.writers(LOWSTATE.name), "the simulator")
         with running(*arguments(domain_id)) as stream:
@@ -169,7 +124,7 @@ def test_a_robot_that_does_not_stand_by_itself_is_refused(domain_id, until):
     assert "restore" in told
 
 
-def test_a_second_program_for_the_arms_is_refused(standing):
+def test_a_second_program_for_the_arms_is_refused(standing, running):
     with Participant(standing, "lo") as participant:
         other = RawWriter(participant, ARM_SDK)
         with running(*arguments(standing)) as stream:

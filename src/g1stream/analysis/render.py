@@ -322,8 +322,10 @@ def stream_facts(stream: StreamSummary) -> list[tuple[str, str]]:
 
 def _feedforward(stream: StreamSummary) -> str:
     text = f"{stream.feedforward}"
-    if stream.support and stream.feedforward == "dynamics":
-        text += f" ({stream.support}{f', robot {stream.robot}' if stream.robot else ''})"
+    robot = f"robot {stream.robot}" if stream.robot else None
+    about = ", ".join(filter(None, (stream.support, robot)))
+    if about and stream.feedforward == "dynamics":
+        text += f" ({about})"
     if not stream.feedforward_changes:
         return text
     first, *more = stream.feedforward_changes

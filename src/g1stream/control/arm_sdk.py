@@ -23,34 +23,61 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from g1stream.control.gains import Gains
+    from g1stream.settings import StreamConfig
 
-__all__ = ["HAND_BACK_TIME", "MOVED", "WEIGHT_TIME", "ArmSdkComposer", "hand_back_commands"]
+__all__ = ["MOVED", "ArmSdkComposer", "hand_back_commands", "settings_for_arm_sdk"]
 
-WEIGHT_TIME: Final = 2.0
-"""The weight goes from 0 to 1, and back, in this time, s, as in Unitree's examples."""
-
-_LAST: Final = 0.05
-"""For so long, s, a weight of 0 is repeated: a best-effort reader may miss one."""
-
-HAND_BACK_TIME: Final = WEIGHT_TIME + _LAST
-"""How long arms and waist are handed back at the end, s."""
+#: The weight goes from 0 to 1, and back, in this time, s, as in Unitree's examples.
+_WEIGHT_TIME: Final = 2.0
+#: How long arms and waist are handed back at the end, s; at last a weight of 0 is repeated, because
+#: a best-effort reader may miss one.
+_HAND_BACK_TIME: Final = _WEIGHT_TIME + 0.05
 
 MOVED: Final = select_joints("arms,waist")
 """(29,) the joints that the controller lets others move."""
 
 
+def settings_for_arm_sdk(settings: StreamConfig) -> StreamConfig:
+    """The settings of a stream with `via` = arm_sdk, with those that depend on it set.
+
+    Raises:
+        ConfigError: they ask for what the controller does not let others do.
+    """
+    if (select_joints(settings.played_joints) & ~MOVED).any():
+        raise ConfigError(
+            f"stream.joints = {settings.joints!r} selects joints of the legs, which stream.via = "
+            "arm_sdk cannot move.",
+            "Choose of arms and waist, or leave --via out.",
+        )
+    if settings.others == "free":
+        raise ConfigError(
+            "stream.others = free with stream.via = arm_sdk: nothing would carry these joints.",
+            "Leave --others out: arms and waist that do not play then hold their pose.",
+        )
+    if settings.support:
+        raise ConfigError(
+            f"stream.support = {settings.support} with stream.via = arm_sdk: the robot's own "
+            "controller carries it.",
+            "Leave --support out.",
+        )
+    return settings.model_copy(
+        update={
+            "ramp": max(settings.ramp, _WEIGHT_TIME),
+            "damp": _HAND_BACK_TIME,
+            "soft_start": 0.0,
+        }
+    )
+
+
 class ArmSdkComposer(Composer):
     """Makes commands for rt/arm_sdk: only arms and waist, and a weight.
 
-    The weight rises from the first command on, and falls in DAMP; there, arms and waist keep their
-    gains at the last target, without velocity and torque, while the controller takes them over.
+    The weight rises from the first command on, and falls in DAMP; there, arms and waist keep gains
+    and torque of the last target, without its velocity, while the controller takes them over.
 
     Args:
         limits, gains, played, commanded: as of `Composer`.
         period: ns between commands.
-
-    Raises:
-        ConfigError: a joint that is played is of a leg.
     """
 
     def __init__(
@@ -61,25 +88,20 @@ class ArmSdkComposer(Composer):
         commanded: NDArray[np.bool_],
         period: int,
     ) -> None:
-        if (played & ~MOVED).any():
-            raise ConfigError(
-                "stream.joints names joints of the legs, which stream.via = arm_sdk cannot move.",
-                "Choose of arms and waist, or leave --via out.",
-            )
         super().__init__(limits, gains, 0.0, played, commanded)
         self._weight = self._next_weight = 0.0
-        self._step = period / 1e9 / WEIGHT_TIME
+        self._period = period
 
     def damp(self) -> None:
-        """The gains stay: see `_seal`."""
+        """Come to rest: gains and torque stay, see `_seal`."""
+        self._command.dq[:] = 0.0
 
     def sent(self) -> None:
         super().sent()
         self._weight = self._next_weight
 
     def _seal(self, phase: Phase) -> bytes:
-        step = -self._step if phase is Phase.DAMP else self._step
-        self._next_weight = min(1.0, max(0.0, self._weight + step))
+        self._next_weight = _next_weight(self._weight, self._period, up=phase is not Phase.DAMP)
         self._command.weight[()] = self._next_weight
         return super()._seal(phase)
 
@@ -87,13 +109,18 @@ class ArmSdkComposer(Composer):
 def hand_back_commands(command: bytes, period: int) -> Iterator[bytes]:
     """Sealed commands, `period` ns apart, that bring the weight of `command` to 0.
 
-    Its targets stay, without velocity and torque.
+    Its targets, gains and torques stay, without velocity.
     """
     last = LowCmd()
     last.load(command)
-    last.dq[:] = last.tau[:] = 0.0
-    weight = min(1.0, max(0.0, float(last.weight)))
-    for _ in range(round(HAND_BACK_TIME * 1e9 / period) + 1):
-        weight = max(0.0, weight - period / 1e9 / WEIGHT_TIME)
-        last.weight[()] = weight
+    last.dq[:] = 0.0
+    weight = float(last.weight)
+    for _ in range(round(_HAND_BACK_TIME * 1e9 / period) + 1):
+        last.weight[()] = weight = _next_weight(weight, period, up=False)
         yield last.seal()
+
+
+def _next_weight(weight: float, period: int, *, up: bool) -> float:
+    """The weight of the command that is `period` ns later; of NaN it is 0."""
+    step = period / 1e9 / _WEIGHT_TIME
+    return min(1.0, max(0.0, weight + (step if up else -step)))

@@ -299,9 +299,10 @@ class Composer:
         command.q[:] = q
 
     def damp(self) -> None:
-        """Set the gains of DAMP: kp 0."""
-        self._command.kp[:] = 0.0
-        self._command.kd[:] = self._damp_kd * self._commanded
+        """Ask for no position, only for damping, from now on: the last target stays in place."""
+        command = self._command
+        command.kp[:] = command.dq[:] = command.tau[:] = 0.0
+        command.kd[:] = self._damp_kd * self._commanded
 
     def compose(
         self,
@@ -332,9 +333,7 @@ class Composer:
             SafetyError: a value of the command is not finite.
         """
         command, reference = self._command, self._reference
-        if phase is Phase.DAMP:  # asks for no position: the last one stays in the message
-            command.dq[:] = command.tau[:] = 0.0
-        else:
+        if phase is not Phase.DAMP:  # what `damp` has set
             self._wire[:2], self._wire[2] = commanded.q_dq, commanded.tau
             self.limits.require_finite(self._wire)
             q_dq, tau = self.limits.apply(

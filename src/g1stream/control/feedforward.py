@@ -62,6 +62,9 @@ class FeedForward:
             effect later; None: a period for a bridge that announces its support, otherwise 0.
         time_scale: simulated over real time; None: it is measured.
         recorded: the commands of PLAY are recorded ones, so that this applies to RAMP and HOLD.
+        onboard: the robot's own controller carries it, and only arms and waist are commanded. Their
+            torque is that of a pelvis at rest in the attitude that the IMU measures, whatever the
+            legs do.
 
     Attributes:
         kind, support: as given; after `begin`, as decided.
@@ -84,6 +87,7 @@ class FeedForward:
         preview: float | None = 0.0,
         time_scale: float | None = 1.0,
         recorded: bool = False,
+        onboard: bool = False,
     ) -> None:
         self.kind = kind
         self.support = support
@@ -91,6 +95,7 @@ class FeedForward:
         self.scale = TimeScale() if time_scale is None else None
         self.saturated: Ints = np.zeros(N_JOINTS, dtype=np.int64)
         self.changes: list[FeedForwardChange] = []
+        self._onboard = onboard
         self._given_preview, self._given_scale = preview, time_scale or 1.0
         self._source = source
         self._limit = limit
@@ -170,6 +175,7 @@ class FeedForward:
             preview=settings.preview,
             time_scale=settings.time_scale,
             recorded=recorded,
+            onboard=settings.via == "arm_sdk",
         )
 
     def ramp_to(self, first: Target) -> None:
@@ -197,6 +203,9 @@ class FeedForward:
             robot: the name of the robot that it announces; None if it does not.
         """
         self._announced = announced is not None
+        if self._onboard:
+            self._begin_onboard(robot)
+            return
         self.support = self.support or next(
             (known for known in get_args(Support) if known == announced), None
         )
@@ -215,6 +224,20 @@ class FeedForward:
         _LOGGER.log(logging.WARNING if unknown else logging.INFO, "feed-forward: %s", text)
         if self.kind == "dynamics" and self._source and self.support:
             self._source.begin(self.support, announced, robot)
+
+    def _begin_onboard(self, robot: str | None) -> None:
+        """As `begin`, where the robot's own controller carries it: nothing is to be checked."""
+        if self.kind is None:
+            self.kind = "dynamics" if self._announced and self._source else "velocity"
+        if self.kind == "dynamics" and self._source:
+            self._source.begin("bolted", "bolted", robot)
+            _LOGGER.info("feed-forward: dynamics, at the measured attitude of the pelvis")
+        else:
+            _LOGGER.warning(
+                "feed-forward: %s only: arms and waist sag under their weight; "
+                "--feedforward dynamics carries it",
+                self.kind,
+            )
 
     def observe(
         self,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from g1stream.control.arm_sdk import HAND_BACK_TIME, MOVED, WEIGHT_TIME, ArmSdkComposer
+from g1stream.control.arm_sdk import MOVED, ArmSdkComposer
 from g1stream.control.commands import CommandLimits, Composer
 from g1stream.control.feedforward import FeedForward
 from g1stream.control.gains import gains_in_play
@@ -58,7 +58,7 @@ def make_loop(
     """The loop that plays a trajectory as configured, not yet running.
 
     Args:
-        config: all settings.
+        config: all settings, with those set that depend on the wire.
         robot: the robot whose limits and dynamics apply.
         trajectory: the motion.
         link: the wire.
@@ -98,22 +98,8 @@ def make_loop(
     composer = Composer(limits, gains, settings.damp_kd, played, robot.present)
     topic = LOWCMD
     if settings.via == "arm_sdk":
-        if settings.others == "free":
-            raise ConfigError(
-                "stream.others = free with stream.via = arm_sdk: nothing would carry these joints.",
-                "Leave --others out: arms and waist that do not play then hold their pose.",
-            )
         held, topic = MOVED & robot.present, ARM_SDK
         composer = ArmSdkComposer(limits, gains, played, held, period)
-        settings = settings.model_copy(
-            update={
-                "ramp": max(settings.ramp, WEIGHT_TIME),
-                "damp": HAND_BACK_TIME,
-                "soft_start": 0.0,
-                # How the base moves is the controller's business, and not known.
-                "feedforward": settings.feedforward or "velocity",
-            }
-        )
     squat, timing = None, Timing.from_config(settings, interval.length, settle=settle + period)
     if settings.support == "feet":
         squat = Squat(robot)

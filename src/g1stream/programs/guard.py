@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from cyclonedds.core import DDSException
 
 from g1stream.clock import SystemClock, Ticker
-from g1stream.control.arm_sdk import HAND_BACK_TIME, hand_back_commands
+from g1stream.control.arm_sdk import hand_back_commands
 from g1stream.control.guard import LOG_NAME, Heartbeat, Takeover, Watch, damping_command
 from g1stream.control.link import count_subscribers
 from g1stream.dds.domain import Participant, is_local_only, user_data_of_guard
@@ -71,7 +71,7 @@ class Guard:
         self._failure = ""
         self._child: Child | None = None
         self._heartbeat: Heartbeat | None = None
-        self._end_timeout = _END_TIMEOUT + max(config.stream.damp, HAND_BACK_TIME)
+        self._end_timeout = _END_TIMEOUT + config.stream.damp
         if config.safety.guard:
             with self._only_warn():
                 self._heartbeat = Heartbeat()

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 from g1stream.analysis.summary import summarise_run
 from g1stream.clock import SystemClock
 from g1stream.config import SHIPPED, Config, load_config
+from g1stream.control.arm_sdk import settings_for_arm_sdk
 from g1stream.control.gains import gains_in_play
 from g1stream.control.link import DdsLink
 from g1stream.control.loop import StreamLoop
@@ -143,7 +144,7 @@ def stream(
         if session:
             gains = gains_in_play(config, robot)._asdict()
             info = SessionInfo.of(config, robot, motion, gains, correction)
-            recorder = _RecorderChild(session, force, config, info, loop)
+            recorder = _RecorderChild(session, force, on_wire, info, loop)
         recording = None
         granted: list[Grant] = []
         findings: list[Finding] = []
@@ -338,13 +339,21 @@ def for_wire(config: Config) -> Config:
     """A config whose unset values that depend on the wire are set.
 
     On loopback there is a simulator, which may be silent for longer than a robot. Anywhere else
-    there may be a robot, for which robot.toml has the values.
+    there may be a robot, for which robot.toml has the values. With `stream.via` = arm_sdk, its
+    topic decides on others.
+
+    Raises:
+        ConfigError: the settings ask for what is not possible with `stream.via` = arm_sdk.
     """
-    if not is_local_only(config.dds.interface):
-        return with_robot_limits(config)
-    timeout = config.safety.state_timeout or _STATE_TIMEOUT_OF_SIMULATOR
-    safety = config.safety.model_copy(update={"state_timeout": timeout})
-    return config.model_copy(update={"safety": safety})
+    if is_local_only(config.dds.interface):
+        timeout = config.safety.state_timeout or _STATE_TIMEOUT_OF_SIMULATOR
+        safety = config.safety.model_copy(update={"state_timeout": timeout})
+        config = config.model_copy(update={"safety": safety})
+    else:
+        config = with_robot_limits(config)
+    if config.stream.via == "arm_sdk":
+        config = config.model_copy(update={"stream": settings_for_arm_sdk(config.stream)})
+    return config
 
 
 def _diagnose(

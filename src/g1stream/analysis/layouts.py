@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from g1stream.session.session import Session
 
 __all__ = [
-    "BLUE",
     "DEFAULT_JOINTS",
     "LIMB_COLORS",
-    "ORANGE",
+    "MEASURED",
     "RED",
+    "REFERENCE",
     "foxglove_layout",
     "plotjuggler_layout",
     "short_name",
@@ -30,7 +30,7 @@ __all__ = [
 #: How many joints are plotted.
 _N_PLOTS: Final = 6
 
-ORANGE, BLUE, RED = "#ffa61a", "#1abfff", "#f44336"
+REFERENCE, MEASURED, RED = "#1abfff", "#ffa61a", "#f44336"
 """Of the reference, of what is measured, and of limits."""
 
 LIMB_COLORS: Final = ("#4e98e2", "#f5774d", "#a395e2", "#55d18c", "#f7df71")
@@ -105,9 +105,9 @@ def foxglove_layout(joints: Sequence[str], robot: G1 | None = None) -> dict[str,
         "Plot!timing": _plot(
             "longest interval and latency, ms",
             [
-                ("/timing/commands.interval_ms", "command interval", ORANGE),
+                ("/timing/commands.interval_ms", "command interval", REFERENCE),
                 ("/timing/commands.latency_ms", "command latency", RED),
-                ("/timing/states.interval_ms", "state interval", BLUE),
+                ("/timing/states.interval_ms", "state interval", MEASURED),
             ],
             legend=True,
         ),
@@ -120,15 +120,19 @@ def foxglove_layout(joints: Sequence[str], robot: G1 | None = None) -> dict[str,
         panels[position] = _plot(
             f"{name}, rad",
             [
-                (_joint_path("/reference/joint_states", joint, "position"), "reference", ORANGE),
-                (_joint_path("/measured/joint_states", joint, "position"), "measured", BLUE),
+                (_joint_path("/reference/joint_states", joint, "position"), "reference", REFERENCE),
+                (_joint_path("/measured/joint_states", joint, "position"), "measured", MEASURED),
             ],
         )
         panels[torque] = _plot(
             f"{name}, Nm",
             [
-                (_joint_path("/reference/joint_states", joint, "effort"), "feed-forward", ORANGE),
-                (_joint_path("/measured/joint_states", joint, "effort"), "estimated", BLUE),
+                (
+                    _joint_path("/reference/joint_states", joint, "effort"),
+                    "feed-forward",
+                    REFERENCE,
+                ),
+                (_joint_path("/measured/joint_states", joint, "effort"), "estimated", MEASURED),
                 (f"{limit:g}", "limit", RED),
                 (f"{-limit:g}", "-limit", RED),
             ],
@@ -138,12 +142,12 @@ def foxglove_layout(joints: Sequence[str], robot: G1 | None = None) -> dict[str,
     panels["Tab!joints"] = {
         "activeTabIdx": 0,
         "tabs": [
-            {"title": "Positions", "layout": _grid(positions)},
-            {"title": "Torques", "layout": _grid(torques)},
+            {"title": "Positions: blue reference, orange measured", "layout": _grid(positions)},
+            {"title": "Torques: blue feed-forward, orange estimated", "layout": _grid(torques)},
         ],
     }
     left = _column(("3D!robot", 74), ("StateTransitions!phase", 42), "RosOut!log")
-    right = _column(("Tab!joints", 60), ("Plot!limbs", 50), "Plot!timing")
+    right = _column(("Tab!joints", 56), ("Plot!limbs", 50), "Plot!timing")
     return {
         "configById": panels,
         "globalVariables": {},
@@ -228,7 +232,7 @@ def _plot(
         "showLegend": legend,
         "legendDisplay": "left" if legend else "none",
         "showPlotValuesInLegend": False,
-        "sidebarDimension": 150,
+        "sidebarDimension": 190,
         "isSynced": True,
         "xAxisVal": "timestamp",
     }
@@ -289,7 +293,7 @@ def plotjuggler_layout(joints: Sequence[str]) -> str:
         for joint in joints:
             area = ElementTree.SubElement(split, "DockArea", name=f"{joint}")
             plot = ElementTree.SubElement(area, "plot", style="Lines", mode="TimeSeries")
-            for topic, color in (("/reference", ORANGE), ("/measured", BLUE)):
+            for topic, color in (("/reference", REFERENCE), ("/measured", MEASURED)):
                 name = f"{topic}/joint_states/{joint}/{field}"
                 ElementTree.SubElement(plot, "curve", name=name, color=color)
     ElementTree.SubElement(tabs, "currentTabIndex", index="0")

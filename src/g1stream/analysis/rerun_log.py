@@ -20,7 +20,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from g1stream.analysis.layouts import BLUE, LIMB_COLORS, ORANGE, RED, short_name, worst_joints
+from g1stream.analysis.layouts import (
+    LIMB_COLORS,
+    MEASURED,
+    RED,
+    REFERENCE,
+    short_name,
+    worst_joints,
+)
 from g1stream.analysis.offscreen import with_shapes
 from g1stream.analysis.rerun_layout import APPLICATION, import_rerun, rerun_layout
 from g1stream.dds.messages import played_joints
@@ -315,10 +322,10 @@ class RerunLog:
     def _log_series(self) -> None:
         """Log names and colours of the curves, so that plots are readable without a layout."""
         curves = {
-            "position/reference": (["reference"], [ORANGE]),
-            "position/measured": (["measured"], [BLUE]),
-            "torque/feed-forward": (["feed-forward"], [ORANGE]),
-            "torque/estimated": (["estimated"], [BLUE]),
+            "position/reference": (["reference"], [REFERENCE]),
+            "position/measured": (["measured"], [MEASURED]),
+            "torque/feed-forward": (["feed-forward"], [REFERENCE]),
+            "torque/estimated": (["estimated"], [MEASURED]),
             "torque/limits": (["limit", "-limit"], [RED, RED]),
         }
         for joint in self._robot.joint_names:
@@ -327,7 +334,7 @@ class RerunLog:
             self._curve(f"joints/{joint}/error", [short_name(joint)])
         for limb, color in zip(JOINT_GROUPS, LIMB_COLORS, strict=True):
             self._curve(f"error/{limb}", [limb], [color])
-        for stream, color in (("commands", ORANGE), ("states", BLUE)):
+        for stream, color in (("commands", REFERENCE), ("states", MEASURED)):
             self._curve(f"timing/{stream}/interval", [f"{stream[:-1]} interval"], [color])
         self._curve("timing/commands/latency", ["command latency"], [RED])
         self._curve("timing/states/latency", ["state latency"])

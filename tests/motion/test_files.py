@@ -38,6 +38,12 @@ def test_paths_that_are_not_readable_files(tmp_path, kind):
         open_motion_file(path)
 
 
+@pytest.mark.parametrize("name", [f"{'a' * 300}:b", "a\0:b", ":", "a:"])
+def test_names_that_no_file_can_have(name):
+    with pytest.raises(MotionError):
+        open_motion_file(name)
+
+
 def test_a_directory_is_told_from_a_bag(tmp_path):
     with pytest.raises(MotionError, match=r"metadata\.yaml"):
         open_motion_file(tmp_path)

@@ -6,6 +6,7 @@ session/motions.py.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -96,9 +97,10 @@ def motion_file(
 def _of_member(path: Path) -> tuple[Path, str | None]:
     """The file, and the name of a motion in it where the path is that of no file."""
     text = str(path)
-    for at in (i for i, character in enumerate(text) if character == ":"):
-        if Path(text[:at]).is_file() and not path.exists():
-            return Path(text[:at]), text[at + 1 :]
+    with suppress(OSError):  # a name that is too long
+        for at in (i for i, character in enumerate(text) if character == ":"):
+            if Path(text[:at]).is_file() and not path.exists():
+                return Path(text[:at]), text[at + 1 :]
     return path, None
 
 

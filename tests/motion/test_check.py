@@ -262,7 +262,7 @@ def test_no_columns_at_all(clip):
     [
         (None, "clip.csv"),
         (b"", "empty"),
-        (b"\x89PNG\r\n", "UTF-8"),
+        (b"\x89\xff\r\n", "UTF-8"),
         (b"a,b\0", "binary"),
     ],
 )

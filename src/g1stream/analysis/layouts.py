@@ -142,8 +142,8 @@ def foxglove_layout(joints: Sequence[str], robot: G1 | None = None) -> dict[str,
     panels["Tab!joints"] = {
         "activeTabIdx": 0,
         "tabs": [
-            {"title": "Positions: blue reference, orange measured", "layout": _grid(positions)},
-            {"title": "Torques: blue feed-forward, orange estimated", "layout": _grid(torques)},
+            {"title": "Positions", "layout": _grid(positions)},
+            {"title": "Torques", "layout": _grid(torques)},
         ],
     }
     left = _column(("3D!robot", 74), ("StateTransitions!phase", 42), "RosOut!log")

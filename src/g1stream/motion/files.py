@@ -48,8 +48,8 @@ _NOT_READ: Final = {
     b"<": "XML, such as a URDF or MJCF",
 }
 _READ: Final = (
-    "Read are CSV, NPZ, NPY, Parquet, pickles of arrays, files of PyTorch, and bags of ROS 2 and "
-    "MCAP files with joint states: docs/formats.md says with which content."
+    "Read are CSV, NPZ, NPY, Parquet, pickles of arrays, files of PyTorch, session files, and bags "
+    "of ROS 2 and MCAP files with joint states: docs/formats.md says with which content."
 )
 
 

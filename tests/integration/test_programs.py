@@ -89,11 +89,11 @@ def test_a_motion_is_played_and_recorded(played):
     assert summary["recorder"]["lost"]["/reference"] == 0
 
 
-def test_a_robot_stands_on_its_feet_and_squats_at_the_end(tmp_path, domain_id):
+def test_a_robot_stands_on_its_feet_and_squats_at_the_end(tmp_path, domain_id, running):
     pytest.importorskip("daqp")
     path = tmp_path / "feet.mcap"
     on_feet = ["stream", "demo", "--domain", domain_id, "--config", PATIENT, "--support", "feet"]
-    with simulator(domain_id, "--support", "free"):
+    with running("sim", "--domain", domain_id, "--support", "free"):
         done = run([*on_feet, "--ramp", 1.5, "--duration", PLAY, "--record", path, "--json"])
     assert done.returncode == 0, done.stderr
     stream = json.loads(done.stdout)["stream"]

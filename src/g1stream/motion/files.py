@@ -68,11 +68,14 @@ def open_motion_file(
     path, member = _of_member(Path(path_or_name))
     if path_or_name in BUNDLED_MOTIONS:
         path = Path(str(resources.files("g1stream.motion") / f"{path_or_name}.csv"))
-    return motion_file(path, _read(path), joint_order)
+    return motion_file(path, _read(path), joint_order, member)
 
 
 def motion_file(
-    path: Path, content: bytes, joint_order: JointOrder | None = None
+    path: Path,
+    content: bytes,
+    joint_order: JointOrder | None = None,
+    member: str | None = None,
 ) -> CsvFile | ArrayFile:
     """A motion file from its bytes; see `open_motion_file`.
 
@@ -80,9 +83,10 @@ def motion_file(
         path: names it.
         content: its bytes.
         joint_order: of the joints, where it does not name them.
+        member: the name of the motion, in a file of several.
 
     Raises:
-        MotionError: it is empty, or of another format.
+        MotionError: it is empty, of another format, or has no such motion.
     """
     if is_array_file(content):
         return ArrayFile(path, content, joint_order, member)

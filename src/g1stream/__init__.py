@@ -28,6 +28,10 @@ if TYPE_CHECKING:
     from g1stream.config import Config, load_config
     from g1stream.dds.messages import Samples
     from g1stream.errors import G1StreamError
+    from g1stream.library.compute import LibraryCase
+    from g1stream.library.rows import JointRow, MotionRow
+    from g1stream.library.run import LibraryRun, run_library
+    from g1stream.library.table import Library, open_library
     from g1stream.motion.correction import Correction
     from g1stream.motion.motion import Motion
     from g1stream.motion.trajectory import Trajectory, TrajectoryPoint
@@ -67,12 +71,17 @@ __all__ = [
     "Correction",
     "Delay",
     "G1StreamError",
+    "JointRow",
+    "Library",
+    "LibraryCase",
+    "LibraryRun",
     "LogEvent",
     "Measured",
     "Message",
     "Metrics",
     "Motion",
     "MotionPhysics",
+    "MotionRow",
     "PhaseInterval",
     "Reference",
     "Samples",
@@ -93,11 +102,13 @@ __all__ = [
     "load_config",
     "load_motion",
     "motion_physics",
+    "open_library",
     "open_session",
     "record",
     "replay",
     "report",
     "rollout",
+    "run_library",
     "simulate",
     "stream",
 ]
@@ -114,12 +125,17 @@ _HOME = {
     "G1": "robot.model",
     "G1StreamError": "errors",
     "JOINT_NAMES": "robot.joints",
+    "JointRow": "library.rows",
+    "Library": "library.table",
+    "LibraryCase": "library.compute",
+    "LibraryRun": "library.run",
     "LogEvent": "session.streams",
     "Measured": "session.streams",
     "Message": "session.session",
     "Metrics": "session.metrics",
     "Motion": "motion.motion",
     "MotionPhysics": "analysis.physics_report",
+    "MotionRow": "library.rows",
     "PhaseInterval": "session.summary",
     "Reference": "session.streams",
     "Samples": "dds.messages",
@@ -139,11 +155,13 @@ _HOME = {
     "load_config": "config",
     "load_motion": "session.motions",
     "motion_physics": "analysis.physics",
+    "open_library": "library.table",
     "open_session": "session.session",
     "record": "programs.record",
     "replay": "programs.replay",
     "report": "analysis.report.page",
     "rollout": "programs.rollout",
+    "run_library": "library.run",
     "simulate": "programs.sim",
     "stream": "programs.stream",
 }

@@ -54,7 +54,7 @@ _ROS = ("demo", "stream", "replay", "sim", "record")
 #: The commands that play on a robot.
 PLAY_FLAG: Final = ("stream", "replay")
 #: The commands that take `--robot`.
-ROBOT_FLAG: Final = (*_ON_ROBOT, "motion")
+ROBOT_FLAG: Final = (*_ON_ROBOT, "motion", "library")
 #: The commands that take `--live`.
 LIVE_FLAG: Final = ("demo", "stream", "replay", "record", "sim")
 

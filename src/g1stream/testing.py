@@ -11,11 +11,20 @@ be asserted to the nanosecond:
 
 `Lockstep` is a link and a clock with the physics of our bridge behind it; `g1stream.rollout` wraps
 it for whole sessions.
+
+`dask_cluster` is a cluster on this machine, for tests of code that computes a library.
 """
 
 from __future__ import annotations
 
+import json
+import subprocess
+import sys
+import tempfile
+import time
 from collections import Counter
+from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from g1stream.dds.messages import LowCmd, LowState, Reference
@@ -24,9 +33,9 @@ from g1stream.sim.robot import MODE_MACHINE_29
 from g1stream.types import Phase
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
-__all__ = ["FakeClock", "FakeLink", "Lockstep", "Sent"]
+__all__ = ["FakeClock", "FakeLink", "Lockstep", "Sent", "dask_cluster"]
 
 _EPOCH: Final = 1_700_000_000_000_000_000
 
@@ -165,3 +174,42 @@ class FakeLink:
     def in_phase(self, phase: Phase) -> list[Sent]:
         """What was sent in a phase."""
         return [sent for sent in self.sent if int(sent.reference.phase) == phase]
+
+
+@contextmanager
+def dask_cluster(
+    threads: int = 1, workers: int = 1
+) -> Iterator[tuple[str, subprocess.Popen[bytes], list[subprocess.Popen[bytes]]]]:
+    """A Dask scheduler and workers on loopback, as docs/scale.md starts them.
+
+    Args:
+        threads: of each worker.
+        workers: how many.
+
+    Yields:
+        The scheduler's address, its process and those of the workers.
+    """
+    with tempfile.TemporaryDirectory() as directory:
+        file = Path(directory, "scheduler.json")
+
+        def start(*arguments: str) -> subprocess.Popen[bytes]:
+            common = ("--scheduler-file", str(file), "--no-dashboard")
+            return subprocess.Popen(
+                [sys.executable, "-m", "dask", *arguments, *common],
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+            )
+
+        head = start("scheduler", "--host", "127.0.0.1", "--port", "0")
+        many = [start("worker", "--no-nanny", "--nthreads", str(threads)) for _ in range(workers)]
+        try:
+            while not file.exists():
+                if head.poll() is not None:
+                    raise RuntimeError(f"dask scheduler ended with code {head.returncode}")
+                time.sleep(0.05)
+            yield json.loads(file.read_text())["address"], head, many
+        finally:
+            for process in (*many, head):
+                process.terminate()
+            for process in (*many, head):
+                process.wait()

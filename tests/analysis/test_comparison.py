@@ -123,6 +123,24 @@ def test_what_differs_is_said():
     }
 
 
+def of(comparison, text):
+    """Whether a condition holds for a comparison."""
+    differences = comparison.named()
+    return Condition(text).holds(
+        {name: other for name, (_, other) in differences.items()},
+        {name: base for name, (base, _) in differences.items()},
+    )
+
+
+def test_a_condition_on_metrics_alone():
+    condition = Condition("rmse > 0.02 and not max < 0.1")
+    assert condition.metrics == ["rmse", "max"]
+    assert condition.holds({"rmse": 0.03, "max": 0.2})
+    assert not condition.holds({"rmse": 0.03, "max": 0.05})
+    with pytest.raises(ConfigError):
+        Condition("rmse > base").holds({"rmse": 0.03})
+
+
 @pytest.mark.parametrize(
     ("text", "holds"),
     [
@@ -136,7 +154,7 @@ def test_what_differs_is_said():
     ],
 )
 def test_conditions(worse, text, holds):
-    assert Condition(text).holds(worse) is holds
+    assert of(worse, text) is holds
 
 
 @pytest.mark.parametrize(
@@ -167,7 +185,7 @@ def test_what_is_no_condition(text):
 @pytest.mark.parametrize("text", ["speed > 1", "rmse.left_hand > base", "rmse > 1 / (rmse - rmse)"])
 def test_conditions_that_cannot_be_told(worse, text):
     with pytest.raises(ConfigError):
-        Condition(text).holds(worse)
+        of(worse, text)
 
 
 def test_the_command(tmp_path, capsys):

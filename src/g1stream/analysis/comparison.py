@@ -17,6 +17,7 @@ from g1stream.config import Config
 from g1stream.errors import RecordingError
 from g1stream.files import check_output_path
 from g1stream.session.info import SessionInfo
+from g1stream.session.metrics import NAMED_METRICS
 from g1stream.session.records import Record, read_record
 from g1stream.session.session import Session, open_session
 
@@ -40,26 +41,6 @@ _SHORTEST: Final = 0.1
 #: Motion times at which references are compared, Hz.
 _RATE: Final = 20.0
 
-#: Metrics of a whole session: what --fail-if calls them, and where they are.
-_METRICS: Final = {
-    "rmse": ("rad", "tracking.all_joints.rmse_rad"),
-    "mae": ("rad", "tracking.all_joints.mae_rad"),
-    "p99": ("rad", "tracking.all_joints.p99_rad"),
-    "max": ("rad", "tracking.all_joints.max_abs_rad"),
-    "bias": ("rad", "tracking.all_joints.bias_rad"),
-    "delay": ("s", "tracking.all_joints.delay_s"),
-    "velocity_rmse": ("rad/s", "tracking.all_joints.velocity_rmse_rad_s"),
-    "mpjpe": ("mm", "body.pelvis_frame.mpjpe_mm"),
-    "mpjpe_root": ("mm", "body.root_relative.mpjpe_mm"),
-    "mpjpe_world": ("mm", "body.world.mpjpe_mm"),
-    "torque_rms": ("Nm", "torque.rms_nm"),
-    "torque_use": ("", "torque.use"),
-    "saturated": ("", "torque.saturated"),
-    "power": ("W", "torque.power_w"),
-    "rate": ("Hz", "timing.rate_hz"),
-    "lateness_p99": ("us", "timing.lateness_us.p99"),
-    "state_age_p99": ("us", "timing.state_age_us.p99"),
-}
 _SIGNED: Final = {"delay"}
 
 
@@ -87,6 +68,11 @@ class Comparison(Record):
 
     def __str__(self) -> str:
         return comparison_table(self)
+
+    def named(self) -> dict[str, tuple[float, float]]:
+        """Base and other by the name that a condition has for them: `rmse`, `rmse.left_leg`."""
+        parts = {f"rmse.{part}": one for part, one in (self.limbs | self.joints).items()}
+        return {name: (one.base, one.other) for name, one in (self.metrics | parts).items()}
 
 
 def compare(
@@ -136,8 +122,8 @@ def compare(
         start_s=start,
         stop_s=stop,
         metrics=differences(
-            [[{n: _at(m, p) for n, (_, p) in _METRICS.items()} for m in side] for side in found],
-            {name: unit for name, (unit, _) in _METRICS.items()},
+            [[one.named() for one in side] for side in found],
+            {name: unit for name, (unit, _) in NAMED_METRICS.items()},
             _SIGNED,
         ),
         limbs=differences([[_rmse(m, "limbs") for m in side] for side in found], {}),
@@ -256,14 +242,6 @@ def _require_same_motion(first: _Run, other: _Run) -> None:
         f"motion: {reason}.",
         "Compare sessions of one motion, played at the same speed.",
     )
-
-
-def _at(found: Any, path: str) -> float | None:
-    """A metric by its dotted path; None where it, or what it is part of, is None."""
-    for name in path.split("."):
-        found = found and getattr(found, name)
-    value: float | None = found
-    return value
 
 
 def _rmse(found: Metrics, which: str) -> dict[str, float | None]:

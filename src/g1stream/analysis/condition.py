@@ -1,4 +1,4 @@
-"""A condition on a comparison, such as `rmse > 1.1 * base or p99.left_leg > 0.05`.
+"""A condition on metrics, such as `rmse > 1.1 * base or p99 > 0.05`.
 
 It is a small part of Python's expressions, read with `ast` and computed here: names of metrics,
 `base`, numbers, comparisons, arithmetic, `and`, `or` and `not`. Nothing else is evaluated.
@@ -13,10 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 from g1stream.errors import ConfigError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from g1stream.analysis.comparison import Comparison
-    from g1stream.analysis.differences import Difference
+    from collections.abc import Callable, Mapping
 
 __all__ = ["Condition"]
 
@@ -37,11 +34,9 @@ _MOST_CHARACTERS: Final = 500
 
 
 class Condition:
-    """A condition that can hold for a comparison.
+    """A condition that can hold for metrics, beside those of a base or alone.
 
-    A metric stands for its mean over the other sessions, `base` for the mean over the base sessions
-    of the one metric that is in the same comparison. `rmse.left_leg` and `rmse.left_knee_joint`
-    are the RMSE of a limb and of a joint.
+    `base` stands for the base's value of the one metric that is in the same comparison.
 
     Args:
         text: the condition.
@@ -60,16 +55,31 @@ class Condition:
             raise self._error("it cannot be read") from error
         self._check(self._tree)
 
-    def holds(self, comparison: Comparison) -> bool:
+    @property
+    def metrics(self) -> list[str]:
+        """The metrics that it names."""
+        names = [
+            n
+            for one in ast.walk(self._tree)
+            if isinstance(one, ast.Compare)
+            for n in _metrics_in(one)
+        ]
+        return list(dict.fromkeys(names))
+
+    def holds(self, values: Mapping[str, float], base: Mapping[str, float] | None = None) -> bool:
         """Whether it holds.
 
+        Args:
+            values: metrics by name.
+            base: what `base` stands for, by metric; the condition cannot name it if None.
+
         Raises:
-            ConfigError: the sessions do not have one of its metrics, or it divides by 0.
+            ConfigError: one of its metrics is not among them, or it divides by 0.
         """
         try:
-            return self._truth(self._tree, comparison)
+            return self._truth(self._tree, values, base)
         except ZeroDivisionError as error:
-            raise self._error("it divides by 0 with the figures of these sessions") from error
+            raise self._error("it divides by 0 with these figures") from error
 
     def _check(self, node: ast.expr) -> None:
         """Raise unless a node is a truth: a comparison, or `and`, `or` and `not` of some."""
@@ -100,33 +110,29 @@ class Condition:
         ):
             raise self._error(f"{ast.unparse(node)} is neither a number nor a metric")
 
-    def _truth(self, node: ast.expr, comparison: Comparison) -> bool:
+    def _truth(
+        self, node: ast.expr, values: Mapping[str, float], base: Mapping[str, float] | None
+    ) -> bool:
         if isinstance(node, ast.BoolOp):
-            truths = [self._truth(one, comparison) for one in node.values]
+            truths = [self._truth(one, values, base) for one in node.values]
             return all(truths) if isinstance(node.op, ast.And) else any(truths)
         if isinstance(node, ast.UnaryOp):
-            return not self._truth(node.operand, comparison)
+            return not self._truth(node.operand, values, base)
         assert isinstance(node, ast.Compare)
-        found = {name: self._metric(name, comparison) for name in _metrics_in(node)}
-        values = {name: one.other for name, one in found.items()}
-        if len(found) == 1:
-            values["base"] = next(iter(found.values())).base
-        numbers = [_number(one, values) for one in (node.left, *node.comparators)]
+        metrics = _metrics_in(node)
+        if unknown := [name for name in metrics if name not in values]:
+            known = ", ".join(name for name in values if "." not in name)
+            raise self._error(f"there is no {unknown[0]} here", f"Choose from {known}.")
+        numbers = dict(values)
+        if "base" in _names_in(node):
+            if base is None:
+                raise self._error("nothing is compared here that `base` could stand for")
+            numbers["base"] = base[metrics[0]]
+        compared = [_number(one, numbers) for one in (node.left, *node.comparators)]
         return all(
             _COMPARISONS[type(op)](a, b)
-            for op, a, b in zip(node.ops, numbers[:-1], numbers[1:], strict=True)
+            for op, a, b in zip(node.ops, compared[:-1], compared[1:], strict=True)
         )
-
-    def _metric(self, name: str, comparison: Comparison) -> Difference:
-        parts = comparison.limbs | comparison.joints
-        known = comparison.metrics | {f"rmse.{part}": one for part, one in parts.items()}
-        if name not in known:
-            raise self._error(
-                f"there is no {name} of these sessions",
-                f"Choose from {', '.join(comparison.metrics)}, and rmse with a limb or a joint, "
-                "such as rmse.left_leg.",
-            )
-        return known[name]
 
     def _error(self, reason: str, remedy: str = "") -> ConfigError:
         return ConfigError(

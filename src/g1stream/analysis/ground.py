@@ -5,6 +5,7 @@ The floor is at height 0. docs/motion-physics.md has the formulas and their sour
 
 from __future__ import annotations
 
+from functools import cache
 from itertools import permutations
 from typing import TYPE_CHECKING, Final
 
@@ -132,15 +133,30 @@ def floor_forces(corners: Floats, force: Floats, moment: Floats) -> Floats:
     from scipy.optimize import lsq_linear, nnls
 
     centre = corners.mean(axis=0)
-    levers = np.repeat(corners - centre, len(_EDGES), axis=0)
-    edges = np.tile(_EDGES, (len(corners), 1))
-    sums = np.concatenate([edges, np.cross(levers, edges)], axis=1).T
-    needed = np.concatenate([force, moment - np.cross(centre, force)])
-    even = np.sqrt(_EVEN) * np.eye(len(edges))
-    factors, asked = np.vstack([sums, even]), np.append(needed, np.zeros(len(edges)))
+    edges, known = _even_pushes(len(corners))
+    factors = known.copy()
+    x, y, z = np.repeat(corners - centre, len(_EDGES), axis=0).T
+    along_x, along_y, along_z = edges.T
+    factors[3] = y * along_z - z * along_y
+    factors[4] = z * along_x - x * along_z
+    factors[5] = x * along_y - y * along_x
+    asked = np.zeros(len(factors))
+    asked[:3], asked[3:6] = force, moment - np.cross(centre, force)
     try:
         shares, _ = nnls(factors, asked)
     except RuntimeError:  # it may go in circles where corners all but coincide
         shares = lsq_linear(factors, asked, bounds=(0.0, np.inf)).x
     forces: Floats = (shares[:, np.newaxis] * edges).reshape(len(corners), -1, 3).sum(axis=1)
     return forces
+
+
+@cache
+def _even_pushes(n_corners: int) -> tuple[Floats, Floats]:
+    """Edges of the pyramids (E, 3) at so many corners, and what is known of `factors` (6 + E, E).
+
+    Its first rows sum the forces along the edges, the next three their moments, which are left at
+    zero; the others ask for each to be small.
+    """
+    edges = np.tile(_EDGES, (n_corners, 1))
+    even = np.sqrt(_EVEN) * np.eye(len(edges))
+    return edges, np.vstack([edges.T, np.zeros_like(edges.T), even])

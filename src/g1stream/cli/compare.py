@@ -56,7 +56,11 @@ class Compare(Command):
             )
         condition = None if self.fail_if is None else Condition(self.fail_if)
         comparison = compare(self.base, self.other, page=self.out, force=self.force)
-        failed = condition is not None and condition.holds(comparison)
+        differences = comparison.named()
+        failed = condition is not None and condition.holds(
+            {name: other for name, (_, other) in differences.items()},
+            {name: base for name, (base, _) in differences.items()},
+        )
         if self.json:
             print_json(comparison.model_dump(mode="json") | {"failed": failed})
         else:

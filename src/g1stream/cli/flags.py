@@ -32,7 +32,7 @@ from tyro.constructors import PrimitiveConstructorSpec
 from g1stream.errors import ConfigError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Collection, Iterator, Mapping, Sequence
 
     from pydantic.fields import FieldInfo
 
@@ -89,11 +89,11 @@ class _Option:
         arg = tyro.conf.arg(
             metavar=shown, help=self.text, help_behavior_hint=hint, aliases=self.aliases or None
         )
-        several = _is_several(kind)
+        several = _is_several(kind) or get_origin(kind) is list
 
         def read(texts: list[str]) -> Any:
             if several:
-                return tuple(map(get_args(kind)[0], texts))
+                return get_origin(kind)(map(get_args(kind)[0], texts))
             plain = _kinds(kind)[0]
             if plain in (str, Path) and not self.limits:
                 return plain(texts[0])  # `convert` starts without pydantic
@@ -227,7 +227,8 @@ def parse_flags(
         _check_flags(name, arguments, known)
         several = [o.metadata["option"].positional for o in own if _is_several(hints[o.name])]
         if several == [True]:
-            arguments = _positionals_first(arguments, known)
+            repeated = {flag_name(o.name) for o in own if get_origin(hints[o.name]) is list}
+            arguments = _positionals_first(arguments, known, repeated)
     try:
         command: CommandT
         command, extra = tyro.cli(
@@ -288,15 +289,19 @@ def _check_flags(command: str, arguments: Sequence[str], known: Mapping[str, str
             raise ConfigError(f"The flag {flag} lacks its value.", f"Add it: {flag} {known[flag]}.")
 
 
-def _positionals_first(arguments: Sequence[str], known: Mapping[str, str]) -> list[str]:
-    """The same arguments, those given by position before the flags.
+def _positionals_first(
+    arguments: Sequence[str], known: Mapping[str, str], repeated: Collection[str]
+) -> list[str]:
+    """The same arguments, those given by position before the flags, repeated flags as one.
 
     tyro takes arguments of any number from one place only.
 
     Args:
         arguments: what follows the command.
         known: its flags, each with what stands for its value in the help, if it has one.
+        repeated: those of them that may be given several times.
     """
+    values: dict[str, list[str]] = {name: [] for name in repeated}
     positional: list[str] = []
     flags: list[str] = []
     left = iter(arguments)
@@ -306,9 +311,14 @@ def _positionals_first(arguments: Sequence[str], known: Mapping[str, str]) -> li
         if not _is_flag(text):
             positional.append(text)
             continue
+        name, equals, value = text.partition("=")
+        if name in values:
+            values[name].append(value if equals else next(left))
+            continue
         flags.append(text)
-        if "=" not in text and known.get(text.replace("_", "-")):
+        if not equals and known.get(text.replace("_", "-")):
             flags.append(next(left))
+    flags += [text for name, given in values.items() if given for text in (name, *given)]
     return [*positional, *flags]
 
 

@@ -33,6 +33,7 @@ _COMMANDS: Final = {
         "Convert",
         "Convert a motion into MCAP, CSV, NPZ, or a session into a ROS 2 bag.",
     ),
+    "library": ("library", "Library", "Check, simulate or convert many motions at once."),
     "info": ("info", "Info", "Print what is in a session file, and how well it went."),
     "report": ("report", "Report", "Write a page on sessions: tables, figures, events."),
     "plot": ("plot", "Plot", "Plot joints of a session: PNG, SVG or PDF."),

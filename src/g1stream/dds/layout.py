@@ -227,7 +227,8 @@ class Crc:
     def __init__(self, layout: Layout) -> None:
         words = layout.struct_bytes.reshape(-1, 4)
         self._source = np.ascontiguousarray(words[:-1, ::-1]).reshape(-1)
-        self._stored = layout["crc"]
+        start = int(layout["crc"].offsets)
+        self._stored = slice(start, start + 4)
         # One zero beyond the payload stands for the padding of the C struct.
         self._padded = np.zeros(layout.size + 1, dtype=np.uint8)
         self._scratch = np.empty(self._source.size, dtype=np.uint8)
@@ -240,7 +241,7 @@ class Crc:
 
     def matches(self, payload: NDArray[np.uint8]) -> bool:
         """Whether a payload (size,) carries its own checksum."""
-        return int(self._stored.read(payload)) == self.compute(payload)
+        return int.from_bytes(payload[self._stored], "little") == self.compute(payload)
 
 
 def _align(offset: int, alignment: int) -> int:

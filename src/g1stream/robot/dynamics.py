@@ -21,6 +21,8 @@ constant velocity. docs/tracking.md has the derivation.
 
 from __future__ import annotations
 
+from copy import copy
+from functools import cache
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -116,15 +118,7 @@ class InverseDynamics:
         import mujoco
 
         robot.link_index(carrier)
-        try:
-            spec = mujoco_spec(robot, floating=True, shapes=False)
-            spec.option.gravity = [0.0, 0.0, -gravity]
-            model = spec.compile()
-        except (ValueError, mujoco.FatalError) as error:
-            raise RobotError(
-                f"MuJoCo does not accept the URDF {robot.source}: {' '.join(str(error).split())}.",
-                "Correct the URDF; every moving link needs a mass and an inertia.",
-            ) from error
+        model = copy(_compiled(robot, gravity))  # `carrier` may change it
         self._mujoco: Any = mujoco
         self._model: Any = model
         self._data: Any = mujoco.MjData(model)
@@ -274,6 +268,22 @@ class InverseDynamics:
             force = self.mass * self._up
         carried: Floats = force @ self._jacobian
         return carried
+
+
+@cache
+def _compiled(robot: G1, gravity: float) -> Any:
+    """The model of a robot; not to be changed."""
+    import mujoco
+
+    try:
+        spec = mujoco_spec(robot, floating=True, shapes=False)
+        spec.option.gravity = [0.0, 0.0, -gravity]
+        return spec.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        raise RobotError(
+            f"MuJoCo does not accept the URDF {robot.source}: {' '.join(str(error).split())}.",
+            "Correct the URDF; every moving link needs a mass and an inertia.",
+        ) from error
 
 
 def friction_torque(dq: Floats) -> Floats:

@@ -127,6 +127,14 @@ def add_hulls(
             spec.add_exclude(bodyname1=one, bodyname2=other)
 
 
+@cache
+def _compiled(robot: G1, hulls: tuple[Hull, ...], apart: frozenset[tuple[str, str]]) -> Any:
+    """A model in which hulls collide; not to be changed."""
+    spec = mujoco_spec(robot, floating=True, shapes=False)
+    add_hulls(spec, hulls, apart, contact_bit=1)
+    return spec.compile()
+
+
 class SelfCollision:
     """Finds where a robot's links touch each other in a pose; 0.1 ms a pose.
 
@@ -147,14 +155,11 @@ class SelfCollision:
     ) -> None:
         import mujoco
 
-        spec = mujoco_spec(robot, floating=True, shapes=False)
-        add_hulls(
-            spec,
-            read_hulls(robot) if hulls is None else hulls,
-            never_collide(robot) if apart is None else apart,
-            contact_bit=1,
+        self._model = _compiled(
+            robot,
+            read_hulls(robot) if hulls is None else tuple(hulls),
+            never_collide(robot) if apart is None else frozenset(apart),
         )
-        self._model = spec.compile()
         self._data = mujoco.MjData(self._model)
         self._present = np.flatnonzero(robot.present)
         joints = (self._model.joint(JOINT_NAMES[i]) for i in self._present)

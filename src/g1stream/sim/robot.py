@@ -18,6 +18,8 @@ from g1stream.types import Phase
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from numpy.typing import NDArray
+
     from g1stream.settings import SimConfig
     from g1stream.sim.world import Imu, World
 
@@ -162,8 +164,7 @@ class SimulatedRobot:
                 enabled=self._motors.enabled, kd=np.full(N_JOINTS, _TIMEOUT_KD)
             )
             self.log(level, "LowCmd timeout: the motors only damp", now)
-        for _ in range(self._steps):
-            self._world.step(self._motors)
+        self._world.step(self._motors, self._steps)
         self.report.simulated = float(self._world.data.time)
 
     def log(self, level: int, text: str, now: int) -> None:
@@ -180,24 +181,26 @@ class SimulatedRobot:
             return f"mode_pr is {int(command.mode_pr)}, only 0 (pitch and roll) is simulated"
         if int(command.mode_machine) != self._mode_machine:
             return f"mode_machine is {int(command.mode_machine)} instead of {self._mode_machine}"
-        values = (command.q, command.dq, command.tau, command.kp, command.kd)
-        if not all(np.isfinite(one).all() for one in values):
+        if not np.isfinite(self._commanded()).all():
             return "a value is not finite"
         return ""
 
-    def _accept(self, now: int) -> None:
+    def _commanded(self) -> NDArray[np.float32]:
+        """q, dq, tau, kp and kd (5, 29) of the newest LowCmd."""
         command = self._low_cmd
+        return np.array((command.q, command.dq, command.tau, command.kp, command.kd))
+
+    def _accept(self, now: int) -> None:
         present = self._world.present
-        enabled = (command.motor_mode == 1) & present
-        if off := int((present & ~enabled).sum()):
-            n = int(present.sum())
+        enabled = (self._low_cmd.motor_mode == 1) & present
+        if off := np.count_nonzero(present & ~enabled):
+            n = np.count_nonzero(present)
             self.log(logging.WARNING, f"motors not enabled (mode 0): {off} of {n}", now)
         if self._accepted_at is None:
             self.log(logging.INFO, "LowCmd accepted", now)
         self._accepted_at = now
         self.report.commands += 1
-        values = (command.q, command.dq, command.tau, command.kp, command.kd)
-        self._motors = MotorCommand(enabled, *(one.copy() for one in values))
+        self._motors = MotorCommand(enabled, *self._commanded())
 
 
 def _fill_imu(message: LowState | SecondaryImu, imu: Imu) -> None:

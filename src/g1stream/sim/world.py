@@ -141,18 +141,23 @@ class World:
         """The arrays of an IMU, which MuJoCo updates in place."""
         return Imu(*(self.data.sensor(f"{name}_{part}").data for part in ("quat", "gyro", "acc")))
 
-    def step(self, command: MotorCommand) -> None:
-        """Advance by one timestep; torques are clipped at `g1stream.robot.joints.TORQUE_LIMIT`.
+    def step(self, command: MotorCommand, steps: int = 1) -> None:
+        """Advance by timesteps; torques are clipped at `g1stream.robot.joints.TORQUE_LIMIT`.
+
+        Args:
+            command: to the motors, in all of them.
+            steps: how many.
 
         Raises:
             SimError: the command is not finite, or the state can no longer be integrated.
         """
         before = self.data.time
         self._set_motors(command)
-        self._support.hold()
-        # Split where MuJoCo's own step begins, so that the sensors show the state at its end.
-        self._integrate()
-        self._look()
+        for _ in range(steps):
+            self._support.hold()
+            # Split where MuJoCo's own step begins, so that the sensors show the state at its end.
+            self._integrate()
+            self._look()
         if self.data.time <= before:
             raise SimError(
                 f"The simulation was reset at {before:.3f} s: its state became too large to "

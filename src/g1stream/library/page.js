@@ -1,0 +1,124 @@
+"use strict";
+// Shows the table of a library: sorted and filtered, a distribution above each column.
+(() => {
+  const data = JSON.parse(document.getElementById("data").textContent);
+  const PAGE = 200, BINS = 14, KINDS = 6;
+  const [thead, tbody] = [document.querySelector("thead"), document.querySelector("tbody")];
+  const filter = document.getElementById("filter"), more = document.getElementById("more");
+  let command = Object.keys(data)[0], sorted = null, descending = true, shown = PAGE;
+
+  const make = (name, attributes = {}, ...children) => {
+    const svg = ["svg", "path", "rect", "title"].includes(name);
+    const one = svg ? document.createElementNS("http://www.w3.org/2000/svg", name) : document.createElement(name);
+    for (const [key, value] of Object.entries(attributes)) {
+      if (key === "onclick") one.addEventListener("click", value);
+      else one.setAttribute(key, value);
+    }
+    one.append(...children);
+    return one;
+  };
+  const said = (value) => value === true ? "yes" : value === false ? "no" : value ?? "";
+  const figure = (value) => Number.isInteger(value) ? String(value)
+    : Math.abs(value) >= 1000 ? value.toFixed(0) : String(Number(value.toPrecision(3)));
+  const index = (name) => data[command].columns.findIndex((column) => column.name === name);
+  const isNumber = (place) => data[command].rows.some((row) => typeof row[place] === "number");
+
+  // A test of rows for each word of the filter: `column>number`, `column=text`, or text anywhere.
+  const tests = () => filter.value.trim().toLowerCase().split(/\s+/).filter(Boolean).map((word) => {
+    const [, name, sign, value] = word.match(/^([\w.]+)(<=|>=|<|>|=)(.+)$/) ?? [];
+    const place = name ? index(name) : -1;
+    if (place < 0) return (row) => row.some((cell, i) =>
+      typeof cell === "string" && data[command].columns[i].name !== "picture" && cell.toLowerCase().includes(word));
+    const number = Number(value);
+    return (row) => {
+      const cell = row[place];
+      if (cell === null) return false;
+      if (sign === "=") return typeof cell === "number" ? cell === number : said(cell).toLowerCase().startsWith(value);
+      return { "<": cell < number, ">": cell > number, "<=": cell <= number, ">=": cell >= number }[sign];
+    };
+  });
+  const rows = () => {
+    const all = tests(), found = data[command].rows.filter((row) => all.every((test) => test(row)));
+    if (sorted === null) return found; // worst first, as they come
+    const place = index(sorted), way = descending ? -1 : 1;
+    return found.sort((a, b) => {
+      const [x, y] = [a[place], b[place]];
+      if (x === null || y === null) return (x === null) - (y === null);
+      return x < y ? -way : x > y ? way : 0;
+    });
+  };
+  const also = (...conditions) => {
+    const names = conditions.map((condition) => condition.match(/^[\w.]+/)[0] + "");
+    const kept = filter.value.split(/\s+/).filter((word) => word && !names.includes(word.match(/^[\w.]*/)[0]));
+    filter.value = [...kept, ...conditions].join(" ");
+    update();
+  };
+
+  const histogram = (column, values) => {
+    let [low, high] = [Infinity, -Infinity]; // a spread of 10,000 values is too long for Math.min
+    for (const value of values) [low, high] = [Math.min(low, value), Math.max(high, value)];
+    if (low === high) return [make("small", {}, `all ${figure(low)}`)];
+    const width = (high - low) / BINS;
+    const counts = new Array(BINS).fill(0);
+    for (const value of values) counts[Math.min(BINS - 1, Math.floor((value - low) / width))] += 1;
+    const most = Math.max(...counts), svg = make("svg", { viewBox: "0 0 84 28" });
+    counts.forEach((count, bin) => {
+      const height = count ? Math.max(1, 26 * count / most) : 0, from = low + bin * width;
+      svg.append(make("rect", {
+        x: 6 * bin, y: 28 - height, width: 5, height,
+        onclick: () => also(`${column.name}>=${from.toPrecision(4)}`, `${column.name}<=${(from + width).toPrecision(4)}`),
+      }, make("title", {}, `${count}: ${figure(from)} to ${figure(from + width)} ${column.unit}`)));
+    });
+    return [svg, make("small", {}, `${figure(low)} to ${figure(high)}`)];
+  };
+  const kinds = (column, values) => {
+    const counts = new Map();
+    for (const value of values) counts.set(said(value), (counts.get(said(value)) ?? 0) + 1);
+    if (counts.size > KINDS) return [];
+    return [make("div", { class: "kinds" }, ...[...counts].sort((a, b) => b[1] - a[1]).map(([kind, count]) =>
+      make("button", { onclick: () => also(`${column.name}=${kind.split(" ")[0]}`) }, `${count} ${kind}`)))];
+  };
+  const heading = (column, place, found) => {
+    const values = found.map((row) => row[place]).filter((value) => value !== null);
+    const number = isNumber(place), plain = ["picture", "name", "reason", "path", "causes", "report", "output"].includes(column.name);
+    const drawn = plain || !values.length ? []
+      : number ? histogram(column, values) : kinds(column, values);
+    const mark = sorted !== column.name ? "" : descending ? " ▼" : " ▲";
+    const sort = () => {
+      descending = sorted === column.name ? !descending : true;
+      sorted = column.name;
+      update();
+    };
+    return make("th", { title: column.about, scope: "col", class: number ? "" : "text" },
+      make("button", { onclick: sort }, column.name.replaceAll("_", " ") + mark),
+      make("small", {}, column.unit), ...drawn);
+  };
+  const cell = (column, value) => {
+    if (value === null) return make("td");
+    if (column.name === "picture")
+      return make("td", {}, make("svg", { viewBox: "0 0 100 30" }, make("path", { d: value })));
+    if (column.name === "report" || column.name === "output")
+      return make("td", {}, make("a", { href: encodeURI(value) }, column.name));
+    if (typeof value === "number") return make("td", {}, figure(value));
+    const bad = column.name === "status" ? value !== "ok" : value === "no" || value === false;
+    return make("td", { class: bad ? "text bad" : "text", title: said(value) }, said(value));
+  };
+  const update = () => {
+    const { columns } = data[command], found = rows();
+    thead.replaceChildren(make("tr", {}, ...columns.map((column, i) => heading(column, i, found))));
+    tbody.replaceChildren(...found.slice(0, shown).map((row) =>
+      make("tr", {}, ...columns.map((column, i) => cell(column, row[i])))));
+    document.getElementById("count").textContent = `${found.length} of ${data[command].rows.length}`;
+    more.hidden = found.length <= shown;
+    document.documentElement.dataset.drawn = found.length;
+  };
+  const choose = (name) => {
+    [command, sorted, shown] = [name, null, PAGE];
+    document.getElementById("commands").replaceChildren(...Object.keys(data).map((one) =>
+      make("button", { "aria-pressed": one === command, onclick: () => choose(one) }, one)));
+    update();
+  };
+  filter.addEventListener("input", () => { shown = PAGE; update(); });
+  more.addEventListener("click", () => { shown += 5 * PAGE; update(); });
+  choose(command);
+})();

@@ -1,0 +1,130 @@
+"""The rows of a library's two tables: one a motion, and one a joint of a motion.
+
+`compute` fills them; the Parquet files, the page and the documentation have the same columns.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final, Literal, get_args
+
+from pydantic import Field
+
+from g1stream.session.records import Int, Record
+
+__all__ = ["NUMBERS", "Command", "JointRow", "MotionRow", "Rows", "Status"]
+
+Command = Literal["check", "simulate", "convert"]
+Status = Literal["ok", "broken", "refused", "huge", "slow", "crashed", "error"]
+"""What became of a motion: computed; no motion can be read from the file; a motion that is not
+played so; it took too much memory, or time; its process ended; or we failed."""
+
+Playable = Literal["yes", "inexact", "no"]
+
+
+def column(description: str, unit: str = "", default: Any = None) -> Any:
+    """A column of a table, with its meaning and its unit."""
+    return Field(default, description=description, json_schema_extra={"unit": unit})
+
+
+class MotionRow(Record):
+    """What is known of a motion. What was not computed is None."""
+
+    key: str = column("of this row: content, variant, settings and versions", default=...)
+    name: str = column("of the file, without its ending", default=...)
+    path: str = column("of the file, or its URL", default=...)
+    sha256: str = column("of its content", default=...)
+    command: Command = column("that computed the row", default=...)
+    variant: str = column("support and values of a sweep, or the format", default="")
+    support: str | None = column("how the pelvis was held")
+    status: Status = column("what became of it", default="ok")
+    reason: str | None = column("why it is not ok")
+    frames: Int | None = column("of the motion")
+    fps: float | None = column("of the motion", "Hz")
+    duration: float | None = column("of the motion", "s")
+
+    within_limits: bool | None = column("whether it keeps the limits of position and speed")
+    looks_like: str | None = column("what a limit that is passed looks like")
+    bolted: Playable | None = column("whether it can be played with this support")
+    hanging: Playable | None = column("likewise")
+    follow: Playable | None = column("likewise")
+    free: Playable | None = column("likewise")
+    causes: str | None = column("what speaks against it, by support")
+    max_speed: float | None = column("of a joint", "rad/s")
+    max_tilt: float | None = column("of the pelvis", "rad")
+    max_collision: float | None = column("depth of two links in each other", "mm")
+    max_penetration: float | None = column("depth of a foot below the floor", "mm")
+    max_skating: float | None = column("speed of a foot on the floor", "mm/s")
+    least_margin: float | None = column(
+        "from the centre of pressure to the edge of the support polygon", "mm"
+    )
+    supported: float | None = column("share of the frames with a foot on the floor")
+    torque_bolted: float | None = column("the largest of a joint, over its limit")
+    torque_hanging: float | None = column("likewise")
+    torque_follow: float | None = column("likewise")
+    torque_free: float | None = column("likewise")
+
+    completed: bool | None = column("whether it was played to its end")
+    ended: str | None = column("why it was not")
+    success: bool | None = column("played to its end and followed, as `session.metrics()` has it")
+    progress: float | None = column("share of the motion that was played")
+    rmse: float | None = column("of all joints", "rad")
+    mae: float | None = column("mean absolute error of all joints", "rad")
+    p99: float | None = column("99th percentile of the absolute error", "rad")
+    max: float | None = column("the greatest error", "rad")
+    bias: float | None = column("root mean square of the joints' mean errors", "rad")
+    delay: float | None = column("by which the joints are behind the reference", "s")
+    velocity_rmse: float | None = column("of all joints", "rad/s")
+    mpjpe: float | None = column("mean distance of the links, in the pelvis's frame", "mm")
+    mpjpe_root: float | None = column("likewise, with the pelvis's attitude", "mm")
+    mpjpe_world: float | None = column("likewise, in the world", "mm")
+    torque_rms: float | None = column("of all joints", "Nm")
+    torque_use: float | None = column("99th percentile of a joint over its limit, the highest")
+    saturated: float | None = column("share of the states with a joint at its limit")
+    power: float | None = column("of all motors", "W")
+    worst_joint: str | None = column("the one with the greatest RMSE")
+
+    output: str | None = column("the file that was written, below the library's directory")
+    report: str | None = column("the report of the session, likewise")
+    seconds: float | None = column("that it took to compute", "s")
+    memory: float | None = column("of its process afterwards", "MB")
+    limits: str = column("of time and memory for it", default="")
+    picture: str | None = column("five poses, as the path of an SVG 100 wide and 30 high")
+
+
+NUMBERS: Final = tuple(
+    name
+    for name, one in MotionRow.model_fields.items()
+    if {bool, float}.intersection(get_args(one.annotation))
+)
+"""The columns of `MotionRow` that a condition can name."""
+
+
+class JointRow(Record):
+    """What is known of a joint in a motion."""
+
+    key: str = column("of the motion's row", default=...)
+    joint: str = column("its name", default=...)
+    lowest: float | None = column("angle in the motion", "rad")
+    highest: float | None = column("likewise", "rad")
+    max_speed: float | None = column("as streamed", "rad/s")
+    torque_limit: float | None = column("the smaller of the motor's and the URDF's", "Nm")
+    torque_bolted: float | None = column("the largest that the motion takes so, with sign", "Nm")
+    torque_hanging: float | None = column("likewise", "Nm")
+    torque_follow: float | None = column("likewise", "Nm")
+    torque_free: float | None = column("likewise", "Nm")
+    rmse: float | None = column("of the simulated joint", "rad")
+    bias: float | None = column("its mean error", "rad")
+    p99: float | None = column("99th percentile of its absolute error", "rad")
+    max: float | None = column("its greatest error", "rad")
+    delay: float | None = column("by which it is behind the reference", "s")
+    torque_p99: float | None = column("99th percentile of its absolute torque", "Nm")
+    torque_use: float | None = column("the same over its limit")
+    saturated: float | None = column("share of the states at its limit")
+
+
+class Rows(Record):
+    """The rows of one motion, and the values of a sweep that go into columns of their own."""
+
+    motion: MotionRow
+    joints: list[JointRow] = Field(default_factory=list)
+    sweep: dict[str, float | str] = Field(default_factory=dict)

@@ -1,0 +1,31 @@
+"""Small libraries of real motions."""
+
+from __future__ import annotations
+
+import pytest
+
+import g1stream
+
+
+@pytest.fixture(scope="session")
+def motions(tmp_path_factory):
+    """A directory with three motions of a second, one of them twice, and a file that is none."""
+    directory = tmp_path_factory.mktemp("motions")
+    demo = g1stream.load_motion("demo")
+    demo.trim(0.0, 1.0).save(directory / "first.npz")
+    demo.trim(1.0, 2.0).save(directory / "second.csv")
+    (directory / "below").mkdir()
+    demo.trim(2.0, 3.0).mirrored().save(directory / "below" / "third.npz")
+    (directory / "below" / "copy.npz").write_bytes((directory / "first.npz").read_bytes())
+    (directory / "broken.csv").write_text("left_knee_joint\nstraight\nbent\n")
+    (directory / "notes.txt").write_text("no motion")
+    (directory / ".hidden.csv").write_text("no motion")
+    return directory
+
+
+@pytest.fixture(scope="session")
+def checked(motions, tmp_path_factory):
+    """The library of the motions, checked."""
+    out = tmp_path_factory.mktemp("library")
+    run = g1stream.run_library([str(motions)], [g1stream.LibraryCase("check", out)], workers=2)
+    return run, out

@@ -1,0 +1,187 @@
+"""Whole libraries: what is computed, what is not computed again, what becomes of bad files."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import g1stream
+from g1stream.config import load_config
+from g1stream.library.processes import Limits
+
+
+def by_name(library):
+    return {row["name"]: row for row in library.motions.to_dict("records")}
+
+
+def test_each_content_is_checked_once(checked):
+    run, out = checked
+    assert (run.files, run.copies, run.total, run.done, run.failed) == (5, 1, 4, 4, 1)
+    assert run.complete
+    library = g1stream.open_library(out)
+    found = by_name(library)
+    assert set(found) == {"copy", "second", "third", "broken"}
+    assert found["broken"]["status"] == "broken"
+    assert "line 1" in found["broken"]["reason"]
+    assert found["second"]["frames"] == g1stream.load_motion("demo").trim(1.0, 2.0).n_frames
+    joints = library.joints.groupby("key")["joint"].apply(tuple)
+    assert set(joints) == {g1stream.JOINT_NAMES}
+    assert len(joints) == 3
+
+
+def test_a_row_says_what_the_physics_of_the_motion_say(checked, motions):
+    _, out = checked
+    library = g1stream.open_library(out)
+    motion = g1stream.load_motion(motions / "below" / "third.npz")
+    physics = g1stream.motion_physics(motion)
+    row = by_name(library)["third"]
+    for support, verdict in physics.verdicts.items():
+        assert row[support] == verdict.playable
+        assert row[f"torque_{support}"] == physics.torques[support][0].share
+    assert row["max_tilt"] == physics.tilt_rad
+    assert row["max_collision"] == max((c.depth_mm for c in physics.collisions), default=0.0)
+    assert row["supported"] == physics.supported_share
+    joints = library.joints[library.joints["key"] == row["key"]].set_index("joint")
+    assert joints["lowest"].to_numpy() == pytest.approx(motion.joint_pos.min(axis=0))
+    for peak in physics.torques["free"]:
+        assert joints.loc[peak.joint, "torque_free"] == peak.torque_nm
+
+
+def test_the_picture_has_five_robots_in_its_frame(checked):
+    row = by_name(g1stream.open_library(checked[1]))["third"]
+    lines = row["picture"].split("M")[1:]
+    assert len(lines) == 5 * 5
+    points = np.array([[float(x) for x in p.split()] for one in lines for p in one.split("L")])
+    assert points.min() >= 0.0
+    assert points[:, 0].max() <= 100.0
+    assert points[:, 1].max() <= 30.0
+
+
+def test_only_what_changed_is_computed_again(motions, tmp_path):
+    case = g1stream.LibraryCase("check", tmp_path)
+    places = [str(motions / "first.npz"), str(motions / "second.csv")]
+    assert g1stream.run_library(places[:1], [case], workers=1).done == 1
+    run = g1stream.run_library(places, [case], workers=1)
+    assert (run.known, run.done, run.complete) == (1, 1, True)
+    other = replace(case, config=load_config(over={"safety.max_tilt": 0.4}))
+    run = g1stream.run_library(places, [other], workers=1)
+    assert (run.known, run.done) == (0, 2)
+    assert len(g1stream.open_library(tmp_path).motions) == 2
+    # A row that another one has replaced is computed again.
+    assert g1stream.run_library(places[:1], [case], workers=1).known == 0
+    assert g1stream.run_library(places[:1], [other], workers=1).known == 0
+    # What is recorded changes nothing in a check.
+    same = replace(other, config=load_config(over={"safety.max_tilt": 0.4, "record.tf_rate": 9.0}))
+    assert g1stream.run_library(places, [same], workers=1).known == 2
+
+
+def test_slow_and_huge_motions_are_rows(tmp_path):
+    motion = g1stream.load_motion("demo").looped(60)
+    motion.save(tmp_path / "long.npz")
+    case = g1stream.LibraryCase("check", tmp_path / "out")
+    for limits, status in ((Limits(seconds=0.2), "slow"), (Limits(megabytes=20.0), "huge")):
+        run = g1stream.run_library([str(tmp_path)], [case], workers=1, limits=limits)
+        assert (run.done, run.failed) == (1, 1)
+        (row,) = g1stream.open_library(tmp_path / "out").motions.to_dict("records")
+        assert (row["status"], row["limits"]) == (status, str(limits))
+        # Within the same limits it would fail again.
+        assert g1stream.run_library([str(tmp_path)], [case], workers=1, limits=limits).known == 1
+
+
+@pytest.fixture
+def many(tmp_path):
+    """Forty different motions."""
+    directory = tmp_path / "many"
+    directory.mkdir()
+    demo = g1stream.load_motion("demo")
+    for i in range(40):
+        demo.trim(0.1 * i, 0.1 * i + 2.0).save(directory / f"{i:02}.npz")
+    return directory
+
+
+def start(*arguments):
+    return subprocess.Popen(
+        [sys.executable, "-m", "g1stream", "library", *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def processes_of(pid):
+    """The child processes of all its threads."""
+    tasks = Path(f"/proc/{pid}/task").iterdir()
+    return [int(child) for task in tasks for child in (task / "children").read_text().split()]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_a_command_that_is_ended_goes_on_where_it_was(many, tmp_path, number, until):
+    out = tmp_path / "out"
+    command = ("check", many, "-o", out, "--workers", 2, "--json")
+    process = start(*command)
+    printed = [json.loads(process.stdout.readline()) for _ in range(5)]
+    processes = processes_of(process.pid)
+    if number == signal.SIGINT:
+        os.killpg(process.pid, number)  # as a terminal does
+    else:
+        process.send_signal(number)
+    rest, _ = process.communicate(timeout=60)
+    printed += [json.loads(line) for line in rest.splitlines() if line.endswith("}")]
+    assert process.returncode == (-number if number == signal.SIGKILL else 128 + number)
+    alive = lambda: [pid for pid in processes if Path(f"/proc/{pid}").exists()]  # noqa: E731
+    until(lambda: not alive(), "its processes to end")
+    kept = set(g1stream.open_library(out).motions["key"])
+    assert {row["key"] for row in printed} <= kept
+    assert len(kept) < 40
+    again = start(*command)
+    computed = [json.loads(line)["key"] for line in again.communicate(timeout=100)[0].splitlines()]
+    assert again.returncode == 0
+    assert kept.isdisjoint(computed)
+    assert len(kept) + len(computed) == 40 == len(g1stream.open_library(out).motions)
+
+
+@pytest.mark.slow
+def test_processes_that_are_killed_lose_nothing(many, tmp_path):
+    process = start("check", many, "-o", tmp_path / "out", "--workers", 2, "--json")
+    process.stdout.readline()
+    for pid in processes_of(process.pid):
+        if "spawn_main" in Path(f"/proc/{pid}/cmdline").read_text():
+            os.kill(pid, signal.SIGKILL)
+    _, errors = process.communicate(timeout=100)
+    assert process.returncode == 0, errors
+    motions = g1stream.open_library(tmp_path / "out").motions
+    assert list(motions["status"]) == ["ok"] * 40
+
+
+@pytest.mark.slow
+def test_the_command(motions, tmp_path):
+    def run(*arguments):
+        process = start("check", motions, "-o", tmp_path / "out", "--workers", 1, *arguments)
+        out, err = process.communicate(timeout=100)
+        return process.returncode, out, err
+
+    code, out, _ = run("--fail-if", "max_speed > 1000")
+    assert code == 1  # of the broken one it cannot be told
+    assert "bolted" in out
+    (motions / "broken.csv").rename(tmp_path / "broken.csv")
+    try:
+        assert run("--fail-if", "max_speed > 1000")[0] == 0
+        assert run("--fail-if", "max_speed > 0.001")[0] == 1
+    finally:
+        (tmp_path / "broken.csv").rename(motions / "broken.csv")
+    assert run("--fail-if", "speed > 1")[0] == 2
+    assert run("--fail-if", "rmse > base")[0] == 2
+    assert run("--sessions")[0] == 2
+    code, _, err = run("--cluster", "tcp://127.0.0.1:1")
+    assert code == 2
+    assert "Traceback" not in err

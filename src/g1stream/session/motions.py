@@ -165,8 +165,10 @@ def attached_motion(session: Session) -> Motion | None:
     if info is None or info.source is None or info.content_sha256 is None:
         return None
     path = Path(info.source)
+    member = None if info.name == path.stem else info.name  # of a file of several
     try:
-        motion = motion_file(path, session.attachments[path.name]).motion(info.fps)
+        file = motion_file(path, session.attachments[path.name], member=member)
+        motion = file.motion(info.fps)
     except (KeyError, MotionError):
         return None
     return motion if motion.content_sha256 == info.content_sha256 else None

@@ -196,7 +196,7 @@ def output_errors(path: Path) -> Iterator[None]:
         ) from error
     except FileExistsError as error:
         raise RecordingError(
-            f"{path} exists already.", "Choose another name, or give --force to replace it."
+            f"{path} exists already.", "Choose another path, or give --force to replace it."
         ) from error
     except FileNotFoundError as error:
         if path.parent.is_dir():  # such as /proc, which takes no files

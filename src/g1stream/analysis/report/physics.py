@@ -76,14 +76,16 @@ def session_physics(
     """
     if played(summary.phases) > 1:
         return "Several motions were played."
-    info = summary.motion
+    fps = (summary.motion and summary.motion.fps) or _FPS
     try:
-        motion = attached_motion(session) or session.motion((info and info.fps) or _FPS)
-        if motion.n_frames > _MOST_FRAMES:
+        motion = attached_motion(session)
+        frames = motion.n_frames if motion else round((summary.termination.played_s or 0.0) * fps)
+        if frames > _MOST_FRAMES:
             return (
-                f"The motion has {motion.n_frames} frames, more than the {_MOST_FRAMES} that a "
-                f"report takes the time for: g1stream motion {session.path.name} --physics."
+                f"The motion has {frames} frames, more than the {_MOST_FRAMES} that a report takes "
+                f"the time for: g1stream motion {session.path.name} --physics."
             )
+        motion = motion or session.motion(fps)
         max_tilt = (summary.settings or {}).get("safety.max_tilt")
         return motion_physics(
             motion,

@@ -101,7 +101,7 @@ def _drawn(
     """
     lines: list[dict[str, Any]] = []
     reference: list[dict[str, str]] = []
-    most = _MOST_POINTS // (1 + sum(map(len, sources)))
+    most = max(200, _MOST_POINTS // (1 + sum(map(len, sources))))
     for number, side in enumerate(sources):
         for source in side:
             session = source if isinstance(source, Session) else open_session(source)

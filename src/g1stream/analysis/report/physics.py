@@ -58,8 +58,9 @@ _COLLISIONS: Final = (
     Column("at", "s", "time_s", ".2f"),
     Column("simulated", "", "simulated"),
 )
-#: Torques of each support that are shown.
+#: Torques of each support, and pairs of links, that are shown.
 _MOST_PEAKS: Final = 3
+_MOST_PAIRS: Final = 12
 
 
 def session_physics(
@@ -136,6 +137,7 @@ def physics_section(physics: MotionPhysics | str, support: str | None, key: str)
     ]
     collisions = each("collisions", "link", values["collisions"])
     n_pairs = counted(len(collisions), "pair")
+    deepest = f": the {_MOST_PAIRS} deepest" if len(collisions) > _MOST_PAIRS else ""
     return "\n".join(
         (
             html.facts([*verdicts, *(one for one in more if one[1])]),
@@ -143,8 +145,8 @@ def physics_section(physics: MotionPhysics | str, support: str | None, key: str)
             table("foot", _FEET, each("feet", "link", values["feet"])),
             table("support", _PEAKS, peaks),
             html.details(
-                f"{n_pairs} of links that are inside each other",
-                table("link", _COLLISIONS, collisions),
+                f"{n_pairs} of links that are inside each other{deepest}",
+                table("link", _COLLISIONS, collisions[:_MOST_PAIRS]),
             ),
         )
     )

@@ -176,7 +176,9 @@
   const closed = () => document.querySelectorAll("details:not([open])");
   addEventListener("beforeprint", () => {
     for (const one of closed()) one.open = true;
-    for (const plot of plots) Plotly.relayout(plot, { width: 700 }); // A4 without its margins
+    const width = 700; // A4 without its margins
+    // The first time leaves the legends where they were in the other width, on the lines.
+    for (const plot of [...plots, ...plots]) Plotly.relayout(plot, { width });
   });
   addEventListener("afterprint", () => {
     for (const plot of plots) Plotly.relayout(plot, { width: null, autosize: true });

@@ -47,9 +47,11 @@ class Report(Command):
         from g1stream.analysis.report.page import numbers, report, to_csv
         from g1stream.errors import ConfigError
 
-        if self.json + self.csv + (self.out is not None) > 1:
+        page = self.video or self.out is not None
+        if self.json + self.csv + page > 1:
             raise ConfigError(
-                "More than one of --json, --csv and --out is given.", "Give one of them."
+                "Two of --json, --csv and a page (--out, --video) are asked for.",
+                "Ask for one of them.",
             )
         done: tuple[float | None, str] = None, "reading"
 
@@ -64,7 +66,7 @@ class Report(Command):
             if self.json:
                 found = numbers(self.sessions, progress)
             else:
-                page = report(
+                path = report(
                     self.sessions,
                     self.out or _PAGE,
                     video=self.video,
@@ -74,5 +76,5 @@ class Report(Command):
         if self.json:
             print_json(found)
         else:
-            print(page)
+            print(path)
         return EXIT_OK

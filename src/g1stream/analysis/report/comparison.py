@@ -62,10 +62,12 @@ def write_page(
             overlay=html.figure(
                 "overlay", f"Joint {html.joint_choice(drawn['first_joint'], comparison.joints)}"
             ),
-            errors=html.figure("errors", "RMS error of all joints over the motion"),
+            errors=html.figure(
+                "errors", "RMS error of all joints over the motion, a line for each session"
+            ),
             sides_rmse=html.figure(
                 "sides_rmse",
-                "RMSE of each joint, the mean of a side and its sessions; a click shows it below",
+                "RMSE of each joint, mean and range of the sessions; a click shows it below",
             ),
         )
         page = html.page("comparison", f"Comparison: {comparison.motion}", content, [drawn])
@@ -110,10 +112,8 @@ def _drawn(
                 found.motion_time <= comparison.stop_s
             )
             time = found.motion_time[inside]
-            measured, asked = (
-                np.degrees(found.measured[inside]),
-                np.degrees(found.reference[inside]),
-            )
+            asked = np.degrees(found.reference[inside])
+            measured = np.degrees(found.measured[inside])
             error = asked - measured
             rms = np.sqrt(np.mean(np.square(error[:, joints]), axis=1, keepdims=True))
             reference = reference or _curves(time, asked, most)

@@ -303,12 +303,19 @@ def test_an_unknown_link_is_refused_with_similar_names(motion, out, link, alike)
 
 
 def test_the_input_file_is_not_overwritten(tmp_path):
-    source = tmp_path / "clip.csv"
-    source.write_bytes(Path(load_motion("demo").source).read_bytes())
+    source = tmp_path / "clip.mcap"
+    convert("demo", source)
     before = source.read_bytes()
     with pytest.raises(RecordingError, match=str(source)):
         convert(source, source, Conversion(force=True))
     assert source.read_bytes() == before
+
+
+@pytest.mark.parametrize("name", ["clip", "clip.xyz", "clip.csv"])
+def test_another_suffix_is_refused(tmp_path, name):
+    with pytest.raises(ConfigError):
+        convert("demo", tmp_path / name)
+    assert not list(tmp_path.iterdir())
 
 
 HOUR = """

@@ -132,20 +132,18 @@ def swaying(seconds: float) -> Motion:
 
 
 def pushes(motion: Motion) -> None:
-    """The largest push that it stands, by direction, in steps of 10 N."""
-    for name, way in (
-        ("forward", (1, 0)),
-        ("backward", (-1, 0)),
-        ("left", (0, 1)),
-        ("right", (0, -1)),
-    ):
-        force = 40.0
-        while force < 400.0:
-            push = Trouble(push=(force + 10.0) * np.array([*way, 0.0]))
+    """The largest push that it stands, by direction, to 10 N."""
+    ways = {"forward": (1, 0), "backward": (-1, 0), "left": (0, 1), "right": (0, -1)}
+    for name, way in ways.items():
+        stood, fell = 0, 64  # tens of N
+        while fell - stood > 1:
+            tried = (stood + fell) // 2
+            push = Trouble(push=10.0 * tried * np.array([*way, 0.0]))
             if play(motion, push, 0)[2]:
-                break
-            force += 10.0
-        print(f"push {name:8s} for 0.1 s: {force:.0f} N", flush=True)
+                fell = tried
+            else:
+                stood = tried
+        print(f"push {name:8s} for 0.1 s: {10 * stood} N", flush=True)
 
 
 def ticks(motion: Motion) -> None:
@@ -206,7 +204,7 @@ def main() -> None:
     for name, trouble in TROUBLES.items():
         if args.only in name:
             table(name, squat, seeds[:1], trouble)
-    short = stand(squatting(4.0), ROBOT).motion
+    short = stand(squatting(3.0), ROBOT).motion
     if args.only in "pushes":
         pushes(short)
     if args.only in "ticks":

@@ -89,7 +89,6 @@ class Balance:
         base: where the pelvis is.
         carried: share of the weight that the feet carry, measured.
         fall: why the robot cannot be kept on its feet; "" while it can.
-        failures: ticks without a solution.
         wrench: (12,) force, N, and moment, N·m, of the floor on each sole, world; None before the
             first solution.
         terms: of the last state; None before it.
@@ -116,7 +115,6 @@ class Balance:
         self._root_pos = np.zeros(3)
         self.carried = 0.0
         self.fall = ""
-        self.failures = 0
         self.wrench: Floats | None = None
         self.terms: Terms | None = None
         self._other = np.zeros(3)
@@ -288,7 +286,6 @@ class Balance:
         found[free] = solved
         wrench: Floats = weight * found
         if flag != _OPTIMAL or not np.isfinite(wrench).all():
-            self.failures += 1
             self._last("unsolved", True)
             return np.zeros(12) if self.wrench is None else self.wrench
         self._last("unsolved", False)

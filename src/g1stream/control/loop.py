@@ -18,7 +18,6 @@ from g1stream.control.overruns import Overruns
 from g1stream.control.phases import Inputs, PhaseState, Timing, step
 from g1stream.control.report import LoopReport
 from g1stream.control.safety import Safety
-from g1stream.control.squat import SQUAT_TIME
 from g1stream.control.targets import Targets
 from g1stream.dds.messages import LowState
 from g1stream.dds.topics import LOWCMD, Topic
@@ -303,13 +302,12 @@ class StreamLoop:
         if not standing or self.stop_requests > 1:
             self._stop_reason = self._stop_reason or self._requested
         elif not state.reason and self._targets.may_end():
-            play, hold = self._timing.play or 0, self._timing.hold
-            way_down, elapsed = round(SQUAT_TIME * 1e9), state.elapsed(deadline)
+            play, elapsed = self._timing.play or 0, state.elapsed(deadline)
             if state.phase is Phase.PLAY:
                 play, elapsed = elapsed, 0
-            hold = min(hold - way_down, max(elapsed, round(COAST * 1e9)))
+            hold = min(self._timing.hold, max(elapsed, round(COAST * 1e9)))
             self._targets.end(play / 1e9, hold / 1e9)
-            self._timing = replace(self._timing, play=play, hold=hold + way_down)
+            self._timing = replace(self._timing, play=play, hold=hold)
             self.state = replace(state, reason=self._requested)
 
     def _no_subscriber(self) -> str:

@@ -103,8 +103,8 @@ def make_loop(
     squat, timing = None, Timing.from_config(settings, interval.length, settle=settle + period)
     if settings.support == "feet":
         squat = Squat(robot)
-        hold = round(1e9 * (max(settings.hold, COAST) + SQUAT_TIME))
-        timing = replace(timing, hold=hold)
+        hold = round(1e9 * max(settings.hold, COAST))
+        timing = replace(timing, hold=hold, squat=round(1e9 * SQUAT_TIME))
     spline = None
     if correction:
         _require_fit(correction, settings, robot, trajectory, gains)

@@ -30,6 +30,7 @@ class Timing:
         ramp, hold, damp: of these phases.
         play: of PLAY; None: until stopped.
         settle: WAIT lasts at least this long, so that other publishers of LowCmd are discovered.
+        squat: HOLD lasts longer by this, in which a robot on its feet squats down.
     """
 
     wait: int
@@ -38,6 +39,7 @@ class Timing:
     hold: int
     damp: int
     settle: int = 0
+    squat: int = 0
 
     @classmethod
     def from_config(cls, settings: StreamConfig, play: float | None, settle: int) -> Timing:
@@ -114,7 +116,7 @@ def _end_of(state: PhaseState, timing: Timing) -> int | None:
     length = {
         Phase.RAMP: timing.ramp,
         Phase.PLAY: timing.play,
-        Phase.HOLD: timing.hold,
+        Phase.HOLD: timing.hold + timing.squat,
         Phase.DAMP: timing.damp,
     }.get(state.phase)
     return None if length is None else state.since + length

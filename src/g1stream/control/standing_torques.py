@@ -16,13 +16,14 @@ from g1stream.errors import ConfigError
 from g1stream.motion.blend import minimum_jerk
 from g1stream.robot.dynamics import InverseDynamics
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
-from g1stream.robot.rotations import quat_conj, quat_mul, quat_rotate_inverse, rotation_vector
+from g1stream.robot.rotations import quat_rotate_inverse
 from g1stream.robot.soles import SIDES
 from g1stream.types import Phase
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from g1stream.control.state_checks import ImuReading
     from g1stream.control.targets import Target
     from g1stream.control.torques import Moment, Reading
     from g1stream.robot.model import G1
@@ -36,6 +37,9 @@ _LANDS, _LIFTS = 0.1, 0.05
 _HANGS, _STANDS = 0.05, 0.25
 #: PLAY begins when the feet have carried this share for this time, s.
 _CARRIED: Final = 0.9, 1.0
+#: Time constant of the measured share, s.
+_LOAD: Final = 0.1
+_UP: Final = np.array([0.0, 0.0, 1.0])
 #: The joints that turn a sole about y and about x, (2, 2).
 _ANKLES: Final = np.array(
     [
@@ -72,7 +76,7 @@ class StandingTorques:
         self._lowered_by_bridge = False
         self._reading: Reading | None = None
         self._landed = False
-        self._carried_for = 0.0
+        self._load = self._carried_for = 0.0
 
     @property
     def name(self) -> str:
@@ -100,7 +104,7 @@ class StandingTorques:
         if self._lowered_by_bridge or self._carried_for > _CARRIED[1]:
             return ""
         return (
-            f"the feet carry {max(0.0, 100 * self.balance.carried):.0f} % of the weight; lower "
+            f"the feet carry {100 * max(0.0, self._load):.0f} % of the weight; lower "
             f"the robot until they carry {100 * _CARRIED[0]:.0f} %, and let it go in PLAY"
         )
 
@@ -118,7 +122,7 @@ class StandingTorques:
         """RAMP begins, or begins anew, to the first target of PLAY."""
         for balance in self._balances.values():
             balance.begin(first)
-        self._landed, self._carried_for = False, 0.0
+        self._landed, self._load, self._carried_for = False, 0.0, 0.0
 
     def observe(self, phase: Phase, time: float, reading: Reading, scale: float) -> None:
         """Take a LowState into account; `TorqueSource` has the arguments."""
@@ -128,7 +132,7 @@ class StandingTorques:
 
     def command(self, moment: Moment) -> Target:
         """The target with the torque of its command; that of the servos comes on top."""
-        phase, ramped, target, _, age = moment
+        phase, ramped, target, imu, age = moment
         balance, reading = self.balance, self._reading
         if reading is None:
             raise RuntimeError("nothing was measured")
@@ -140,23 +144,29 @@ class StandingTorques:
             share = minimum_jerk((ramped - LOWERED) / (1.0 - LOWERED))[0]
             tau = balance.torque(target, reading, age, share=share, planted=False)
             return target.replace(tau=tau)
-        hanging = self._hanging.command(moment).tau
-        loaded = None if self._landed or balance.carried > _HANGS else 0.0
+        hanging = self._hanging.command(moment)
+        if ramped < 1.0:  # legs that move would look loaded
+            return hanging.replace(q=target.q + _levelled(target, imu))
+        loaded = None if self._landed or self._load > _HANGS else 0.0
         standing = balance.torque(target, reading, age, share=loaded, planted=self._landed)
-        carried = balance.carried
-        self._landed = carried > (_LIFTS if self._landed else _LANDS)
-        self._carried_for = self._carried_for + self._period if carried > _CARRIED[0] else 0.0
-        stands = minimum_jerk((carried - _HANGS) / (_STANDS - _HANGS))[0]
+        self._load += (min(1.0, balance.carried) - self._load) * self._period / _LOAD
+        self._landed = self._load > (_LIFTS if self._landed else _LANDS)
+        self._carried_for = self._carried_for + self._period if self._load > _CARRIED[0] else 0.0
+        stands = minimum_jerk((self._load - _HANGS) / (_STANDS - _HANGS))[0]
         return target.replace(
-            q=target.q + (1.0 - stands) * self._levelled(target),
-            tau=hanging + stands * (standing - hanging),
+            q=target.q + (1.0 - stands) * _levelled(target, imu),
+            tau=hanging.tau + stands * (standing - hanging.tau),
         )
 
-    def _levelled(self, target: Target) -> Floats:
-        """By how much to turn the ankles (29,), rad, so that a tilted robot lands on flat soles."""
-        turn = quat_mul(self.balance.base.quat_wxyz, quat_conj(target.root_quat_wxyz))
-        tilt = quat_rotate_inverse(target.root_quat_wxyz, rotation_vector(turn))
-        change = np.zeros(N_JOINTS)
-        change[_ANKLES[:, 0]] = -tilt[1]
-        change[_ANKLES[:, 1]] = -tilt[0]
-        return change
+
+def _levelled(target: Target, imu: ImuReading) -> Floats:
+    """By how much to turn the ankles (29,), rad, so that a tilted robot lands on flat soles.
+
+    The tilt against the target is that between the directions of gravity, seen from the pelvis.
+    """
+    up = quat_rotate_inverse(imu.quat_wxyz.astype(np.float64), _UP)
+    tilt = np.cross(up, quat_rotate_inverse(target.root_quat_wxyz, _UP))
+    change = np.zeros(N_JOINTS)
+    change[_ANKLES[:, 0]] = -tilt[1]
+    change[_ANKLES[:, 1]] = -tilt[0]
+    return change

@@ -11,6 +11,7 @@ from g1stream.control.targets import Target
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.model import G1
 from g1stream.robot.standing import BodyState, StandingDynamics
+from g1stream.session.motions import load_motion
 from g1stream.synthetic import squatting
 
 ROBOT = G1.default()
@@ -72,3 +73,11 @@ def test_a_robot_that_is_lower_already_does_not_rise(way):
     lower = way[-1].replace(root_pos=way[-1].root_pos)
     squat.begin(lower)
     assert squat.at(SQUAT_TIME).root_pos[2] == pytest.approx(lower.root_pos[2], abs=1e-3)
+
+
+def test_there_is_no_way_down_while_a_foot_is_lifted():
+    """The demo lifts its right foot at 8.6 s, for 0.4 s."""
+    trajectory = Trajectory(stand(load_motion("demo"), ROBOT).motion)
+    squat = Squat(ROBOT)
+    possible = [squat.possible(Target.of(t, trajectory.sample(t))) for t in (8.4, 8.7, 9.2)]
+    assert possible == [True, False, True]

@@ -16,14 +16,7 @@ import numpy as np
 from g1stream.control.base_estimate import BaseEstimate
 from g1stream.extras import import_extra
 from g1stream.robot.dynamics import GRAVITY
-from g1stream.robot.rotations import (
-    quat_conj,
-    quat_mul,
-    quat_normalize,
-    quat_rotate,
-    rotation_vector,
-    tilt_of,
-)
+from g1stream.robot.rotations import quat_conj, quat_mul, quat_normalize, quat_rotate, tilt_of
 from g1stream.robot.soles import OFF_FLOOR
 from g1stream.robot.standing import LEGS, BodyState, StandingDynamics
 from g1stream.types import Floats
@@ -246,7 +239,7 @@ class Balance:
         stiff, damp = _CENTRE
         acc = stiff * (reference.pos - pos) + damp * (reference.vel - vel)
         force = reference.force + self._dynamics.mass * acc - self._other
-        turn = rotation_vector(quat_mul(quat_conj(state.quat_wxyz), target.root_quat_wxyz))
+        turn = _rotation_vector(quat_mul(quat_conj(state.quat_wxyz), target.root_quat_wxyz))
         wanted = target.root_ang_acc + _TURN[0] * turn
         return force, wanted + _TURN[1] * (target.root_ang_vel - state.ang_vel)
 
@@ -329,3 +322,9 @@ def _cone(sole: Floats) -> tuple[Floats, Floats]:
 
 def _state_of(target: Target) -> BodyState:
     return BodyState(target.root_quat_wxyz, target.root_ang_vel, target.q, target.dq)
+
+
+def _rotation_vector(quat: Floats) -> Floats:
+    """The rotation vector (3,) of a small turn (4,), rad: twice its vector part."""
+    vector: Floats = 2.0 * np.copysign(1.0, quat[0]) * quat[1:]
+    return vector

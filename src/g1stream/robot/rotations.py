@@ -27,7 +27,6 @@ __all__ = [
     "quat_rotate",
     "quat_rotate_inverse",
     "quat_to_rpy",
-    "rotation_vector",
     "sign_continuous",
     "tilt_of",
     "wxyz_from_xyzw",
@@ -131,12 +130,6 @@ def quat_to_rpy(quat_wxyz: NDArray[np.floating]) -> tuple[float, float, float]:
     turn = 2.0 * math.pi
     roll, yaw = half_sum + half_difference, half_sum - half_difference
     return roll - turn * round(roll / turn), pitch, yaw - turn * round(yaw / turn)
-
-
-def rotation_vector(quat: Floats) -> Floats:
-    """The rotation vector (3,) of a small turn (4,), rad: twice its vector part."""
-    vector: Floats = 2.0 * np.copysign(1.0, quat[0]) * quat[1:]
-    return vector
 
 
 def tilt_of(quat_wxyz: NDArray[np.floating]) -> float:

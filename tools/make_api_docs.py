@@ -96,7 +96,8 @@ def _fields(record: type[BaseModel]) -> str:
         line = f"- `{name}: {record.__annotations__.get(name, Any)}`"
         if field.description:
             unit = f" ({extra['unit']})" if extra.get("unit") else ""
-            line += f", by default {field.default}: {field.description}{unit}"
+            default = "" if field.is_required() else f", by default {field.default!r}"
+            line += f"{default}: {field.description}{unit}"
         lines.append(line)
     return "\nFields:\n\n" + "\n".join(lines) + "\n" if lines else ""
 

@@ -296,17 +296,15 @@ class Targets:
 
 def _coasting(target: Target, way: float, rate: float, acceleration: float) -> Target:
     """A target displaced along its own velocity by `way` seconds, with its velocity scaled."""
-    turn = target.root_ang_vel
-    angle = float(np.linalg.norm(turn))
-    axis = turn / angle if angle else turn
+    turn, quat = target.root_ang_vel, target.root_quat_wxyz
+    if way and (angle := float(np.linalg.norm(turn))):
+        quat = quat_mul(quat, quat_from_axis_angle(turn / angle, np.asarray(way * angle)))
     return target.replace(
         q=target.q + way * target.dq,
         dq=rate * target.dq,
         ddq=acceleration * target.dq,
         root_pos=target.root_pos + way * target.root_lin_vel,
-        root_quat_wxyz=quat_mul(
-            target.root_quat_wxyz, quat_from_axis_angle(axis, np.asarray(way * angle))
-        ),
+        root_quat_wxyz=quat,
         root_lin_vel=rate * target.root_lin_vel,
         root_ang_vel=rate * turn,
         root_lin_acc=acceleration * target.root_lin_vel,

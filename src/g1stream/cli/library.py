@@ -207,8 +207,9 @@ def _results(rows: list[dict[str, Any]]) -> list[str]:
         cells = [(name, *(str(n[answer]) for answer in answers)) for name, n in counts.items()]
         return ["", *table([("can be played", *answers), *cells], left=(0,))]
     lines = [("simulated", "rows", "success", "median RMSE rad", "worst", "motion")]
-    for variant in dict.fromkeys(row["variant"] for row in ok):
-        of = sorted((r for r in ok if r["variant"] == variant), key=lambda row: row["rmse"])
+    played = [row for row in ok if not isnan(row["rmse"])]
+    for variant in dict.fromkeys(row["variant"] for row in played):
+        of = sorted((r for r in played if r["variant"] == variant), key=lambda row: row["rmse"])
         successes = sum(row["success"] is True for row in of)
         median, worst = of[len(of) // 2], of[-1]
         figures = f"{median['rmse']:.4f}", f"{worst['rmse']:.4f}", worst["name"]

@@ -210,6 +210,5 @@ def dask_cluster(
             yield json.loads(file.read_text())["address"], head, many
         finally:
             for process in (*many, head):
-                process.terminate()
-            for process in (*many, head):
+                process.kill()  # a worker that is to end in order waits for its scheduler
                 process.wait()

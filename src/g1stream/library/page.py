@@ -23,7 +23,7 @@ __all__ = ["PAGE", "write_page"]
 PAGE: Final = "index.html"
 
 _FIRST: Final = ["picture", "name", "variant", "status", "reason", "report", "output"]
-_LEFT_OUT: Final = {"key", "sha256", "command", "limits"}
+_LEFT_OUT: Final = {"key", "sha256", "command", "support", "limits"}
 #: The same for all rows of a page, or told by another column.
 _LAST: Final = ["path", "seconds", "memory"]
 

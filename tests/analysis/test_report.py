@@ -140,11 +140,14 @@ def test_the_physics_of_what_was_played(tmp_path):
 
 def test_the_physics_of_nothing(play, write_session, tmp_path):
     twice = ((1, 0.2), (2, 0.5), (3, 0.2), (2, 0.5), (4, 0.2))
-    for i, streams in enumerate((play(phases=twice), play()._replace(reference=None))):
-        path = write_session(*streams, name=f"{i}.mcap")
+    without = play()._replace(reference=None)
+    cases = {"Several motions": play(phases=twice), "no messages on /reference": without}
+    for reason, streams in cases.items():
+        path = write_session(*streams, name=f"{reason.replace('/', '')}.mcap")
         assert numbers(path)["sessions"][0]["physics"] is None
         page = g1stream.report(path, path.with_suffix(".html")).read_text()
-        assert "Physics of the motion" in page
+        section = page.partition("Physics of the motion")[2].partition("<h3>")[0]
+        assert reason in section
 
 
 def test_several_sessions_share_the_script(path, play, write_session, tmp_path):

@@ -111,18 +111,16 @@ class Field:
     dtype: np.dtype[Any]
 
     def read(self, payloads: NDArray[np.uint8]) -> NDArray[Any]:
-        """Copy the field out of payloads (..., size) into an array (..., *offsets.shape)."""
+        """The field in payloads (..., size) as (..., *offsets.shape); of many a view if it can."""
         if payloads.ndim == 2 and self.strides is not None:  # without an index for each byte
             start = int(self.offsets.flat[0])
             first = payloads[:, start : start + self.dtype.itemsize].view(self.dtype)
-            shown = np.lib.stride_tricks.as_strided(
+            return np.lib.stride_tricks.as_strided(
                 first,
                 (len(payloads), *self.offsets.shape),
                 (payloads.strides[0], *self.strides),
                 writeable=False,
             )
-            copied: NDArray[Any] = shown.copy()
-            return copied
         places = self.offsets[..., np.newaxis] + np.arange(self.dtype.itemsize)
         picked = np.ascontiguousarray(payloads[..., places])
         values: NDArray[Any] = picked.view(self.dtype)[..., 0]

@@ -350,5 +350,10 @@ class Samples:
 
     def __getitem__(self, path: str) -> NDArray[Any]:
         """(N, ...) a field by its dotted path in the IDL, in the wire's own precision; a copy."""
+        copied: NDArray[Any] = self.shown(path).copy()
+        return copied
+
+    def shown(self, path: str) -> NDArray[Any]:
+        """(N, ...) the same, a view of the samples where it can be: for who copies it at once."""
         values = self._layout[path].read(self._payloads)
         return values[:, :N_JOINTS] if path.startswith(("motor_cmd.", "motor_state.")) else values

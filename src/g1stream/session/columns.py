@@ -62,7 +62,7 @@ class Columns:
                 return {}
             rows = messages.data.rows() if isinstance(messages.data, Slices) else None
             found = samples(kind, messages.data if rows is None else rows, self._source.path)
-            return {name: found[path] for name, path in fields.items()}
+            return {name: found.shown(path) for name, path in fields.items()}
 
         read = self._read(list(kinds), decode)
         return {kind: read[topic] for topic, kind in kinds.items()}

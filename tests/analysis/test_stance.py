@@ -118,3 +118,9 @@ def test_arms_play_on_legs_that_stand(squat):
     standing = stand(changed, ROBOT)
     assert standing.lowered_mm == 0.0
     assert corners_of(standing.motion)[..., 2].min() == pytest.approx(0.0, abs=1e-5)
+
+
+def test_a_motion_that_ends_on_one_foot_is_refused():
+    demo = load_motion("demo")
+    with pytest.raises(MotionError, match="lifted at the beginning or the end, in frames 62 to 62"):
+        stand(demo.frames(200, 263), ROBOT)

@@ -189,14 +189,15 @@ def _find_lifted(motion: Motion, feet: Floats, corners: Floats) -> NDArray[np.bo
         for first, stop in _stretches(above[:, foot] > _LIFTED[1]):
             lifted[first:stop, foot] = above[first:stop, foot].max() > _LIFTED[0]
     both = ~(lifted[:, 0] | lifted[:, 1])
-    ends = np.isin(np.arange(len(both)), (0, len(both) - 1)) & ~both
-    if ends.any():
-        raise _refused(motion, "a foot is lifted at the beginning or the end,", ends)
-    moved = np.linalg.norm((feet - np.median(feet[both], axis=0))[..., :2], axis=-1)
+    mostly = np.median(feet[both] if both.any() else feet, axis=0)
+    moved = np.linalg.norm((feet - mostly)[..., :2], axis=-1)
     for foot, side in enumerate(SIDES):
         steps = (moved[:, foot] > _STEPS) & ~lifted[:, foot]
         if steps.any():
             raise _refused(motion, f"the {side} foot steps", steps)
+    ends = np.isin(np.arange(len(both)), (0, len(both) - 1)) & ~both
+    if ends.any():
+        raise _refused(motion, "a foot is lifted at the beginning or the end,", ends)
     return lifted
 
 

@@ -95,6 +95,7 @@ def test_every_combination_of_a_sweep():
     assert after.kd == pytest.approx(before.kd)
     assert found[-1][1].stream.feedforward == "velocity"
     assert list(swept(Config(), [])) == [({}, Config())]
+    assert len(list(swept(Config(), ["stream.rate=250,250.0,500"]))) == 2
 
 
 @pytest.mark.parametrize(

@@ -41,7 +41,7 @@ def swept(config: Config, sweeps: Sequence[str]) -> Iterator[tuple[dict[str, flo
                 f"{name} in --sweep {text} {reason}.",
                 "Name a setting of configs/sim.toml, once: --sweep stream.rate=250,500.",
             )
-        values[name] = [_value(one.strip()) for one in given.split(",")]
+        values[name] = list(dict.fromkeys(_value(one.strip()) for one in given.split(",")))
         if "" in values[name]:
             raise ConfigError(
                 f"--sweep {text} lacks a value.", f"Give some: --sweep {name}=0.5,1,2."

@@ -7,6 +7,7 @@ import pytest
 from g1stream.cli.command import announce_wire
 from g1stream.cli.flags import flag_name, parse_flags
 from g1stream.cli.learn import Learn
+from g1stream.cli.library import Library
 from g1stream.cli.record import Record
 from g1stream.cli.robot import Robot
 from g1stream.cli.sim import Sim
@@ -175,3 +176,11 @@ def test_a_program_that_sends_no_command_does_not_warn(monkeypatch, capsys):
     monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
     announce_wire(wire("eth0"), commands=False)
     assert "WARNING" not in capsys.readouterr().err
+
+
+def test_a_flag_may_be_repeated_among_arguments_of_any_number():
+    given = ["simulate", "--sweep", "gains.kp=1,2", "motions", "--sweep=stream.rate=250", "more"]
+    command = parse_flags(Library, "library", "", given)
+    assert command.sweep == ["gains.kp=1,2", "stream.rate=250"]
+    assert command.places == ("motions", "more")
+    assert not parse_flags(Library, "library", "", ["check", "motions"]).sweep

@@ -105,6 +105,7 @@ def measure(flags: argparse.Namespace) -> dict[str, Any]:
         found: dict[str, Any] = {
             "seconds_each": seconds,
             "workers": workers,
+            "check_ms": 1e3 * one["computing_s"] / one["motions"],
             "motions_per_s": rate,
             "efficiency": rate / (workers * one["motions"] / one["computing_s"]),
             "overhead_ms": overhead_ms(most, workers),

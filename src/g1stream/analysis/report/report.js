@@ -41,6 +41,10 @@
   }));
   const length = (session) =>
     session.phases.length ? session.phases.at(-1).end - session.phases[0].start : 0;
+  // Markers at the ends would make it wider than the session is long.
+  const times = ({ phases }, more) => axis(TIME, {
+    ...(phases.length && { range: [phases[0].start, phases.at(-1).end] }), ...more,
+  });
   const line = (curve, more) => ({
     type: "scatter", mode: "lines", x: floats(curve.x), y: floats(curve.y), name: curve.name,
     line: { width: 1.5, color: curve.colour }, ...more,
@@ -59,7 +63,7 @@
         marker: { symbol: "triangle-up", size: 10, color: marks },
       };
       return [[...session.limbs.map((limb) => line(limb)), events],
-        layout(320, { shapes: phases(session), xaxis: axis(TIME),
+        layout(320, { shapes: phases(session), xaxis: times(session),
                       yaxis: axis("RMS error, deg", { rangemode: "tozero" }) })];
     },
     joint(session, chosen) {

@@ -260,6 +260,16 @@ def test_the_tables_of_a_comparison_are_its_json(path, play, write_session, tmp_
             g1stream.compare(path, others[0], page=one)
 
 
+def test_a_session_is_not_replaced_by_its_page(path, tmp_path):
+    copy = tmp_path / "session.mcap"
+    copy.write_bytes(path.read_bytes())
+    with pytest.raises(RecordingError):
+        g1stream.report(copy, copy, force=True)
+    with pytest.raises(RecordingError):
+        g1stream.compare(path, copy, page=copy, force=True)
+    assert copy.read_bytes() == path.read_bytes()
+
+
 def test_the_joints_to_choose_from(path, tmp_path):
     text = g1stream.report(path, tmp_path / "report.html").read_text()
     options = re.findall(r'<option value="(\d+)"(?: selected)?>([^<]+)<', text)

@@ -41,8 +41,7 @@ def made(link, clock, trajectory, robot):
         over = {"stream.via": "arm_sdk", "stream.hold": 0.1, "stream.ramp": 0.5}
         over["safety.state_timeout"] = 0.1
         over |= {f"stream.{name}": value for name, value in settings.items()}
-        config = for_wire(load_config(over=over))
-        return make_loop(config, robot, trajectory, link, clock, settle=0)
+        return make_loop(load_config(over=over), robot, trajectory, link, clock, settle=0)
 
     return make
 

@@ -94,6 +94,9 @@ def test_once_the_feet_carry_the_robot_it_balances_and_play_may_begin(torques, f
     assert torques.awaited == ""
     assert standing.wrench[[2, 8]].sum() == pytest.approx(33.34 * 9.81, rel=0.02)
     assert command.tau == pytest.approx(tau, abs=2.0)
+    for _ in range(round(0.5 / PERIOD)):  # the load dips: RAMP ends all the same, without a jump
+        commanded(torques, first, 0.5 * tau)
+    assert torques.awaited == ""
     assert commanded(torques, first, tau, phase=Phase.PLAY).q.tolist() == first.q.tolist()
     assert torques.fall == torques.fault == ""
 

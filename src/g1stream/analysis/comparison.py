@@ -15,7 +15,7 @@ from g1stream.analysis.metrics import metrics
 from g1stream.analysis.summary import flat, played
 from g1stream.config import Config
 from g1stream.errors import RecordingError
-from g1stream.files import check_output_path
+from g1stream.files import check_not_input, check_output_path
 from g1stream.session.info import SessionInfo
 from g1stream.session.metrics import NAMED_METRICS
 from g1stream.session.records import Record, read_record
@@ -103,6 +103,8 @@ def compare(
         check_output_path(Path(page), force=force)  # before all sessions are read
     sides = [[_read(one) for one in _several(side)] for side in (base, other)]
     runs = [*sides[0], *sides[1]]
+    if page is not None:
+        check_not_input(Path(page), *(Path(run.path) for run in runs))
     start, stop = max(run.start for run in runs), min(run.stop for run in runs)
     joints = tuple(sorted(set.intersection(*({*run.joints} for run in runs))))
     if not joints:

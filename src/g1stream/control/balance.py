@@ -122,7 +122,7 @@ class Balance:
         self.base.begin(*self._planted)
         self._stands = True, True
         self.wrench, self.fall, self.carried = None, "", 0.0
-        self._other = np.zeros(3)
+        self._other, self._missing = np.zeros(3), np.zeros(3)
         self._lasted = dict.fromkeys(self._lasted, 0.0)
 
     def torque(

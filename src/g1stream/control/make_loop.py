@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from g1stream.control.arm_sdk import MOVED, ArmSdkComposer
+from g1stream.control.arm_sdk import MOVED, ArmSdkComposer, settings_for_arm_sdk
 from g1stream.control.commands import CommandLimits, Composer
 from g1stream.control.feedforward import FeedForward
 from g1stream.control.gains import gains_in_play
@@ -58,7 +58,7 @@ def make_loop(
     """The loop that plays a trajectory as configured, not yet running.
 
     Args:
-        config: all settings, with those set that depend on the wire.
+        config: all settings.
         robot: the robot whose limits and dynamics apply.
         trajectory: the motion.
         link: the wire.
@@ -73,6 +73,8 @@ def make_loop(
         RobotError: the inverse dynamics of this robot cannot be computed.
     """
     settings = config.stream
+    if settings.via == "arm_sdk":
+        settings = settings_for_arm_sdk(settings)
     interval = Interval.from_config(settings, trajectory.motion)
     period = round(1e9 / settings.rate)  # whole, because deadlines are
     gains = gains_in_play(config, robot)

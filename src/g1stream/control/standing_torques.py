@@ -151,7 +151,9 @@ class StandingTorques:
         standing = balance.torque(target, reading, age, share=loaded, planted=self._landed)
         self._load += (min(1.0, balance.carried) - self._load) * self._period / _LOAD
         self._landed = self._load > (_LIFTS if self._landed else _LANDS)
-        self._carried_for = self._carried_for + self._period if self._load > _CARRIED[0] else 0.0
+        if self._carried_for <= _CARRIED[1]:  # then RAMP ends, also where the load dips again
+            carried = self._load > _CARRIED[0]
+            self._carried_for = self._carried_for + self._period if carried else 0.0
         stands = minimum_jerk((self._load - _HANGS) / (_STANDS - _HANGS))[0]
         return target.replace(
             q=target.q + (1.0 - stands) * _levelled(target, imu),

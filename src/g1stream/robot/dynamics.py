@@ -22,7 +22,7 @@ constant velocity. docs/tracking.md has the derivation.
 from __future__ import annotations
 
 from copy import copy
-from functools import cache
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -31,6 +31,7 @@ from g1stream.errors import RobotError
 from g1stream.robot.joints import DAMPING, FRICTION, JOINT_NAMES, N_JOINTS
 from g1stream.robot.mujoco_spec import mujoco_spec
 from g1stream.robot.rotations import quat_rotate, quat_rotate_inverse
+from g1stream.robot.urdf import KEPT_ROBOTS
 from g1stream.types import Floats
 
 if TYPE_CHECKING:
@@ -270,7 +271,7 @@ class InverseDynamics:
         return carried
 
 
-@cache
+@lru_cache(maxsize=KEPT_ROBOTS)
 def _compiled(robot: G1, gravity: float) -> Any:
     """The model of a robot; not to be changed."""
     import mujoco

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from functools import cache
+from functools import lru_cache
 from importlib import resources
 from itertools import combinations
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -19,6 +19,7 @@ import numpy as np
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import REVISIONS
 from g1stream.robot.mujoco_spec import mujoco_spec
+from g1stream.robot.urdf import KEPT_ROBOTS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -55,7 +56,7 @@ class Contact(NamedTuple):
     depth: float  # m that the one has to be moved until they only touch
 
 
-@cache
+@lru_cache(maxsize=KEPT_ROBOTS)
 def read_hulls(robot: G1) -> tuple[Hull, ...]:
     """The hulls of a robot's links; a link may have none or several.
 
@@ -73,7 +74,7 @@ def read_hulls(robot: G1) -> tuple[Hull, ...]:
     return tuple(hulls)
 
 
-@cache
+@lru_cache(maxsize=KEPT_ROBOTS)
 def never_collide(robot: G1) -> frozenset[tuple[str, str]]:
     """Pairs of links whose contact means nothing, in the robot's order of links.
 
@@ -127,7 +128,7 @@ def add_hulls(
             spec.add_exclude(bodyname1=one, bodyname2=other)
 
 
-@cache
+@lru_cache(maxsize=KEPT_ROBOTS)
 def _compiled(robot: G1, hulls: tuple[Hull, ...], apart: frozenset[tuple[str, str]]) -> Any:
     """A model in which hulls collide; not to be changed."""
     spec = mujoco_spec(robot, floating=True, shapes=False)

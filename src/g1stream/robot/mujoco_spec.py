@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from copy import deepcopy
-from functools import cache
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree as ET
 
 import numpy as np
 
 from g1stream.robot.joints import ARMATURE, FRICTION, JOINT_NAMES
+from g1stream.robot.urdf import KEPT_ROBOTS
 
 if TYPE_CHECKING:
     from g1stream.robot.model import G1
@@ -47,7 +48,7 @@ def mujoco_spec(robot: G1, *, floating: bool, shapes: bool) -> Any:
     return spec
 
 
-@cache
+@lru_cache(maxsize=KEPT_ROBOTS)
 def _simplified(robot: G1, shapes: bool) -> str:
     """The URDF without meshes, finger joints and, unless wanted, shapes."""
     root = deepcopy(robot.xml)

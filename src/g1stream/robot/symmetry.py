@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import lru_cache
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from g1stream.errors import RobotError
 from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.rotations import quat_rotate
+from g1stream.robot.urdf import KEPT_ROBOTS
 from g1stream.types import Floats
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ def other_side(name: str) -> str:
     return name
 
 
-@cache
+@lru_cache(maxsize=KEPT_ROBOTS)
 def mirror_of_joints(robot: G1) -> JointMirror:
     """Which joint mirrors which, from the axes of the joints where all angles are zero.
 

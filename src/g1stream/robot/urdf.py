@@ -25,7 +25,11 @@ from g1stream.text import counted
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["numbers", "parse_urdf", "read_kinematics", "with_prefixed_links"]
+__all__ = ["KEPT_ROBOTS", "numbers", "parse_urdf", "read_kinematics", "with_prefixed_links"]
+
+KEPT_ROBOTS: Final = 8
+"""What is made from a URDF is kept for so many: each session brings one, and a process may read
+many sessions."""
 
 _LIMITS: Final = ("lower", "upper", "velocity", "effort")
 #: Of joints that a robot does not have: rad, rad/s and Nm that nothing passes.
@@ -47,7 +51,7 @@ class _TreeBuilder(ET.TreeBuilder):
         raise _DocumentTypeError
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=KEPT_ROBOTS)
 def parse_urdf(text: str, source: str) -> ET.Element:
     """The root element of a URDF text; of the same text the same one, not to be changed.
 

@@ -20,7 +20,7 @@ from g1stream.analysis.report.tables import overview, tables
 from g1stream.analysis.summary import flat
 from g1stream.analysis.video import render
 from g1stream.errors import ConfigError, RecordingError
-from g1stream.files import complete_file, read_file
+from g1stream.files import check_not_input, complete_file, read_file
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.session.session import Session, open_session
 
@@ -67,7 +67,7 @@ def report(
         SimError: there is no OpenGL to draw the video with.
     """
     with complete_file(Path(path), force=force) as temporary:
-        page = _page(_opened(sessions), _rendered if video else _beside, progress)
+        page = _page(_opened(sessions, Path(path)), _rendered if video else _beside, progress)
         temporary.write_text(page, encoding="utf-8")
     return Path(path)
 
@@ -95,14 +95,17 @@ def to_csv(sessions: Given | Iterable[Given]) -> str:
     return text.getvalue()
 
 
-def _opened(sessions: Given | Iterable[Given]) -> Iterator[Session]:
-    """One session after the other, so that no more than one has to be in memory."""
+def _opened(sessions: Given | Iterable[Given], page: Path | None = None) -> Iterator[Session]:
+    """One session after the other, so that no more than one has to be in memory; none is `page`."""
     alone = isinstance(sessions, (Session, str, os.PathLike))
     given = list(cast("Iterable[Given]", [sessions] if alone else sessions))
     if not given:
         raise ConfigError("There is no session to report on.", "Name a session file.")
     for one in given:
-        yield one if isinstance(one, Session) else open_session(one)
+        session = one if isinstance(one, Session) else open_session(one)
+        if page:
+            check_not_input(page, session.path)
+        yield session
 
 
 def _values(

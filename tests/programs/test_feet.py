@@ -14,7 +14,7 @@ from g1stream.control.make_loop import make_loop
 from g1stream.errors import ConfigError, MotionError, SafetyError
 from g1stream.motion.trajectory import Trajectory
 from g1stream.programs.rollout import rollout
-from g1stream.programs.standing import refuse_feet_on_robot
+from g1stream.programs.standing import refuse_feet_on_robot, stand_if_asked
 from g1stream.programs.stream import with_robot_limits
 from g1stream.robot.model import G1, REVISIONS
 from g1stream.robot.rotations import quat_normalize
@@ -178,6 +178,13 @@ def test_a_robot_that_hangs_is_lowered_onto_its_feet_and_stands(name):
     assert waited[0] > 1.0  # it hung in the air
     assert len(heights) == 1000
     assert min(heights) > 0.68
+
+
+def test_legs_play_without_the_arms():
+    asked = config(support="feet", joints="legs", start=0.5)
+    motion, _ = stand_if_asked(squatting(1.0), G1.default(), asked)
+    assert np.ptp(motion.joint_pos[:, 12:], axis=0).max() == 0.0
+    assert np.ptp(motion.joint_pos[:, :12], axis=0).max() > 0.05
 
 
 def test_the_legs_play_as_a_whole_or_not_at_all():

@@ -11,6 +11,7 @@ from g1stream.analysis.stance import on_standing_legs, stand
 from g1stream.dds.domain import is_local_only
 from g1stream.errors import SafetyError
 from g1stream.motion.limits import Interval
+from g1stream.robot.standing import LEGS
 
 if TYPE_CHECKING:
     from g1stream.config import Config
@@ -24,7 +25,8 @@ def stand_if_asked(motion: Motion, robot: G1, config: Config) -> tuple[Motion, s
     """The motion with its feet planted, and what was changed; with other supports as it is, and "".
 
     The part that is not played need not be able to stand: it becomes a pause. Where the legs do not
-    play the motion, they stand.
+    play the motion, they stand, as `on_standing_legs` has it; where only they do, waist and arms
+    keep the pose of its beginning.
 
     Raises:
         ConfigError: the part to play is not within the motion.
@@ -45,8 +47,10 @@ def stand_if_asked(motion: Motion, robot: G1, config: Config) -> tuple[Motion, s
         root_quat_wxyz=motion.root_quat_wxyz[rows],
     )
     played = robot.select(config.stream.played_joints)
-    if not played.all():
+    if not played[:LEGS].any():
         part = on_standing_legs(part, robot, played)
+    elif not played.all():
+        part = replace(part, joint_pos=np.where(played, part.joint_pos, part.joint_pos[0]))
     standing = stand(part, robot)
     changed = replace(standing.motion, operations=(*motion.operations, str(standing)))
     return changed, f"{motion.name} is changed {standing}"

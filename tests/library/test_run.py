@@ -15,7 +15,11 @@ import pytest
 
 import g1stream
 from g1stream.config import load_config
+from g1stream.errors import ConfigError, RecordingError
+from g1stream.library.compute import LibraryCase
+from g1stream.library.files import LIBRARY
 from g1stream.library.processes import Limits
+from g1stream.library.run import run_library
 
 
 def by_name(library):
@@ -185,3 +189,38 @@ def test_the_command(motions, tmp_path):
     code, _, err = run("--cluster", "tcp://127.0.0.1:1")
     assert code == 2
     assert "Traceback" not in err
+
+
+def test_a_library_does_not_hide_its_motions(tmp_path):
+    motions = tmp_path / "motions"
+    motions.mkdir()
+    g1stream.load_motion("demo").trim(0.0, 1.0).save(motions / "a.csv")
+    for out in (motions, tmp_path):
+        with pytest.raises(ConfigError):
+            run_library([str(motions)], [LibraryCase("check", out)])
+        assert not (out / LIBRARY).exists()
+
+
+def test_a_file_that_cannot_be_written_is_tried_again(tmp_path):
+    source, out = tmp_path / "a.csv", tmp_path / "library"
+    g1stream.load_motion("demo").trim(0.0, 1.0).save(source)
+    case = LibraryCase("convert", out, format="npz")
+    out.mkdir()
+    (out / "converted").write_text("in the way")
+    assert run_library([str(source)], [case], workers=1).failed == 1
+    (out / "converted").unlink()
+    again = run_library([str(source)], [case], workers=1)
+    assert (again.known, again.done, again.failed) == (0, 1, 0)
+
+
+def test_a_damaged_table_is_an_error_with_its_name(tmp_path):
+    out = tmp_path / "library"
+    for name, stop in (("a", 1.0), ("b", 1.5)):
+        g1stream.load_motion("demo").trim(0.0, stop).save(tmp_path / f"{name}.csv")
+    case = LibraryCase("check", out)
+    run_library([str(tmp_path / "a.csv")], [case], workers=1)
+    (part,) = (out / "joints").glob("*.parquet")
+    part.write_bytes(b"PAR1")
+    with pytest.raises(RecordingError) as refused:
+        run_library([str(tmp_path / "b.csv")], [case], workers=1)
+    assert part.name in refused.value.cause

@@ -137,7 +137,7 @@ class Condition:
     def _error(self, reason: str, remedy: str = "") -> ConfigError:
         return ConfigError(
             f"The condition {self.text!r:.200} cannot be used: {reason}.",
-            remedy or "Write it such as 'rmse > 1.1 * base' or 'p99 > 0.05 and delay > base'.",
+            remedy or "Write it such as 'rmse > 0.02', or in compare 'rmse > 1.1 * base'.",
         )
 
 

@@ -72,7 +72,8 @@ class Library(SettingsCommand):
     out: Path = flag(Path("library"), "Directory of the tables.", "DIR", aliases=("-o",))
     support: str | None = flag(
         None,
-        f"How the pelvis is held: {', '.join(get_args(StreamSupport))}; several with commas.",
+        f"How the pelvis is held in simulate: {', '.join(get_args(StreamSupport))}; several with "
+        "commas.",
         "SUPPORT",
         shown="bolted",
     )
@@ -83,8 +84,8 @@ class Library(SettingsCommand):
         "NAME=A,B",
         shown="none",
     )
-    sessions: bool = flag(False, "Keep each simulated session, and its report.")
-    to: Literal["npz", "csv", "parquet", "mcap"] = flag("npz", "Format of converted files.")
+    sessions: bool = flag(False, "Keep each session of simulate, and its report.")
+    to: Literal["npz", "csv", "parquet", "mcap"] = flag("npz", "Format of the files of convert.")
     workers: int | None = flag(None, "Processes on this machine.", "N", shown="CPUs", gt=0)
     cluster: str | None = flag(
         None, "Use the workers of this Dask scheduler instead (extra `cluster`).", "ADDRESS"
@@ -123,9 +124,13 @@ class Library(SettingsCommand):
         beyond = [row for row in rows if condition and _beyond(condition, row)]
         lines = [*_about(run, self.out), *_results(rows), *_problems(run, rows)]
         if condition:
-            worst = f", such as {beyond[0]['name']}" if beyond else ""
-            verdict = f"FAILED: {counted(len(beyond), 'row')}{worst}" if beyond else "passed"
-            lines.append(f"{verdict}: {condition.text}")
+            verdict = f"passed: {condition.text}"
+            if beyond:
+                verdict = (
+                    f"FAILED: {condition.text} holds or cannot be told for "
+                    f"{counted(len(beyond), 'row')}, such as {beyond[0]['name']}"
+                )
+            lines.append(verdict)
         print_lines("\n".join(lines), sys.stderr if self.json else None)
         if reasons:
             return exit_code_of_signal(reasons[0]) or EXIT_STOPPED
@@ -192,7 +197,7 @@ def _about(run: LibraryRun, out: Path) -> list[str]:
     return [
         f"{out}: {counted(run.total, 'row')} of {motions}{copies}",
         f"  {run.done} computed in {run.elapsed:.1f} s{known}{more}",
-        f"  {out / PAGE}",
+        *([f"  {out / PAGE}"] if run.known or run.done else []),
     ]
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from g1stream._version import __version__
 from g1stream.analysis.physics import motion_physics
 from g1stream.config import Config
-from g1stream.errors import G1StreamError, MotionError
+from g1stream.errors import G1StreamError, MotionError, RecordingError
 from g1stream.library.files import content_hash, local_copy, stem
 from g1stream.library.rows import Command, JointRow, MotionRow, Rows, Status
 from g1stream.motion.check import check_motion
@@ -88,7 +88,7 @@ class LibraryCase:
     def variant(self) -> str:
         """What tells the rows of one motion and one command apart."""
         values = [
-            f"{name}={value:g}" if isinstance(value, float) else f"{name}={value}"
+            f"{name}={value:.12g}" if isinstance(value, float) else f"{name}={value}"
             for name, value in self.sweep.items()
         ]
         return " ".join(filter(None, [self.support, self.format, *values]))
@@ -112,7 +112,8 @@ class LibraryCase:
         if self.command != "convert":
             about["mujoco"] = version("mujoco")
         if self.command == "check":
-            about["settings"] = (*_limits(self.config), self.config.safety.max_tilt)
+            safety = self.config.safety
+            about["settings"] = (*_limits(self.config), safety.max_tilt, safety.urdf_limits)
         elif self.command == "simulate":
             settings = self.config.model_dump(mode="json", exclude=_WITHOUT_EFFECT)
             about |= {"settings": settings, "sessions": self.sessions}
@@ -190,6 +191,8 @@ def rows_of(task: Task) -> Rows:
             row.status = "refused"
             _COMPUTE[case.command](motion, case, rows)
         row.status, row.reason = "ok", None
+    except RecordingError as error:  # a file of ours cannot be written now
+        row.status, row.reason = "error", error.cause
     except G1StreamError as error:
         row.reason = error.cause
     except MemoryError:
@@ -310,7 +313,7 @@ def _convert(motion: Motion, case: LibraryCase, rows: Rows) -> None:
     if path.suffix in MOTION_SUFFIXES:
         motion.save(path, force=True)
     else:
-        convert(motion, path, Conversion(force=True))
+        convert(motion, path, Conversion(force=True), robot=_robot(case.config))
     rows.motion.output = str(path.relative_to(case.out))
 
 

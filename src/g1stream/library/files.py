@@ -160,6 +160,8 @@ def _opened(location: str) -> Iterator[Any]:
             raise OSError(f"it has more than {_LARGEST / 2**20:g} MiB")
         with opened(path, "rb") as file:
             yield file
+    except MemoryError:  # of who reads it
+        raise
     except Exception as error:  # what a file system raises is its own
         raise MotionError(
             f"{location} cannot be read: {getattr(error, 'strerror', None) or error}.",

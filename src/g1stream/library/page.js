@@ -98,7 +98,7 @@
     if (column.name === "picture")
       return make("td", {}, make("svg", { viewBox: "0 0 100 30" }, make("path", { d: value })));
     if (column.name === "report" || column.name === "output")
-      return make("td", {}, make("a", { href: encodeURI(value) }, column.name));
+      return make("td", {}, make("a", { href: value.split("/").map(encodeURIComponent).join("/") }, column.name));
     if (typeof value === "number") return make("td", {}, figure(value));
     const bad = column.name === "status" ? value !== "ok" : value === "no" || value === false;
     return make("td", { class: bad ? "text bad" : "text", title: said(value) }, said(value));

@@ -6,6 +6,7 @@ import os
 import time
 from dataclasses import dataclass, field, replace
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from g1stream.errors import ConfigError
@@ -103,7 +104,8 @@ def run_library(
     """Compute the rows of all motions below some places, write them as they come, then a page.
 
     Rows that are there already, of the same content, settings and versions, are not computed
-    again. Rows that were written stay, however the run ends: the same call goes on there.
+    again. Rows that were written stay, however the run ends: the same call goes on there. A script
+    that calls this needs `if __name__ == "__main__":`, because its processes import it.
 
     Args:
         places: directories, files and URLs.
@@ -123,6 +125,7 @@ def run_library(
         RecordingError: the library's directory cannot be written, or another process writes to it.
     """
     run, limits = run or LibraryRun(), limits or Limits()
+    _require_apart(places, cases[0].out)
     out = cases[0].out.absolute()  # workers on a cluster run in directories of their own
     cases = [replace(case, out=out) for case in cases]
     locations = find_motions(places)
@@ -155,6 +158,17 @@ def run_library(
     if run.known or run.done:
         write_page(out)
     return run
+
+
+def _require_apart(places: Sequence[str], out: Path) -> None:
+    """A library's directory is not searched for motions, so that it must not hold them."""
+    for place in places:
+        path = Path(place).resolve()
+        if "://" not in place and path.exists() and out.resolve() in (path, *path.parents):
+            raise ConfigError(
+                f"The library {out} would hold the motions in {place}, and hide them.",
+                "Choose another directory for the library.",
+            )
 
 
 def _contents(

@@ -110,16 +110,30 @@ def _read(directory: Path) -> Any:
 
 
 def _read_part(path: Path) -> Any:
-    import pyarrow
     from pyarrow import parquet
 
-    try:
+    with _damage_named(path):
         return parquet.read_table(path, partitioning=None)
+
+
+def _rows_in(path: Path) -> int:
+    from pyarrow import parquet
+
+    with _damage_named(path):
+        return int(parquet.read_metadata(path).num_rows)
+
+
+@contextmanager
+def _damage_named(path: Path) -> Iterator[None]:
+    import pyarrow
+
+    try:
+        yield
     except FileNotFoundError:
         raise
     except (pyarrow.ArrowException, OSError) as error:
         raise RecordingError(
-            f"{path} is damaged: {error}.", "Remove it; the same command computes its rows anew."
+            f"{path} is damaged: {error}.", "Remove it, and compute what it had into a new library."
         ) from error
 
 
@@ -173,13 +187,9 @@ class TableWriter:
 
     def merge(self) -> None:
         """Make the small parts of each table one."""
-        from pyarrow import parquet
-
         self._number += 1
         for name, directory in self._directories.items():
-            small = [
-                part for part in _parts(directory) if parquet.read_metadata(part).num_rows < _SMALL
-            ]
+            small = [part for part in _parts(directory) if _rows_in(part) < _SMALL]
             if len(small) > 1:
                 self._write(name, _concatenated(self._arrow, [_read_part(part) for part in small]))
                 for part in small:

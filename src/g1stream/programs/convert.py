@@ -137,7 +137,7 @@ def convert(
     out = Path(out)
     if out.suffix.lower() != ".mcap":
         raise ConfigError(
-            f"{out} is not the name of a session file.",
+            f"{out} is not the name of a session or motion file.",
             "Use one that ends in .mcap, or for a motion file in .csv, .npz or .parquet.",
         )
     robot = robot or G1.default()

@@ -22,6 +22,7 @@ def test_a_named_file_is_taken_whatever_its_name(motions):
 
 
 def test_urls_are_those_of_fsspec(motions):
+    pytest.importorskip("fsspec")
     found = find_motions([f"file://{motions}"])
     assert {url.rpartition("/")[2] for url in found} == {
         "broken.csv",

@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from datetime import datetime, timezone
 from typing import TYPE_CHECKING, Final
 
-from g1stream.errors import RecordingError
+from g1stream.errors import ConfigError, RecordingError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -19,6 +19,7 @@ __all__ = [
     "check_directory",
     "check_not_input",
     "check_output_path",
+    "check_suffix",
     "complete_file",
     "is_session",
     "is_sqlite",
@@ -111,6 +112,23 @@ def check_not_input(path: Path, *sources: Path | None) -> None:
                     f"The output path {path} is the input file.",
                     f"Choose another output path, such as converted{path.suffix}.",
                 )
+
+
+def check_suffix(path: Path, kind: str, *suffixes: str) -> None:
+    """Check that an output path ends as files of a kind do.
+
+    Args:
+        path: of the file.
+        kind: such as "a figure".
+        suffixes: in lower case, with their dots.
+
+    Raises:
+        ConfigError: it does not.
+    """
+    if path.suffix.lower() not in suffixes:
+        raise ConfigError(
+            f"{path} is not the name of {kind}.", f"Use one that ends in {', '.join(suffixes)}."
+        )
 
 
 def check_output_path(path: Path, *, force: bool) -> None:

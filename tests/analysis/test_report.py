@@ -255,14 +255,19 @@ def test_the_tables_of_a_comparison_are_its_json(path, play, write_session, tmp_
     time = open_session(others[0]).tracking().motion_time
     shown = floats(drawn["lines"][2]["error"][3]["x"])
     assert (shown[0], shown[-1]) == pytest.approx((time[0], time[-1]), abs=0.01)
-    for one in (out, path):
-        with pytest.raises(RecordingError):
-            g1stream.compare(path, others[0], page=one)
+    with pytest.raises(RecordingError):
+        g1stream.compare(path, others[0], page=out)
 
 
 def test_a_session_is_not_replaced_by_its_page(path, tmp_path):
-    copy = tmp_path / "session.mcap"
+    copy = tmp_path / "session.html"
     copy.write_bytes(path.read_bytes())
+    for page in (tmp_path / "page.pdf", tmp_path / "page"):
+        with pytest.raises(ConfigError):
+            g1stream.report(copy, page)
+        with pytest.raises(ConfigError):
+            g1stream.compare(path, copy, page=page)
+        assert not page.exists()
     with pytest.raises(RecordingError):
         g1stream.report(copy, copy, force=True)
     with pytest.raises(RecordingError):

@@ -15,7 +15,7 @@ from g1stream.analysis.metrics import metrics
 from g1stream.analysis.summary import flat, played
 from g1stream.config import Config
 from g1stream.errors import RecordingError
-from g1stream.files import check_not_input, check_output_path
+from g1stream.files import check_not_input, check_output_path, check_suffix
 from g1stream.session.info import SessionInfo
 from g1stream.session.metrics import NAMED_METRICS
 from g1stream.session.records import Record, read_record
@@ -96,10 +96,12 @@ def compare(
         side nothing can.
 
     Raises:
+        ConfigError: the page does not end in .html.
         RecordingError: a session has no tracking error, its motion is another one, or no joint
             played in all of them; or the page cannot be written.
     """
     if page is not None:
+        check_suffix(Path(page), "a page", ".html")
         check_output_path(Path(page), force=force)  # before all sessions are read
     sides = [[_read(one) for one in _several(side)] for side in (base, other)]
     runs = [*sides[0], *sides[1]]

@@ -23,8 +23,8 @@ from g1stream.analysis.plot_style import (
 )
 from g1stream.analysis.signals import chosen_quantities
 from g1stream.analysis.tracking import NothingToCompareError
-from g1stream.errors import ConfigError, RecordingError
-from g1stream.files import complete_file
+from g1stream.errors import RecordingError
+from g1stream.files import check_suffix, complete_file
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
 from g1stream.session.info import MotionInfo
 from g1stream.session.records import read_record
@@ -128,10 +128,7 @@ def draw(
     from matplotlib import style
 
     path = Path(path)
-    if path.suffix.lower() not in _SUFFIXES:
-        raise ConfigError(
-            f"{path} is not the name of a figure.", f"Use one that ends in {', '.join(_SUFFIXES)}."
-        )
+    check_suffix(path, "a figure", *_SUFFIXES)
     with complete_file(path, force=force) as temporary, style.context(["default", dict(STYLE)]):
         plot(session, joints, what).savefig(temporary, format=path.suffix[1:].lower())
 

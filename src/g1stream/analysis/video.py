@@ -13,7 +13,7 @@ from g1stream.analysis.offscreen import Offscreen, PosedRobot, with_shapes
 from g1stream.dds.messages import played_joints
 from g1stream.errors import ConfigError, RecordingError
 from g1stream.extras import import_extra
-from g1stream.files import complete_file
+from g1stream.files import check_suffix, complete_file
 from g1stream.foxglove.measured_base import MeasuredBase
 from g1stream.session.streams import Base, Measured, Reference
 from g1stream.types import Floats, Ints, Phase
@@ -254,10 +254,7 @@ def _encoder(path: Path) -> Callable[[Path, Iterator[Picture], float], None]:
     """Writes pictures into a file, as the path's suffix says."""
     encoders = {".mp4": _write_mp4, ".gif": _write_gif, ".png": _write_png}
     suffix = path.suffix.lower()
-    if suffix not in encoders:
-        raise ConfigError(
-            f"{path} is not the name of a video.", f"Use one that ends in {', '.join(encoders)}."
-        )
+    check_suffix(path, "a video", *encoders)
     if suffix == ".mp4":
         _import_av()
     return encoders[suffix]

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final, get_args
 import numpy as np
 
 from g1stream.errors import ConfigError
-from g1stream.files import complete_file, read_file
+from g1stream.files import check_suffix, complete_file, read_file
 from g1stream.motion.arrays import read_npz
 from g1stream.motion.blend import minimum_jerk
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS, by_joint
@@ -189,13 +189,15 @@ class Correction:
         """Write it into a file.
 
         Args:
-            path: of the file; its directory must exist.
+            path: of the file, .npz; its directory must exist.
             force: replace a file that exists.
 
         Raises:
+            ConfigError: the path does not end in .npz.
             RecordingError: the file exists, or cannot be written.
         """
         path = Path(path)
+        check_suffix(path, "a correction", ".npz")
         with complete_file(path, force=force) as temporary:
             temporary.write_bytes(self.to_bytes())
         return path

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 from g1stream._version import __version__
 from g1stream.dds.ros2 import encode_string
 from g1stream.errors import ConfigError, MotionError
-from g1stream.files import check_not_input, complete_file
+from g1stream.files import check_not_input, check_suffix, complete_file
 from g1stream.foxglove.encoders import (
     IDENTITY_POSE,
     WORLD_FRAME,
@@ -135,11 +135,7 @@ def convert(
     """
     options = options or Conversion()
     out = Path(out)
-    if out.suffix.lower() != ".mcap":
-        raise ConfigError(
-            f"{out} is not the name of a session or motion file.",
-            "Use one that ends in .mcap, or for a motion file in .csv, .npz or .parquet.",
-        )
+    check_suffix(out, "a session file; motion files end in .csv, .npz or .parquet", ".mcap")
     robot = robot or G1.default()
     motion = _load(motion, robot, fps)
     start, stop = _frame_range(motion, options.frames)

@@ -20,7 +20,7 @@ from g1stream.analysis.report.tables import overview, tables
 from g1stream.analysis.summary import flat
 from g1stream.analysis.video import render
 from g1stream.errors import ConfigError, RecordingError
-from g1stream.files import check_not_input, complete_file, read_file
+from g1stream.files import check_not_input, check_suffix, complete_file, read_file
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.session.session import Session, open_session
 
@@ -62,10 +62,12 @@ def report(
         progress: called with what takes its time, and the fraction of it that is done, 0 to 1.
 
     Raises:
-        ConfigError: there are no sessions, or a package for the video is not installed.
+        ConfigError: there are no sessions, the path does not end in .html, or a package for the
+            video is not installed.
         RecordingError: a session is damaged, or the page cannot be written.
         SimError: there is no OpenGL to draw the video with.
     """
+    check_suffix(Path(path), "a page", ".html")
     with complete_file(Path(path), force=force) as temporary:
         page = _page(_opened(sessions, Path(path)), _rendered if video else _beside, progress)
         temporary.write_text(page, encoding="utf-8")

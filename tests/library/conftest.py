@@ -29,3 +29,18 @@ def checked(motions, tmp_path_factory):
     out = tmp_path_factory.mktemp("library")
     run = g1stream.run_library([str(motions)], [g1stream.LibraryCase("check", out)], workers=2)
     return run, out
+
+
+@pytest.fixture
+def cuts(tmp_path):
+    """Makes a directory with so many different motions of two seconds."""
+
+    def make(number):
+        directory = tmp_path / "many"
+        directory.mkdir()
+        demo = g1stream.load_motion("demo")
+        for i in range(number):
+            demo.trim(0.1 * i, 0.1 * i + 2.0).save(directory / f"{i:02}.npz")
+        return directory
+
+    return make

@@ -17,14 +17,8 @@ COST = ["seconds", "memory"]
 
 
 @pytest.fixture
-def many(tmp_path):
-    """Twenty different motions."""
-    directory = tmp_path / "many"
-    directory.mkdir()
-    demo = g1stream.load_motion("demo")
-    for i in range(20):
-        demo.trim(0.1 * i, 0.1 * i + 2.0).save(directory / f"{i:02}.npz")
-    return directory
+def many(cuts):
+    return cuts(20)
 
 
 def test_the_result_is_that_of_one_machine(checked, motions, tmp_path):

@@ -101,14 +101,8 @@ def test_slow_and_huge_motions_are_rows(tmp_path):
 
 
 @pytest.fixture
-def many(tmp_path):
-    """Forty different motions."""
-    directory = tmp_path / "many"
-    directory.mkdir()
-    demo = g1stream.load_motion("demo")
-    for i in range(40):
-        demo.trim(0.1 * i, 0.1 * i + 2.0).save(directory / f"{i:02}.npz")
-    return directory
+def many(cuts):
+    return cuts(40)
 
 
 def start(*arguments):

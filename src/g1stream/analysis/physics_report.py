@@ -24,10 +24,14 @@ __all__ = [
     "Foot",
     "MotionPhysics",
     "OnFeet",
+    "Playable",
     "TorquePeak",
     "Verdict",
     "reasons",
 ]
+
+Playable = Literal["yes", "inexact", "no"]
+"""Whether a motion can be played; `inexact`: not as the motion has it."""
 
 Cause = Literal[
     "self-collision",
@@ -103,8 +107,8 @@ class Verdict(Record, frozen=True):
 
     @computed_field  # type: ignore[prop-decorator]
     @property
-    def playable(self) -> Literal["yes", "inexact", "no"]:
-        """`yes`; `no`, because something forbids it; or `inexact`: not as the motion has it."""
+    def playable(self) -> Playable:
+        """`no` where something forbids it, `inexact` where something else speaks against it."""
         if any(excess.forbids for excess in self.excesses):
             return "no"
         return "inexact" if self.excesses else "yes"

@@ -54,13 +54,13 @@ class Squat:
 
     def possible(self, target: Target) -> bool:
         """Whether both feet stand in a target."""
-        heights = self._dynamics.soles(_state_of(target))[0][:, 2]
+        heights = self._dynamics.soles(_state_at_rest(target))[0][:, 2]
         return float(np.ptp(heights)) < OFF_FLOOR
 
     def begin(self, standing: Target) -> None:
         """Plan the way down from a target at rest."""
         dynamics, still = self._dynamics, np.zeros(3)
-        state = _state_of(standing)
+        state = _state_at_rest(standing)
         soles, self._turns = dynamics.sole_poses(state)
         self._soles = soles + standing.root_pos
         middle = self._soles.mean(axis=0)
@@ -82,11 +82,11 @@ class Squat:
         progress, rate, change = minimum_jerk(elapsed / SQUAT_TIME)
         pos = start.root_pos + progress * self._way
         vel, acc = rate / SQUAT_TIME * self._way, change / SQUAT_TIME**2 * self._way
-        state = _state_of(start)._replace(q=self._q)
+        state = _state_at_rest(start)._replace(q=self._q)
         self._q = q = dynamics.towards(state, self._soles - pos, self._turns)
         dq, ddq = dynamics.joint_motion(state._replace(q=q), vel, acc)
         return start.replace(q=q, dq=dq, ddq=ddq, root_pos=pos, root_lin_vel=vel, root_lin_acc=acc)
 
 
-def _state_of(target: Target) -> BodyState:
+def _state_at_rest(target: Target) -> BodyState:
     return BodyState(target.root_quat_wxyz, np.zeros(3), target.q, np.zeros(N_JOINTS))

@@ -9,6 +9,7 @@ from typing import Any, Final, Literal, get_args
 
 from pydantic import Field
 
+from g1stream.analysis.physics_report import Playable
 from g1stream.session.records import Int, Record
 
 __all__ = ["NUMBERS", "Command", "JointRow", "MotionRow", "Rows", "Status"]
@@ -17,8 +18,6 @@ Command = Literal["check", "simulate", "convert"]
 Status = Literal["ok", "broken", "refused", "huge", "slow", "crashed", "error"]
 """What became of a motion: computed; no motion can be read from the file; a motion that is not
 played so; it took too much memory, or time; its process ended; or we failed."""
-
-Playable = Literal["yes", "inexact", "no"]
 
 
 def column(description: str, unit: str = "", default: Any = None) -> Any:

@@ -108,7 +108,7 @@ class Verdict(Record, frozen=True):
     @computed_field  # type: ignore[prop-decorator]
     @property
     def playable(self) -> Playable:
-        """`no` where something forbids it, `inexact` where something else speaks against it."""
+        """`yes`; `no` where something forbids it; `inexact` where something else is against it."""
         if any(excess.forbids for excess in self.excesses):
             return "no"
         return "inexact" if self.excesses else "yes"

@@ -80,7 +80,6 @@ def guard_cpu(domain: int, seconds: float = 10.0) -> float:
         act=watch,
         command=("stream", "demo", "--rate", "500"),
         code=0,
-        record=None,
     )
     with tempfile.TemporaryDirectory() as folder:
         play(fault, domain, Path(folder))

@@ -1,6 +1,10 @@
 """`--support feet` in lockstep: seconds stood, RMSE, pushes, other masses, delay, friction, tick.
 
-With noise on every measurement and a tick of delay.
+A line of pushes has the largest that is stood, and what is seen of a fall: the time from a push
+that is 10 N larger, and one half as large again, to DAMP, and the pelvis's tilt and height then.
+
+With noise on every measurement and a tick of delay; each run has a seed of its own. All of it takes
+hours: `--only TEXT` prints the lines with this text in their names, `--first` is the first seed.
 Run: python benchmarks/feet.py [--runs 10] [--first 0] [--seconds 60] [--clip CSV] [--only TEXT]
 """
 
@@ -14,7 +18,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from g1stream.analysis.stance import on_standing_legs, stand
 from g1stream.config import Config
 from g1stream.control.balance import Balance
 from g1stream.control.feedforward import FeedForward
@@ -24,13 +27,14 @@ from g1stream.control.targets import Target
 from g1stream.control.torques import Reading
 from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
+from g1stream.physics.stance import on_standing_legs, stand
 from g1stream.programs.sim import make_world
 from g1stream.robot.model import G1
-from g1stream.robot.rotations import quat_normalize
+from g1stream.robot.rotations import quat_normalize, tilt_of
 from g1stream.session.motions import load_motion
 from g1stream.sim.lockstep import Lockstep
 from g1stream.sim.robot import SimulatedRobot
-from g1stream.synthetic import squatting
+from g1stream.synthetic import squatting, stepping
 from g1stream.types import Floats, Phase
 
 if TYPE_CHECKING:
@@ -43,7 +47,7 @@ ROBOT = G1.default()
 CONFIG = Config.model_validate(
     {"sim": {"support": "free"}, "stream": {"support": "feet", "ramp": 2.0, "hold": 0.0}}
 )
-FALLEN = 0.5  # m, height of the pelvis
+FALLEN = 0.3  # m, height of the pelvis
 
 
 class Trouble(NamedTuple):
@@ -62,6 +66,24 @@ TROUBLES = {
     "10 ms later": Trouble(delay=10),
     "friction 0.4": Trouble(friction=0.4),
 }
+#: Directions along x and y.
+PUSHES = {
+    "push forward": (1, 0),
+    "push backward": (-1, 0),
+    "push left": (0, 1),
+    "push right": (0, -1),
+}
+
+
+class Run(NamedTuple):
+    """How a run went."""
+
+    stood: float  # s in PLAY
+    rmse: float  # rad, of the joints meanwhile
+    reason: str  # why it ended, if early
+    pushed: float  # s from the push to DAMP
+    tilt: float  # rad, of the pelvis at DAMP
+    height: float  # m, of the pelvis at DAMP
 
 
 class LateLink(Lockstep):
@@ -76,20 +98,23 @@ class LateLink(Lockstep):
         return super().send(*self._late.popleft(), stamp)
 
 
-def play(motion: Motion, trouble: Trouble, seed: int) -> tuple[float, float, str]:
-    """Seconds stood, joint RMSE meanwhile, rad, and why the run ended, if early."""
+def play(motion: Motion, trouble: Trouble, seed: int) -> Run:
+    """Play a motion to its end, or until the robot falls."""
     rng = np.random.default_rng(seed)
     world = make_world(ROBOT, CONFIG.sim)
     torso = world.model.body("torso_link").id
     world.model.body_mass[torso] += (trouble.mass - 1.0) * world.model.body_mass.sum()
     world.model.geom_friction[:, 0] = trouble.friction
-    stood, squares = 0, 0.0
+    stood, squares, pushed, falls = 0, 0.0, 0, (0.0, 0.0)
 
     def measure(state: LowState) -> None:
-        nonlocal stood, squares
+        nonlocal stood, squares, pushed, falls
         playing = loop.state.phase is Phase.PLAY and loop.newest is not None
         elapsed = loop.state.elapsed(link.now()) / 1e9
         world.data.xfrc_applied[torso, :3] = trouble.push * (playing and 1.0 <= elapsed < 1.1)
+        if loop.state.phase < Phase.DAMP:
+            pushed += pushed > 0 or (playing and elapsed >= 1.0)
+            falls = float(tilt_of(world.data.qpos[3:7])), float(world.data.qpos[2])
         if playing and world.data.qpos[2] > FALLEN:
             stood += 1
             squares += float(((state.q[:29] - loop.newest.target.q) ** 2).mean())
@@ -103,15 +128,16 @@ def play(motion: Motion, trouble: Trouble, seed: int) -> tuple[float, float, str
     link = LateLink(robot, trouble.delay // 2)
     loop: Any = make_loop(CONFIG, ROBOT, Trajectory(motion), link, link, settle=0)
     reason = loop.run().reason
-    return stood / 500.0, float(np.sqrt(squares / max(stood, 1))), reason
+    rmse = float(np.sqrt(squares / max(stood, 1)))
+    return Run(stood / 500.0, rmse, reason, pushed / 500.0, *falls)
 
 
 def table(name: str, motion: Motion, seeds: range, trouble: Trouble = NONE) -> None:
     """Print one line."""
     results = [play(motion, trouble, seed) for seed in seeds]
-    stood, rmse, reasons = zip(*results, strict=True)
-    lasted = sum(not reason for reason in reasons)
-    worst = next((reason for reason in reasons if reason), "")
+    stood, rmse = [run.stood for run in results], [run.rmse for run in results]
+    lasted = sum(not run.reason for run in results)
+    worst = next((run.reason for run in results if run.reason), "")
     print(
         f"{name:34s} {lasted:2d} of {len(seeds):2d} to the end; stood {min(stood):5.1f} s or more; "
         f"RMSE {min(rmse):.4f} to {max(rmse):.4f} rad {worst}",
@@ -131,19 +157,45 @@ def swaying(seconds: float) -> Motion:
     return Motion.from_arrays(pos, motion.root_pos, fps=motion.fps, name="swaying")
 
 
-def pushes(motion: Motion) -> None:
-    """The largest push that it stands, by direction, to 10 N."""
-    ways = {"forward": (1, 0), "backward": (-1, 0), "left": (0, 1), "right": (0, -1)}
-    for name, way in ways.items():
-        stood, fell = 0, 64  # tens of N
-        while fell - stood > 1:
-            tried = (stood + fell) // 2
-            push = Trouble(push=10.0 * tried * np.array([*way, 0.0]))
-            if play(motion, push, 0)[2]:
-                fell = tried
-            else:
-                stood = tried
-        print(f"push {name:8s} for 0.1 s: {10 * stood} N", flush=True)
+def striding(
+    seconds: float, stride: tuple[float, float, float], period: float = 1.6, swing: float = 0.8
+) -> Motion:
+    """Steps of one foot and then the other by a stride, m, m and rad: three there, three back."""
+    pairs = np.arange(round(seconds / period) - 2) // 2
+    there = 3 - np.abs((pairs + 1) % 6 - 3)
+    return stepping(np.outer(there, stride), period=period, swing=swing)
+
+
+def push(motion: Motion, way: tuple[int, int], force: float, seed: int) -> Run:
+    """A run with a push along x and y, N."""
+    return play(motion, Trouble(push=force * np.array([*way, 0.0])), seed)
+
+
+def largest_push(motion: Motion, way: tuple[int, int], seed: int) -> int:
+    """The largest push along x and y that it stands, N, to 10 N."""
+    stood, fell = 0, 32  # tens of N
+    while fell - stood > 1:
+        tried = (stood + fell) // 2
+        if push(motion, way, 10.0 * tried, seed).reason:
+            fell = tried
+        else:
+            stood = tried
+    return 10 * stood
+
+
+def push_table(name: str, motion: Motion, way: tuple[int, int], seeds: range) -> None:
+    """Print one line for the largest push, and one for each of two larger ones."""
+    largest = [largest_push(motion, way, seed) for seed in seeds]
+    print(f"{name:34s} {', '.join(map(str, largest))} N", flush=True)
+    for words, share, more in (("10 N more", 1.0, 10), ("half as much again", 1.5, 0)):
+        sizes = [share * one + more for one in largest]
+        runs = [push(motion, way, one, seed) for one, seed in zip(sizes, seeds, strict=True)]
+        spans = [
+            f"{min(values):.2f} to {max(values):.2f}"
+            for values in zip(*((run.pushed, run.tilt, run.height) for run in runs), strict=True)
+        ]
+        text = "DAMP after {} s, tilted by {} rad, at {} m".format(*spans)
+        print(f"{name}, {words:20s} {text}; {runs[0].reason}", flush=True)
 
 
 def ticks(motion: Motion) -> None:
@@ -163,6 +215,7 @@ def ticks(motion: Motion) -> None:
         hanging.command(Phase.PLAY, target.motion_time, target, imu, 0.0)
         between = time.perf_counter()
         balance.torque(target, Reading(target.q, still, still, imu), 0.0)
+        balance.watch(target)
         taken["hanging"].append(between - begun)
         taken["feet"].append(time.perf_counter() - between)
     for name, values in taken.items():
@@ -184,6 +237,11 @@ def motions(seconds: float, clip: Path) -> dict[str, Callable[[], Motion]]:
         "squat and arms": lambda: squatting(seconds),
         "weight shifts": lambda: swaying(seconds),
         "demo": lambda: load_motion("demo"),
+        "steps in place": lambda: striding(seconds, (0.0, 0.0, 0.0)),
+        "steps forward and back": lambda: striding(seconds, (0.12, 0.0, 0.0)),
+        "steps to the side and back": lambda: striding(seconds, (0.0, 0.1, 0.0)),
+        "turns by steps": lambda: striding(seconds, (0.0, 0.0, 0.4)),
+        "quick steps forward and back": lambda: striding(seconds, (0.12, 0.0, 0.0), 0.6, 0.4),
         "dance, arms and waist": dancing,
     }
 
@@ -203,10 +261,11 @@ def main() -> None:
     squat = stand(squatting(min(args.seconds, 20.0)), ROBOT).motion
     for name, trouble in TROUBLES.items():
         if args.only in name:
-            table(name, squat, seeds[:1], trouble)
+            table(name, squat, seeds, trouble)
     short = stand(squatting(3.0), ROBOT).motion
-    if args.only in "pushes":
-        pushes(short)
+    for name, way in PUSHES.items():
+        if args.only in name:
+            push_table(name, short, way, seeds)
     if args.only in "ticks":
         ticks(short)
 

@@ -3,13 +3,14 @@
     python benchmarks/library.py [--motions 100 300 1000] [--workers 2] [--cluster] [--json]
 
 `g1stream library check` of short cuts of the bundled motion, all different (trimmed, mirrored, at
-other speeds): with one process and with several, and of each number of motions. With --cluster also
-by the workers of a Dask scheduler on this machine. The overhead of a motion is the time of the
+other speeds): with one process, and of each number of motions with several or, with --cluster, by
+the workers of a Dask scheduler on this machine. The overhead of a motion is the time of the
 processes less what computing it took, as its row says.
 
-motions_per_s, efficiency (against as many single processes), overhead_ms and linear_r2 (of time
-over number) are of the several processes; those of Dask have `dask_` before them. With --hour an
-hour of motion is checked as one file.
+efficiency is against as many single processes, linear_r2 of time over number. command_ms and
+scheduler_ms are the CPU time of the command and of the scheduler for a motion: each looks at every
+motion, in one thread. With --root a library is computed in pieces of some minutes. With --hour an
+hour of a motion, such as demo, is checked as one file.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from typing import Any
 import numpy as np
 
 import g1stream
+from g1stream.library.compute import Task, contents_of, rows_of
 from g1stream.library.processes import Limits
 from g1stream.testing import dask_cluster
 
@@ -43,19 +45,20 @@ def make(directory: Path, n: int, seconds: float) -> None:
 
 def check(motions: list[Path], out: Path, **where: Any) -> dict[str, Any]:
     """Check motions, and return time and memory."""
-    begun = time.perf_counter()
+    begun, spent = time.perf_counter(), time.process_time()
     run = g1stream.run_library(
         [str(path) for path in motions],
         [g1stream.LibraryCase("check", out)],
         limits=Limits(megabytes=8000.0),
         **where,
     )
-    whole = time.perf_counter() - begun
+    whole, spent = time.perf_counter() - begun, time.process_time() - spent
     rows = g1stream.open_library(out).motions
     assert run.complete, run.lost
     assert (rows["status"] == "ok").all()
     return {
         "motions": len(motions),
+        "command_ms": 1e3 * spent / len(motions),
         "whole_s": whole,  # with the start of processes, looking for files, and the page
         "seconds": run.elapsed,
         "computing_s": float(rows["seconds"].sum()),
@@ -63,10 +66,45 @@ def check(motions: list[Path], out: Path, **where: Any) -> dict[str, Any]:
     }
 
 
+def piece(root: Path, n: int, seconds: float, workers: int, minutes: float) -> dict[str, Any]:
+    """Go on for some minutes with a library of so many motions; what this piece took."""
+    begun = time.perf_counter()
+    if not (root / "motions").exists():
+        make(root / "motions", n, seconds)
+    spent = time.process_time()
+    run = g1stream.run_library(
+        [str(root / "motions")],
+        [g1stream.LibraryCase("check", root / "library")],
+        workers=workers,
+        stop=lambda: time.perf_counter() - begun > 60.0 * minutes,
+    )
+    spent, memory = time.process_time() - spent, resident_mb(os.getpid())
+    rows = g1stream.open_library(root / "library").motions
+    new = rows.tail(run.done)
+    return {
+        "known": run.known,
+        "done": run.done,
+        "seconds": run.elapsed,
+        "motions_per_s": run.done / run.elapsed,
+        "check_ms": 1e3 * float(new["seconds"].mean()),
+        "overhead_ms": 1e3 * (run.elapsed * workers - float(new["seconds"].sum())) / run.done,
+        "command_ms": 1e3 * spent / run.done,
+        "command_mb": memory,
+        "worker_mb": float(new["memory"].max()),
+        "load": os.getloadavg()[1],
+    }
+
+
 def resident_mb(pid: int) -> float:
     """Memory of a process."""
     pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
     return pages * resource.getpagesize() / 1e6
+
+
+def cpu_s(pid: int) -> float:
+    """CPU time of a process, without that of its children."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def overhead_ms(run: dict[str, Any], workers: int) -> float:
@@ -82,11 +120,15 @@ def linear_r2(runs: list[dict[str, Any]]) -> float:
     return 1.0 - float(residual.var()) / float(seconds.var())
 
 
-def hour(root: Path) -> float:
-    """Seconds to check an hour of motion at 30 fps, as one file."""
-    motion = g1stream.load_motion("demo").looped(400).trim(0.0, 3600.0)
-    motion.save(root / "hour.npz")
-    return float(check([root / "hour.npz"], root / "hour", workers=1)["computing_s"])
+def hour(name: str, root: Path) -> float:
+    """CPU time, s, to check an hour of motion, as one file: a motion again and again."""
+    motion, path = g1stream.load_motion(name), str(root / "hour.npz")
+    motion.looped(1 + int(3600.0 / motion.duration)).trim(0.0, 3600.0).save(path)
+    (content,) = contents_of([path])
+    begun = time.process_time()
+    rows = rows_of(Task(path, content, g1stream.LibraryCase("check", root / "hour")))
+    assert rows.motion.status == "ok", rows.motion.reason
+    return time.process_time() - begun
 
 
 def measure(flags: argparse.Namespace) -> dict[str, Any]:
@@ -97,39 +139,45 @@ def measure(flags: argparse.Namespace) -> dict[str, Any]:
         make(root / "motions", max(numbers), seconds)
         motions = sorted((root / "motions").iterdir())
         one = check(motions[: numbers[0]], root / "one", workers=1)
-        several = [check(motions[:n], root / f"several-{n}", workers=workers) for n in numbers]
-        most = several[-1]
-        grown = np.array(most["memory_mb"])
-        tenth = max(1, len(grown) // 10)
-        rate = most["motions"] / most["seconds"]
         found: dict[str, Any] = {
             "seconds_each": seconds,
             "workers": workers,
             "check_ms": 1e3 * one["computing_s"] / one["motions"],
-            "motions_per_s": rate,
-            "efficiency": rate / (workers * one["motions"] / one["computing_s"]),
-            "overhead_ms": overhead_ms(most, workers),
-            "linear_r2": linear_r2(several) if len(several) > 2 else None,
-            "worker_mb": float(grown[-tenth:].max()),
-            "worker_growth_mb": float(
-                np.median(grown[-tenth:]) - np.median(grown[tenth : 2 * tenth])
-            ),
-            "runs": [{k: run[k] for k in ("motions", "whole_s", "seconds")} for run in several],
         }
         if flags.hour:
-            found["hour_check_s"] = hour(root)
-        if flags.cluster:
-            with dask_cluster(workers) as (address, head, _):
-                check(motions[:workers], root / "warm", cluster=address)
-                before = resident_mb(head.pid)
-                dask = check(motions, root / "dask", cluster=address)
-                found |= {
-                    "dask_motions_per_s": dask["motions"] / dask["seconds"],
-                    "dask_overhead_ms": overhead_ms(dask, workers),
-                    "dask_scheduler_mb": resident_mb(head.pid),
-                    "dask_scheduler_growth_mb": resident_mb(head.pid) - before,
-                }
-        return found
+            found["hour_cpu_s"] = hour(flags.hour, root)
+        single = workers * one["motions"] / one["computing_s"]
+        if not flags.cluster:
+            several = [check(motions[:n], root / f"several-{n}", workers=workers) for n in numbers]
+            return found | figures(several, workers, single)
+        with dask_cluster(workers) as (address, head, _):
+            check(motions[:workers], root / "warm", cluster=address)
+            before, spent = resident_mb(head.pid), cpu_s(head.pid)
+            several = [check(motions[:n], root / f"dask-{n}", cluster=address) for n in numbers]
+            return found | {
+                **figures(several, workers, single),
+                "scheduler_ms": 1e3 * (cpu_s(head.pid) - spent) / sum(numbers),
+                "scheduler_mb": resident_mb(head.pid),
+                "scheduler_growth_mb": resident_mb(head.pid) - before,
+            }
+
+
+def figures(runs: list[dict[str, Any]], workers: int, single: float) -> dict[str, Any]:
+    """What runs of several numbers of motions say; `single` are the motions a second at best."""
+    most = runs[-1]
+    grown = np.array(most["memory_mb"])
+    tenth = max(1, len(grown) // 10)
+    rate = most["motions"] / most["seconds"]
+    return {
+        "motions_per_s": rate,
+        "efficiency": rate / single,
+        "overhead_ms": overhead_ms(most, workers),
+        "command_ms": most["command_ms"],
+        "linear_r2": linear_r2(runs) if len(runs) > 2 else None,
+        "worker_mb": float(grown[-tenth:].max()),
+        "worker_growth_mb": float(np.median(grown[-tenth:]) - np.median(grown[tenth : 2 * tenth])),
+        "runs": [{k: run[k] for k in ("motions", "whole_s", "seconds")} for run in runs],
+    }
 
 
 def main() -> None:
@@ -139,9 +187,16 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--seconds", type=float, default=2.0)
     parser.add_argument("--cluster", action="store_true")
-    parser.add_argument("--hour", action="store_true", help="check an hour of motion, too")
+    parser.add_argument("--hour", metavar="MOTION", help="check an hour of this motion, too")
     parser.add_argument("--json", action="store_true")
+    parser.add_argument("--root", type=Path, help="keep the most motions here, and go on there")
+    parser.add_argument("--minutes", type=float, default=5.0, help="end then, with --root")
     flags = parser.parse_args()
+    if flags.root:
+        most = max(flags.motions)
+        one = piece(flags.root, most, flags.seconds, flags.workers, flags.minutes)
+        print(json.dumps(one, indent=2))
+        return
     found = measure(flags)
     if flags.json:
         print(json.dumps(found, indent=2))

@@ -1,6 +1,6 @@
 """What a rollout costs: physics, feed-forward, recording; beside MuJoCo stepping the same model.
 
-    python benchmarks/rollout.py [--motion demo] [--support bolted ...] [--rounds 3] [--json]
+    python benchmarks/rollout.py [--motion demo] [--support bolted ...] [--rate 500] [--json]
 
 CPU time for each second that is simulated, in ms, the median of the rounds. The floor is
 `mj_step` alone: the same model, settings and number of steps, from the same state, the motors off.
@@ -63,9 +63,9 @@ def floor(support: Any, seconds: float) -> float:
     return time.process_time() - begun
 
 
-def run(motion: str, support: Any) -> dict[str, float]:
+def run(motion: str, support: Any, rate: float) -> dict[str, float]:
     """Milliseconds of CPU for a second that is simulated: in all, of each part, of the floor."""
-    config = load_config(over={"record.channels": "raw"})
+    config = load_config(over={"record.channels": "raw", "stream.rate": rate})
     spent = dict.fromkeys(PARTS, 0.0)
     with ExitStack() as stack:
         for part, methods in PARTS.items():
@@ -94,13 +94,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--motion", default="demo")
     parser.add_argument("--support", nargs="+", default=["bolted", "hanging", "free"])
+    parser.add_argument("--rate", type=float, default=500.0, help="commands a second")
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--json", action="store_true")
     flags = parser.parse_args()
     g1stream.rollout("demo", seconds=0.1)  # imports, and what is made once
     rows = {}
     for support in flags.support:
-        rounds = [run(flags.motion, support) for _ in range(flags.rounds)]
+        rounds = [run(flags.motion, support, flags.rate) for _ in range(flags.rounds)]
         rows[support] = {key: statistics.median(one[key] for one in rounds) for key in rounds[0]}
     if flags.json:
         print(json.dumps(rows, indent=2))

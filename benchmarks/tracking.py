@@ -246,7 +246,7 @@ def parsed() -> argparse.Namespace:
 
 def on_peers(motion: Motion, seconds: float, arguments: argparse.Namespace) -> None:
     """Print the table of Unitree's own simulators, or why it cannot be measured."""
-    if reason := tracking_peers.missing():
+    if reason := tracking_peers.missing("sdkplay.py", "sdk/bin/python"):
         print(f"skipped: {reason}")
         return
     flags, path = shlex.split(arguments.stream_flags), Path(motion.source or "")

@@ -1,12 +1,14 @@
 """The same motion on Unitree's own simulators: scripts on Unitree's SDK, and g1stream.
 
-Run by `python benchmarks/tracking.py --peers`. The simulators must be set up in the folder that the
-environment variable PEERS gives, by default `peers` in the temporary directory. It has
+Run by `python benchmarks/tracking.py --peers`; feet_peers.py uses the same simulators. They must be
+set up in the folder that the environment variable PEERS gives, by default `peers` in the temporary
+directory. It has
 
     ns CMD...                     runs a command in the network of the simulators, domain 1 on lo
     start_cppsim.sh, start_pysim.sh    start a simulator; its process id is in cppsim.pid, pysim.pid
     sdkplay.py RATE SECONDS OUT   plays the CSV file $MOTION with the SDK in sdk/: position only,
                                   the nearest frame; prints its RMSE
+    keys py|cpp KEY               presses a key in a simulator's window (feet_peers.py)
 
 Every run has a simulator of its own, because one that was blown up stays so. Runs of several users
 of the folder follow each other: each holds a lock beside it.
@@ -56,14 +58,9 @@ class Run(NamedTuple):
     failure: str = ""
 
 
-def missing() -> str:
-    """Why the simulators cannot be used, or ""."""
-    files = [
-        "ns",
-        "sdkplay.py",
-        "sdk/bin/python",
-        *(f"start_{one}.sh" for one in SIMULATORS.values()),
-    ]
+def missing(*others: str) -> str:
+    """Why the simulators, and other files of the folder, cannot be used, or ""."""
+    files = ["ns", *(f"start_{one}.sh" for one in SIMULATORS.values()), *others]
     absent = [name for name in files if not (PEERS / name).exists()]
     if absent:
         return f"{PEERS} has no {', '.join(absent)}; set PEERS to the folder of the simulators"
@@ -94,7 +91,7 @@ def run_table(
         for simulator, program in SIMULATORS.items():
             for row in (name for name in (*SCRIPTS, *STREAMS) if rows in name):
                 name = f"{program}-{row.split(',')[0]}-{number}.mcap"
-                with tempfile.TemporaryDirectory() as directory, _simulator(program):
+                with tempfile.TemporaryDirectory() as directory, running(program):
                     path = Path(keep or directory, name)
                     if row in SCRIPTS:
                         run = _script(motion, seconds, SCRIPTS[row])
@@ -153,7 +150,7 @@ def _learn(
     without = 2  # what differs between them is not learned
     for number in range(without + repetitions):
         session = directory / f"{name}-{number}.mcap"
-        with _simulator(program):
+        with running(program):
             every = [*STREAMS["dynamics, hanging"], *flags, *correction]
             series.append(_stream(motion, seconds, every, session))
         if series[-1].rmse is not None:
@@ -189,7 +186,7 @@ def _shown(run: Run) -> str:
 
 
 @contextmanager
-def _simulator(program: str) -> Iterator[None]:
+def running(program: str) -> Iterator[None]:
     """A simulator of its own, while nobody else uses the folder."""
     with Path(f"{PEERS}.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)

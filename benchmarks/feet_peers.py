@@ -1,0 +1,156 @@
+"""`--support feet` on Unitree's own simulators: how long it stands there, and how closely.
+
+    python benchmarks/feet_peers.py [--motion demo] [--seconds 14] [--runs 3] [--simulator Python]
+
+Every run has a simulator of its own, in which the robot hangs from the elastic band. Once RAMP
+waits, key 8 lengthens the band until PLAY begins, and key 9 lets go a second later. A run has stood
+for as long as PLAY went on and the pelvis was above 0.3 m. RMSE is over all joints and PLAY.
+
+tracking_peers.py says how the simulators are found. `--motion squat`, `shift`, `steps` and `turns`
+are the squats, weight shifts, steps forward and back, and turns of feet.py; for the upper body
+alone add `-- --joints arms,waist`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from feet import FALLEN, striding, swaying
+from g1stream.session.session import Session, open_session
+from g1stream.synthetic import squatting
+from g1stream.types import Phase
+from tracking_peers import PEERS, SIMULATORS, missing, running
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from g1stream.motion.motion import Motion
+
+#: The Python simulator takes each command in Python, and queues those for which it has no time.
+FLAGS: Final = {"C++": [], "Python": ["--rate", "200"]}
+#: Motions that are made, by name.
+MADE: Final[dict[str, Callable[[float], Motion]]] = {
+    "squat": squatting,
+    "shift": swaying,
+    "steps": lambda seconds: striding(seconds, (0.12, 0.0, 0.0)),
+    "turns": lambda seconds: striding(seconds, (0.0, 0.0, 0.4)),
+}
+#: Presses of key 8, s apart, and the most of them.
+_PRESS: Final = 0.5
+_PRESSES: Final = 60
+_LET_GO: Final = 1.0  # s after PLAY began
+#: What a run takes beside the motion at most, s.
+_MARGIN: Final = 90.0
+
+
+def lowered(name: str, motion: str, seconds: float, flags: list[str], path: Path) -> str:
+    """Play a motion in a running simulator into a session file; why the run ended, if early."""
+    last = ""
+
+    def press(key: int) -> None:
+        subprocess.run([PEERS / "keys", SIMULATORS[name].removesuffix("sim"), str(key)], check=True)
+
+    def follow() -> None:
+        nonlocal last
+        for line in stream.stderr or ():
+            last = line.strip() or last
+            for event, words in ((waits, "RAMP waits"), (plays, "RAMP -> PLAY")):
+                if words in line:
+                    event.set()
+
+    waits, plays = threading.Event(), threading.Event()
+    command = [sys.executable, "-m", "g1stream", "stream", motion, "--support", "feet", "--json"]
+    command += ["--duration", str(seconds), "--record", str(path), *FLAGS[name], *flags]
+    stop = time.monotonic() + seconds + _MARGIN
+    with (
+        tempfile.TemporaryFile("w+") as printed,
+        subprocess.Popen(
+            [PEERS / "ns", *command],
+            stdout=printed,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        ) as stream,
+    ):
+        reader = threading.Thread(target=follow)
+        reader.start()
+        try:
+            waits.wait(_MARGIN)
+            for _ in range(_PRESSES):
+                if plays.wait(_PRESS) or stream.poll() is not None:
+                    break
+                press(8)
+            if plays.is_set():
+                time.sleep(_LET_GO)
+                press(9)
+            stream.wait(max(0.0, stop - time.monotonic()))
+        except subprocess.TimeoutExpired:
+            return "did not end"
+        finally:
+            if stream.poll() is None:
+                os.killpg(stream.pid, signal.SIGKILL)  # with what it started
+            reader.join()
+        printed.seek(0)
+        text = printed.read()
+    reason: str = json.loads(text)["termination"]["reason"] if text else last
+    return reason
+
+
+def stood(session: Session) -> float:
+    """For how long the robot stood in PLAY, s."""
+    playing = next((phase for phase in session.phases if phase.phase is Phase.PLAY), None)
+    base = session.base
+    if playing is None or base is None:
+        return 0.0
+    times = base.since(session.start_ns)
+    fell = np.flatnonzero((base.position[:, 2] < FALLEN) & (times > playing.start_s))
+    end = min(playing.end_s, float(times[fell[0]])) if len(fell) else playing.end_s
+    return end - playing.start_s
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--motion", default="demo", help="file, demo, squat, shift, steps or turns")
+    parser.add_argument("--seconds", type=float, default=14.0)
+    parser.add_argument("--runs", type=int, default=3)
+    parser.add_argument("--simulator", choices=SIMULATORS, help="only this one")
+    parser.add_argument("--keep", type=Path, help="a folder for the sessions")
+    parser.add_argument("flags", nargs="*", help="more flags of g1stream stream, after --")
+    args = parser.parse_args()
+    if absent := missing("keys"):
+        parser.error(absent)
+    if args.keep:
+        args.keep.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as directory:
+        folder, motion = args.keep or Path(directory), args.motion
+        if make := MADE.get(motion):
+            motion = str(Path(directory, f"{motion}.npz"))
+            make(args.seconds).save(motion)
+        for name in [args.simulator] if args.simulator else SIMULATORS:
+            for number in range(args.runs):
+                path = folder / f"feet-{name}-{Path(args.motion).stem}-{number}.mcap"
+                if path.exists():
+                    parser.error(f"{path} exists already; keep the sessions in another folder")
+                with running(SIMULATORS[name]):
+                    reason = lowered(name, motion, args.seconds, args.flags, path)
+                session = open_session(path) if path.exists() else None
+                time_stood = stood(session) if session else 0.0
+                rmse = session.tracking().overall if session and time_stood else np.nan
+                line = f"{name:7s} {args.motion}: stood {time_stood:5.1f} s, RMSE {rmse:.4f} rad"
+                print(line, reason, flush=True)
+
+
+if __name__ == "__main__":
+    main()

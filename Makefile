@@ -9,7 +9,7 @@ BIN    := $(VENV)/bin
 help:
 	@echo "make demo   install, then play the bundled motion on the bridge and record it (demo-out/)"
 	@echo "make test   install, then run the whole test suite"
-	@echo "make test-fast   the tests that need no DDS and no integration, in a minute"
+	@echo "make test-fast   the tests that need no DDS and are not slow"
 	@echo "make lint   ruff, mypy --strict, import contracts"
 	@echo "make docs   write docs/api.md and configs/sim.toml from the code"
 	@echo "make lock   resolve constraints.txt anew"
@@ -29,10 +29,10 @@ $(VENV)/.dev: $(VENV)/.run
 demo: $(VENV)/.run
 	$(BIN)/g1stream demo --out demo-out --force
 
-# First what needs no DDS, on all cores; then what is about time and processes, file by file; last
+# First what needs no DDS, on all cores, where what neighbours share is made once; then what is about time and processes, file by file; last
 # what an armed guard ends, or a figure misses, where another test takes the CPU.
 test: $(VENV)/.dev
-	$(BIN)/python -m pytest -n auto -m "not dds"
+	$(BIN)/python -m pytest -n auto --dist worksteal -m "not dds"
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "dds and not alone"
 	$(BIN)/python -m pytest -m alone
 

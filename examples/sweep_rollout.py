@@ -16,7 +16,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("motion", nargs="?", default="demo", help="CSV file, or a bundled motion")
-    parser.add_argument("--kp", type=float, nargs="+", default=[20, 40, 80, 160], help="Nm/rad")
+    parser.add_argument("--kp", type=float, nargs="+", default=[20, 40, 80, 160], help="N·m/rad")
     parser.add_argument("--support", choices=["bolted", "hanging", "follow"], default="bolted")
     parser.add_argument("--feedforward", choices=["none", "velocity", "dynamics"])
     parser.add_argument("--seconds", type=float, default=5.0, help="of the motion to play")
@@ -24,7 +24,7 @@ def main() -> None:
     args = parser.parse_args()
 
     rmse = []
-    print("kp Nm/rad  RMSE rad  worst joint")
+    print("kp N·m/rad  RMSE rad  worst joint")
     for kp in args.kp:
         session = g1stream.rollout(
             args.motion,
@@ -42,7 +42,7 @@ def main() -> None:
 
         axes = (figure := Figure(layout="constrained")).add_subplot()
         axes.plot(args.kp, rmse, "o-")
-        axes.set(xlabel="kp, Nm/rad", ylabel="RMSE of all joints, rad")
+        axes.set(xlabel="kp, N·m/rad", ylabel="RMSE of all joints, rad")
         figure.savefig(args.plot)
 
 

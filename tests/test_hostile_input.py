@@ -497,6 +497,7 @@ def bomb(kind):
 BOMBS = ["frame", "claim", "chunks", "attachment", "npz", "npz header", "pickle"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", BOMBS)
 def test_a_small_file_takes_little_memory(path, kind):
     content = bomb(kind)

@@ -21,12 +21,10 @@ if TYPE_CHECKING:
     from g1stream.analysis.comparison import Comparison, compare
     from g1stream.analysis.delay import Delay
     from g1stream.analysis.learning import learn
-    from g1stream.analysis.physics import motion_physics
-    from g1stream.analysis.physics_report import MotionPhysics
     from g1stream.analysis.report.page import report
     from g1stream.analysis.tracking import Tracking
     from g1stream.config import Config, load_config
-    from g1stream.dds.messages import Samples
+    from g1stream.dds.messages import LowState, Samples
     from g1stream.errors import G1StreamError
     from g1stream.library.compute import LibraryCase
     from g1stream.library.rows import JointRow, MotionRow
@@ -35,6 +33,8 @@ if TYPE_CHECKING:
     from g1stream.motion.correction import Correction
     from g1stream.motion.motion import Motion
     from g1stream.motion.trajectory import Trajectory, TrajectoryPoint
+    from g1stream.physics.measure import motion_physics
+    from g1stream.physics.result import MotionPhysics
     from g1stream.programs.convert import Conversion, ConvertReport, convert
     from g1stream.programs.live import live
     from g1stream.programs.record import record
@@ -47,15 +47,8 @@ if TYPE_CHECKING:
     from g1stream.session.metrics import Metrics
     from g1stream.session.motions import load_motion
     from g1stream.session.session import Message, Session, open_session
-    from g1stream.session.streams import (
-        Base,
-        Command,
-        LogEvent,
-        Measured,
-        Reference,
-        Stream,
-        TorsoImu,
-    )
+    from g1stream.session.stream import Stream
+    from g1stream.session.streams import Base, Command, LogEvent, Measured, Reference, TorsoImu
     from g1stream.session.summary import PhaseInterval, Summary, TrackingSummary
     from g1stream.sim.robot import SimReport
 
@@ -76,6 +69,7 @@ __all__ = [
     "LibraryCase",
     "LibraryRun",
     "LogEvent",
+    "LowState",
     "Measured",
     "Message",
     "Metrics",
@@ -130,11 +124,12 @@ _HOME = {
     "LibraryCase": "library.compute",
     "LibraryRun": "library.run",
     "LogEvent": "session.streams",
+    "LowState": "dds.messages",
     "Measured": "session.streams",
     "Message": "session.session",
     "Metrics": "session.metrics",
     "Motion": "motion.motion",
-    "MotionPhysics": "analysis.physics_report",
+    "MotionPhysics": "physics.result",
     "MotionRow": "library.rows",
     "PhaseInterval": "session.summary",
     "Reference": "session.streams",
@@ -154,7 +149,7 @@ _HOME = {
     "live": "programs.live",
     "load_config": "config",
     "load_motion": "session.motions",
-    "motion_physics": "analysis.physics",
+    "motion_physics": "physics.measure",
     "open_library": "library.table",
     "open_session": "session.session",
     "record": "programs.record",

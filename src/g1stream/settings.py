@@ -43,7 +43,7 @@ __all__ = [
     "setting",
 ]
 
-#: The greatest gains that are ever sent, Nm/rad and Nm s/rad: beyond any that a G1 is run with.
+#: The greatest gains that are ever sent, N·m/rad and N·m·s/rad: beyond any that a G1 is run with.
 MAX_KP, MAX_KD = 500.0, 50.0
 
 #: Commands with the same flags: those that go on DDS, play a motion, write a session file.
@@ -179,7 +179,7 @@ class StreamConfig(Table):
         "fit; clamp: hold its targets at the limits; anyway: play it at its speeds, on the "
         "loopback interface only",
     )
-    damp_kd: float = setting(3.0, "gain of every joint while damping", "Nm s/rad", ge=0.5, le=10.0)
+    damp_kd: float = setting(3.0, "gain of every joint while damping", "N·m·s/rad", ge=0.5, le=10.0)
     feedforward: FeedForwardKind | None = setting(
         None,
         "what commands carry beside the position: nothing, velocity, or velocity and torque; if "

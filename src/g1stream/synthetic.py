@@ -16,7 +16,11 @@ from g1stream.dds.layout import CDR_HEADER, Layout
 from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE, SPORTMODESTATE
 from g1stream.motion.blend import minimum_jerk
 from g1stream.motion.motion import Motion
+from g1stream.physics.legs import Legs
 from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP, JOINT_NAMES, N_JOINTS
+from g1stream.robot.model import G1
+from g1stream.robot.rotations import quat_from_rpy, quat_rotate
+from g1stream.robot.soles import Soles, bent_legs
 from g1stream.session.streams import STREAMS
 from g1stream.types import Floats, Ints, Phase
 
@@ -29,7 +33,7 @@ if TYPE_CHECKING:
     from g1stream.session.source import MemorySource
     from g1stream.session.writer import SessionWriter
 
-__all__ = ["EPOCH", "SyntheticSession", "squatting"]
+__all__ = ["EPOCH", "SyntheticSession", "squatting", "stepping"]
 
 EPOCH: Final = 1_700_000_000_000_000_000
 """Publish time of the first sample, ns since the epoch."""
@@ -50,7 +54,7 @@ class SyntheticSession:
         gain: by which it moves less than asked.
         bias: (29,) rad or one for all, reference - measured.
         noise: standard deviation of measured positions, rad.
-        torque: (29,) Nm s/rad or one for all: each motor's torque is so much times the velocity.
+        torque: (29,) N·m·s/rad or one for all: each motor's torque is so much times the velocity.
         gaps: (start, length) s, PLAY's first frame at 0, in which no LowState is recorded.
         clock_offset: of the robot's clock against the recorder's, s.
         latency: of every message, s.
@@ -198,3 +202,42 @@ def squatting(seconds: float, *, arms: float = 0.6, fps: float = 50.0) -> Motion
         joint_pos[:, JOINT_NAMES.index(f"{name}_joint")] = angle
     root_pos = np.tile([0.0, 0.0, 0.7], (len(time), 1))
     return Motion.from_arrays(joint_pos, root_pos, fps=fps, name="squatting")
+
+
+def stepping(
+    places: ArrayLike, *, period: float = 1.6, swing: float = 0.8, fps: float = 50.0
+) -> Motion:
+    """A motion that steps: first the left foot, then the right one, and so on, from rest to rest.
+
+    The pelvis moves on its way from place to place with the feet, and not over the foot that
+    stands.
+
+    Args:
+        places: (N, 3) x and y, m, and heading, rad: where the robot would stand if both feet had
+            come as far as the one that makes step k. It begins at 0, 0, 0.
+        period: s from step to step.
+        swing: s of it in which the foot is lifted.
+        fps: frames per second.
+    """
+    goals = np.concatenate([np.zeros((1, 3)), np.asarray(places, dtype=np.float64)])
+    robot = G1.default()
+    soles = Soles(robot)
+    time = np.arange(round((len(goals) + 1) * period * fps) + 1) / fps
+    # Where each foot would have the robot stand (T, 2, 3), and how high it is.
+    stand, height = np.zeros((len(time), 2, 3)), np.zeros((len(time), 2))
+    for k, goal in enumerate(goals[1:]):
+        foot = k % 2
+        way = minimum_jerk((time - (k + 1) * period) / swing)[0][:, np.newaxis]
+        stand[:, foot] += way * (goal - goals[max(0, k - 1)])
+        height[:, foot] += 0.06 * (4.0 * way * (1.0 - way))[:, 0]
+    heading = stand[..., 2]
+    turns = quat_from_rpy(np.stack([0.0 * heading, 0.0 * heading, heading], axis=-1))
+    feet = quat_rotate(turns, np.array([[0.0, 0.1, 0.0], [0.0, -0.1, 0.0]]))
+    feet[..., :2] += stand[..., :2]
+    feet[..., 2] = height + soles.height
+    middle = stand.mean(axis=1)
+    root_pos = np.column_stack([middle[:, :2], np.full(len(time), 0.7)])
+    root_quat = quat_from_rpy(np.stack([0.0 * time, 0.0 * time, middle[:, 2]], axis=-1))
+    pose = np.tile(bent_legs(0.4), (len(time), 1))
+    joint_pos, _ = Legs(robot, soles, feet, turns).reach(pose, root_pos, root_quat)
+    return Motion.from_arrays(joint_pos, root_pos, root_quat, fps=fps, name="stepping")

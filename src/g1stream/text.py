@@ -1,6 +1,20 @@
-"""Text for people: what a terminal would obey as escapes, and numbers of things."""
+"""Text for people: wrapped, in tables, and without what a terminal would obey as escapes."""
 
-__all__ = ["counted", "printable"]
+from __future__ import annotations
+
+import textwrap
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Sequence
+
+__all__ = ["WIDTH", "counted", "labelled", "printable", "ranges", "short_name", "table"]
+
+WIDTH: Final = 80
+"""No line is longer, unless a single word is."""
+
+#: Of one value or sentence.
+_MOST_CHARACTERS: Final = 2000
 
 
 def printable(text: str) -> str:
@@ -13,3 +27,44 @@ def printable(text: str) -> str:
 def counted(n: int, noun: str) -> str:
     """`1 tick`, `2 ticks`."""
     return f"{n} {noun}{'s' * (n != 1)}"
+
+
+def ranges(spans: Sequence[tuple[int, int]], most: int) -> str:
+    """`0 to 3, 7 and 2 more spans`: first and last of each of them, or of the first `most`."""
+    shown = ", ".join(f"{a} to {b}" if a < b else f"{a}" for a, b in spans[:most])
+    more = len(spans) - most
+    return f"{shown} and {counted(more, 'more span')}" if more > 0 else shown
+
+
+def short_name(name: str) -> str:
+    """Of a joint, a link or a limb, for a title: `left knee`."""
+    return name.removesuffix("_joint").removesuffix("_link").replace("_", " ")
+
+
+def labelled(label: str, text: str) -> str:
+    """`label text` in lines of `WIDTH` columns, the text wrapped beside its label.
+
+    The text may come from a file or a peer: what a terminal would obey is escaped, and an endless
+    text is cut.
+    """
+    shown = printable(text[:_MOST_CHARACTERS])
+    return textwrap.fill(
+        f"{shown} ..." if len(text) > _MOST_CHARACTERS else shown,
+        WIDTH,
+        initial_indent=label,
+        subsequent_indent=" " * len(label),
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+
+
+def table(rows: Sequence[Sequence[str]], left: Collection[int]) -> list[str]:
+    """Rows in columns, right-aligned but for those named; columns without values are left out."""
+    columns = [
+        [cell.ljust(width) if i in left else cell.rjust(width) for cell in column]
+        for i, column in enumerate(zip(*rows, strict=True))
+        if any(column[1:])
+        for width in [max(map(len, column))]
+    ]
+    lines = ["  ".join(cells).rstrip() for cells in zip(*columns, strict=True)]
+    return [lines[0], "  ".join("-" * len(column[0]) for column in columns), *lines[1:]]

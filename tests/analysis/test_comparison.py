@@ -1,13 +1,17 @@
 """Sessions beside others: noise and change told apart, conditions, and what is refused."""
 
+import re
+
 import numpy as np
 import pytest
 from scipy.stats import ttest_ind
 
 import g1stream
+from g1stream.analysis.comparison_table import verdict
 from g1stream.analysis.condition import Condition
-from g1stream.analysis.differences import differences
+from g1stream.analysis.differences import differences, ranked
 from g1stream.cli.main import main
+from g1stream.config import Config
 from g1stream.errors import ConfigError, RecordingError
 from g1stream.session.session import Session
 from g1stream.session.source import MemorySource
@@ -60,6 +64,35 @@ def test_one_session_a_side_tells_nothing():
     assert max(map(len, str(found).splitlines())) <= 80
 
 
+def test_joints_are_ranked_by_the_difference_and_not_by_its_share():
+    base = {"waist_yaw_joint": 1e-9, "left_knee_joint": 0.02, "right_knee_joint": 0.03}
+    other = {"waist_yaw_joint": 1e-7, "left_knee_joint": 0.025, "right_knee_joint": 0.031}
+    found = differences([[base], [other]], {})
+    assert list(ranked(found)) == ["left_knee_joint", "right_knee_joint", "waist_yaw_joint"]
+    found["waist_yaw_joint"].p_adjusted = 0.01
+    assert next(iter(ranked(found))) == "waist_yaw_joint"
+
+
+def test_the_joints_of_a_comparison_are_ranked(worse):
+    assert list(worse.joints) == list(ranked(worse.joints))
+
+
+@pytest.mark.parametrize(
+    ("base", "other", "figures"),
+    [
+        (0.05523, 0.05501, {"0.05523", "0.05501"}),
+        (1.20001, 1.20002, {"1.20001", "1.20002"}),
+        (0.5, 0.50000001, {"0.5"}),
+    ],
+)
+def test_the_verdict_has_the_digits_that_a_difference_needs(base, other, figures):
+    found = g1stream.compare(session(bias=0.01), session(bias=0.02))
+    found.metrics = differences([[{"rmse": one}] for one in (base, other)], {})
+    assert set(re.findall(r"\d\.\d+(?= rad| \()", verdict(found))) == figures
+    found.metrics = differences([[{"rmse": np.radians(one)}] for one in (base, other)], {})
+    assert set(re.findall(r"\d\.\d+(?= deg| \()", verdict(found, "deg"))) == figures
+
+
 def test_a_share_of_what_has_a_sign_or_is_zero_says_nothing():
     found = g1stream.compare(session(delay=0.001), session(delay=0.004)).metrics["delay"]
     assert found.change is None
@@ -76,10 +109,18 @@ def test_settings_that_one_side_lacks_are_no_difference():
     assert g1stream.compare(first, default).differs == {"stream.preview": ("0.004", "not set")}
 
 
-def test_runs_that_repeat_exactly():
-    found = g1stream.compare([session(bias=0.01)] * 2, [session(bias=0.02)] * 2)
-    assert found.metrics["rmse"].p == 0.0
-    assert found.metrics["rate"].p == 1.0
+def test_what_is_the_same_in_every_run():
+    found = differences([[{"a": 1.0, "b": 1.0}] * 2, [{"a": 2.0, "b": 1.0}] * 2], {})
+    assert [one.p for one in found.values()] == [0.0, 1.0]
+
+
+def test_a_run_counts_once(tmp_path):
+    """A rollout made twice has the same measurements, whatever else is in its file."""
+    once, again, other = session(), session(metadata={"host": "another"}), session(bias=0.02)
+    for sides in (([once, again], [other]), ([other], [once, other, again])):
+        with pytest.raises(RecordingError, match="one run"):
+            g1stream.compare(*sides)
+    assert g1stream.compare([once, other], [again, session(bias=0.03)]).metrics["rmse"].p < 1.0
 
 
 def test_only_the_common_part_is_compared():
@@ -97,9 +138,11 @@ def test_another_motion_is_refused(monkeypatch):
         g1stream.compare(first, session())
 
 
+@pytest.mark.slow
 def test_only_joints_that_play_in_all_sessions_count():
+    config = Config.model_validate({"stream": {"ramp": 0.5, "hold": 0.1, "damp": 0.5}})
     left, arms, right = (
-        g1stream.rollout("demo", joints=joints, seconds=0.5)
+        g1stream.rollout("demo", joints=joints, seconds=0.5, config=config)
         for joints in ("left_arm", "arms", "right_arm")
     )
     found, alone = g1stream.compare(left, arms), arms.tracking().rmse[15:22]
@@ -113,23 +156,36 @@ def test_only_joints_that_play_in_all_sessions_count():
 
 def test_what_differs_is_said():
     gains = {"kp": [60.0] * 29, "kd": [1.0] * 29}
-    soft = gains | {"kp": [40.0] * 29}
+    soft = {"kp": [40.0] * 29, "kd": [1.0] * 29}
+    soft["kp"][:12] = [50.0] * 12
+    soft["kp"][12] = soft["kp"][25] = 60.0
     stream = {"feedforward": "dynamics", "support": "bolted", "nominal_rate_hz": 500.0}
     first = session(metadata={"gains": gains, "stream": stream})
     other = session(metadata={"gains": soft, "stream": stream | {"feedforward": "velocity"}})
     assert g1stream.compare(first, other).differs == {
         "feed-forward": ("dynamics", "velocity"),
-        "gains.kp": ("60 x29", "40 x29"),
+        "gains.kp of legs": ("60", "50"),
+        "gains.kp of left_arm, waist_roll, waist_pitch, "
+        "right_shoulder_pitch, right_shoulder_roll, right_shoulder_yaw, "
+        "right_wrist_roll, right_wrist_pitch, right_wrist_yaw": ("60", "40"),
     }
+
+
+@pytest.mark.parametrize(
+    ("wrong", "close"), [("rmsee", "rmse"), ("rmse.left_knee", "rmse.left_knee_joint")]
+)
+def test_an_unknown_metric_is_refused_with_those_that_there_are(wrong, close, capsys):
+    missing = ["compare", "not there", "--with", "not there either"]
+    assert main([*missing, "--fail-if", f"{wrong} > 1"]) == 2  # before anything is read
+    said = capsys.readouterr().err
+    assert close in said.split("Choose from")[0].split("Close matches")[1]
+    assert "mpjpe_world" in said
+    assert "right_wrist_yaw_joint" in said
 
 
 def of(comparison, text):
     """Whether a condition holds for a comparison."""
-    differences = comparison.named()
-    return Condition(text).holds(
-        {name: other for name, (_, other) in differences.items()},
-        {name: base for name, (base, _) in differences.items()},
-    )
+    return Condition(text).holds(*comparison.named())
 
 
 def test_a_condition_on_metrics_alone():
@@ -151,6 +207,10 @@ def test_a_condition_on_metrics_alone():
         ("0.012 < rmse < 0.014", True),
         ("rmse - base > 0.5 or mpjpe > 1e9", False),
         ("rmse / mae > 0.5", True),
+        ("rmse > base and p.rmse < 0.05 and p.left_leg < 0.05 and p.left_knee_joint < 0.05", True),
+        ("p.rate < 0.05", False),
+        ("rmse > 1 / (rmse - rmse)", None),
+        ("rmse > 1 / (rmse - rmse) or rmse > base", True),
     ],
 )
 def test_conditions(worse, text, holds):
@@ -182,7 +242,25 @@ def test_what_is_no_condition(text):
         Condition(text)
 
 
-@pytest.mark.parametrize("text", ["speed > 1", "rmse.left_hand > base", "rmse > 1 / (rmse - rmse)"])
+@pytest.mark.parametrize(
+    ("text", "holds"),
+    [
+        ("rmse > 0.02", None),
+        ("not rmse > 0.02", None),
+        ("ok > 0 and rmse > 0.02", False),
+        ("rmse > 0.02 and ok > 0", False),
+        ("ok < 1 or rmse > 0.02", True),
+        ("rmse > 0.02 or ok > 0", None),
+        ("ok < 1 and rmse > 0.02", None),
+        ("1 / ok > 2", None),
+        ("ok > 0 and 1 / ok > 2", False),
+    ],
+)
+def test_what_takes_an_unknown_metric_is_not_told(text, holds):
+    assert Condition(text).holds({"rmse": None, "ok": 0.0}) is holds
+
+
+@pytest.mark.parametrize("text", ["speed > 1", "rmse.left_hand > base", "p.rmse > base"])
 def test_conditions_that_cannot_be_told(worse, text):
     with pytest.raises(ConfigError):
         of(worse, text)
@@ -197,7 +275,18 @@ def test_the_command(tmp_path, capsys):
     given = ["compare", paths[0], "--with", paths[1]]
     assert main(given) == 0
     assert main([*given, "--fail-if", "rmse > 1.1 * base"]) == 1
+    capsys.readouterr()
     assert main([*given, "--fail-if", "rmse < base"]) == 0
+    assert "passed: rmse < base does not hold" in capsys.readouterr().out
+    assert main([*given, "--fail-if", "-rmse < 0"]) == 2
+    assert "--fail-if='-rmse < 0'" in capsys.readouterr().err
+    assert main([*given, "--fail-if", "1 / (rmse - rmse) < 0"]) == 1
+    assert "cannot be told: it divides by 0" in capsys.readouterr().out
+    assert main([*given, "--fail-if=-rmse < 0"]) == 1
+    assert "FAILED: -rmse < 0 holds" in capsys.readouterr().out
+    missing = ["compare", "not there", "--with", "not there either"]
+    assert main([*missing, "--fail-if", "p.rmse < 0.05"]) == 2
+    assert "two or more" in capsys.readouterr().err
     assert main(["compare", paths[0]]) == 2
     page = tmp_path / "compare.html"
     assert main([*given, "-o", str(page)]) == 0

@@ -12,6 +12,7 @@ BLOCKS = re.findall(r"```python\n(.*?)```", TEXT, flags=re.DOTALL)
 HAS_TABLES = importlib.util.find_spec("pandas") and importlib.util.find_spec("pyarrow")
 
 
+@pytest.mark.slow
 def test_the_examples_run(play, write_session, monkeypatch, tmp_path):
     write_session(*play(), {"motion": {"name": "dance"}})
     monkeypatch.chdir(tmp_path)

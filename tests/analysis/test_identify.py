@@ -15,11 +15,12 @@ from g1stream.robot.dynamics import InverseDynamics
 from g1stream.robot.model import G1, REVISIONS
 
 
-def session(robot, support, seconds=3.0):
-    config = load_config(None, {"robot": robot, "stream.hold": 0.0})
+def session(robot, support, seconds=2.0, ramp=3.0):
+    config = load_config(None, {"robot": robot, "stream.ramp": ramp, "stream.hold": 0.0})
     return rollout("demo", support=support, config=config, seconds=seconds)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("support", ["bolted", "hanging"])
 @pytest.mark.parametrize("expected", [0, 1])
 def test_revision_and_torso_are_those_of_the_simulated_robot(expected, support):
@@ -35,6 +36,7 @@ def test_revision_and_torso_are_those_of_the_simulated_robot(expected, support):
         assert found.torso_mass_kg is None
 
 
+@pytest.mark.slow
 def test_the_command_prints_it(tmp_path, capsys):
     path = tmp_path / "session.mcap"
     session(REVISIONS[1], "hanging", 0.5).save(path)
@@ -44,18 +46,21 @@ def test_the_command_prints_it(tmp_path, capsys):
     assert REVISIONS[1] in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_the_support_of_a_killed_stream_is_that_of_its_log():
     killed = session(None, "hanging", 0.5)
     del killed.metadata["stream"]
     assert identify(killed).support == "hanging"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("support", ["follow", "free"])
 def test_other_supports_are_refused(support):
     with pytest.raises(RecordingError, match=support):
-        identify(session(None, support, 0.1))
+        identify(session(None, support, seconds=0.1, ramp=0.5))
 
 
+@pytest.mark.slow
 def test_a_robot_that_lacks_joints_is_refused():
     with pytest.raises(RecordingError, match="lacks 6 joints"):
-        identify(session("g1_23dof", "bolted", 0.1))
+        identify(session("g1_23dof", "bolted", seconds=0.1, ramp=0.5))

@@ -41,6 +41,7 @@ def test_a_session_without_a_reference(play, write_session):
     assert len(figure.axes[0].get_lines()) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "begins"), [("a.png", b"\x89PNG"), ("a.SVG", b"<?xml"), ("a.pdf", b"%PDF")]
 )

@@ -1,12 +1,16 @@
 """The metrics of sessions whose errors are known, and of sessions that lack something."""
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.integrate import trapezoid
 
 import g1stream
+from g1stream.config import Config
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
-from g1stream.session.metrics import Metrics
+from g1stream.session.metrics import NAMED_METRICS, Metrics
 from g1stream.session.session import Session
 from g1stream.session.source import MemorySource
 from g1stream.synthetic import SyntheticSession
@@ -16,7 +20,8 @@ SAG = np.linspace(-0.2, 0.1, 29)
 
 @pytest.fixture(scope="module")
 def rollout():
-    return g1stream.rollout("demo", seconds=2.0)
+    config = Config.model_validate({"stream": {"ramp": 0.5, "hold": 0.1, "damp": 0.5}})
+    return g1stream.rollout("demo", seconds=1.0, config=config)
 
 
 def test_tracking_is_that_of_the_summary(rollout):
@@ -35,6 +40,12 @@ def test_metrics_are_json_and_back(rollout):
     metrics = rollout.metrics()
     assert Metrics.model_validate_json(metrics.model_dump_json()) == metrics
     assert metrics.missing == {}
+
+
+def test_the_docs_list_the_short_names():
+    text = (Path(__file__).parents[2] / "docs" / "metrics.md").read_text()
+    rows = re.findall(r"^\| `(\w+)` \| `([\w.]+)` \| (.*)\|$", text, re.MULTILINE)
+    assert {name: (unit.strip(), place) for name, place, unit in rows} == NAMED_METRICS
 
 
 def test_joints_limbs_and_all(play, write_session):

@@ -43,6 +43,7 @@ def _words(figure):
     return [text.get_text() for text in texts] + titles
 
 
+@pytest.mark.slow
 def test_it_is_a_png_of_its_size_with_every_limbs_colour(session, tmp_path):
     draw(session, tmp_path / "tracking.png")
     pixels = imread(tmp_path / "tracking.png")
@@ -53,6 +54,7 @@ def test_it_is_a_png_of_its_size_with_every_limbs_colour(session, tmp_path):
     assert [path.name for path in tmp_path.glob("tracking*")] == ["tracking.png"]
 
 
+@pytest.mark.slow
 def test_what_it_says(session, figures, tmp_path):
     draw(session, tmp_path / "tracking.png")
     words = " | ".join(_words(figures[0]))
@@ -72,6 +74,7 @@ def test_what_it_says(session, figures, tmp_path):
         assert what in words
 
 
+@pytest.mark.slow
 def test_the_lines_are_the_sessions(session, figures, tmp_path):
     draw(session, tmp_path / "tracking.png")
     panel = next(a for a in figures[0].axes if a.get_title("left").startswith("left_hip_roll"))
@@ -85,6 +88,7 @@ def test_the_lines_are_the_sessions(session, figures, tmp_path):
     assert np.isnan(reference[-100:]).all()
 
 
+@pytest.mark.slow
 def test_all_texts_are_inside_and_apart(play, write_session, figures, tmp_path):
     reference, measured = play(0.04)
     # Long names and large errors.
@@ -109,6 +113,7 @@ def test_the_users_style_neither_shows_nor_changes(session, figures, tmp_path):
     assert figures[0].axes[0].get_facecolor() == (1.0, 1.0, 1.0, 1.0)
 
 
+@pytest.mark.slow
 def test_it_replaces_an_older_one(session, tmp_path):
     path = tmp_path / "tracking.png"
     path.write_text("older")
@@ -145,6 +150,7 @@ def test_a_session_that_ended_before_play(play, take, write_session, figures, tm
     assert imread(tmp_path / "tracking.png").shape[:2] == (1000, 1600)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("worst_at", "start"), [(1.0, -0.5), (23.0, 13.0), (39.5, 40.0 - LONGEST_VIEW)]
 )

@@ -13,6 +13,8 @@ import pytest
 
 import g1stream
 from g1stream.analysis.report.page import numbers, to_csv
+from g1stream.analysis.report.tables import Column, table
+from g1stream.config import Config
 from g1stream.errors import ConfigError, RecordingError
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.session.session import open_session
@@ -97,6 +99,7 @@ def test_the_numbers_are_the_sessions(path):
     assert float(told["tracking.joints.left_knee_joint.rmse_rad"]) == knee["rmse_rad"]
 
 
+@pytest.mark.slow
 def test_the_figures_lose_no_peak(play, write_session, tmp_path):
     reference, measured = play(phases=((1, 0.5), (2, 20.0), (4, 0.2)))
     measured.q[4321, 7] += 0.5
@@ -119,18 +122,20 @@ def test_the_lateness_histogram_keeps_every_tick(play, write_session, tmp_path):
     assert bins == {"0–1": 5, "10–20": 8, "20–30": 2, "3000–5000": 1}
 
 
+@pytest.mark.slow
 def test_the_physics_of_what_was_played(tmp_path):
-    motion = g1stream.load_motion("demo").trim(0.0, 2.0)
+    path = tmp_path / "walk.csv"
+    g1stream.load_motion("demo").frames(0, 24).save(path)
+    whole, part = g1stream.load_motion(path), g1stream.load_motion(path).frames(0, 18)
+    config = Config.model_validate({"stream": {"ramp": 0.5, "hold": 0.1, "damp": 0.5}})
     rollouts = [
-        g1stream.rollout(one, support="bolted", seconds=0.5)
-        for one in (g1stream.load_motion("demo"), motion)
+        g1stream.rollout(one, support="bolted", seconds=0.5, config=config) for one in (whole, part)
     ]
     text = g1stream.report(rollouts, tmp_path / "report.html").read_text()
     values = numbers(rollouts)
     attached, reference = (one["physics"] for one in values["sessions"])
-    whole = g1stream.motion_physics(g1stream.load_motion("demo"))
-    assert attached == json.loads(whole.model_dump_json())
-    assert reference["frames"] == 0.5 * motion.fps  # what was played of it
+    assert attached == json.loads(g1stream.motion_physics(whole).model_dump_json())
+    assert reference["frames"] == 0.5 * part.fps  # what was played of it
     shown = {key: value for key, value in Page(text).values.items() if ".physics." in key}
     assert {key.split(".")[1] for key in shown} == {"0", "1"}
     for key, value in shown.items():
@@ -176,6 +181,7 @@ def test_a_session_that_lacks_something_says_so(play, write_session, tmp_path, l
     assert 'data-figure="rmse_deg"' not in text
 
 
+@pytest.mark.slow
 def test_the_session_of_a_killed_recorder(play, write_session, tmp_path):
     path = write_session(*play(), close=False)
     page = Page(g1stream.report(path, tmp_path / "report.html").read_text())
@@ -185,9 +191,32 @@ def test_the_session_of_a_killed_recorder(play, write_session, tmp_path):
 
 def test_a_converted_motion(tmp_path):
     g1stream.convert("demo", tmp_path / "motion.mcap")
-    page = Page(g1stream.report(tmp_path / "motion.mcap", tmp_path / "report.html").read_text())
-    assert not page.values
+    text = g1stream.report(tmp_path / "motion.mcap", tmp_path / "report.html").read_text()
+    page = Page(text)
     assert "no messages on /reference and /lowstate" in " ".join(page.texts)
+    assert 'class="verdict "' in text  # neither good nor bad
+    (session,) = numbers(tmp_path / "motion.mcap")["sessions"]
+    motion = g1stream.motion_physics(g1stream.load_motion("demo"))
+    assert session["physics"]["frames"] == motion.frames
+    assert session["physics"]["tilt_rad"] == pytest.approx(motion.tilt_rad)
+    assert {key.split(".")[2] for key in page.values} == {"physics"}
+    (drawn,) = figures(text)
+    assert [len(drawn["signals"][one]["lines"]) for one in ("q", "error", "tau")] == [1, 0, 0]
+
+
+def test_a_column_in_which_nothing_is_said_is_left_out():
+    rows = [("free", f"verdicts.{i}", {"where": "", "worst": 1.0}) for i in range(2)]
+    text = table("support", (Column("of", "", "where"), Column("worst", "", "worst")), rows)
+    assert "worst" in text
+    assert "of" not in re.findall(r"<th[^>]*>([^<]*)<", text)
+
+
+def test_a_session_that_is_not_there_is_named_before_a_page_that_is(path, tmp_path):
+    out = tmp_path / "report.html"
+    out.write_text("older")
+    for missing in (tmp_path / "nope.mcap", [path, tmp_path / "nope.mcap"]):
+        with pytest.raises(RecordingError, match=r"nope\.mcap"):
+            g1stream.report(missing, out)
 
 
 def test_no_text_of_a_file_becomes_markup(play, write_session, tmp_path):
@@ -209,7 +238,7 @@ def test_a_video_beside_the_session_is_shown(path, tmp_path):
 @pytest.mark.slow
 def test_a_video_is_rendered_into_the_page(play, write_session, tmp_path, monkeypatch):
     av = pytest.importorskip("av")
-    monkeypatch.setattr("g1stream.analysis.video.with_shapes", lambda robot: robot)
+    monkeypatch.setattr("g1stream.viewers.video.with_shapes", lambda robot: robot)
     path = write_session(*play(phases=((1, 0.1), (2, 0.4), (4, 0.1))))
     text = g1stream.report(path, tmp_path / "report.html", video=True).read_text()
     video = base64.b64decode(re.search(r'data:video/mp4;base64,([^"]+)"', text)[1])
@@ -218,9 +247,11 @@ def test_a_video_is_rendered_into_the_page(play, write_session, tmp_path, monkey
     assert not path.with_suffix(".mp4").exists()
 
 
+@pytest.mark.slow
 def test_a_session_in_memory_has_no_video_beside_it(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    session = g1stream.rollout("demo", seconds=0.2)
+    config = Config.model_validate({"stream": {"ramp": 0.5, "hold": 0.1, "damp": 0.5}})
+    session = g1stream.rollout("demo", seconds=0.2, config=config)
     session.path.with_suffix(".png").write_bytes(b"of something else")
     assert "<img" not in g1stream.report(session, tmp_path / "report.html").read_text()
 
@@ -239,17 +270,22 @@ def test_what_cannot_be_written(path, tmp_path):
     assert out.read_text().startswith("<!doctype html>")
 
 
+@pytest.mark.slow
 def test_the_tables_of_a_comparison_are_its_json(path, play, write_session, tmp_path):
     others = [write_session(*play(0.04, offset), name=f"{offset}.mcap") for offset in (0.2, 0.21)]
     out = tmp_path / "compare.html"
-    comparison = g1stream.compare([path, path], others, page=out)
+    first = write_session(*play(0.04, 0.19), name="first.mcap")
+    comparison = g1stream.compare([path, first], others, page=out)
     text = out.read_text()
     page, values = Page(text), json.loads(comparison.model_dump_json())
     assert len(page.values) > 29 * 5
     for key, value in page.values.items():
         assert value == at(values, key), key
     rmse = values["joints"]["left_knee_joint"]["base"]
-    assert page.shown["joints.left_knee_joint.base"] == f"{np.degrees(rmse):.3f}"
+    assert page.shown["joints.left_knee_joint.base"] == f"{np.degrees(rmse):.4g}"
+    assert page.shown["metrics.rmse.base"] == f"{np.degrees(values['metrics']['rmse']['base']):.4g}"
+    shown = [key for key in page.shown if re.fullmatch(r"joints\.\w+\.base", key)]
+    assert shown == [f"joints.{name}.base" for name in comparison.joints]
     (drawn,) = figures(text)
     assert [one["side"] for one in drawn["lines"]] == [0, 0, 1, 1]
     time = open_session(others[0]).tracking().motion_time

@@ -30,6 +30,7 @@ const wait = setInterval(() => {
     return lines();
   };
   parent.postMessage({
+    legends: plot.querySelectorAll(".legend, .legend2, .legend3").length, height: plot.clientHeight,
     first: Number(before), before: lines(), after: joint("3"), width: innerWidth,
     wide: document.documentElement.scrollWidth - innerWidth,
     figures: [...document.querySelectorAll("[data-figure]")].map((one) => [
@@ -104,6 +105,17 @@ def test_its_figures_draw_and_the_joint_can_be_chosen(path, tmp_path):
         measured = next(top for name, axis, top in told if name == "measured")
         assert measured == pytest.approx(np.degrees(session.measured.q[:, joint].max()), rel=1e-6)
     assert {axis for _, axis, _ in seen["after"]} == {"y", "y2", "y3"}
+    assert seen["legends"] == 3
+
+
+def test_a_converted_motion_has_no_room_for_what_it_lacks(tmp_path):
+    g1stream.convert("demo", tmp_path / "motion.mcap")
+    page = g1stream.report(tmp_path / "motion.mcap", tmp_path / "report.html")
+    seen = seen_on_a_phone(page, tmp_path)
+    ((name, _, titles),) = seen["figures"]
+    assert name == "joint"
+    assert titles == ["time, s", "position, deg"]
+    assert seen["height"] < 400
 
 
 def test_the_sides_of_a_comparison_draw_over_each_other(path, other, tmp_path):

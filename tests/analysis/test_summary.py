@@ -12,8 +12,8 @@ from g1stream.realtime import Grant
 from g1stream.session.recorder_summary import RecorderSummary
 from g1stream.session.records import Percentiles
 from g1stream.session.session import LogEvent, open_session
+from g1stream.session.stream import Stream
 from g1stream.session.stream_summary import FeedForwardChange, Finding, StreamSummary
-from g1stream.session.streams import Stream
 from g1stream.session.summary import Summary
 from g1stream.session.writer import SessionWriter
 from g1stream.types import Phase

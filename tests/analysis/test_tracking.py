@@ -210,6 +210,7 @@ def test_nothing_to_compare_is_an_error(play, take, write_session, recorded):
         open_session(write_session(*streams)).tracking()
 
 
+@pytest.mark.slow
 def test_the_rmse_is_that_of_another_reader(play, write_session):
     path = write_session(*play(0.04, SAG))
     seen = {"/reference": [], "/lowstate": []}

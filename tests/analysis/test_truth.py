@@ -22,6 +22,7 @@ def truth():
     return module
 
 
+@pytest.mark.slow
 def test_what_was_put_in_comes_back(truth):
     rows = truth.rows()
     assert len(rows) == 16

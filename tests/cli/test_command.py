@@ -59,7 +59,8 @@ def test_json_is_the_record(capsys):
     [
         *(signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP),
         *(signal.SIGUSR1, signal.SIGUSR2, signal.SIGALRM, signal.SIGXCPU, signal.SIGABRT),
-        *(signal.SIGTTOU, signal.SIGIO, signal.SIGRTMIN, signal.SIGRTMIN + 3),
+        *(signal.SIGTTOU, signal.SIGIO, signal.SIGRTMIN, signal.SIGRTMIN + 3, signal.SIGPWR),
+        *(signal.SIGVTALRM, signal.SIGPROF),
     ],
 )
 def test_every_signal_that_ends_a_process_is_a_reason_with_its_exit_code(number):

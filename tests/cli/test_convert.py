@@ -37,6 +37,14 @@ def test_in_a_pipe_it_shows_no_progress_and_says_in_one_line_what_it_wrote(out):
     assert done.stdout == f"{out}: 30 frames at 30 Hz, 0.97 s, {size:.1f} MB\n"
 
 
+def test_the_rate_that_a_csv_does_not_keep_is_told(tmp_path):
+    done = run("demo", tmp_path / "fast.csv", "--speed", "2")
+    assert done.returncode == 0
+    assert "--fps 60" in done.stderr
+    assert run("demo", tmp_path / "same.csv").stderr == ""
+    assert run("demo", tmp_path / "fast.npz", "--speed", "2").stderr == ""
+
+
 def test_the_summary_as_json(out):
     done = run("demo", out, "--json", "--frames", "10:40", "--base-time", "1970-01-01T00:01Z")
     told = json.loads(done.stdout)
@@ -46,6 +54,7 @@ def test_the_summary_as_json(out):
     assert told["start_ns"] == 60 * 10**9 + 333_333_333
 
 
+@pytest.mark.slow
 def test_on_a_terminal_there_is_a_bar_and_a_summary(out):
     leader, follower = pty.openpty()
     environment = {**os.environ, "TERM": "xterm"}
@@ -151,6 +160,7 @@ def test_a_signal_leaves_no_file(tmp_path, number):
     assert list(tmp_path.iterdir()) == [motion]
 
 
+@pytest.mark.slow
 def test_a_session_becomes_a_ros2_bag_and_the_flags_of_motions_are_refused(out):
     assert run(DEMO, out).returncode == 0
     bag = out.with_suffix("")

@@ -23,6 +23,7 @@ def resolved(command, *arguments):
     return parse_flags(CLASSES[command], command, "", given).resolve()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", CLASSES)
 def test_every_setting_with_a_flag_is_one(command, tmp_path):
     for key, setting in settings().items():

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from g1stream.cli.main import _COMMANDS
+from g1stream.cli.main import _COMMANDS, main
 
 DEMO = Path(__file__).parents[2] / "src" / "g1stream" / "motion" / "demo.csv"
 
@@ -97,6 +97,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_bad_input_is_explained(tmp_path, case):
     arguments, named = CASES[case]
@@ -107,6 +108,7 @@ def test_bad_input_is_explained(tmp_path, case):
     assert not done.stdout
 
 
+@pytest.mark.slow
 def test_a_recording_that_exists_is_kept(tmp_path):
     path = tmp_path / "session.mcap"
     path.write_bytes(b"precious")
@@ -128,6 +130,7 @@ def test_a_directory_of_somebody_else_is_kept_even_from_force(tmp_path, domain_i
     assert precious.read_bytes() == b"precious"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["stream demo", "record s.mcap", "sim"])
 def test_nothing_is_announced_on_an_interface_that_is_not_there(command, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -146,6 +149,7 @@ def test_a_recorder_that_cannot_start_keeps_the_stream_from_starting(tmp_path, d
     assert path.read_bytes() == b"precious"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", _COMMANDS)
 def test_help_has_examples_and_exit_codes_within_80_columns(command, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
@@ -153,8 +157,19 @@ def test_help_has_examples_and_exit_codes_within_80_columns(command, monkeypatch
     assert done.returncode == 0
     assert f"  g1stream {command}" in done.stdout.split("Examples:")[1]
     assert "Exit codes:\n  0  " in done.stdout
-    lines = done.stdout.split("\n\n", 1)[1].splitlines()  # tyro does not wrap the usage
-    assert max(map(len, lines)) <= 80
+    assert max(map(len, done.stdout.splitlines())) <= 80
+
+
+def test_an_error_is_wrapped_on_a_terminal_only(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "40")
+    given = ["info", "a name that is so long that it does not fit/session.mcap"]
+    assert main(given) == 2
+    cause, remedy = capsys.readouterr().err.splitlines()
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    assert main(given) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert max(map(len, lines)) <= 40
+    assert " ".join(" ".join(lines).split()) == " ".join(f"{cause} {remedy}".split())
 
 
 def test_the_list_of_commands_is_within_80_columns():

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from g1stream.analysis.physics_report import MotionPhysics
 from g1stream.cli.motion import render
 from g1stream.dds.messages import Reference
 from g1stream.motion.check import check_file
 from g1stream.motion.limits import JointPeak
+from g1stream.physics.result import MotionPhysics
 from g1stream.robot.model import G1
 from g1stream.session.motions import load_motion
 from g1stream.session.writer import SessionWriter
@@ -83,6 +83,7 @@ def test_what_is_wrong_with_a_table_is_bad_input_and_the_rest_is_shown(tmp_path)
     assert report["file"]["fault"] in done.stderr
 
 
+@pytest.mark.slow
 def test_a_motion_beyond_a_limit_is_not_passed(tmp_path):
     motion = load_motion("demo")
     path = tmp_path / "fast.csv"
@@ -92,6 +93,7 @@ def test_a_motion_beyond_a_limit_is_not_passed(tmp_path):
     assert json.loads(done.stdout)["within_limits"] is False
 
 
+@pytest.mark.slow
 def test_a_session(tmp_path):
     path, message = tmp_path / "session.mcap", Reference()
     message.phase[()], message.root_quat_wxyz[0] = Phase.PLAY, 1.0
@@ -124,6 +126,7 @@ def test_the_speed_is_the_one_that_is_streamed():
     assert streamed > report["fastest"]["value"]
 
 
+@pytest.mark.slow
 def test_held_targets_are_a_warning(leaping):
     done = run(leaping)
     report = json.loads(run(leaping, "--json").stdout)
@@ -134,6 +137,7 @@ def test_held_targets_are_a_warning(leaping):
     assert done.returncode == 0
 
 
+@pytest.mark.slow
 def test_targets_are_held_at_the_limits_of_the_settings(leaping, tmp_path):
     path = tmp_path / "config.toml"
     path.write_text("[stream]\nrate = 50.0\n[safety]\nposition_margin = 0.1\n")
@@ -152,19 +156,21 @@ def test_a_session_is_offered_too(tmp_path, name):
     assert "session file" in done.stderr
 
 
+@pytest.mark.slow
 def test_physics_says_with_which_support_a_motion_can_be_played(tmp_path):
     path = tmp_path / "start.csv"
     load_motion("demo").frames(0, 12).save(path)
     plain, done = run(path), run(path, "--physics")
     values = json.loads(run(path, "--physics", "--json").stdout)
+    assert "physics" not in json.loads(run(path, "--json").stdout)
     assert (done.returncode, done.stderr) == (0, "")
     physics = MotionPhysics.model_validate(values["physics"])
     assert done.stdout == f"{plain.stdout}\n{physics}\n"
     assert (physics.frames, physics.robot) == (12, "g1_29dof_rev_1_0")
     assert {verdict.playable for verdict in physics.verdicts.values()} == {"yes"}
-    assert "physics" not in json.loads(run(path, "--json").stdout)
 
 
+@pytest.mark.slow
 def test_physics_uses_the_settings(tmp_path):
     motion, path = load_motion("demo").frames(30, 42), tmp_path / "squat.csv"
     motion.save(path)
@@ -183,6 +189,7 @@ def test_without_a_motion_there_is_no_physics(tmp_path):
     assert "physics" not in json.loads(done.stdout)
 
 
+@pytest.mark.slow
 def test_a_motion_in_degrees_has_no_physics(tmp_path):
     motion, path = load_motion("demo").frames(0, 12), tmp_path / "degrees.csv"
     replace(motion, joint_pos=motion.joint_pos * 180).save(path)

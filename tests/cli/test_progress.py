@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 from g1stream.cli.progress import ProgressDisplay, RecorderStatus, loop_status, sim_status
-from g1stream.control.loop import LoopReport, Newest
+from g1stream.control.loop import LoopReport
+from g1stream.control.next_command import Prepared
 from g1stream.control.phases import PhaseState
 from g1stream.session.recorder_summary import RecorderSummary
 from g1stream.sim.robot import SimReport
@@ -50,11 +51,17 @@ def on_terminal(**environment: str) -> str:
     return shown.decode().replace("\r\n", "\n")
 
 
+@pytest.mark.slow
 def test_without_a_terminal_only_events_are_printed():
     done = subprocess.run([sys.executable, "-c", RUN], capture_output=True, text=True, check=True)
     assert (done.stdout, done.stderr) == ("end\n", EVENTS)
+    run = RUN.replace('"37 %")', '"37 %"), in_pipe=0.4')
+    done = subprocess.run([sys.executable, "-c", run], capture_output=True, text=True, check=True)
+    first, *others = done.stderr.splitlines()
+    assert (first, {*others}) == ("37 %", {"37 %", *EVENTS.splitlines()})
 
 
+@pytest.mark.slow
 def test_on_a_terminal_events_appear_above_the_status_which_is_removed_at_the_end():
     shown = on_terminal()
     assert shown.index("37 %") < shown.index("warning: overrun\n") < shown.rindex("37 %")
@@ -66,6 +73,7 @@ def test_on_a_terminal_events_appear_above_the_status_which_is_removed_at_the_en
     assert frame.count("\n") == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("no_color", "coloured"), [("", True), ("1", False)])
 def test_no_color_is_honoured(no_color, coloured):
     colour = "\x1b[38;" in on_terminal(
@@ -74,12 +82,14 @@ def test_no_color_is_honoured(no_color, coloured):
     assert colour is coloured
 
 
+@pytest.mark.slow
 def test_a_dumb_terminal_gets_no_status():
     shown = on_terminal(TERM="dumb")
     assert EVENTS in shown
     assert "37 %" not in shown
 
 
+@pytest.mark.slow
 def test_a_closed_terminal_ends_only_the_display():
     leader, follower = pty.openpty()
     code = f"import sys\n{RUN}".replace('print("end")', "sys.exit(7)")
@@ -102,7 +112,7 @@ def played():
     q[:6] -= 0.04
     measured = SimpleNamespace(q=q, received=received)
     target = SimpleNamespace(q=np.full(29, 0.203), dq=np.ones(29))
-    newest = Newest(target, received + 3_000_000, measured)
+    newest = Prepared(b"", b"", target, received + 3_000_000, measured)
     return SimpleNamespace(
         state=PhaseState(Phase.PLAY, 0), motion_time=6.0, report=report, newest=newest
     )

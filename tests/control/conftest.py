@@ -12,9 +12,11 @@ import pytest
 from g1stream.control.commands import CommandLimits, Composer
 from g1stream.control.gains import Gains
 from g1stream.control.loop import StreamLoop
+from g1stream.control.next_command import NextCommand
 from g1stream.control.overruns import Overruns
 from g1stream.control.phases import Timing
 from g1stream.control.safety import Safety
+from g1stream.control.schedule import Schedule
 from g1stream.control.targets import Targets
 from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
@@ -161,18 +163,31 @@ def make_loop(
 ) -> Callable[..., StreamLoop]:
     """A loop at 500 Hz over the fake link; keyword arguments replace its parts."""
 
-    def make(safety: SafetyConfig | None = None, **other: Any) -> StreamLoop:
+    def make(
+        safety: SafetyConfig | None = None,
+        targets: Targets | None = None,
+        timing: Timing = timing,
+        **other: Any,
+    ) -> StreamLoop:
         safety = safety or SafetyConfig()
+        targets = targets or Targets(trajectory, start=0.0, play=0.5, ramp=0.1)
         # Soft: the robot of the fake link does not move, and no torque limit is to be reached.
         gains = Gains(np.arange(29) / 8.0 + 4.0, np.arange(29) / 100.0 + 0.1)
+        schedule = Schedule(targets, timing, 2 * MS)
+        of_commands = ("feedforward", "correction", "soft_start")
+        commands = NextCommand(
+            schedule,
+            Composer(CommandLimits(robot, safety), gains, damp_kd=3.0),
+            period=2 * MS,
+            **{name: other.pop(name) for name in of_commands if name in other},
+        )
         parts: dict[str, Any] = {
             "link": link,
             "clock": clock,
-            "targets": Targets(trajectory, start=0.0, play=0.5, ramp=0.1),
+            "schedule": schedule,
+            "commands": commands,
             "safety": Safety(robot, safety),
             "overruns": Overruns(2 * MS, safety),
-            "timing": timing,
-            "composer": Composer(CommandLimits(robot, safety), gains, damp_kd=3.0),
             "period": 2 * MS,
         }
         return StreamLoop(**(parts | other))

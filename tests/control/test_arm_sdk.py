@@ -47,7 +47,7 @@ def made(link, clock, trajectory, robot):
 
 
 @pytest.mark.parametrize("end", ENDS)
-def test_every_way_out_hands_arms_and_waist_back(made, link, clock, end):
+def test_every_way_out_hands_arms_and_waist_back(made, link, clock, events, end):
     loop = made()
     if act := ENDS[end]:
         link.at_send(600, lambda: act(loop, link))
@@ -56,6 +56,9 @@ def test_every_way_out_hands_arms_and_waist_back(made, link, clock, end):
     except TypeError:
         assert end == "the loop fails"
     commands = [sent.command for sent in link.sent]
+    assert [text for _, text in events() if "handed back" in text] == [
+        "arms and waist are handed back to the robot's own controller"
+    ]
     weights = np.array([float(command.weight) for command in commands])
     assert weights[0] == pytest.approx(STEP)
     assert np.abs(np.diff(weights)).max() < STEP * 1.001

@@ -5,21 +5,25 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from g1stream.analysis.stance import stand
+from g1stream.control.squat import Squat
 from g1stream.control.state_checks import ImuReading
 from g1stream.control.targets import Target
 from g1stream.control.torques import Reading
 from g1stream.motion.trajectory import Trajectory
+from g1stream.physics.stance import stand
+from g1stream.robot.joints import JOINT_NAMES
+from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1
-from g1stream.robot.rotations import quat_from_rpy, quat_mul
+from g1stream.robot.rotations import quat_from_rpy, quat_mul, quat_rotate_inverse
 from g1stream.session.motions import load_motion
-from g1stream.synthetic import squatting
+from g1stream.synthetic import squatting, stepping
 
 pytest.importorskip("daqp")
 from g1stream.control.balance import Balance
 
 ROBOT = G1.default()
 PERIOD = 0.002
+ANKLES = [JOINT_NAMES.index(f"{side}_ankle_pitch_joint") for side in ("left", "right")]
 
 
 @pytest.fixture(scope="module")
@@ -111,6 +115,80 @@ def test_feet_that_carry_nothing_are_given_up(balance, first):
         balance.torque(first, reading(first), 0.0)
         balance.watch(first)
     assert "the feet carry" in balance.fall
+
+
+@pytest.mark.parametrize(("share", "falls"), [(0.9, False), (1.1, True)])
+def test_legs_that_give_way_are_given_up(balance, first, share, falls):
+    """The pelvis sinks by about 0.1 m, upright, above soles that stay and carry it."""
+    squat = Squat(ROBOT)
+    squat.begin(first)
+    way_down = map(squat.at, PERIOD * np.arange(1000))
+    sunk = next(at for at in way_down if first.root_pos[2] - at.root_pos[2] > share * 0.1).at_rest()
+    tau = balance.torque(sunk, reading(sunk), 0.0, share=1.0)
+    for _ in range(60):
+        balance.torque(sunk, reading(sunk, tau), 0.0)
+        balance.watch(first)
+    assert ("below the reference" in balance.fall) == falls
+
+
+def test_a_lifted_foot_counts_where_it_stood(balance):
+    """In the demo, the right foot is up by 9 cm at 8.67 s, and stands at 7.5 s."""
+    trajectory = Trajectory(stand(load_motion("demo"), ROBOT).motion)
+    planted, lifting = (Target.of(t, trajectory.sample(t)) for t in (7.5, 8.67))
+    balance.begin(planted)
+    balance.torque(lifting, reading(lifting), 0.0)
+    between = balance._capture_point_outside(balance.terms)
+    assert between < 0.0
+    away = balance.terms._replace(soles=balance.terms.soles + np.outer([0.0, 1.0], [1.0, 0.0, 0.3]))
+    assert balance._capture_point_outside(away) == pytest.approx(between)
+
+
+def test_the_pelvis_is_found_over_feet_that_have_stepped_elsewhere():
+    """A robot that does exactly what the reference asks for, through two steps of a turn."""
+    turning = stepping([(0.1, 0.05, 0.5), (0.1, 0.05, 0.5)])
+    trajectory = Trajectory(stand(turning, ROBOT).motion)
+    balance = Balance(ROBOT, PERIOD)
+    balance.begin(Target.of(0.0, trajectory.sample(0.0)).at_rest())
+    planted = balance._stood.copy()
+    for time in np.arange(0.0, trajectory.duration, PERIOD):
+        at = Target.of(time, trajectory.sample(time))
+        acc = at.root_lin_acc + np.array([0.0, 0.0, 9.81])
+        up = quat_rotate_inverse(at.root_quat_wxyz, acc)
+        measured = Reading(at.q, at.dq, at.tau, ImuReading(at.root_quat_wxyz, at.root_ang_vel, up))
+        balance.torque(at, measured, -0.5 * PERIOD)
+        assert balance._capture_point_outside(balance.terms) < 0.01
+        assert balance.base.pos == pytest.approx(at.root_pos, abs=2e-3)
+        assert balance.base.quat_wxyz == pytest.approx(at.root_quat_wxyz, abs=1e-3)
+    moved = balance._stood - planted
+    assert moved[:, 0] == pytest.approx(0.1 + 0.1 * np.sin([-0.5, 0.5]), abs=0.01)
+
+
+def tipping(first, rate):
+    """A stiff body that turns about both ankles, forward if the rate is positive, rad/s."""
+    dq = np.zeros(29)
+    dq[ANKLES] = -rate
+    imu = ImuReading(first.root_quat_wxyz, np.array([0.0, rate, 0.0]), np.array([0.0, 0.0, 9.81]))
+    return Reading(first.q, dq, np.zeros(29), imu)
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_it_falls_where_the_capture_point_leaves_the_soles_by_10_mm(balance, first, way):
+    """The capture point of an inverted pendulum, which the robot is while only its ankles turn."""
+    balance.torque(first, reading(first), 0.0)
+    terms = balance.terms
+    poses = forward_kinematics(ROBOT, first.q[None], np.zeros((1, 3)), first.root_quat_wxyz[None])
+    ankles = [int(np.flatnonzero(ROBOT.joint_of_link == joint)[0]) for joint in ANKLES]
+    height = terms.centre[2] - poses.pos[0, ankles, 2].mean()
+    corners = terms.soles[:, np.newaxis] + np.pad(balance._dynamics.sole, ((0, 0), (0, 1)))
+    edge = way * max(way * corners[..., 0].ravel())
+    time = np.sqrt((terms.centre[2] - terms.soles[:, 2].mean()) / 9.81)
+    rate = (edge + way * 0.01 - terms.centre[0]) / (height * time)
+    for share, seconds, falls in ((0.97, 0.2, False), (1.03, 0.09, False), (1.03, 0.12, True)):
+        balance.begin(first)
+        for _ in range(round(seconds / PERIOD)):
+            balance.torque(first, tipping(first, share * rate), 0.0)
+            balance.watch(first)
+        assert ("capture point" in balance.fall) == falls
 
 
 def test_forces_stay_within_what_the_floor_can_give(balance, first):

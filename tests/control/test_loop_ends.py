@@ -19,13 +19,14 @@ RAMP, PLAY, HOLD, DAMP = 50, 250, 10, 250  # commands that the phases of `timing
 @pytest.mark.parametrize("n", [0, 30, RAMP, 200, RAMP + PLAY + 3])
 def test_a_stop_damps_from_the_next_command_on(make_loop, link, events, n):
     loop = make_loop()
-    link.at_send(n, lambda: loop.request_stop("SIGINT"))
+    link.at_send(n, lambda: loop.request_stop("SIGINT", logging.INFO))
     report = loop.run()
     assert report.commands == n + 1 + DAMP
     assert report.reason == "SIGINT"
+    assert report.played == 2 * MS * min(max(0, n + 1 - RAMP), PLAY)
     link.assert_damped()
     stopped = Phase(int(link.sent[n].reference.phase)).name
-    assert (logging.ERROR, f"{stopped} -> DAMP: SIGINT") in events()
+    assert (logging.INFO, f"{stopped} -> DAMP: SIGINT") in events()
 
 
 def test_the_first_reason_counts_and_damping_cannot_be_cut_short(make_loop, link):
@@ -462,4 +463,5 @@ def test_an_error_before_the_first_command_sends_nothing(make_loop, link, events
         loop.run()
     assert link.sent == []
     assert loop.state.phase is Phase.DONE
-    assert events() == [(logging.ERROR, "WAIT -> DONE: BrokenError: no wire")]
+    assert loop.report.reason == "BrokenError: no wire"
+    assert events() == []  # the error is told by who gets it

@@ -149,7 +149,7 @@ def test_torque(make, robot):
     assert it.after(1.0)[0] == ""
     it.state.tau_est[KNEE] = -1.11 * limit
     reason, passed = it.after(1.0)
-    assert reason.startswith(f"left_knee_joint has {1.11 * limit:.1f} Nm")
+    assert reason.startswith(f"left_knee_joint has {1.11 * limit:.1f} N·m")
     assert passed == pytest.approx(0.2, abs=0.042)
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from g1stream.analysis.stance import stand
 from g1stream.control.squat import SQUAT_TIME, Squat
 from g1stream.control.targets import Target
 from g1stream.motion.trajectory import Trajectory
+from g1stream.physics.stance import stand
 from g1stream.robot.model import G1
 from g1stream.robot.standing import BodyState, StandingDynamics
 from g1stream.session.motions import load_motion

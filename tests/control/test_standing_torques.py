@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from g1stream.analysis.stance import stand
 from g1stream.control.state_checks import ImuReading
 from g1stream.control.targets import Target
 from g1stream.control.torques import HeldTorques, Moment, Reading
 from g1stream.errors import ConfigError
 from g1stream.motion.trajectory import Trajectory
+from g1stream.physics.stance import stand
 from g1stream.robot.dynamics import InverseDynamics
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import G1
@@ -81,6 +81,7 @@ def test_ankles_take_the_tilt_back_whatever_the_heading_of_the_imu(torques, firs
         assert np.count_nonzero(change) == 4
 
 
+@pytest.mark.slow
 def test_once_the_feet_carry_the_robot_it_balances_and_play_may_begin(torques, first):
     """At rest, with the torques that it asks for: what the feet carry grows to the weight."""
     standing = torques.balance

@@ -230,6 +230,7 @@ def test_a_character_cut_in_two_is_left_out(character):
     assert log.text == "x" * (240 - size) + character
 
 
+@pytest.mark.slow
 @given(st.text(max_size=300))
 def test_what_is_kept_of_a_text_is_its_beginning(text):
     log = Log()

@@ -30,6 +30,9 @@ from judge import LENGTH, RATE, Outcome, judge
 
 HERE: Final = Path(__file__).parent
 PATIENCE: Final = 100.0
+#: Of every process that a row starts. pytest changes os.environ between two tests, and a process
+#: that another thread starts with it meanwhile may fail with EFAULT.
+ENVIRONMENT: Final = {k: v for k, v in os.environ.items() if k != "CYCLONEDDS_URI"}
 CONFIG: Final = f"""
 [stream]
 rate = {RATE}.0
@@ -79,7 +82,7 @@ class Fault:
     soft: bool = False
     mute: bool = False
     ends: bool = True
-    record: str | None = "complete"
+    record: str | None = None
     handover_ms: float | None = None
     q: Sequence[float] | None = None
     arms: bool = False
@@ -98,6 +101,7 @@ class Robot:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
+            env=ENVIRONMENT,
         )
         self.out = Path(spec["out"])
         self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
@@ -157,7 +161,7 @@ class Session:
         self.path = folder / "session.mcap"
         self.motion = folder / "motion.csv"
         self.config = folder / "config.toml"
-        self.environment = {k: v for k, v in os.environ.items() if k != "CYCLONEDDS_URI"}
+        self.environment = dict(ENVIRONMENT)
         self.interface = "lo"
         self.prefix: list[str] = []
         self.before: Callable[[], None] | None = None
@@ -190,10 +194,12 @@ class Session:
 
     def children(self, program: str = "") -> list[int]:
         """The processes of this session's programs, or of one of them, such as `record`."""
-        tasks = Path(f"/proc/{self.process.pid}/task").glob("*/children")
-        pids = [int(pid) for task in tasks for pid in task.read_text().split()]
-        name = f"g1stream.programs.{program}"
-        return [pid for pid in pids if name in Path(f"/proc/{pid}/cmdline").read_text()]
+        name, found = f"g1stream.programs.{program}", []
+        for task in Path(f"/proc/{self.process.pid}/task").glob("*/children"):
+            with suppress(OSError):  # a thread or a process that has just ended
+                pids = map(int, task.read_text().split())
+                found += [pid for pid in pids if name in Path(f"/proc/{pid}/cmdline").read_text()]
+        return found
 
     def recorder(self) -> int:
         return self.children("record")[0]

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from engine import Session, sway, write_motion
+from engine import ENVIRONMENT, Session, sway, write_motion
 from g1 import JOINTS
 
 if TYPE_CHECKING:
@@ -25,6 +25,10 @@ if TYPE_CHECKING:
     Act = Callable[[Session], None]
 
 KNEE, ELBOW = JOINTS.index("left_knee_joint"), JOINTS.index("right_elbow_joint")
+
+
+def _run(*command: str | Path) -> None:
+    subprocess.run(command, check=True, env=ENVIRONMENT)
 
 
 def flags(*words: str) -> Prepare:
@@ -74,19 +78,6 @@ def settings(text: str) -> Prepare:
         return []
 
     return prepare
-
-
-def bomb_correction(session: Session) -> Sequence[str]:
-    np.savez_compressed(session.folder / "c.npz", q=np.zeros((2000, 10000)))
-    return ["--correction", str(session.folder / "c.npz")]
-
-
-def entities(session: Session) -> Sequence[str]:
-    lines = ['<!ENTITY a0 "aaaaaaaaaa">']
-    lines += [f'<!ENTITY a{n} "{f"&a{n - 1};" * 10}">' for n in range(1, 9)]
-    urdf = session.folder / "robot.urdf"
-    urdf.write_text(f"<!DOCTYPE x [{''.join(lines)}]><robot name='g1'><link name='&a8;'/></robot>")
-    return ["--robot", str(urdf)]
 
 
 def wide_urdf(session: Session) -> Sequence[str]:
@@ -166,17 +157,18 @@ def replace_file(session: Session) -> None:
 def small_disk(session: Session) -> Sequence[str]:
     place = session.folder / "disk"
     place.mkdir()
-    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=1m", "none", str(place)], check=True)
+    _run("mount", "-t", "tmpfs", "-o", "size=1m", "none", place)
     session.path = place / "session.mcap"
-    session.clean_up.append(lambda: subprocess.run(["umount", "-l", str(place)], check=True))
+    session.clean_up.append(lambda: _run("umount", "-l", place))
     return []
 
 
 def hogs(session: Session) -> None:
     """Four busy processes for 3 s on the streamer's only CPU, where it has no priority."""
     burn = "import time; end = time.time() + 3\nwhile time.time() < end: pass"
+    command = [sys.executable, "-c", burn]
     for _ in range(4):
-        hog = subprocess.Popen([sys.executable, "-c", burn], preexec_fn=_pin)  # noqa: PLW1509
+        hog = subprocess.Popen(command, env=ENVIRONMENT, preexec_fn=_pin)  # noqa: PLW1509
         session.clean_up.append(hog.wait)
 
 
@@ -230,7 +222,7 @@ def clock(step: int) -> Prepare:
     def prepare(session: Session) -> Sequence[str]:
         source, library = session.folder / "clock.c", session.folder / "clock.so"
         source.write_text(CLOCK)
-        subprocess.run(["gcc", "-shared", "-fPIC", "-o", library, source, "-ldl"], check=True)
+        _run("gcc", "-shared", "-fPIC", "-o", library, source, "-ldl")
         session.environment |= {
             "LD_PRELOAD": str(library),
             "CLOCK_STEP": str(step),
@@ -251,8 +243,8 @@ def network(*words: str) -> Prepare:
     def prepare(session: Session) -> Sequence[str]:
         name = f"g1faults{session.domain}"
         session.interface, session.prefix = "robot0", ["ip", "netns", "exec", name]
-        subprocess.run(["ip", "netns", "add", name], check=True)
-        session.clean_up.append(lambda: subprocess.run(["ip", "netns", "delete", name], check=True))
+        _run("ip", "netns", "add", name)
+        session.clean_up.append(lambda: _run("ip", "netns", "delete", name))
         for command in (
             "link set lo up",
             "link add robot0 type veth peer name robot1",
@@ -260,7 +252,7 @@ def network(*words: str) -> Prepare:
             "link set robot0 up",
             "link set robot1 up",
         ):
-            subprocess.run(["ip", "-n", name, *command.split()], check=True)
+            _run("ip", "-n", name, *command.split())
         return ["--interface", "robot0", *words]
 
     return prepare

@@ -1,4 +1,8 @@
-"""The faults: one row each, with what must be true of it."""
+"""The faults: one row each, with what must be true of it.
+
+A row is a way into damping, or a decision not to. Which fields and limits a check looks at, and
+which files are refused, is for the tests of the check and of the file.
+"""
 
 from __future__ import annotations
 
@@ -13,12 +17,10 @@ from engine import Fault, Session
 from injections import (
     ELBOW,
     KNEE,
-    bomb_correction,
     bytes_of,
     cell,
     clock,
     close_terminal,
-    entities,
     fast,
     flags,
     hogs,
@@ -71,47 +73,31 @@ def buttons(*bits: int) -> dict[str, Any]:
 L2, A, B = 5, 8, 9
 
 STATES: Final = [
-    Fault("no LowState any more", "LowState", does("silent"), reason="safety.state_timeout"),
+    Fault(
+        "no LowState any more",
+        "LowState",
+        does("silent"),
+        reason="safety.state_timeout",
+        record="complete",
+    ),
     Fault(
         "no LowState for 0.2 s on loopback",
         "LowState",
         does("silent", until=AT + 0.2),
         code=0,
         ends=False,
+        record="complete",
     ),
     Fault("q is NaN", "LowState", says(f"motor.q.{KNEE}", NAN), reason="NaN"),
-    Fault(
-        "q is infinite",
-        "LowState",
-        says(f"motor.q.{KNEE}", float("inf")),
-        record=None,
-        reason="infinite",
-    ),
-    Fault("dq is NaN", "LowState", says(f"motor.dq.{KNEE}", NAN), record=None, reason="NaN"),
-    Fault(
-        "tau_est is NaN", "LowState", says(f"motor.tau_est.{KNEE}", NAN), record=None, reason="NaN"
-    ),
-    Fault(
-        "quaternion is NaN", "LowState", says("imu.quaternion.0", NAN), record=None, reason="NaN"
-    ),
-    Fault("gyroscope is NaN", "LowState", says("imu.gyroscope.1", NAN), record=None, reason="NaN"),
-    Fault(
-        "accelerometer is NaN",
-        "LowState",
-        says("imu.accelerometer.2", NAN),
-        record=None,
-        reason="NaN",
-    ),
+    Fault("quaternion is NaN", "LowState", says("imu.quaternion.0", NAN), reason="NaN"),
     Fault("quaternion is zero", "LowState", says("imu.quaternion", [0.0] * 4), reason="quaternion"),
-    Fault(
-        "quaternion has norm 1.2",
-        "LowState",
-        says("imu.quaternion", [1.2, 0, 0, 0]),
-        reason="quaternion",
-    ),
     Fault("all LowStates are zero", "LowState", [{"do": "zeros"}], sent=False),
     Fault(
-        "wrong CRC in every LowState", "LowState", does("bad_crc"), reason="safety.max_crc_errors"
+        "wrong CRC in every LowState",
+        "LowState",
+        does("bad_crc"),
+        reason="safety.max_crc_errors",
+        record="complete",
     ),
     Fault(
         "wrong CRC in a few LowStates",
@@ -167,7 +153,13 @@ STATES: Final = [
         reason="rt/lowcmd",
     ),
     Fault("second publisher of LowCmd", "LowState", does("rogue"), reason="rt/lowcmd"),
-    Fault("simulator ends", "LowState", act=lambda s: s.robot.mute(), reason="state_timeout"),
+    Fault(
+        "simulator ends",
+        "LowState",
+        act=lambda s: s.robot.mute(),
+        reason="state_timeout",
+        record="complete",
+    ),
 ]
 
 # The thresholds of robot.toml; on loopback they wait for a simulator that gets no CPU time.
@@ -179,6 +171,7 @@ ROBOT: Final = [
         "robot",
         says("imu.quaternion", [0.825, 0, 0.565, 0]),
         reason="safety.max_tilt",
+        record="complete",
     ),
     Fault(
         "joint at 80 rad/s",
@@ -190,7 +183,6 @@ ROBOT: Final = [
         Fault(name, "robot", robot, prepare=settings(JAM), reason="safety.jam_motion")
         for name, robot in (
             ("robot never moves", from_start(does("stuck"))),
-            ("all joints stop", does("stuck")),
             ("one joint jams", does("jam", joint=ELBOW)),
         )
     ),
@@ -209,13 +201,6 @@ ROBOT: Final = [
     ),
     Fault("all motors off", "robot", says("motor.mode.*", 0), reason="safety.motor_fault_time"),
     Fault(
-        "one motor off",
-        "robot",
-        says(f"motor.mode.{KNEE}", 0),
-        reason="left_knee_joint",
-        record=None,
-    ),
-    Fault(
         "motorstate bit",
         "robot",
         says(f"motor.motorstate.{KNEE}", 4),
@@ -226,13 +211,6 @@ ROBOT: Final = [
         "robot",
         says(f"motor.temperature.{KNEE}", [40, 150]),
         reason="safety.max_winding_temperature",
-    ),
-    Fault(
-        "casing at 120 C",
-        "robot",
-        says(f"motor.temperature.{KNEE}", [120, 40]),
-        record=None,
-        reason="safety.max_casing_temperature",
     ),
     Fault(
         "voltage drops to 20 V",
@@ -258,6 +236,7 @@ ROBOT: Final = [
         q=[0.0] * 15 + [-2.0] + [0.0] * 13,
         code=0,
         ends=False,
+        record="complete",
     ),
 ]
 
@@ -288,15 +267,9 @@ def _arms(name: str, robot: list[dict[str, Any]] | None = None, **more: Any) -> 
 
 
 ARMS: Final = [
-    _arms("the motion ends", code=0, ends=False),
-    _arms("no LowState any more", does("silent"), reason="safety.state_timeout"),
-    _arms("no LowState any more in PLAY", [{"at": 2.5, "do": "silent"}], reason="state_timeout"),
+    _arms("the motion ends", code=0, ends=False, record="complete"),
+    _arms("no LowState any more", [{"at": 2.5, "do": "silent"}], reason="state_timeout"),
     _arms("q is NaN", says(f"motor.q.{ELBOW}", NAN), reason="NaN"),
-    _arms(
-        "pelvis tilts by 1.2 rad",
-        says("imu.quaternion", [0.825, 0, 0.565, 0]),
-        reason="safety.max_tilt",
-    ),
     _arms("the elbow jams", does("jam", joint=ELBOW), prepare=settings(JAM), reason="jam_motion"),
     _arms("second publisher of arm_sdk", does("rogue"), reason="rt/arm_sdk"),
     _arms(
@@ -306,7 +279,7 @@ ARMS: Final = [
         sent=False,
         reason="rt/arm_sdk",
     ),
-    _arms("SIGINT", act=send(signal.SIGINT), code=130, reason="SIGINT"),
+    _arms("SIGINT", act=send(signal.SIGINT), code=130, reason="SIGINT", record="complete"),
     _arms("Ctrl-C twice in PLAY", act=twice, at=2.5, code=130, reason="SIGINT"),
     *(
         _arms(
@@ -318,19 +291,12 @@ ARMS: Final = [
             handover_ms=HANDOVER,
             alone=True,
             reason="guard",
+            record="complete",
         )
         for name, act in (
             ("SIGKILL", send(signal.SIGKILL)),
             ("SIGSTOP and never continued", stop(3.0, then=signal.SIGKILL)),
         )
-    ),
-    _arms(
-        "joints of the legs",
-        prepare=flags("--joints", "legs"),
-        code=2,
-        sent=False,
-        record=None,
-        reason="stream.joints",
     ),
 ]
 
@@ -338,27 +304,16 @@ ARMS: Final = [
 
 
 def _refused(name: str, prepare: Callable[[Session], Sequence[str]], **more: Any) -> Fault:
-    return Fault(name, "input", prepare=prepare, code=2, sent=False, **{"record": None, **more})
+    return Fault(name, "input", prepare=prepare, code=2, sent=False, **more)
 
 
 INPUTS: Final = [
     _refused("URDF with wider limits", wide_urdf, reason="left_knee_joint"),
     _refused("CSV in degrees", motion(lambda q: q * (180 / np.pi))),
     _refused("spike of 2.4 rad", cell("2.4"), reason="left_knee_joint"),
-    _refused("frame beyond a position limit", cell("3.1"), reason="left_knee_joint"),
     _refused("joint faster than its limit", motion(fast), reason="right_elbow_joint"),
-    _refused("cell of 1e30", cell("1e30")),
-    _refused("cell of 1e308", cell("1e308")),
     _refused("cell of NaN", cell("nan")),
-    _refused("empty cell", cell("")),
-    _refused("short row", bytes_of(b"Frame,X,Y,Z\n0,0,0,0\n")),
-    _refused("empty file", bytes_of(b"")),
-    _refused("random bytes", bytes_of(np.random.default_rng(1).bytes(100_000))),
     _refused("damaged session file", bytes_of(b"\x89MCAP0\r\n" + bytes(range(256)) * 40)),
-    _refused("correction of 160 MB of zeros", bomb_correction),
-    _refused("URDF with entities", entities),
-    _refused("TOML that is none", settings("[[[")),
-    _refused("gain of 1e9", settings("[gains.kp]\n'*' = 1e9\n")),
     _refused("gain of NaN", settings("[gains.kd]\n'*' = nan\n")),
     _refused("state_timeout of an hour", settings("[safety]\nstate_timeout = 3600.0\n")),
     _refused("file to record is a symbolic link", symlink, record="any"),
@@ -373,27 +328,22 @@ ANYWAY: Final = [
         prepare=cell("2.4", "--clamp"),
         code=0,
         ends=False,
-        record=None,
     )
 ]
 
 # Signals and the process.
 
 
-def ends_by(name: str) -> Fault:
-    number = signal.Signals[name]
-    record = "complete" if name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGUSR1") else None
-    act = send(number)
-    return Fault(name, "signals", act=act, code=128 + number, reason=name, record=record)
+def ends_by(number: signal.Signals) -> Fault:
+    name, code = number.name, 128 + number
+    return Fault(name, "signals", act=send(number), code=code, reason=name, record="complete")
 
 
-CATCHABLE: Final = (
-    *("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP", "SIGUSR1", "SIGUSR2", "SIGALRM"),
-    *("SIGVTALRM", "SIGPROF", "SIGXCPU", "SIGIO", "SIGPWR", "SIGABRT"),
-)
 SIGNALS: Final = [
-    *map(ends_by, CATCHABLE),
-    Fault("Ctrl-C twice", "signals", act=twice, code=130),
+    # One handler is of all that can be handled: tests/cli/test_command.py has the others.
+    *map(ends_by, (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP)),
+    *map(ends_by, (signal.SIGUSR1, signal.SIGALRM, signal.SIGXCPU, signal.SIGABRT)),
+    Fault("Ctrl-C twice", "signals", act=twice, code=130, record="complete"),
     Fault(
         "Ctrl-C before there is a robot",
         "signals",
@@ -401,6 +351,7 @@ SIGNALS: Final = [
         act=send(signal.SIGINT),
         code=130,
         sent=False,
+        record="complete",
     ),
     Fault(
         "terminal is closed",
@@ -410,6 +361,7 @@ SIGNALS: Final = [
         prepare=on_terminal,
         act=close_terminal,
         code=129,
+        record="complete",
     ),
     *(
         Fault(
@@ -421,6 +373,7 @@ SIGNALS: Final = [
             mute=True,
             handover_ms=HANDOVER,
             alone=True,
+            record="complete",
         )
         for name, act, code in (
             ("SIGKILL", send(signal.SIGKILL), -9),
@@ -432,8 +385,10 @@ SIGNALS: Final = [
         "SIGSTOP and continued after 1 s",
         "process",
         act=stop(1.0),
+        reason="was stopped",
         handover_ms=HANDOVER,
         alone=True,
+        record="complete",
     ),
     Fault(
         "SIGSTOP for 0.3 s without a guard",
@@ -442,6 +397,7 @@ SIGNALS: Final = [
         act=stop(0.3),  # less than a state_timeout of loopback
         code=(0, 1),
         ends=False,
+        record="complete",
     ),
     Fault(
         "guard is killed",
@@ -450,6 +406,7 @@ SIGNALS: Final = [
         code=(0, 1),
         ends=False,
         reason="guard",
+        record="complete",
     ),
 ]
 
@@ -478,6 +435,7 @@ RECORDER: Final = [
         to_recorder(signal.SIGKILL),
         prepare=flags("--require-record"),
         ends=True,
+        reason="the recording failed",
     ),
 ]
 
@@ -494,6 +452,7 @@ LOAD: Final = [
         code=(0, 1),
         alone=True,
         handover_ms=inf,
+        record="complete",
     ),
     Fault(
         "wall clock steps forward by an hour",
@@ -502,6 +461,7 @@ LOAD: Final = [
         act=step_clock,
         code=0,
         ends=False,
+        record="complete",
         impossible=NO_GCC,
     ),
     Fault(
@@ -511,6 +471,7 @@ LOAD: Final = [
         act=step_clock,
         code=0,
         ends=False,
+        record="complete",
         impossible=NO_GCC,
     ),
 ]
@@ -523,7 +484,11 @@ ARMING: Final = [
     for name, words, more in (
         ("not armed", (), {"code": 2, "sent": False, "reason": "--arm"}),
         ("armed, and nobody to confirm", ("--arm",), {"code": 2, "sent": False}),
-        ("armed", ("--arm", "--yes", "robot0"), {"code": (0, 1), "soft": True}),
+        (
+            "armed",
+            ("--arm", "--yes", "robot0"),
+            {"code": (0, 1), "soft": True, "record": "complete"},
+        ),
         (
             "armed, with --anyway",
             ("--arm", "--yes", "robot0", "--anyway"),

@@ -171,6 +171,7 @@ def test_scenes_have_the_meshes_of_every_link_with_their_extent(real, drawn):
             )
 
 
+@pytest.mark.slow
 def test_meshes_add_less_than_five_megabytes_to_a_session(tmp_path, robot, real):
     size = {}
     for meshes in (False, True):

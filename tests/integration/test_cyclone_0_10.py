@@ -9,6 +9,7 @@ import pytest
 TESTS = Path(__file__).parents[1]
 
 
+@pytest.mark.timeout(400)  # the environment is made first
 def test_our_wire_on_the_sdks_own_cyclone(sdk_python, tmp_path):
     """Run the tests of dds/ and doctor/, and an exchange with the SDK, in its environment."""
     if Path(sys.prefix) == sdk_python.parents[1]:
@@ -29,6 +30,6 @@ def test_our_wire_on_the_sdks_own_cyclone(sdk_python, tmp_path):
         capture_output=True,
         text=True,
         check=False,
-        timeout=120,
+        timeout=240,
     )
     assert done.returncode == 0, done.stdout

@@ -9,7 +9,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -168,54 +167,6 @@ def test_the_file_carries_what_a_session_needs(played):
     assert metadata["recorder"]["lost"]["/reference"] == 0
 
 
-def test_a_simulator_that_dies_leads_to_damping(domain_id, running, tmp_path):
-    path = tmp_path / "killed.mcap"
-    with (
-        running("sim", "--domain", domain_id) as sim,
-        running(*stream_arguments(domain_id, "--record", path)) as stream,
-    ):
-        wait_for(stream, PLAYING)
-        sim.kill()
-        _, told = stream.communicate(timeout=20)
-    assert stream.returncode == 1
-    assert "DAMP: no LowState for" in told
-    phases = open_session(path).reference.phase.tolist()
-    assert phases.count(Phase.DAMP) > 100
-    assert open_session(path).complete
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTSTP, signal.SIGALRM])
-def test_signals_lead_to_damping(domain_id, running, tmp_path, number):
-    path = tmp_path / "signal.mcap"
-    with (
-        running("sim", "--domain", domain_id),
-        running(*stream_arguments(domain_id, "--record", path)) as stream,
-    ):
-        wait_for(stream, PLAYING)
-        stream.send_signal(number)
-        stream.communicate(timeout=20)
-    assert stream.returncode == 128 + number
-    session = open_session(path)
-    assert session.complete
-    assert session.reference.phase[-1] == Phase.DAMP
-    damped = session.reference.publish_time[session.reference.phase == Phase.DAMP]
-    assert damped[-1] - damped[0] > 0.9e9
-
-
-def test_a_recorder_ends_with_its_streamer(domain_id, running, tmp_path):
-    path = tmp_path / "orphan.mcap"
-    with (
-        running("sim", "--domain", domain_id),
-        running(*stream_arguments(domain_id, "--record", path)) as stream,
-    ):
-        wait_for(stream, PLAYING)
-        stream.kill()
-        end = time.monotonic() + 20
-        while not open_session(path).complete and time.monotonic() < end:
-            time.sleep(0.2)
-    assert open_session(path).complete
-
-
 def test_a_second_writer_is_refused_by_name_and_the_first_plays_on(domain_id, running, tmp_path):
     with (
         running("sim", "--domain", domain_id),
@@ -294,13 +245,11 @@ def recorder_of(stream: subprocess.Popen[str]) -> int:
 @pytest.mark.parametrize(
     ("fault", "why"),
     [
-        (lambda pid, path: os.kill(pid, signal.SIGKILL), "SIGKILL"),
         (lambda pid, path: os.kill(pid, signal.SIGTERM), "SIGTERM"),
         (lambda pid, path: os.kill(pid, signal.SIGSTOP), "stopped"),
-        (lambda pid, path: path.unlink(), "deleted"),
         (lambda pid, path: (path.rename(f"{path}.old"), path.write_bytes(b"")), "replaced"),
     ],
-    ids=["SIGKILL", "SIGTERM", "SIGSTOP", "deleted", "replaced"],
+    ids=["SIGTERM", "SIGSTOP", "replaced"],
 )
 def test_a_recorder_that_fails_is_told_while_the_motion_is_played_to_its_end(
     domain_id, running, tmp_path, fault, why
@@ -317,20 +266,7 @@ def test_a_recorder_that_fails_is_told_while_the_motion_is_played_to_its_end(
         printed, _ = stream.communicate(timeout=30)
     assert stream.returncode == 1
     assert "played 3.0 of 14.0 s" in printed
-    if why in ("SIGTERM", "stopped"):
+    if why == "replaced":
+        assert not path.stat().st_size
+    else:
         assert why in open_session(path).summary().recorder.stopped
-    if why in ("deleted", "replaced"):
-        assert not path.exists() or not path.stat().st_size
-
-
-def test_a_required_recorder_that_fails_ends_the_motion(domain_id, running, tmp_path):
-    where = ["--record", tmp_path / "s.mcap", "--require-record", "--loop"]
-    with (
-        running("sim", "--domain", domain_id),
-        running(*stream_arguments(domain_id, *where)) as stream,
-    ):
-        wait_for(stream, PLAYING)
-        os.kill(recorder_of(stream), signal.SIGKILL)
-        wait_for(stream, "PLAY -> DAMP: the recording failed")
-        stream.communicate(timeout=30)
-    assert stream.returncode == 1

@@ -45,8 +45,9 @@ def test_a_simulated_row_is_that_of_the_rollout(motions, tmp_path):
 
 @pytest.mark.slow
 def test_what_is_recorded_changes_nothing(motions, tmp_path):
+    short = load_config(over={"stream.ramp": 0.5, "stream.hold": 0.0, "stream.damp": 0.5})
     cases = [
-        g1stream.LibraryCase("simulate", tmp_path / name, support="bolted", sessions=sessions)
+        g1stream.LibraryCase("simulate", tmp_path / name, short, "bolted", sessions=sessions)
         for name, sessions in (("kept", True), ("not", False))
     ]
     rows = []
@@ -58,6 +59,7 @@ def test_what_is_recorded_changes_nothing(motions, tmp_path):
     assert pd.isna(rows[1]["output"])
 
 
+@pytest.mark.slow
 def test_a_motion_beyond_the_limits_is_refused(tmp_path):
     motion = g1stream.load_motion("demo").trim(0.0, 2.0).at_speed(40.0)
     motion.save(tmp_path / "fast.npz")
@@ -69,6 +71,7 @@ def test_a_motion_beyond_the_limits_is_refused(tmp_path):
     assert row["frames"] == motion.n_frames
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["csv", "mcap"])
 def test_converted_files_are_the_same_motions(motions, tmp_path, suffix):
     case = g1stream.LibraryCase("convert", tmp_path, format=suffix)

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import os
+import tempfile
+import threading
+from functools import partial
 from hashlib import sha256
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from zipfile import ZipFile
 
 import pytest
 
-from g1stream.errors import ConfigError, MotionError
+from g1stream.errors import ConfigError, MotionError, RecordingError
 from g1stream.library.files import content_hash, find_motions, local_copy
 
 
@@ -38,6 +43,50 @@ def test_urls_are_those_of_fsspec(motions):
         assert path.parent != motions
     assert not path.exists()
     assert content_hash(url) == sha256((motions / "first.npz").read_bytes()).hexdigest()
+
+
+@pytest.fixture
+def served(motions):
+    """The URL of the motions on a web server of Python's on loopback."""
+    pytest.importorskip("aiohttp")
+    handler = partial(SimpleHTTPRequestHandler, directory=motions)
+    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{server.server_port}"
+        server.shutdown()
+
+
+def test_motions_on_a_web_server(motions, served):
+    assert set(find_motions([f"{served}/"])) == {
+        f"{served}/{name}"
+        for name in ("broken.csv", "first.npz", "second.csv", "below/copy.npz", "below/third.npz")
+    }
+    with local_copy(f"{served}/first.npz") as path:
+        assert path.read_bytes() == (motions / "first.npz").read_bytes()
+    with pytest.raises(ConfigError):
+        find_motions([f"{served}/gone.npz"])
+    with pytest.raises(MotionError):
+        content_hash(f"{served}/gone.npz")
+
+
+def test_motions_in_a_zip_file_and_in_memory(motions, tmp_path):
+    fsspec = pytest.importorskip("fsspec")
+    with ZipFile(tmp_path / "all.zip", "w") as archive:
+        archive.write(motions / "first.npz", "in/first.npz")
+    (url,) = find_motions([f"zip://in::file://{tmp_path}/all.zip"])
+    content = (motions / "first.npz").read_bytes()
+    assert content_hash(url) == sha256(content).hexdigest()
+    with local_copy(url) as path:
+        assert (path.name, path.read_bytes()) == ("first.npz", content)
+    fsspec.filesystem("memory").pipe("/motions/first.npz", content)
+    (url,) = find_motions(["memory://motions"])
+    assert content_hash(url) == sha256(content).hexdigest()
+
+
+def test_a_copy_that_cannot_be_written_is_no_fault_of_the_url(motions, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", "/dev/full")
+    with pytest.raises(RecordingError), local_copy(f"file://{motions}/first.npz"):
+        pass
 
 
 def test_what_is_no_file_is_not_opened(tmp_path):

@@ -10,7 +10,7 @@ from pyarrow import parquet
 import g1stream
 from g1stream.errors import RecordingError
 from g1stream.library import table
-from g1stream.library.rows import JointRow, MotionRow, Rows
+from g1stream.library.rows import CONDITION_NAMES, JointRow, MotionRow, Rows, condition_values
 from g1stream.library.table import open_library, writing
 
 
@@ -66,6 +66,25 @@ def test_many_parts_become_one(tmp_path, monkeypatch):
     assert list(open_library(tmp_path).motions["key"]) == [str(i) for i in range(10)]
 
 
+def test_parts_that_are_not_small_stay(tmp_path, monkeypatch):
+    monkeypatch.setattr(table, "_MOST_PARTS", 3)
+    monkeypatch.setattr(table, "_SMALL", 2)
+    with writing(tmp_path) as writer:
+        for i in range(5):
+            writer.add([rows(f"{name} {i}", f"{name} {i}") for name in ("wave", "walk")])
+        writer.add([rows()])
+        parts = sorted(part.stem for part in (tmp_path / "motions").glob("part-*"))
+        assert parts == [f"part-{i:06}" for i in range(1, 7)]
+
+
+def test_a_condition_takes_numbers_and_answers():
+    row = {"frames": 30, "free": "inexact", "rmse": np.nan, "success": True}
+    assert {*row} < {*CONDITION_NAMES}
+    others = {"status": "ok", "feet": "false"}  # as an older version wrote it
+    found = condition_values(row | others, ["ok", *row])
+    assert found == {"ok": 1.0, "frames": 30.0, "free": 0.5, "rmse": None, "success": 1.0}
+
+
 def test_columns_have_units_and_types_for_every_reader(tmp_path):
     with writing(tmp_path) as writer:
         writer.add([rows()])
@@ -117,3 +136,11 @@ def test_no_library_and_a_damaged_one(tmp_path):
     part.write_bytes(part.read_bytes()[:100])
     with pytest.raises(RecordingError):
         g1stream.open_library(tmp_path)
+
+
+def test_a_setting_with_words_in_one_run_and_numbers_in_another_is_words(tmp_path):
+    for number, value in enumerate((0.5, "bolted", 250.0)):
+        with writing(tmp_path) as writer:
+            writer.add([rows("wave", str(number), {"some": value}, variant=str(value))])
+        found = list(open_library(tmp_path).motions["some"])
+        assert found == ([0.5] if number == 0 else ["0.5", "bolted", "250"][: number + 1])

@@ -261,6 +261,7 @@ def with_root(pos, quat):
     return {"dof": np.zeros((9, 29)), "root_pos": pos, "root_rot": quat}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arrays", "reason"),
     [
@@ -463,6 +464,18 @@ def test_parquet_of_others(tmp_path, motion):
         open_motion_file(path)
     pyarrow.parquet.write_table(pyarrow.table({"episode": [1, 2]}), path)
     with pytest.raises(MotionError, match="episode"):
+        open_motion_file(path)
+
+
+@pytest.mark.parametrize("suffix", ["npz", "npy", "parquet"])
+def test_a_file_that_is_cut_off_is_said_to_be(tmp_path, motion, suffix):
+    path = tmp_path / f"motion.{suffix}"
+    if suffix == "npy":
+        np.save(path, np.zeros((30, 36)))
+    else:
+        motion.save(path)
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(MotionError, match=rf"^motion.{suffix}: .*damaged or cut off"):
         open_motion_file(path)
 
 

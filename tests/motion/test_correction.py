@@ -78,6 +78,7 @@ def test_another_file_is_refused(tmp_path, content):
         Correction.load(tmp_path / "none.npz")
 
 
+@pytest.mark.slow
 def test_the_spline_is_smooth_and_zero_at_both_ends_of_what_is_played():
     correction, dt = make(), 5e-4
     for start, stop in ((1.0, 5.0), (2.01, 4.003), (0.0, 99.0)):

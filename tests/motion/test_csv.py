@@ -176,6 +176,7 @@ def test_quaternion_far_off_is_made_unit_with_a_warning(load, scale, doubted):
         (csv(rows_of(3)) + "\n" + csv(rows_of(3)), "line 5", ["blank"]),
         (csv(rows_of(3)) + csv(rows_of(3)), "line 5, column 1 (Frame)", ["'Frame'"]),
         (changed(3, 1, "0"), "line 3, column 1 (Frame)", ["frame 0 follows frame 0"]),
+        (changed(3, 12, "nan"), "line 3, column 12 (left_knee_joint)", ["'nan'", "finite"]),
         (changed(3, 1, "7"), "line 3, column 1 (Frame)", ["frame 7 follows frame 0"]),
         (changed(3, 1, "-4"), "line 3, column 1 (Frame)", ["frame -4 follows frame 0"]),
         (changed(3, 1, "1.5"), "line 3, column 1 (Frame)", ["frame 1.5 follows frame 0"]),

@@ -88,8 +88,7 @@ def test_needs_less_than_half_of_the_torque_limits(demo, robot):
 
 
 def test_its_links_do_not_touch(demo, robot):
-    touching = SelfCollision(robot)
-    assert not [frame for frame, q in enumerate(demo.joint_pos) if touching.contacts(q)]
+    assert SelfCollision(robot).depths(demo.joint_pos) == {}
 
 
 def test_the_lower_foot_is_on_the_ground(feet):

@@ -186,3 +186,29 @@ def test_a_real_clip_is_faster_than_its_frames_and_overshoots(real_clip, robot):
     assert fastest.value == pytest.approx(36.07, abs=0.01)
     assert report.n_held == 117
     assert report.held[0].joint == "right_ankle_pitch_joint"
+
+
+@pytest.mark.parametrize("loop", [False, True])
+@pytest.mark.parametrize("interval", [None, (0.3, 0.55)])
+def test_peaks_are_those_of_all_targets(wild_motion, robot, loop, interval):
+    """Though not all are computed: some joints rest, some pass limits, some do not."""
+    joints = wild_motion.joint_pos * np.linspace(0.0, 9.0, len(JOINT_NAMES))
+    trajectory = Trajectory(replace(wild_motion, joint_pos=joints), loop=loop)
+    start, length = interval or (0.0, trajectory.period)
+    played = Interval(start, length, wild_motion.duration, loop)
+    times = start + np.arange(int(length * 500 + 1e-6) + 1) / 500
+    asked = trajectory.sample_many(times)
+    report = measure_limits(trajectory, robot, played)
+    speeds = {speed.joint: speed for speed in report.speeds}
+    excess = np.maximum(robot.lower - asked.joint_pos, asked.joint_pos - robot.upper)
+    held = {joint.joint: joint for joint in report.held}
+    assert 5 < len(held) < len(JOINT_NAMES)
+    for j, name in enumerate(JOINT_NAMES):
+        assert speeds[name].value == pytest.approx(np.abs(asked.joint_vel[:, j]).max(), rel=1e-9)
+        assert (
+            speeds[name].count == (np.abs(asked.joint_vel[:, j]) > robot.velocity[j] + 1e-6).sum()
+        )
+        assert (name in held) == (excess[:, j].max() > POSITION_TOLERANCE)
+        if name in held:
+            assert held[name].count == (excess[:, j] > POSITION_TOLERANCE).sum()
+            assert abs(held[name].value - held[name].limit) == pytest.approx(excess[:, j].max())

@@ -99,6 +99,8 @@ def test_the_next_motion_goes_on_where_the_last_one_ends(demo, walk):
     both = walk.then(demo, blend=0.5)
     first, start = walk.n_frames, walk.n_frames + 14
     assert both.n_frames == start + demo.n_frames
+    assert both.parts == (walk, demo)
+    assert both.then(walk.mirrored()).parts[:2] == (walk, demo)
     np.testing.assert_array_equal(both.joint_pos[:first], walk.joint_pos)
     np.testing.assert_array_equal(both.joint_pos[start:], demo.joint_pos)
     np.testing.assert_array_equal(both.root_pos[start:, 2], demo.root_pos[:, 2])

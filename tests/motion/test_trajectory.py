@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
@@ -11,7 +12,7 @@ from scipy.spatial.transform import Rotation, RotationSpline
 
 from g1stream.errors import MotionError
 from g1stream.motion.motion import Motion
-from g1stream.motion.trajectory import Trajectory, resample
+from g1stream.motion.trajectory import BLOCK, Trajectory, resample
 from g1stream.session.motions import load_motion
 
 
@@ -216,6 +217,19 @@ def made(n_frames, fps=30.0):
     )
 
 
+@pytest.mark.parametrize("n_frames", [BLOCK + 1, BLOCK + 2, 2 * BLOCK + 5])
+def test_parts_are_those_of_splines_through_all_frames(n_frames):
+    motion = made(n_frames)
+    times, at = between(motion, 8 * n_frames), frame_times(motion)
+    point = Trajectory(motion).sample_many(times)
+    joints = CubicSpline(at, motion.joint_pos, bc_type="natural")
+    np.testing.assert_allclose(point.joint_pos, joints(times), rtol=0, atol=1e-10)
+    np.testing.assert_allclose(point.joint_acc, joints(times, 2), rtol=0, atol=1e-8)
+    turns = RotationSpline(at, rotation(motion.root_quat_wxyz))
+    assert (turns(times).inv() * rotation(point.root_quat_wxyz)).magnitude().max() < 1e-10
+    np.testing.assert_allclose(point.root_ang_acc, turns(times, 2), rtol=1e-8, atol=1e-7)
+
+
 def collected(motion, rate, start=0, stop=None):
     pieces = list(resample(motion, rate, start, motion.n_frames if stop is None else stop))
     numbers = np.concatenate([list(n) for n, _ in pieces])
@@ -224,7 +238,7 @@ def collected(motion, rate, start=0, stop=None):
 
 @pytest.mark.parametrize("rate", [100.0, 29.97, 7.0])
 def test_pieces_are_those_of_the_spline_through_all_frames(rate):
-    motion = made(700)
+    motion = made(2 * BLOCK + 5)
     numbers, fields = collected(motion, rate)
     np.testing.assert_array_equal(numbers, np.arange(len(numbers)))
     whole = Trajectory(motion).sample_many(numbers / rate)
@@ -280,3 +294,31 @@ def test_the_last_sample_still_moves():
 def test_no_sample_is_an_error(rate, part, message):
     with pytest.raises(MotionError, match=message):
         list(resample(made(50), rate, *part))
+
+
+def test_joints_keep_the_bounds_of_their_segments(wild_motion):
+    trajectory = Trajectory(wild_motion)
+    times = between(wild_motion)
+    point, segments = trajectory.sample_many(times), trajectory.segments_at(times)
+    bounds = (np.concatenate(parts) for parts in zip(*trajectory.joint_bounds(), strict=True))
+    lowest, highest, fastest = (bound[segments] for bound in bounds)
+    assert (point.joint_pos >= lowest - 1e-12).all()
+    assert (point.joint_pos <= highest + 1e-12).all()
+    assert (np.abs(point.joint_vel) <= fastest + 1e-12).all()
+    # And not by far: in some segment a joint moves with the bound of its speed.
+    share = np.abs(point.joint_vel).max(axis=0) / fastest.max(axis=0)
+    assert share.max() > 0.99
+
+
+@pytest.mark.parametrize("loop", [False, True])
+def test_a_moved_trajectory_is_that_of_the_moved_motion(wild_motion, loop):
+    other = replace(
+        wild_motion, joint_pos=wild_motion.joint_pos[::-1], root_pos=wild_motion.root_pos + 0.1
+    )
+    moved = Trajectory(wild_motion, loop=loop).moved(other)
+    assert (moved.motion, moved.loop) == (other, False)
+    pairs = zip(
+        *(one.sample_many(between(other)) for one in (moved, Trajectory(other))), strict=True
+    )
+    for found, expected in pairs:
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10)

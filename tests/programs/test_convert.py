@@ -85,6 +85,7 @@ def yourdfpy_poses(motion, frame):
     return {link: urdf.get_transform(link) for link in urdf.link_map}
 
 
+@pytest.mark.slow
 def test_link_poses_match_yourdfpy(motion, out):
     report = convert(motion, out)
     messages = read(out)
@@ -99,6 +100,7 @@ def test_link_poses_match_yourdfpy(motion, out):
             np.testing.assert_allclose(poses[link], matrix, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_flat_transforms_give_the_same_poses(motion, out, tmp_path):
     flat = tmp_path / "flat.mcap"
     convert(motion, out)
@@ -141,6 +143,7 @@ def test_log_time_publish_time_and_timestamps_inside_are_equal(motion, out):
     assert stamps_of(scene) == {T0}
 
 
+@pytest.mark.slow
 def test_the_time_zone_of_the_machine_changes_nothing(tmp_path):
     contents = set()
     for zone in ("UTC", "Asia/Tokyo", "America/New_York"):
@@ -202,6 +205,7 @@ def test_resampled_times_are_exact(motion, out):
     assert times == [T0 + (2 * i * 10**9 + 90) // 180 for i in range(len(times))]
 
 
+@pytest.mark.slow
 def test_without_a_floating_root_the_pelvis_is_at_the_origin(motion, out):
     convert(motion, out, Conversion(floating_root=False))
     for frame, (_, body) in list(enumerate(read(out)["/tf"]))[::50]:
@@ -210,6 +214,7 @@ def test_without_a_floating_root_the_pelvis_is_at_the_origin(motion, out):
             np.testing.assert_allclose(poses[link], in_root, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("floating", [True, False])
 def test_root_link_is_at_the_pose_of_the_motion(motion, out, floating):
     convert(motion, out, Conversion(root_link="torso_link", floating_root=floating))
@@ -229,6 +234,7 @@ def test_world_frame_and_topic(motion, out):
     assert messages["/clip/tf"][0][1].transforms[0].parent_frame_id == "map"
 
 
+@pytest.mark.slow
 def test_meshes_are_triangles_of_the_real_robot_in_the_scene(motion, out):
     if real_g1() is None:
         pytest.skip("needs the extra `meshes`")
@@ -326,6 +332,7 @@ print(code, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)
 """
 
 
+@pytest.mark.slow
 def test_a_long_motion_needs_little_more_memory_than_a_short_one(tmp_path):
     """Twenty minutes and one: the difference is the motion itself, 36 doubles a frame, not what
     is written for it, which is twenty times as much.

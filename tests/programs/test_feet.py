@@ -7,22 +7,29 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from g1stream.analysis.stance import stand
 from g1stream.config import Config
 from g1stream.control.feedforward import FeedForward
 from g1stream.control.make_loop import make_loop
 from g1stream.errors import ConfigError, MotionError, SafetyError
 from g1stream.motion.trajectory import Trajectory
+from g1stream.physics.stance import stand
 from g1stream.programs.rollout import rollout
 from g1stream.programs.standing import refuse_feet_on_robot, stand_if_asked
 from g1stream.programs.stream import with_robot_limits
 from g1stream.robot.model import G1, REVISIONS
-from g1stream.robot.rotations import quat_normalize
+from g1stream.robot.rotations import (
+    quat_from_rpy,
+    quat_normalize,
+    quat_rotate,
+    quat_rotate_inverse,
+    tilt_of,
+    yaw_of,
+)
 from g1stream.settings import SimConfig
 from g1stream.sim.lockstep import Lockstep
 from g1stream.sim.robot import SimulatedRobot
 from g1stream.sim.world import World
-from g1stream.synthetic import squatting
+from g1stream.synthetic import squatting, stepping
 from g1stream.types import Phase
 
 pytest.importorskip("daqp")
@@ -49,7 +56,7 @@ def noise():
 
 @pytest.fixture(scope="module")
 def session():
-    return rollout(squatting(3.0), support="feet", config=config(), noise=noise())
+    return rollout(squatting(2.0), support="feet", config=config(), noise=noise())
 
 
 @pytest.mark.slow
@@ -58,8 +65,10 @@ def test_it_stands_and_follows_the_reference(session):
     assert played["reason"] == ""
     assert played["support"] == "feet"
     assert len(session.metadata["motion"]["operations"]) == 1  # it was changed to stand
+    assert not any("with changes to stand" in problem for problem in session.summary().problems)
+    assert any("with changes to stand" in event.text for event in session.log)
     assert session.tracking().overall < 0.004
-    playing = session.base.time < 3.0
+    playing = session.base.time < 2.0
     assert session.base.position[playing, 2].min() > 0.6
 
 
@@ -73,7 +82,7 @@ def test_the_feet_take_the_weight_before_the_robot_is_let_go(session):
 def test_a_motion_that_walks_is_refused():
     walk = squatting(1.0)
     walk = replace(walk, root_pos=walk.root_pos + np.linspace(0.0, 1.0, walk.n_frames)[:, None])
-    with pytest.raises(MotionError, match="steps in frames"):
+    with pytest.raises(MotionError, match="slides in frames"):
         rollout(walk, support="feet")
 
 
@@ -83,6 +92,37 @@ def test_it_lifts_one_foot_and_then_the_other():
     session = rollout("demo", support="feet", seconds=2.5, config=config(start=7.8), noise=noise())
     assert session.metadata["stream"]["reason"] == ""
     assert session.tracking().overall < 0.01
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("goal", [(0.36, 0.0, 0.0), (0.0, 0.24, 0.0), (0.15, 0.1, 1.2)])
+def test_it_steps_to_where_the_motion_goes(goal):
+    """Three steps of each foot: forward, to the left, in a turn; measured in the simulator."""
+    steps = np.outer([1, 1, 2, 2, 3, 3], goal) / 3
+    world = World(G1.default(), "free")
+    feet = [world.model.body(f"{side}_ankle_roll_link").id for side in ("left", "right")]
+    stood = []
+    add = noise()
+
+    def follow(loop, state):
+        add(state)
+        if loop.state.phase is Phase.PLAY:
+            turns = world.data.xmat[feet].reshape(2, 3, 3)
+            stood.append((world.data.xpos[feet].copy(), yaw_of(world.data.xquat[feet]), turns))
+
+    loop = play(world, stepping(steps), "free", follow)
+    assert loop.report.reason == ""
+    assert len(stood) == pytest.approx(500 * 12.8, abs=2)
+    (first, turned, _), (last, turned_last, level) = stood[0], stood[-1]
+    x, y, heading = goal
+    # As seen from between the feet where the robot began.
+    begun = quat_from_rpy(np.array([0.0, 0.0, turned.mean()]))
+    way = quat_rotate_inverse(begun, last - first.mean(axis=0))
+    turn = quat_from_rpy(np.array([0.0, 0.0, heading]))
+    links = quat_rotate(turn, np.array([[0.0, 0.1, 0.0], [0.0, -0.1, 0.0]]))
+    assert way[:, :2] == pytest.approx(links[:, :2] + np.array([x, y]), abs=5e-3)
+    assert turned_last - turned == pytest.approx(np.full(2, heading), abs=0.01)
+    assert level[:, 2, 2] == pytest.approx(np.ones(2), abs=1e-3)
 
 
 def test_it_needs_torques():
@@ -127,10 +167,10 @@ def test_it_ends_in_a_squat(session):
 
 
 def play(world, motion, announced, on_state, **stream):
-    """The loop of a motion on a world, in lockstep; `on_state` gets it at every LowState."""
+    """The loop of a motion on a world, in lockstep; `on_state` gets it and every LowState."""
     robot = G1.default()
     settings = Config.model_validate({"stream": SHORT | {"support": "feet"} | stream})
-    simulated = SimulatedRobot(world, SimConfig(), noise=lambda state: on_state(loop))
+    simulated = SimulatedRobot(world, SimConfig(), noise=lambda state: on_state(loop, state))
     link = Lockstep(simulated, announced)
     trajectory = Trajectory(stand(motion, robot).motion)
     loop = make_loop(settings, robot, trajectory, link, link, settle=0)
@@ -144,7 +184,7 @@ def test_a_requested_stop_squats_and_a_second_one_damps_at_once(requests):
     world = World(G1.default(), "free")
     heights = {}
 
-    def stop(loop):
+    def stop(loop, _state):
         phase = loop.state.phase
         heights[phase] = float(world.data.qpos[2])
         playing = phase is Phase.PLAY and loop.motion_time > 0.3
@@ -157,14 +197,17 @@ def test_a_requested_stop_squats_and_a_second_one_damps_at_once(requests):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", REVISIONS)
-def test_a_robot_that_hangs_is_lowered_onto_its_feet_and_stands(name):
-    """As in unitree_mujoco: a band that is lowered, and let go once PLAY has begun."""
+def test_a_robot_that_hangs_is_lowered_onto_its_feet_and_stands():
+    """As in unitree_mujoco: a band that is lowered, and let go once PLAY has begun.
+
+    The robot is not of the revision that the loop assumes until it has moved.
+    """
+    (name,) = (one for one in REVISIONS if one != G1.default().name)
     world = World(G1.load(name), "hanging")
     band = world._support
     heights, waited = [], []
 
-    def lower(loop):
+    def lower(loop, _state):
         if loop.state.phase is Phase.RAMP and loop.state.elapsed(loop._clock.now()) > 1.5e9:
             waited.append(float(world.data.qpos[2]))
             band._TOP -= 0.0006  # 0.3 m/s
@@ -172,11 +215,11 @@ def test_a_robot_that_hangs_is_lowered_onto_its_feet_and_stands(name):
             band._STIFFNESS = band._DAMPING = 0.0
             heights.append(float(world.data.qpos[2]))
 
-    loop = play(world, squatting(2.0), None, lower)
+    loop = play(world, squatting(1.0), None, lower)
     assert loop.report.reason == ""
     assert loop.report.robot == name
     assert waited[0] > 1.0  # it hung in the air
-    assert len(heights) == 1000
+    assert len(heights) == 500
     assert min(heights) > 0.68
 
 
@@ -195,8 +238,32 @@ def test_the_legs_play_as_a_whole_or_not_at_all():
 @pytest.mark.slow
 def test_arms_of_a_motion_that_steps_play_on_planted_feet():
     session = rollout(
-        "demo", support="feet", joints="arms", seconds=2.0, config=config(start=8.0), noise=noise()
+        "demo", support="feet", joints="arms", seconds=1.0, config=config(start=8.0), noise=noise()
     )
     assert session.metadata["stream"]["reason"] == ""
     assert session.tracking().overall < 0.01
     assert len(session.tracking().joints) == 14
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("push", "stands"),
+    [((75.0, 0.0), True), ((0.0, 170.0), True), ((100.0, 0.0), False), ((0.0, 220.0), False)],
+)
+def test_a_push_is_stood_or_the_fall_is_seen_before_the_pelvis_tilts(push, stands):
+    """For 0.1 s, at the torso; with 170 N to the left the pelvis goes aside by some 15 cm."""
+    world = World(G1.default(), "free")
+    torso = world.model.body("torso_link").id
+    tilts = []
+
+    def shove(loop, _state):
+        elapsed = loop.state.elapsed(loop._clock.now()) / 1e9
+        pushed = loop.state.phase is Phase.PLAY and 0.5 <= elapsed < 0.6
+        world.data.xfrc_applied[torso, :2] = np.multiply(push, pushed)
+        if loop.state.phase < Phase.DAMP:
+            tilts.append(tilt_of(world.data.qpos[3:7]))
+
+    loop = play(world, squatting(2.5), "free", shove)
+    assert (loop.report.reason == "") == stands
+    assert stands or "capture point" in loop.report.reason
+    assert max(tilts) < 0.2

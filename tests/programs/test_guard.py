@@ -10,7 +10,7 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -62,10 +62,11 @@ def is_limp(received):
 
 def child(pid, program):
     """The pid of a child process, by its module in g1stream.programs."""
-    for task in Path(f"/proc/{pid}/task").iterdir():
-        for own in (task / "children").read_text().split():
-            if f"g1stream.programs.{program}\0" in Path(f"/proc/{own}/cmdline").read_text():
-                return int(own)
+    for task in Path(f"/proc/{pid}/task").glob("*/children"):
+        with suppress(OSError):  # a thread or a process that has just ended
+            for own in task.read_text().split():
+                if f"g1stream.programs.{program}\0" in Path(f"/proc/{own}/cmdline").read_text():
+                    return int(own)
     pytest.fail(f"no process {program}")
 
 
@@ -88,11 +89,9 @@ def debug(pid):
     "fault",
     [
         lambda pid: os.kill(pid, signal.SIGKILL),
-        lambda pid: os.kill(pid, signal.SIGSEGV),
-        lambda pid: os.kill(pid, signal.SIGSTOP),
         debug,
     ],
-    ids=["SIGKILL", "SIGSEGV", "SIGSTOP", "debugger"],
+    ids=["SIGKILL", "debugger"],
 )
 def test_a_stream_that_can_no_longer_damp_is_replaced(
     streaming, tmp_path, until, fault, record_property

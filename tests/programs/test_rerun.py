@@ -55,7 +55,7 @@ def _scalars(path, entity):
 
 @pytest.mark.dds
 def test_what_is_published_is_logged(domain_id, tmp_path, until, monkeypatch):
-    monkeypatch.setattr("g1stream.analysis.rerun_log.with_shapes", lambda robot: robot)
+    monkeypatch.setattr("g1stream.viewers.rerun_log.with_shapes", lambda robot: robot)
     config = Config.model_validate({"dds": {"domain": domain_id}})
     stop, recording = threading.Event(), Recording()
     recording.save(tmp_path / "live.rrd")

@@ -284,6 +284,7 @@ def test_two_links_by_hand(two_links):
     assert tau[ANKLE] - own[ANKLE] == pytest.approx(at_ankle, abs=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("support", ["bolted", "hanging"])
 def test_a_simulation_with_the_same_support_follows_with_small_gains(
     robot, inverse, monkeypatch, support

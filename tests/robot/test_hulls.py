@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from g1stream.robot.hulls import Hull, SelfCollision, never_collide, read_hulls
+from g1stream.robot.hulls import Hull, SelfCollision, add_hulls, never_collide, read_hulls
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1, REVISIONS
+from g1stream.robot.mujoco_spec import mujoco_spec
 
 LAFAN = Path(__file__).parents[3] / "shared" / "lafan1" / "joints_labeled.csv"
 PEERS = Path(os.environ.get("PEERS") or Path(tempfile.gettempdir(), "peers"))
@@ -49,6 +50,7 @@ def test_moving_links_have_hulls(revision):
         assert np.abs(hull.vertices).max() < 0.6, hull.link
 
 
+@pytest.mark.slow
 def test_hulls_fit_the_meshes_of_their_links(robot, reference_urdf):
     meshes = reference_urdf("g1_29dof_rev_1_0.urdf").parents[1] / "meshes"
     directions = RNG.normal(size=(2000, 3))
@@ -69,6 +71,22 @@ def test_hulls_fit_the_meshes_of_their_links(robot, reference_urdf):
     assert compared == 28
 
 
+def depths(collision, pose):
+    """By pair of links that touch in a pose."""
+    found = collision.depths(pose[np.newaxis])
+    return {pair: depth.item() for pair, depth in found.items()}
+
+
+def test_each_pose_has_its_own_depths(robot):
+    poses = RNG.uniform(robot.lower, robot.upper, (20, N_JOINTS))
+    collision = SelfCollision(robot)
+    found = collision.depths(poses)
+    for k, pose in enumerate(poses):
+        here = {pair: depth[k] for pair, depth in found.items() if depth[k]}
+        assert depths(collision, pose) == here
+    assert len(found) > 5
+
+
 def test_depth_is_the_way_apart(robot):
     pos, quat = forward_kinematics(robot, np.zeros((1, N_JOINTS)), *UPRIGHT)
     left, right = (robot.link_index(hand) for hand in HANDS)
@@ -76,20 +94,18 @@ def test_depth_is_the_way_apart(robot):
     apart = pos[0, left, 1] - pos[0, right, 1]
     for overlap in (0.004, -0.004):
         boxes = [box(hand, (0.05, (apart + overlap) / 2, 0.05)) for hand in HANDS]
-        contacts = SelfCollision(robot, boxes).contacts(np.zeros(N_JOINTS))
+        found = depths(SelfCollision(robot, boxes), np.zeros(N_JOINTS))
         if overlap < 0:
-            assert contacts == ()
+            assert found == {}
         else:
-            (contact,) = contacts
-            assert contact[:2] == HANDS
-            assert contact.depth == pytest.approx(overlap, abs=2e-4)
+            assert found == {HANDS: pytest.approx(overlap, abs=2e-4)}
 
 
 @pytest.mark.parametrize("revision", REVISIONS)
 def test_neutral_pose_is_free_of_contacts(revision):
     robot = G1.load(revision)
     pairs = never_collide(robot)
-    assert SelfCollision(robot).contacts(np.zeros(N_JOINTS)) == ()
+    assert depths(SelfCollision(robot), np.zeros(N_JOINTS)) == {}
     for link, parent in enumerate(robot.parent[1:], start=1):
         assert (robot.link_names[parent], robot.link_names[link]) in pairs
     # Two joints lie between them, and the foot's outline reaches around the ankle.
@@ -107,10 +123,10 @@ def test_random_poses_touch_as_the_mirrored_ones_do(robot):
     touched = 0
     for _ in range(60):
         pose = RNG.uniform(robot.lower, robot.upper)
-        here = {frozenset(c[:2]): c.depth for c in collision.contacts(pose)}
+        here = {frozenset(pair): depth for pair, depth in depths(collision, pose).items()}
         there = {
-            frozenset(map(swapped, c[:2])): c.depth
-            for c in collision.contacts((sign * pose)[mirrored])
+            frozenset(map(swapped, pair)): depth
+            for pair, depth in depths(collision, (sign * pose)[mirrored]).items()
         }
         for pair in here.keys() | there.keys():
             assert here.get(pair, 0.0) == pytest.approx(there.get(pair, 0.0), abs=0.003), pair
@@ -145,9 +161,33 @@ def test_dance_touches_itself_as_in_unitree_mujoco():
         for geoms, distance in zip(data.contact.geom, data.contact.dist, strict=True):
             pair = frozenset(model.body(model.geom_bodyid[geom]).name for geom in geoms)
             theirs[pair] = max(theirs.get(pair, 0.0), -distance)
-        ours = {frozenset(contact[:2]): contact.depth for contact in collision.contacts(pose)}
+        ours = {frozenset(pair): depth for pair, depth in depths(collision, pose).items()}
         assert ours.keys() <= theirs.keys()
         for pair, depth in theirs.items():
             assert -0.001 < ours.get(pair, 0.0) - depth < 0.0002, pair
             compared += 1
     assert compared > 80
+
+
+def test_depths_are_those_of_the_contacts_that_mujoco_has_in_each_pose(robot):
+    """Also where links touch in several points, or with several hulls."""
+    spec = mujoco_spec(robot, floating=True, shapes=False)
+    add_hulls(spec, read_hulls(robot), never_collide(robot), contact_bit=1)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    joints = [model.joint(name).qposadr[0] for name in JOINT_NAMES]
+    poses = RNG.uniform(robot.lower, robot.upper, (40, N_JOINTS))
+    found = SelfCollision(robot).depths(poses)
+    assert list(found) == sorted(found, key=lambda pair: [robot.link_index(one) for one in pair])
+    several = 0
+    for k, pose in enumerate(poses):
+        data.qpos[joints] = pose
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_collision(model, data)
+        deepest: dict[frozenset[str], float] = {}
+        for geoms, distance in zip(data.contact.geom, data.contact.dist, strict=True):
+            pair = frozenset(model.body(model.geom_bodyid[geom]).name for geom in geoms)
+            several += pair in deepest
+            deepest[pair] = max(deepest.get(pair, 0.0), -distance)
+        assert {frozenset(pair): depth[k] for pair, depth in found.items() if depth[k]} == deepest
+    assert several > 10

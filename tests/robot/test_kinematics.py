@@ -116,3 +116,11 @@ def test_root_poses_of_another_length_are_refused(robot, random_frames):
     with pytest.raises(ValueError, match="shape"):
         forward_kinematics(robot, random_frames.joint_pos, random_frames.root_pos[:5],
                            random_frames.root_quat_wxyz)  # fmt: skip
+
+
+def test_links_that_are_asked_for_alone_are_where_they_are_with_all(robot, random_frames):
+    links = [robot.link_index(name) for name in ("left_ankle_roll_link", "head_link")]
+    poses, some = (forward_kinematics(robot, *random_frames, asked) for asked in (None, links))
+    np.testing.assert_array_equal(some.pos[:, links], poses.pos[:, links])
+    np.testing.assert_array_equal(some.quat_wxyz[:, links], poses.quat_wxyz[:, links])
+    assert np.isnan(some.pos[:, robot.link_index("right_rubber_hand")]).all()

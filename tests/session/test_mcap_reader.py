@@ -65,6 +65,7 @@ def test_messages_are_those_of_the_stock_reader(tmp_path, compression, index):
         assert file.counts[topic] == len(stock(path, topic))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("index", [IndexType.ALL, IndexType.NONE])
 def test_a_file_cut_anywhere_counts_what_it_yields(tmp_path, index):
     path = write(tmp_path / "f.mcap", index_types=index)
@@ -83,6 +84,23 @@ def test_a_file_cut_anywhere_counts_what_it_yields(tmp_path, index):
     assert lengths == sorted(lengths, reverse=True)
     assert lengths[-1] == 0
     assert len(set(lengths)) > 8
+
+
+def test_messages_stay_in_order_where_chunks_have_different_topics(tmp_path):
+    path = tmp_path / "f.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        channels = {topic: writer.register_channel(topic, "none", 0) for topic in TOPICS}
+        for i, in_chunk in enumerate([(0,), (0, 1), (0,), (1,), (0,), (1,), (0, 1), (1,), (0,)]):
+            for topic in in_chunk:
+                writer.add_message(channels[TOPICS[topic]], T0 + i, bytes([i]), T0 + i)
+            writer.flush()
+        writer.finish()
+    found = dict.fromkeys(TOPICS[:2], b"")
+    for topic, messages in McapFile(path).batches(set(found)):
+        found[topic] += b"".join(messages.data)
+    assert [list(data) for data in found.values()] == [[0, 1, 2, 4, 6, 8], [1, 3, 5, 6, 7]]
 
 
 def test_only_chunks_with_a_wanted_topic_are_unpacked(tmp_path):
@@ -104,6 +122,19 @@ def test_only_chunks_with_a_wanted_topic_are_unpacked(tmp_path):
     assert ours(damaged, "/a") == [(T0 + i, T0 + i, bytes(100)) for i in range(50)]
     with pytest.raises(RecordingError, match="damaged"):
         ours(damaged, "/b")
+
+
+def test_an_index_into_the_next_chunk_is_noticed(tmp_path):
+    path = write(tmp_path / "f.mcap", compression=CompressionType.NONE)
+    file = McapFile(path)
+    both = [chunk for chunk in file._chunks if len(chunk.index) == 2]
+    (start, n_entries), size = both[1].index[2], both[1].record.length
+    content = bytearray(path.read_bytes())
+    last = start + 16 * (n_entries - 1) + 8  # an entry is a time and an offset
+    content[last : last + 8] = size.to_bytes(8, "little")
+    path.write_bytes(content)
+    with pytest.raises(RecordingError, match=f"the record at byte {both[1].record.start} "):
+        ours(McapFile(path), "/b")
 
 
 def test_an_index_that_lies_is_noticed(tmp_path):

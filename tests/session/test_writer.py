@@ -20,6 +20,7 @@ from g1stream.errors import RecordingError
 from g1stream.foxglove.encoders import JointStatesTemplate
 from g1stream.session import writer as writer_module
 from g1stream.session.format import CHANNELS, metadata_from_strings
+from g1stream.session.info import MotionInfo
 from g1stream.session.parts import SessionFiles
 from g1stream.session.writer import SessionWriter, attach_motion
 
@@ -296,7 +297,7 @@ class Writer:
 def test_a_motion_file_is_attached_with_its_type(tmp_path, name, kind):
     (tmp_path / name).write_bytes(b"1,2")
     taker = Writer()
-    attach_motion(taker, tmp_path / name, 7)
+    attach_motion(taker, MotionInfo(source=str(tmp_path / name)), 7)
     assert taker.attached == [(name, kind, b"1,2", 7)]
 
 
@@ -305,6 +306,23 @@ def test_neither_a_session_nor_a_large_file_nor_a_missing_one_is_attached(tmp_pa
     (tmp_path / "earlier.mcap").write_bytes(b"\x89MCAP0\r\n")
     (tmp_path / "large.csv").write_bytes(bytes(9))
     taker = Writer()
-    for source in (None, *(tmp_path / n for n in ("earlier.mcap", "large.csv", "gone.csv", "."))):
-        attach_motion(taker, source, 7)
+    attach_motion(taker, None, 7)
+    attach_motion(taker, MotionInfo(), 7)
+    for source in ("earlier.mcap", "large.csv", "gone.csv", "."):
+        attach_motion(taker, MotionInfo(source=str(tmp_path / source)), 7)
     assert not taker.attached
+
+
+def test_each_file_of_a_joined_motion_is_attached_once(tmp_path):
+    sources = []
+    (tmp_path / "below").mkdir()
+    for name in ("a.csv", "b.csv", "below/a.csv"):
+        sources.append(MotionInfo(source=str(tmp_path / name)))
+        (tmp_path / name).write_text(name)
+    taker = Writer()
+    attach_motion(taker, MotionInfo(parts=[*sources, sources[0]]), 7)
+    assert [(name, data) for name, _, data, _ in taker.attached] == [
+        ("a.csv", b"a.csv"),
+        ("b.csv", b"b.csv"),
+        ("a-2.csv", b"below/a.csv"),
+    ]

@@ -263,6 +263,7 @@ def test_strong_damping_does_not_chatter(robot, kd, servo, run):
     assert np.abs(np.diff(speeds, axis=0)).max() < 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not LAFAN.exists(), reason="../shared/lafan1 is not there")
 @pytest.mark.parametrize(("support", "worst"), [("bolted", 0.09), ("hanging", 0.047)])
 def test_dance_is_followed_as_by_unitree_mujoco(robot, support, worst, servo, run):

@@ -9,7 +9,7 @@ import numpy as np
 from g1stream.analysis.frames import FPS
 from g1stream.analysis.tracking import blocks
 from g1stream.robot.joints import N_JOINTS
-from g1stream.robot.kinematics import LinkPoses, forward_kinematics
+from g1stream.robot.kinematics import BLOCK, LinkPoses, forward_kinematics
 from g1stream.robot.rotations import quat_conj, quat_mul, quat_rotate, quat_rotate_inverse
 from g1stream.session.metrics import (
     BodyMetrics,
@@ -40,8 +40,6 @@ END_EFFECTORS: Final = (
 
 _DOWN: Final = np.array([0.0, 0.0, -1.0])
 _MM: Final = 1e3
-#: Frames whose links are computed at once: they stay in the cache.
-_BLOCK: Final = 256
 
 
 def body_metrics(robot: G1, frames: Frames, joints: Sequence[int] = range(N_JOINTS)) -> BodyMetrics:
@@ -65,7 +63,7 @@ def body_metrics(robot: G1, frames: Frames, joints: Sequence[int] = range(N_JOIN
         LinkPoses(np.empty((n_frames, len(ends), 3)), np.empty((n_frames, len(ends), 4)))
         for _ in range(2)
     )
-    for part in blocks(n_frames, _BLOCK):
+    for part in blocks(n_frames, BLOCK):
         of_reference = _links(robot, reference, part, bodies)
         of_measured = _links(robot, measured, part, bodies)
         alone[part] = of_reference[0].pos - of_measured[0].pos
@@ -111,12 +109,13 @@ def _links(
     """Poses of L bodies in the pelvis's frame, and their positions (F, L, 3) with its attitude."""
     poses = forward_kinematics(robot, state.q[part], np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
     links = LinkPoses(poses.pos[:, bodies], poses.quat_wxyz[:, bodies])
-    return links, quat_rotate(state.root_quat_wxyz[part, np.newaxis], links.pos)
+    axes = quat_rotate(state.root_quat_wxyz[part, np.newaxis], np.eye(3))
+    return links, links.pos @ axes
 
 
 def _link_metrics(frames: Frames, names: list[str], difference: Floats) -> LinkMetrics:
     """Of the positions (F, L, 3) m, reference - measured."""
-    distance = np.linalg.norm(difference, axis=-1)
+    distance = _norm(difference)
     of_frame = distance.mean(axis=1)
     worst = int(of_frame.argmax())
     both = frames.consecutive
@@ -136,7 +135,13 @@ def _link_metrics(frames: Frames, names: list[str], difference: Floats) -> LinkM
 
 def _mean_norm(vectors: Floats) -> float | None:
     """Mean length of vectors (F, L, 3) m, mm; None without a frame."""
-    return float(np.linalg.norm(vectors, axis=-1).mean() * _MM) if len(vectors) else None
+    return float(_norm(vectors).mean() * _MM) if len(vectors) else None
+
+
+def _norm(vectors: Floats) -> Floats:
+    """(...) of vectors (..., 3); numpy's own takes twice as long."""
+    length: Floats = np.sqrt(np.einsum("...k,...k", vectors, vectors))
+    return length
 
 
 def _end_effector(asked: LinkPoses, done: LinkPoses, link: int) -> EndEffectorMetrics:

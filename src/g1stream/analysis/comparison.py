@@ -2,27 +2,30 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from g1stream.analysis.comparison_table import comparison_table
 from g1stream.analysis.delay import interpolated
-from g1stream.analysis.differences import Difference, differences
+from g1stream.analysis.differences import Difference, differences, ranked
 from g1stream.analysis.metrics import metrics
+from g1stream.analysis.played import SAME_INTERVAL
 from g1stream.analysis.summary import flat, played
 from g1stream.config import Config
 from g1stream.errors import RecordingError
 from g1stream.files import check_not_input, check_output_path, check_suffix
+from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS, matching_joints
 from g1stream.session.info import SessionInfo
 from g1stream.session.metrics import NAMED_METRICS
 from g1stream.session.records import Record, read_record
 from g1stream.session.session import Session, open_session
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -30,12 +33,18 @@ if TYPE_CHECKING:
     from g1stream.session.summary import Summary
     from g1stream.types import Floats
 
-__all__ = ["Comparison", "compare"]
+__all__ = ["CONDITION_NAMES", "Comparison", "compare"]
+
+_PARTS: Final = (*JOINT_GROUPS, *JOINT_NAMES)
+CONDITION_NAMES: Final = (
+    *NAMED_METRICS,
+    *(f"rmse.{part}" for part in _PARTS),
+    *(f"p.{name}" for name in (*NAMED_METRICS, *_PARTS)),
+)
+"""What a condition on a comparison can name; of sessions that lack some of it, less."""
 
 #: References of one motion differ by no more than this at the same motion time, rad.
 _SAME_MOTION: Final = 0.01
-#: Sessions that were played from and to within this, s, are compared whole.
-_SAME_INTERVAL: Final = 0.1
 #: A common part shorter than this, s, is none.
 _SHORTEST: Final = 0.1
 #: Motion times at which references are compared, Hz.
@@ -52,8 +61,10 @@ class Comparison(Record):
         base, other: paths of the sessions.
         start_s, stop_s: the part of the motion that all of them played, which is compared.
         metrics: of all joints that played in every session, by the name that --fail-if takes.
-        limbs, joints: RMSE, rad, by name.
-        differs: what else differs between the sides, such as `gains.kp` -> what it was in each.
+        limbs, joints: RMSE, rad, by name; the joints that differ most first, significantly at the
+            top.
+        differs: what else differs between the sides, such as `gains.kp of knee` -> what it was in
+            each.
     """
 
     motion: str
@@ -69,10 +80,21 @@ class Comparison(Record):
     def __str__(self) -> str:
         return comparison_table(self)
 
-    def named(self) -> dict[str, tuple[float, float]]:
-        """Base and other by the name that a condition has for them: `rmse`, `rmse.left_leg`."""
-        parts = {f"rmse.{part}": one for part, one in (self.limbs | self.joints).items()}
-        return {name: (one.base, one.other) for name, one in (self.metrics | parts).items()}
+    def named(self) -> tuple[dict[str, float], dict[str, float]]:
+        """What a condition can name, and what `base` stands for beside it.
+
+        The first are those of the other side, such as `rmse` and `rmse.left_leg`, and the adjusted
+        p-values of the differences, such as `p.rmse` and `p.left_leg`.
+        """
+        parts = self.limbs | self.joints
+        metrics = self.metrics | {f"rmse.{part}": one for part, one in parts.items()}
+        p = {
+            f"p.{name}": one.p_adjusted
+            for name, one in (self.metrics | parts).items()
+            if one.p_adjusted is not None
+        }
+        other = {name: one.other for name, one in metrics.items()}
+        return other | p, {name: one.base for name, one in metrics.items()}
 
 
 def compare(
@@ -81,6 +103,7 @@ def compare(
     *,
     page: str | Path | None = None,
     force: bool = False,
+    progress: Callable[[str, float], None] = lambda what, fraction: None,
 ) -> Comparison:
     """Compare sessions of one motion with others, over the part that all of them played.
 
@@ -90,20 +113,29 @@ def compare(
         page: of an HTML page, which is written too: it shows both sides over each other and needs
             no network.
         force: replace a page that is there.
+        progress: called with what takes its time, and the fraction of it that is done, 0 to 1.
 
     Returns:
-        The differences. Three sessions or more on each side tell noise from change; with one on a
+        The differences. Two sessions or more on each side tell noise from change; with one on a
         side nothing can.
 
     Raises:
         ConfigError: the page does not end in .html.
-        RecordingError: a session has no tracking error, its motion is another one, or no joint
-            played in all of them; or the page cannot be written.
+        RecordingError: a session has no tracking error, its motion is another one, no joint
+            played in all of them, or two of a side are the same; or the page cannot be written.
     """
     if page is not None:
         check_suffix(Path(page), "a page", ".html")
         check_output_path(Path(page), force=force)  # before all sessions are read
-    sides = [[_read(one) for one in _several(side)] for side in (base, other)]
+    several = [_several(side) for side in (base, other)]
+    total, sides = sum(map(len, several)), list[list[_Run]]()
+    for side in several:
+        sides.append([])
+        for one in side:
+            progress("reading", sum(map(len, sides)) / total)
+            sides[-1].append(_read(one))
+    for runs in sides:
+        _require_different(runs)
     runs = [*sides[0], *sides[1]]
     if page is not None:
         check_not_input(Path(page), *(Path(run.path) for run in runs))
@@ -131,13 +163,14 @@ def compare(
             _SIGNED,
         ),
         limbs=differences([[_rmse(m, "limbs") for m in side] for side in found], {}),
-        joints=differences([[_rmse(m, "joints") for m in side] for side in found], {}),
+        joints=ranked(differences([[_rmse(m, "joints") for m in side] for side in found], {})),
         differs=_circumstances(*sides),
     )
     if page is not None:
         from g1stream.analysis.report.comparison import write_page
 
         sources = [[run.source for run in side] for side in sides]
+        progress("drawing", 0.0)
         write_page(comparison, sources, joints, Path(page), force=force)
     return comparison
 
@@ -153,6 +186,7 @@ class _Run(NamedTuple):
         reference: (T, 29) rad.
         joints: motor indices of those that played.
         metrics: of the whole session.
+        measured: hash of all joint positions and their times.
         facts: what may make a difference, beside the motion.
     """
 
@@ -165,11 +199,12 @@ class _Run(NamedTuple):
     reference: Floats
     joints: tuple[int, ...]
     metrics: Metrics
+    measured: bytes
     facts: dict[str, str]
 
     def metrics_of(self, start: float, stop: float, joints: tuple[int, ...]) -> Metrics:
         """Of some joints in a part of the motion; in the whole session if it played little else."""
-        whole = max(start - self.start, self.stop - stop) < _SAME_INTERVAL
+        whole = max(start - self.start, self.stop - stop) < SAME_INTERVAL
         if whole and joints == self.joints:
             return self.metrics
         session = _opened(self.source)
@@ -218,6 +253,7 @@ def _read(source: Session | str | Path) -> _Run:
         reference=interpolated(rows / _RATE, found.motion_time, found.reference),
         joints=found.joints,
         metrics=of_all,
+        measured=hashlib.sha256(found.motion_time.tobytes() + found.measured.tobytes()).digest(),
         facts=dict(_facts(session, summary)),
     )
 
@@ -228,6 +264,17 @@ def _nothing_in_common(run: _Run, start: float, stop: float) -> RecordingError:
         f"began at {start:.2f} s of it, the first ended at {stop:.2f} s.",
         "Compare sessions that played the same part of a motion.",
     )
+
+
+def _require_different(side: Sequence[_Run]) -> None:
+    """One run given twice would be two without any noise: every difference from it significant."""
+    first: dict[bytes, _Run] = {}
+    for run in side:
+        if (same := first.setdefault(run.measured, run)) is not run:
+            raise RecordingError(
+                f"{same.path} and {run.path} are one run: their measurements are the same.",
+                "Give each run once; rollouts differ only with `noise`.",
+            )
 
 
 def _require_same_motion(first: _Run, other: _Run) -> None:
@@ -263,7 +310,36 @@ def _circumstances(base: Sequence[_Run], other: Sequence[_Run]) -> dict[str, tup
         for name in every[0]
         if all(name in one for one in every)
     }
-    return {name: (a, b) for name, (a, b) in shown.items() if a != b}
+    return _by_part({name: (a, b) for name, (a, b) in shown.items() if a != b})
+
+
+def _by_part(differs: dict[str, tuple[str, str]]) -> dict[str, tuple[str, str]]:
+    """What is of a joint, such as `gains.kp.left_knee_joint`, with that of others like it."""
+    joints: dict[tuple[str, tuple[str, str]], set[int]] = {}
+    for name, sides in differs.items():
+        setting, _, joint = name.rpartition(".")
+        if joint in JOINT_NAMES:
+            joints.setdefault((setting, sides), set()).add(JOINT_NAMES.index(joint))
+        else:
+            joints[name, sides] = set()
+    return {
+        name + (f" of {_in_words(several)}" if several else ""): sides
+        for (name, sides), several in joints.items()
+    }
+
+
+def _in_words(joints: set[int]) -> str:
+    """Motors by the names of limbs and of joints on both sides: `legs, waist_yaw, elbow`."""
+    if len(joints) == N_JOINTS:
+        return "all joints"
+    limbs = ("legs", "arms", *JOINT_GROUPS)
+    pairs = [name.replace("left_", "*_") for name in JOINT_NAMES if name.startswith("left_")]
+    words, left = list[str](), set(joints)
+    for pattern in (*limbs, *pairs, *JOINT_NAMES):
+        if left.issuperset(named := matching_joints(pattern, pattern)):
+            words.append(pattern.removeprefix("*_").removesuffix("_joint"))
+            left.difference_update(named)
+    return ", ".join(words)
 
 
 def _facts(session: Session, summary: Summary) -> Iterator[tuple[str, str]]:
@@ -279,7 +355,9 @@ def _facts(session: Session, summary: Summary) -> Iterator[tuple[str, str]]:
         yield from ((name, str(value)) for name, value in known.items() if value is not None)
         yield "slowed", f"{stream.slowed or 1.0:g}"
     for name, gains in (info.gains or {}).items():
-        yield f"gains.{name}", _short(gains)
+        yield from (
+            (f"gains.{name}.{j}", f"{k:g}") for j, k in zip(JOINT_NAMES, gains, strict=False)
+        )
     yield "correction", str(info.correction.source) if info.correction else "none"
     yield from ((f"version of {name}", v) for name, v in summary.versions.items())
     if summary.host:
@@ -289,14 +367,3 @@ def _facts(session: Session, summary: Summary) -> Iterator[tuple[str, str]]:
     for name, value in (flat(Config().model_dump(mode="json")) | flat(info.config)).items():
         if not name.startswith(("stream.feedforward", "stream.rate", "gains.", "record.")):
             yield name, "not set" if value is None else str(value)
-
-
-def _short(gains: Sequence[Any]) -> str:
-    """Gains of 29 joints as runs, such as `60 x3, 100`."""
-    runs: list[list[Any]] = []
-    for gain in gains:
-        if runs and runs[-1][0] == gain:
-            runs[-1][1] += 1
-        else:
-            runs.append([gain, 1])
-    return ", ".join(f"{gain:g}" + (f" x{n}" if n > 1 else "") for gain, n in runs)

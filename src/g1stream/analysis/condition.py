@@ -2,18 +2,21 @@
 
 It is a small part of Python's expressions, read with `ast` and computed here: names of metrics,
 `base`, numbers, comparisons, arithmetic, `and`, `or` and `not`. Nothing else is evaluated.
+A metric may be unknown, or a comparison divide by 0; then a condition that it decides is neither
+true nor false.
 """
 
 from __future__ import annotations
 
 import ast
 import operator
+from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any, Final
 
 from g1stream.errors import ConfigError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Collection, Mapping
 
 __all__ = ["Condition"]
 
@@ -66,20 +69,43 @@ class Condition:
         ]
         return list(dict.fromkeys(names))
 
-    def holds(self, values: Mapping[str, float], base: Mapping[str, float] | None = None) -> bool:
-        """Whether it holds.
+    def holds(
+        self, values: Mapping[str, float | None], base: Mapping[str, float] | None = None
+    ) -> bool | None:
+        """Whether it holds; None where that takes an unknown metric or division by 0.
 
         Args:
-            values: metrics by name.
+            values: metrics by name, None for what is not known.
             base: what `base` stands for, by metric; the condition cannot name it if None.
 
         Raises:
-            ConfigError: one of its metrics is not among them, or it divides by 0.
+            ConfigError: one of its metrics is not among them, or has no base.
         """
-        try:
-            return self._truth(self._tree, values, base)
-        except ZeroDivisionError as error:
-            raise self._error("it divides by 0 with these figures") from error
+        self.require(values)
+        return self._truth(self._tree, values, base)
+
+    def require(self, names: Collection[str]) -> None:
+        """Check that each of its metrics is one of these names.
+
+        Raises:
+            ConfigError: one is not; it says which there are.
+        """
+        unknown = next((name for name in self.metrics if name not in names), None)
+        if unknown is None:
+            return
+        parts: dict[str, list[str]] = {}
+        for name in names:
+            metric, dot, part = name.partition(".")
+            if dot:
+                parts.setdefault(metric, []).append(part)
+        close = get_close_matches(unknown, names)
+        known = ", ".join(name for name in names if "." not in name)
+        known += "".join(
+            f"; or of one of {len(of)} parts, such as {one}.{of[0]} and {one}.{of[-1]}"
+            for one, of in parts.items()
+        )
+        meant = f"Close matches: {', '.join(close)}. " if close else ""
+        raise self._error(f"there is no {unknown} here", f"{meant}Choose from {known}.")
 
     def _check(self, node: ast.expr) -> None:
         """Raise unless a node is a truth: a comparison, or `and`, `or` and `not` of some."""
@@ -111,24 +137,33 @@ class Condition:
             raise self._error(f"{ast.unparse(node)} is neither a number nor a metric")
 
     def _truth(
-        self, node: ast.expr, values: Mapping[str, float], base: Mapping[str, float] | None
-    ) -> bool:
+        self,
+        node: ast.expr,
+        values: Mapping[str, float | None],
+        base: Mapping[str, float] | None,
+    ) -> bool | None:
         if isinstance(node, ast.BoolOp):
             truths = [self._truth(one, values, base) for one in node.values]
-            return all(truths) if isinstance(node.op, ast.And) else any(truths)
+            decisive = isinstance(node.op, ast.Or)
+            return decisive if decisive in truths else None if None in truths else not decisive
         if isinstance(node, ast.UnaryOp):
-            return not self._truth(node.operand, values, base)
+            truth = self._truth(node.operand, values, base)
+            return None if truth is None else not truth
         assert isinstance(node, ast.Compare)
         metrics = _metrics_in(node)
-        if unknown := [name for name in metrics if name not in values]:
-            known = ", ".join(name for name in values if "." not in name)
-            raise self._error(f"there is no {unknown[0]} here", f"Choose from {known}.")
-        numbers = dict(values)
+        numbers = {name: v for name in metrics if (v := values[name]) is not None}
         if "base" in _names_in(node):
             if base is None:
                 raise self._error("nothing is compared here that `base` could stand for")
+            if metrics[0] not in base:
+                raise self._error(f"{metrics[0]} has no base")
             numbers["base"] = base[metrics[0]]
-        compared = [_number(one, numbers) for one in (node.left, *node.comparators)]
+        if not numbers.keys() >= set(metrics):
+            return None
+        try:
+            compared = [_number(one, numbers) for one in (node.left, *node.comparators)]
+        except ZeroDivisionError:
+            return None
         return all(
             _COMPARISONS[type(op)](a, b)
             for op, a, b in zip(node.ops, compared[:-1], compared[1:], strict=True)

@@ -85,6 +85,8 @@ class Delays:
         middle = self._q.mean(axis=0)  # so that sums of squares keep their digits
         self._q -= middle
         self._measured -= middle
+        self._total = self._measured.var(axis=0)
+        self._mean = self._measured.mean(axis=0)
         self._moving = np.minimum(np.ptp(self._q, axis=0), np.ptp(self._measured, axis=0)) > _MOVES
         every = list(range(q.shape[1]))
         self._unexplained = np.array([self._regress(lag, every)[1] for lag in _LAGS.tolist()])
@@ -103,7 +105,7 @@ class Delays:
         fraction = 0.5 * (left - right) / curvature if curvature > 0.0 else 0.0
         shift = float(_LAGS[best] + fraction)
         error = self._reference(shift, list(joints)) - self._measured[:, list(joints)]
-        explained = 1.0 - middle / self._measured[:, moving].var(axis=0).sum()
+        explained = 1.0 - middle / self._total[moving].sum()
         return Delay(
             seconds=shift * _STEP,
             ci95=self._ci95(shift, moving),
@@ -122,11 +124,13 @@ class Delays:
 
     def _regress(self, shift: float, joints: list[int]) -> tuple[Floats, Floats]:
         """Of some joints (J,) the factor on the reference, and the variance left unexplained."""
-        q, measured = self._reference(shift, joints), self._measured[:, joints]
-        variance, total = q.var(axis=0), measured.var(axis=0)
-        covariance = np.einsum("tj,tj->j", q, measured) / len(q) - q.mean(0) * measured.mean(0)
+        q, mean = self._reference(shift, joints), self._mean[joints]
+        measured = self._measured if len(joints) == len(self._mean) else self._measured[:, joints]
+        of_q = q.mean(axis=0)
+        variance = np.einsum("tj,tj->j", q, q) / len(q) - np.square(of_q)
+        covariance = np.einsum("tj,tj->j", q, measured) / len(q) - of_q * mean
         factor: Floats = covariance.clip(0.0) / np.maximum(variance, np.finfo(float).tiny)
-        unexplained: Floats = total - factor * covariance
+        unexplained: Floats = self._total[joints] - factor * covariance
         return factor, unexplained
 
     def _ci95(self, shift: float, joints: list[int]) -> float | None:

@@ -12,7 +12,7 @@ from g1stream.analysis.frames import FPS, MEASURED_COLUMNS, REFERENCE_COLUMNS, f
 from g1stream.analysis.summary import played
 from g1stream.analysis.timing import timing_metrics
 from g1stream.analysis.torque import torque_metrics
-from g1stream.analysis.tracking import NothingToCompareError, pooled, rms
+from g1stream.analysis.tracking import NothingToCompareError, blocks, pooled, rms
 from g1stream.errors import RobotError
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.session.metrics import (
@@ -23,6 +23,7 @@ from g1stream.session.metrics import (
     TrackingMetrics,
 )
 from g1stream.session.streams import Base, Command, Measured, Reference, TorsoImu
+from g1stream.session.summary import TO_ITS_END
 from g1stream.types import Floats
 
 if TYPE_CHECKING:
@@ -37,8 +38,6 @@ if TYPE_CHECKING:
 
 __all__ = ["metrics"]
 
-#: Played to within this of the end that was asked for, s, it was played to its end.
-_WHOLE: Final = 0.1
 #: A run fails where the links are further away than this on average, mm: PHC, H2O, OmniH2O, ASAP.
 _MOST_LINK_ERROR: Final = 500.0
 #: What ends an episode of BeyondMimic: errors of heights, mm, and of the direction of gravity.
@@ -116,14 +115,14 @@ def _read(session: Session) -> None:
 
 
 def _tracking_metrics(tracking: Tracking, sampled: Frames | None) -> TrackingMetrics:
-    # As precise as the positions were recorded.
-    size = np.empty(tracking.reference.shape, np.float32)
-    np.subtract(tracking.reference, tracking.measured, out=size, casting="same_kind")
-    np.abs(size, out=size)
+    # As precise as the positions were recorded, and joint by joint in memory.
+    size = np.empty(tracking.reference.shape[::-1], np.float32)
+    for part in blocks(len(tracking.time)):
+        size[:, part] = np.abs(tracking.reference[part] - tracking.measured[part]).T
     columns: dict[str, Floats] = {
         "rmse_rad": tracking.rmse,
-        "mae_rad": size.mean(axis=0, dtype=np.float64),
-        "p99_rad": np.percentile(size, 99.0, axis=0),
+        "mae_rad": size.mean(axis=1, dtype=np.float64),
+        "p99_rad": np.array([np.percentile(one, 99.0) for one in size]),
         "mean_rad": tracking.mean,
         "max_abs_rad": tracking.max_abs,
         "max_abs_at_s": tracking.max_abs_at,
@@ -149,7 +148,7 @@ def _tracking_metrics(tracking: Tracking, sampled: Frames | None) -> TrackingMet
         return LimbMetrics(
             rmse_rad=pooled(of["rmse_rad"]),
             mae_rad=float(of["mae_rad"].mean()),
-            p99_rad=float(np.percentile(size[:, list(members)], 99.0, overwrite_input=True)),
+            p99_rad=float(np.percentile(size[list(members)], 99.0, overwrite_input=True)),
             max_abs_rad=float(of["max_abs_rad"][largest]),
             max_abs_at_s=float(of["max_abs_at_s"][largest]),
             worst_joint=JOINT_NAMES[members[worst]],
@@ -233,5 +232,5 @@ def _completed(summary: Summary, tracking: Tracking | None) -> tuple[bool | None
         return completed, None
     done = float(tracking.motion_time[-1]) - ended.start_s
     if completed is None:  # nobody told, but the last frame of it was seen
-        completed = done >= asked - _WHOLE or None
-    return completed, min(1.0, max(0.0, done / asked)) if done < asked - _WHOLE else 1.0
+        completed = done >= asked - TO_ITS_END or None
+    return completed, min(1.0, max(0.0, done / asked)) if done < asked - TO_ITS_END else 1.0

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from g1stream.control.state_checks import STALE
 from g1stream.errors import RecordingError
 from g1stream.motion.correction import ATTACHMENT_NAME, Conditions, Correction
 from g1stream.robot.joints import N_JOINTS
@@ -21,18 +22,17 @@ if TYPE_CHECKING:
     from g1stream.session.session import Session
     from g1stream.types import Floats
 
-__all__ = ["Played", "read_played", "require_same"]
+__all__ = ["SAME_INTERVAL", "Played", "read_played", "require_same"]
 
-#: A longer time without a state or a command is a stall, s: the torque begins to fade out then.
-_STALL: Final = 0.02
+SAME_INTERVAL: Final = 0.1
+"""Sessions that were played from and to within this, s, have played the same: a few LowStates."""
+
 #: The torque may have been off for this long, s, such as after a late LowState.
 _LONGEST_DROPOUT: Final = 0.5
 #: A motion of which something can be learned, s: as long as one could hold in memory, and longer
 #: than the windows over which an error is judged.
 _LONGEST: Final = 1e4
 _SHORTEST: Final = 0.8
-#: Intervals that were played may differ by this, s: a few LowStates.
-_SAME_INTERVAL: Final = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,12 +143,15 @@ def read_played(session: Session) -> Played:
 
 
 def _stalls(session: Session, states: Floats) -> list[tuple[float, float]]:
-    """Where states, or commands, were missing for a while: begin and end, motion time in s."""
+    """Where states, or commands, were missing for longer than `STALE`: begin and end, motion time.
+
+    In s. The torque fades out then.
+    """
     commands = session.sel("PLAY").reference.read("motion_time").motion_time
     return [
         (times[i], times[i + 1])
         for times in (states, commands)
-        for i in np.flatnonzero(np.diff(times) > _STALL)
+        for i in np.flatnonzero(np.diff(times) > STALE)
     ]
 
 
@@ -163,7 +166,7 @@ def _switched_off(stream: StreamSummary) -> bool:
 def require_same(first: Played, other: Played) -> None:
     """RecordingError if two sessions are not repetitions of the same."""
     different = first.conditions.differences(other.conditions)
-    if max(abs(first.start - other.start), abs(first.stop - other.stop)) > _SAME_INTERVAL:
+    if max(abs(first.start - other.start), abs(first.stop - other.stop)) > SAME_INTERVAL:
         different.append(
             f"played from {first.start:.2f} to {first.stop:.2f} s and from {other.start:.2f} to "
             f"{other.stop:.2f} s"

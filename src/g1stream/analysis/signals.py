@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final, Literal, NamedTuple, get_args
 
 import numpy as np
 
-from g1stream.analysis.tracking import NothingToCompareError
+from g1stream.analysis.tracking import NothingToCompareError, blocks
 from g1stream.errors import ConfigError
 from g1stream.session.streams import Command, Measured, Reference
 from g1stream.types import Floats, Ints, Phase
@@ -34,7 +34,8 @@ class Line(NamedTuple):
     Attributes:
         name: what it is, such as "measured".
         time: (N,) s on the motion's clock, rising.
-        values: (N, 29) in the unit of the signal, nan where there are none.
+        values: (N, 29) in the unit of the signal, nan where there are none; each joint's follow one
+            another in memory.
     """
 
     name: str
@@ -50,7 +51,7 @@ class Line(NamedTuple):
         if len(gaps := np.flatnonzero(np.diff(time) > _GAP) + 1):
             time = np.insert(time, gaps, time[gaps])
             values = np.insert(values, gaps, np.nan, axis=0)
-        return cls(name, time, values)
+        return cls(name, time, np.asfortranarray(values))
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +82,7 @@ def signal(session: Session, quantity: Quantity) -> Signal:
     makers: dict[Quantity, Callable[[Session], Signal]] = {
         "q": lambda one: Signal("position", "deg", _asked_and_measured(one, "q")),
         "dq": lambda one: Signal("velocity", "deg/s", _asked_and_measured(one, "dq")),
-        "tau": lambda one: Signal("torque", "Nm", _torques(one)),
+        "tau": lambda one: Signal("torque", "N·m", _torques(one)),
         "error": lambda one: Signal("error", "deg", _errors(one)),
     }
     return makers[quantity](session)
@@ -132,15 +133,19 @@ def _asked_and_measured(session: Session, column: Literal["q", "dq"]) -> tuple[L
     lines = []
     if session.topics.get(Reference.topic):
         reference = session.reference.read("phase", column)
-        asked = np.degrees(getattr(reference, column))
+        asked = _degrees(getattr(reference, column))
         asked[reference.phase == Phase.DAMP] = np.nan  # where nothing is asked for but damping
         lines.append(Line.of("reference", reference.time, asked))
     elif session.topics.get(Command.topic):
         command = session.command.read(column)
-        lines.append(Line.of("command", command.time, np.degrees(getattr(command, column))))
+        lines.append(Line.of("command", command.time, _degrees(getattr(command, column))))
+    elif column == "q" and session.converted:
+        motion = session.motion()
+        time = np.arange(motion.n_frames) / motion.fps
+        lines.append(Line.of("motion", time, _degrees(motion.joint_pos)))
     if session.topics.get(Measured.topic):
         measured = session.measured.read(column)
-        lines.append(Line.of("measured", measured.time, np.degrees(getattr(measured, column))))
+        lines.append(Line.of("measured", measured.time, _degrees(getattr(measured, column))))
     return tuple(lines)
 
 
@@ -149,8 +154,16 @@ def _errors(session: Session) -> tuple[Line, ...]:
         tracking = session.tracking()
     except NothingToCompareError:
         return ()
-    error = tracking.error
-    return (Line.of("reference - measured", tracking.time, np.degrees(error, out=error)),)
+    error = _degrees(tracking.reference, tracking.measured)
+    return (Line.of("reference - measured", tracking.time, error),)
+
+
+def _degrees(values: Floats, less: Floats | None = None) -> Floats:
+    """(N, 29) rad, or their difference, in degrees; each joint's follow one another in memory."""
+    degrees = np.empty(values.shape, order="F")
+    for part in blocks(len(values)):
+        degrees[part] = np.degrees(values[part] if less is None else values[part] - less[part])
+    return degrees
 
 
 def _torques(session: Session) -> tuple[Line, ...]:

@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from g1stream._version import __version__
-from g1stream.analysis.render import most
+from g1stream.analysis.summary_text import most
 from g1stream.analysis.tracking import NothingToCompareError
 from g1stream.config import Config
+from g1stream.control.command_delay import DELAY_REMEDY
 from g1stream.control.guard import LOG_NAME
+from g1stream.control.state_checks import STATE_TIMEOUT
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.session.info import SessionInfo
 from g1stream.session.recorder_summary import RecorderSummary
@@ -29,7 +31,7 @@ if TYPE_CHECKING:
 
     from g1stream.session.info import MotionInfo
     from g1stream.session.session import Session
-    from g1stream.session.streams import Stream
+    from g1stream.session.stream import Stream
     from g1stream.session.summary import PhaseInterval
 
 __all__ = [
@@ -49,8 +51,6 @@ FEEDFORWARD: Final = "feed-forward: "
 # What a robot does not notice is in the figures and is no problem.
 #: A publish interval of more than so many medians is a gap.
 _GAP: Final = 3.0
-#: A gap between publish times, s: after this a robot's silence ends a session.
-_LONG_GAP: Final = 0.1
 #: A command this late, s, or this share of commands left out.
 _LONG_OVERRUN: Final = 0.02
 _MOST_SKIPPED: Final = 0.01
@@ -209,7 +209,9 @@ def find_problems(summary: Summary) -> Iterator[str]:
         if summary.first_ns is None and not recorder.stopped:
             yield "Nothing was received."
         yield from _recorder_problems(recorder)
-    gaps = {t: s for t, s in summary.topics.items() if (s.longest_interval_s or 0.0) >= _LONG_GAP}
+    gaps = {
+        t: s for t, s in summary.topics.items() if (s.longest_interval_s or 0.0) >= STATE_TIMEOUT
+    }
     if gaps:
         longest = max(stats.longest_interval_s or 0.0 for stats in gaps.values()) * 1e3
         numbers = ", ".join(f"{topic} {stats.gaps}" for topic, stats in gaps.items())
@@ -237,6 +239,11 @@ def _stream_problems(stream: StreamSummary) -> Iterator[str]:
             f"The simulator ran at {stream.time_scale:.2f} of real time, in which the robot had to "
             f"move {1.0 / stream.time_scale:.1f} times as fast as the motion: it needs more CPU."
         )
+    if stream.command_delay_s:
+        yield (
+            f"The motors followed commands that were up to {stream.command_delay_s:.2f} s old: "
+            f"{DELAY_REMEDY}."
+        )
     if stream.saturated_ticks:
         ticks = most(stream.saturated_ticks)
         yield f"Feed-forward torques clamped at their limits, ticks: {ticks}."
@@ -245,6 +252,8 @@ def _stream_problems(stream: StreamSummary) -> Iterator[str]:
 def _recorder_problems(recorder: RecorderSummary) -> Iterator[str]:
     if recorder.stopped:
         yield f"The recording stopped early: {recorder.stopped}"
+    for topic, names in recorder.publishers.items():
+        yield f"Several programs published on {topic} at the same time: {', '.join(names)}."
     for topic, n in recorder.lost.items():
         if n:
             yield f"{counted(n, 'sample')} lost on {topic}."

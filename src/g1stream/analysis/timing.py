@@ -39,7 +39,8 @@ def timing_metrics(session: Session, summary: Summary) -> TimingMetrics:
     if "/lowstate" in found.topics:
         states = np.sort(session.measured.publish_time) + session.measured.clock_offset
         newest = np.searchsorted(states, commands, side="right") - 1
-        known = newest >= 0
+        # Where the recorder was killed, states may be missing that commands in the file had seen.
+        known = (newest >= 0) & (session.complete | (commands <= states[-1]))
         if known.any():
             found.state_age_us = percentiles((commands[known] - states[newest[known]]) / 1e3)
     return found

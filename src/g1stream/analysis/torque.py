@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from g1stream.session.session import Session
-    from g1stream.session.streams import Stream
+    from g1stream.session.stream import Stream
 
 __all__ = ["commanded_torque", "torque_metrics"]
 
@@ -40,7 +40,7 @@ def torque_metrics(
 
     Args:
         session: with LowStates.
-        limits: (29,) Nm.
+        limits: (29,) N·m.
         states: (N,) which LowStates; all of them if None.
         joints: motor indices of those that count; all if None.
     """
@@ -118,7 +118,7 @@ def torque_metrics(
 
 
 def commanded_torque(session: Session) -> Floats:
-    """(M, 29) Nm that the newest command asks of each state: `Session.commanded_torque`.
+    """(M, 29) N·m that the newest command asks of each state: `Session.commanded_torque`.
 
     It is tau + kp (q - measured) + kd (dq - measured), in the precision of the commands.
 
@@ -132,16 +132,17 @@ def commanded_torque(session: Session) -> Floats:
     before = np.searchsorted(times[order], instants, side="right") - 1
     newest = order[before.clip(0)]
     known = (before >= 0) & (instants - times[newest] <= MAX_GAP_NS)
-    known &= _finite(command, _COMMANDED)[newest] & _finite(measured, ("q", "dq"))
-    torque = np.full(measured.q.shape, np.nan, command.tau.dtype)
+    torque = np.empty(measured.q.shape, command.tau.dtype)
     for part in blocks(len(known)):
-        states = np.flatnonzero(known[part]) + part.start
-        asked = {name: getattr(command, name)[newest[states]] for name in _COMMANDED}
-        torque[states] = (
-            asked["tau"]
-            + asked["kp"] * (asked["q"] - measured.q[states])
-            + asked["kd"] * (asked["dq"] - measured.dq[states])
-        )
+        asked = {name: getattr(command, name)[newest[part]] for name in _COMMANDED}
+        with np.errstate(all="ignore"):
+            torque[part] = (
+                asked["tau"]
+                + asked["kp"] * (asked["q"] - measured.q[part])
+                + asked["kd"] * (asked["dq"] - measured.dq[part])
+            )
+        known[part] &= np.isfinite(torque[part]).all(axis=1)
+    torque[~known] = np.nan
     return torque
 
 

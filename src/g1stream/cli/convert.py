@@ -164,6 +164,8 @@ class Convert(MotionFlags):
             )
 
     def _motion_file(self) -> int:
+        from g1stream.motion.csv import DEFAULT_FPS
+
         motion = self.load(self.motions)
         first, behind = _frames(self.frames)
         motion = motion.frames(first or 0, motion.n_frames if behind is None else behind)
@@ -172,6 +174,8 @@ class Convert(MotionFlags):
         for warning in motion.warnings:
             print_warning(warning)
         path = motion.save(self.out, force=self.force)
+        if path.suffix.lower() == ".csv" and motion.fps != DEFAULT_FPS:
+            print_warning(f"a CSV keeps no rate: read {path} with --fps {motion.fps:g}")
         about = {"path": str(path), "frames": motion.n_frames, "fps": motion.fps}
         if self.json:
             print_json(about)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from g1stream.analysis.render import labelled
 from g1stream.cli.command import SettingsCommand, print_json, print_lines
 from g1stream.cli.flags import flag
+from g1stream.text import labelled
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

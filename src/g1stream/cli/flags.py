@@ -6,8 +6,7 @@ tyro parses the command line and shows the help; pydantic reads the values and c
 from __future__ import annotations
 
 import inspect
-import shutil
-import textwrap
+from contextlib import redirect_stdout
 from dataclasses import MISSING, dataclass, field, fields, make_dataclass
 from difflib import get_close_matches
 from operator import getitem
@@ -29,6 +28,7 @@ import tyro
 from annotated_types import Gt
 from tyro.constructors import PrimitiveConstructorSpec
 
+from g1stream.cli.help_text import KeptHelp, wrapped, wrapped_usage
 from g1stream.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -170,18 +170,6 @@ def argument(text: str, metavar: str) -> Any:
     return flag(MISSING, text, metavar, positional=True)
 
 
-def _wrapped(text: str) -> str:
-    """A text with its paragraphs as wide as the terminal, 80 columns at most.
-
-    Paragraphs with indented lines, such as the examples, stay as they are.
-    """
-    width = min(80, shutil.get_terminal_size().columns)
-    return "\n\n".join(
-        paragraph if "\n " in paragraph else textwrap.fill(paragraph, width)
-        for paragraph in text.split("\n\n")
-    )
-
-
 def flag_name(name: str) -> str:
     """A flag as the user writes it."""
     return f"--{name.replace('_', '-')}"
@@ -231,19 +219,22 @@ def parse_flags(
             arguments = _positionals_first(arguments, known, repeated)
     try:
         command: CommandT
-        command, extra = tyro.cli(
-            make_dataclass(kind.__name__, members, bases=(kind,), frozen=True, kw_only=True),
-            prog=f"g1stream {name}",
-            description=purpose,
-            args=arguments,
-            return_unknown_args=True,
-            console_outputs=show_help,
-            config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
-        )
+        with redirect_stdout(KeptHelp()) as shown:
+            command, extra = tyro.cli(
+                make_dataclass(kind.__name__, members, bases=(kind,), frozen=True, kw_only=True),
+                prog=f"g1stream {name}",
+                description=purpose,
+                args=arguments,
+                return_unknown_args=True,
+                console_outputs=show_help,
+                config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
+            )
     except SystemExit as done:
         if done.code:  # flags and their values are there
             raise _missing(name, required) from None
-        print(_wrapped(inspect.cleandoc(kind.__doc__ or "")))  # tyro would join its lines
+        usage, _, flags = shown.getvalue().partition("\n")
+        print(wrapped_usage(usage), flags, sep="\n", end="")
+        print(wrapped(inspect.cleandoc(kind.__doc__ or "")))  # tyro would join its lines
         raise
     if extra:
         raise ConfigError(
@@ -286,7 +277,11 @@ def _check_flags(command: str, arguments: Sequence[str], known: Mapping[str, str
                 f"{instead} one that `g1stream {command} --help` shows.",
             )
         if known.get(flag) and not equals and _is_flag(after):
-            raise ConfigError(f"The flag {flag} lacks its value.", f"Add it: {flag} {known[flag]}.")
+            meant = after != "--" and after.partition("=")[0] not in known
+            equals = f"; one that begins with a minus as {flag}={after!r}" * meant
+            raise ConfigError(
+                f"The flag {flag} lacks its value.", f"Add it: {flag} {known[flag]}{equals}."
+            )
 
 
 def _positionals_first(

@@ -32,7 +32,7 @@ class Identify(Command):
       2  bad input: not a session file, an unknown support, too little motion
     """
 
-    file: Path = argument("The session file, or the directory of a split recording.", "MCAP")
+    file: Path = argument("The session file, or the directory of a split recording.", "SESSION")
     support: Support | None = flag(None, "How the robot was held; as the session says if unset.")
     json: bool = flag(False, "Print it as JSON.")
 

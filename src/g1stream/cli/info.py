@@ -24,7 +24,7 @@ class Info(Command):
       2  bad input: not a session file
     """
 
-    file: Path = argument("The session file, or the directory of a split recording.", "MCAP")
+    file: Path = argument("The session file, or the directory of a split recording.", "SESSION")
     json: bool = flag(False, "Print the summary as JSON.")
 
     def run(self) -> int:

@@ -54,16 +54,16 @@ class Layout(Command):
 
     def run(self) -> int:
         """Write the layout, and return the exit code."""
-        from g1stream.analysis.layouts import (
+        from g1stream.errors import ConfigError
+        from g1stream.files import complete_file
+        from g1stream.session.session import open_session
+        from g1stream.viewers.layouts import (
             DEFAULT_JOINTS,
             foxglove_layout,
             plotjuggler_layout,
             worst_joints,
         )
-        from g1stream.analysis.rerun_layout import rerun_layout_file
-        from g1stream.errors import ConfigError
-        from g1stream.files import complete_file
-        from g1stream.session.session import open_session
+        from g1stream.viewers.rerun_layout import rerun_layout_file
 
         joints = worst_joints(open_session(self.session)) if self.session else DEFAULT_JOINTS
         if self.viewer == "plotjuggler":

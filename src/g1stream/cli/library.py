@@ -9,7 +9,6 @@ from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, cast, get_args
 
-from g1stream.analysis.render import labelled, table
 from g1stream.cli.command import (
     EXIT_OK,
     EXIT_STOPPED,
@@ -17,15 +16,15 @@ from g1stream.cli.command import (
     exit_code_of_signal,
     on_signals,
     print_lines,
+    print_warning,
 )
 from g1stream.cli.flags import argument, flag
 from g1stream.cli.progress import ProgressDisplay
 from g1stream.errors import ConfigError
-from g1stream.text import counted
+from g1stream.text import counted, labelled, table
 from g1stream.types import StreamSupport, Support
 
 if TYPE_CHECKING:
-    from g1stream.analysis.condition import Condition
     from g1stream.library.compute import LibraryCase
     from g1stream.library.rows import MotionRow
     from g1stream.library.run import LibraryRun
@@ -34,11 +33,13 @@ __all__ = ["Library"]
 
 #: Motions that are named where several failed.
 _NAMED: Final = 5
+#: Between two lines of progress where there is no terminal, s.
+_IN_PIPE_S: Final = 30.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Library(SettingsCommand):
-    """Checks, simulates or converts every motion below some places, each content once.
+    """Checks, simulates or converts all motion files in directories, copies of a file once.
 
     check: what `g1stream motion --physics` says. simulate: plays each motion on a simulated robot,
     faster than real time, once for each support and each value of a sweep. convert: writes motion
@@ -46,25 +47,30 @@ class Library(SettingsCommand):
 
     The result is a directory with Parquet tables, a row for each motion and one for each of its
     joints, and index.html. A file that is broken, or takes too much time or memory, is a row with
-    its reason. The same command continues where it was ended, and computes anew what other
+    its reason. The same command continues where it was ended, and computes again what other
     settings or versions change. docs/library.md has the columns; --fail-if takes those that are
-    numbers.
+    numbers, yes and no as 1 and 0, and `ok`, 1 for a row whose status is ok.
 
     Examples:
       g1stream library check motions -o library
       g1stream library simulate s3://lab/motions --support bolted,hanging
       g1stream library simulate motions --sweep gains.kp=0.5,1,2
-      g1stream library check motions --fail-if 'max_collision > 10'
+      g1stream library check motions --fail-if 'max_collision > 10 or free < 1'
+      g1stream library check motions --fail-if 'ok > 0 and max_collision > 10'
       g1stream library check motions --cluster tcp://head:8786
 
     Exit codes:
       0        computed; that a motion failed is a result, too
-      1        --fail-if holds for a row or cannot be told, or rows are missing
+      1        --fail-if holds, or cannot be told, for a row; or rows are missing
       2        bad input
       128 + n  ended by signal n; what was computed is kept
     """
 
-    action: Literal["check", "simulate", "convert"] = argument("What to do.", "ACTION")
+    action: Literal["check", "simulate", "convert"] = argument(
+        "check limits and physics of the motions, simulate a robot that plays them, or convert "
+        "their files. Flags that begin with an action go with that one only.",
+        "ACTION",
+    )
     places: tuple[str, ...] = argument(
         "Directories, motion files, or URLs such as s3://bucket/motions (extra `library`).",
         "PATH...",
@@ -72,20 +78,20 @@ class Library(SettingsCommand):
     out: Path = flag(Path("library"), "Directory of the tables.", "DIR", aliases=("-o",))
     support: str | None = flag(
         None,
-        f"How the pelvis is held in simulate: {', '.join(get_args(StreamSupport))}; several with "
+        f"simulate: how the pelvis is held: {', '.join(get_args(StreamSupport))}; several with "
         "commas.",
         "SUPPORT",
         shown="bolted",
     )
     sweep: list[str] = flag(
         (),
-        "Simulate with each value of a setting, such as stream.rate=250,500; of gains.kp and "
+        "simulate: once with each value of a setting, such as stream.rate=250,500; of gains.kp and "
         "gains.kd, with so many times the gains. May be repeated: all combinations.",
         "NAME=A,B",
         shown="none",
     )
-    sessions: bool = flag(False, "Keep each session of simulate, and its report.")
-    to: Literal["npz", "csv", "parquet", "mcap"] = flag("npz", "Format of the files of convert.")
+    sessions: bool = flag(False, "simulate: keep each session, and its report.")
+    to: Literal["npz", "csv", "parquet", "mcap"] = flag("npz", "convert: format of the files.")
     workers: int | None = flag(None, "Processes on this machine.", "N", shown="CPUs", gt=0)
     cluster: str | None = flag(
         None, "Use the workers of this Dask scheduler instead (extra `cluster`).", "ADDRESS"
@@ -99,42 +105,56 @@ class Library(SettingsCommand):
         """Compute, and return the exit code."""
         from g1stream.analysis.condition import Condition
         from g1stream.library.processes import Limits
-        from g1stream.library.rows import NUMBERS
+        from g1stream.library.rows import CONDITION_NAMES, condition_values
         from g1stream.library.run import LibraryRun, run_library
-        from g1stream.library.table import open_library
+        from g1stream.library.table import newest_motions
 
         self._check_flags()
         condition = None if self.fail_if is None else Condition(self.fail_if)
         if condition:  # refused now, and not when all is computed
-            condition.holds({name: 1.0 + i for i, name in enumerate(NUMBERS)})
+            condition.holds({name: 1.0 + i for i, name in enumerate(CONDITION_NAMES)})
+        cases = self._cases()
         run, reasons = LibraryRun(), list[str]()
-        with on_signals(reasons.append), ProgressDisplay(run.status):
+        with on_signals(reasons.append), ProgressDisplay(run.status, in_pipe=_IN_PIPE_S):
             run_library(
                 self.places,
-                self._cases(),
+                cases,
                 workers=self.workers,
                 cluster=self.cluster,
                 limits=Limits(self.time_limit, self.memory_limit),
                 run=run,
                 on_row=_print_row if self.json else lambda row: None,
                 stop=lambda: bool(reasons),
+                warn=print_warning,
             )
-        found = open_library(self.out).motions if run.done or run.known else None
+        found = newest_motions(self.out) if run.done or run.known else None
         rows = [] if found is None else found[found["key"].isin(run.keys)].to_dict("records")
-        beyond = [row for row in rows if condition and _beyond(condition, row)]
+        variants = {case.variant: i for i, case in enumerate(cases)}
+        rows.sort(key=lambda row: (variants.get(row["variant"], -1), row["path"]))
+        out = sys.stderr if self.json else None
         lines = [*_about(run, self.out), *_results(rows), *_problems(run, rows)]
+        print_lines("\n".join(lines), out)
+        failed = False
         if condition:
-            verdict = f"passed: {condition.text}"
-            if beyond:
-                verdict = (
-                    f"FAILED: {condition.text} holds or cannot be told for "
-                    f"{counted(len(beyond), 'row')}, such as {beyond[0]['name']}"
-                )
-            lines.append(verdict)
-        print_lines("\n".join(lines), sys.stderr if self.json else None)
+            names = condition.metrics
+            truths = [condition.holds(condition_values(row, names)) for row in rows]
+            held = {
+                text: [row for row, truth in zip(rows, truths, strict=True) if truth is one]
+                for text, one in (("holds", True), ("cannot be told", None))
+            }
+            failed = any(held.values())
+            verdict = ", and ".join(
+                f"{text} for {counted(len(of), 'row')}, such as {of[0]['name']}"
+                for text, of in held.items()
+                if of
+            )
+            label = "FAILED: " if failed else "passed: " if run.complete else "not decided: "
+            there = "" if run.complete else f" of the {counted(len(rows), 'row')} that are there"
+            verdict = verdict or f"holds for no row{there}"
+            print_lines(labelled(label, f"{condition.text} {verdict}"), out)
         if reasons:
             return exit_code_of_signal(reasons[0]) or EXIT_STOPPED
-        return EXIT_STOPPED if beyond or not run.complete else EXIT_OK
+        return EXIT_STOPPED if failed or not run.complete else EXIT_OK
 
     def _check_flags(self) -> None:
         only = {
@@ -178,13 +198,6 @@ def _print_row(row: MotionRow) -> None:
     print(row.model_dump_json(exclude={"picture"}), flush=True)
 
 
-def _beyond(condition: Condition, row: dict[str, Any]) -> bool:
-    """Whether a condition holds for a row, or cannot be told."""
-    values = {name: row[name] for name in condition.metrics}
-    known = {name: float(value) for name, value in values.items() if value is not None}
-    return len(known) < len(values) or any(map(isnan, known.values())) or condition.holds(known)
-
-
 def _about(run: LibraryRun, out: Path) -> list[str]:
     """What was found, and what became of it."""
     from g1stream.library.page import PAGE
@@ -203,12 +216,14 @@ def _about(run: LibraryRun, out: Path) -> list[str]:
 
 def _results(rows: list[dict[str, Any]]) -> list[str]:
     """What can be played with each support, or how closely each variant was followed."""
+    from g1stream.physics.result import Playable
+
     ok = [row for row in rows if row["status"] == "ok"]
     if not ok or ok[0]["command"] == "convert":
         return []
     if ok[0]["command"] == "check":
-        answers = "yes", "inexact", "no"
-        counts = {one: Counter(row[one] for row in ok) for one in get_args(Support)}
+        answers = get_args(Playable)
+        counts = {one: Counter(row[one] for row in ok) for one in (*get_args(Support), "feet")}
         cells = [(name, *(str(n[answer]) for answer in answers)) for name, n in counts.items()]
         return ["", *table([("can be played", *answers), *cells], left=(0,))]
     lines = [("simulated", "rows", "success", "median RMSE rad", "worst", "motion")]
@@ -223,12 +238,22 @@ def _results(rows: list[dict[str, Any]]) -> list[str]:
 
 
 def _problems(run: LibraryRun, rows: list[dict[str, Any]]) -> list[str]:
-    """What failed, and why; some of each kind."""
+    """What failed, and why; some of each kind. And what a file that was written lacks."""
+    from g1stream.motion.csv import DEFAULT_FPS
+
     failed = [row for row in rows if row["status"] != "ok"]
     kinds = ", ".join(f"{n} {kind}" for kind, n in Counter(r["status"] for r in failed).items())
     lines = ["", f"failed: {kinds}"] if failed else []
-    lines += [labelled("  ", f"{row['path']}: {row['reason']}") for row in failed[:_NAMED]]
+    for row in failed[:_NAMED]:
+        of = f" ({row['variant']})" if row["variant"] else ""
+        lines.append(labelled("  ", f"{row['path']}{of}: {row['reason']}"))
     if len(failed) > _NAMED:
         lines.append(f"  and {len(failed) - _NAMED} more: column `reason` of the table")
+    csv = [row for row in rows if row["variant"] == "csv" and row["status"] == "ok"]
+    if rated := [row for row in csv if row["fps"] != DEFAULT_FPS]:
+        lines.append(
+            f"CSV files keep no rate: read {counted(len(rated), 'file')} of these with --fps, such "
+            f"as {rated[0]['output']} with --fps {rated[0]['fps']:g}; column `fps` has the others'"
+        )
     lost = list(run.lost.items())[:_NAMED]
     return lines + [labelled("  ", f"{path}: not computed: {why}") for path, why in lost]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import sys
 from contextlib import contextmanager, suppress
@@ -10,6 +11,7 @@ from difflib import get_close_matches
 from importlib import import_module
 from io import TextIOWrapper
 from pathlib import Path
+from textwrap import TextWrapper
 from typing import TYPE_CHECKING, Any, Final, TextIO, cast
 
 from g1stream.errors import ConfigError, G1StreamError
@@ -94,10 +96,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
         except KeyboardInterrupt:
             return 128 + signal.SIGINT
         except G1StreamError as error:
-            print(f"error: {error.cause}\n       {error.remedy}", file=sys.stderr)
+            print(_error_text(error), file=sys.stderr)
             return 2
         output.flush()
         return code or int(output.failed)
+
+
+def _error_text(error: G1StreamError) -> str:
+    """Cause and remedy: wrapped on a terminal; elsewhere a line each, for scripts to search."""
+    lines = [f"error: {error.cause}", f"       {error.remedy}"]
+    if sys.stderr.isatty():
+        wrapper = TextWrapper(
+            shutil.get_terminal_size().columns,
+            subsequent_indent=" " * 7,
+            break_long_words=False,
+            break_on_hyphens=False,
+        )
+        lines = [part for line in lines for part in wrapper.wrap(line)]
+    return "\n".join(lines)
 
 
 class _Output:

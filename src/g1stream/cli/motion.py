@@ -7,7 +7,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from g1stream.analysis.render import labelled
 from g1stream.cli.command import (
     EXIT_OK,
     EXIT_STOPPED,
@@ -20,12 +19,12 @@ from g1stream.cli.flags import argument, flag
 from g1stream.cli.motion_flags import MOTIONS, MotionFlags
 from g1stream.cli.progress import ProgressDisplay
 from g1stream.errors import MotionError
-from g1stream.text import counted
+from g1stream.text import counted, labelled
 
 if TYPE_CHECKING:
-    from g1stream.analysis.physics_report import MotionPhysics
     from g1stream.config import Config
     from g1stream.motion.check import FileReport, MotionReport
+    from g1stream.physics.result import MotionPhysics
     from g1stream.robot.model import G1
 
 __all__ = ["Inspect", "render"]
@@ -102,7 +101,7 @@ class Inspect(SettingsCommand, MotionFlags):
 
     def _physics(self, report: FileReport, robot: G1, config: Config) -> MotionPhysics | None:
         """What it would take to play the motion; None where there is none, or not in radians."""
-        from g1stream.analysis.physics import motion_physics
+        from g1stream.physics.measure import motion_physics
 
         if not (report.motion and report.motion.in_radians):
             return None

@@ -6,7 +6,7 @@ import os
 import sys
 import threading
 import time
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, Final, TextIO, cast
 
 from g1stream.robot.joints import JOINT_GROUPS
@@ -14,16 +14,23 @@ from g1stream.text import counted
 from g1stream.types import Phase
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from rich.console import Console
 
-    from g1stream.control.loop import Newest, StreamLoop
+    from g1stream.control.loop import StreamLoop
+    from g1stream.control.next_command import Prepared
     from g1stream.motion.motion import Motion
     from g1stream.recorder.recorder import Recorder
     from g1stream.sim.robot import SimReport
 
-__all__ = ["ProgressDisplay", "RecorderStatus", "loop_status", "sim_status"]
+__all__ = [
+    "ProgressDisplay",
+    "RecorderStatus",
+    "loop_status",
+    "showing_progress",
+    "sim_status",
+]
 
 _PERIOD_S: Final = 0.1
 _JOIN_TIMEOUT_S: Final = 1.0
@@ -55,21 +62,28 @@ class ProgressDisplay:
     Args:
         status: returns what fraction is done, 0 to 1, or None, and lines of text; called ten times
             a second.
+        in_pipe: s between lines with the status where standard error is no terminal; none if None.
     """
 
-    def __init__(self, status: Callable[[], tuple[float | None, str]]) -> None:
-        self._status = status
+    def __init__(
+        self, status: Callable[[], tuple[float | None, str]], in_pipe: float | None = None
+    ) -> None:
+        self._status, self._in_pipe = status, in_pipe
         self._stream = sys.stderr
+        dumb = os.environ.get("TERM") in ("dumb", "unknown")
+        self._on_terminal = self._stream.isatty() and not dumb
         self._done = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="progress", daemon=True)
+        run = self._draw if self._on_terminal else self._print
+        self._thread = threading.Thread(target=run, name="progress", daemon=True)
 
     def __enter__(self) -> ProgressDisplay:
-        if self._stream.isatty() and os.environ.get("TERM") not in ("dumb", "unknown"):
+        if self._on_terminal:
             import rich.console
             import rich.progress_bar
             import rich.table  # noqa: F401  # now, and not when the loop already runs
 
             sys.stderr = cast("TextIO", _AboveStatus(self._stream))
+        if self._on_terminal or self._in_pipe:
             self._thread.start()
         return self
 
@@ -79,7 +93,12 @@ class ProgressDisplay:
             self._thread.join(_JOIN_TIMEOUT_S)
             sys.stderr = self._stream
 
-    def _run(self) -> None:
+    def _print(self) -> None:
+        with suppress(OSError):
+            while not self._done.wait(self._in_pipe):
+                print(self._status()[1], file=self._stream, flush=True)
+
+    def _draw(self) -> None:
         from rich.console import Console
 
         console = Console(file=self._stream, highlight=False)
@@ -89,6 +108,19 @@ class ProgressDisplay:
                 self._stream.flush()
             self._stream.write(_ERASE)
             self._stream.flush()
+
+
+@contextmanager
+def showing_progress() -> Iterator[Callable[[str, float], None]]:
+    """A status while something is read; the callback gets what is done and which fraction of it."""
+    done: tuple[float | None, str] = None, "reading"
+
+    def progress(what: str, fraction: float) -> None:
+        nonlocal done
+        done = fraction, f"{what} {100 * fraction:3.0f} %"
+
+    with ProgressDisplay(lambda: done):
+        yield progress
 
 
 def _frame(console: Console, fraction: float | None, text: str) -> str:
@@ -129,7 +161,7 @@ def loop_status(loop: StreamLoop, motion: Motion) -> tuple[float, str]:
     return fraction, f"{text}\n{_errors(phase, newest)}"
 
 
-def _errors(phase: Phase, newest: Newest) -> str:
+def _errors(phase: Phase, newest: Prepared) -> str:
     """RMS of target - measured by limb; DAMP has no target."""
     if newest.measured is None or phase is Phase.DAMP:
         return ""

@@ -46,8 +46,8 @@ class Render(Command):
 
     def run(self) -> int:
         """Write the video, and return the exit code."""
-        from g1stream.analysis.video import parse_size, render
         from g1stream.session.session import open_session
+        from g1stream.viewers.video import parse_size, render
 
         done = 0.0
 

@@ -8,7 +8,7 @@ from typing import Final
 
 from g1stream.cli.command import EXIT_OK, Command, print_json
 from g1stream.cli.flags import argument, flag
-from g1stream.cli.progress import ProgressDisplay
+from g1stream.cli.progress import showing_progress
 
 __all__ = ["Report"]
 
@@ -39,7 +39,7 @@ class Report(Command):
     out: Path | None = flag(None, "The page to write.", "HTML", shown=str(_PAGE), aliases=("-o",))
     video: bool = flag(False, "Render each session into the page (extra `render`).")
     force: bool = flag(False, "Replace a file that is there.")
-    json: bool = flag(False, "Print summary and metrics as JSON, and write no page.")
+    json: bool = flag(False, "Print summary, metrics, physics as JSON; no page.")
     csv: bool = flag(False, "Print the metrics as CSV, and write no page.")
 
     def run(self) -> int:
@@ -53,16 +53,10 @@ class Report(Command):
                 "Two of --json, --csv and a page (--out, --video) are asked for.",
                 "Ask for one of them.",
             )
-        done: tuple[float | None, str] = None, "reading"
-
-        def progress(what: str, fraction: float) -> None:
-            nonlocal done
-            done = fraction, f"{what} {100 * fraction:3.0f} %"
-
         if self.csv:
             print(to_csv(self.sessions), end="")
             return EXIT_OK
-        with ProgressDisplay(lambda: done):
+        with showing_progress() as progress:
             if self.json:
                 found = numbers(self.sessions, progress)
             else:

@@ -91,7 +91,8 @@ def render(report: SimReport) -> str:
     lines = [
         f"simulated {report.simulated:.1f} s in {report.elapsed:.1f} s",
         f"  states    {report.states} published",
-        f"  commands  {report.commands} accepted, {sum(report.refused.values())} refused",
+        f"  commands  {report.commands} accepted, {sum(report.refused.values())} refused "
+        "(of those that were the newest at a state)",
     ]
     lines += [f"            {count} x {why}" for why, count in report.refused.items()]
     if report.timeouts:

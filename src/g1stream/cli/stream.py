@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -48,7 +49,7 @@ def playing() -> Iterator[Callable[[StreamLoop, Motion, Config], None]]:
     def stop(reason: str) -> None:
         early.append(reason)
         for loop in loops:
-            loop.request_stop(reason)
+            loop.request_stop(reason, logging.INFO)
 
     with ExitStack() as stack:
         stack.enter_context(on_signals(stop))
@@ -58,7 +59,7 @@ def playing() -> Iterator[Callable[[StreamLoop, Motion, Config], None]]:
             announce_wire(config)
             loops.append(loop)
             if early:
-                loop.request_stop(early[0])
+                loop.request_stop(early[0], logging.INFO)
             stack.enter_context(ProgressDisplay(lambda: loop_status(loop, motion)))
 
         yield prepare
@@ -144,10 +145,10 @@ class Stream(PlayCommand, MotionFlags):
     Ctrl-C damps and ends.
 
     With --support feet the robot stands on its own feet, if they stay where they are in the motion
-    or are lifted one by one, and squats before it is damped; a second Ctrl-C damps at once. In
+    or step one by one, and squats before it is damped; a second Ctrl-C damps at once. In
     g1stream's simulator start `g1stream sim --support free`. In unitree_mujoco, where it hangs,
     wait for `RAMP waits`, press 8 in the simulator's window about once a second until the motion
-    begins, and then 9.
+    begins, and then 9; its Python simulator needs --rate 200.
 
     Examples:
       g1stream stream demo

@@ -15,6 +15,7 @@ import numpy as np
 
 from g1stream.control.base_estimate import BaseEstimate
 from g1stream.extras import import_extra
+from g1stream.physics.ground import beyond_hull
 from g1stream.robot.dynamics import GRAVITY
 from g1stream.robot.rotations import quat_conj, quat_mul, quat_normalize, quat_rotate, tilt_of
 from g1stream.robot.soles import OFF_FLOOR
@@ -33,11 +34,16 @@ __all__ = ["Balance"]
 #: along x, y and z, and of the pelvis's attitude.
 _CENTRE: Final = np.array([25.0, 25.0, 60.0]), np.array([10.0, 10.0, 12.0])
 _TURN: Final = 60.0, 12.0
-#: What an error of the pelvis's angular acceleration counts, against one of the centre of mass.
-_TURN_COUNTS: Final = 0.2
+#: What an error of the centre of mass's acceleration counts, and one of the pelvis's angular one.
+_COUNTS: Final = np.repeat([1.0, 0.2], 3)
+#: The acceleration (3, 12) by the wrenches over the weight, without that of gravity, m/s².
+_LIFT: Final = GRAVITY * np.tile(np.eye(3, 6), 2)
 #: What the squares of the wrenches count, force and moment over the weight: feet that stand alike
 #: carry alike, and a moment is more to be avoided than a force.
-_EVEN: Final = 1e-3 * np.tile([10.0, 10.0, 1.0, 200.0, 200.0, 200.0], 2)
+_EVEN: Final = np.diag(1e-3 * np.tile([10.0, 10.0, 1.0, 200.0, 200.0, 200.0], 2))
+#: And that of the difference of the feet's horizontal forces, which push the feet apart: where the
+#: centre of pressure is at the edge, that would gain a little, and the soles would slide.
+_APART: Final = 3.0 * np.kron([[1.0, -1.0], [-1.0, 1.0]], np.diag([1.0, 1.0, 0.0, 0.0, 0.0, 0.0]))
 #: What the floor is trusted with: the coefficient of friction, the least force on a foot over the
 #: weight, and how far the centre of pressure is kept from the edge of a sole, m.
 _FRICTION: Final = 0.4
@@ -54,19 +60,18 @@ _OPTIMAL: Final = 1
 #: Iterations after which there is no solution in this tick; a few are usual.
 _ITERATIONS: Final = 100
 
-#: What is measured is extrapolated to half a period after the command takes effect, s.
-_LATENCY: Final = 0.001
 #: Time constants, s: of the force that something else than the floor exerts, of each foot's load.
 _OTHER_FORCE: Final = 0.3
 _LOAD: Final = 0.02
 
-#: The robot falls: it is tilted against the reference, rad; its pelvis is beside the
-#: reference's, m; its feet carry less than this of its weight, or the floor cannot give what the
-#: centre of mass takes by so much, m/s², for longer than a time, s.
+#: The robot falls: it is tilted against the reference, rad; or for longer than a time, s, its
+#: capture point is outside of the soles, m, its pelvis is below the reference's, m, or its feet
+#: carry less than this of its weight. A sole that slips is taken for a speed of the mass, which
+#: moves the capture point for some 0.04 s.
 _TILTED: Final = 0.5
-_BESIDE: Final = 0.15
+_BELOW: Final = 0.1, 0.1
+_OUTSIDE: Final = 0.01, 0.1
 _UNLOADED: Final = 0.25, 0.15
-_MISSING: Final = 2.0, 0.4
 #: Time without a solution after which the torque fades out, s.
 _UNSOLVED: Final = 0.05
 
@@ -103,7 +108,8 @@ class Balance:
         self._most, self._kinds = np.full(n_rows, _UNBOUNDED), np.zeros(n_rows, np.int32)
         self._least[: 2 * len(self._cone)] = np.tile(self._cone_least, 2)
         self.base = BaseEstimate()
-        self._planted = np.zeros((2, 3)), np.zeros(2)
+        self._planted = np.zeros((2, 3)), np.zeros(2)  # where the reference begins
+        self._stood = np.zeros((2, 3))  # where each foot of the reference has stood last
         self._stands = True, True
         self._root_pos = np.zeros(3)
         self.carried = 0.0
@@ -111,18 +117,18 @@ class Balance:
         self.wrench: Floats | None = None
         self.terms: Terms | None = None
         self._other = np.zeros(3)
-        self._missing = np.zeros(3)
-        self._lasted = dict.fromkeys(("unloaded", "missing", "unsolved"), 0.0)
+        self._lasted = dict.fromkeys(("below", "unloaded", "outside", "unsolved"), 0.0)
 
     def begin(self, first: Target) -> None:
         """The reference begins with a target, on whose soles the robot is to stand."""
         pos, headings = self._dynamics.soles(_state_of(first))
         self._planted = pos + first.root_pos, headings
         self._root_pos = first.root_pos
+        self._stood = self._planted[0].copy()
         self.base.begin(*self._planted)
         self._stands = True, True
         self.wrench, self.fall, self.carried = None, "", 0.0
-        self._other, self._missing = np.zeros(3), np.zeros(3)
+        self._other = np.zeros(3)
         self._lasted = dict.fromkeys(self._lasted, 0.0)
 
     def torque(
@@ -144,7 +150,7 @@ class Balance:
                 None: what the feet do not carry is found from the measured torques.
             planted: the feet stand; otherwise they are still on their way to where they shall.
         """
-        ahead = age + _LATENCY
+        ahead = age + 0.5 * self._period  # to the middle of the time in which the command acts
         imu, base = measured.imu, self.base
         dq = measured.dq.astype(np.float64)
         q = measured.q + ahead * dq
@@ -160,6 +166,7 @@ class Balance:
         reference = self._reference(target)
         lifted = reference.soles[:, 2] > self._planted[0][:, 2] + OFF_FLOOR
         self._stands = tuple(~lifted) if planted else (True, True)
+        self._stood[~lifted] = reference.soles[~lifted]
         terms = self._dynamics.terms(state, target.ddq, target.dq, self._other, self._stands)
         self.terms = terms
         base.update(terms, imu, self._load(), self._period)
@@ -168,7 +175,6 @@ class Balance:
             return terms.gravity_tau
         wanted_force, wanted_turn = self._wanted(target, reference, state, terms, ahead)
         wrench = self._distribute(terms, wanted_force, wanted_turn)
-        self._missing = wanted_force - wrench[:3] - wrench[6:9]
         legs, others = terms.leg_tau, terms.other_tau
         tau: Floats = np.concatenate([legs[0] @ wrench + legs[1], others[0] @ wrench + others[1]])
         return tau
@@ -181,21 +187,41 @@ class Balance:
 
     def watch(self, target: Target) -> None:
         """Find out whether a robot that nothing holds falls."""
-        base = self.base
-        tilt = tilt_of(quat_mul(base.quat_wxyz, quat_conj(target.root_quat_wxyz)))
-        missed = float(np.linalg.norm(self._missing)) / self._dynamics.mass
-        beside = float(np.linalg.norm((base.pos - target.root_pos)[:2]))
+        if self.terms is None:
+            raise RuntimeError("there is no state yet: call torque() first")
+        tilt = tilt_of(quat_mul(self.base.quat_wxyz, quat_conj(target.root_quat_wxyz)))
+        outside = self._capture_point_outside(self.terms)
+        below = float(target.root_pos[2] - self.base.pos[2])
         falls = ""
         if tilt > _TILTED:
             falls = f"the pelvis is tilted by {tilt:.2f} rad against the reference"
-        elif beside > _BESIDE:
-            falls = f"the pelvis is {1e3 * beside:.0f} mm beside the reference"
-        elif self._last("missing", missed > _MISSING[0]) > _MISSING[1]:
-            falls = "the centre of pressure is at the edge of the soles"
+        elif self._last("outside", outside > _OUTSIDE[0]) > _OUTSIDE[1]:
+            falls = f"the capture point is {1e3 * outside:.0f} mm outside of the soles"
+        elif self._last("below", below > _BELOW[0]) > _BELOW[1]:
+            falls = f"the pelvis is {1e3 * below:.0f} mm below the reference"
         elif self._last("unloaded", self.carried < _UNLOADED[0]) > _UNLOADED[1]:
             falls = f"the feet carry {100 * self.carried:.0f} % of the weight"
         if falls and not self.fall:
             self.fall = f"the robot falls: {falls}"
+
+    def _capture_point_outside(self, terms: Terms) -> float:
+        """How far the capture point is outside of the soles, m; inside it is negative.
+
+        That is the point c + c' / sqrt(g / h), with h the height of the centre of mass c, to which
+        the centre of pressure has to be moved for the mass to come to rest above it (J. Pratt et
+        al., "Capture point: a step toward humanoid push recovery", 2006). It moves away from where
+        the centre of pressure is: once it is outside of the soles, none brings it back. A foot
+        that is lifted counts where it stood, turned as it is now.
+        """
+        height = max(0.0, float(terms.centre[2] - terms.soles[:, 2].min()))
+        vel = terms.centre_vel + self.base.vel
+        point = (terms.centre + vel * np.sqrt(height / GRAVITY))[:2]
+        turns = terms.turns[:, :2, :2].transpose(0, 2, 1)
+        stood = self._stood - self.base.pos
+        soles = np.where(np.array(self._stands)[:, np.newaxis], terms.soles, stood)
+        corners = soles[:, np.newaxis, :2] + self._dynamics.sole @ turns
+        x, y = (corners.reshape(-1, 2) - point).T[..., np.newaxis]
+        return float(beyond_hull(x, y)[0])
 
     def _reference(self, target: Target) -> Movement:
         acc = target.root_lin_acc, target.root_ang_acc, target.ddq
@@ -215,12 +241,9 @@ class Balance:
         The accelerometer has the sum of both, and the legs' torques that of the floor; the legs'
         own acceleration is left out.
         """
-        moved = (terms.gravity_tau - measured.tau)[:LEGS].reshape(2, 6, 1)
-        wrenches = np.linalg.solve(
-            terms.leg_jac @ terms.leg_jac.transpose(0, 2, 1) + 1e-6 * np.eye(6),
-            terms.leg_jac @ moved,
-        )[:, :3, 0]
-        floor = wrenches[list(self._stands)].sum(axis=0)
+        pushed = (terms.gravity_tau - measured.tau)[:LEGS].reshape(2, 6, 1)
+        wrenches = terms.by_sole.transpose(0, 2, 1) @ pushed
+        floor = wrenches[list(self._stands), :3, 0].sum(axis=0)
         carried = float(floor[2]) / self._dynamics.weight
         self.carried += (carried - self.carried) * self._period / _LOAD
         if not found:
@@ -249,13 +272,10 @@ class Balance:
         The program is in wrenches over the weight, so that its numbers are of the size of 1.
         """
         weight = self._dynamics.weight
-        goal = np.zeros((6, 12))
-        goal[:3, :3] = goal[:3, 6:9] = GRAVITY * np.eye(3)
-        goal[3:] = weight * terms.base_acc[0][3:]
-        counts = np.array([1.0] * 3 + [_TURN_COUNTS] * 3)
+        goal = np.concatenate([_LIFT, weight * terms.base_acc[0][3:]])
         wanted = np.concatenate([force / self._dynamics.mass, turn - terms.base_acc[1][3:]])
-        counted = goal.T * counts
-        square = counted @ goal + np.diag(_EVEN)
+        counted = goal.T * _COUNTS
+        square = counted @ goal + _EVEN
         rows, n = self._rows, len(self._cone)
         for foot, turned in enumerate(terms.turns):
             own = slice(foot * n, foot * n + n)
@@ -268,7 +288,9 @@ class Balance:
         linear, least, most, kinds = -(counted @ wanted), self._least, self._most, self._kinds
         found = np.zeros(12)
         free = np.repeat(self._stands, 6)
-        if not free.all():  # without the wrench of the lifted foot
+        if free.all():
+            square += _APART
+        else:  # without the wrench of the lifted foot
             used = np.concatenate([np.repeat(self._stands, n), np.ones(LEGS, np.bool_)])
             square, linear = np.ascontiguousarray(square[np.ix_(free, free)]), linear[free]
             rows = np.ascontiguousarray(rows[np.ix_(used, free)])

@@ -71,7 +71,8 @@ class BaseEstimate:
             passed: s since the last one.
         """
         turned = np.arctan2(terms.turns[:, 1, 0], terms.turns[:, 0, 0]) - self._headings
-        error = float(load @ np.arctan2(np.sin(turned), np.cos(turned)))
+        turned = np.arctan2(np.sin(turned), np.cos(turned))
+        error = float(load @ turned)
         by_legs = -load @ terms.sole_vel
         if self._begins:  # the error is that of a heading from which the drift is already taken
             self._drift, self.vel, self._begins = self._drift + error, by_legs, False
@@ -86,3 +87,4 @@ class BaseEstimate:
         lifted = load == 0.0  # it stands where it comes down
         self.soles[lifted, :2] += slipped[lifted, :2] * (1.0 - passed / _SLIPPED)
         self.soles[lifted, 2] = self._floor
+        self._headings[lifted] += turned[lifted]

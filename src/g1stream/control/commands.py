@@ -257,7 +257,7 @@ class Composer:
     Args:
         limits: of a command.
         gains: kp and kd in every phase but DAMP.
-        damp_kd: kd in DAMP, Nm s/rad.
+        damp_kd: kd in DAMP, N·m·s/rad.
         played: (29,) which joints play the motion, all if None; told in the Reference.
         commanded: (29,) which motors get commands, all if None; the slots of the others are all 0.
 

@@ -187,6 +187,11 @@ class FeedForward:
         """What RAMP waits for, or ""."""
         return self._source.awaited if self._source and self.kind == "dynamics" else ""
 
+    @property
+    def stands(self) -> bool:
+        """Whether the robot is on its feet in RAMP already."""
+        return bool(self._source and self.kind == "dynamics" and self._source.stands)
+
     def verdict(self) -> str:
         """Why the robot has to be damped, or ""."""
         source = self._source

@@ -26,7 +26,7 @@ _FORMAT: Final = (
 
 
 class Gains(NamedTuple):
-    """kp (29,) Nm/rad and kd (29,) Nm s/rad, motor order."""
+    """kp (29,) N·m/rad and kd (29,) N·m·s/rad, motor order."""
 
     kp: Floats
     kd: Floats

@@ -176,7 +176,7 @@ class Watch:
 
 
 def damping_command(command: bytes, kd: float) -> bytes:
-    """A sealed LowCmd that damps with gain `kd` where `command` was, Nm s/rad."""
+    """A sealed LowCmd that damps with gain `kd` where `command` was, N·m·s/rad."""
     damping = LowCmd()
     damping.load(command)
     damping.kp[:] = damping.dq[:] = damping.tau[:] = 0.0

@@ -9,13 +9,16 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from g1stream.control.arm_sdk import MOVED, ArmSdkComposer, settings_for_arm_sdk
+from g1stream.control.command_delay import CommandDelay
 from g1stream.control.commands import CommandLimits, Composer
 from g1stream.control.feedforward import FeedForward
 from g1stream.control.gains import gains_in_play
 from g1stream.control.loop import StreamLoop
+from g1stream.control.next_command import NextCommand
 from g1stream.control.overruns import Overruns
 from g1stream.control.phases import Timing
 from g1stream.control.safety import Safety
+from g1stream.control.schedule import Schedule
 from g1stream.control.squat import SQUAT_TIME, Squat
 from g1stream.control.targets import Targets
 from g1stream.dds.domain import SETTLE
@@ -112,32 +115,39 @@ def make_loop(
         _require_fit(correction, settings, robot, trajectory, gains)
         stop = inf if interval.length is None else interval.start + interval.length
         spline = CorrectionSpline(correction, interval.start, stop)
-    return StreamLoop(
-        link,
-        clock,
-        Targets(
-            trajectory,
-            start=interval.start,
-            play=interval.length,
-            ramp=settings.ramp,
-            ramp_speed=settings.ramp_speed,
-            played=None if squat else played,  # the others stand as the motion was changed to
-            lift=_LIFT if squat else 0.0,
-            squat=squat,
-            hold=settings.hold,
-        ),
-        Safety(robot, config.safety, period, held),
-        Overruns(period, config.safety),
-        timing,
+    targets = Targets(
+        trajectory,
+        start=interval.start,
+        play=interval.length,
+        ramp=settings.ramp,
+        ramp_speed=settings.ramp_speed,
+        played=None if squat else played,  # the others stand as the motion was changed to
+        lift=_LIFT if squat else 0.0,
+        squat=squat,
+        hold=settings.hold,
+    )
+    schedule = Schedule(targets, timing, period)
+    commands = NextCommand(
+        schedule,
         composer,
         period=period,
-        allow_second_writer=config.safety.allow_second_writer,
         feedforward=FeedForward.from_config(
             settings, robot, period / 1e9, recorded=recorded, held=held
         ),
-        soft_start=round(settings.soft_start * 1e9),
-        topic=topic,
         correction=spline,
+        soft_start=round(settings.soft_start * 1e9),
+    )
+    return StreamLoop(
+        link,
+        clock,
+        schedule,
+        commands,
+        Safety(robot, config.safety, period, held),
+        Overruns(period, config.safety),
+        period=period,
+        allow_second_writer=config.safety.allow_second_writer,
+        topic=topic,
+        command_delay=None if recorded or topic is ARM_SDK else CommandDelay(balanced=bool(squat)),
     )
 
 

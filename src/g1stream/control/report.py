@@ -14,6 +14,7 @@ from g1stream.types import Ints
 
 if TYPE_CHECKING:
     from g1stream.control.commands import CommandLimits
+    from g1stream.control.feedforward import FeedForward
     from g1stream.control.targets import Ramp
     from g1stream.types import FeedForwardKind, StreamSupport
 
@@ -70,11 +71,14 @@ class LoopReport:
         preview: how far commands are ahead of the reference, s; None until RAMP begins.
         robot: name of the model that torques were computed with.
         time_scale: median of simulated over real time, as measured.
+        command_delay: longest time that commands waited in a queue of the robot's end, s; 0: none,
+            None: unknown.
         commands: LowCmds written.
         states: LowStates received, of those that were the newest at a tick.
         crc_errors: of these, how many were dropped because of a wrong CRC.
         first_stamp, last_stamp: publish times of the first and last LowCmd, ns since the epoch.
         ramp: the way to the first frame; None until it begins.
+        played: length of PLAY, ns; 0 until it ends.
         delay: by which the motion ended later because of stalls, ns.
         skipped: ticks left out because they were a whole period late or more.
         worst_work: longest time from a write to the end of the tick's computation, ns.
@@ -91,16 +95,25 @@ class LoopReport:
     preview: float | None = None
     robot: str | None = None
     time_scale: float | None = None
+    command_delay: float | None = None
     commands: int = 0
     states: int = 0
     crc_errors: int = 0
     first_stamp: int = 0
     last_stamp: int = 0
     ramp: Ramp | None = None
+    played: int = 0
     delay: int = 0
     skipped: int = 0
     worst_work: int = 0
     lateness: Lateness = field(default_factory=Lateness)
+
+    def begin(self, feedforward: FeedForward) -> None:
+        """Take what a feed-forward has decided on, and its counters."""
+        self.feedforward = "recorded" if feedforward.recorded else feedforward.kind
+        self.support = feedforward.support
+        self.preview = None if feedforward.recorded else feedforward.preview
+        self.saturated, self.feedforward_changes = feedforward.saturated, feedforward.changes
 
     @property
     def rate(self) -> float | None:
@@ -137,6 +150,7 @@ class LoopReport:
             feedforward_changes=self.feedforward_changes,
             robot=self.robot,
             time_scale=self.time_scale,
+            command_delay_s=self.command_delay,
             states_used=self.states,
             states_wrong_crc=self.crc_errors,
             lateness_histogram_us=late.sparse(),

@@ -229,8 +229,8 @@ class RobotMonitor:
             return ""
         config = self._config
         return (
-            f"{self._names[joint]} has {torque[joint]:.1f} Nm for more than "
-            f"safety.torque_time = {config.torque_time:g} s (limit {self._torque[joint]:.1f} Nm: "
+            f"{self._names[joint]} has {torque[joint]:.1f} N·m for more than "
+            f"safety.torque_time = {config.torque_time:g} s (limit {self._torque[joint]:.1f} N·m: "
             f"safety.max_torque = {config.max_torque:g} of its own)"
         )
 
@@ -265,6 +265,6 @@ class RobotMonitor:
         return (
             f"{self._names[joint]} does not follow: its target moved by {asked[joint]:.2f} rad in "
             f"{self._config.jam_time:g} s, the joint by {moved[joint]:.2f} rad with "
-            f"{abs(measured.tau[joint]):.1f} Nm "
+            f"{abs(measured.tau[joint]):.1f} N·m "
             f"(limit safety.jam_motion = {self._config.jam_motion:g} rad)"
         )

@@ -37,6 +37,8 @@ _LANDS, _LIFTS = 0.1, 0.05
 _HANGS, _STANDS = 0.05, 0.25
 #: PLAY begins when the feet have carried this share for this time, s.
 _CARRIED: Final = 0.9, 1.0
+#: With this share on its feet a robot is more stable in a squat than in what holds it.
+_SQUATS: Final = 0.5
 #: Time constant of the measured share, s.
 _LOAD: Final = 0.1
 _UP: Final = np.array([0.0, 0.0, 1.0])
@@ -107,6 +109,11 @@ class StandingTorques:
             f"the feet carry {100 * max(0.0, self._load):.0f} % of the weight; lower "
             f"the robot until they carry {100 * _CARRIED[0]:.0f} %, and let it go in PLAY"
         )
+
+    @property
+    def stands(self) -> bool:
+        """Whether the feet carry half of the weight, which nothing but a band shares."""
+        return not self._lowered_by_bridge and self._load > _SQUATS
 
     def begin(self, support: StreamSupport, announced: str | None, robot: str | None) -> None:
         """RAMP begins; `TorqueSource` has the arguments."""

@@ -53,7 +53,7 @@ class Target:
     Attributes:
         motion_time: s since the motion's first frame.
         values: (135,) the parts below in order; the fields of the Reference message come first.
-        q, dq, ddq, tau: (29,) rad, rad/s, rad/s^2, Nm, motor order.
+        q, dq, ddq, tau: (29,) rad, rad/s, rad/s^2, N·m, motor order.
         root_pos: (3,) m, world.
         root_quat_wxyz: (4,) pelvis to world.
         root_lin_vel: (3,) m/s, world.

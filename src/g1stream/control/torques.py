@@ -65,6 +65,7 @@ class TorqueSource(Protocol):
         fault: why this torque is wrong, so that it has to fade out; "" while it is right.
         fall: why the robot has to be damped at once; "" while it need not.
         awaited: what RAMP waits for; "" where it need not wait.
+        stands: the robot is on its feet in RAMP already, so that it can squat down.
     """
 
     needed: ClassVar[bool]
@@ -80,6 +81,9 @@ class TorqueSource(Protocol):
 
     @property
     def awaited(self) -> str: ...
+
+    @property
+    def stands(self) -> bool: ...
 
     def begin(self, support: StreamSupport, announced: str | None, robot: str | None) -> None:
         """RAMP begins.
@@ -122,6 +126,7 @@ class HeldTorques:
     needed: ClassVar = False
     fall: Final = ""
     awaited: Final = ""
+    stands: Final = False
 
     def __init__(
         self,

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "DISCOVERY",
+    "GUARD_PROGRAM",
     "OBSERVER",
     "SETTLE",
     "Endpoint",
@@ -49,6 +50,9 @@ __all__ = [
     "user_data_of_bridge",
     "user_data_of_guard",
 ]
+
+GUARD_PROGRAM: Final = "g1stream guard"
+"""With what `Participant.owner` begins for a guard."""
 
 #: The ports of a higher domain id would be above 65535 (RTPS 2.5, 9.6.2).
 MAX_DOMAIN: Final = 232
@@ -217,7 +221,7 @@ def identify_program(written: set[str], read: set[str]) -> str:
     if {LOG.name, LOWSTATE.name} <= written:
         return "g1stream sim"
     if LOG.name in written and written & {LOWCMD.name, ARM_SDK.name}:
-        return "g1stream guard"
+        return GUARD_PROGRAM
     if {LOG.name, REFERENCE.name} <= read and not written:
         return "g1stream record"
     return ""

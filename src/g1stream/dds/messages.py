@@ -118,7 +118,7 @@ class LowCmd(_Motors):
     """The command to all motors, topic rt/lowcmd; to arms and waist only, topic rt/arm_sdk.
 
     Attributes:
-        q, dq, tau, kp, kd: (29,) float32: rad, rad/s, Nm, Nm/rad, Nm s/rad.
+        q, dq, tau, kp, kd: (29,) float32: rad, rad/s, N·m, N·m/rad, N·m·s/rad.
         weight: () float32, on rt/arm_sdk the share of these commands, 0 to 1; the rest is the
             onboard controller's. It is the q of a motor that no G1 has.
         mode_pr, mode_machine: () uint8.
@@ -136,10 +136,10 @@ class LowCmd(_Motors):
 
 
 class LowState(_Motors):
-    """The measured state of the whole robot, topic rt/lowstate.
+    """The measured state of the whole robot, topic rt/lowstate; its arrays can be changed in place.
 
     Attributes:
-        q, dq, ddq, tau_est: (29,) float32: rad, rad/s, rad/s^2, Nm.
+        q, dq, ddq, tau_est: (29,) float32: rad, rad/s, rad/s^2, N·m.
         quaternion: (4,) float32, wxyz, pelvis to world (yaw as the IMU counts it).
         gyroscope, accelerometer: (3,) float32, pelvis frame, rad/s and m/s^2, gravity included.
         rpy: (3,) float32, rad.
@@ -230,7 +230,7 @@ class Reference(Message):
         motion_time: () float64, s since the motion's first frame.
         phase: () uint8, a `g1stream.types.Phase`.
         played: () uint32, which joints play the motion, see `played_joints`.
-        q, dq, ddq, tau: (29,) float64: rad, rad/s, rad/s^2, Nm.
+        q, dq, ddq, tau: (29,) float64: rad, rad/s, rad/s^2, N·m.
         root_pos: (3,) float64, m, world.
         root_quat_wxyz: (4,) float64, pelvis to world.
         root_lin_vel: (3,) float64, m/s, world.

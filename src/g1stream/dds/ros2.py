@@ -274,7 +274,7 @@ def encode_joint_state(
         names: of J joints.
         position: (J) rad; like the other two, empty where it is not known.
         velocity: (J) rad/s.
-        effort: (J) Nm.
+        effort: (J) N·m.
     """
     cdr = Cdr(_joint_names(tuple(names)))
     struct.pack_into("<2I", cdr.data, len(CDR_HEADER), *divmod(time_ns, _NS_PER_S))

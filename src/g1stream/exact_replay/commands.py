@@ -138,9 +138,9 @@ class _CommandChecks:
         self._limits: tuple[tuple[str, str, Floats, Floats], ...] = (
             ("q", "rad", robot.lower + margin, robot.upper - margin),
             ("dq", "rad/s", -robot.velocity, robot.velocity),
-            ("tau", "Nm", -robot.torque_limit, robot.torque_limit),
-            ("kp", "Nm/rad", zero, zero + MAX_KP),
-            ("kd", "Nm s/rad", zero, zero + MAX_KD),
+            ("tau", "N·m", -robot.torque_limit, robot.torque_limit),
+            ("kp", "N·m/rad", zero, zero + MAX_KP),
+            ("kd", "N·m·s/rad", zero, zero + MAX_KD),
         )
         self._command = LowCmd()
         self._layout = Layout.of(LowCmd.idl_type)

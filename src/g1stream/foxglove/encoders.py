@@ -218,7 +218,7 @@ class JointStatesTemplate:
     Args:
         joint_names: (J) names.
         fields: which of `position` (rad), `velocity` (rad/s), `acceleration` (rad/s^2) and `effort`
-            (Nm) the messages carry, in the order in which `encode` takes them.
+            (N·m) the messages carry, in the order in which `encode` takes them.
     """
 
     def __init__(self, joint_names: Sequence[str], fields: Sequence[str]) -> None:

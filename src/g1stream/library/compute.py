@@ -18,14 +18,15 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from g1stream._version import __version__
-from g1stream.analysis.physics import motion_physics
 from g1stream.config import Config
 from g1stream.errors import G1StreamError, MotionError, RecordingError
 from g1stream.library.files import content_hash, local_copy, stem
-from g1stream.library.rows import Command, JointRow, MotionRow, Rows, Status
+from g1stream.library.rows import FORMAT, Command, JointRow, MotionRow, Rows, Status
 from g1stream.motion.check import check_motion
 from g1stream.motion.motion import Motion
 from g1stream.motion.save import MOTION_SUFFIXES
+from g1stream.motion.trajectory import Trajectory
+from g1stream.physics.measure import motion_physics
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1
@@ -38,7 +39,7 @@ from g1stream.robot.rotations import (
 from g1stream.session.motions import load_motion
 
 if TYPE_CHECKING:
-    from g1stream.analysis.physics_report import MotionPhysics
+    from g1stream.physics.result import MotionPhysics
     from g1stream.session.metrics import Metrics
     from g1stream.types import StreamSupport
 
@@ -93,19 +94,13 @@ class LibraryCase:
         ]
         return " ".join(filter(None, [self.support, self.format, *values]))
 
-    def key(self, content: str) -> str:
-        """Of a row: the same where content, variant, settings and versions are.
-
-        Args:
-            content: SHA-256 of the motion file.
-        """
-        return sha256(f"{self._fingerprint} {content}".encode()).hexdigest()[:16]
-
     @cached_property
     def _fingerprint(self) -> str:
+        """Equal where command, variant, settings and versions are."""
         about: dict[str, Any] = {
             "command": self.command,
             "variant": self.variant,
+            "table": FORMAT,
             "robot": _robot(self.config).urdf,
             "g1stream": __version__,
         }
@@ -133,23 +128,37 @@ class Task:
 
     location: str
     content: Content
-    key: str
     case: LibraryCase
 
-    def rows(self, status: Status, reason: str) -> Rows:
+    @property
+    def key(self) -> str:
+        """Of the row: the same where content, variant, settings and versions are."""
+        return self._key(self.case._fingerprint)
+
+    @property
+    def key_if_broken(self) -> str:
+        """Of the row where no motion can be read from the file: of all cases of a command."""
+        return self._key(self.case.command, FORMAT, __version__)
+
+    def _key(self, *about: object) -> str:
+        of = *about, self.content.sha256 or self.location
+        return sha256(" ".join(map(str, of)).encode()).hexdigest()[:16]
+
+    def rows(self, status: Status, reason: str | None = None) -> Rows:
         """The rows of a motion of which nothing else is known."""
+        broken, case = status == "broken", self.case
         row = MotionRow(
-            key=self.key,
+            key=self.key_if_broken if broken else self.key,
             name=stem(self.location),
             path=self.location,
             sha256=self.content.sha256,
-            command=self.case.command,
-            variant=self.case.variant,
-            support=self.case.support,
+            command=case.command,
+            variant="" if broken else case.variant,
+            support=None if broken else case.support,
             status=status,
             reason=reason,
         )
-        return Rows(motion=row, sweep=self.case.sweep)
+        return Rows(motion=row, sweep={} if broken else case.sweep)
 
 
 @cache
@@ -181,20 +190,24 @@ def _content(location: str) -> Content:
 def rows_of(task: Task) -> Rows:
     """Compute the rows of one motion; what is wrong with it is in them."""
     begun = time.perf_counter()
-    case, rows = task.case, task.rows("broken", task.content.fault)
+    case, rows, path = task.case, task.rows("refused"), Path(task.location)
     row = rows.motion
     try:
+        if task.content.fault:
+            raise MotionError(task.content.fault, "")
         with local_copy(task.location) as path:
-            motion = load_motion(path)
+            motion = _load(path)
             row.frames, row.fps, row.duration = motion.n_frames, motion.fps, motion.duration
             row.picture = picture(motion, _robot(case.config))
-            row.status = "refused"
             _COMPUTE[case.command](motion, case, rows)
-        row.status, row.reason = "ok", None
+        row.status = "ok"
     except RecordingError as error:  # a file of ours cannot be written now
         row.status, row.reason = "error", error.cause
     except G1StreamError as error:
-        row.reason = error.cause
+        if row.frames is None:
+            rows = task.rows("broken")
+        row = rows.motion
+        row.reason = _without_name(error.cause, path)
     except MemoryError:
         row.status, row.reason = "huge", "It takes more memory than --memory-limit."
     except Exception as error:  # a fault of ours ends no other motion
@@ -202,6 +215,19 @@ def rows_of(task: Task) -> Rows:
     row.seconds = time.perf_counter() - begun
     row.memory = _resident() / 1e6
     return rows
+
+
+def _load(path: Path) -> Motion:
+    try:
+        return load_motion(path)
+    except RecordingError as error:  # a session of others is damaged: no file of ours
+        raise MotionError(error.cause, error.remedy) from error
+
+
+def _without_name(cause: str, path: Path) -> str:
+    """A cause without the path of the file, which the row has, or that of its copy."""
+    shorter = cause.removeprefix(path.name).lstrip(":, ")
+    return shorter.replace(f"The file {path}", "The file").replace(str(path), "the file")
 
 
 def _resident() -> int:
@@ -212,7 +238,8 @@ def _resident() -> int:
 def _check(motion: Motion, case: LibraryCase, rows: Rows) -> None:
     robot, row = _robot(case.config), rows.motion
     rate, margin = _limits(case.config)
-    report = check_motion(motion, robot, rate=rate, position_margin=margin)
+    trajectory = Trajectory(motion)
+    report = check_motion(motion, robot, rate=rate, position_margin=margin, trajectory=trajectory)
     row.within_limits = report.within_limits
     row.looks_like = report.suspicion or None
     speeds = {one.joint: one.value for one in report.streamed.speeds}
@@ -230,18 +257,18 @@ def _check(motion: Motion, case: LibraryCase, rows: Rows) -> None:
     }
     rows.joints += joints.values()
     if report.in_radians:
-        _add_physics(
-            motion_physics(motion, robot, max_tilt=case.config.safety.max_tilt), row, joints
-        )
+        max_tilt = case.config.safety.max_tilt
+        found = motion_physics(motion, robot, max_tilt=max_tilt, trajectory=trajectory)
+        _add_physics(found, row, joints)
 
 
 def _add_physics(found: MotionPhysics, row: MotionRow, joints: dict[str, JointRow]) -> None:
     causes = []
     for support, verdict in found.verdicts.items():
         setattr(row, support, verdict.playable)
-        if verdict.excesses:
-            against = dict.fromkeys(excess.cause for excess in verdict.excesses)
-            causes.append(f"{support}: {', '.join(against)}")
+        against = dict.fromkeys(excess.cause for excess in verdict.excesses)
+        if why := verdict.refused or ", ".join(against):
+            causes.append(f"{support}: {why}")
     row.causes = "; ".join(causes) or None
     row.max_tilt = found.tilt_rad
     row.max_collision = found.collisions[0].depth_mm if found.collisions else 0.0

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import os
-import shutil
 import tempfile
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, Final
 
-from g1stream.errors import ConfigError, MotionError
+from g1stream.errors import ConfigError, MotionError, RecordingError
 from g1stream.extras import import_extra
+from g1stream.files import output_errors
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -76,10 +76,10 @@ def _below(place: str) -> Iterator[str]:
 
 
 def _motions_among(names: Iterable[str]) -> list[str]:
-    paths = map(PurePosixPath, names)
+    paths = ((name, PurePosixPath(name)) for name in names)
     return sorted(
-        str(path)
-        for path in paths
+        name
+        for name, path in paths
         if path.suffix.lower() in _SUFFIXES and not path.name.startswith(".")
     )
 
@@ -88,11 +88,15 @@ def _below_url(url: str) -> list[str]:
     fsspec = import_extra("fsspec", "library", "URLs need")
     try:
         files, root = fsspec.core.url_to_fs(url)
-        if files.isfile(root):
+        if _motions_among([root]) and files.isfile(root):
             return [url]
         if not files.exists(root):
             raise FileNotFoundError("there is nothing")
-        return [files.unstrip_protocol(path) for path in _motions_among(files.find(root))]
+        _, inside, archive = url.partition("::")  # zip://motions::s3://bucket/all.zip
+        found = _motions_among(files.find(root))
+        if not found and files.isfile(root):  # a web server's directory is a file, too
+            return [url]
+        return [f"{files.unstrip_protocol(path)}{inside}{archive}" for path in found]
     except ImportError as error:  # s3 needs s3fs, http aiohttp, and so on
         raise ConfigError(f"{url} cannot be read: {error}.", "Install that package.") from error
     except Exception as error:  # what a file system raises is its own
@@ -104,7 +108,12 @@ def _below_url(url: str) -> list[str]:
 
 def stem(location: str) -> str:
     """The name of the motion at a path or URL."""
-    return PurePosixPath(location).stem
+    return _path(location).stem
+
+
+def _path(location: str) -> PurePosixPath:
+    """The path in a URL, which may be followed by that of an archive: `zip://a.npz::file:///b`."""
+    return PurePosixPath(location.partition("::")[0] if "://" in location else location)
 
 
 def content_hash(location: str) -> str:
@@ -131,14 +140,19 @@ def local_copy(location: str) -> Iterator[Path]:
 
     Raises:
         MotionError: it cannot be read or is too large.
+        RecordingError: the copy cannot be written.
     """
     if "://" not in location:
         yield Path(location)
         return
-    with tempfile.TemporaryDirectory(prefix="g1stream-") as directory:
-        copy = Path(directory, PurePosixPath(location).name)
-        with _opened(location) as file, copy.open("wb") as out:
-            shutil.copyfileobj(file, out, 2**20)
+    with output_errors(Path(tempfile.gettempdir())):
+        scratch = tempfile.TemporaryDirectory(prefix="g1stream-")
+    with scratch as directory:
+        copy = Path(directory, _path(location).name)
+        with output_errors(copy), copy.open("wb") as out, _opened(location) as file:
+            while block := file.read(2**20):
+                with output_errors(copy):  # no fault of the URL
+                    out.write(block)
         yield copy
 
 
@@ -160,7 +174,7 @@ def _opened(location: str) -> Iterator[Any]:
             raise OSError(f"it has more than {_LARGEST / 2**20:g} MiB")
         with opened(path, "rb") as file:
             yield file
-    except MemoryError:  # of who reads it
+    except (MemoryError, RecordingError):  # of who reads it
         raise
     except Exception as error:  # what a file system raises is its own
         raise MotionError(

@@ -23,9 +23,13 @@
   const index = (name) => data[command].columns.findIndex((column) => column.name === name);
   const isNumber = (place) => data[command].rows.some((row) => typeof row[place] === "number");
 
-  // A test of rows for each word of the filter: `column>number`, `column=text`, or text anywhere.
-  const tests = () => filter.value.trim().toLowerCase().split(/\s+/).filter(Boolean).map((word) => {
-    const [, name, sign, value] = word.match(/^([\w.]+)(<=|>=|<|>|=)(.+)$/) ?? [];
+  // A test of rows for each word of the filter: `column>number`, `column=beginning`,
+  // `column="all of it"`, or text anywhere.
+  const words = () => filter.value.match(/(?:[^\s"]|"[^"]*"?)+/g) ?? [];
+  const tests = () => words().map((typed) => {
+    const word = typed.toLowerCase().replaceAll('"', "");
+    const [, name, sign, value] = word.match(/^([\w.]+)(<=|>=|<|>|=)(.*)$/) ?? [];
+    const fits = typed.includes('"') ? (text) => text === value : (text) => text.startsWith(value);
     const place = name ? index(name) : -1;
     if (place < 0) return (row) => row.some((cell, i) =>
       typeof cell === "string" && data[command].columns[i].name !== "picture" && cell.toLowerCase().includes(word));
@@ -33,7 +37,7 @@
     return (row) => {
       const cell = row[place];
       if (cell === null) return false;
-      if (sign === "=") return typeof cell === "number" ? cell === number : said(cell).toLowerCase().startsWith(value);
+      if (sign === "=") return typeof cell === "number" ? cell === number : fits(said(cell).toLowerCase());
       return { "<": cell < number, ">": cell > number, "<=": cell <= number, ">=": cell >= number }[sign];
     };
   });
@@ -49,7 +53,7 @@
   };
   const also = (...conditions) => {
     const names = conditions.map((condition) => condition.match(/^[\w.]+/)[0] + "");
-    const kept = filter.value.split(/\s+/).filter((word) => word && !names.includes(word.match(/^[\w.]*/)[0]));
+    const kept = words().filter((word) => !names.includes(word.match(/^[\w.]*/)[0]));
     filter.value = [...kept, ...conditions].join(" ");
     update();
   };
@@ -58,16 +62,22 @@
     let [low, high] = [Infinity, -Infinity]; // a spread of 10,000 values is too long for Math.min
     for (const value of values) [low, high] = [Math.min(low, value), Math.max(high, value)];
     if (low === high) return [make("small", {}, `all ${figure(low)}`)];
-    const width = (high - low) / BINS;
+    // Bars begin at rounded numbers, which the filter shows; the first and the last have no end.
+    const begins = Array.from({ length: BINS }, (_, bin) =>
+      bin ? Number((low + bin * (high - low) / BINS).toPrecision(4)) : -Infinity);
     const counts = new Array(BINS).fill(0);
-    for (const value of values) counts[Math.min(BINS - 1, Math.floor((value - low) / width))] += 1;
+    for (const value of values) counts[begins.findLastIndex((begin) => value >= begin)] += 1;
     const most = Math.max(...counts), svg = make("svg", { viewBox: "0 0 84 28" });
     counts.forEach((count, bin) => {
-      const height = count ? Math.max(1, 26 * count / most) : 0, from = low + bin * width;
+      const height = count ? Math.max(1, 26 * count / most) : 0;
+      const [from, to] = [begins[bin], begins[bin + 1] ?? Infinity];
       svg.append(make("rect", {
         x: 6 * bin, y: 28 - height, width: 5, height,
-        onclick: () => also(`${column.name}>=${from.toPrecision(4)}`, `${column.name}<=${(from + width).toPrecision(4)}`),
-      }, make("title", {}, `${count}: ${figure(from)} to ${figure(from + width)} ${column.unit}`)));
+        onclick: () => also(...[
+          bin > 0 && `${column.name}>=${from}`, bin < BINS - 1 && `${column.name}<${to}`,
+        ].filter(Boolean)),
+      }, make("title", {},
+        `${count}: ${figure(Math.max(from, low))} to ${figure(Math.min(to, high))} ${column.unit}`)));
     });
     return [svg, make("small", {}, `${figure(low)} to ${figure(high)}`)];
   };
@@ -76,11 +86,11 @@
     for (const value of values) counts.set(said(value), (counts.get(said(value)) ?? 0) + 1);
     if (counts.size > KINDS) return [];
     return [make("div", { class: "kinds" }, ...[...counts].sort((a, b) => b[1] - a[1]).map(([kind, count]) =>
-      make("button", { onclick: () => also(`${column.name}=${kind.split(" ")[0]}`) }, `${count} ${kind}`)))];
+      make("button", { onclick: () => also(`${column.name}="${kind}"`) }, `${count} ${kind}`)))];
   };
   const heading = (column, place, found) => {
     const values = found.map((row) => row[place]).filter((value) => value !== null);
-    const number = isNumber(place), plain = ["picture", "name", "reason", "path", "causes", "report", "output"].includes(column.name);
+    const number = isNumber(place), plain = ["picture", "name", "path", "causes", "report", "output"].includes(column.name);
     const drawn = plain || !values.length ? []
       : number ? histogram(column, values) : kinds(column, values);
     const mark = sorted !== column.name ? "" : descending ? " ▼" : " ▲";
@@ -93,7 +103,17 @@
       make("button", { onclick: sort }, column.name.replaceAll("_", " ") + mark),
       make("small", {}, column.unit), ...drawn);
   };
-  const cell = (column, value) => {
+  // Of what failed, the reason is in place of the columns behind it, and the path is a tooltip of the name.
+  const row = (values) => {
+    const { columns } = data[command], reason = index("reason"), path = values[index("path")];
+    const failed = reason >= 0 && values[reason] !== null;
+    const shown = columns.filter((_, i) => i !== reason && (i < reason || !failed));
+    const cells = shown.map((column) =>
+      cell(column, values[index(column.name)], column.name === "name" ? path : undefined));
+    if (failed) cells.push(make("td", { class: "reason", colspan: columns.length - 1 - reason }, values[reason]));
+    return make("tr", {}, ...cells);
+  };
+  const cell = (column, value, title = said(value)) => {
     if (value === null) return make("td");
     if (column.name === "picture")
       return make("td", {}, make("svg", { viewBox: "0 0 100 30" }, make("path", { d: value })));
@@ -101,13 +121,13 @@
       return make("td", {}, make("a", { href: value.split("/").map(encodeURIComponent).join("/") }, column.name));
     if (typeof value === "number") return make("td", {}, figure(value));
     const bad = column.name === "status" ? value !== "ok" : value === "no" || value === false;
-    return make("td", { class: bad ? "text bad" : "text", title: said(value) }, said(value));
+    return make("td", { class: bad ? "text bad" : "text", title }, said(value));
   };
   const update = () => {
     const { columns } = data[command], found = rows();
-    thead.replaceChildren(make("tr", {}, ...columns.map((column, i) => heading(column, i, found))));
-    tbody.replaceChildren(...found.slice(0, shown).map((row) =>
-      make("tr", {}, ...columns.map((column, i) => cell(column, row[i])))));
+    thead.replaceChildren(make("tr", {}, ...columns.flatMap((column, i) =>
+      column.name === "reason" ? [] : [heading(column, i, found)])));
+    tbody.replaceChildren(...found.slice(0, shown).map(row));
     document.getElementById("count").textContent = `${found.length} of ${data[command].rows.length}`;
     more.hidden = found.length <= shown;
     document.documentElement.dataset.drawn = found.length;

@@ -5,19 +5,36 @@
 
 from __future__ import annotations
 
-from typing import Any, Final, Literal, get_args
+from math import isnan
+from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
 from pydantic import Field
 
-from g1stream.analysis.physics_report import Playable
+from g1stream.physics.result import Playable
 from g1stream.session.records import Int, Record
 
-__all__ = ["NUMBERS", "Command", "JointRow", "MotionRow", "Rows", "Status"]
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+__all__ = [
+    "CONDITION_NAMES",
+    "FORMAT",
+    "Command",
+    "JointRow",
+    "MotionRow",
+    "Rows",
+    "Status",
+    "condition_values",
+]
 
 Command = Literal["check", "simulate", "convert"]
 Status = Literal["ok", "broken", "refused", "huge", "slow", "crashed", "error"]
 """What became of a motion: computed; no motion can be read from the file; a motion that is not
 played so; it took too much memory, or time; its process ended; or we failed."""
+
+
+FORMAT: Final = 2
+"""Of the tables: another number where a column changes, so that rows are computed again."""
 
 
 def column(description: str, unit: str = "", default: Any = None) -> Any:
@@ -41,13 +58,14 @@ class MotionRow(Record):
     fps: float | None = column("of the motion", "Hz")
     duration: float | None = column("of the motion", "s")
 
-    within_limits: bool | None = column("whether it keeps the limits of position and speed")
-    looks_like: str | None = column("what a limit that is passed looks like")
     bolted: Playable | None = column("whether it can be played, the pelvis bolted")
     hanging: Playable | None = column("whether it can be played, hanging")
     follow: Playable | None = column("whether it can be played, the pelvis following the reference")
     free: Playable | None = column("whether it can be played, standing free")
+    feet: Playable | None = column("whether it can be played on its own feet, changed to stand")
     causes: str | None = column("what speaks against it, by support")
+    within_limits: bool | None = column("whether it keeps the limits of position and speed")
+    looks_like: str | None = column("what a limit that is passed looks like")
     max_speed: float | None = column("of a joint", "rad/s")
     max_tilt: float | None = column("of the pelvis", "rad")
     max_collision: float | None = column("depth of two links in each other", "mm")
@@ -76,7 +94,7 @@ class MotionRow(Record):
     mpjpe: float | None = column("mean distance of the links, in the pelvis's frame", "mm")
     mpjpe_root: float | None = column("distance of the links, with the pelvis's attitude", "mm")
     mpjpe_world: float | None = column("distance of the links, in the world", "mm")
-    torque_rms: float | None = column("of all joints", "Nm")
+    torque_rms: float | None = column("of all joints", "N·m")
     torque_use: float | None = column("99th percentile of a joint over its limit, the highest")
     saturated: float | None = column("share of the states with a joint at its limit")
     power: float | None = column("of all motors", "W")
@@ -90,12 +108,32 @@ class MotionRow(Record):
     picture: str | None = column("five poses, as the path of an SVG 100 wide and 30 high")
 
 
-NUMBERS: Final = tuple(
-    name
-    for name, one in MotionRow.model_fields.items()
-    if {bool, float}.intersection(get_args(one.annotation))
+_PLAYABLE: Final = {"yes": 1.0, "inexact": 0.5, "no": 0.0}
+_KINDS: Final[set[Any]] = {bool, float, Int, Playable}
+CONDITION_NAMES: Final = (
+    "ok",
+    *(
+        name
+        for name, one in MotionRow.model_fields.items()
+        if _KINDS.intersection(get_args(one.annotation))
+    ),
 )
-"""The columns of `MotionRow` that a condition can name."""
+"""What a condition on a row can name: its columns that are numbers or answers, and `ok`."""
+
+
+def condition_values(row: Mapping[str, Any], names: Iterable[str]) -> dict[str, float | None]:
+    """What a condition names, as numbers; None for what is not known.
+
+    Args:
+        row: of the table of motions, with None or NaN for what was not computed.
+        names: of `CONDITION_NAMES`.
+    """
+    values: dict[str, float | None] = {}
+    for name in names:
+        value = row["status"] == "ok" if name == "ok" else row[name]
+        unknown = value is None or (isinstance(value, float) and isnan(value))
+        values[name] = None if unknown else float(_PLAYABLE.get(value, value))
+    return values
 
 
 class JointRow(Record):
@@ -106,17 +144,17 @@ class JointRow(Record):
     lowest: float | None = column("the smallest angle in the motion", "rad")
     highest: float | None = column("the largest angle in the motion", "rad")
     max_speed: float | None = column("as streamed", "rad/s")
-    torque_limit: float | None = column("the smaller of the motor's and the URDF's", "Nm")
-    torque_bolted: float | None = column("the largest of the motion, with sign, bolted", "Nm")
-    torque_hanging: float | None = column("the largest of the motion, with sign, hanging", "Nm")
-    torque_follow: float | None = column("the largest of the motion, with sign, following", "Nm")
-    torque_free: float | None = column("the largest of the motion, with sign, free", "Nm")
+    torque_limit: float | None = column("the smaller of the motor's and the URDF's", "N·m")
+    torque_bolted: float | None = column("the largest of the motion, with sign, bolted", "N·m")
+    torque_hanging: float | None = column("the largest of the motion, with sign, hanging", "N·m")
+    torque_follow: float | None = column("the largest of the motion, with sign, following", "N·m")
+    torque_free: float | None = column("the largest of the motion, with sign, free", "N·m")
     rmse: float | None = column("of the simulated joint", "rad")
     bias: float | None = column("its mean error", "rad")
     p99: float | None = column("99th percentile of its absolute error", "rad")
     max: float | None = column("its greatest error", "rad")
     delay: float | None = column("by which it is behind the reference", "s")
-    torque_p99: float | None = column("99th percentile of its absolute torque", "Nm")
+    torque_p99: float | None = column("99th percentile of its absolute torque", "N·m")
     torque_use: float | None = column("the same over its limit")
     saturated: float | None = column("share of the states at its limit")
 

@@ -75,7 +75,7 @@ class LibraryRun:
         if not self.computing:
             return None, f"reading {self.hashed} of {counted(self.files, 'file')}"
         to_do = self.total - self.known
-        text = f"{self.done} of {to_do}"
+        text = f"{self.done} of {counted(to_do, 'row')}"
         if self.done:
             rate = self.done / self.elapsed
             text += f", {rate:.3g} a second, {_span((to_do - self.done) / rate)} left"
@@ -100,6 +100,7 @@ def run_library(
     run: LibraryRun | None = None,
     on_row: Callable[[MotionRow], None] = lambda row: None,
     stop: Callable[[], bool] = lambda: False,
+    warn: Callable[[str], None] = lambda text: None,
 ) -> LibraryRun:
     """Compute the rows of all motions below some places, write them as they come, then a page.
 
@@ -116,6 +117,7 @@ def run_library(
         run: filled while it goes; a new one if None.
         on_row: called with each row that was written.
         stop: asked now and then; whether to end early.
+        warn: called with what keeps it waiting: a scheduler that has no workers.
 
     Returns:
         How it went.
@@ -137,7 +139,7 @@ def run_library(
     run.files = len(locations)
     with (
         writing(out) as table,
-        open_executor(workers or os.cpu_count() or 1, cluster) as executor,
+        open_executor(workers or os.cpu_count() or 1, cluster, warn=warn, stop=stop) as executor,
     ):
         contents = dict(_contents(executor, locations, run, stop))
         tasks: list[Task] = []
@@ -201,8 +203,13 @@ def _tasks(
             continue
         if content.sha256:
             seen.add(content.sha256)
-        for case in cases:
-            task = Task(location, content, case.key(content.sha256 or location), case)
+        tasks = [Task(location, content, case) for case in (cases[:1] if content.fault else cases)]
+        broken = tasks[0].key_if_broken
+        if content.sha256 and table.has(broken, limits):
+            run.keys.add(broken)
+            run.known += 1
+            continue
+        for task in tasks:
             run.keys.add(task.key)
             if content.sha256 and table.has(task.key, limits):
                 run.known += 1
@@ -224,8 +231,12 @@ def _results(pairs: Sequence[tuple[Task, Future[Rows]]], run: LibraryRun) -> Ite
     for task, future in pairs:
         if fault := _fault(future):
             run.lost[task.location] = fault
-        else:
-            yield future.result()
+            continue
+        rows = future.result()
+        run.keys.discard(task.key)
+        if (key := rows.motion.key) not in run.keys:  # a broken file has one row for all its cases
+            run.keys.add(key)
+            yield rows
 
 
 def _fault(future: Future[Any]) -> str:

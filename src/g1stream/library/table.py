@@ -31,13 +31,13 @@ if TYPE_CHECKING:
     from g1stream.library.rows import Rows
     from g1stream.session.records import Record
 
-__all__ = ["Library", "TableWriter", "open_library", "writing"]
+__all__ = ["Library", "TableWriter", "newest_motions", "open_library", "writing"]
 
 _EXTRA: Final = "library", "A library's tables need"
 _TABLES: Final[dict[str, type[Record]]] = {"joints": JointRow, "motions": MotionRow}
 #: So many small parts are made one; a part with more rows than this is not small.
 _MOST_PARTS: Final = 64
-_SMALL: Final = 20_000
+_SMALL: Final = 5_000
 
 
 @dataclass(frozen=True)
@@ -69,27 +69,45 @@ def open_library(path: str | Path) -> Library:
         RecordingError: there is no library, or a part of it is damaged.
     """
     path = Path(path)
+    # Joints last: what has a row has its joints.
+    motions, joints = _read_tables(path, "motions", "joints")
+    motions = _newest(motions)
+    frame = joints.to_pandas().drop_duplicates(["key", "joint"], keep="last")
+    frame = frame[frame["key"].isin(motions["key"])].reset_index(drop=True)
+    return Library(path, motions, frame)
+
+
+def newest_motions(path: Path) -> pandas.DataFrame:
+    """`Library.motions` alone, in a tenth of the memory; errors are those of `open_library`."""
+    (motions,) = _read_tables(path, "motions")
+    return _newest(motions)
+
+
+def _read_tables(path: Path, *names: str) -> list[Any]:
     for _ in range(5):
         try:
-            # Joints last: what has a row has its joints.
-            motions, joints = (_read(path / name) for name in ("motions", "joints"))
+            tables = [_read(path / name) for name in names]
             break
         except FileNotFoundError:  # a part became one with others meanwhile
             continue
     else:
         raise RecordingError(f"{path} changes too fast to be read.", "Try again.")
-    if motions is None or joints is None:
+    if any(one is None for one in tables):
         raise RecordingError(
             f"There is no library at {path}.", "Make one: g1stream library check PATH... -o DIR."
         )
-    motions = motions.to_pandas()
-    broken = motions["sha256"] == ""
-    same = motions["path"].where(broken, motions["sha256"])
+    return tables
+
+
+def _newest(table: Any) -> pandas.DataFrame:
+    motions: pandas.DataFrame = table.to_pandas()
+    same = motions["path"].where(motions["sha256"] == "", motions["sha256"])
     newest = ~motions.assign(sha256=same).duplicated(["sha256", "command", "variant"], keep="last")
-    motions = motions[newest].reset_index(drop=True)
-    frame = joints.to_pandas().drop_duplicates(["key", "joint"], keep="last")
-    frame = frame[frame["key"].isin(motions["key"])].reset_index(drop=True)
-    return Library(path, motions, frame)
+    # A broken file has no variant, and may have become whole.
+    newest &= (motions["status"] != "broken") | ~motions.duplicated(
+        ["path", "command"], keep="last"
+    )
+    return motions[newest].reset_index(drop=True)
 
 
 def _parts(directory: Path) -> list[Path]:
@@ -113,7 +131,12 @@ def _read_part(path: Path) -> Any:
     from pyarrow import parquet
 
     with _damage_named(path):
-        return parquet.read_table(path, partitioning=None)
+        # Most parts are small: threads gain nothing.
+        return parquet.read_table(path, partitioning=None, use_threads=False)
+
+
+def _small_parts(directory: Path) -> list[Path]:
+    return [part for part in _parts(directory) if _rows_in(part) < _SMALL]
 
 
 def _rows_in(path: Path) -> int:
@@ -138,8 +161,23 @@ def _damage_named(path: Path) -> Iterator[None]:
 
 
 def _concatenated(arrow: Any, tables: Sequence[Any]) -> Any:
-    """Tables below one another; sweeps have columns that others do not have."""
+    """Tables below one another; sweeps have columns that others do not have.
+
+    A column with words in one and numbers in another has the numbers as words, too.
+    """
+    kinds: dict[str, set[Any]] = {}
+    for field in (field for table in tables for field in table.schema):
+        kinds.setdefault(field.name, set()).add(field.type)
+    for name in [name for name, several in kinds.items() if len(several) > 1]:
+        tables = [_as_words(arrow, table, name) for table in tables]
     return arrow.concat_tables(tables, promote_options="default")
+
+
+def _as_words(arrow: Any, table: Any, name: str) -> Any:
+    place = table.schema.get_field_index(name)
+    if place < 0:
+        return table
+    return table.set_column(place, name, table.column(place).cast(arrow.string()))
 
 
 class TableWriter:
@@ -155,12 +193,12 @@ class TableWriter:
                 left.unlink()
         known = _read(self._directories["motions"])
         columns = ["sha256", "path", "command", "variant", "key", "status", "limits"]
-        rows = known.select(columns).to_pylist() if known else []
-        newest = {(r["sha256"] or r["path"], r["command"], r["variant"]): r for r in rows}
-        self._known = {row["key"]: row for row in newest.values()}
+        rows = _newest(known.select(columns)).to_dict("records") if known else []
+        self._known = {row["key"]: row for row in rows}
         names = [part.stem for part in _parts(self._directories["motions"])]
         names += [part.stem for part in _parts(self._directories["joints"])]
         self._number = max((int(name.partition("-")[2]) for name in names), default=0)
+        self._n_small = len(_small_parts(self._directories["motions"]))
 
     def has(self, key: str, limits: str) -> bool:
         """Whether a row is there that need not be computed.
@@ -182,18 +220,20 @@ class TableWriter:
         own = {name: type(value) for rows in several for name, value in rows.sweep.items()}
         self._write("joints", _table(self._arrow, JointRow, joints))
         self._write("motions", _table(self._arrow, MotionRow, motions, own))
-        if len(_parts(self._directories["motions"])) >= _MOST_PARTS:
+        self._n_small += len(several) < _SMALL
+        if self._n_small >= _MOST_PARTS:
             self.merge()
 
     def merge(self) -> None:
         """Make the small parts of each table one."""
         self._number += 1
         for name, directory in self._directories.items():
-            small = [part for part in _parts(directory) if _rows_in(part) < _SMALL]
+            small = _small_parts(directory)
             if len(small) > 1:
                 self._write(name, _concatenated(self._arrow, [_read_part(part) for part in small]))
                 for part in small:
                     part.unlink()
+        self._n_small = len(_small_parts(self._directories["motions"]))
 
     def _write(self, name: str, table: Any) -> None:
         from pyarrow import parquet

@@ -53,7 +53,9 @@ def zip_members(data: bytes) -> dict[str, bytes]:
             if any(member.compress_type not in plain for member in members):
                 raise ValueError("it is compressed in another way than deflate")
             return {member.filename: archive.read(member) for member in members}
-    except (zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, EOFError) as error:
+    except (zipfile.BadZipFile, zlib.error, EOFError) as error:
+        raise ValueError("it is damaged or cut off") from error
+    except (NotImplementedError, RuntimeError) as error:  # encrypted, or of a newer ZIP
         raise ValueError(str(error)) from error
 
 
@@ -72,5 +74,8 @@ def read_npy(data: bytes, *, objects: bool = False) -> Any:
         if not objects:
             raise ValueError("it has Python objects")
         return read_pickle(data[file.tell() :])
-    values = np.frombuffer(data, dtype, offset=file.tell())
-    return values.reshape(shape, order="F" if column_major else "C")
+    try:
+        values = np.frombuffer(data, dtype, offset=file.tell())
+        return values.reshape(shape, order="F" if column_major else "C")
+    except ValueError as error:
+        raise ValueError("an array is damaged or cut off") from error

@@ -57,7 +57,7 @@ class Conditions:
         motion_sha256: `Motion.content_sha256`.
         robot: the URDF's robot name.
         rate: commands per second, Hz.
-        kp, kd: (29,) gains, Nm/rad and Nm s/rad, motor order.
+        kp, kd: (29,) gains, N·m/rad and N·m·s/rad, motor order.
         feedforward: what commands carry beside the position; None: not decided yet.
         support: how the robot is held; None: not known.
     """

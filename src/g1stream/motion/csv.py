@@ -197,7 +197,8 @@ class CsvFile:
     def _check_header(self) -> None:
         if not self.columns:
             raise self._error(
-                f"no header names the {self.n_columns} column{'s' * (self.n_columns != 1)}",
+                f"it is no motion: {counted(self.n_columns, 'column')}, and a motion has "
+                f"{len(_LAFAN1)}, or a header that names them",
                 "Separate values with commas, and put a header first or use the "
                 f"{len(_LAFAN1)} columns of LAFAN1: {','.join(_LAFAN1[:8])} and the other joints "
                 "in motor order.",
@@ -228,7 +229,7 @@ class CsvFile:
             for column, cell in enumerate(cells):
                 if not _is_number(cell):
                     return self._error(
-                        f"{cell.strip()!r:.60} is not a number of at most {LARGEST:g}",
+                        f"{cell.strip()!r:.60} is not a finite number up to {LARGEST:g}",
                         "Write a decimal number there, such as -0.25.",
                         line=number,
                         column=column,

@@ -47,6 +47,11 @@ _NOT_READ: Final = {
     b"{": "JSON",
     b"<": "XML, such as a URDF or MJCF",
 }
+#: Endings of files that are no text.
+_BINARY: Final = {
+    *(".npz", ".npy", ".parquet", ".mcap", ".db3"),
+    *(".pkl", ".pickle", ".joblib", ".pt", ".pth"),
+}
 _READ: Final = (
     "Read are CSV, NPZ, NPY, Parquet, pickles of arrays, files of PyTorch, session files, and bags "
     "of ROS 2 and MCAP files with joint states: docs/formats.md says with which content."
@@ -95,6 +100,8 @@ def motion_file(
     for start, kind in _NOT_READ.items():
         if content.startswith(start):
             raise MotionError(f"{path.name} looks like {kind}, which is not read.", _READ)
+    if content and path.suffix.lower() in _BINARY:
+        raise MotionError(f"{path.name} does not begin as a file of its name does.", _READ)
     return CsvFile(path, content, joint_order)
 
 

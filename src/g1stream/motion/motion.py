@@ -61,6 +61,7 @@ class Motion:
         sha256: of the whole source file, in hex, also where this is only a part of it.
         warnings: what a reader corrected, a sentence each.
         operations: what was done to the motion in the file, in this order, such as `mirrored`.
+        parts: the motions that it was joined of, in their order; empty where it was not.
 
     Raises:
         MotionError: the shapes do not fit together, there is only one frame, a value is not finite
@@ -76,6 +77,7 @@ class Motion:
     sha256: str | None = None
     warnings: tuple[str, ...] = ()
     operations: tuple[str, ...] = ()
+    parts: tuple[Motion, ...] = ()
     joint_names: ClassVar = JOINT_NAMES
 
     @classmethod

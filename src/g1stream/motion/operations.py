@@ -14,7 +14,6 @@ from g1stream.errors import MotionError
 from g1stream.motion.blend import COAST, blend_frames
 from g1stream.motion.trajectory import resample
 from g1stream.robot.joints import N_JOINTS
-from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1
 from g1stream.robot.rotations import quat_from_axis_angle, quat_mul, quat_rotate, yaw_of
 from g1stream.robot.soles import Soles
@@ -40,9 +39,8 @@ __all__ = [
 _LONGEST_BLEND: Final = 60.0
 #: A motion that is repeated has no more frames: ten hours at 30 fps.
 _MOST_FRAMES: Final = 1_000_000
-#: A sole that is slower than this stands, m/s, and frames that are looked at together.
+#: A sole that is slower than this stands, m/s.
 _STANDS: Final = 0.25
-_PIECE: Final = 512
 _UP: Final = np.array([0.0, 0.0, 1.0])
 #: A mirrored turn: the vector part of a quaternion is a pseudovector.
 _MIRROR_QUAT: Final = np.concatenate([[1.0], -MIRROR])
@@ -131,16 +129,11 @@ def height_of_floor(motion: Motion, robot: G1) -> float | None:
     Raises:
         RobotError: the robot's soles are not known.
     """
-    soles, standing = Soles(robot), []
-    for first in range(0, motion.n_frames - 1, _PIECE):
-        rows = slice(first, first + _PIECE + 1)  # one frame is in both pieces, for its speed
-        root = motion.root_pos[rows], motion.root_quat_wxyz[rows]
-        corners = soles.positions(forward_kinematics(robot, motion.joint_pos[rows], *root))
-        speed = np.linalg.norm(np.gradient(corners, axis=0), axis=-1) * motion.fps
-        lowest = corners[..., 2].argmin(axis=1)[:, np.newaxis]
-        slow = np.take_along_axis(speed, lowest, axis=1) < _STANDS
-        standing.append(np.take_along_axis(corners[..., 2], lowest, axis=1)[slow])
-    heights = np.concatenate(standing)
+    corners = Soles(robot).path(motion.joint_pos, motion.root_pos, motion.root_quat_wxyz)
+    speed = np.linalg.norm(np.gradient(corners, axis=0), axis=-1) * motion.fps
+    lowest = corners[..., 2].argmin(axis=1)[:, np.newaxis]
+    slow = np.take_along_axis(speed, lowest, axis=1) < _STANDS
+    heights = np.take_along_axis(corners[..., 2], lowest, axis=1)[slow]
     return float(np.median(heights)) if heights.size else None
 
 
@@ -181,6 +174,7 @@ def joined(motion: Motion, other: Motion, blend: float) -> Motion:
         source=None,
         sha256=None,
         warnings=tuple(dict.fromkeys(motion.warnings + other.warnings)),
+        parts=(*(motion.parts or (motion,)), *(other.parts or (other,))),
     )
     return _done(both, about)
 
@@ -213,6 +207,7 @@ def looped(motion: Motion, n: int, blend: float) -> Motion:
         root_quat_wxyz=np.concatenate([motion.root_quat_wxyz, quat.reshape(-1, 4)]),
         source=motion.source,
         sha256=motion.sha256,
+        parts=motion.parts,
         operations=(*motion.operations, f"{n} times with blends of {blend:g} s"),
     )
 

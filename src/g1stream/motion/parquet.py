@@ -57,7 +57,7 @@ def read_parquet(data: bytes) -> dict[str, Any]:
         ]
         table = file.read(columns=numbers)
     except (pyarrow.ArrowException, OSError) as error:
-        raise ValueError(f"it is a damaged Parquet file: {error!s:.80}") from error
+        raise ValueError(f"it is damaged or cut off: {str(error).partition('.')[0]}") from error
     names = [canonical_column(name) for name in table.column_names]
     repeated = {name for name in names if names.count(name) > 1}
     if repeated:

@@ -14,7 +14,9 @@ All coefficients are in one array, so that a sample is one small matrix product.
 
 from __future__ import annotations
 
+from copy import copy
 from fractions import Fraction
+from functools import reduce
 from math import ceil, factorial, floor
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -23,10 +25,11 @@ import numpy as np
 from g1stream.errors import MotionError
 from g1stream.motion.blend import seam_frames
 from g1stream.robot.joints import N_JOINTS
+from g1stream.robot.kinematics import BLOCK
 from g1stream.robot.rotations import xyzw_from_wxyz
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from numpy.typing import ArrayLike, NDArray
 
@@ -38,8 +41,6 @@ __all__ = ["Trajectory", "TrajectoryPoint", "resample"]
 #: Frames on either side that a part of a spline is fitted through as well: the influence of a frame
 #: falls by a factor of 3.7 per frame, and beyond 32 nothing is left of it in float64.
 _REACH: Final = 32
-#: Frames that are resampled at once, so that memory does not grow with the motion's length.
-_PIECE: Final = 256
 
 # The exponential map of rotations and its derivatives need functions such as (1 - cos a) / a**2.
 # As power series in a**2 they have no special case at 0; the angle between two frames is at most
@@ -111,12 +112,23 @@ class Trajectory:
             linear, quat = seam_frames(linear, quat, motion.fps)
             around = np.arange(-n_wrap, len(linear) + n_wrap + 1) % len(linear)
             linear, quat = linear[around], quat[around]
-        coefficients = _fit(linear, quat, motion.fps)
+        coefficients = _in_parts(_fit, motion.fps, linear, quat)
         own = slice(n_wrap, len(coefficients) - n_wrap)
         self._coefficients = np.ascontiguousarray(coefficients[own])
         self._quats = np.ascontiguousarray(quat[:-1][own])
         self._n_segments = len(self._coefficients)
         self.period = self._n_segments / motion.fps
+
+    def moved(self, motion: Motion) -> Trajectory:
+        """That of a motion that differs in joints and root positions only; it does not repeat."""
+        if self.loop:
+            return Trajectory(motion)
+        other = copy(self)
+        other.motion = motion
+        linear = np.hstack([motion.joint_pos, motion.root_pos])
+        fitted = _in_parts(_fit_linear, motion.fps, linear)
+        other._coefficients = np.concatenate([fitted, self._coefficients[..., -3:]], axis=-1)
+        return other
 
     def sample(self, t: float) -> TrajectoryPoint:
         """The reference at time `t`, s. Takes some 20 us, for use in a control loop."""
@@ -160,6 +172,34 @@ class Trajectory:
         basis[~inside, 1] = 0.0
         value = basis @ self._coefficients[k, :, :N_JOINTS]
         return value[:, 0], value[:, 1]
+
+    def segments_at(self, times: ArrayLike) -> NDArray[np.intp]:
+        """Of times (N,), s, the segment of the spline, from one frame to the next."""
+        return self._segments(times)[1]
+
+    def joint_bounds(self) -> Iterator[tuple[Floats, Floats, Floats]]:
+        """What joints keep within segments of the spline, in order, `BLOCK` of them at a time.
+
+        A cubic is in the convex hull of its control points as a Bézier curve, and so is its
+        velocity. The spline may be further within.
+
+        Yields:
+            Lowest and highest positions, rad, and highest speeds, rad/s, (N, 29) each.
+        """
+        h = 1.0 / self.motion.fps
+        for first in range(0, self._n_segments, BLOCK):
+            of_joints = self._coefficients[first : first + BLOCK, :, :N_JOINTS]
+            cubic, square, slope, start = of_joints.transpose(1, 0, 2)
+            rise, bend = h / 3.0 * slope, h * h / 3.0 * square
+            end = start + 3.0 * (rise + bend) + h**3 * cubic
+            points = start, start + rise, start + 2.0 * rise + bend, end
+            faster = slope + h * square
+            speeds = slope, faster, faster + h * (square + 3.0 * h * cubic)
+            yield (
+                reduce(np.minimum, points),
+                reduce(np.maximum, points),
+                reduce(np.maximum, map(np.abs, speeds)),
+            )
 
     def _segments(self, times: ArrayLike) -> tuple[NDArray[np.bool_], NDArray[np.intp], Floats]:
         """Of times (N,): whether the trajectory moves then, the segment, and s since it began."""
@@ -209,8 +249,8 @@ def resample(
             f"{motion.name}.",
             "Give a higher rate, or more frames.",
         )
-    for first in range(start, last, _PIECE):
-        behind = min(first + _PIECE, last)
+    for first in range(start, last, BLOCK):
+        behind = min(first + BLOCK, last)
         upper = end if behind == last else ceil(behind * samples_per_frame)
         numbers = range(ceil(first * samples_per_frame), upper)
         if not numbers:
@@ -222,21 +262,43 @@ def resample(
         yield numbers, trajectory.sample_many(np.minimum(times, trajectory.duration))
 
 
-def _fit(linear: Floats, quat: Floats, fps: float) -> Floats:
-    """Cubics between frames: linear (T, D), quat wxyz (T, 4) -> coefficients (T - 1, 4, D + 3).
+def _in_parts(fit: Callable[..., Floats], fps: float, *frames: Floats) -> Floats:
+    """Cubics between frames, coefficients (T - 1, 4, D), the highest power first.
 
-    The highest power is first. The last three columns are the rotation vector from the first frame
-    of the segment, in the axes of that frame.
+    Args:
+        fit: makes these of some frames, (4, T - 1, D); many at once are too large for the caches
+            of a processor.
+        fps: frames per second.
+        frames: arrays (T, ...) that `fit` is called with.
     """
-    from scipy.interpolate import CubicSpline
+    parts = []
+    for first in range(0, len(frames[0]) - 1, BLOCK):
+        lowest = max(0, first - _REACH)
+        fitted = fit(fps, *(values[lowest : first + BLOCK + _REACH + 1] for values in frames))
+        parts.append(np.moveaxis(fitted, 0, 1)[first - lowest :][:BLOCK])
+    return np.concatenate(parts)
+
+
+def _fit(fps: float, linear: Floats, quat: Floats) -> Floats:
+    """Cubics between frames: linear (T, D), quat wxyz (T, 4) -> coefficients (4, T - 1, D + 3).
+
+    The last three columns are the rotation vector from the first frame of the segment, in the axes
+    of that frame.
+    """
     from scipy.spatial.transform import Rotation, RotationSpline
 
     times = np.arange(len(linear)) / fps
-    splines = CubicSpline(times, linear, bc_type="natural").c
     rotations = Rotation.from_quat(xyzw_from_wxyz(quat))
     rotation_vectors = RotationSpline(times, rotations).interpolator.c
-    powers_first: Floats = np.concatenate([splines, rotation_vectors], axis=-1)
-    return np.moveaxis(powers_first, 0, 1)
+    return np.concatenate([_fit_linear(fps, linear), rotation_vectors], axis=-1)
+
+
+def _fit_linear(fps: float, linear: Floats) -> Floats:
+    """The natural cubics through (T, D): coefficients (4, T - 1, D)."""
+    from scipy.interpolate import CubicSpline
+
+    powers_first: Floats = CubicSpline(np.arange(len(linear)) / fps, linear, bc_type="natural").c
+    return powers_first
 
 
 def _rotation_state(base: Any, r: Any, rate: Any, accel: Any) -> tuple[Any, Any, Any]:

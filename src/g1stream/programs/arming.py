@@ -59,7 +59,7 @@ class LimbDistance:
         limb: its name, such as `left arm`.
         joint: the one that is furthest.
         distance: of that joint, first frame minus measured, rad.
-        kp, kd: the lowest and the highest gain, Nm/rad and Nm s/rad.
+        kp, kd: the lowest and the highest gain, N·m/rad and N·m·s/rad.
     """
 
     limb: str
@@ -180,7 +180,7 @@ def motion_service(participant: Participant, config: Config) -> Finding:
             about,
             f"{error.cause} The robot's own controller may "
             + ("not be active." if arms else "be active, and would fight our commands."),
-            "Go on only if you know that the robot stands by itself."
+            "Go on only if you know that its onboard controller balances it."
             if arms
             else "Go on only if this is a simulator, or if you know that no mode is active.",
         )
@@ -188,7 +188,8 @@ def motion_service(participant: Participant, config: Config) -> Finding:
     if arms and not active:
         raise SafetyError(
             "The robot's own controller is not active, which rt/arm_sdk needs: nothing would move.",
-            f"Let the robot stand by itself, with the remote or: g1stream robot restore ai {where}",
+            f"Activate it with the remote or g1stream robot restore ai {where}; a simulator has it "
+            "with g1stream sim --onboard ai.",
         )
     if arms:
         return ok(about, f"mode {active} is active, and moves the arms for us")

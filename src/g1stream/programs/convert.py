@@ -21,6 +21,7 @@ from g1stream.robot.meshes import robot_with_meshes
 from g1stream.robot.model import G1
 from g1stream.robot.visuals import missing_meshes
 from g1stream.session.format import CHANNELS, Channel
+from g1stream.session.info import MotionInfo
 from g1stream.session.motions import load_motion
 from g1stream.session.timestamps import frame_timestamps
 from g1stream.session.writer import SessionWriter, attach_motion
@@ -230,7 +231,7 @@ def _write_file_header(
     """Write what a file has once: metadata, attachments, the scene and the URDF."""
     writer.add_metadata(_metadata(motion, robot, options))
     writer.attach("robot.urdf", "application/xml", robot.urdf.encode(), first)
-    attach_motion(writer, motion.source, first)
+    attach_motion(writer, MotionInfo.of(motion), first)
     if options.meshes:
         shown = robot_with_meshes(robot)
         scene = encode_scene(first, shown, drawn=draw_meshes(shown))

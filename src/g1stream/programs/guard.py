@@ -161,7 +161,7 @@ class _Settings(NamedTuple):
         limit: silence after which a running stream is replaced, ns.
         period: between two damping commands, ns.
         damp: for how long, ns.
-        damp_kd: Nm s/rad.
+        damp_kd: N·m·s/rad.
         arm_sdk: the stream commands arms and waist through the robot's own controller: these are
             handed back to it, instead of damped.
     """

@@ -91,7 +91,6 @@ def record(
         path = timestamped(path, time.time_ns())
     pipeline = MessagePipeline(robot, settings)  # before there is a file: may refuse
     about, now = _metadata(config, session or SessionInfo()), time.time_ns()
-    source = session and session.motion and session.motion.source
     size, duration = settings.split_size, settings.split_duration
     corrected = session and session.correction and session.correction.source
     correction = Correction.load(corrected) if corrected else None
@@ -100,7 +99,7 @@ def record(
         writer.add_metadata(about)
         writer.attach("robot.urdf", "application/xml", robot.urdf.encode(), now)
         writer.attach("config.json", "application/json", config.model_dump_json().encode(), now)
-        attach_motion(writer, Path(source) if source else None, now)
+        attach_motion(writer, session.motion if session else None, now)
         if correction:
             data = correction.to_bytes()
             writer.attach(ATTACHMENT_NAME, "application/octet-stream", data, now)

@@ -15,14 +15,15 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from g1stream.analysis.layouts import DEFAULT_JOINTS, worst_joints
-from g1stream.analysis.rerun_layout import APPLICATION, import_rerun, rerun_layout
-from g1stream.analysis.rerun_log import RerunLog, log_session
 from g1stream.dds.messages import Samples
 from g1stream.errors import ConfigError, WireError
 from g1stream.recorder.observer import observe
 from g1stream.robot.model import G1
-from g1stream.session.streams import Base, LogEvent, Measured, Reference, Stream
+from g1stream.session.stream import Stream
+from g1stream.session.streams import Base, LogEvent, Measured, Reference
+from g1stream.viewers.layouts import DEFAULT_JOINTS, worst_joints
+from g1stream.viewers.rerun_layout import APPLICATION, import_rerun, rerun_layout
+from g1stream.viewers.rerun_log import RerunLog, log_session
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from g1stream.analysis.stance import on_standing_legs, stand
 from g1stream.dds.domain import is_local_only
 from g1stream.errors import SafetyError
 from g1stream.motion.limits import Interval
+from g1stream.physics.stance import on_standing_legs, stand
 from g1stream.robot.standing import LEGS
 
 if TYPE_CHECKING:
@@ -47,13 +47,17 @@ def stand_if_asked(motion: Motion, robot: G1, config: Config) -> tuple[Motion, s
         root_quat_wxyz=motion.root_quat_wxyz[rows],
     )
     played = robot.select(config.stream.played_joints)
+    changes = []
     if not played[:LEGS].any():
         part = on_standing_legs(part, robot, played)
+        changes.append("on legs that stand")
     elif not played.all():
         part = replace(part, joint_pos=np.where(played, part.joint_pos, part.joint_pos[0]))
     standing = stand(part, robot)
-    changed = replace(standing.motion, operations=(*motion.operations, str(standing)))
-    return changed, f"{motion.name} is changed {standing}"
+    if standing.changes:
+        changes.append(str(standing))
+    changed = replace(standing.motion, operations=(*motion.operations, *changes))
+    return changed, f"{motion.name} is played {', '.join(changes)}" if changes else ""
 
 
 def refuse_feet_on_robot(config: Config) -> None:

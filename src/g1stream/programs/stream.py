@@ -175,7 +175,7 @@ def stream(
         motion=MotionInfo.of(motion),
         termination=Termination(
             reason=report.reason,
-            played_s=None if report.reason else interval.length,
+            played_s=report.played / 1e9,
             motion_s=motion.duration,
             start_s=interval.start,
         ),
@@ -292,7 +292,7 @@ def _fit(motion: Motion, robot: G1, config: Config, recorded: RecordedCommands |
     motion, changed = stand_if_asked(motion, robot, config)
     playable = fit_to_robot(motion, robot, config, simulated=is_local_only(config.dds.interface))
     if changed:
-        playable = playable._replace(events=((logging.WARNING, changed), *playable.events))
+        playable = playable._replace(events=((logging.INFO, changed), *playable.events))
     return playable
 
 

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from g1stream.dds.domain import support_announced
-from g1stream.dds.topics import ARM_SDK, LOWSTATE, TOPICS
+from g1stream.dds.domain import GUARD_PROGRAM, support_announced
+from g1stream.dds.topics import ARM_SDK, LOWCMD, LOWSTATE, TOPICS
 from g1stream.errors import RecordingError
 from g1stream.events import severity
 from g1stream.foxglove.encoders import encode_log
@@ -43,6 +43,8 @@ _LOGGER = logging.getLogger(__name__)
 _MAX_DELAY_NS: Final = 20_000_000
 #: Between two readings of the kernel's count of discarded datagrams, s.
 _DROPS_PERIOD: Final = 1.0
+#: Topics with one publisher: of two robots, or two commanders, there is no one session.
+_SINGLE: Final = frozenset({LOWSTATE.name, LOWCMD.name, ARM_SDK.name})
 #: How long to go on after the end, for samples still in transit, s.
 _LINGER: Final = 0.3
 
@@ -110,6 +112,7 @@ class Recorder:
         self._delays: dict[str, DelayEstimator] = defaultdict(DelayEstimator)
         self._publishers: dict[str, Publishers] = {}
         self._late_hosts: set[tuple[str, ...]] = set()
+        self._by_recency: dict[str, list[int]] = defaultdict(list)  # writers, the newest last
         self._drops_due = 0.0
         self.report = RecorderSummary()
 
@@ -171,6 +174,7 @@ class Recorder:
                 self.report.first_ns = self.report.first_ns or batch.log_times[0]
                 self.report.last_ns = max(self.report.last_ns or 0, batch.log_times[-1])
                 self._losses.add(name, batch)
+                self._check_publishers(name, batch)
                 self._check_delay(name, batch)
         aligned = self._pipeline.base.yaw_offset is not None
         for messages in self._pipeline.encode(batches):
@@ -208,6 +212,25 @@ class Recorder:
                 self._publishers[name],
                 median / 1e9,
             )
+
+    def _check_publishers(self, name: str, batch: Batch) -> None:
+        """Report two programs that publish by turns; one that takes over from another may."""
+        if name not in _SINGLE or CHANNEL_OF[name] in self.report.publishers:
+            return
+        writers, again = self._by_recency[name], False
+        for writer in batch.writers:
+            if writers and writer == writers[-1]:
+                continue
+            if writer in writers:
+                writers.remove(writer)
+                again = True
+            writers.append(writer)
+        # A guard damps the robot beside a stream that has not ended yet.
+        names = Publishers.of(self._participant, name).names if again else []
+        names = [one for one in names if not one.startswith(GUARD_PROGRAM)]
+        if len(names) > 1:
+            self.report.publishers[CHANNEL_OF[name]] = names
+            _LOGGER.warning("several publishers on %s: %s", CHANNEL_OF[name], ", ".join(names))
 
     def _check_losses(self) -> None:
         for name, number in self._update_losses().items():

@@ -40,7 +40,15 @@ if TYPE_CHECKING:
     from g1stream.robot.model import G1
     from g1stream.types import Support
 
-__all__ = ["GRAVITY", "BaseMotion", "InverseDynamics", "Momentum", "Solution", "friction_torque"]
+__all__ = [
+    "GRAVITY",
+    "BaseMotion",
+    "InverseDynamics",
+    "Momentum",
+    "Solution",
+    "compiled_dynamics",
+    "friction_torque",
+]
 
 _BASE: Final = 6
 _ROOT: Final = 1  # the base, after the world
@@ -119,7 +127,7 @@ class InverseDynamics:
         import mujoco
 
         robot.link_index(carrier)
-        model = copy(_compiled(robot, gravity))  # `carrier` may change it
+        model = copy(compiled_dynamics(robot, gravity))  # `carrier` may change it
         self._mujoco: Any = mujoco
         self._model: Any = model
         self._data: Any = mujoco.MjData(model)
@@ -272,7 +280,7 @@ class InverseDynamics:
 
 
 @lru_cache(maxsize=KEPT_ROBOTS)
-def _compiled(robot: G1, gravity: float) -> Any:
+def compiled_dynamics(robot: G1, gravity: float) -> Any:
     """The model of a robot; not to be changed."""
     import mujoco
 

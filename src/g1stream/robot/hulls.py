@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from importlib import resources
 from itertools import combinations
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -24,12 +24,10 @@ from g1stream.robot.urdf import KEPT_ROBOTS
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from numpy.typing import ArrayLike
-
     from g1stream.robot.model import G1
     from g1stream.types import Floats
 
-__all__ = ["Contact", "Hull", "SelfCollision", "add_hulls", "never_collide", "read_hulls"]
+__all__ = ["Hull", "SelfCollision", "add_hulls", "never_collide", "read_hulls"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,13 +45,11 @@ class Hull:
     solid: bool
     vertices: Floats
 
-
-class Contact(NamedTuple):
-    """Two links that touch, in the robot's order of links."""
-
-    link: str
-    other: str
-    depth: float  # m that the one has to be moved until they only touch
+    @cached_property
+    def sphere(self) -> tuple[Floats, float]:
+        """Centre (3,) and radius, m, of a sphere around it, in the link's frame."""
+        centre = self.vertices.mean(axis=0)
+        return centre, float(np.linalg.norm(self.vertices - centre, axis=1).max())
 
 
 @lru_cache(maxsize=KEPT_ROBOTS)
@@ -92,8 +88,8 @@ def never_collide(robot: G1) -> frozenset[tuple[str, str]]:
         if moved_with[one] in (moved_with[other], carrier[other])
         or carrier[one] == moved_with[other]
     )
-    neutral = SelfCollision(robot, read_hulls(robot), adjacent).contacts(np.zeros(len(JOINT_NAMES)))
-    return adjacent | {contact[:2] for contact in neutral}
+    neutral = np.zeros((1, len(JOINT_NAMES)))
+    return adjacent.union(SelfCollision(robot, read_hulls(robot), adjacent).depths(neutral))
 
 
 def add_hulls(
@@ -137,7 +133,7 @@ def _compiled(robot: G1, hulls: tuple[Hull, ...], apart: frozenset[tuple[str, st
 
 
 class SelfCollision:
-    """Finds where a robot's links touch each other in a pose; 0.1 ms a pose.
+    """Finds where a robot's links touch each other.
 
     Args:
         robot: the G1.
@@ -164,24 +160,41 @@ class SelfCollision:
         self._data = mujoco.MjData(self._model)
         self._present = np.flatnonzero(robot.present)
         joints = (self._model.joint(JOINT_NAMES[i]) for i in self._present)
-        self._joints = [joint.qposadr[0] for joint in joints]
-        self._order = {name: index for index, name in enumerate(robot.link_names)}
+        self._joints = np.array([joint.qposadr[0] for joint in joints])
+        bodies = (self._model.body(body).name for body in self._model.geom_bodyid)
+        self._links = np.array([robot.link_index(body) for body in bodies])  # of the geoms
+        self._names = robot.link_names
 
-    def contacts(self, joint_pos: ArrayLike) -> tuple[Contact, ...]:
-        """The links that touch, each pair once with its greatest depth.
+    def depths(self, joint_pos: Floats) -> dict[tuple[str, str], Floats]:
+        """How deep links are in each other in poses; 18 us a pose.
 
         Args:
-            joint_pos: (29,) rad, motor order.
+            joint_pos: (T, 29) rad, motor order.
+
+        Returns:
+            By pair of links that touch in a pose, in the robot's order of links: (T,) m that the
+            one has to be moved until they only touch, 0 where they do not touch.
         """
         import mujoco
 
         model, data = self._model, self._data
-        data.qpos[self._joints] = np.asarray(joint_pos)[self._present]
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_collision(model, data)
-        depths: dict[tuple[str, str], float] = {}
-        for geoms, distance in zip(data.contact.geom, data.contact.dist, strict=True):
-            links = (model.body(model.geom_bodyid[geom]).name for geom in geoms)
-            one, other = sorted(links, key=self._order.__getitem__)
-            depths[one, other] = max(depths.get((one, other), 0.0), -float(distance))
-        return tuple(Contact(*links, depth) for links, depth in sorted(depths.items()))
+        qpos, kinematics, collision = data.qpos, mujoco.mj_kinematics, mujoco.mj_collision
+        poses = np.tile(qpos, (len(joint_pos), 1))
+        poses[:, self._joints] = joint_pos[:, self._present]
+        numbers, geoms, distances = [], [], []  # a contact each
+        for number, pose in enumerate(poses):
+            qpos[:] = pose
+            kinematics(model, data)
+            collision(model, data)
+            if n_contacts := data.ncon:
+                numbers += [number] * n_contacts
+                geoms.append(data.contact.geom.copy())
+                distances.append(data.contact.dist.copy())
+        if not numbers:
+            return {}
+        links = np.sort(self._links[np.concatenate(geoms)], axis=1)
+        pairs, of = np.unique(links, axis=0, return_inverse=True)
+        found = np.zeros((len(pairs), len(poses)))
+        np.maximum.at(found, (of, np.array(numbers)), -np.concatenate(distances))
+        names = self._names
+        return {(names[a], names[b]): depths for (a, b), depths in zip(pairs, found, strict=True)}

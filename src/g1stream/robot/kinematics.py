@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from functools import lru_cache
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from g1stream.robot.rotations import quat_mul, quat_rotate
+from g1stream.robot.rotations import quat_conj, quat_mul
+from g1stream.robot.urdf import KEPT_ROBOTS
 from g1stream.types import Floats
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
+
     from g1stream.robot.model import G1
 
 
-__all__ = ["LinkPoses", "forward_kinematics", "local_transforms"]
+__all__ = ["BLOCK", "LinkPoses", "forward_kinematics", "local_transforms", "pose_blocks"]
+
+
+BLOCK: Final = 1024
+"""Frames at once: with fewer the calls take longer than the numbers, with more a cache is full."""
 
 
 class LinkPoses(NamedTuple):
@@ -45,17 +55,12 @@ def local_transforms(
     Raises:
         ValueError: `joint_pos` is not (T, 29), or the root arrays do not fit its T.
     """
-    n_joints = len(robot.joint_names)
-    if joint_pos.ndim != 2 or joint_pos.shape[1] != n_joints:
-        raise ValueError(f"joint_pos must have the shape (T, {n_joints}), not {joint_pos.shape}")
-    n_frames = len(joint_pos)
-
+    n_frames = _n_frames(robot, joint_pos)
     # With q the origin's quaternion and a the joint's axis, a rotation by t gives
     # cos(t/2) q + sin(t/2) q (0, a): two constants per link instead of a product per frame.
     moving = robot.joint_of_link >= 0
     half = joint_pos[:, robot.joint_of_link[moving], None] / 2
-    origin, axis = robot.origin_quat_wxyz[moving], robot.axis[moving]
-    turned = quat_mul(origin, np.concatenate([np.zeros((len(axis), 1)), axis], axis=1))
+    origin, turned = robot.origin_quat_wxyz[moving], _turned(robot)[moving]
     quat = np.repeat(robot.origin_quat_wxyz[None], n_frames, axis=0)
     quat[:, moving] = np.cos(half) * origin + np.sin(half) * turned
     pos = np.repeat(robot.origin_pos[None], n_frames, axis=0)
@@ -64,15 +69,99 @@ def local_transforms(
 
 
 def forward_kinematics(
-    robot: G1, joint_pos: Floats, root_pos: Floats, root_quat_wxyz: Floats
+    robot: G1,
+    joint_pos: Floats,
+    root_pos: Floats,
+    root_quat_wxyz: Floats,
+    links: Sequence[int] | None = None,
 ) -> LinkPoses:
-    """Each link's pose in the world.
+    """Each link's pose in the world; shapes and errors are those of `local_transforms`.
 
-    Arguments, shapes and errors are those of `local_transforms`.
+    Args:
+        robot: the robot.
+        joint_pos: rad, motor order.
+        root_pos: m.
+        root_quat_wxyz: unit quaternions.
+        links: whose poses are wanted, all if None; those of links that carry none of them are NaN.
     """
-    pos, quat = local_transforms(robot, joint_pos, root_pos, root_quat_wxyz)
-    for links in robot.levels:
-        up = robot.parent[links]
-        pos[:, links] = pos[:, up] + quat_rotate(quat[:, up], pos[:, links])
-        quat[:, links] = quat_mul(quat[:, up], quat[:, links])
-    return LinkPoses(pos, quat)
+    n_frames, n_links = _n_frames(robot, joint_pos), len(robot.parent)
+    times, turn = _matrices(robot)
+    half = joint_pos.T[robot.joint_of_link, None] / 2
+    half[robot.joint_of_link < 0] = 0.0
+    pos, quat = np.empty((n_links, 3, n_frames)), np.empty((n_links, 4, n_frames))
+    if links is not None:
+        pos[:], quat[:] = np.nan, np.nan
+    pos[0] = np.broadcast_to(root_pos, (n_frames, 3)).T
+    quat[0] = np.broadcast_to(root_quat_wxyz, (n_frames, 4)).T
+    for level in robot.levels if links is None else _levels(robot, tuple(links)):
+        above, pos_above = quat[robot.parent[level]], pos[robot.parent[level]]
+        products = (above[:, :, None] * above[:, None]).reshape(len(level), 16, n_frames)
+        pos[level] = pos_above + turn[level] @ products
+        turned = times[level] @ above  # for the joint at 0 and at pi
+        cos, sin = np.cos(half[level]), np.sin(half[level])
+        quat[level] = cos * turned[:, :4] + sin * turned[:, 4:]
+    return LinkPoses(pos.transpose(2, 0, 1), quat.transpose(2, 0, 1))
+
+
+def pose_blocks(
+    robot: G1,
+    joint_pos: Floats,
+    root_pos: Floats,
+    root_quat_wxyz: Floats,
+    links: Sequence[int] | None = None,
+) -> Iterator[tuple[slice, LinkPoses]]:
+    """`forward_kinematics` of `BLOCK` frames at a time, so that memory does not grow with them.
+
+    Args:
+        robot: the robot.
+        joint_pos: (T, 29) rad, motor order.
+        root_pos: (T, 3) m.
+        root_quat_wxyz: (T, 4) unit quaternions.
+        links: as of `forward_kinematics`.
+
+    Yields:
+        Which frames, in order, and the poses of their links.
+    """
+    for first in range(0, len(joint_pos), BLOCK):
+        part = slice(first, min(first + BLOCK, len(joint_pos)))
+        pose = joint_pos[part], root_pos[part], root_quat_wxyz[part]
+        yield part, forward_kinematics(robot, *pose, links)
+
+
+@lru_cache(maxsize=2 * KEPT_ROBOTS)  # of each robot, for a few sets of links
+def _levels(robot: G1, links: tuple[int, ...]) -> tuple[NDArray[np.intp], ...]:
+    """`robot.levels` without the links that carry none of the given ones."""
+    wanted = set(links)
+    for level in reversed(robot.levels):
+        wanted.update(int(robot.parent[link]) for link in level if link in wanted)
+    return tuple(level[np.isin(level, list(wanted))] for level in robot.levels)
+
+
+@lru_cache(maxsize=KEPT_ROBOTS)
+def _matrices(robot: G1) -> tuple[Floats, Floats]:
+    """Of each link, (L, 8, 4) and (L, 3, 16): what is constant in its pose, from its parent's.
+
+    A quaternion (4,) times a constant one is linear in its components: the two products with what
+    `local_transforms` mixes. A constant vector that it turns is linear in their products (16,).
+    """
+    unit, zeros = np.eye(4)[:, None], np.zeros((len(robot.parent), 1))
+    times = [quat_mul(unit, one) for one in (robot.origin_quat_wxyz, _turned(robot))]
+    offset = np.concatenate([zeros, robot.origin_pos], axis=1)
+    turn = quat_mul(quat_mul(unit[:, None], offset), quat_conj(unit))[..., 1:].reshape(16, -1, 3)
+    return (
+        np.ascontiguousarray(np.concatenate(times, axis=-1).transpose(1, 2, 0)),
+        np.ascontiguousarray(turn.transpose(1, 2, 0)),
+    )
+
+
+def _n_frames(robot: G1, joint_pos: Floats) -> int:
+    n_joints = len(robot.joint_names)
+    if joint_pos.ndim != 2 or joint_pos.shape[1] != n_joints:
+        raise ValueError(f"joint_pos must have the shape (T, {n_joints}), not {joint_pos.shape}")
+    return len(joint_pos)
+
+
+def _turned(robot: G1) -> Floats:
+    """(L, 4) each link's quaternion to its parent after half a turn of its joint, at pi."""
+    axis = np.concatenate([np.zeros((len(robot.axis), 1)), robot.axis], axis=1)
+    return quat_mul(robot.origin_quat_wxyz, axis)

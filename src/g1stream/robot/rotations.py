@@ -27,6 +27,7 @@ __all__ = [
     "quat_rotate",
     "quat_rotate_inverse",
     "quat_to_rpy",
+    "rotation_matrices",
     "sign_continuous",
     "tilt_of",
     "wxyz_from_xyzw",
@@ -52,6 +53,28 @@ def _bilinear(table: list[list[int]], n: int) -> Floats:
 # numpy calls, where the components one by one would take thirty.
 _HAMILTON: Final = _bilinear([[1, 2, 3, 4], [2, -1, 4, -3], [3, -4, -1, 2], [4, 3, -2, -1]], 4)
 _CROSS: Final = _bilinear([[0, 3, -2], [-3, 0, 1], [2, -1, 0]], 3)
+#: Of the products q_i q_j, rows of the matrix of q one after the other (Diebel, eq. 125).
+_MATRIX: Final = np.array(
+    [
+        [1, 0, 0, 0, 1, 0, 0, 0, 1],  # ww
+        [0, 0, 0, 0, 0, -2, 0, 2, 0],  # wx
+        [0, 0, 2, 0, 0, 0, -2, 0, 0],  # wy
+        [0, -2, 0, 2, 0, 0, 0, 0, 0],  # wz
+        [0, 0, 0, 0, 0, 0, 0, 0, 0],
+        [1, 0, 0, 0, -1, 0, 0, 0, -1],  # xx
+        [0, 2, 0, 2, 0, 0, 0, 0, 0],  # xy
+        [0, 0, 2, 0, 0, 0, 2, 0, 0],  # xz
+        [0, 0, 0, 0, 0, 0, 0, 0, 0],
+        [0, 0, 0, 0, 0, 0, 0, 0, 0],
+        [-1, 0, 0, 0, 1, 0, 0, 0, -1],  # yy
+        [0, 0, 0, 0, 0, 2, 0, 2, 0],  # yz
+        [0, 0, 0, 0, 0, 0, 0, 0, 0],
+        [0, 0, 0, 0, 0, 0, 0, 0, 0],
+        [0, 0, 0, 0, 0, 0, 0, 0, 0],
+        [-1, 0, 0, 0, -1, 0, 0, 0, 1],  # zz
+    ],
+    dtype=np.float64,
+)
 
 
 def _product(a: Floats, b: Floats, matrix: Floats) -> Floats:
@@ -64,6 +87,14 @@ def _product(a: Floats, b: Floats, matrix: Floats) -> Floats:
 def quat_mul(a: Floats, b: Floats) -> Floats:
     """Hamilton product (..., 4): the rotation `b` followed by `a`."""
     return _product(a, b, _HAMILTON)
+
+
+def rotation_matrices(quat: Floats) -> Floats:
+    """Matrices (3, 3, ...), body to parent, of unit quaternions (4, ...): components first."""
+    quat = np.ascontiguousarray(quat)  # or the products, which are more, would be copied
+    products = quat[:, None] * quat[None]
+    matrices: Floats = _MATRIX.T @ products.reshape(len(_MATRIX), -1)
+    return matrices.reshape(3, 3, *quat.shape[1:])
 
 
 def quat_conj(quat: Floats) -> Floats:

@@ -9,6 +9,7 @@ import numpy as np
 from g1stream.errors import RobotError
 from g1stream.robot.hulls import read_hulls
 from g1stream.robot.joints import JOINT_NAMES
+from g1stream.robot.kinematics import pose_blocks
 from g1stream.robot.rotations import quat_rotate
 
 if TYPE_CHECKING:
@@ -36,6 +37,7 @@ class Soles:
     Attributes:
         links: (2,) the links of the feet.
         corners: (2, 4, 3) m, in the frames of these links.
+        height: m, of these links where the soles stand level on the floor.
 
     Raises:
         RobotError: a foot of this robot has no joint, or no hull.
@@ -47,11 +49,10 @@ class Soles:
             raise RobotError(
                 f"{robot.name!r} has no joints at its feet.", "Give a robot that moves its feet."
             )
-        self.links = [int(np.flatnonzero(robot.joint_of_link == joint)[0]) for joint in joints]
         self._robot = robot
+        self.links = [int(np.flatnonzero(robot.joint_of_link == joint)[0]) for joint in joints]
         self.corners = np.stack([_corners(robot, robot.link_names[link]) for link in self.links])
-        #: Of each foot, the links that a joint moves between the pelvis and its sole.
-        self._above = [_moved_links(robot, link) for link in self.links]
+        self.height = -float(self.corners[..., 2].min())
 
     def positions(self, poses: LinkPoses) -> Floats:
         """The corners (T, 8, 3) in the world, m."""
@@ -59,27 +60,13 @@ class Soles:
         corners = pos + quat_rotate(quat, self.corners)
         return corners.reshape(len(corners), -1, 3)
 
-    def torques(self, poses: LinkPoses, corners: Floats, forces: Floats) -> Floats:
-        """What forces on the corners do to the joints: J^T f.
-
-        Args:
-            poses: of T frames.
-            corners: (T, 8, 3) m, world, as `positions` returns them.
-            forces: (T, 8, 3) N, world, of the floor on the corners.
-
-        Returns:
-            (T, 29) N·m, motor order: a . ((x - p) x f) for each joint with axis a through p.
-        """
-        robot = self._robot
-        tau = np.zeros((len(corners), len(JOINT_NAMES)))
-        for foot, links in enumerate(self._above):
-            own = slice(4 * foot, 4 * foot + 4)
-            joints = poses.pos[:, links]
-            lever = corners[:, np.newaxis, own] - joints[:, :, np.newaxis]
-            moment = np.cross(lever, forces[:, np.newaxis, own]).sum(axis=2)
-            axes = quat_rotate(poses.quat_wxyz[:, links], robot.axis[links])
-            tau[:, robot.joint_of_link[links]] = (axes * moment).sum(axis=-1)
-        return tau
+    def path(self, joint_pos: Floats, root_pos: Floats, root_quat_wxyz: Floats) -> Floats:
+        """The corners (T, 8, 3) in the world, m, in T frames: (T, 29), (T, 3) and (T, 4)."""
+        path = np.empty((len(joint_pos), 8, 3))
+        pose = joint_pos, root_pos, root_quat_wxyz
+        for part, poses in pose_blocks(self._robot, *pose, self.links):
+            path[part] = self.positions(poses)
+        return path
 
 
 def bent_legs(angle: float) -> Floats:
@@ -107,13 +94,3 @@ def _corners(robot: G1, link: str) -> Floats:
     outward = np.array([(1, 1), (1, -1), (-1, -1), (-1, 1)])
     corners: Floats = lower[(lower[:, :2] @ outward.T).argmax(axis=0)]
     return corners
-
-
-def _moved_links(robot: G1, link: int) -> list[int]:
-    """The links from the root down to `link` that have a joint to their parent."""
-    links: list[int] = []
-    while link > 0:
-        if robot.joint_of_link[link] >= 0:
-            links.insert(0, link)
-        link = int(robot.parent[link])
-    return links

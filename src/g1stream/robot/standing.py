@@ -35,7 +35,7 @@ LEGS: Final = len(JOINT_GROUPS["left_leg"]) + len(JOINT_GROUPS["right_leg"])
 """The joints of the legs are the first ones in motor order."""
 
 #: Added to the squares of a leg's singular values: a stretched knee asks for no infinite speed.
-_DAMPING: Final = 1e-6
+_DAMPING: Final = 1e-6 * np.eye(6)
 
 
 class BodyState(NamedTuple):
@@ -87,7 +87,8 @@ class Terms(NamedTuple):
         leg_tau: (12, 12) and (12,): the torques of the legs, N·m.
         other_tau: (17, 12) and (17,): those of waist and arms, N·m.
         gravity_tau: (29,) N·m, that hold the joints against gravity if the base is held.
-        leg_jac: (2, 6, 6) of each sole with respect to the joints of its leg.
+        by_sole: (2, 6, 6) how the joints of a leg move with its sole: the inverse of its Jacobian,
+            damped. Transposed it gives the wrench on a sole from the torques of its leg.
     """
 
     soles: Floats
@@ -99,7 +100,7 @@ class Terms(NamedTuple):
     leg_tau: tuple[Floats, Floats]
     other_tau: tuple[Floats, Floats]
     gravity_tau: Floats
-    leg_jac: Floats
+    by_sole: Floats
 
 
 class StandingDynamics:
@@ -213,10 +214,8 @@ class StandingDynamics:
 
     def _by_legs(self, wanted: Floats) -> Floats:
         """The joints' part (12,) in what the soles (2, 6) shall do, by the last Jacobians."""
-        jac = _of_legs(self._jac)
-        square = jac @ jac.transpose(0, 2, 1) + _DAMPING * np.eye(6)
-        solved: Floats = jac.transpose(0, 2, 1) @ np.linalg.solve(square, wanted[:, :, np.newaxis])
-        return solved.reshape(LEGS)
+        moved: Floats = _inverse(_of_legs(self._jac)) @ wanted[:, :, np.newaxis]
+        return moved.reshape(LEGS)
 
     def _find_sole_jacobians(self, data: Any, soles: Floats, *, rate: bool = False) -> Floats:
         """The Jacobian (12, 35) of the soles, or its time derivative."""
@@ -259,11 +258,9 @@ class StandingDynamics:
         moved = (jac @ v).reshape(2, 6)
         base, legs, others = slice(0, _BASE), slice(_BASE, _BASE + LEGS), slice(_BASE + LEGS, None)
         # The legs' acceleration is L (base's acceleration) + l.
-        leg_jac = _of_legs(jac)
-        square = leg_jac @ leg_jac.transpose(0, 2, 1) + _DAMPING * np.eye(6)
+        by_sole = _inverse(_of_legs(jac))
         to_soles = np.concatenate([jac[:, base], (rate @ v)[:, np.newaxis]], axis=1)
-        solved = leg_jac.transpose(0, 2, 1) @ np.linalg.solve(square, to_soles.reshape(2, 6, 7))
-        led = -solved
+        led = -by_sole @ to_soles.reshape(2, 6, 7)
         for foot in (foot for foot in (0, 1) if not stands[foot]):
             led[foot, :, :6], led[foot, :, 6] = 0.0, acc[6 * foot : 6 * foot + 6]
         led = led.reshape(LEGS, 7)
@@ -290,7 +287,7 @@ class StandingDynamics:
             (tau[:LEGS, :-1], tau[:LEGS, -1]),
             (tau[LEGS:, :-1], tau[LEGS:, -1]),
             h[_BASE:].copy(),
-            leg_jac,
+            by_sole,
         )
 
     def _place(self, data: Any, state: BodyState) -> None:
@@ -318,3 +315,10 @@ def _of_legs(jac: Floats) -> Floats:
     """The parts (2, 6, 6) of the soles' Jacobian (12, 35) that are of the joints of their legs."""
     parts: Floats = np.stack([jac[:6, _BASE : _BASE + 6], jac[6:, _BASE + 6 : _BASE + 12]])
     return parts
+
+
+def _inverse(jac: Floats) -> Floats:
+    """The damped inverses of Jacobians (2, 6, 6)."""
+    turned = jac.transpose(0, 2, 1)
+    inverse: Floats = turned @ np.linalg.inv(jac @ turned + _DAMPING)
+    return inverse

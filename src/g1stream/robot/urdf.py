@@ -32,7 +32,7 @@ KEPT_ROBOTS: Final = 8
 many sessions."""
 
 _LIMITS: Final = ("lower", "upper", "velocity", "effort")
-#: Of joints that a robot does not have: rad, rad/s and Nm that nothing passes.
+#: Of joints that a robot does not have: rad, rad/s and N·m that nothing passes.
 _NO_LIMITS: Final = (-1e3, 1e3, 1e3, 1e3)
 _AXIS_TOLERANCE: Final = 1e-3  # more than rounding to four digits
 #: Of a URDF; a G1 with hands has some 60 links, and no figure of it is near the second.

@@ -10,7 +10,8 @@ from g1stream.dds.messages import Samples
 from g1stream.errors import RecordingError, WireError
 from g1stream.session.mcap_reader import RECOVER
 from g1stream.session.source import Slices
-from g1stream.session.streams import Command, Measured, Reference, Stream
+from g1stream.session.stream import Stream
+from g1stream.session.streams import Command, Measured, Reference
 from g1stream.text import counted
 
 if TYPE_CHECKING:
@@ -45,9 +46,13 @@ class Columns:
             raise self._without_essentials()
 
     def of(
-        self, wanted: Mapping[type[Stream], Sequence[str]]
+        self, wanted: Mapping[type[Stream], Sequence[str]], *, as_recorded: bool = True
     ) -> dict[type[Stream], dict[str, NDArray[Any]]]:
-        """Some columns of streams by name, and both their times; in the wire's precision.
+        """Some columns of streams by name, and both their times.
+
+        Args:
+            wanted: columns by stream.
+            as_recorded: floats are in the wire's precision; else all are float64.
 
         Raises:
             RecordingError: the file is damaged.
@@ -64,7 +69,7 @@ class Columns:
             found = samples(kind, messages.data if rows is None else rows, self._source.path)
             return {name: found.shown(path) for name, path in fields.items()}
 
-        read = self._read(list(kinds), decode)
+        read = self._read(list(kinds), decode, as_recorded=as_recorded)
         return {kind: read[topic] for topic, kind in kinds.items()}
 
     def times(self, topics: Sequence[str]) -> dict[str, dict[str, NDArray[Any]]]:
@@ -88,7 +93,11 @@ class Columns:
             )
 
     def _read(
-        self, topics: Sequence[str], decode: Callable[[str, Messages], dict[str, NDArray[Any]]]
+        self,
+        topics: Sequence[str],
+        decode: Callable[[str, Messages], dict[str, NDArray[Any]]],
+        *,
+        as_recorded: bool = True,
     ) -> dict[str, dict[str, NDArray[Any]]]:
         """By topic and attribute, what all messages of some topics have; read in one pass."""
         columns: dict[str, dict[str, NDArray[Any]]] = {topic: {} for topic in topics}
@@ -99,7 +108,9 @@ class Columns:
             if end <= self._source.topics[topic]:
                 for name, values in (times | decode(topic, messages)).items():
                     if not begin:
-                        columns[topic][name] = self._empty(topic, values)
+                        widened = values.dtype.kind == "f" and not as_recorded
+                        dtype = np.dtype(np.float64) if widened else values.dtype
+                        columns[topic][name] = self._empty(topic, values.shape[1:], dtype)
                     columns[topic][name][begin:end] = values
             filled[topic] = end
         for topic, found in filled.items():
@@ -109,10 +120,10 @@ class Columns:
                 values.setflags(write=False)
         return columns
 
-    def _empty(self, topic: str, values: NDArray[Any]) -> NDArray[Any]:
-        """A column for all messages of a topic, like the values (n, ...) of some of them."""
+    def _empty(self, topic: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
+        """A column (N, *shape) for all messages of a topic."""
         try:
-            return np.empty((self._source.topics[topic], *values.shape[1:]), values.dtype)
+            return np.empty((self._source.topics[topic], *shape), dtype)
         except (MemoryError, ValueError) as error:  # the number comes from the file
             raise self._miscounted(topic, "no memory has room for so many") from error
 

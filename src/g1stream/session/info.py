@@ -33,6 +33,7 @@ class MotionInfo(Record):
         content_sha256: of its frames, see `Motion.content_sha256`.
         source: path of its file.
         operations: what was done to the motion in the file, in this order.
+        parts: the motions that it was joined of, in their order.
     """
 
     name: str | None = None
@@ -42,6 +43,7 @@ class MotionInfo(Record):
     content_sha256: str | None = None
     source: str | None = None
     operations: list[str] = []
+    parts: list[MotionInfo] = []
 
     @classmethod
     def of(cls, motion: Motion) -> MotionInfo:
@@ -54,6 +56,7 @@ class MotionInfo(Record):
             content_sha256=motion.content_sha256,
             source=str(motion.source) if motion.source else None,
             operations=list(motion.operations),
+            parts=[cls.of(part) for part in motion.parts],
         )
 
     @property
@@ -94,7 +97,7 @@ class SessionInfo(Record):
         host, domain, interface: where it was recorded.
         log_clock: that of the log times; of a rollout it begins with "simulated".
         motion: what is played.
-        gains: kp in Nm/rad and kd in Nm s/rad, 29 each, motor order.
+        gains: kp in N·m/rad and kd in N·m·s/rad, 29 each, motor order.
         joints: names of those that play the motion; None in files of earlier versions: all.
         absent: names of those that the robot does not have.
         config: all settings of the streamer.

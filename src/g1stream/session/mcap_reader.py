@@ -2,51 +2,47 @@
 
 The library's readers need the index at the end of the file, or make an object for each message.
 This one needs neither: it skips from record to record to find the chunks, stops at the first record
-that is not whole, and decompresses only the chunks that have messages of a wanted topic. The layout
-of the records is that of the MCAP specification, https://mcap.dev/spec.
+that is not whole, and decompresses only the chunks that have messages of a wanted topic.
 """
 
 from __future__ import annotations
 
 import os
 import stat
-import struct
 from collections import Counter, deque
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Final, TypeVar
 
-import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema, Statistics
 
 from g1stream.errors import RecordingError
 from g1stream.session.format import METADATA_NAME, metadata_from_strings
+from g1stream.session.mcap_chunks import Chunk, message_offsets, messages_of
 from g1stream.session.mcap_records import (
     LARGEST_RECORD,
     MAGIC,
-    RECORD_HEAD,
     Record,
     content_of,
+    content_size,
     decompressed,
     read_at,
     records_in,
     records_of,
     stream_of,
 )
-from g1stream.session.source import Messages, Slices
+from g1stream.session.source import Messages
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
     from concurrent.futures import Future
 
-    from numpy.typing import NDArray
 
-__all__ = ["LATEST", "RECOVER", "McapFile"]
+__all__ = ["RECOVER", "McapFile"]
 
 RECOVER: Final = "Recover the rest with a tool such as `pymcap-cli recover`."
 """The remedy for a damaged file."""
@@ -54,22 +50,6 @@ RECOVER: Final = "Recover the rest with a tool such as `pymcap-cli recover`."
 T = TypeVar("T")
 R = TypeVar("R")
 
-#: Of a MessageIndex record: the channel, and how many bytes of entries follow.
-_INDEX: Final = struct.Struct("<HI")
-_INDEX_ENTRY: Final = np.dtype([("log_time", "<i8"), ("offset", "<i8")])
-#: A Message record without its data.
-_MESSAGE: Final = np.dtype(
-    [
-        ("opcode", "u1"),
-        ("length", "<i8"),
-        ("channel", "<u2"),
-        ("sequence", "<u4"),
-        ("log_time", "<i8"),
-        ("publish_time", "<i8"),
-    ]
-)
-#: A chunk record without its compression and data; the first fields are its times.
-_CHUNK: Final = struct.Struct("<16xQ")
 _MOST_THREADS: Final = 4
 #: Chunks are decompressed some at a time, of together this many bytes at least.
 _GROUP: Final = 2**18
@@ -80,46 +60,6 @@ _LARGEST_ATTACHMENTS: Final = 256 * 2**20
 #: The content of all chunks: bytes in any case, and for each byte of the file.
 _LARGEST_CONTENT: Final = 256 * 2**20
 _LARGEST_RATIO: Final = 100
-LATEST: Final = 2**62
-"""Times are before this, ns since the epoch (in 2116), so that sums of two are 64-bit numbers."""
-
-
-@dataclass
-class _Chunk:
-    """A chunk and the MessageIndex records behind it; without an index it has to be searched.
-
-    Attributes:
-        record: the chunk.
-        index: by channel, where the entries of its index are and how many.
-    """
-
-    record: Record
-    index: dict[int, tuple[int, int]] = field(default_factory=dict)
-
-    def add_index(self, file: IO[bytes], record: Record) -> None:
-        channel, size = _INDEX.unpack(read_at(file, record.start, _INDEX.size))
-        n_entries, rest = divmod(size, _INDEX_ENTRY.itemsize)
-        if rest or size != record.length - _INDEX.size or size > LARGEST_RECORD:
-            raise ValueError("the index of a chunk has another length than it says")
-        if n_entries:
-            self.index[channel] = (record.start + _INDEX.size, n_entries)
-
-    @property
-    def end(self) -> int:
-        """Where in the file its last index ends; the end of its own record without an index."""
-        ends = (start + n * _INDEX_ENTRY.itemsize for start, n in self.index.values())
-        return max(ends, default=self.record.start + self.record.length)
-
-    def offsets(self, content: bytes, channel: int) -> NDArray[np.int64]:
-        """(N,) where in the decompressed chunk the messages of a channel are.
-
-        Args:
-            content: of the file, from the start of the record to `end`.
-            channel: one of `index`.
-        """
-        start, n_entries = self.index[channel]
-        entries = np.frombuffer(content, _INDEX_ENTRY, n_entries, start - self.record.start)
-        return entries["offset"]
 
 
 class McapFile:
@@ -147,7 +87,7 @@ class McapFile:
         self.metadata: dict[str, Any] = {}
         self._topics: dict[int, str] = {}
         self._schemas: dict[int, str] = {}
-        self._chunks: list[_Chunk] = []
+        self._chunks: list[Chunk] = []
         self._attachments: list[Record] = []
         self._content_size = 0
         self._statistics: Statistics | None = None
@@ -166,7 +106,7 @@ class McapFile:
                 self.counts[self._topic(channel)] += count
 
     def batches(self, topics: set[str]) -> Iterator[tuple[str, Messages]]:
-        """The messages of some topics, one batch per topic and chunk, in the order of the file.
+        """The messages of some topics, in batches of one topic; those of a topic are in order.
 
         Raises:
             RecordingError: a chunk is damaged.
@@ -174,9 +114,18 @@ class McapFile:
         channels = {channel for channel, topic in self._topics.items() if topic in topics}
         chunks = [c for c in self._chunks if not c.index or not channels.isdisjoint(c.index)]
         with self._open() as file:
-            for chunk, content, data in self._decompressed(file, chunks):
-                with self.damage_at(chunk.record):
-                    found = _messages(chunk, content, data, channels)
+
+            def read(group: list[Chunk]) -> dict[int, Messages]:
+                records, offsets = [], []
+                for chunk in group:
+                    content, data = self._content(file, chunk)
+                    records.append(data)
+                    with self.damage_at(chunk.record):
+                        offsets.append(chunk.offsets(content, data, channels))
+                with self.damage_at(group[0].record):
+                    return messages_of(records, offsets)
+
+            for found in _prefetch(read, _groups(chunks)):
                 for channel, messages in found.items():
                     yield self._topic(channel), messages
 
@@ -216,9 +165,8 @@ class McapFile:
 
     def _add_record(self, file: IO[bytes], record: Record) -> None:
         if record.opcode == Opcode.CHUNK:
-            (size,) = _CHUNK.unpack(read_at(file, record.start, _CHUNK.size))
-            self._content_size += size
-            self._chunks.append(_Chunk(record))
+            self._content_size += content_size(file, record)
+            self._chunks.append(Chunk(record))
         elif record.opcode == Opcode.MESSAGE_INDEX and self._chunks:
             self._chunks[-1].add_index(file, record)
         elif record.opcode == Opcode.SCHEMA:
@@ -258,38 +206,24 @@ class McapFile:
                 return
         self._topics[channel] = f"channel {channel}"
 
-    def _search(self, file: IO[bytes], chunk: _Chunk) -> dict[int, int]:
+    def _search(self, file: IO[bytes], chunk: Chunk) -> dict[int, int]:
         """Note the channels that a chunk describes, and count its messages by channel."""
-        ((_, _, data),) = self._decompressed(file, [chunk])
+        _, data = self._content(file, chunk)
         with self.damage_at(chunk.record):
             for opcode, start, length in records_in(data):
                 if opcode == Opcode.SCHEMA:
                     self._add_schema(data[start : start + length])
                 elif opcode == Opcode.CHANNEL:
                     self._add_channel(data[start : start + length])
-            return {channel: len(found) for channel, found in _message_offsets(data).items()}
+            return {channel: len(found) for channel, found in message_offsets(data).items()}
 
-    def _decompressed(
-        self, file: IO[bytes], chunks: Iterable[_Chunk]
-    ) -> Iterator[tuple[_Chunk, bytes, bytes]]:
-        """Each chunk, it and its index as they are in the file, and its records; read ahead."""
-
-        def decompress(group: list[tuple[_Chunk, bytes]]) -> list[tuple[_Chunk, bytes, bytes]]:
-            found = []
-            for chunk, content in group:
-                with self.damage_at(chunk.record):
-                    found.append((chunk, content, decompressed(content[: chunk.record.length])))
-            return found
-
-        def read(chunk: _Chunk) -> bytes:
-            with self.damage_at(chunk.record):
-                if chunk.record.length > LARGEST_RECORD:
-                    raise ValueError("the record is too large")
-                return read_at(file, chunk.record.start, chunk.end - chunk.record.start)
-
-        groups = ([(chunk, read(chunk)) for chunk in group] for group in _groups(chunks))
-        for group in _prefetch(decompress, groups):
-            yield from group
+    def _content(self, file: IO[bytes], chunk: Chunk) -> tuple[bytes, bytes]:
+        """A chunk and its index as they are in the file, and its records."""
+        with self.damage_at(chunk.record):
+            if chunk.record.length > LARGEST_RECORD:
+                raise ValueError("the record is too large")
+            content = read_at(file, chunk.record.start, chunk.end - chunk.record.start)
+            return content, decompressed(memoryview(content)[: chunk.record.length])
 
     @contextmanager
     def damage_at(self, record: Record) -> Iterator[None]:
@@ -323,65 +257,22 @@ class McapFile:
         self._schemas[schema.id] = schema.name
 
 
-def _message_offsets(data: bytes) -> dict[int, NDArray[np.int64]]:
-    """By channel, (N,) where in a decompressed chunk its messages are, without an index."""
-    found: dict[int, list[int]] = {}
-    for record in records_in(data):
-        if record.opcode == Opcode.MESSAGE:
-            channel = int.from_bytes(data[record.start : record.start + 2], "little")
-            found.setdefault(channel, []).append(record.start - RECORD_HEAD.size)
-    return {channel: np.array(offsets, dtype=np.int64) for channel, offsets in found.items()}
+def _groups(chunks: Iterable[Chunk]) -> Iterator[list[Chunk]]:
+    """Chunks of the same channels together, until they have some size: each batch takes time, too.
 
-
-def _messages(
-    chunk: _Chunk, content: bytes, data: bytes, channels: set[int]
-) -> dict[int, Messages]:
-    """By channel, the messages of a chunk, from its content in the file and its records."""
-    if chunk.index:
-        offsets = {c: chunk.offsets(content, c) for c in sorted(channels & chunk.index.keys())}
-    else:
-        offsets = {c: found for c, found in _message_offsets(data).items() if c in channels}
-    return {channel: _messages_at(data, where, channel) for channel, where in offsets.items()}
-
-
-def _messages_at(data: bytes, offsets: NDArray[np.int64], channel: int) -> Messages:
-    """The messages of a channel in a decompressed chunk, from where their records are (N,)."""
-    size, head = len(data), _MESSAGE.itemsize
-    steps = offsets[1:] - offsets[:-1]
-    if (steps <= 0).any():
-        offsets = np.sort(offsets)
-        steps = offsets[1:] - offsets[:-1]
-    if offsets[0] < 0 or offsets[-1] + head > size:
-        raise ValueError("the index of a chunk points outside of it")
-    step = int(steps[0]) if len(steps) else head
-    if step > 0 and (steps == step).all():  # samples of DDS are of one size
-        heads = np.ndarray(len(offsets), _MESSAGE, data, int(offsets[0]), (step,))
-    else:
-        octets = np.frombuffer(data, np.uint8)
-        heads = octets[offsets[:, np.newaxis] + np.arange(head)].view(_MESSAGE)[:, 0]
-    lengths = np.ascontiguousarray(heads["length"])
-    starts, ends = offsets + head, offsets + (RECORD_HEAD.size + lengths.clip(0, size))
-    wrong = (heads["opcode"] != Opcode.MESSAGE) | (heads["channel"] != channel)
-    if (wrong | (ends < starts) | (ends > size)).any():
-        raise ValueError("the index of a chunk points to something else than a message")
-    times = (np.ascontiguousarray(heads["log_time"]), np.ascontiguousarray(heads["publish_time"]))
-    if any(one.min() < 0 or one.max() >= LATEST for one in times):
-        raise ValueError("a message has a time after 2116")
-    return Messages(*times, Slices(data, starts, ends))
-
-
-def _groups(chunks: Iterable[_Chunk]) -> Iterator[list[_Chunk]]:
-    """Chunks in their order, small ones together: handing one to a thread takes time, too."""
-    group: list[_Chunk] = []
-    size = 0
+    The chunks of a channel stay in their order.
+    """
+    groups: dict[frozenset[int], list[Chunk]] = {}
     for chunk in chunks:
+        channels = frozenset(chunk.index)
+        if channels not in groups and (len(channels) != 1 or any(len(c) > 1 for c in groups)):
+            yield from groups.values()
+            groups = {}
+        group = groups.setdefault(channels, [])
         group.append(chunk)
-        size += chunk.record.length
-        if size >= _GROUP:
-            yield group
-            group, size = [], 0
-    if group:
-        yield group
+        if not channels or sum(one.record.length for one in group) >= _GROUP:
+            yield groups.pop(channels)
+    yield from groups.values()
 
 
 def _prefetch(work: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:

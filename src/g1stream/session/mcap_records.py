@@ -15,7 +15,6 @@ import zstandard
 from lz4.frame import LZ4FrameDecompressor
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Chunk
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -26,6 +25,7 @@ __all__ = [
     "RECORD_HEAD",
     "Record",
     "content_of",
+    "content_size",
     "decompressed",
     "read_at",
     "records_in",
@@ -38,6 +38,11 @@ MAGIC: Final = b"\x89MCAP0\r\n"
 
 RECORD_HEAD: Final = struct.Struct("<BQ")
 """Opcode and length of a record; the length counts the bytes that follow."""
+
+#: Of a chunk record: its times, size and checksum of the records in it, and how long the name of
+#: their compression is; behind the name are the length of the compressed data and the data.
+_CHUNK: Final = struct.Struct("<QQQII")
+_LENGTH: Final = struct.Struct("<Q")
 
 LARGEST_RECORD: Final = 512 * 2**20
 """Bytes of a record, and of the content of a chunk.
@@ -71,7 +76,7 @@ def records_of(file: IO[bytes]) -> Iterator[Record]:
         start += length
 
 
-def records_in(data: bytes) -> Iterator[Record]:
+def records_in(data: bytes | memoryview) -> Iterator[Record]:
     """The records in a decompressed chunk."""
     start = 0
     while start < len(data):
@@ -105,25 +110,34 @@ def stream_of(file: IO[bytes], record: Record) -> ReadDataStream:
     return ReadDataStream(BytesIO(content_of(file, record)))
 
 
-def decompressed(content: bytes) -> bytes:
+def content_size(file: IO[bytes], chunk: Record) -> int:
+    """Bytes of the records in a chunk, as it says."""
+    return int(_CHUNK.unpack(read_at(file, chunk.start, _CHUNK.size))[2])
+
+
+def decompressed(content: bytes | memoryview) -> bytes:
     """The records in a chunk, from the content of its own record."""
-    chunk = Chunk.read(ReadDataStream(BytesIO(content)))
-    size = chunk.uncompressed_size
+    _, _, size, crc, name_length = _CHUNK.unpack_from(content)
+    compression = bytes(content[_CHUNK.size :][:name_length])
+    data = content[_CHUNK.size + name_length :]
+    (data_length,) = _LENGTH.unpack_from(data)
+    data = data[_LENGTH.size :][:data_length]
     if size > LARGEST_RECORD:
         raise ValueError("the chunk is too large")
-    data: bytes = chunk.data
     # Neither decompressor may make more than the chunk says: a frame has a size of its own.
-    if chunk.compression == "zstd":
+    if compression == b"zstd":
         if zstandard.frame_content_size(data) not in (size, -1):
             raise ValueError("a chunk has another size than it says")
-        data = zstandard.decompress(data, max_output_size=size)
-    elif chunk.compression == "lz4":
-        data = LZ4FrameDecompressor().decompress(data, max_length=size)
-    elif chunk.compression:
+        records = zstandard.decompress(data, max_output_size=size)
+    elif compression == b"lz4":
+        records = LZ4FrameDecompressor().decompress(data, max_length=size)
+    elif not compression:
+        records = bytes(data)
+    else:
         raise ValueError("the compression of a chunk is not known")
-    if len(data) != size:
+    if len(records) != size:
         raise ValueError("a chunk has another size than it says")
     # zlib's crc32, which the library uses, takes half as long as the decompression.
-    if chunk.uncompressed_crc and fastcrc.crc32.iso_hdlc(data) != chunk.uncompressed_crc:
+    if crc and fastcrc.crc32.iso_hdlc(records) != crc:
         raise ValueError("the checksum of a chunk does not match")
-    return data
+    return records

@@ -39,7 +39,7 @@ NAMED_METRICS: Final = {
     "mpjpe": ("mm", "body.pelvis_frame.mpjpe_mm"),
     "mpjpe_root": ("mm", "body.root_relative.mpjpe_mm"),
     "mpjpe_world": ("mm", "body.world.mpjpe_mm"),
-    "torque_rms": ("Nm", "torque.rms_nm"),
+    "torque_rms": ("N·m", "torque.rms_nm"),
     "torque_use": ("", "torque.use"),
     "saturated": ("", "torque.saturated"),
     "power": ("W", "torque.power_w"),

@@ -53,6 +53,8 @@ class RecorderSummary(Record):
         absent: topics of DDS that nobody published.
         lost: by topic, samples known to be lost.
         malformed: by topic, samples that were not of its type and are not in the file.
+        publishers: by topic of the state and of commands, the programs that published at the same
+            time; empty where there was one.
         dropped_datagrams: received by the kernel, and discarded because its buffer was full; of
             which topic is not known.
         stopped: why the recording ended before it was told to; empty when it did not.
@@ -71,6 +73,7 @@ class RecorderSummary(Record):
     absent: list[str] = []
     lost: dict[str, Int] = {}
     malformed: dict[str, Int] = {}
+    publishers: dict[str, list[str]] = {}
     dropped_datagrams: Int = 0
     stopped: str = ""
     realtime_minus_monotonic_ns: tuple[Int, Int] | None = None

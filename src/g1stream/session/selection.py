@@ -10,7 +10,7 @@ import numpy as np
 
 from g1stream.errors import RecordingError
 from g1stream.session.session import Session
-from g1stream.session.streams import Stream
+from g1stream.session.stream import Stream
 from g1stream.types import Floats, Phase
 
 if TYPE_CHECKING:

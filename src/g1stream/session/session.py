@@ -13,7 +13,8 @@ from g1stream.dds.messages import Samples
 from g1stream.robot.model import G1
 from g1stream.session.columns import CONVERTED, Columns, samples
 from g1stream.session.parts import SessionFiles
-from g1stream.session.streams import Base, Command, LogEvent, Measured, Reference, Stream, TorsoImu
+from g1stream.session.stream import Stream
+from g1stream.session.streams import Base, Command, LogEvent, Measured, Reference, TorsoImu
 from g1stream.types import Floats, Phase
 
 if TYPE_CHECKING:
@@ -25,11 +26,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from g1stream.analysis.tracking import Tracking
-    from g1stream.analysis.video import Camera
     from g1stream.motion.motion import Motion
     from g1stream.session.metrics import Metrics
     from g1stream.session.source import SessionSource
     from g1stream.session.summary import PhaseInterval, Summary
+    from g1stream.viewers.video import Camera
 
 __all__ = ["LogEvent", "Message", "Session", "open_session"]
 
@@ -105,6 +106,13 @@ class Session:
         return f"<Session {str(self.path)!r}: {counts}{whole}>"
 
     @property
+    def converted(self) -> bool:
+        """Whether it is what `g1stream convert` made of a motion, which nobody has played."""
+        return bool(
+            self.paths and self.topics.get(CONVERTED) and not self.topics.get(Reference.topic)
+        )
+
+    @property
     def reference(self) -> Reference:
         """The target at each tick, computed from the motion."""
         return self.stream(Reference)
@@ -158,7 +166,7 @@ class Session:
         streams = {kind: self.stream(kind) for kind in columns if self.topics.get(kind.topic)}
         missing = {kind: stream.missing(*columns[kind]) for kind, stream in streams.items()}
         wanted = {kind: names for kind, names in missing.items() if names}
-        for kind, found in self._columns.of(wanted).items() if wanted else ():
+        for kind, found in self._columns.of(wanted, as_recorded=False).items() if wanted else ():
             streams[kind].keep(found)
 
     @cached_property
@@ -280,7 +288,7 @@ class Session:
         return self._once(summarise, lambda: summarise(self))
 
     def commanded_torque(self) -> Floats:
-        """(M, 29) Nm, float32, that the newest command asked for at each of the M LowStates.
+        """(M, 29) N·m, float32, that the newest command asked for at each of the M LowStates.
 
         nan where it is more than 100 ms old, or where command or state is not finite.
 
@@ -358,7 +366,7 @@ class Session:
             RobotError: the session's URDF cannot be used.
             SimError: there is no OpenGL to draw with.
         """
-        from g1stream.analysis.video import render
+        from g1stream.viewers.video import render
 
         return render(
             self,
@@ -385,22 +393,25 @@ class Session:
             RecordingError: the file cannot be written.
             RobotError: the session's URDF cannot be used.
         """
-        from g1stream.analysis.rerun_log import save_session
+        from g1stream.viewers.rerun_log import save_session
 
         return save_session(self, Path(path), force=force)
 
     def motion(self, fps: float | None = None) -> Motion:
-        """The motion that was played, as the reference has it.
+        """The motion that was played, as the reference has it; or what `convert` made of a motion.
 
         Args:
             fps: frames per second; the rate of the reference if None.
 
         Raises:
-            RecordingError: no motion was played in this session.
+            RecordingError: there is no motion in this session.
             MotionError: `fps` is not a frame rate, or leaves less than two frames.
         """
+        from g1stream.session.bag import Bag
         from g1stream.session.motions import reference_motion
 
+        if self.converted:
+            return Bag(self.path).motion(fps)
         return reference_motion(self.reference, self.path, fps)
 
     def save(self, path: str | os.PathLike[str], *, force: bool = False) -> Path:

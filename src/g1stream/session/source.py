@@ -50,7 +50,9 @@ class Slices(Sequence[bytes]):
         starts, ends: (N,) where in it each message is.
     """
 
-    def __init__(self, chunk: bytes, starts: NDArray[np.int64], ends: NDArray[np.int64]) -> None:
+    def __init__(
+        self, chunk: bytes | memoryview, starts: NDArray[np.int64], ends: NDArray[np.int64]
+    ) -> None:
         self._chunk, self._starts, self._ends = chunk, starts, ends
 
     def __len__(self) -> int:
@@ -63,11 +65,11 @@ class Slices(Sequence[bytes]):
     def __getitem__(self, index: int | slice) -> bytes | Slices:
         if isinstance(index, slice):
             return Slices(self._chunk, self._starts[index], self._ends[index])
-        return self._chunk[self._starts[index] : self._ends[index]]
+        return bytes(self._chunk[self._starts[index] : self._ends[index]])
 
     def __iter__(self) -> Iterator[bytes]:
         bounds = zip(self._starts.tolist(), self._ends.tolist(), strict=True)
-        return (self._chunk[start:end] for start, end in bounds)
+        return (bytes(self._chunk[start:end]) for start, end in bounds)
 
     def rows(self) -> NDArray[np.uint8] | None:
         """(N, size) a view of messages of one size at even distances; None where they are not."""

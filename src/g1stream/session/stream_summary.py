@@ -67,6 +67,8 @@ class StreamSummary(Record):
         feedforward_changes: when the torque was switched off and on again, in order.
         robot: name of the model that feed-forward torques were computed with.
         time_scale: median of simulated over real time, where it was measured.
+        command_delay_s: longest age of the commands that the motors' torques followed, because
+            they had waited in a queue; 0 where it was below 0.1 s, None where it is unknown.
         states_used: LowStates that were the newest at a tick.
         states_wrong_crc: LowStates that were dropped because of their CRC.
         states_received: all of them.
@@ -106,6 +108,7 @@ class StreamSummary(Record):
     feedforward_changes: list[FeedForwardChange] = []
     robot: str | None = None
     time_scale: float | None = None
+    command_delay_s: float | None = None
     states_used: Int | None = None
     states_wrong_crc: Int | None = None
     states_received: Int | None = None

@@ -5,7 +5,7 @@ Field names are those of the JSON; units are part of them. None stands for what 
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final
 
 from pydantic import computed_field
 
@@ -15,6 +15,7 @@ from g1stream.session.records import Int, Percentiles, PhaseName, Record
 from g1stream.session.stream_summary import StreamSummary
 
 __all__ = [
+    "TO_ITS_END",
     "JointTracking",
     "MessageStats",
     "PhaseInterval",
@@ -22,6 +23,9 @@ __all__ = [
     "Termination",
     "TrackingSummary",
 ]
+
+TO_ITS_END: Final = 0.1
+"""Played to within this of the end that was asked for, s, a motion was played to its end."""
 
 
 class PhaseInterval(Record):
@@ -141,7 +145,7 @@ class Summary(Record):
         versions: of g1stream and the packages that it used.
         motion: what was played.
         settings: those that are not the defaults, keyed like `stream.rate`.
-        gains: lowest and highest kp in Nm/rad and kd in Nm s/rad.
+        gains: lowest and highest kp in N·m/rad and kd in N·m·s/rad.
         joints: names of those that played the motion; None where that is not known.
         absent: names of those that the robot does not have.
         phases: in order.
@@ -188,6 +192,6 @@ class Summary(Record):
         return (self.last_ns - self.first_ns) / 1e9
 
     def __str__(self) -> str:
-        from g1stream.analysis.render import render
+        from g1stream.analysis.summary_text import render
 
         return render(self)

@@ -7,6 +7,7 @@ that much at most is lost when the program is killed.
 from __future__ import annotations
 
 import os
+from collections import Counter
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from g1stream.session.format import Channel
+    from g1stream.session.info import MotionInfo
     from g1stream.session.mcap_writer import Compression
     from g1stream.session.source import MemorySource
 
@@ -296,18 +298,32 @@ class SessionWriter:
         write_metadata_yaml(self._place, [*self._parts, self.part()], self._channels)
 
 
-def attach_motion(writer: SessionWriter | MemorySource, source: Path | None, time_ns: int) -> None:
-    """Attach the file that a motion came from, unless it is large, gone or a session itself.
+def attach_motion(
+    writer: SessionWriter | MemorySource, motion: MotionInfo | None, time_ns: int
+) -> None:
+    """Attach the files that a motion and its parts came from, unless large, gone or sessions.
 
-    Of a session that is played or converted again, the messages hold all that matters.
+    Of a session that is played or converted again, the messages hold all that matters. Of files
+    with the same name, the second is attached as `walk-2.csv`; the hashes in `motion` tell which.
 
     Args:
         writer: of the session.
-        source: the motion file; None for a motion that came from none.
+        motion: that is played; None where that is not known.
         time_ns: the attachment's time, ns since the epoch.
     """
-    if source is None or is_session(source):
-        return
+    origins = [motion, *motion.parts] if motion else []
+    n_alike: Counter[str] = Counter()
+    for source in dict.fromkeys(Path(one.source) for one in origins if one.source):
+        if not is_session(source):
+            n_alike[source.name] += 1
+            number = f"-{n_alike[source.name]}" if n_alike[source.name] > 1 else ""
+            name = f"{source.stem}{number}{source.suffix}"
+            _attach_file(writer, source, name, time_ns)
+
+
+def _attach_file(
+    writer: SessionWriter | MemorySource, source: Path, name: str, time_ns: int
+) -> None:
     try:
         if not source.is_file() or source.stat().st_size > LARGEST_MOTION:
             return
@@ -315,4 +331,4 @@ def attach_motion(writer: SessionWriter | MemorySource, source: Path | None, tim
     except OSError:  # a file that is gone by now is not worth a recording
         return
     kind = "text/csv" if source.suffix.lower() == ".csv" else "application/octet-stream"
-    writer.attach(source.name, kind, data, time_ns)
+    writer.attach(name, kind, data, time_ns)

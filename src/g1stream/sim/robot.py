@@ -30,7 +30,7 @@ _LOGGER = logging.getLogger(__name__)
 MODE_MACHINE_29: Final = 5
 """The mode_machine of a G1 with 29 joints, in its LowState and in every LowCmd for it."""
 
-_TIMEOUT_KD: Final = 3.0  # Nm s/rad
+_TIMEOUT_KD: Final = 3.0  # N·m·s/rad
 _LOG_PERIOD: Final = 1_000_000_000  # ns
 
 

@@ -129,8 +129,6 @@ class World:
         if joint_pos is not None:
             places = [joint.qposadr[0] for joint in joints]
             self.data.qpos[places] = np.asarray(joint_pos)[self._motors]
-        self._imu, self._torso_imu = self._find_imu("imu"), self._find_imu("secondary_imu")
-        self._imu_fixed, self._torso_imu_fixed = map(self._is_fixed, ("imu", "secondary_imu"))
         self._base_pos = self.data.sensor("frame_pos").data
         self._base_lin_vel = self.data.sensor("frame_vel").data
         self._kp, self._kd, self._work, self._control = np.zeros((4, N_JOINTS))
@@ -138,22 +136,18 @@ class World:
         self._look = partial(mujoco.mj_step1, self.model, self.data)
         self._support.hold()
         mujoco.mj_forward(self.model, self.data)
+        self._imu, self._torso_imu = self._find_imu("imu"), self._find_imu("secondary_imu")
 
     def _find_imu(self, name: str) -> Imu:
         """The arrays of an IMU, which MuJoCo updates in place."""
-        return Imu(*(self.data.sensor(f"{name}_{part}").data for part in ("quat", "gyro", "acc")))
-
-    def _is_fixed(self, name: str) -> bool:
-        """Whether an IMU is fixed to the world."""
+        quat, gyro, acc = (
+            self.data.sensor(f"{name}_{part}").data for part in ("quat", "gyro", "acc")
+        )
         site = self.model.sensor(f"{name}_acc").objid[0]
-        return not self.model.body_weldid[self.model.site_bodyid[site]]
-
-    def _read(self, imu: Imu, *, fixed: bool) -> Imu:
-        """A copy of what an IMU measures; where it is fixed, MuJoCo 3.17 measures no gravity."""
-        imu = imu.copy()
-        if fixed:
-            imu.accelerometer[:] = quat_rotate_inverse(imu.quat_wxyz, -self.model.opt.gravity)
-        return imu
+        if not self.model.body_weldid[self.model.site_bodyid[site]]:
+            # Fixed to the world, where MuJoCo 3.17 measures no gravity.
+            acc = quat_rotate_inverse(quat, -self.model.opt.gravity)
+        return Imu(quat, gyro, acc)
 
     def step(self, command: MotorCommand, steps: int = 1) -> None:
         """Advance by timesteps; torques are clipped at `g1stream.robot.joints.TORQUE_LIMIT`.
@@ -215,8 +209,8 @@ class World:
             dq=self._by_motor(data.actuator_velocity),
             ddq=self._by_motor(data.qacc[self._dofs]),
             tau_est=self._by_motor(data.actuator_force),
-            imu=self._read(self._imu, fixed=self._imu_fixed),
-            torso_imu=self._read(self._torso_imu, fixed=self._torso_imu_fixed),
+            imu=self._imu.copy(),
+            torso_imu=self._torso_imu.copy(),
             base_pos=self._base_pos.copy(),
             base_lin_vel=self._base_lin_vel.copy(),
         )

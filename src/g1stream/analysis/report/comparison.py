@@ -54,8 +54,8 @@ def write_page(
         drawn = _drawn(comparison, sources, list(joints))
         content = html.template("comparison.html").substitute(
             differences(comparison.model_dump(mode="json")),
-            verdict=html.escaped(verdict(comparison)),
-            good="bad" if _is_worse(comparison) else "good",
+            verdict=html.escaped(verdict(comparison, "deg")),
+            good=_class_of_verdict(comparison),
             compared=html.facts(_compared(comparison)),
             differs=_differs(comparison),
             significance=html.escaped(significance(comparison)),
@@ -74,9 +74,12 @@ def write_page(
         temporary.write_text(page, encoding="utf-8")
 
 
-def _is_worse(comparison: Comparison) -> bool:
+def _class_of_verdict(comparison: Comparison) -> str:
+    """That of page.css; "" where the difference may be noise."""
     rmse = comparison.metrics["rmse"]
-    return bool(rmse.significant) and rmse.difference > 0.0
+    if not rmse.significant:
+        return ""
+    return "bad" if rmse.difference > 0.0 else "good"
 
 
 def _compared(comparison: Comparison) -> list[tuple[str, str]]:
@@ -126,14 +129,13 @@ def _drawn(
                     "rms": _curves(time, rms, most)[0],
                 }
             )
-    worst = max(comparison.joints.items(), key=lambda one: abs(one[1].difference))[0]
     return {
         "sides": [
             {"name": name, "colour": colour, "rmse_deg": _of_each_joint(comparison, name)}
             for name, colour in zip(("base", "other"), _COLOURS, strict=True)
         ],
         "joints": [name.removesuffix("_joint") for name in JOINT_NAMES],
-        "first_joint": JOINT_NAMES.index(worst),
+        "first_joint": JOINT_NAMES.index(next(iter(comparison.joints))),
         "reference": reference,
         "lines": lines,
     }

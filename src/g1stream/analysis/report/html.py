@@ -12,9 +12,8 @@ from string import Template
 from typing import TYPE_CHECKING, Any
 
 from g1stream._version import __version__
-from g1stream.analysis.layouts import short_name
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
-from g1stream.text import printable
+from g1stream.text import printable, short_name
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterable, Sequence

@@ -12,23 +12,23 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Final, cast
 
-from g1stream.analysis.render import session_facts, stream_facts, verdict
 from g1stream.analysis.report import html
 from g1stream.analysis.report.figures import figures
 from g1stream.analysis.report.physics import physics_section, session_physics
 from g1stream.analysis.report.tables import overview, tables
 from g1stream.analysis.summary import flat
-from g1stream.analysis.video import render
+from g1stream.analysis.summary_text import session_facts, stream_facts, verdict
 from g1stream.errors import ConfigError, RecordingError
 from g1stream.files import check_not_input, check_suffix, complete_file, read_file
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.session.session import Session, open_session
+from g1stream.viewers.video import render
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from typing import TypeAlias
 
-    from g1stream.analysis.physics_report import MotionPhysics
+    from g1stream.physics.result import MotionPhysics
     from g1stream.session.metrics import Metrics
     from g1stream.session.summary import Summary
 
@@ -68,8 +68,9 @@ def report(
         SimError: there is no OpenGL to draw the video with.
     """
     check_suffix(Path(path), "a page", ".html")
+    opened = _opened(sessions, Path(path))
     with complete_file(Path(path), force=force) as temporary:
-        page = _page(_opened(sessions, Path(path)), _rendered if video else _beside, progress)
+        page = _page(opened, _rendered if video else _beside, progress)
         temporary.write_text(page, encoding="utf-8")
     return Path(path)
 
@@ -98,16 +99,18 @@ def to_csv(sessions: Given | Iterable[Given]) -> str:
 
 
 def _opened(sessions: Given | Iterable[Given], page: Path | None = None) -> Iterator[Session]:
-    """One session after the other, so that no more than one has to be in memory; none is `page`."""
+    """The sessions, all of which can be opened; none is `page`.
+
+    Each is let go after its turn, so that the samples of no more than one have to be in memory.
+    """
     alone = isinstance(sessions, (Session, str, os.PathLike))
-    given = list(cast("Iterable[Given]", [sessions] if alone else sessions))
-    if not given:
+    given = cast("Iterable[Given]", [sessions] if alone else sessions)
+    opened = [one if isinstance(one, Session) else open_session(one) for one in given]
+    if not opened:
         raise ConfigError("There is no session to report on.", "Name a session file.")
-    for one in given:
-        session = one if isinstance(one, Session) else open_session(one)
-        if page:
-            check_not_input(page, session.path)
-        yield session
+    if page:
+        check_not_input(page, *(session.path for session in opened))
+    return (opened.pop(0) for _ in range(len(opened)))
 
 
 def _values(
@@ -176,7 +179,7 @@ def _section(
         choice = html.joint_choice(drawn["first_joint"], {*JOINT_NAMES} - {*summary.absent})
         parts["joint"] = html.figure("joint", f"Joint {choice}", number)
     for name, caption in (
-        ("limbs", "RMS error of each limb over time, and events of the log"),
+        ("limbs", "RMS error of each limb over time, and events of the log; PLAY is not shaded"),
         ("rmse_deg", "RMSE of each joint; a click shows it above"),
         ("lateness", "How late commands were written"),
         ("intervals", "Intervals between publish times: a stall is a peak"),
@@ -190,7 +193,7 @@ def _section(
         number=number,
         name=html.escaped(session.path.name),
         verdict=html.escaped(verdict(summary)),
-        good="bad" if summary.problems else "good",
+        good="bad" if summary.problems else "good" if summary.tracking else "",
         problems="".join(
             f'<p class="problem">{html.escaped(text)}</p>' for text in summary.problems
         ),

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from g1stream.analysis.layouts import short_name
-from g1stream.analysis.physics import motion_physics
-from g1stream.analysis.physics_report import reasons
 from g1stream.analysis.report import html
 from g1stream.analysis.report.tables import Column, table
 from g1stream.analysis.summary import played
 from g1stream.errors import MotionError, RecordingError, RobotError
+from g1stream.physics.measure import motion_physics
+from g1stream.physics.result import reasons
 from g1stream.session.motions import attached_motion
-from g1stream.text import counted
+from g1stream.text import counted, short_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from g1stream.analysis.physics_report import MotionPhysics
+    from g1stream.physics.result import MotionPhysics
     from g1stream.session.session import Session
     from g1stream.session.summary import Summary
 
@@ -25,8 +24,8 @@ __all__ = ["physics_section", "session_physics"]
 
 #: Frames per second at which the reference is looked at, where the motion is not attached.
 _FPS: Final = 30.0
-#: Some 4 s of CPU time.
-_MOST_FRAMES: Final = 6000
+#: More would take seconds.
+_MOST_FRAMES: Final = 10_000
 
 _EXCESSES: Final = (
     Column("what", "", "cause"),
@@ -47,8 +46,8 @@ _FEET: Final = (
 )
 _PEAKS: Final = (
     Column("joint", "", "joint"),
-    Column("torque", "Nm", "torque_nm", ".1f"),
-    Column("limit", "Nm", "limit_nm"),
+    Column("torque", "N·m", "torque_nm", ".1f"),
+    Column("limit", "N·m", "limit_nm"),
     Column("at", "s", "time_s", ".2f"),
     Column("beyond", "frames", "frames"),
 )
@@ -68,7 +67,8 @@ def session_physics(
 ) -> MotionPhysics | str:
     """What it takes to play the motion of a session, or why that is not told.
 
-    It is that of the attached motion where that was played as it is, else that of the reference.
+    It is that of the attached motion where that was played as it is, else that of the reference; or
+    of what `convert` made of a motion.
 
     Args:
         session: any.
@@ -79,7 +79,7 @@ def session_physics(
         return "Several motions were played."
     fps = (summary.motion and summary.motion.fps) or _FPS
     try:
-        motion = attached_motion(session)
+        motion = session.motion() if session.converted else attached_motion(session)
         frames = motion.n_frames if motion else round((summary.termination.played_s or 0.0) * fps)
         if frames > _MOST_FRAMES:
             return (
@@ -117,8 +117,6 @@ def physics_section(physics: MotionPhysics | str, support: str | None, key: str)
         (f"{one}, as in this session" if one == support else one, str(verdict))
         for one, verdict in physics.verdicts.items()
     ]
-    if physics.on_feet:
-        verdicts.append(("feet", str(physics.on_feet)))
     more = [("tilt", physics.tilt), ("centre of pressure", physics.pressure)]
     # The same excess may speak against several supports: it is in the JSON of each.
     keys = {

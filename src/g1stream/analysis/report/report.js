@@ -16,8 +16,11 @@
   const drawn = JSON.parse(await unpack("figures"));
 
   const DARK = "#1a1a1a", MUTED = "#5f6670", GRID = "#e9ecef";
-  const LEVELS = { WARNING: "#d97706", ERROR: "#b3261e", FATAL: "#b3261e" };
-  const TIME = "time since the motion began, s", MOTION_TIME = "time in the motion, s";
+  const EVENTS = { event: MUTED, warning: "#d97706", error: "#b3261e" };
+  const KINDS = { WARNING: "warning", ERROR: "error", FATAL: "error" }; // by level
+  const MOTION_TIME = "time in the motion, s";
+  // A joint's panels from top to bottom, px; each has an axis and a legend of its own.
+  const PANELS = { q: 260, error: 120, tau: 140 }, GAP = 36;
   const touch = matchMedia("(pointer: coarse)").matches;
 
   const axis = (title, more) => ({
@@ -36,15 +39,22 @@
   const phases = (session) => session.phases.map((one) => ({
     type: "rect", xref: "x", yref: "paper", x0: one.start, x1: one.end, y0: 0, y1: 1,
     layer: "below", line: { width: 0 }, fillcolor: one.colour ?? "rgba(0,0,0,0)",
-    label: { text: one.end - one.start > 0.06 * length(session) ? one.name : "",
-             textposition: "top center", font: { size: 10, color: MUTED } },
+    label: phaseLabel(one.name, (one.end - one.start) / length(session)),
   }));
+  // Upright where the phase is short.
+  const phaseLabel = (name, share) => ({
+    text: share > 0.02 ? name : "", textposition: "top center", font: { size: 10, color: MUTED },
+    ...(share < 0.1 && { textangle: -90, xanchor: "right", yanchor: "middle" }),
+  });
   const length = (session) =>
     session.phases.length ? session.phases.at(-1).end - session.phases[0].start : 0;
-  // Markers at the ends would make it wider than the session is long.
-  const times = ({ phases }, more) => axis(TIME, {
-    ...(phases.length && { range: [phases[0].start, phases.at(-1).end] }), ...more,
-  });
+  // With room for the markers at the ends.
+  const times = (session, more) => axis(
+    session.phases.length ? "time since the motion began, s" : "time, s", {
+      ...(session.phases.length && { range: [session.phases[0].start - 0.015 * length(session),
+                                             session.phases.at(-1).end + 0.015 * length(session)] }),
+      ...more,
+    });
   const line = (curve, more) => ({
     type: "scatter", mode: "lines", x: floats(curve.x), y: floats(curve.y), name: curve.name,
     line: { width: 1.5, color: curve.colour }, ...more,
@@ -54,39 +64,47 @@
 
   const draw = {
     limbs(session) {
-      const marks = session.events.map((event) => LEVELS[event.level] ?? MUTED);
-      const events = {
-        type: "scatter", mode: "markers", name: "events",
-        x: session.events.map((event) => event.time), y: session.events.map(() => 0),
-        text: session.events.map((event) => plain(`${event.level} ${event.text}`)),
-        hovertemplate: "%{x:.2f} s<br>%{text}<extra></extra>", cliponaxis: false,
-        marker: { symbol: "triangle-up", size: 10, color: marks },
-      };
-      return [[...session.limbs.map((limb) => line(limb)), events],
+      const events = Object.entries(EVENTS).map(([name, color]) => {
+        const shown = session.events.filter(({ level }) => (KINDS[level] ?? "event") === name);
+        return {
+          type: "scatter", mode: "markers", name,
+          x: shown.map((event) => event.time), y: shown.map(() => 0),
+          text: shown.map((event) => plain(`${event.level} ${event.text}`)),
+          hovertemplate: "%{x:.2f} s<br>%{text}<extra></extra>", cliponaxis: false,
+          marker: { symbol: "triangle-up", size: 10, color }, showlegend: shown.length > 0,
+        };
+      });
+      return [[...session.limbs.map((limb) => line(limb)), ...events],
         layout(320, { shapes: phases(session), xaxis: times(session),
                       yaxis: axis("RMS error, deg", { rangemode: "tozero" }) })];
     },
     joint(session, chosen) {
-      const rows = [["q", "y"], ["error", "y2"], ["tau", "y3"]];
-      const traces = rows.flatMap(([quantity, yaxis]) => {
-        const { lines } = session.signals[quantity];
-        return lines.map((one, i) => {
-          const asked = i < lines.length - 1;
-          const style = asked ? { width: 1, color: DARK, dash: "dash" }
+      const rows = Object.keys(PANELS).filter((one) => session.signals[one].lines.length);
+      const inner = rows.reduce((sum, one) => sum + PANELS[one] + GAP, -GAP);
+      const traces = [], panels = {}, bounds = [];
+      let top = inner;
+      for (const [i, quantity] of rows.entries()) {
+        const { lines, label } = session.signals[quantity], n = i ? i + 1 : "";
+        const curves = lines.map((one, k) => {
+          const style = k < lines.length - 1 ? { width: 1, color: DARK, dash: "dash" }
             : { width: 1.5, color: session.colours[chosen] };
-          return line({ ...one.joints[chosen], name: one.name }, { yaxis, line: style });
-        }).reverse(); // what was asked for lies on top
-      });
-      const limit = session.torque_limits[chosen];
-      const bounds = (limit ? [limit, -limit] : []).map((y) => ({
-        type: "line", xref: "paper", x0: 0, x1: 1, yref: "y3", y0: y, y1: y,
-        line: { width: 1, dash: "dot", color: LEVELS.ERROR },
-      }));
-      return [traces, layout(620, {
-        shapes: [...phases(session), ...bounds], xaxis: axis(TIME, { anchor: "y3" }),
-        yaxis: axis(session.signals.q.label, { domain: [0.56, 1] }),
-        yaxis2: axis(session.signals.error.label, { domain: [0.3, 0.5] }),
-        yaxis3: axis(session.signals.tau.label, { domain: [0, 0.24] }),
+          return line({ ...one.joints[chosen], name: one.name },
+            { yaxis: `y${n}`, legend: `legend${n}`, showlegend: true, line: style });
+        });
+        traces.push(...curves.reverse()); // what was asked for lies on top
+        panels[`yaxis${n}`] = axis(label,
+          { domain: [Math.max(0, top - PANELS[quantity]) / inner, top / inner] });
+        panels[`legend${n}`] = { orientation: "h", x: 0, y: top / inner, yanchor: "bottom" };
+        top -= PANELS[quantity] + GAP;
+        const limit = quantity === "tau" && session.torque_limits[chosen];
+        if (limit) bounds.push(...[limit, -limit].map((y) => ({
+          type: "line", xref: "paper", x0: 0, x1: 1, yref: `y${n}`, y0: y, y1: y,
+          line: { width: 1, dash: "dot", color: EVENTS.error },
+        })));
+      }
+      return [traces, layout(inner + 72, {
+        shapes: [...phases(session), ...bounds],
+        xaxis: times(session, { anchor: `y${rows.length > 1 ? rows.length : ""}` }), ...panels,
       })];
     },
     rmse_deg(session) {
@@ -107,7 +125,7 @@
     },
     intervals(session) {
       return [session.intervals.map((one) => line(one)), layout(280, {
-        shapes: phases(session), xaxis: axis(TIME),
+        shapes: phases(session), xaxis: times(session),
         yaxis: axis("interval, ms", { rangemode: "tozero" }) })];
     },
     errors(comparison) {

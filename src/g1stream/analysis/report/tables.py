@@ -9,8 +9,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from g1stream.analysis.layouts import short_name
-from g1stream.text import printable
+from g1stream.text import printable, short_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -42,12 +41,12 @@ class Column:
 
 _DELAYS: Final = (
     Column("delay", "ms", "delay_s", ".1f", 1e3),
-    Column("± 95 %", "ms", "delay_ci95_s", ".1f", 1e3),
+    Column("±\u00a095\u00a0%", "ms", "delay_ci95_s", ".1f", 1e3),
     Column("correlation", "", "correlation", ".4f"),
 )
 _RATES: Final = (
-    Column("E_vel", "rad/s", "velocity_rmse_rad_s", ".3f"),
-    Column("E_acc", "rad/s²", "acceleration_rmse_rad_s2", ".2f"),
+    Column("velocity RMSE", "rad/s", "velocity_rmse_rad_s", ".3f"),
+    Column("acceleration RMSE", "rad/s²", "acceleration_rmse_rad_s2", ".2f"),
 )
 _ERRORS: Final = (
     Column("RMSE", "deg", "rmse_rad", ".3f", _DEG),
@@ -87,23 +86,23 @@ _PELVIS: Final = (
     Column("velocity", "m/s", "lin_vel_m_s", ".3f"),
 )
 _ALL_TORQUES: Final = (
-    Column("RMS", "Nm", "rms_nm", ".2f"),
+    Column("RMS", "N·m", "rms_nm", ".2f"),
     Column("highest use", "%", "use", ".1f", 100.0),
     Column("of", "joint", "most_used"),
     Column("saturated", "% of states", "saturated", ".2f", 100.0),
-    Column("commanded - estimated", "Nm RMS", "commanded_rmse_nm", ".2f"),
+    Column("commanded - estimated", "N·m RMS", "commanded_rmse_nm", ".2f"),
     Column("work ∫|τ dq|", "J", "work_j", ".1f"),
     Column("net ∫τ dq", "J", "net_work_j", ".1f"),
     Column("power", "W", "power_w", ".1f"),
 )
 _TORQUES: Final = (
-    Column("limit", "Nm", "limit_nm", ".0f"),
-    Column("RMS", "Nm", "rms_nm", ".2f"),
-    Column("p99", "Nm", "p99_nm", ".2f"),
-    Column("max", "Nm", "max_nm", ".2f"),
+    Column("limit", "N·m", "limit_nm", ".0f"),
+    Column("RMS", "N·m", "rms_nm", ".2f"),
+    Column("p99", "N·m", "p99_nm", ".2f"),
+    Column("max", "N·m", "max_nm", ".2f"),
     Column("use", "p99, %", "use", ".1f", 100.0),
     Column("saturated", "%", "saturated", ".2f", 100.0),
-    Column("commanded - estimated", "Nm RMS", "commanded_rmse_nm", ".2f"),
+    Column("commanded - estimated", "N·m RMS", "commanded_rmse_nm", ".2f"),
     Column("commanded beyond", "%", "commanded_beyond", ".2f", 100.0),
     Column("work", "J", "work_j", ".1f"),
     Column("net", "J", "net_work_j", ".1f"),
@@ -139,7 +138,7 @@ _OVERVIEW: Final = (
     Column("worst joint", "by RMSE", "metrics.tracking.all_joints.worst_joint"),
     Column("delay", "ms", "metrics.tracking.all_joints.delay_s", ".1f", 1e3),
     Column("MPJPE", "mm, joints alone", "metrics.body.pelvis_frame.mpjpe_mm", ".2f"),
-    Column("torque", "Nm RMS", "metrics.torque.rms_nm", ".2f"),
+    Column("torque", "N·m RMS", "metrics.torque.rms_nm", ".2f"),
     Column("rate", "Hz", "metrics.timing.rate_hz", ".1f"),
     Column("skipped", "ticks", "metrics.timing.skipped_ticks"),
 )
@@ -156,10 +155,10 @@ _DIFFERENCES: Final = (
     Column("change", "%", "change", "+.1f", 100.0),
     *_SIGNIFICANCE,
 )
-_RMSE_DIFFERENCES: Final = (
-    Column("base", "deg RMSE", "base", ".3f", _DEG),
-    Column("other", "deg RMSE", "other", ".3f", _DEG),
-    Column("other - base", "deg", "difference", "+.3f", _DEG),
+_ANGLE_DIFFERENCES: Final = (
+    Column("base", "deg", "base", ".4g", _DEG),
+    Column("other", "deg", "other", ".4g", _DEG),
+    Column("other - base", "deg", "difference", "+.3g", _DEG),
     Column("change", "%", "change", "+.1f", 100.0),
     *_SIGNIFICANCE,
 )
@@ -216,19 +215,18 @@ def overview(sessions: Sequence[Mapping[str, Any]]) -> str:
 
 
 def differences(comparison: Mapping[str, Any]) -> dict[str, str]:
-    """The tables of a `Comparison` as JSON has it: metrics, limbs and joints."""
-    heads = {
-        "metrics": ("metric", _DIFFERENCES),
-        "limbs": ("limb", _RMSE_DIFFERENCES),
-        "joints": ("joint", _RMSE_DIFFERENCES),
-    }
+    """The tables of a `Comparison` as JSON has it: angles of all joints, limbs, joints, metrics."""
+
+    def rows(kind: str, *, angles: bool) -> list[tuple[str, str, Any]]:
+        values = comparison[kind].items()
+        of_kind = [(name, one) for name, one in values if (one["unit"] == "rad") is angles]
+        return [(_plain(name), f"{kind}.{name}", one) for name, one in of_kind]
+
     return {
-        kind: table(
-            head,
-            columns,
-            [(_plain(name), f"{kind}.{name}", one) for name, one in comparison[kind].items()],
-        )
-        for kind, (head, columns) in heads.items()
+        "angles": table("all joints", _ANGLE_DIFFERENCES, rows("metrics", angles=True)),
+        "limbs": table("RMSE of limb", _ANGLE_DIFFERENCES, rows("limbs", angles=True)),
+        "joints": table("RMSE of joint", _ANGLE_DIFFERENCES, rows("joints", angles=True)),
+        "metrics": table("metric", _DIFFERENCES, rows("metrics", angles=False)),
     }
 
 
@@ -241,7 +239,7 @@ def table(head: str, columns: Sequence[Column], rows: Iterable[tuple[str, str, A
         rows: name, key in the JSON, and values there.
     """
     rows = list(rows)
-    columns = [one for one in columns if any(_at(row, one.key) is not None for _, _, row in rows)]
+    columns = [c for c in columns if any(_at(row, c.key) not in (None, "") for _, _, row in rows)]
     if not columns:
         return ""
     heads = "".join(

@@ -27,7 +27,7 @@ POSITION, QUATERNION = "Transform3D:translation", "Transform3D:quaternion"
 @pytest.fixture(autouse=True)
 def primitives(monkeypatch):
     """Shapes of a known number."""
-    monkeypatch.setattr("g1stream.analysis.rerun_log.with_shapes", lambda robot: robot)
+    monkeypatch.setattr("g1stream.viewers.rerun_log.with_shapes", lambda robot: robot)
 
 
 @pytest.fixture
@@ -192,7 +192,7 @@ def test_nothing_is_replaced_without_force(session, tmp_path):
 
 def test_meshes_are_embedded_where_they_are_installed(session, saved, monkeypatch):
     monkeypatch.undo()
-    from g1stream.analysis.offscreen import with_shapes
+    from g1stream.viewers.offscreen import with_shapes
 
     shapes = with_shapes(session.robot)
     if shapes is G1.default():

@@ -3,47 +3,38 @@
 from __future__ import annotations
 
 import math
-import textwrap
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
-from g1stream.text import counted, printable
+from g1stream.session.summary import TO_ITS_END
+from g1stream.text import counted, labelled, table
 from g1stream.types import Phase
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
+    from g1stream.session.info import MotionInfo
     from g1stream.session.records import Percentiles
     from g1stream.session.stream_summary import FeedForwardChange, StreamSummary
     from g1stream.session.summary import MessageStats, Summary, Termination, TrackingSummary
 
 __all__ = [
-    "WIDTH",
-    "labelled",
     "most",
     "render",
     "session_facts",
     "stream_facts",
-    "table",
     "verdict",
 ]
 
-WIDTH: Final = 80
-"""No line is longer, unless a single word is."""
-
 _LABEL: Final = 14
-#: Of one value or sentence.
-_MOST_CHARACTERS: Final = 2000
 _MOST_JOINTS: Final = 3
 _MOST_PROBLEMS: Final = 10
 #: A time scale this far from 1 is shown.
 _SLOW: Final = 0.02
 #: How it ended, where nobody told.
 _UNTOLD: Final = "not recorded"
-#: Played to within this of the end of the motion, s, it was played to its end.
-_WHOLE: Final = 0.1
 
 
 def render(summary: Summary) -> str:
@@ -73,29 +64,14 @@ def verdict(summary: Summary) -> str:
             f"worst {math.degrees(worst.max_abs_rad):.1f} deg ({name.removesuffix('_joint')} at "
             f"{worst.max_abs_at_s:.1f} s)"
         )
-    else:
+    elif summary.recorder or summary.stream or summary.first_ns is not None:
         parts.append("tracking error: not recorded")
+    else:  # what `convert` makes of one
+        parts.append("a motion that was not played")
     n = len(summary.problems)
     parts.append(counted(n, "problem") if n else "no problems found")
     text = "; ".join(parts)
     return f"{text[0].upper()}{text[1:]}."
-
-
-def labelled(label: str, text: str) -> str:
-    """`label text` in lines of `WIDTH` columns, the text wrapped beside its label.
-
-    The text may come from a file or a peer: what a terminal would obey is escaped, and an endless
-    text is cut.
-    """
-    shown = printable(text[:_MOST_CHARACTERS])
-    return textwrap.fill(
-        f"{shown} ..." if len(text) > _MOST_CHARACTERS else shown,
-        WIDTH,
-        initial_indent=label,
-        subsequent_indent=" " * len(label),
-        break_long_words=False,
-        break_on_hyphens=False,
-    )
 
 
 def most(ticks: Mapping[str, int]) -> str:
@@ -115,11 +91,14 @@ def session_facts(summary: Summary) -> list[tuple[str, str]]:
         parts = [motion.name or "unknown"]
         parts += [counted(motion.frames, "frame")] if motion.frames else []
         parts += [f"{motion.fps:g} fps"] if motion.fps else []
+        parts += [f"{motion.duration_s:.2f} s"] if motion.duration_s is not None else []
         if motion.sha256 or motion.content_sha256:  # joined motions come from no one file
             of = "" if motion.sha256 else "of its frames "
             parts.append(f"sha256 {of}{(motion.sha256 or motion.content_sha256 or '')[:12]}")
         parts += motion.operations
         lines.append(("motion", ", ".join(parts)))
+        if motion.parts:
+            lines.append(("joined of", "; ".join(map(_part, motion.parts))))
     if summary.joints and (summary.absent or len(summary.joints) < N_JOINTS):
         lines.append(("joints", _joints(summary)))
     ramp = _ramp(summary.stream)
@@ -150,6 +129,14 @@ def session_facts(summary: Summary) -> list[tuple[str, str]]:
         files = [f"{name} ({_size(size)})" for name, size in summary.attachments_bytes.items()]
         lines.append(("attached", ", ".join(files)))
     return lines
+
+
+def _part(motion: MotionInfo) -> str:
+    """One of the motions that were joined."""
+    about = [motion.name or "unknown"]
+    about += [f"{motion.duration_s:.2f} s"] if motion.duration_s is not None else []
+    about += [f"sha256 {motion.sha256[:12]}"] if motion.sha256 else []
+    return ", ".join([*about, *motion.operations])
 
 
 def _joints(summary: Summary) -> str:
@@ -199,7 +186,7 @@ def _ended(termination: Termination) -> str:
     """How it ended and how much was played; empty where neither is known."""
     start, played, motion = termination.start_s, termination.played_s, termination.motion_s
     rest = None if motion is None else motion - start
-    whole = played is None or rest is None or abs(rest - played) < _WHOLE
+    whole = played is None or rest is None or abs(rest - played) < TO_ITS_END
     if termination.undamped_in is not None:
         how = f"in {termination.undamped_in.name}: {termination.reason}"
     elif termination.reason:
@@ -222,27 +209,27 @@ def _ended(termination: Termination) -> str:
 
 
 def _tracking(tracking: TrackingSummary, stream: StreamSummary | None) -> list[str]:
-    rows = [("limb", "RMSE rad", "RMSE deg", "worst joint", "RMSE deg", "max deg", "at s")]
+    rows = [("limb", "RMSE rad", "RMSE deg", "max deg", "at s", "worst joint by RMSE", "deg")]
     limbs = {**tracking.rmse_by_limb_rad, "all joints": tracking.rmse_rad}
     for limb, rmse in limbs.items():
         members = {JOINT_NAMES[i] for i in JOINT_GROUPS.get(limb, ())} or tracking.joints
-        joints = [name for name in tracking.joints if name in members] or [*tracking.joints]
-        name = max(joints, key=lambda name: tracking.joints[name].rmse_rad)
-        worst = tracking.joints[name]
+        joints = {name: one for name, one in tracking.joints.items() if name in members}
+        name, worst = max(joints.items(), key=lambda one: one[1].rmse_rad)
+        largest = max(joints.values(), key=lambda one: one.max_abs_rad)
         rows.append(
             (
                 limb.replace("_", " "),
                 f"{rmse:.4f}",
                 f"{math.degrees(rmse):.3f}",
+                f"{math.degrees(largest.max_abs_rad):.2f}",
+                f"{largest.max_abs_at_s:.2f}",
                 name.removesuffix("_joint"),
                 f"{math.degrees(worst.rmse_rad):.3f}",
-                f"{math.degrees(worst.max_abs_rad):.2f}",
-                f"{worst.max_abs_at_s:.2f}",
             )
         )
     excluded = f"; {tracking.excluded_states} in gaps of the reference left out"
     return [
-        *table(rows, left=(0, 3)),
+        *table(rows, left=(0, 5)),
         "",
         _line("delay", _delay(tracking, stream.preview_s if stream else None)),
         _line(
@@ -293,7 +280,7 @@ def stream_facts(stream: StreamSummary) -> list[tuple[str, str]]:
             )
         )
     if stream.lateness_us:
-        of = " (of commands sent; a skipped tick has none)" if stream.skipped_ticks else ""
+        of = " (of the commands sent, without skipped ticks)" if stream.skipped_ticks else ""
         lines.append(("lateness", _percentiles(stream.lateness_us) + of))
     if stream.states_received is not None:
         lost = "" if stream.states_lost is None else f", {stream.states_lost} lost"
@@ -354,7 +341,8 @@ def _messages(summary: Summary) -> list[str]:
     lines = table(rows, left=(0,)) if topics else []
     if any(stats.latency_us for stats in topics.values()):
         lines += ["", "gaps: publish intervals over 3 medians; us: latency, log - publish time"]
-    if others:
+    # A recorder writes the robot's description by itself.
+    if others and not (summary.recorder and summary.first_ns is None):
         lines.append(
             _line("other topics", f"{len(others)}, with {counted(sum(others), 'message')}")
         )
@@ -390,15 +378,3 @@ def _size(n_bytes: int) -> str:
 
 def _line(label: str, text: str) -> str:
     return labelled(label.ljust(_LABEL), text)
-
-
-def table(rows: Sequence[Sequence[str]], left: Collection[int]) -> list[str]:
-    """Rows in columns, right-aligned but for those named; columns without values are left out."""
-    columns = [
-        [cell.ljust(width) if i in left else cell.rjust(width) for cell in column]
-        for i, column in enumerate(zip(*rows, strict=True))
-        if any(column[1:])
-        for width in [max(map(len, column))]
-    ]
-    lines = ["  ".join(cells).rstrip() for cells in zip(*columns, strict=True)]
-    return [lines[0], "  ".join("-" * len(column[0]) for column in columns), *lines[1:]]

@@ -6,8 +6,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Final
 
-from g1stream.analysis.layouts import short_name
 from g1stream.extras import import_extra
+from g1stream.text import short_name
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -104,7 +104,7 @@ def rerun_layout(joints: Sequence[str], *, live: bool = False) -> Any:
         rrb.Tabs(
             grid("Positions", "position", "rad"),
             plot("Errors, rad", errors),
-            grid("Torques", "torque", "Nm"),
+            grid("Torques", "torque", "N·m"),
         ),
         plot("tracking error by limb, RMS, rad", "/error/**"),
         plot("longest interval and latency, ms", timing),

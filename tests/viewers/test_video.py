@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from g1stream.analysis.offscreen import with_shapes
-from g1stream.analysis.video import AZIMUTHS, parse_size, render
 from g1stream.errors import ConfigError, RecordingError, RobotError
 from g1stream.robot.model import G1
 from g1stream.session.session import open_session
+from g1stream.viewers.offscreen import with_shapes
+from g1stream.viewers.video import AZIMUTHS, parse_size, render
 
 SIZE = (96, 96)
 
@@ -22,7 +22,7 @@ SIZE = (96, 96)
 @pytest.fixture(autouse=True)
 def primitives(monkeypatch):
     """Shapes that are drawn fast."""
-    monkeypatch.setattr("g1stream.analysis.video.with_shapes", lambda robot: robot)
+    monkeypatch.setattr("g1stream.viewers.video.with_shapes", lambda robot: robot)
 
 
 @pytest.fixture
@@ -50,6 +50,7 @@ def _bluish(picture):
     return int((blue - red > 90).sum())
 
 
+@pytest.mark.slow
 def test_the_ghost_shows_where_the_robot_is_elsewhere(sessions, tmp_path):
     video, same = _picture(sessions["same"], tmp_path / "same.png", size=(240, 240))
     assert (video.frames, video.shown, video.meshes) == (1, "measured and ghost", False)
@@ -77,6 +78,7 @@ def test_one_of_the_two_is_shown_alone(sessions, tmp_path, kind):
     assert picture[30:].std() > 10
 
 
+@pytest.mark.slow
 def test_an_mp4_has_the_frames_the_size_and_the_rate_that_were_asked_for(sessions, tmp_path):
     import av
 
@@ -91,6 +93,7 @@ def test_an_mp4_has_the_frames_the_size_and_the_rate_that_were_asked_for(session
     assert np.abs(frames[0].astype(int) - frames[-1]).max() > 50  # the robot moves
 
 
+@pytest.mark.slow
 def test_a_gif_lasts_as_long_as_the_session(sessions, tmp_path):
     sessions["off"].render(tmp_path / "out.gif", start=1.0, duration=0.5, fps=30, size=SIZE)
     with Image.open(tmp_path / "out.gif") as gif:
@@ -102,6 +105,7 @@ def test_a_gif_lasts_as_long_as_the_session(sessions, tmp_path):
     assert sum(durations) == 500
 
 
+@pytest.mark.slow
 def test_the_real_meshes_are_drawn_where_they_are_installed(sessions, tmp_path, monkeypatch):
     if with_shapes(G1.default()) is G1.default():
         pytest.skip("needs the extra `meshes`")
@@ -132,6 +136,7 @@ def test_what_cannot_be_written_leaves_nothing(sessions, tmp_path, name, how, er
     assert (tmp_path / "there.png").read_text() == "mine"
 
 
+@pytest.mark.slow
 def test_no_opengl_is_an_error(sessions, tmp_path):
     out = tmp_path / "out.png"
     environment = os.environ | {"MUJOCO_GL": "egl", "PYOPENGL_PLATFORM": "osmesa"}  # contradict
@@ -160,7 +165,7 @@ def test_a_robot_without_shapes_is_an_error(sessions, tmp_path, monkeypatch):
         for shape in [*link.findall("visual"), *link.findall("collision")]:
             link.remove(shape)
     bare = G1.from_urdf(ElementTree.tostring(root, encoding="unicode"), "bare.urdf")
-    monkeypatch.setattr("g1stream.analysis.video.with_shapes", lambda robot: bare)
+    monkeypatch.setattr("g1stream.viewers.video.with_shapes", lambda robot: bare)
     with pytest.raises(RobotError, match="shapes"):
         render(sessions["same"], tmp_path / "out.png", start=1.0, size=SIZE)
 

@@ -9,6 +9,7 @@ from g1stream.errors import RecordingError
 from g1stream.foxglove.encoders import GHOST_PREFIX, MEASURED_PREFIX
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
 from g1stream.robot.model import G1
+from g1stream.text import short_name
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,7 +24,6 @@ __all__ = [
     "REFERENCE",
     "foxglove_layout",
     "plotjuggler_layout",
-    "short_name",
     "worst_joints",
 ]
 
@@ -66,11 +66,6 @@ def worst_joints(session: Session) -> tuple[str, ...]:
         return DEFAULT_JOINTS
     worst = sorted(tracking.joints, key=lambda joint: -tracking.rmse[joint])
     return tuple(JOINT_NAMES[joint] for joint in worst[:_N_PLOTS])
-
-
-def short_name(name: str) -> str:
-    """Of a joint, a link or a limb, for a title: `left knee`."""
-    return name.removesuffix("_joint").removesuffix("_link").replace("_", " ")
 
 
 def foxglove_layout(joints: Sequence[str], robot: G1 | None = None) -> dict[str, Any]:
@@ -125,7 +120,7 @@ def foxglove_layout(joints: Sequence[str], robot: G1 | None = None) -> dict[str,
             ],
         )
         panels[torque] = _plot(
-            f"{name}, Nm",
+            f"{name}, N·m",
             [
                 (
                     _joint_path("/reference/joint_states", joint, "effort"),

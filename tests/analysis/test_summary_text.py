@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from g1stream.analysis.render import WIDTH, most, render
+from g1stream.analysis.summary_text import most, render, verdict
 from g1stream.realtime import Grant
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
 from g1stream.session.info import MotionInfo
@@ -20,9 +20,10 @@ from g1stream.session.summary import (
     Termination,
     TrackingSummary,
 )
+from g1stream.text import WIDTH
 from g1stream.types import Phase
 
-SNAPSHOT = Path(__file__).with_name("render.txt")
+SNAPSHOT = Path(__file__).with_name("summary.txt")
 
 STREAM = StreamSummary(
     reason="",
@@ -171,6 +172,23 @@ def test_it_fits_a_terminal(summary):
     lines = render(summary).splitlines()
     assert max(map(len, lines)) <= WIDTH
     assert not any(line != line.rstrip() for line in lines)
+
+
+def test_the_greatest_error_of_a_limb_is_that_of_any_of_its_joints():
+    joints = {name: one.model_copy() for name, one in JOINTS.items()}
+    joints["left_elbow_joint"].max_abs_rad, joints["left_elbow_joint"].max_abs_at_s = 0.1, 7.25
+    lines = render(Summary(tracking=TRACKING.model_copy(update={"joints": joints}))).splitlines()
+    for row in ("left arm", "all joints"):
+        (line,) = [line for line in lines if line.startswith(row)]
+        assert {"5.73", "7.25"} <= {*line.split()}
+        assert "left_elbow" not in line
+
+
+def test_a_motion_that_was_not_played_has_no_tracking_error_to_miss():
+    assert "not played" in verdict(Summary(motion=MOTION))
+    recorded = Summary(recorder=RecorderSummary(), topics={"/scene": MessageStats(count=4)})
+    assert "not recorded" in verdict(recorded)
+    assert "other topics" not in render(recorded)
 
 
 def test_a_long_path_is_not_broken():

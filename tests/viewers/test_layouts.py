@@ -13,21 +13,23 @@ from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoderFactory
 from mcap_ros2.decoder import DecoderFactory as Ros2DecoderFactory
 
 import g1stream
-from g1stream.analysis.layouts import (
+from g1stream.config import Config
+from g1stream.robot.joints import JOINT_NAMES, TORQUE_LIMIT
+from g1stream.robot.model import G1
+from g1stream.viewers.layouts import (
     DEFAULT_JOINTS,
     foxglove_layout,
     plotjuggler_layout,
     worst_joints,
 )
-from g1stream.robot.joints import JOINT_NAMES, TORQUE_LIMIT
-from g1stream.robot.model import G1
 
 PATH = re.compile(r'(/[\w/]+)\.(?:joints\[:\]\{name=="(\w+)"\}\.)?(\w+)')
 
 
 @pytest.fixture(scope="module")
 def session():
-    return g1stream.rollout("demo", support="hanging", seconds=0.5)
+    config = Config.model_validate({"stream": {"ramp": 0.5, "hold": 0.1, "damp": 0.5}})
+    return g1stream.rollout("demo", support="hanging", seconds=0.5, config=config)
 
 
 @pytest.fixture(scope="module")

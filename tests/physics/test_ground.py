@@ -4,22 +4,21 @@ from __future__ import annotations
 
 from unittest.mock import Mock
 
-import mujoco
 import numpy as np
 import pytest
+from scipy.optimize import nnls
 
-from g1stream.analysis.ground import (
+from g1stream.errors import RobotError
+from g1stream.physics.ground import (
     FRICTION,
     beyond_support,
     floor_forces,
     touching,
     zero_moment_point,
 )
-from g1stream.errors import RobotError
-from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
+from g1stream.robot.joints import N_JOINTS
 from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1
-from g1stream.robot.mujoco_spec import mujoco_spec
 from g1stream.robot.soles import Soles
 
 RNG = np.random.default_rng(3)
@@ -39,6 +38,13 @@ def soles(robot):
 
 def poses_of(robot, joint_pos, root_pos=(0.0, 0.0, 0.0), quat=(1.0, 0.0, 0.0, 0.0)):
     return forward_kinematics(robot, np.atleast_2d(joint_pos), np.array(root_pos), np.array(quat))
+
+
+def pushes(corners, force, moment):
+    """Forces on corners that all touch the floor, in one frame."""
+    return floor_forces(corners[None], np.ones((1, len(corners)), bool), force[None], moment[None])[
+        0
+    ]
 
 
 def test_corners_are_the_spheres_of_unitrees_model(robot, soles):
@@ -138,7 +144,7 @@ def test_forces_add_up_and_push_within_the_friction_cone():
     corners = np.concatenate([SQUARE * 0.1, SQUARE * 0.1 + (0.5, 0, 0)])
     point, force = np.array([0.2, 0.03, 0.0]), np.array([30.0, -40.0, 330.0])
     moment = np.cross(point, force)
-    forces = floor_forces(corners, force, moment)
+    forces = pushes(corners, force, moment)
     assert forces.sum(axis=0) == pytest.approx(force, rel=1e-5)
     assert np.cross(corners, forces).sum(axis=0) == pytest.approx(moment, rel=1e-4)
     assert (forces[:, 2] >= 0).all()
@@ -147,41 +153,45 @@ def test_forces_add_up_and_push_within_the_friction_cone():
 
 def test_alike_feet_carry_alike():
     corners = np.concatenate([SQUARE * 0.1 + (0, 0.2, 0), SQUARE * 0.1 - (0, 0.2, 0)])
-    forces = floor_forces(corners, np.array([0.0, 0.0, 320.0]), np.zeros(3))
+    forces = pushes(corners, np.array([0.0, 0.0, 320.0]), np.zeros(3))
     assert forces[:, 2] == pytest.approx(np.full(8, 40.0), rel=1e-5)
 
 
 def test_what_a_floor_cannot_do_it_does_not():
-    pull = floor_forces(SQUARE, np.array([0.0, 0.0, -100.0]), np.zeros(3))
+    pull = pushes(SQUARE, np.array([0.0, 0.0, -100.0]), np.zeros(3))
     assert pull == pytest.approx(np.zeros((4, 3)), abs=1e-9)
-    slips = floor_forces(SQUARE, np.array([300.0, 0.0, 100.0]), np.zeros(3)).sum(axis=0)
+    slips = pushes(SQUARE, np.array([300.0, 0.0, 100.0]), np.zeros(3)).sum(axis=0)
     assert slips[0] <= FRICTION * slips[2] + 1e-9
 
 
-def test_torques_of_the_floor_are_those_of_mujoco(robot, soles):
-    joint_pos = RNG.uniform(robot.lower, robot.upper)
-    poses = poses_of(robot, joint_pos, (0.4, -0.3, 0.7), (0.8, 0.0, 0.6, 0.0))
-    corners, forces = soles.positions(poses), 50 * RNG.normal(size=(1, 8, 3))
-    model = mujoco_spec(robot, floating=True, shapes=False).compile()
-    data = mujoco.MjData(model)
-    joints = [model.joint(name) for name in JOINT_NAMES]
-    data.qpos[:7] = 0.4, -0.3, 0.7, 0.8, 0.0, 0.6, 0.0
-    data.qpos[[joint.qposadr[0] for joint in joints]] = joint_pos
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)
-    expected, jacobian = np.zeros(N_JOINTS), np.zeros((3, model.nv))
-    for number, (corner, force) in enumerate(zip(corners[0], forces[0], strict=True)):
-        body = model.body(robot.link_names[soles.links[number // 4]]).id
-        mujoco.mj_jac(model, data, jacobian, None, corner, body)
-        expected += (jacobian.T @ force)[[joint.dofadr[0] for joint in joints]]
-    assert soles.torques(poses, corners, forces)[0] == pytest.approx(expected, abs=1e-9)
-    assert np.abs(expected[:12]).min() > 0
-    assert not expected[12:].any()
+def test_forces_of_many_frames_are_those_of_lawson_and_hanson():
+    """Of feet that slip, tip, pull, stand on one corner or on none."""
+    n, rng = 300, np.random.default_rng(4)
+    corners = np.tile(np.concatenate([SQUARE * 0.1, SQUARE * 0.1 + (0.4, 0, 0)]), (n, 1, 1))
+    corners += 0.01 * rng.normal(size=corners.shape)
+    touches = rng.random((n, 8)) < rng.random((n, 1))
+    force = rng.normal(size=(n, 3)) * (60, 60, 200) + (0, 0, 300)
+    moment = np.cross(rng.normal(size=(n, 3)) * (0.3, 0.1, 0), force)
+    forces = floor_forces(corners, touches, force, moment)
+    assert not forces[~touches].any()
+    edges = FRICTION * np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0)]) + (0, 0, 1)
+    for k in np.flatnonzero(touches.any(axis=1)):
+        on = corners[k, touches[k]]
+        centre = on.mean(axis=0)
+        push = np.tile(edges, (len(on), 1))
+        lever = np.cross(np.repeat(on - centre, 4, axis=0), push)
+        factors = np.vstack([push.T, lever.T, 1e-3 * np.eye(len(push))])
+        asked = np.zeros(len(factors))
+        asked[:6] = *force[k], *(moment[k] - np.cross(centre, force[k]))
+        expected = nnls(factors, asked)[0].reshape(-1, 4) @ edges
+        np.testing.assert_allclose(forces[k, touches[k]], expected, rtol=0, atol=1e-6)
 
 
 def test_a_solver_that_gives_up_is_replaced(monkeypatch):
     point, force = np.array([0.2, 0.3, 0.0]), np.array([30.0, -40.0, 330.0])
     task = SQUARE, force, np.cross(point, force)
-    expected = floor_forces(*task)
+    expected = pushes(*task)
+    monkeypatch.setattr("g1stream.physics.ground._ROUNDS", 1)
+    assert pushes(*task) == pytest.approx(expected, abs=1e-6)
     monkeypatch.setattr("scipy.optimize.nnls", Mock(side_effect=RuntimeError("iterations")))
-    assert floor_forces(*task) == pytest.approx(expected, abs=1e-3)
+    assert pushes(*task) == pytest.approx(expected, abs=1e-3)

@@ -10,42 +10,38 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from g1stream.analysis.ground import (
-    FRICTION,
-    beyond_support,
-    touching,
-    zero_moment_point,
-)
-from g1stream.analysis.loads import Loads, blocks, movement_loads
-from g1stream.analysis.physics_report import (
+from g1stream.errors import MotionError
+from g1stream.motion.trajectory import Trajectory
+from g1stream.physics.ground import FRICTION, beyond_support, stretches, touching, zero_moment_point
+from g1stream.physics.loads import Loads, movement_loads
+from g1stream.physics.result import (
     Cause,
     Collision,
     Excess,
     Foot,
     MotionPhysics,
-    OnFeet,
     TorquePeak,
     Verdict,
 )
-from g1stream.analysis.stance import stand
-from g1stream.errors import MotionError
-from g1stream.robot.dynamics import InverseDynamics
+from g1stream.physics.stance import stand
 from g1stream.robot.hulls import SelfCollision, read_hulls
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import G1
-from g1stream.robot.rotations import quat_rotate_inverse, tilt_of
+from g1stream.robot.rotations import rotation_matrices
 from g1stream.robot.soles import SIDES, Soles
 from g1stream.safety_settings import SafetyConfig
 from g1stream.types import Floats, Support
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
     from typing import Any
 
     from numpy.typing import NDArray
 
-    from g1stream.analysis.ground import Flags
     from g1stream.motion.motion import Motion
+    from g1stream.physics.ground import Flags
+    from g1stream.robot.hulls import Hull
+    from g1stream.robot.kinematics import LinkPoses
 
 __all__ = ["motion_physics"]
 
@@ -69,7 +65,8 @@ class _Frames(NamedTuple):
         corners: (T, 8, 3) m, world, of the soles.
         touches: (T, 8) whether a corner touches the floor.
         speeds: (T, 8) m/s, horizontal.
-        heights: by link but the feet, (T,) m from the floor to its lowest point.
+        heights: by link but the feet, (T,) m from the floor to its lowest point, infinite where it
+            is above the floor.
         depths: by pair of links, (T,) m that they are inside each other.
     """
 
@@ -86,26 +83,28 @@ def motion_physics(
     robot: G1 | None = None,
     *,
     max_tilt: float | None = None,
+    trajectory: Trajectory | None = None,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> MotionPhysics:
     """What it would take to play a motion: contacts, collisions, centre of pressure, torques.
 
-    It takes about 0.6 ms and 2 kB of memory a frame. docs/motion-physics.md has the formulas.
+    It takes 0.1 to 0.2 ms and 2 kB of memory a frame. docs/motion-physics.md has the formulas.
 
     Args:
         motion: its frames; the floor is at height 0.
         robot: the G1; the default one if None.
         max_tilt: pelvis tilt that ends a run, rad; the default of `safety.max_tilt` if None.
+        trajectory: through its frames; made if None.
         progress: called with the fraction that is done, 0 to 1.
 
     Raises:
         RobotError: the dynamics or the soles of this robot are not known.
     """
     robot = robot or G1.default()
-    dynamics, soles = InverseDynamics(robot), Soles(robot)
-    frames = _without_dynamics(motion, robot, soles)
-    loads = movement_loads(motion, robot, dynamics, soles, frames.corners, frames.touches, progress)
-    tilt = np.array([tilt_of(quat) for quat in motion.root_quat_wxyz])
+    trajectory, soles = trajectory or Trajectory(motion), Soles(robot)
+    frames, look = _without_dynamics(motion, robot, soles, progress)
+    loads = movement_loads(trajectory, robot, soles, frames.corners, frames.touches, look)
+    tilt = np.arccos(rotation_matrices(motion.root_quat_wxyz.T)[2, 2].clip(-1.0, 1.0))
     beyond = _beyond_support(frames, loads)
     max_tilt = SafetyConfig().max_tilt if max_tilt is None else max_tilt
 
@@ -140,8 +139,10 @@ def motion_physics(
         fps=motion.fps,
         robot=robot.name,
         mass_kg=loads.mass,
-        verdicts={support: _verdict(support, excesses) for support, excesses in found.items()},
-        on_feet=_on_planted_feet(motion, robot),
+        verdicts={
+            **{support: _verdict(support, excesses) for support, excesses in found.items()},
+            "feet": _on_planted_feet(trajectory, robot),
+        },
         tilt_rad=float(tilt.max()),
         hanging_tilt_rad=float(loads.hanging_tilt.max()),
         feet=tuple(_foot(frames, robot.link_names[link], i) for i, link in enumerate(soles.links)),
@@ -156,32 +157,49 @@ def motion_physics(
     )
 
 
-def _on_planted_feet(motion: Motion, robot: G1) -> OnFeet:
+def _on_planted_feet(trajectory: Trajectory, robot: G1) -> Verdict:
     try:
-        return OnFeet(playable=True, why=str(stand(motion, robot)))
+        return Verdict(support="feet", changed=str(stand(trajectory.motion, robot, trajectory)))
     except MotionError as error:
-        return OnFeet(playable=False, why=error.cause.partition(": ")[2] or error.cause)
+        return Verdict(support="feet", refused=error.cause.partition(": ")[2] or error.cause)
 
 
-def _without_dynamics(motion: Motion, robot: G1, soles: Soles) -> _Frames:
+def _without_dynamics(
+    motion: Motion, robot: G1, soles: Soles, progress: Callable[[float], None]
+) -> tuple[_Frames, Callable[[slice, LinkPoses], None]]:
+    """What is known of the feet, and what completes it with all links of some frames."""
     feet = [robot.link_names[link] for link in soles.links]
     hulls = [hull for hull in read_hulls(robot) if hull.link not in feet]
     collision = SelfCollision(robot)
     n_frames = motion.n_frames
-    corners = np.zeros((n_frames, 8, 3))
+    corners = soles.path(motion.joint_pos, motion.root_pos, motion.root_quat_wxyz)
     heights = {hull.link: np.full(n_frames, np.inf) for hull in hulls}
     depths: dict[tuple[str, str], Floats] = {}
-    for part, poses in blocks(motion, robot):
-        corners[part] = soles.positions(poses)
-        for hull in hulls:
-            link = robot.link_index(hull.link)
-            up = quat_rotate_inverse(poses.quat_wxyz[:, link], np.array([0.0, 0.0, 1.0]))
-            lowest = poses.pos[:, link, 2] + (up @ hull.vertices.T).min(axis=1)
-            heights[hull.link][part] = np.minimum(heights[hull.link][part], lowest)
-        for k in range(n_frames)[part]:
-            for contact in collision.contacts(motion.joint_pos[k]):
-                depths.setdefault(contact[:2], np.zeros(n_frames))[k] = contact.depth
-    return _Frames(motion.fps, corners, *touching(corners, motion.fps), heights, depths)
+
+    def look(part: slice, poses: LinkPoses) -> None:
+        for link, height in _lowest(robot, hulls, poses):
+            heights[link][part] = np.minimum(heights[link][part], height)
+        for pair, depth in collision.depths(motion.joint_pos[part]).items():
+            depths.setdefault(pair, np.zeros(n_frames))[part] = depth
+        progress(part.stop / n_frames)
+
+    return _Frames(motion.fps, corners, *touching(corners, motion.fps), heights, depths), look
+
+
+def _lowest(robot: G1, hulls: Sequence[Hull], poses: LinkPoses) -> Iterator[tuple[str, Floats]]:
+    """The height (T,) of each hull's lowest point, m, infinite where it is above the floor."""
+    links = [robot.link_index(hull.link) for hull in hulls]
+    w, x, y, z = poses.quat_wxyz.T[:, links]
+    # The world's vertical in the links' frames: the last row of their matrices.
+    up = np.stack([2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)])
+    for number, hull in enumerate(hulls):
+        height, own = poses.pos.T[2, links[number]], up[:, number]
+        centre, radius = hull.sphere
+        near = height + centre @ own < radius
+        if near.any():
+            lowest = np.full(len(height), np.inf)
+            lowest[near] = height[near] + (hull.vertices @ own[:, near]).min(axis=0)
+            yield hull.link, lowest
 
 
 def _beyond_support(frames: _Frames, loads: Loads) -> Floats:
@@ -265,7 +283,7 @@ def _excess(
     over = lasting if forbids else over
     frame, column = divmod(int(np.where(over, values / limits, 0.0).argmax()), values.shape[1])
     anywhere = np.asarray(over.any(axis=1))
-    lengths = [stop - first for k in over.T for first, stop in _stretches(k)]
+    longest_frames = max(np.diff(edges).max() for _, edges in _stretches_by_column(over))
     return Excess(
         cause=cause,
         where=names[column],
@@ -275,7 +293,7 @@ def _excess(
         frame=frame,
         time_s=frame / fps,
         spans=_spans(anywhere),
-        longest_s=max(lengths) / fps,
+        longest_s=int(longest_frames) / fps,
         forbids=forbids,
     )
 
@@ -283,20 +301,21 @@ def _excess(
 def _lasting(flags: Flags, n_frames: float) -> Flags:
     """The stretches of True in each column of (T, K) that are longer than so many frames."""
     lasting = np.zeros_like(flags)
-    for k in np.flatnonzero(flags.any(axis=0)):
-        for first, stop in _stretches(flags[:, k]):
-            lasting[first:stop, k] = stop - first > n_frames
+    for k, edges in _stretches_by_column(flags):
+        for first, stop in edges[np.diff(edges)[:, 0] > n_frames]:
+            lasting[first:stop, k] = True
     return lasting
 
 
-def _stretches(flags: Flags) -> NDArray[np.intp]:
-    """First index and one after the last index (S, 2) of each stretch of True in (T,)."""
-    return np.flatnonzero(np.diff(flags, prepend=False, append=False)).reshape(-1, 2)
+def _stretches_by_column(flags: Flags) -> Iterator[tuple[int, NDArray[np.intp]]]:
+    """The columns of (T, K) that have some, and their stretches of True."""
+    for k in np.flatnonzero(flags.any(axis=0)):
+        yield int(k), stretches(flags[:, k])
 
 
 def _spans(flags: Flags) -> tuple[tuple[int, int], ...]:
     """First and last index of each stretch of True in (T,)."""
-    return tuple((int(first), int(stop) - 1) for first, stop in _stretches(flags))
+    return tuple((int(first), int(stop) - 1) for first, stop in stretches(flags))
 
 
 def _verdict(support: Support, found: Sequence[Excess | None]) -> Verdict:

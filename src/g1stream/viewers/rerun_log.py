@@ -4,7 +4,7 @@ Whole columns are sent at once, so that a minute of a session takes seconds. Ent
 
     /measured/LINK, /ghost/LINK, /reference/LINK     poses and shapes
     /joints/JOINT/position/{reference,measured}      rad; /joints/JOINT/error: their difference
-    /joints/JOINT/torque/{feed-forward,estimated,limits}     Nm
+    /joints/JOINT/torque/{feed-forward,estimated,limits}     N·m
     /error/LIMB                                      RMS over its joints, rad
     /timing/{commands,states}/{interval,latency}     the longest in each 0.05 s, ms
     /phase, /log/PROGRAM
@@ -20,16 +20,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from g1stream.analysis.layouts import (
-    LIMB_COLORS,
-    MEASURED,
-    RED,
-    REFERENCE,
-    short_name,
-    worst_joints,
-)
-from g1stream.analysis.offscreen import with_shapes
-from g1stream.analysis.rerun_layout import APPLICATION, import_rerun, rerun_layout
 from g1stream.dds.messages import played_joints
 from g1stream.files import complete_file
 from g1stream.foxglove.encoders import IDENTITY_POSE
@@ -43,7 +33,11 @@ from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.visuals import read_visuals
 from g1stream.session.streams import Base, LogEvent, Measured, Reference
 from g1stream.settings import RecordConfig
+from g1stream.text import short_name
 from g1stream.types import Floats, Ints, Phase
+from g1stream.viewers.layouts import LIMB_COLORS, MEASURED, RED, REFERENCE, worst_joints
+from g1stream.viewers.offscreen import with_shapes
+from g1stream.viewers.rerun_layout import APPLICATION, import_rerun, rerun_layout
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -53,7 +47,7 @@ if TYPE_CHECKING:
     from g1stream.robot.model import G1
     from g1stream.robot.visuals import Visual
     from g1stream.session.session import Session
-    from g1stream.session.streams import Stream
+    from g1stream.session.stream import Stream
 
 __all__ = ["RerunLog", "log_session", "save_session"]
 

@@ -2,10 +2,11 @@
 
 import os
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
-from g1stream.analysis.physics_report import (
+from g1stream.physics.result import (
     Collision,
     Excess,
     Foot,
@@ -13,7 +14,8 @@ from g1stream.analysis.physics_report import (
     TorquePeak,
     Verdict,
 )
-from g1stream.analysis.render import WIDTH
+from g1stream.text import WIDTH
+from g1stream.types import Support
 
 SNAPSHOT = Path(__file__).with_name("physics.txt")
 
@@ -83,6 +85,7 @@ PHYSICS = MotionPhysics(
         "hanging": Verdict(support="hanging", excesses=(BRIEF,)),
         "follow": Verdict(support="follow", excesses=(BRIEF,)),
         "free": Verdict(support="free", excesses=(LASTING, BRIEF)),
+        "feet": Verdict(support="feet", refused="the left foot slides in frames 0 to 3."),
     },
     tilt_rad=0.4,
     hanging_tilt_rad=0.2,
@@ -97,7 +100,8 @@ PHYSICS = MotionPhysics(
 YES = PHYSICS.model_copy(
     update={
         "verdicts": {
-            support: Verdict(support=support) for support in ("bolted", "hanging", "follow", "free")
+            **{support: Verdict(support=support) for support in get_args(Support)},
+            "feet": Verdict(support="feet", changed="as it is"),
         },
         "collisions": (),
         "inside_share": None,
@@ -130,6 +134,8 @@ def test_json_has_the_answers():
         "hanging": "inexact",
         "follow": "inexact",
         "free": "no",
+        "feet": "no",
     }
+    assert YES.verdicts["feet"].playable == "yes"
     assert values["verdicts"]["free"]["excesses"][0]["spans"][2] == [20, 20]
     assert MotionPhysics.model_validate(values) == PHYSICS

@@ -6,14 +6,13 @@ frames are inclusive.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, get_args
 
 from pydantic import computed_field
 
-from g1stream.analysis.render import labelled, table
 from g1stream.session.records import Record
-from g1stream.text import counted
-from g1stream.types import Support
+from g1stream.text import counted, labelled, ranges, table
+from g1stream.types import StreamSupport, Support
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -23,7 +22,6 @@ __all__ = [
     "Excess",
     "Foot",
     "MotionPhysics",
-    "OnFeet",
     "Playable",
     "TorquePeak",
     "Verdict",
@@ -84,13 +82,10 @@ class Excess(Record, frozen=True):
     def __str__(self) -> str:
         what = f"{self.cause} of {self.where}" if self.where else self.cause
         n_frames = sum(last - first + 1 for first, last in self.spans)
-        shown = [f"{a} to {b}" if a < b else f"{a}" for a, b in self.spans[:_SPANS]]
-        more = len(self.spans) - len(shown)
         worst = f"{_rounded(self.worst)} {self.unit}".rstrip()
         return (
             f"{what}: {worst} at {self.time_s:.2f} s, limit {_rounded(self.limit)}; "
-            f"{counted(n_frames, 'frame')}, {', '.join(shown)}"
-            + (f" and {counted(more, 'more span')}" if more else "")
+            f"{counted(n_frames, 'frame')}, {ranges(self.spans, _SPANS)}"
         )
 
 
@@ -98,44 +93,36 @@ class Verdict(Record, frozen=True):
     """Whether a motion can be played with a support.
 
     Attributes:
-        support: how the pelvis is held.
-        excesses: what speaks against it, what forbids it first.
+        support: how the pelvis is held; `feet`: not at all, by `stream --support feet`, which
+            changes the motion.
+        excesses: what speaks against it, what forbids it first; none for `feet`.
+        changed: for `feet`: what is changed, or "as it is".
+        refused: for `feet`: why it cannot be played, and the frames.
     """
 
-    support: Support
+    support: StreamSupport
     excesses: tuple[Excess, ...] = ()
+    changed: str = ""
+    refused: str = ""
 
     @computed_field  # type: ignore[prop-decorator]
     @property
     def playable(self) -> Playable:
         """`yes`; `no` where something forbids it; `inexact` where something else is against it."""
-        if any(excess.forbids for excess in self.excesses):
+        if self.refused or any(excess.forbids for excess in self.excesses):
             return "no"
         return "inexact" if self.excesses else "yes"
 
     def __str__(self) -> str:
+        if self.refused:
+            return f"cannot be played: {self.refused}"
         against = [e.cause for e in self.excesses if e.forbids]
         harmless = [e.cause for e in self.excesses if not e.forbids]
-        answers = [f"cannot be played: {', '.join(against)}"] if against else []
+        answers = [f"cannot be played as it is: {', '.join(against)}"] if against else []
         answers += [f"not exactly: {', '.join(harmless)}"] if harmless else []
         # Nothing in the loop looks at where the mass centre is.
-        can = "can be played" + " by a controller that balances" * (self.support == "free")
-        return "; ".join(answers) or can
-
-
-class OnFeet(Record, frozen=True):
-    """Whether `stream --support feet` can play a motion.
-
-    Attributes:
-        playable: as it is changed.
-        why: what is changed for it; or what forbids it, and the frames.
-    """
-
-    playable: bool
-    why: str
-
-    def __str__(self) -> str:
-        return f"{'can be played, changed' if self.playable else 'cannot be played:'} {self.why}"
+        how = "by a controller that balances" if self.support == "free" else self.changed
+        return "; ".join(answers) or f"can be played {how}".rstrip()
 
 
 class Foot(Record, frozen=True):
@@ -218,8 +205,7 @@ class MotionPhysics(Record, frozen=True):
         frames, fps: of the motion.
         robot: name of the model.
         mass_kg: of the robot.
-        verdicts: by support.
-        on_feet: whether it can be played on its feet; None: not examined.
+        verdicts: by support, `feet` among them.
         tilt_rad: of the pelvis in the motion, at most.
         hanging_tilt_rad: of the pelvis of a robot that hangs at rest in a pose of the motion.
         feet: left and right.
@@ -238,8 +224,7 @@ class MotionPhysics(Record, frozen=True):
     fps: float
     robot: str
     mass_kg: float
-    verdicts: dict[Support, Verdict]
-    on_feet: OnFeet | None = None
+    verdicts: dict[StreamSupport, Verdict]
     tilt_rad: float
     hanging_tilt_rad: float
     feet: tuple[Foot, ...]
@@ -255,7 +240,6 @@ class MotionPhysics(Record, frozen=True):
             [
                 _line("physics", f"of {self.robot}, {self.mass_kg:.1f} kg"),
                 *(_line(f"  {support}", str(one)) for support, one in self.verdicts.items()),
-                *([_line("  feet", str(self.on_feet))] if self.on_feet else []),
             ],
             [_line(of, str(excess)) for of, excess in reasons(self.verdicts)],
             self._feet(),
@@ -272,8 +256,9 @@ class MotionPhysics(Record, frozen=True):
         side = "inside" if self.margin_mm >= 0 else "outside"
         return (
             f"inside the support polygon in {self.inside_share:.0%} of the frames with weight on a "
-            f"foot ({self.supported_share:.0%} have a foot on the floor); in the worst single "
-            f"frame {abs(self.margin_mm):.0f} mm {side}, at {self.margin_frame / self.fps:.2f} s"
+            f"foot ({self.supported_share:.0%} have a foot on the floor); at worst, if only "
+            f"for a frame, {abs(self.margin_mm):.0f} mm {side}, at "
+            f"{self.margin_frame / self.fps:.2f} s"
         )
 
     @property
@@ -335,14 +320,17 @@ class MotionPhysics(Record, frozen=True):
         return [*table(rows, left=(0, 1, 5)), *([f"and {more} more pairs"] if more > 0 else [])]
 
 
-def reasons(verdicts: Mapping[Support, Verdict]) -> list[tuple[str, Excess]]:
-    """Each excess once, what forbids a motion first, with the supports that it is about, named."""
+def reasons(verdicts: Mapping[StreamSupport, Verdict]) -> list[tuple[str, Excess]]:
+    """Each excess once, what forbids a motion first, with the supports that it is about, named.
+
+    `any support`: all but `feet`, for which the motion is changed.
+    """
     supports: dict[Excess, list[str]] = {}
     for support, verdict in verdicts.items():
         for excess in verdict.excesses:
             supports.setdefault(excess, []).append(support)
     return [
-        ("any support" if len(of) == len(verdicts) else ", ".join(of), excess)
+        ("any support" if len(of) == len(get_args(Support)) else ", ".join(of), excess)
         for excess, of in sorted(supports.items(), key=lambda one: not one[0].forbids)
     ]
 

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from g1stream.analysis.offscreen import Offscreen, PosedRobot, with_shapes
 from g1stream.dds.messages import played_joints
 from g1stream.errors import ConfigError, RecordingError
 from g1stream.extras import import_extra
@@ -17,6 +16,7 @@ from g1stream.files import check_suffix, complete_file
 from g1stream.foxglove.measured_base import MeasuredBase
 from g1stream.session.streams import Base, Measured, Reference
 from g1stream.types import Floats, Ints, Phase
+from g1stream.viewers.offscreen import Offscreen, PosedRobot, with_shapes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from g1stream.session.session import Session
-    from g1stream.session.streams import Stream
+    from g1stream.session.stream import Stream
 
     Picture = NDArray[np.uint8]
 

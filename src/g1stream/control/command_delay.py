@@ -1,0 +1,110 @@
+"""How late the motors follow their commands: a simulator that is short of CPU queues them; pure."""
+
+from __future__ import annotations
+
+import logging
+from math import exp
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from g1stream.dds.messages import LowCmd
+from g1stream.robot.joints import N_JOINTS, TORQUE_LIMIT
+
+if TYPE_CHECKING:
+    from g1stream.control.state_checks import Measured
+
+__all__ = ["DELAY_REMEDY", "CommandDelay"]
+
+_LOGGER = logging.getLogger(__name__)
+
+DELAY_REMEDY: Final = (
+    "lower --rate (unitree_mujoco's Python simulator keeps up with 200), or give the simulator "
+    "more CPU"
+)
+"""Against commands that wait in a queue."""
+
+#: So many commands are kept, so many s apart, and one reading in so many s is compared.
+_KEPT: Final = 100
+_STEP: Final = 0.02
+_EVERY: Final = 0.05
+#: Time constant of forgetting, s.
+_MEMORY: Final = 1.0
+#: Commands that are newer than this are not late, s.
+_PROMPT: Final = 0.1
+#: Older ones are late if they leave less than this of the squared error that the newer ones leave,
+#: both with so much more for each reading, (N·m)².
+_LEFT: Final = 0.25
+_NOISE: Final = N_JOINTS * 0.05**2
+
+
+class CommandDelay:
+    """Compares the measured torques with those that the commands of the last two seconds asked for.
+
+    A motor's torque is tau + kp (q - measured q) + kd (dq - measured dq) within its limits, with
+    the tau, q and dq of the command that it follows. The delay is that of the commands with the
+    least squared error.
+
+    Args:
+        balanced: the motors keep the robot on its feet, which they cannot with a delay.
+
+    Attributes:
+        longest: delay that there was, s; 0 if none was above 0.1 s, None before the commands of two
+            seconds are known.
+    """
+
+    def __init__(self, *, balanced: bool = False) -> None:
+        self.longest: float | None = None
+        self._balanced = balanced
+        self._seconds = 0.0
+        self._command = LowCmd()
+        self._kept, self._times = np.zeros((_KEPT, 5, N_JOINTS)), np.zeros(_KEPT)
+        self._n = 0
+        self._errors = np.zeros(_KEPT)
+        self._noise = 0.0
+        self._sent = self._compared = -np.inf
+
+    def sent(self, time: float, command: bytes) -> None:
+        """A LowCmd was published at a time, s."""
+        if time - self._sent < _STEP - 1e-6:
+            return
+        self._sent = time
+        self._command.load(command)
+        one = self._command
+        self._kept[self._n % _KEPT] = one.tau, one.q, one.dq, one.kp, one.kd
+        self._times[self._n % _KEPT] = time
+        self._n += 1
+
+    def add(self, time: float, measured: Measured) -> None:
+        """A LowState was received at a time, s; the first one warns that shows a delay."""
+        if time - self._compared < _EVERY - 1e-6 or self._n < _KEPT:
+            return
+        self._compared = time
+        newest_first = (self._n - 1 - np.arange(_KEPT)) % _KEPT
+        ages = time - self._times[newest_first]
+        prompt = ages < _PROMPT
+        if not prompt.any():  # the loop stalled
+            return
+        tau, q, dq, kp, kd = self._kept[newest_first].transpose(1, 0, 2)
+        asked = tau + kp * (q - measured.q) + kd * (dq - measured.dq)
+        error = np.clip(asked, -TORQUE_LIMIT, TORQUE_LIMIT) - measured.tau
+        kept = exp(-_EVERY / _MEMORY)
+        self._errors = kept * self._errors + (error**2).sum(axis=1)
+        self._noise = kept * self._noise + _NOISE
+        least = int(self._errors.argmin())
+        least_prompt = self._errors[prompt].min()
+        late = self._errors[least] + self._noise < _LEFT * (least_prompt + self._noise)
+        self._seconds = float(ages[least]) if late else 0.0
+        if late and not self.longest:
+            _LOGGER.warning(
+                "the motors follow commands that are %.2f s old, which wait in a queue: %s",
+                self._seconds,
+                DELAY_REMEDY,
+            )
+        self.longest = max(self.longest or 0.0, self._seconds)
+
+    def verdict(self) -> str:
+        """Why the robot has to be damped, or ""."""
+        if not (self._balanced and self._seconds):
+            return ""
+        return f"no balance on motors that follow commands which are {self._seconds:.2f} s old"

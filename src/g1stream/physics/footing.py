@@ -1,0 +1,211 @@
+"""Where the feet of a motion stand, and where they are between.
+
+Each foot keeps its place, position and heading, until it is lifted. Where it is put then, beside
+the other foot, is the average while both stand, until the next lift of either.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from g1stream.errors import MotionError
+from g1stream.motion.blend import minimum_jerk
+from g1stream.physics.ground import stretches
+from g1stream.robot.kinematics import pose_blocks
+from g1stream.robot.rotations import quat_conj, quat_from_rpy, quat_mul, yaw_of
+from g1stream.robot.soles import SIDES
+from g1stream.text import ranges
+from g1stream.types import Floats
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from g1stream.motion.motion import Motion
+    from g1stream.robot.model import G1
+    from g1stream.robot.soles import Soles
+
+    Flags = NDArray[np.bool_]
+
+__all__ = ["Footing", "find_footing", "refused"]
+
+#: A foot that is so much higher than the other is lifted, from when it was higher by the second
+#: figure until it is not, m.
+_LIFTED: Final = 0.03, 0.01
+#: A lifted foot comes off its place, and gets to the next, within this, s.
+_LEAVES: Final = 0.1
+#: A foot that stands, and is so far from its place, m, or turned from it, rad, slides.
+_SLIDES: Final = 0.1, 0.25
+#: Stretches of frames that an error names.
+_NAMED: Final = 3
+
+
+class Footing(NamedTuple):
+    """Where the feet of a motion of T frames are put.
+
+    Attributes:
+        feet: (T, 2, 3) m, world, the links of the feet.
+        turns: (T, 2, 4) wxyz, foot to world; the feet are level.
+        shift: (T, 3) m, by how much the feet that stand were moved on average.
+        moved: m, how far a foot that stands was moved, seen from between both feet, at most.
+        turned: rad, by how much a foot was turned at most.
+    """
+
+    feet: Floats
+    turns: Floats
+    shift: Floats
+    moved: float
+    turned: float
+
+
+class _Lift(NamedTuple):
+    """Frames from `first` until before `stop` in which a foot, 0 or 1, is lifted."""
+
+    first: int
+    stop: int
+    foot: int
+
+
+def find_footing(motion: Motion, robot: G1, soles: Soles) -> Footing:
+    """Find where the feet of a motion stand; a lifted one follows the motion relative to the other.
+
+    Raises:
+        MotionError: a foot slides, or is lifted in the first or the last frame, or with the other.
+    """
+    of_feet = [
+        (poses.pos[:, soles.links], poses.quat_wxyz[:, soles.links], soles.positions(poses))
+        for _, poses in pose_blocks(
+            robot, motion.joint_pos, motion.root_pos, motion.root_quat_wxyz, soles.links
+        )
+    ]
+    feet, turns, corners = (np.concatenate(parts) for parts in zip(*of_feet, strict=True))
+    lifted = _find_lifted(corners)
+    both: Flags = np.asarray(~lifted.any(axis=1))
+    lifts = _in_order(motion, lifted)
+    headings = yaw_of(turns)
+    middle = feet.mean(axis=1, keepdims=True)
+    apart = feet - middle
+    # From the middle of a lift, in which the foot follows the motion, to that of the next one.
+    begins = [0, *((lift.first + lift.stop) // 2 for lift in lifts), len(feet)]
+    places, planted, moved = np.empty_like(feet), np.empty_like(headings), 0.0
+    place, heading = np.empty((2, 3)), np.empty(2)
+    for lift, (begin, end) in zip([None, *lifts], pairwise(begins), strict=True):
+        now = slice(begin, end)
+        stands = both[now]
+        between, turn = apart[now][stands], _mean_angle(headings[now][stands])
+        mean = between.mean(axis=0)
+        if lift is None:
+            place, heading = middle[0] + mean, turn
+        else:
+            foot, other = lift.foot, 1 - lift.foot
+            place[foot] = place[other] + mean[foot] - mean[other]
+            heading[foot] += _wrapped(turn[foot] - heading[foot])
+        place[:, 2] = soles.height
+        places[now], planted[now] = place, heading
+        moved = max(moved, float(np.linalg.norm(between - mean, axis=-1).max()))
+        _refuse_sliding(motion, feet, headings, lifted, now)
+    for first, stop, foot in lifts:
+        before, after = planted[[first - 1, stop], foot]
+        way = minimum_jerk(np.arange(1, stop - first + 1) / (stop - first + 1))[0]
+        planted[first:stop, foot] = before + way * (after - before)
+    level = quat_from_rpy(np.stack([0.0 * planted, 0.0 * planted, planted], axis=-1))
+    away = np.stack([_leaving(one, motion.fps) for one in lifted.T], axis=1)[..., np.newaxis]
+    stood = 1.0 - away
+    off = (feet - feet[:, ::-1]) - (places - places[:, ::-1])
+    return Footing(
+        places + away * off,
+        level,
+        (stood * (places - feet)).sum(axis=1) / stood.sum(axis=1),
+        moved,
+        float(2.0 * np.arccos(np.abs(quat_mul(quat_conj(level), turns)[..., 0]).clip(0, 1)).max()),
+    )
+
+
+def refused(motion: Motion, why: str, where: Flags) -> MotionError:
+    """That a motion cannot be played on its feet: why, and in which frames (T,)."""
+    spans = [(first, stop - 1) for first, stop in stretches(where)]
+    frames = "frames" if where.sum() > 1 else "frame"
+    return MotionError(
+        f"{motion.name} cannot be played on its feet: {why} in {frames} {ranges(spans, _NAMED)}.",
+        "Play a part in which the feet can stand (--start, --duration); or waist and arms only, on "
+        "legs that stand (--joints waist,arms); or hold the robot and give --support hanging.",
+    )
+
+
+def _find_lifted(corners: Floats) -> Flags:
+    """Which foot is lifted (T, 2); never both.
+
+    The floor is where the lower foot is, because retargeted feet float and sink.
+    """
+    lowest = corners[..., 2].reshape(-1, 2, 4).min(axis=2)
+    above = lowest - lowest.min(axis=1, keepdims=True)
+    lifted = np.zeros(above.shape, np.bool_)
+    for foot in range(len(SIDES)):
+        for first, stop in stretches(above[:, foot] > _LIFTED[1]):
+            lifted[first:stop, foot] = above[first:stop, foot].max() > _LIFTED[0]
+    return lifted
+
+
+def _in_order(motion: Motion, lifted: Flags) -> list[_Lift]:
+    """The lifts of both feet; on both stands the robot before and after each of them.
+
+    Raises:
+        MotionError: it does not.
+    """
+    ends = np.zeros(len(lifted), np.bool_)
+    ends[[0, -1]] = lifted[[0, -1]].any(axis=1)
+    if ends.any():
+        raise refused(motion, "a foot is lifted at the beginning or the end,", ends)
+    lifts = sorted(
+        _Lift(first, stop, foot)
+        for foot, one in enumerate(lifted.T)
+        for first, stop in stretches(one).tolist()
+    )
+    hurried = np.zeros(len(lifted), np.bool_)
+    for one, other in pairwise(lifts):
+        if one.foot != other.foot and other.first - one.stop < _LEAVES * motion.fps:
+            hurried[one.stop - 1 : other.first + 1] = True
+    if hurried.any():
+        raise refused(motion, f"both feet are lifted within {_LEAVES} s", hurried)
+    return lifts
+
+
+def _refuse_sliding(
+    motion: Motion, feet: Floats, headings: Floats, lifted: Flags, now: slice
+) -> None:
+    """Raise MotionError where a foot that stands is far from where it mostly stands `now`."""
+    both = ~lifted[now].any(axis=1)
+    mostly = np.median(feet[now][both], axis=0)
+    away = np.linalg.norm((feet[now] - mostly)[..., :2], axis=-1)
+    turned = np.abs(_wrapped(headings[now] - _mean_angle(headings[now][both])))
+    far = (away > _SLIDES[0]) | (turned > _SLIDES[1])
+    for foot, side in enumerate(SIDES):
+        slides = np.zeros(len(feet), np.bool_)
+        slides[now] = far[:, foot] & ~lifted[now, foot]
+        if slides.any():
+            raise refused(motion, f"the {side} foot slides", slides)
+
+
+def _leaving(lifted: Flags, fps: float) -> Floats:
+    """How far a foot follows the motion instead of standing (T,): 1 while it is lifted, or 0."""
+    from scipy.ndimage import distance_transform_edt
+
+    if not lifted.any():
+        return np.zeros(len(lifted))
+    frames: Floats = distance_transform_edt(~lifted)  # to the nearest one in which it is
+    away: Floats = 1.0 - minimum_jerk(frames / (fps * _LEAVES))[0]
+    return away
+
+
+def _mean_angle(angles: Floats) -> Floats:
+    """The mean (2,) of angles (T, 2), rad."""
+    mean: Floats = np.arctan2(np.sin(angles).mean(axis=0), np.cos(angles).mean(axis=0))
+    return mean
+
+
+def _wrapped(angle: Floats) -> Floats:
+    """The angle between -pi and pi."""
+    wrapped: Floats = np.arctan2(np.sin(angle), np.cos(angle))
+    return wrapped

@@ -1,0 +1,137 @@
+"""The joints of the legs for given feet: inverse kinematics of many frames at once."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from g1stream.physics.footing import refused
+from g1stream.robot.batch_dynamics import cross
+from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
+from g1stream.robot.kinematics import BLOCK, forward_kinematics
+from g1stream.robot.rotations import quat_conj, quat_mul, quat_rotate, rotation_matrices
+from g1stream.robot.soles import OFF_FLOOR, SIDES, Soles
+from g1stream.types import Floats
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from g1stream.motion.motion import Motion
+    from g1stream.robot.model import G1
+
+__all__ = ["EXACT", "LOWERED_BY", "LOWEST", "Legs"]
+
+EXACT: Final = 1e-6
+"""Feet this near to where they shall be, m and rad, are there."""
+
+LOWERED_BY: Final = 0.005
+"""The pelvis is lowered by steps of this, m."""
+
+LOWEST: Final = 0.15
+"""By no more than this it is lowered, m."""
+
+#: A knee is bent by this at least, rad: a stretched one cannot lift the pelvis.
+_KNEE: Final = 0.12
+_BENT: Final = 0.4  # where the search begins
+#: Iterations until the feet are where they shall be.
+_ITERATIONS: Final = 40
+#: An iteration turns no joint by more, rad; added to the squares of a leg's singular values.
+_LARGEST_TURN: Final = 0.3
+_DAMPING: Final = 1e-6
+
+
+class Legs:
+    """The joints of the legs for given feet.
+
+    Args:
+        robot: the G1.
+        soles: of its feet.
+        feet: (T, 2, 3) m, world, the links of the feet.
+        turns: (T, 2, 4) wxyz, foot to world.
+
+    Attributes:
+        corners: (T, 8, 3) m, world, of the soles.
+        touches: (T, 8) whether a corner is one of a foot that stands on the floor at height 0.
+    """
+
+    def __init__(self, robot: G1, soles: Soles, feet: Floats, turns: Floats) -> None:
+        self._robot, self._soles = robot, soles
+        self._feet, self._turns = feet, turns
+        self._joints = [list(JOINT_GROUPS[f"{side}_leg"]) for side in SIDES]
+        self._links = [
+            [int(np.flatnonzero(robot.joint_of_link == joint)[0]) for joint in joints]
+            for joints in self._joints
+        ]
+        self._knees = [JOINT_NAMES.index(f"{side}_knee_joint") for side in SIDES]
+        corners = quat_rotate(turns[:, :, np.newaxis], soles.corners) + feet[:, :, np.newaxis]
+        self.corners: Floats = corners.reshape(-1, 8, 3)
+        self.touches = np.repeat(feet[..., 2] < soles.height + OFF_FLOOR, 4, axis=1)
+
+    def lowered(self, motion: Motion, root: Floats) -> tuple[float, Floats]:
+        """By how much the pelvis has to be lowered, m, and the joints (T, 29) then.
+
+        Raises:
+            MotionError: the legs do not reach the floor.
+        """
+        # From a stretched knee the search could bend it the wrong way.
+        lowered, joint_pos = 0.0, motion.joint_pos.copy()
+        for hip, _, _, knee, ankle, _ in self._joints:
+            bend = np.maximum(0.0, _BENT - joint_pos[:, knee])
+            joint_pos[:, knee] += bend
+            joint_pos[:, [hip, ankle]] -= 0.5 * bend[:, np.newaxis]
+        while True:
+            pos = root - [0.0, 0.0, lowered]
+            joint_pos, error = self.reach(joint_pos, pos, motion.root_quat_wxyz)
+            short = (joint_pos[:, self._knees].min(axis=1) < _KNEE) | (error > EXACT)
+            if not short.any():
+                return lowered, joint_pos
+            if lowered >= LOWEST:
+                raise refused(motion, "the legs do not reach the floor", short)
+            lowered += LOWERED_BY
+
+    def reach(
+        self,
+        joint_pos: Floats,
+        root_pos: Floats,
+        root_quat: Floats,
+        moved: NDArray[np.bool_] | None = None,
+    ) -> tuple[Floats, Floats]:
+        """Joints (T, 29) with the feet in place, and the errors that remain (T,), m or rad.
+
+        Newton's method with damped steps, many frames at once, in each until its feet are there.
+        Frames in which the root is not `moved` (T,) have them there already.
+        """
+        q, error = joint_pos.copy(), np.zeros(len(joint_pos))
+        left = np.arange(len(q)) if moved is None else np.flatnonzero(moved)
+        for _ in range(_ITERATIONS):
+            for first in range(0, len(left), BLOCK):
+                some = left[first : first + BLOCK]
+                error[some] = self._step(q, root_pos, root_quat, some)
+            left = left[error[left] >= EXACT]
+        return q, error
+
+    def _step(
+        self, q: Floats, root_pos: Floats, root_quat: Floats, frames: NDArray[np.intp]
+    ) -> Floats:
+        """Move the joints in N frames towards what is asked; returns how far they were off."""
+        feet, links = self._soles.links, np.array(self._links)
+        pose = q[frames], root_pos[frames], root_quat[frames]
+        poses = forward_kinematics(self._robot, *pose, feet)
+        turn = quat_mul(self._turns[frames], quat_conj(poses.quat_wxyz[:, feet]))
+        away = self._feet[frames] - poses.pos[:, feet]
+        off = np.concatenate([away, 2.0 * turn[..., 1:] * np.sign(turn[..., :1])], axis=2)
+        # Components are first, and (feet, joints, N) last.
+        matrices, pos = rotation_matrices(poses.quat_wxyz.T[:, links]), poses.pos.T
+        axes = (matrices * self._robot.axis[links].transpose(2, 0, 1)[..., np.newaxis]).sum(axis=1)
+        lever = pos[:, feet, np.newaxis] - pos[:, links]
+        rows = np.concatenate([cross(axes, lever), axes])
+        jacobian = np.ascontiguousarray(rows.transpose(3, 1, 0, 2))  # (N, feet, 6, joints)
+        transposed = jacobian.swapaxes(2, 3)
+        square = jacobian @ transposed + _DAMPING * np.eye(6)
+        step = (transposed @ np.linalg.solve(square, off[..., np.newaxis]))[..., 0]
+        q[frames[:, np.newaxis], np.concatenate(self._joints)] += np.clip(
+            step.reshape(len(frames), -1), -_LARGEST_TURN, _LARGEST_TURN
+        )
+        worst: Floats = np.abs(off).max(axis=(1, 2))
+        return worst

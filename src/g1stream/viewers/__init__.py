@@ -1,0 +1,1 @@
+"""What viewers show: layouts, Rerun, and pictures of the robot."""

@@ -1,0 +1,69 @@
+"""The age of the commands that motors follow, which make their torque as unitree_mujoco does."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+import pytest
+
+from g1stream.control.command_delay import CommandDelay
+from g1stream.control.state_checks import ImuReading, Measured
+from g1stream.dds.messages import LowCmd
+from g1stream.robot.joints import TORQUE_LIMIT
+
+IMU = ImuReading(*(np.zeros(n, np.float32) for n in (4, 3, 3)))
+
+
+def found(delay, seconds=6.0, rate=500.0, noise=0.0, bias=0.0, moving=True, away=0.0):
+    """What is found of motors whose commands wait for so many s in a queue.
+
+    Each is within its limits, and one is `away` from its target, rad.
+    """
+    rng = np.random.default_rng(3)
+    found, queue, command = CommandDelay(balanced=True), deque(), LowCmd()
+    command.kp[:], command.kd[:] = 60.0, 1.0
+    frequency = rng.uniform(3.0, 9.0, 29)  # different ones, so that no period is taken for a delay
+    for k in range(round(seconds * rate)):
+        time = k / rate
+        command.tau[:] = 5.0 * np.sin(moving * frequency * time)
+        found.sent(time, command.tobytes())
+        queue.append(command.tau.copy())
+        if len(queue) > delay * rate:
+            q, dq = np.zeros((2, 29), np.float32)
+            q[18] = away
+            tau = (queue.popleft() - 60.0 * q).clip(-TORQUE_LIMIT, TORQUE_LIMIT)
+            tau = (tau + bias + noise * rng.normal(size=29)).astype(np.float32)
+            measured = Measured(q, dq, tau, IMU, 5, round(1e9 * time), b"", True)
+            found.add(time, measured)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("delay", "rate"),
+    [(0.15, 200), (0.15, 500), (0.4, 60), (0.4, 90), (0.4, 200), (0.4, 500), (1.6, 60), (1.6, 500)],
+)
+def test_commands_that_wait_in_a_queue(delay, rate):
+    result = found(delay, rate=rate, noise=0.5, bias=0.5)
+    assert result.longest == pytest.approx(delay, abs=0.03)
+    assert result.verdict()
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.01, 0.05])
+@pytest.mark.parametrize("noise", [0.0, 0.5, 3.0])
+def test_commands_that_do_not(delay, noise):
+    result = found(delay, noise=noise, bias=1.0)
+    assert result.longest == 0.0
+    assert not result.verdict()
+
+
+def test_a_motor_at_its_limit_is_not_late():
+    assert found(0.0, noise=0.5, moving=False, away=1.5).longest == 0.0
+
+
+def test_nothing_is_said_before_the_commands_of_two_seconds_are_known():
+    assert found(0.4, seconds=1.9).longest is None
+
+
+def test_nothing_is_found_of_a_robot_at_rest():
+    assert found(0.4, noise=0.5, moving=False).longest == 0.0

@@ -206,6 +206,16 @@ def test_forces_stay_within_what_the_floor_can_give(balance, first):
                 assert -0.13 < -moment[1] / force[2] < 0.13
 
 
+@pytest.mark.parametrize("turn", [30.0, -30.0])
+def test_arms_that_swing_round_do_not_make_it_hop(balance, first, turn):
+    """Friction turns the pelvis, by more where the soles push harder: that is not what it is for."""
+    settle(balance, first, 0.5)
+    swung = first.replace(root_ang_acc=np.array([0.0, 0.0, turn]))
+    balance.torque(swung, reading(first), 0.0)
+    assert balance.wrench[[2, 8]].sum() == pytest.approx(33.34 * 9.81, rel=0.1)
+    assert np.sign(balance.wrench[[5, 11]].sum()) == np.sign(turn)
+
+
 def test_a_foot_that_the_reference_lifts_carries_nothing(balance):
     """In the demo, the right foot is up by 9 cm at 8.67 s."""
     trajectory = Trajectory(stand(load_motion("demo"), ROBOT).motion)

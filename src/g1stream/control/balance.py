@@ -34,8 +34,10 @@ __all__ = ["Balance"]
 #: along x, y and z, and of the pelvis's attitude.
 _CENTRE: Final = np.array([25.0, 25.0, 60.0]), np.array([10.0, 10.0, 12.0])
 _TURN: Final = 60.0, 12.0
-#: What an error of the centre of mass's acceleration counts, and one of the pelvis's angular one.
-_COUNTS: Final = np.repeat([1.0, 0.2], 3)
+#: What an error of the centre of mass's acceleration counts, and one of the pelvis's angular one,
+#: along x, y and z. The friction that turns the pelvis about z is in proportion to the vertical
+#: force: if its heading counted as much, arms that swing round fast would make the robot hop.
+_COUNTS: Final = np.array([1.0, 1.0, 4.0, 0.2, 0.2, 0.01])
 #: The acceleration (3, 12) by the wrenches over the weight, without that of gravity, m/s².
 _LIFT: Final = GRAVITY * np.tile(np.eye(3, 6), 2)
 #: What the squares of the wrenches count, force and moment over the weight: feet that stand alike

@@ -218,6 +218,9 @@ def stepping(
         period: s from step to step.
         swing: s of it in which the foot is lifted.
         fps: frames per second.
+
+    Raises:
+        MotionError: the legs do not reach the places.
     """
     goals = np.concatenate([np.zeros((1, 3)), np.asarray(places, dtype=np.float64)])
     robot = G1.default()
@@ -239,5 +242,5 @@ def stepping(
     root_pos = np.column_stack([middle[:, :2], np.full(len(time), 0.7)])
     root_quat = quat_from_rpy(np.stack([0.0 * time, 0.0 * time, middle[:, 2]], axis=-1))
     pose = np.tile(bent_legs(0.4), (len(time), 1))
-    joint_pos, _ = Legs(robot, soles, feet, turns).reach(pose, root_pos, root_quat)
-    return Motion.from_arrays(joint_pos, root_pos, root_quat, fps=fps, name="stepping")
+    motion = Motion.from_arrays(pose, root_pos, root_quat, fps=fps, name="stepping")
+    return Legs(robot, soles, feet, turns).reach(motion, root_pos)

@@ -70,6 +70,23 @@ def test_stretched_legs_are_bent(squat):
     assert 0.0 < standing.lowered_mm < 20.0
 
 
+def test_legs_that_are_stretched_are_bent_for_a_shift_too():
+    """Over the one foot, the pelvis is further from the other: lower than it is at rest."""
+    time = np.arange(400) / 50.0
+    up = 0.3 * (1.0 - np.cos(2.0 * np.pi * np.clip((time - 2.0) / 4.0, 0.0, 1.0)))
+    pos = np.zeros((len(time), 29))
+    for joint, share in (("hip_pitch", -1.0), ("knee", 2.0), ("ankle_pitch", -1.0)):
+        pos[:, JOINT_NAMES.index(f"left_{joint}_joint")] = share * up
+    root = np.tile([0.0, 0.0, 0.79], (len(time), 1))
+    both, lifted = (
+        stand(Motion.from_arrays(one, root, fps=50.0), ROBOT) for one in (np.zeros_like(pos), pos)
+    )
+    assert lifted.shifted_mm > 30.0
+    assert lifted.lowered_mm > both.lowered_mm
+    assert lifted.motion.joint_pos[:, [3, 9]].min() >= 0.12
+    assert corners_of(lifted.motion)[:, 4:, 2].min(axis=1) == pytest.approx(0.0, abs=1e-5)
+
+
 def test_the_mass_is_kept_over_the_soles():
     """Leant forward by 0.6 rad at the hips, the robot would fall on its face."""
     squat = squatting(2.0, arms=0.0)

@@ -123,11 +123,13 @@ def find_footing(motion: Motion, robot: G1, soles: Soles) -> Footing:
     )
 
 
-def refused(motion: Motion, why: str, where: Flags) -> MotionError:
+def refused(
+    motion: Motion, why: str, where: Flags, error: type[MotionError] = MotionError
+) -> MotionError:
     """That a motion cannot be played on its feet: why, and in which frames (T,)."""
     spans = [(first, stop - 1) for first, stop in stretches(where)]
     frames = "frames" if where.sum() > 1 else "frame"
-    return MotionError(
+    return error(
         f"{motion.name} cannot be played on its feet: {why} in {frames} {ranges(spans, _NAMED)}.",
         "Play a part in which the feet can stand (--start, --duration); or waist and arms only, on "
         "legs that stand (--joints waist,arms); or hold the robot and give --support hanging.",

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from g1stream.errors import MotionError
 from g1stream.physics.footing import refused
 from g1stream.robot.batch_dynamics import cross
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
@@ -20,17 +22,10 @@ if TYPE_CHECKING:
     from g1stream.motion.motion import Motion
     from g1stream.robot.model import G1
 
-__all__ = ["EXACT", "LOWERED_BY", "LOWEST", "Legs"]
+__all__ = ["Legs", "LegsTooShortError"]
 
-EXACT: Final = 1e-6
-"""Feet this near to where they shall be, m and rad, are there."""
-
-LOWERED_BY: Final = 0.005
-"""The pelvis is lowered by steps of this, m."""
-
-LOWEST: Final = 0.15
-"""By no more than this it is lowered, m."""
-
+#: Feet this near to where they shall be, m and rad, are there.
+_EXACT: Final = 1e-6
 #: A knee is bent by this at least, rad: a stretched one cannot lift the pelvis.
 _KNEE: Final = 0.12
 _BENT: Final = 0.4  # where the search begins
@@ -39,6 +34,10 @@ _ITERATIONS: Final = 40
 #: An iteration turns no joint by more, rad; added to the squares of a leg's singular values.
 _LARGEST_TURN: Final = 0.3
 _DAMPING: Final = 1e-6
+
+
+class LegsTooShortError(MotionError):
+    """The legs do not reach from the pelvis to where the feet shall be."""
 
 
 class Legs:
@@ -68,48 +67,37 @@ class Legs:
         self.corners: Floats = corners.reshape(-1, 8, 3)
         self.touches = np.repeat(feet[..., 2] < soles.height + OFF_FLOOR, 4, axis=1)
 
-    def lowered(self, motion: Motion, root: Floats) -> tuple[float, Floats]:
-        """By how much the pelvis has to be lowered, m, and the joints (T, 29) then.
-
-        Raises:
-            MotionError: the legs do not reach the floor.
-        """
-        # From a stretched knee the search could bend it the wrong way.
-        lowered, joint_pos = 0.0, motion.joint_pos.copy()
+    def bent(self, motion: Motion) -> Motion:
+        """The motion with its knees bent: from a stretched one, `reach` could bend it backwards."""
+        joint_pos = motion.joint_pos.copy()
         for hip, _, _, knee, ankle, _ in self._joints:
             bend = np.maximum(0.0, _BENT - joint_pos[:, knee])
             joint_pos[:, knee] += bend
             joint_pos[:, [hip, ankle]] -= 0.5 * bend[:, np.newaxis]
-        while True:
-            pos = root - [0.0, 0.0, lowered]
-            joint_pos, error = self.reach(joint_pos, pos, motion.root_quat_wxyz)
-            short = (joint_pos[:, self._knees].min(axis=1) < _KNEE) | (error > EXACT)
-            if not short.any():
-                return lowered, joint_pos
-            if lowered >= LOWEST:
-                raise refused(motion, "the legs do not reach the floor", short)
-            lowered += LOWERED_BY
+        return replace(motion, joint_pos=joint_pos)
 
     def reach(
-        self,
-        joint_pos: Floats,
-        root_pos: Floats,
-        root_quat: Floats,
-        moved: NDArray[np.bool_] | None = None,
-    ) -> tuple[Floats, Floats]:
-        """Joints (T, 29) with the feet in place, and the errors that remain (T,), m or rad.
+        self, motion: Motion, root_pos: Floats, moved: NDArray[np.bool_] | None = None
+    ) -> Motion:
+        """The motion with its pelvis elsewhere (T, 3), m, and its feet in place.
 
         Newton's method with damped steps, many frames at once, in each until its feet are there.
-        Frames in which the root is not `moved` (T,) have them there already.
+        Frames in which the pelvis is not `moved` (T,) have them there already.
+
+        Raises:
+            LegsTooShortError: they do not reach, or only with a knee all but stretched.
         """
-        q, error = joint_pos.copy(), np.zeros(len(joint_pos))
+        q, quat, error = motion.joint_pos.copy(), motion.root_quat_wxyz, np.zeros(motion.n_frames)
         left = np.arange(len(q)) if moved is None else np.flatnonzero(moved)
         for _ in range(_ITERATIONS):
             for first in range(0, len(left), BLOCK):
                 some = left[first : first + BLOCK]
-                error[some] = self._step(q, root_pos, root_quat, some)
-            left = left[error[left] >= EXACT]
-        return q, error
+                error[some] = self._step(q, root_pos, quat, some)
+            left = left[error[left] >= _EXACT]
+        short = (q[:, self._knees].min(axis=1) < _KNEE) | (error >= _EXACT)
+        if short.any():
+            raise refused(motion, "the legs do not reach the floor", short, LegsTooShortError)
+        return replace(motion, joint_pos=q, root_pos=root_pos)
 
     def _step(
         self, q: Floats, root_pos: Floats, root_quat: Floats, frames: NDArray[np.intp]

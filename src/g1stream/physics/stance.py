@@ -15,12 +15,11 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from g1stream.errors import MotionError
 from g1stream.motion.limits import POSITION_TOLERANCE
 from g1stream.motion.trajectory import Trajectory
 from g1stream.physics.footing import find_footing, refused
 from g1stream.physics.ground import beyond_support, zero_moment_point
-from g1stream.physics.legs import EXACT, LOWERED_BY, LOWEST, Legs
+from g1stream.physics.legs import Legs, LegsTooShortError
 from g1stream.robot.batch_dynamics import BatchInverseDynamics
 from g1stream.robot.dynamics import GRAVITY
 from g1stream.robot.joints import JOINT_NAMES
@@ -37,6 +36,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Standing", "on_standing_legs", "stand"]
 
+#: The pelvis is lowered by steps of the first, by the second at most, m.
+_LOWERED_BY, _LOWEST = 0.005, 0.15
 #: How far the centre of pressure is kept from the edge of the support polygon, m.
 _MARGIN: Final = 0.02
 #: The wrench of the floor is averaged with this standard deviation, s.
@@ -106,18 +107,16 @@ def stand(motion: Motion, robot: G1, trajectory: Trajectory | None = None) -> St
     legs = Legs(robot, soles, footing.feet, footing.turns)
     root = motion.root_pos + footing.shift
     trajectory = trajectory or Trajectory(motion)
-    lowered, joint_pos = legs.lowered(motion, root)
+    bent, lowered = legs.bent(motion), 0.0
     while True:
         low = root - [0.0, 0.0, lowered]
-        standing = replace(motion, joint_pos=joint_pos, root_pos=low)
         try:
-            shifted = _balanced(standing, trajectory, robot, legs)
+            shifted = _balanced(legs.reach(bent, low), trajectory, robot, legs)
             break
-        except _OutOfReachError as error:
-            lowered += 2.0 * LOWERED_BY
-            if lowered > LOWEST:
-                raise error.refusal from None
-            joint_pos, _ = legs.reach(joint_pos, root - [0.0, 0.0, lowered], motion.root_quat_wxyz)
+        except LegsTooShortError:
+            lowered += _LOWERED_BY
+            if lowered > _LOWEST:
+                raise
     _refuse_beyond_limits(shifted, robot)
     change = np.abs(shifted.joint_pos - motion.joint_pos)
     joint = int(change.max(axis=0).argmax())
@@ -164,13 +163,6 @@ def _refuse_beyond_limits(motion: Motion, robot: G1) -> None:
         raise refused(motion, f"{JOINT_NAMES[joint]} gets beyond its limit", where)
 
 
-class _OutOfReachError(Exception):
-    """The legs are too short for where the pelvis is."""
-
-    def __init__(self, refusal: MotionError) -> None:
-        self.refusal = refusal
-
-
 def _balanced(motion: Motion, trajectory: Trajectory, robot: G1, legs: Legs) -> Motion:
     """The motion with its pelvis moved so that the centre of pressure is inside the soles.
 
@@ -180,7 +172,7 @@ def _balanced(motion: Motion, trajectory: Trajectory, robot: G1, legs: Legs) -> 
 
     Raises:
         MotionError: it cannot be, because the motion is too fast.
-        _OutOfReachError: the legs are too short for that.
+        LegsTooShortError: the legs are too short for that.
     """
     from scipy.linalg import solveh_banded
 
@@ -205,11 +197,7 @@ def _balanced(motion: Motion, trajectory: Trajectory, robot: G1, legs: Legs) -> 
         shift = solveh_banded(bands, wanted)
         moved = np.abs(shift).max(axis=1) > _MOVED
         root[moved, :2] += shift[moved]
-        joint_pos, error = legs.reach(motion.joint_pos, root, motion.root_quat_wxyz, moved)
-        if error.max() > EXACT:
-            reach = "the legs do not reach the floor"
-            raise _OutOfReachError(refused(motion, reach, error > EXACT))
-        motion = replace(motion, joint_pos=joint_pos, root_pos=root)
+        motion = legs.reach(motion, root, moved)
     inside = round(1e3 * (_MARGIN - _NEAR))
     why = f"the centre of pressure is not kept {inside} mm inside the soles"
     raise refused(motion, why, outside > _NEAR)

@@ -29,8 +29,9 @@ $(VENV)/.dev: $(VENV)/.run
 demo: $(VENV)/.run
 	$(BIN)/g1stream demo --out demo-out --force
 
-# First what needs no DDS, on all cores, where what neighbours share is made once; then what is about time and processes, file by file; last
-# what an armed guard ends, or a figure misses, where another test takes the CPU.
+# First what needs no DDS, on all cores, with neighbours, which share fixtures, on the same one. Then
+# what is about time and processes, file by file. Last what an armed guard ends, or a figure misses,
+# where another test takes the CPU.
 test: $(VENV)/.dev
 	$(BIN)/python -m pytest -n auto --dist worksteal -m "not dds"
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "dds and not alone"

@@ -95,7 +95,7 @@ class LibraryCase:
         return " ".join(filter(None, [self.support, self.format, *values]))
 
     @cached_property
-    def _fingerprint(self) -> str:
+    def fingerprint(self) -> str:
         """Equal where command, variant, settings and versions are."""
         about: dict[str, Any] = {
             "command": self.command,
@@ -133,7 +133,7 @@ class Task:
     @property
     def key(self) -> str:
         """Of the row: the same where content, variant, settings and versions are."""
-        return self._key(self.case._fingerprint)
+        return self._key(self.case.fingerprint)
 
     @property
     def key_if_broken(self) -> str:

@@ -19,7 +19,7 @@ from g1stream.motion.motion import Motion
 from g1stream.physics.legs import Legs
 from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP, JOINT_NAMES, N_JOINTS
 from g1stream.robot.model import G1
-from g1stream.robot.rotations import quat_from_rpy, quat_rotate
+from g1stream.robot.rotations import quat_from_yaw, quat_rotate
 from g1stream.robot.soles import Soles, bent_legs
 from g1stream.session.streams import STREAMS
 from g1stream.types import Floats, Ints, Phase
@@ -234,13 +234,13 @@ def stepping(
         stand[:, foot] += way * (goal - goals[max(0, k - 1)])
         height[:, foot] += 0.06 * (4.0 * way * (1.0 - way))[:, 0]
     heading = stand[..., 2]
-    turns = quat_from_rpy(np.stack([0.0 * heading, 0.0 * heading, heading], axis=-1))
+    turns = quat_from_yaw(heading)
     feet = quat_rotate(turns, np.array([[0.0, 0.1, 0.0], [0.0, -0.1, 0.0]]))
     feet[..., :2] += stand[..., :2]
     feet[..., 2] = height + soles.height
     middle = stand.mean(axis=1)
     root_pos = np.column_stack([middle[:, :2], np.full(len(time), 0.7)])
-    root_quat = quat_from_rpy(np.stack([0.0 * time, 0.0 * time, middle[:, 2]], axis=-1))
+    root_quat = quat_from_yaw(middle[:, 2])
     pose = np.tile(bent_legs(0.4), (len(time), 1))
     motion = Motion.from_arrays(pose, root_pos, root_quat, fps=fps, name="stepping")
     return Legs(robot, soles, feet, turns).reach(motion, root_pos)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -62,7 +63,7 @@ def test_a_motion_that_stands_is_played_as_it_is(squat):
     assert not re.search(r"\b0 mm", str(stand(squat, ROBOT)))
 
 
-def test_stretched_legs_are_bent(squat):
+def test_stretched_legs_are_bent():
     straight = Motion.from_arrays(np.zeros((20, 29)), np.tile([0, 0, 0.79], (20, 1)), fps=50.0)
     standing = stand(straight, ROBOT)
     knees = [JOINT_NAMES.index(f"{side}_knee_joint") for side in ("left", "right")]
@@ -117,8 +118,45 @@ def test_a_foot_that_slides_is_refused_with_its_frames(squat):
 def test_a_foot_that_is_lifted_too_fast_for_the_mass_is_refused_with_its_frames(squat):
     lifted = squat.joint_pos.copy()
     lifted[50:60, JOINT_NAMES.index("left_knee_joint")] += 0.6
-    with pytest.raises(MotionError, match="frames"):
+    with pytest.raises(MotionError, match=r"centre of pressure is not kept .* frames"):
         stand(Motion.from_arrays(lifted, squat.root_pos, fps=squat.fps), ROBOT)
+
+
+def test_a_hop_is_refused_with_its_frames(squat):
+    root = squat.root_pos.copy()
+    root[50:60, 2] += 0.2
+    with pytest.raises(MotionError, match="no foot is on the floor in frames 50 to 59"):
+        stand(Motion.from_arrays(squat.joint_pos, root, fps=squat.fps), ROBOT)
+
+
+def test_a_squat_that_is_faster_than_the_robot_falls_is_refused():
+    time = np.arange(200) / 50.0
+    bend = 0.9 - 0.7 * np.cos(6.0 * np.pi * time)
+    pos = np.zeros((len(time), 29))
+    for side in ("left", "right"):
+        for joint, share in (("hip_pitch", -0.5), ("knee", 1.0), ("ankle_pitch", -0.5)):
+            pos[:, JOINT_NAMES.index(f"{side}_{joint}_joint")] = share * bend
+    in_air = Motion.from_arrays(pos, np.tile([0.0, 0.0, 0.7], (len(time), 1)), fps=50.0)
+    lowest = corners_of(in_air)[..., 2].min(axis=1, keepdims=True)
+    with pytest.raises(MotionError, match="floor would have to pull"):
+        stand(replace(in_air, root_pos=in_air.root_pos - [0.0, 0.0, 1.0] * lowest), ROBOT)
+
+
+def test_a_foot_beside_one_on_its_toes_is_lifted_by_as_much_as_its_sole():
+    """The link of a foot on its toes is higher up than that of the other, which is lifted."""
+    time = np.arange(400) / 50.0
+    up = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.clip((time - 2.0) / 4.0, 0.0, 1.0))
+    pos = np.zeros((len(time), 29))
+    for side, bend, tip in (("left", 0.8, 0.0), ("right", 0.4, 0.5)):
+        for joint, share in (("hip_pitch", -0.5), ("knee", 1.0), ("ankle_pitch", -0.5)):
+            bent = 0.6 + (bend - 0.6) * up
+            pos[:, JOINT_NAMES.index(f"{side}_{joint}_joint")] = share * bent
+        pos[:, JOINT_NAMES.index(f"{side}_ankle_pitch_joint")] += tip * up
+    toes = Motion.from_arrays(pos, np.tile([0.0, 0.0, 0.75], (len(time), 1)), fps=50.0)
+    given = corners_of(toes)[200, :, 2].reshape(2, 4).min(axis=1)
+    stood = corners_of(stand(toes, ROBOT).motion)[200, :, 2].reshape(2, 4).min(axis=1)
+    assert stood - stood.min() == pytest.approx(given - given.min(), abs=1e-4)
+    assert stood[0] > 0.03
 
 
 def test_the_demo_lifts_its_feet_one_by_one_and_puts_them_back_where_they_stood():

@@ -14,7 +14,7 @@ import numpy as np
 from g1stream.foxglove.tracking_error import MAX_GAP_NS
 from g1stream.robot.rotations import (
     UNIT_TOLERANCE,
-    quat_from_axis_angle,
+    quat_from_yaw,
     quat_mul,
     quat_normalize,
     quat_rotate,
@@ -45,8 +45,6 @@ REFERENCE_COLUMNS: Final = (
 )
 MEASURED_COLUMNS: Final = ("q", "dq", "imu_quat_wxyz", "gyroscope")
 """The columns of a session that `frames` reads."""
-
-_UP: Final = np.array([0.0, 0.0, 1.0])
 
 
 class Robot(NamedTuple):
@@ -131,7 +129,7 @@ def frames(session: Session, tracking: Tracking) -> Frames | None:
     if has_attitude:
         quat = quat_normalize(quat)
         yaw = yaw_of(target.root_quat_wxyz[0]) - yaw_of(quat[0])
-        turn = quat_from_axis_angle(_UP, np.asarray(yaw))
+        turn = quat_from_yaw(yaw)
         robot = robot._replace(
             root_quat_wxyz=quat_mul(turn, quat),
             root_ang_vel=states.at(at, measured.gyroscope, tracking.states),

@@ -17,7 +17,15 @@ from g1stream.control.base_estimate import BaseEstimate
 from g1stream.extras import import_extra
 from g1stream.physics.ground import beyond_hull
 from g1stream.robot.dynamics import GRAVITY
-from g1stream.robot.rotations import quat_conj, quat_mul, quat_normalize, quat_rotate, tilt_of
+from g1stream.robot.rotations import (
+    quat_conj,
+    quat_mul,
+    quat_normalize,
+    quat_rotate,
+    rotation_matrices,
+    rotation_vector,
+    tilt_of,
+)
 from g1stream.robot.soles import OFF_FLOOR
 from g1stream.robot.standing import LEGS, BodyState, StandingDynamics
 from g1stream.types import Floats
@@ -35,8 +43,9 @@ __all__ = ["Balance"]
 _CENTRE: Final = np.array([25.0, 25.0, 60.0]), np.array([10.0, 10.0, 12.0])
 _TURN: Final = 60.0, 12.0
 #: What an error of the centre of mass's acceleration counts, and one of the pelvis's angular one,
-#: along x, y and z. The friction that turns the pelvis about z is in proportion to the vertical
-#: force: if its heading counted as much, arms that swing round fast would make the robot hop.
+#: along x, y and z of the world. The friction that turns the pelvis about z is in proportion to the
+#: vertical force: if its heading counted as much, arms that swing round fast would make the robot
+#: hop.
 _COUNTS: Final = np.array([1.0, 1.0, 4.0, 0.2, 0.2, 0.01])
 #: The acceleration (3, 12) by the wrenches over the weight, without that of gravity, m/s².
 _LIFT: Final = GRAVITY * np.tile(np.eye(3, 6), 2)
@@ -46,7 +55,8 @@ _EVEN: Final = np.diag(1e-3 * np.tile([10.0, 10.0, 1.0, 200.0, 200.0, 200.0], 2)
 #: And that of the difference of the feet's horizontal forces, which push the feet apart: where the
 #: centre of pressure is at the edge, that would gain a little, and the soles would slide.
 _APART: Final = 3.0 * np.kron([[1.0, -1.0], [-1.0, 1.0]], np.diag([1.0, 1.0, 0.0, 0.0, 0.0, 0.0]))
-#: What the floor is trusted with: the coefficient of friction, the least force on a foot over the
+#: What the floor is trusted with: the coefficient of friction along each axis of a foot, the least
+#: force on a foot over the
 #: weight, and how far the centre of pressure is kept from the edge of a sole, m.
 _FRICTION: Final = 0.4
 _LEAST: Final = 0.03
@@ -71,8 +81,8 @@ _LOAD: Final = 0.02
 #: carry less than this of its weight. A sole that slips is taken for a speed of the mass, which
 #: moves the capture point for some 0.04 s.
 _TILTED: Final = 0.5
-_BELOW: Final = 0.1, 0.1
 _OUTSIDE: Final = 0.01, 0.1
+_BELOW: Final = 0.1, 0.1
 _UNLOADED: Final = 0.25, 0.15
 #: Time without a solution after which the torque fades out, s.
 _UNSOLVED: Final = 0.05
@@ -175,7 +185,7 @@ class Balance:
         self._find_other_force(terms, measured, found=share is None)
         if share == 0.0:
             return terms.gravity_tau
-        wanted_force, wanted_turn = self._wanted(target, reference, state, terms, ahead)
+        wanted_force, wanted_turn = self._wanted(target, reference, state, terms)
         wrench = self._distribute(terms, wanted_force, wanted_turn)
         legs, others = terms.leg_tau, terms.other_tau
         tau: Floats = np.concatenate([legs[0] @ wrench + legs[1], others[0] @ wrench + others[1]])
@@ -256,15 +266,18 @@ class Balance:
         self._other = self._other + (other - self._other) * rate
 
     def _wanted(
-        self, target: Target, reference: Movement, state: BodyState, terms: Terms, ahead: float
+        self, target: Target, reference: Movement, state: BodyState, terms: Terms
     ) -> tuple[Floats, Floats]:
-        """The force of the floor, N, and the pelvis's angular acceleration, rad/s², to aim at."""
+        """The force of the floor, N, world, and the pelvis's angular acceleration to aim at.
+
+        That is in rad/s², in the pelvis's frame.
+        """
         vel = terms.centre_vel + self.base.vel
-        pos = terms.centre + self.base.pos + ahead * self.base.vel
+        pos = terms.centre + self.base.pos
         stiff, damp = _CENTRE
         acc = stiff * (reference.pos - pos) + damp * (reference.vel - vel)
         force = reference.force + self._dynamics.mass * acc - self._other
-        turn = _rotation_vector(quat_mul(quat_conj(state.quat_wxyz), target.root_quat_wxyz))
+        turn = rotation_vector(quat_mul(quat_conj(state.quat_wxyz), target.root_quat_wxyz))
         wanted = target.root_ang_acc + _TURN[0] * turn
         return force, wanted + _TURN[1] * (target.root_ang_vel - state.ang_vel)
 
@@ -274,8 +287,10 @@ class Balance:
         The program is in wrenches over the weight, so that its numbers are of the size of 1.
         """
         weight = self._dynamics.weight
-        goal = np.concatenate([_LIFT, weight * terms.base_acc[0][3:]])
-        wanted = np.concatenate([force / self._dynamics.mass, turn - terms.base_acc[1][3:]])
+        to_world = rotation_matrices(self.base.quat_wxyz)
+        goal = np.concatenate([_LIFT, weight * to_world @ terms.base_acc[0][3:]])
+        turn_acc = to_world @ (turn - terms.base_acc[1][3:])
+        wanted = np.concatenate([force / self._dynamics.mass, turn_acc])
         counted = goal.T * _COUNTS
         square = counted @ goal + _EVEN
         rows, n = self._rows, len(self._cone)
@@ -288,8 +303,7 @@ class Balance:
         idle = constant / self._limit
         self._least[2 * n :], self._most[2 * n :] = -1.0 - idle, 1.0 - idle
         linear, least, most, kinds = -(counted @ wanted), self._least, self._most, self._kinds
-        found = np.zeros(12)
-        free = np.repeat(self._stands, 6)
+        found, free = np.zeros(12), np.repeat(self._stands, 6)
         if free.all():
             square += _APART
         else:  # without the wrench of the lifted foot
@@ -304,7 +318,7 @@ class Balance:
         wrench: Floats = weight * found
         if flag != _OPTIMAL or not np.isfinite(wrench).all():
             self._last("unsolved", True)
-            return np.zeros(12) if self.wrench is None else self.wrench
+            return np.zeros(12) if self.wrench is None else self.wrench * free
         self._last("unsolved", False)
         self.wrench = wrench
         return wrench
@@ -346,9 +360,3 @@ def _cone(sole: Floats) -> tuple[Floats, Floats]:
 
 def _state_of(target: Target) -> BodyState:
     return BodyState(target.root_quat_wxyz, target.root_ang_vel, target.q, target.dq)
-
-
-def _rotation_vector(quat: Floats) -> Floats:
-    """The rotation vector (3,) of a small turn (4,), rad: twice its vector part."""
-    vector: Floats = 2.0 * np.copysign(1.0, quat[0]) * quat[1:]
-    return vector

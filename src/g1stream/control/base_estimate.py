@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from g1stream.robot.dynamics import GRAVITY
-from g1stream.robot.rotations import quat_from_axis_angle, quat_mul, quat_rotate
+from g1stream.robot.rotations import quat_from_yaw, quat_mul, quat_rotate, wrap_angle
 
 if TYPE_CHECKING:
     from g1stream.control.state_checks import ImuReading
@@ -26,8 +26,7 @@ __all__ = ["BaseEstimate"]
 _FOLLOWS: Final = 0.03
 _HEADING: Final = 2.0
 _SLIPPED: Final = 1.0
-_UP: Final = np.array([0.0, 0.0, 1.0])
-_GRAVITY: Final = GRAVITY * _UP
+_GRAVITY: Final = np.array([0.0, 0.0, GRAVITY])
 
 
 class BaseEstimate:
@@ -57,7 +56,7 @@ class BaseEstimate:
 
     def turn(self, imu: ImuReading) -> Floats:
         """Take the attitude of a reading over, and return it in the reference's world."""
-        back = quat_from_axis_angle(_UP, np.asarray(-self._drift))
+        back = quat_from_yaw(-self._drift)
         self.quat_wxyz = quat_mul(back, imu.quat_wxyz.astype(np.float64))
         return self.quat_wxyz
 
@@ -70,8 +69,8 @@ class BaseEstimate:
             load: (2,) what each foot carries, in sum 1; 0 of a foot that is lifted.
             passed: s since the last one.
         """
-        turned = np.arctan2(terms.turns[:, 1, 0], terms.turns[:, 0, 0]) - self._headings
-        turned = np.arctan2(np.sin(turned), np.cos(turned))
+        headings = np.arctan2(terms.turns[:, 1, 0], terms.turns[:, 0, 0])
+        turned = wrap_angle(headings - self._headings)
         error = float(load @ turned)
         by_legs = -load @ terms.sole_vel
         if self._begins:  # the error is that of a heading from which the drift is already taken

@@ -8,7 +8,7 @@ import numpy as np
 
 from g1stream.robot.rotations import (
     UNIT_TOLERANCE,
-    quat_from_axis_angle,
+    quat_from_yaw,
     quat_mul,
     quat_rotate,
     yaw_of,
@@ -19,8 +19,6 @@ from g1stream.types import Floats, Ints
 __all__ = ["MeasuredBase", "PositionSource"]
 
 PositionSource = Literal["sportmodestate", "reference", "none"]
-
-_UP = np.array([0.0, 0.0, 1.0])
 
 
 class MeasuredBase:
@@ -78,7 +76,7 @@ class MeasuredBase:
             self._start = positions[first]
         if self.yaw_offset is None or self._start is None:
             return positions, imu_quats_wxyz
-        turned = quat_from_axis_angle(_UP, np.array(self.yaw_offset))
+        turned = quat_from_yaw(self.yaw_offset)
         if self.source == "sportmodestate":
             positions = self._start + quat_rotate(turned, positions - self._start)
         return positions, quat_mul(turned, imu_quats_wxyz)

@@ -31,7 +31,7 @@ from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1
 from g1stream.robot.rotations import (
-    quat_from_axis_angle,
+    quat_from_yaw,
     quat_rotate,
     quat_rotate_inverse,
     yaw_of,
@@ -365,7 +365,7 @@ def picture(motion: Motion, robot: G1) -> str:
     places = {name: poses.pos[:, i] for i, name in enumerate(robot.link_names)}
     torso = poses.quat_wxyz[:, robot.link_index("torso_link")]
     places["head"] = places["torso_link"] + quat_rotate(torso, _HEAD)
-    heading = quat_from_axis_angle(np.array([0.0, 0.0, 1.0]), yaw_of(root_quat))
+    heading = quat_from_yaw(yaw_of(root_quat))
     path = []
     for pose in range(_POSES):
         for limb in _LIMBS:

@@ -83,7 +83,12 @@ def _client(cluster: str, warn: Callable[[str], None], stop: Callable[[], bool])
         with ThreadPoolExecutor(1) as thread:  # a notebook has a loop of its own in this one
             thread.submit(asyncio.run, _connected(cluster)).result()
         client = distributed.Client(cluster, timeout=_TIMEOUT, set_as_default=False)
-    except (OSError, ValueError, TypeError) as error:  # TypeError: TLS without certificates
+    except TypeError as error:  # which it raises for TLS without certificates
+        raise ConfigError(
+            f"The Dask scheduler {cluster} takes TLS connections only: {error}.",
+            "Name its certificates in Dask's configuration, distributed.comm.tls.",
+        ) from error
+    except (OSError, ValueError) as error:
         raise ConfigError(
             f"There is no Dask scheduler at {cluster}: {error}.",
             "Start one, `dask scheduler`, and give the address that it prints.",

@@ -15,7 +15,7 @@ from g1stream.motion.blend import COAST, blend_frames
 from g1stream.motion.trajectory import resample
 from g1stream.robot.joints import N_JOINTS
 from g1stream.robot.model import G1
-from g1stream.robot.rotations import quat_from_axis_angle, quat_mul, quat_rotate, yaw_of
+from g1stream.robot.rotations import quat_from_yaw, quat_mul, quat_rotate, yaw_of
 from g1stream.robot.soles import Soles
 from g1stream.robot.symmetry import MIRROR, mirror_of_joints
 
@@ -41,7 +41,6 @@ _LONGEST_BLEND: Final = 60.0
 _MOST_FRAMES: Final = 1_000_000
 #: A sole that is slower than this stands, m/s.
 _STANDS: Final = 0.25
-_UP: Final = np.array([0.0, 0.0, 1.0])
 #: A mirrored turn: the vector part of a quaternion is a pseudovector.
 _MIRROR_QUAT: Final = np.concatenate([[1.0], -MIRROR])
 
@@ -115,7 +114,7 @@ def on_floor(motion: Motion, robot: G1) -> Motion:
             f"{motion.name} cannot be put on the floor: no foot stands in it.",
             "Leave it where it is.",
         )
-    lowered = replace(motion, root_pos=motion.root_pos - height * _UP)
+    lowered = replace(motion, root_pos=motion.root_pos - [0.0, 0.0, height])
     way = "raised" if height < 0 else "lowered"
     return _done(lowered, f"{way} by {abs(height) * 1e3:.1f} mm, onto the floor")
 
@@ -193,9 +192,9 @@ def looped(motion: Motion, n: int, blend: float) -> Motion:
     blended = twice.frames(motion.n_frames, twice.n_frames)
     first, last = motion.root_quat_wxyz[[0, -1]]
     angle = yaw_of(last) - yaw_of(first)
-    led = quat_rotate(quat_from_axis_angle(_UP, angle), motion.root_pos[0])
+    led = quat_rotate(quat_from_yaw(angle), motion.root_pos[0])
     step = twice.root_pos[-motion.n_frames] - led
-    turns = quat_from_axis_angle(_UP, angle * np.arange(n - 1))[:, np.newaxis]
+    turns = quat_from_yaw(angle * np.arange(n - 1))[:, np.newaxis]
     steps = quat_rotate(turns, step)
     pos = quat_rotate(turns, blended.root_pos) + np.cumsum(steps, axis=0) - steps
     quat = quat_mul(turns, blended.root_quat_wxyz)
@@ -229,7 +228,7 @@ def _continued(first: Motion, second: Motion, seconds: float) -> Motion:
     sides, that is where the first one ends.
     """
     turn = yaw_of(first.root_quat_wxyz[-1]) - yaw_of(second.root_quat_wxyz[0])
-    turned = quat_from_axis_angle(_UP, np.asarray(turn))
+    turned = quat_from_yaw(turn)
     path = quat_rotate(turned, second.root_pos - second.root_pos[0])
     last, before = first.root_pos[-1], first.root_pos[-2]
     travel = (last - before + path[1] - path[0]) / 2.0 * first.fps * seconds

@@ -15,25 +15,24 @@ from g1stream.errors import MotionError
 from g1stream.motion.blend import minimum_jerk
 from g1stream.physics.ground import stretches
 from g1stream.robot.kinematics import pose_blocks
-from g1stream.robot.rotations import quat_conj, quat_from_rpy, quat_mul, yaw_of
+from g1stream.robot.rotations import quat_conj, quat_from_yaw, quat_mul, wrap_angle, yaw_of
 from g1stream.robot.soles import SIDES
 from g1stream.text import ranges
 from g1stream.types import Floats
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from g1stream.motion.motion import Motion
+    from g1stream.physics.ground import Flags
     from g1stream.robot.model import G1
     from g1stream.robot.soles import Soles
-
-    Flags = NDArray[np.bool_]
 
 __all__ = ["Footing", "find_footing", "refused"]
 
 #: A foot that is so much higher than the other is lifted, from when it was higher by the second
 #: figure until it is not, m.
 _LIFTED: Final = 0.03, 0.01
+#: Where both feet are so much higher than the lower one mostly is, the robot is in the air, m.
+_HOPS: Final = 0.1
 #: A lifted foot comes off its place, and gets to the next, within this, s.
 _LEAVES: Final = 0.1
 #: A foot that stands, and is so far from its place, m, or turned from it, rad, slides.
@@ -81,7 +80,10 @@ def find_footing(motion: Motion, robot: G1, soles: Soles) -> Footing:
         )
     ]
     feet, turns, corners = (np.concatenate(parts) for parts in zip(*of_feet, strict=True))
-    lifted = _find_lifted(corners)
+    lowest = corners[..., 2].reshape(-1, 2, 4).min(axis=2)
+    _refuse_hops(motion, lowest)
+    above = lowest - lowest.min(axis=1, keepdims=True)
+    lifted = _find_lifted(above)
     both: Flags = np.asarray(~lifted.any(axis=1))
     lifts = _in_order(motion, lifted)
     headings = yaw_of(turns)
@@ -96,12 +98,13 @@ def find_footing(motion: Motion, robot: G1, soles: Soles) -> Footing:
         stands = both[now]
         between, turn = apart[now][stands], _mean_angle(headings[now][stands])
         mean = between.mean(axis=0)
+        mean[:, 2] = 0.0  # both stand on the floor
         if lift is None:
             place, heading = middle[0] + mean, turn
         else:
             foot, other = lift.foot, 1 - lift.foot
             place[foot] = place[other] + mean[foot] - mean[other]
-            heading[foot] += _wrapped(turn[foot] - heading[foot])
+            heading[foot] += wrap_angle(turn[foot] - heading[foot])
         place[:, 2] = soles.height
         places[now], planted[now] = place, heading
         moved = max(moved, float(np.linalg.norm(between - mean, axis=-1).max()))
@@ -110,10 +113,11 @@ def find_footing(motion: Motion, robot: G1, soles: Soles) -> Footing:
         before, after = planted[[first - 1, stop], foot]
         way = minimum_jerk(np.arange(1, stop - first + 1) / (stop - first + 1))[0]
         planted[first:stop, foot] = before + way * (after - before)
-    level = quat_from_rpy(np.stack([0.0 * planted, 0.0 * planted, planted], axis=-1))
+    level = quat_from_yaw(planted)
     away = np.stack([_leaving(one, motion.fps) for one in lifted.T], axis=1)[..., np.newaxis]
     stood = 1.0 - away
     off = (feet - feet[:, ::-1]) - (places - places[:, ::-1])
+    off[..., 2] = above  # by its sole: a foot on its toes has its link higher up
     return Footing(
         places + away * off,
         level,
@@ -131,18 +135,24 @@ def refused(
     frames = "frames" if where.sum() > 1 else "frame"
     return error(
         f"{motion.name} cannot be played on its feet: {why} in {frames} {ranges(spans, _NAMED)}.",
-        "Play a part in which the feet can stand (--start, --duration); or waist and arms only, on "
-        "legs that stand (--joints waist,arms); or hold the robot and give --support hanging.",
+        "Play it slower (--speed 0.5), or a part in which the feet can stand (--start, "
+        "--duration); or waist and arms only, on legs that stand (--joints waist,arms); or hold "
+        "the robot and give --support hanging.",
     )
 
 
-def _find_lifted(corners: Floats) -> Flags:
-    """Which foot is lifted (T, 2); never both.
+def _refuse_hops(motion: Motion, lowest: Floats) -> None:
+    """Raise MotionError where no foot is on the floor, which is where the lower one mostly is."""
+    lower = lowest.min(axis=1)
+    if (hops := lower - np.median(lower) > _HOPS).any():
+        raise refused(motion, "no foot is on the floor", hops)
+
+
+def _find_lifted(above: Floats) -> Flags:
+    """Which foot is lifted (T, 2), of how far it is above the other; never both.
 
     The floor is where the lower foot is, because retargeted feet float and sink.
     """
-    lowest = corners[..., 2].reshape(-1, 2, 4).min(axis=2)
-    above = lowest - lowest.min(axis=1, keepdims=True)
     lifted = np.zeros(above.shape, np.bool_)
     for foot in range(len(SIDES)):
         for first, stop in stretches(above[:, foot] > _LIFTED[1]):
@@ -181,7 +191,7 @@ def _refuse_sliding(
     both = ~lifted[now].any(axis=1)
     mostly = np.median(feet[now][both], axis=0)
     away = np.linalg.norm((feet[now] - mostly)[..., :2], axis=-1)
-    turned = np.abs(_wrapped(headings[now] - _mean_angle(headings[now][both])))
+    turned = np.abs(wrap_angle(headings[now] - _mean_angle(headings[now][both])))
     far = (away > _SLIDES[0]) | (turned > _SLIDES[1])
     for foot, side in enumerate(SIDES):
         slides = np.zeros(len(feet), np.bool_)
@@ -205,9 +215,3 @@ def _mean_angle(angles: Floats) -> Floats:
     """The mean (2,) of angles (T, 2), rad."""
     mean: Floats = np.arctan2(np.sin(angles).mean(axis=0), np.cos(angles).mean(axis=0))
     return mean
-
-
-def _wrapped(angle: Floats) -> Floats:
-    """The angle between -pi and pi."""
-    wrapped: Floats = np.arctan2(np.sin(angle), np.cos(angle))
-    return wrapped

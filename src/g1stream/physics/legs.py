@@ -12,7 +12,13 @@ from g1stream.physics.footing import refused
 from g1stream.robot.batch_dynamics import cross
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
 from g1stream.robot.kinematics import BLOCK, forward_kinematics
-from g1stream.robot.rotations import quat_conj, quat_mul, quat_rotate, rotation_matrices
+from g1stream.robot.rotations import (
+    quat_conj,
+    quat_mul,
+    quat_rotate,
+    rotation_matrices,
+    rotation_vector,
+)
 from g1stream.robot.soles import OFF_FLOOR, SIDES, Soles
 from g1stream.types import Floats
 
@@ -20,10 +26,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from g1stream.motion.motion import Motion
+    from g1stream.physics.ground import Flags
     from g1stream.robot.model import G1
 
 __all__ = ["Legs", "LegsTooShortError"]
 
+_TOO_SHORT: Final = "the legs are too short, or their knees all but stretched,"
 #: Feet this near to where they shall be, m and rad, are there.
 _EXACT: Final = 1e-6
 #: A knee is bent by this at least, rad: a stretched one cannot lift the pelvis.
@@ -76,9 +84,7 @@ class Legs:
             joint_pos[:, [hip, ankle]] -= 0.5 * bend[:, np.newaxis]
         return replace(motion, joint_pos=joint_pos)
 
-    def reach(
-        self, motion: Motion, root_pos: Floats, moved: NDArray[np.bool_] | None = None
-    ) -> Motion:
+    def reach(self, motion: Motion, root_pos: Floats, moved: Flags | None = None) -> Motion:
         """The motion with its pelvis elsewhere (T, 3), m, and its feet in place.
 
         Newton's method with damped steps, many frames at once, in each until its feet are there.
@@ -96,7 +102,7 @@ class Legs:
             left = left[error[left] >= _EXACT]
         short = (q[:, self._knees].min(axis=1) < _KNEE) | (error >= _EXACT)
         if short.any():
-            raise refused(motion, "the legs do not reach the floor", short, LegsTooShortError)
+            raise refused(motion, _TOO_SHORT, short, LegsTooShortError)
         return replace(motion, joint_pos=q, root_pos=root_pos)
 
     def _step(
@@ -108,7 +114,7 @@ class Legs:
         poses = forward_kinematics(self._robot, *pose, feet)
         turn = quat_mul(self._turns[frames], quat_conj(poses.quat_wxyz[:, feet]))
         away = self._feet[frames] - poses.pos[:, feet]
-        off = np.concatenate([away, 2.0 * turn[..., 1:] * np.sign(turn[..., :1])], axis=2)
+        off = np.concatenate([away, rotation_vector(turn)], axis=2)
         # Components are first, and (feet, joints, N) last.
         matrices, pos = rotation_matrices(poses.quat_wxyz.T[:, links]), poses.pos.T
         axes = (matrices * self._robot.axis[links].transpose(2, 0, 1)[..., np.newaxis]).sum(axis=1)

@@ -88,7 +88,7 @@ def motion_physics(
 ) -> MotionPhysics:
     """What it would take to play a motion: contacts, collisions, centre of pressure, torques.
 
-    It takes 0.1 to 0.2 ms and 2 kB of memory a frame. docs/motion-physics.md has the formulas.
+    docs/motion-physics.md has the formulas, and what it takes.
 
     Args:
         motion: its frames; the floor is at height 0.
@@ -161,7 +161,7 @@ def _on_planted_feet(trajectory: Trajectory, robot: G1) -> Verdict:
     try:
         return Verdict(support="feet", changed=str(stand(trajectory.motion, robot, trajectory)))
     except MotionError as error:
-        return Verdict(support="feet", refused=error.cause.partition(": ")[2] or error.cause)
+        return Verdict(support="feet", refused=error.cause.rpartition(": ")[2])
 
 
 def _without_dynamics(

@@ -29,9 +29,8 @@ from g1stream.robot.standing import LEGS
 from g1stream.types import Floats
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from g1stream.motion.motion import Motion
+    from g1stream.physics.ground import Flags
     from g1stream.robot.model import G1
 
 __all__ = ["Standing", "on_standing_legs", "stand"]
@@ -131,7 +130,7 @@ def stand(motion: Motion, robot: G1, trajectory: Trajectory | None = None) -> St
     )
 
 
-def on_standing_legs(motion: Motion, robot: G1, played: NDArray[np.bool_]) -> Motion:
+def on_standing_legs(motion: Motion, robot: G1, played: Flags) -> Motion:
     """The motion of some joints of an upright robot, whose legs stand with bent knees.
 
     Args:
@@ -166,7 +165,8 @@ def _refuse_beyond_limits(motion: Motion, robot: G1) -> None:
 def _balanced(motion: Motion, trajectory: Trajectory, robot: G1, legs: Legs) -> Motion:
     """The motion with its pelvis moved so that the centre of pressure is inside the soles.
 
-    A shift s of the mass moves the centre of pressure by s - (h/g) s''. So a wanted shift of the
+    A shift s of a mass at a height h, which is taken to be the pelvis's, moves the centre of
+    pressure by s - (h/g) s''. So a wanted shift of the
     centre of pressure gives s as the solution of a tridiagonal system: the mass begins to move
     before the centre of pressure has to. `trajectory` has the pelvis's attitude.
 
@@ -180,19 +180,23 @@ def _balanced(motion: Motion, trajectory: Trajectory, robot: G1, legs: Legs) -> 
     moved, wrench = np.ones(motion.n_frames, np.bool_), np.empty((motion.n_frames, 6))
     touches = legs.touches[..., np.newaxis]
     middle = (touches * legs.corners[..., :2]).sum(axis=1) / touches.sum(axis=1)
-    for _ in range(_ATTEMPTS):
+    lag = float(motion.root_pos[:, 2].mean()) / GRAVITY * motion.fps**2  # h/g, in frames²
+    bands = np.full((2, motion.n_frames), -lag)
+    bands[1] = 1.0 + 2.0 * lag
+    bands[1, [0, -1]] = 1.0 + lag
+    for attempt in range(_ATTEMPTS):
         _update_wrench(wrench, moved, trajectory.moved(motion), robot, dynamics)
         points, outside = _pressure(wrench, motion.fps, legs)
         if outside.max() <= _NEAR:
             return motion
+        if (pulls := outside == np.inf).any():
+            raise refused(motion, "the floor would have to pull at the feet", pulls)
+        if attempt == _ATTEMPTS - 1:
+            break
         inward = middle - points
         distance = np.linalg.norm(inward, axis=1, keepdims=True)
         missing = np.maximum(outside + _NEAR, 0.0)[:, np.newaxis]
         wanted = missing * inward / np.maximum(distance, 1e-9)
-        stiffness = float(motion.root_pos[:, 2].mean()) / GRAVITY * motion.fps**2
-        bands = np.full((2, motion.n_frames), -stiffness)
-        bands[1] = 1.0 + 2.0 * stiffness
-        bands[1, [0, -1]] = 1.0 + stiffness
         root = motion.root_pos.copy()
         shift = solveh_banded(bands, wanted)
         moved = np.abs(shift).max(axis=1) > _MOVED
@@ -205,7 +209,7 @@ def _balanced(motion: Motion, trajectory: Trajectory, robot: G1, legs: Legs) -> 
 
 def _update_wrench(
     wrench: Floats,
-    moved: NDArray[np.bool_],
+    moved: Flags,
     trajectory: Trajectory,
     robot: G1,
     dynamics: BatchInverseDynamics,
@@ -237,17 +241,19 @@ def _pressure(wrench: Floats, fps: float, legs: Legs) -> tuple[Floats, Floats]:
 
     It is that of the wrench (T, 6) as it is or averaged, whichever is nearer: a jump of a frame or
     two, which retargeting leaves in the arms, is over before anything tips. Where a foot is lifted
-    or comes back, the average lags.
+    or comes back, the average lags. Infinitely far it is where the floor does not push.
     """
     from scipy.ndimage import gaussian_filter1d
 
     points = zero_moment_point(wrench[:, :3], wrench[:, 3:])
     outside = beyond_support(points, legs.corners, legs.touches) + _MARGIN
-    far = ~(outside <= -_NEAR)
+    outside[wrench[:, 2] <= 0.0] = np.inf
+    far = outside > -_NEAR
     if far.any():
         averaged = gaussian_filter1d(wrench, _AVERAGED * fps, axis=0)[far]
         others = zero_moment_point(averaged[:, :3], averaged[:, 3:])
         beyond = beyond_support(others, legs.corners[far], legs.touches[far]) + _MARGIN
+        beyond[averaged[:, 2] <= 0.0] = np.inf
         nearer = (beyond < outside[far])[:, np.newaxis]
         points[far] = np.where(nearer, others, points[far])
         outside[far] = np.minimum(outside[far], beyond)

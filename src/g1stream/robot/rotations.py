@@ -22,14 +22,17 @@ __all__ = [
     "quat_conj",
     "quat_from_axis_angle",
     "quat_from_rpy",
+    "quat_from_yaw",
     "quat_mul",
     "quat_normalize",
     "quat_rotate",
     "quat_rotate_inverse",
     "quat_to_rpy",
     "rotation_matrices",
+    "rotation_vector",
     "sign_continuous",
     "tilt_of",
+    "wrap_angle",
     "wxyz_from_xyzw",
     "xyzw_from_wxyz",
     "yaw_of",
@@ -129,6 +132,17 @@ def quat_from_axis_angle(axis: Floats, angle: Floats) -> Floats:
     return np.concatenate([np.broadcast_to(np.cos(half), (*vector.shape[:-1], 1)), vector], axis=-1)
 
 
+def quat_from_yaw(yaw: Floats | float) -> Floats:
+    """Quaternion (..., 4) of a turn by `yaw` (...) rad about the vertical axis z."""
+    return quat_from_axis_angle(np.array([0.0, 0.0, 1.0]), np.asarray(yaw))
+
+
+def rotation_vector(quat: Floats) -> Floats:
+    """Rotation vector (..., 3) rad of a small turn (..., 4): twice its vector part."""
+    vector: Floats = 2.0 * np.copysign(1.0, quat[..., :1]) * quat[..., 1:]
+    return vector
+
+
 def quat_from_rpy(rpy: Floats) -> Floats:
     """Quaternion (..., 4) of roll, pitch, yaw (..., 3) rad: turns about the fixed x, y, z axes.
 
@@ -177,6 +191,12 @@ def yaw_of(quat: Floats) -> Floats:
     w, x, y, z = np.moveaxis(quat, -1, 0)
     heading: Floats = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
     return heading
+
+
+def wrap_angle(angle: Floats) -> Floats:
+    """The angles between -pi and pi."""
+    within: Floats = np.arctan2(np.sin(angle), np.cos(angle))
+    return within
 
 
 def wxyz_from_xyzw(quat_xyzw: Floats) -> Floats:

@@ -209,7 +209,7 @@ def stepping(
 ) -> Motion:
     """A motion that steps: first the left foot, then the right one, and so on, from rest to rest.
 
-    The pelvis moves on its way from place to place with the feet, and not over the foot that
+    A foot is lifted by 6 cm. The pelvis stays midway between the feet, and not over the one that
     stands.
 
     Args:

@@ -13,12 +13,15 @@ from g1stream.robot.rotations import (
     quat_conj,
     quat_from_axis_angle,
     quat_from_rpy,
+    quat_from_yaw,
     quat_mul,
     quat_normalize,
     quat_rotate,
     quat_rotate_inverse,
     quat_to_rpy,
+    rotation_vector,
     tilt_of,
+    wrap_angle,
     wxyz_from_xyzw,
     xyzw_from_wxyz,
     yaw_of,
@@ -149,3 +152,24 @@ def test_tilt_is_the_angle_between_the_vertical_axes():
     for rotation in Rotation.random(50, rng=np.random.default_rng(3)):
         expected = np.arccos(rotation.apply([0, 0, 1])[2])
         assert tilt_of(wxyz_from_xyzw(rotation.as_quat())) == pytest.approx(expected, abs=1e-7)
+
+
+def test_a_yaw_is_a_turn_about_the_vertical():
+    yaw = RNG.uniform(-3.0, 3.0, SHAPE)
+    assert yaw_of(quat_from_yaw(yaw)) == pytest.approx(yaw)
+    assert tilt_of(quat_from_yaw(0.7)) == pytest.approx(0.0, abs=1e-7)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_vector_of_a_small_turn(sign):
+    turns = RNG.normal(scale=1e-4, size=(*SHAPE, 3))
+    quats = Rotation.from_rotvec(turns.reshape(-1, 3)).as_quat()[:, [3, 0, 1, 2]]
+    found = rotation_vector(sign * quats.reshape(*SHAPE, 4))
+    np.testing.assert_allclose(found, turns, atol=1e-10)
+    assert np.linalg.norm(rotation_vector(np.array([0.0, 0.0, 0.0, 1.0]))) == 2.0  # a half turn
+
+
+def test_angles_are_wrapped():
+    assert wrap_angle(np.array([3.5, -3.5, 0.5, 13.0])) == pytest.approx(
+        [3.5 - 2.0 * np.pi, 2.0 * np.pi - 3.5, 0.5, 13.0 - 4.0 * np.pi]
+    )

@@ -2,10 +2,9 @@
 
 Of a motion as it comes, even of one that means to stand, the feet slide by millimetres, sink into
 the floor and turn, and its centre of pressure may be outside of the soles. Here the feet are put
-where they are on average while they stand, flat on the floor. The pelvis keeps its height above
-them and its attitude; it is moved sideways until the centre of pressure is inside the soles that
-stand; and the joints of the legs follow from both. Waist and arms are not changed. docs/feet.md has
-the method.
+flat on the floor (`footing`), the pelvis is moved sideways until the centre of pressure is inside
+the soles that stand, and the joints of the legs follow from both (`legs`). docs/feet.md has the
+method.
 """
 
 from __future__ import annotations
@@ -224,7 +223,8 @@ def _update_wrench(
         base = point.root_ang_vel, point.root_ang_acc, point.root_lin_acc
         load = dynamics.batch(poses, point.joint_vel, point.joint_acc).follow(*base)
         force, moment = load.force, load.moment
-        # The arms do not follow a jump, and what they do not do pushes nothing.
+        # The arms do not follow a jump, and what they do not do pushes nothing. A joint that the
+        # robot lacks has a limit of 0.
         excess = (np.abs(load.tau) / np.maximum(robot.torque_limit, 1.0))[:, LEGS:].max(axis=1)
         if (jump := excess > 1.0).any():
             possible = point.joint_acc[jump]

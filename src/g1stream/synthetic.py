@@ -243,4 +243,4 @@ def stepping(
     root_quat = quat_from_yaw(middle[:, 2])
     pose = np.tile(bent_legs(0.4), (len(time), 1))
     motion = Motion.from_arrays(pose, root_pos, root_quat, fps=fps, name="stepping")
-    return Legs(robot, soles, feet, turns).reach(motion, root_pos)
+    return Legs(robot, soles, feet, turns, fps).reach(motion, root_pos)

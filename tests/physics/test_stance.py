@@ -256,9 +256,10 @@ def test_arms_that_jump_within_a_frame_do_not_tip_the_robot():
     assert stand(jumping(0.25), ROBOT).shifted_mm == pytest.approx(0.0, abs=5.0)
 
 
-def test_arms_that_jump_far_are_refused_with_the_frame():
-    with pytest.raises(MotionError, match="in frame 30"):
-        stand(jumping(1.0), ROBOT)
+@pytest.mark.parametrize(("jump", "frames"), [(1.0, "in frame 30"), (2.0, "in frames 29 to 31")])
+def test_arms_that_jump_far_are_refused_with_the_frames(jump, frames):
+    with pytest.raises(MotionError, match=f"the feet would slip, .* {frames}"):
+        stand(jumping(jump), ROBOT)
 
 
 def test_the_pressure_of_a_changed_motion_is_inside_the_soles_in_every_frame():
@@ -285,7 +286,7 @@ def test_the_pressure_of_a_changed_motion_is_inside_the_soles_in_every_frame():
         beyond_support(zero_moment_point(one[:, :3], one[:, 3:]), corners, stands)
         for one in (wrench, averaged)
     ]
-    assert np.min(beyond, axis=0).max() == pytest.approx(-0.018, abs=5e-4)
+    assert np.min(beyond, axis=0).max() < -0.018 + 5e-4
 
 
 def test_legs_beyond_a_limit_are_refused_with_their_frames(squat):

@@ -88,6 +88,15 @@ def test_a_motion_that_walks_is_refused():
 
 
 @pytest.mark.slow
+def test_it_stands_long_on_one_foot():
+    """At half its speed, the demo stands on either foot for 0.8 s, with 15 frames a second."""
+    slow = load_motion("demo").trim(7.5, 12.5).at_speed(0.5)
+    session = rollout(slow, support="feet", config=config(hold=0.0), noise=noise())
+    assert session.metadata["stream"]["reason"] == ""
+    assert session.tracking().overall < 0.01
+
+
+@pytest.mark.slow
 def test_it_lifts_one_foot_and_then_the_other():
     """The right one of the demo at 8.6 s, the left one at 9.5 s."""
     session = rollout("demo", support="feet", seconds=2.5, config=config(start=7.8), noise=noise())

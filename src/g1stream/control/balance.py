@@ -335,22 +335,23 @@ def _cone(sole: Floats) -> tuple[Floats, Floats]:
     In the foot's frame, about the middle of the sole: the least force, the friction pyramid, the
     centre of pressure (x = -m_y / f_z, y = m_x / f_z), and friction against turning.
     """
-    front, back = sole[:2, 0].min() - _EDGE, -sole[2:, 0].max() - _EDGE
-    side = np.abs(sole[:, 1]).min() - _EDGE
     mu, twist = _FRICTION, _FRICTION * _RADIUS
-    rows = np.array(
+    along = np.roll(sole, -1, axis=0) - sole  # the corners go round clockwise, seen from above
+    x, y = np.stack([-along[:, 1], along[:, 0]]) / np.linalg.norm(along, axis=1)  # outward
+    within = x * sole[:, 0] + y * sole[:, 1] - _EDGE
+    none = np.zeros(len(sole))
+    rows = np.concatenate(
         [
-            (0, 0, 1, 0, 0, 0),
-            (1, 0, mu, 0, 0, 0),
-            (-1, 0, mu, 0, 0, 0),
-            (0, 1, mu, 0, 0, 0),
-            (0, -1, mu, 0, 0, 0),
-            (0, 0, front, 0, 1, 0),
-            (0, 0, back, 0, -1, 0),
-            (0, 0, side, 1, 0, 0),
-            (0, 0, side, -1, 0, 0),
-            (0, 0, twist, 0, 0, 1),
-            (0, 0, twist, 0, 0, -1),
+            [
+                (0, 0, 1, 0, 0, 0),
+                (1, 0, mu, 0, 0, 0),
+                (-1, 0, mu, 0, 0, 0),
+                (0, 1, mu, 0, 0, 0),
+                (0, -1, mu, 0, 0, 0),
+                (0, 0, twist, 0, 0, 1),
+                (0, 0, twist, 0, 0, -1),
+            ],
+            np.column_stack([none, none, within, -y, x, none]),
         ]
     )
     least = np.zeros(len(rows))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from math import ceil
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -31,6 +32,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Legs", "LegsTooShortError"]
 
+#: A foot carries nothing from so long before it is lifted, s, and from a frame before it at least:
+#: between two frames the centre of pressure is on its way.
+_UNLOADED: Final = 0.03
 _TOO_SHORT: Final = "the legs are too short, or their knees all but stretched,"
 #: Feet this near to where they shall be, m and rad, are there.
 _EXACT: Final = 1e-6
@@ -56,13 +60,15 @@ class Legs:
         soles: of its feet.
         feet: (T, 2, 3) m, world, the links of the feet.
         turns: (T, 2, 4) wxyz, foot to world.
+        fps: frames per second.
 
     Attributes:
         corners: (T, 8, 3) m, world, of the soles.
-        touches: (T, 8) whether a corner is one of a foot that stands on the floor at height 0.
+        carries: (T, 8) whether a corner is one of a foot that may carry the robot: that stands on
+            the floor at height 0, and is not about to be lifted.
     """
 
-    def __init__(self, robot: G1, soles: Soles, feet: Floats, turns: Floats) -> None:
+    def __init__(self, robot: G1, soles: Soles, feet: Floats, turns: Floats, fps: float) -> None:
         self._robot, self._soles = robot, soles
         self._feet, self._turns = feet, turns
         self._joints = [list(JOINT_GROUPS[f"{side}_leg"]) for side in SIDES]
@@ -73,7 +79,7 @@ class Legs:
         self._knees = [JOINT_NAMES.index(f"{side}_knee_joint") for side in SIDES]
         corners = quat_rotate(turns[:, :, np.newaxis], soles.corners) + feet[:, :, np.newaxis]
         self.corners: Floats = corners.reshape(-1, 8, 3)
-        self.touches = np.repeat(feet[..., 2] < soles.height + OFF_FLOOR, 4, axis=1)
+        self.carries = np.repeat(_carrying(feet[..., 2] < soles.height + OFF_FLOOR, fps), 4, axis=1)
 
     def bent(self, motion: Motion) -> Motion:
         """The motion with its knees bent: from a stretched one, `reach` could bend it backwards."""
@@ -129,3 +135,14 @@ class Legs:
         )
         worst: Floats = np.abs(off).max(axis=(1, 2))
         return worst
+
+
+def _carrying(stands: Flags, fps: float) -> Flags:
+    """Which feet (T, 2), of those that stand, may carry the robot; one of them always does."""
+    unloaded = ~stands
+    for ahead in range(1, 1 + ceil(_UNLOADED * fps)):
+        unloaded[:-ahead] |= ~stands[ahead:]
+    neither = unloaded.all(axis=1)
+    unloaded[neither] = ~stands[neither]
+    carrying: Flags = ~unloaded
+    return carrying

@@ -42,7 +42,9 @@ _MARGIN: Final = 0.02
 _AVERAGED: Final = 0.05
 #: A centre of pressure this near to where it shall be is there, m, and attempts to get it there.
 _NEAR: Final = 0.002
-_ATTEMPTS: Final = 12
+_ATTEMPTS: Final = 16
+#: A pelvis that is shifted with a greater acceleration slips, m/s²: a coefficient of friction of 0.4.
+_SLIPS: Final = 0.4 * GRAVITY
 #: Frames in which the pelvis would be shifted by less stay as they are, m.
 _MOVED: Final = 1e-7
 #: Legs that do not play the motion are bent by this angle at hip and ankle, rad.
@@ -102,7 +104,7 @@ def stand(motion: Motion, robot: G1, trajectory: Trajectory | None = None) -> St
     """
     soles = Soles(robot)
     footing = find_footing(motion, robot, soles)
-    legs = Legs(robot, soles, footing.feet, footing.turns)
+    legs = Legs(robot, soles, footing.feet, footing.turns, motion.fps)
     root = motion.root_pos + footing.shift
     trajectory = trajectory or Trajectory(motion)
     bent, lowered = legs.bent(motion), 0.0
@@ -116,6 +118,8 @@ def stand(motion: Motion, robot: G1, trajectory: Trajectory | None = None) -> St
             if lowered > _LOWEST:
                 raise
     _refuse_beyond_limits(shifted, robot)
+    shift = (shifted.root_pos - low)[:, :2]
+    _refuse_slipping(shifted, shift)
     change = np.abs(shifted.joint_pos - motion.joint_pos)
     joint = int(change.max(axis=0).argmax())
     return Standing(
@@ -123,7 +127,7 @@ def stand(motion: Motion, robot: G1, trajectory: Trajectory | None = None) -> St
         moved_mm=1e3 * footing.moved,
         turned_deg=float(np.degrees(footing.turned)),
         lowered_mm=1e3 * lowered,
-        shifted_mm=1e3 * float(np.linalg.norm((shifted.root_pos - low)[:, :2], axis=-1).max()),
+        shifted_mm=1e3 * float(np.linalg.norm(shift, axis=-1).max()),
         joint_deg=float(np.degrees(change.max())),
         joint=JOINT_NAMES[joint],
     )
@@ -161,6 +165,14 @@ def _refuse_beyond_limits(motion: Motion, robot: G1) -> None:
         raise refused(motion, f"{JOINT_NAMES[joint]} gets beyond its limit", where)
 
 
+def _refuse_slipping(motion: Motion, shift: Floats) -> None:
+    """Raise MotionError where the pelvis is shifted (T, 2) with more than friction can give."""
+    acc = np.zeros(len(shift))
+    acc[1:-1] = np.linalg.norm(np.diff(shift, 2, axis=0), axis=-1) * motion.fps**2
+    if (slips := acc > _SLIPS).any():
+        raise refused(motion, "the feet would slip, to keep the mass over them,", slips)
+
+
 def _balanced(motion: Motion, trajectory: Trajectory, robot: G1, legs: Legs) -> Motion:
     """The motion with its pelvis moved so that the centre of pressure is inside the soles.
 
@@ -177,8 +189,8 @@ def _balanced(motion: Motion, trajectory: Trajectory, robot: G1, legs: Legs) -> 
 
     dynamics = BatchInverseDynamics.of(robot)
     moved, wrench = np.ones(motion.n_frames, np.bool_), np.empty((motion.n_frames, 6))
-    touches = legs.touches[..., np.newaxis]
-    middle = (touches * legs.corners[..., :2]).sum(axis=1) / touches.sum(axis=1)
+    carries = legs.carries[..., np.newaxis]
+    middle = (carries * legs.corners[..., :2]).sum(axis=1) / carries.sum(axis=1)
     lag = float(motion.root_pos[:, 2].mean()) / GRAVITY * motion.fps**2  # h/g, in frames²
     bands = np.full((2, motion.n_frames), -lag)
     bands[1] = 1.0 + 2.0 * lag
@@ -246,13 +258,13 @@ def _pressure(wrench: Floats, fps: float, legs: Legs) -> tuple[Floats, Floats]:
     from scipy.ndimage import gaussian_filter1d
 
     points = zero_moment_point(wrench[:, :3], wrench[:, 3:])
-    outside = beyond_support(points, legs.corners, legs.touches) + _MARGIN
+    outside = beyond_support(points, legs.corners, legs.carries) + _MARGIN
     outside[wrench[:, 2] <= 0.0] = np.inf
     far = outside > -_NEAR
     if far.any():
         averaged = gaussian_filter1d(wrench, _AVERAGED * fps, axis=0)[far]
         others = zero_moment_point(averaged[:, :3], averaged[:, 3:])
-        beyond = beyond_support(others, legs.corners[far], legs.touches[far]) + _MARGIN
+        beyond = beyond_support(others, legs.corners[far], legs.carries[far]) + _MARGIN
         beyond[averaged[:, 2] <= 0.0] = np.inf
         nearer = (beyond < outside[far])[:, np.newaxis]
         points[far] = np.where(nearer, others, points[far])

@@ -10,6 +10,7 @@ import pytest
 
 from g1stream.config import Config
 from g1stream.programs.child_process import Child
+from g1stream.session.motions import load_motion
 from g1stream.session.session import open_session
 from g1stream.session.writer import SessionWriter
 from g1stream.synthetic import SyntheticSession
@@ -87,3 +88,12 @@ def test_two_runs_are_compared(tmp_path):
     printed = run("compare_runs.py", *sessions)
     (row,) = (line.split() for line in printed.splitlines() if line.startswith("rmse "))
     assert float(row[2]) < float(row[1])
+
+
+@pytest.mark.slow
+def test_steps_are_made_and_played(tmp_path):
+    pytest.importorskip("daqp")
+    printed = run("steps.py", tmp_path / "steps.npz", "--pairs", 1)
+    assert printed.startswith("can be played")
+    assert "RMSE" in printed
+    assert load_motion(tmp_path / "steps.npz").duration == pytest.approx(6.4)

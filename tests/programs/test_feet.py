@@ -25,6 +25,7 @@ from g1stream.robot.rotations import (
     tilt_of,
     yaw_of,
 )
+from g1stream.session.motions import load_motion
 from g1stream.settings import SimConfig
 from g1stream.sim.lockstep import Lockstep
 from g1stream.sim.robot import SimulatedRobot
@@ -68,6 +69,8 @@ def test_it_stands_and_follows_the_reference(session):
     assert not any("with changes to stand" in problem for problem in session.summary().problems)
     assert any("with changes to stand" in event.text for event in session.log)
     assert session.tracking().overall < 0.004
+    success = session.metrics().success
+    assert (success.links, success.success, success.success_strict) == ("world", True, True)
     playing = session.base.time < 2.0
     assert session.base.position[playing, 2].min() > 0.6
 

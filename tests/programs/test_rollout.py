@@ -152,6 +152,12 @@ def test_settings_that_cannot_be_played(settings, named):
         rollout("demo", config=Config.model_validate(settings))
 
 
+def test_a_support_that_does_not_exist():
+    with pytest.raises(ConfigError, match="'foot'") as raised:
+        rollout("demo", support="foot")
+    assert "feet" in raised.value.remedy
+
+
 def test_seconds_must_be_positive():
     with pytest.raises(ConfigError, match=r"stream\.duration.*-1"):
         rollout("demo", seconds=-1)

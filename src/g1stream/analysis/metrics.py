@@ -38,6 +38,8 @@ if TYPE_CHECKING:
 
 __all__ = ["metrics"]
 
+#: Supports with which the pelvis moves as the robot does, or as the motion does.
+_MOVES: Final = {"follow", "free", "feet"}
 #: A run fails where the links are further away than this on average, mm: PHC, H2O, OmniH2O, ASAP.
 _MOST_LINK_ERROR: Final = 500.0
 #: What ends an episode of BeyondMimic: errors of heights, mm, and of the direction of gravity.
@@ -196,7 +198,7 @@ def _success(
     found = SuccessMetrics(completed=completed, progress=progress)
     if body is None:
         return found
-    moves = summary.stream is not None and summary.stream.support in {"follow", "free"}
+    moves = summary.stream is not None and summary.stream.support in _MOVES
     if tracking and len(tracking.joints) + len(summary.absent) < N_JOINTS:
         moves = False  # the base is not the motion's, but that of whoever moves the legs
     links = "pelvis_frame"

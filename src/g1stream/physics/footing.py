@@ -50,6 +50,7 @@ class Footing(NamedTuple):
         shift: (T, 3) m, by how much the feet that stand were moved on average.
         moved: m, how far a foot that stands was moved, seen from between both feet, at most.
         turned: rad, by how much a foot was turned at most.
+        levelled: m, how far the lower foot was from where it mostly is, at most.
     """
 
     feet: Floats
@@ -57,6 +58,7 @@ class Footing(NamedTuple):
     shift: Floats
     moved: float
     turned: float
+    levelled: float
 
 
 class _Lift(NamedTuple):
@@ -81,8 +83,11 @@ def find_footing(motion: Motion, robot: G1, soles: Soles) -> Footing:
     ]
     feet, turns, corners = (np.concatenate(parts) for parts in zip(*of_feet, strict=True))
     lowest = corners[..., 2].reshape(-1, 2, 4).min(axis=2)
-    _refuse_hops(motion, lowest)
-    above = lowest - lowest.min(axis=1, keepdims=True)
+    floor = lowest.min(axis=1, keepdims=True)
+    above = lowest - floor
+    levelled = floor[:, 0] - np.median(floor)
+    if (hops := levelled > _HOPS).any():
+        raise refused(motion, "no foot is on the floor", hops)
     lifted = _find_lifted(above)
     both: Flags = np.asarray(~lifted.any(axis=1))
     lifts = _in_order(motion, lifted)
@@ -124,28 +129,35 @@ def find_footing(motion: Motion, robot: G1, soles: Soles) -> Footing:
         (stood * (places - feet)).sum(axis=1) / stood.sum(axis=1),
         moved,
         float(2.0 * np.arccos(np.abs(quat_mul(quat_conj(level), turns)[..., 0]).clip(0, 1)).max()),
+        float(np.abs(levelled).max()),
     )
 
 
 def refused(
-    motion: Motion, why: str, where: Flags, error: type[MotionError] = MotionError
+    motion: Motion,
+    why: str,
+    where: Flags,
+    error: type[MotionError] = MotionError,
+    *,
+    slower: bool = False,
 ) -> MotionError:
-    """That a motion cannot be played on its feet: why, and in which frames (T,)."""
+    """That a motion cannot be played on its feet: why, in which frames (T,), and what may help.
+
+    Args:
+        motion: that cannot.
+        why: with which the sentence ends, but for the frames.
+        where: the frames.
+        error: its class.
+        slower: the motion may be played slower.
+    """
     spans = [(first, stop - 1) for first, stop in stretches(where)]
     frames = "frames" if where.sum() > 1 else "frame"
     return error(
         f"{motion.name} cannot be played on its feet: {why} in {frames} {ranges(spans, _NAMED)}.",
-        "Play it slower (--speed 0.5), or a part in which the feet can stand (--start, "
-        "--duration); or waist and arms only, on legs that stand (--joints waist,arms); or hold "
-        "the robot and give --support hanging.",
+        f"{'Play it slower (--speed), or' if slower else 'Play'} a part without them (--trim); or "
+        "waist and arms only, on legs that stand (--joints waist,arms); or hold the robot and give "
+        "--support hanging.",
     )
-
-
-def _refuse_hops(motion: Motion, lowest: Floats) -> None:
-    """Raise MotionError where no foot is on the floor, which is where the lower one mostly is."""
-    lower = lowest.min(axis=1)
-    if (hops := lower - np.median(lower) > _HOPS).any():
-        raise refused(motion, "no foot is on the floor", hops)
 
 
 def _find_lifted(above: Floats) -> Flags:
@@ -180,7 +192,7 @@ def _in_order(motion: Motion, lifted: Flags) -> list[_Lift]:
         if one.foot != other.foot and other.first - one.stop < _LEAVES * motion.fps:
             hurried[one.stop - 1 : other.first + 1] = True
     if hurried.any():
-        raise refused(motion, f"both feet are lifted within {_LEAVES} s", hurried)
+        raise refused(motion, f"both feet are lifted within {_LEAVES} s", hurried, slower=True)
     return lifts
 
 

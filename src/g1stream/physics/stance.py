@@ -43,7 +43,7 @@ _AVERAGED: Final = 0.05
 #: A centre of pressure this near to where it shall be is there, m, and attempts to get it there.
 _NEAR: Final = 0.002
 _ATTEMPTS: Final = 16
-#: A pelvis that is shifted with a greater acceleration slips, m/s²: a coefficient of friction of 0.4.
+#: A pelvis that is shifted with a greater acceleration slips, m/s², where friction is 0.4.
 _SLIPS: Final = 0.4 * GRAVITY
 #: Frames in which the pelvis would be shifted by less stay as they are, m.
 _MOVED: Final = 1e-7
@@ -57,6 +57,7 @@ class Standing:
 
     Attributes:
         motion: the changed motion, its feet flat, on a floor at height 0 unless they are lifted.
+        levelled_mm: how far the lower foot was from the floor, which is where it mostly is.
         moved_mm: how far a foot that stands was moved, seen from between both feet, at most.
         turned_deg: by how much a foot was turned at most.
         lowered_mm: by how much the pelvis was lowered over the feet.
@@ -66,6 +67,7 @@ class Standing:
     """
 
     motion: Motion
+    levelled_mm: float
     moved_mm: float
     turned_deg: float
     lowered_mm: float
@@ -77,6 +79,7 @@ class Standing:
     def changes(self) -> list[str]:
         """What was changed by a millimetre or a tenth of a degree."""
         sizes = (
+            ("floor levelled by up to", f"{self.levelled_mm:.0f}", " mm"),
             ("feet moved by up to", f"{self.moved_mm:.0f}", " mm"),
             ("feet turned by up to", f"{self.turned_deg:.1f}", "°"),
             ("pelvis lowered by", f"{self.lowered_mm:.0f}", " mm"),
@@ -124,6 +127,7 @@ def stand(motion: Motion, robot: G1, trajectory: Trajectory | None = None) -> St
     joint = int(change.max(axis=0).argmax())
     return Standing(
         shifted,
+        levelled_mm=1e3 * footing.levelled,
         moved_mm=1e3 * footing.moved,
         turned_deg=float(np.degrees(footing.turned)),
         lowered_mm=1e3 * lowered,
@@ -170,7 +174,7 @@ def _refuse_slipping(motion: Motion, shift: Floats) -> None:
     acc = np.zeros(len(shift))
     acc[1:-1] = np.linalg.norm(np.diff(shift, 2, axis=0), axis=-1) * motion.fps**2
     if (slips := acc > _SLIPS).any():
-        raise refused(motion, "the feet would slip, to keep the mass over them,", slips)
+        raise refused(motion, "the feet slip, to keep the mass over them,", slips, slower=True)
 
 
 def _balanced(motion: Motion, trajectory: Trajectory, robot: G1, legs: Legs) -> Motion:
@@ -201,7 +205,7 @@ def _balanced(motion: Motion, trajectory: Trajectory, robot: G1, legs: Legs) -> 
         if outside.max() <= _NEAR:
             return motion
         if (pulls := outside == np.inf).any():
-            raise refused(motion, "the floor would have to pull at the feet", pulls)
+            raise refused(motion, "the floor would have to pull at the feet", pulls, slower=True)
         if attempt == _ATTEMPTS - 1:
             break
         inward = middle - points
@@ -215,7 +219,7 @@ def _balanced(motion: Motion, trajectory: Trajectory, robot: G1, legs: Legs) -> 
         motion = legs.reach(motion, root, moved)
     inside = round(1e3 * (_MARGIN - _NEAR))
     why = f"the centre of pressure is not kept {inside} mm inside the soles"
-    raise refused(motion, why, outside > _NEAR)
+    raise refused(motion, why, outside > _NEAR, slower=True)
 
 
 def _update_wrench(

@@ -7,7 +7,7 @@ import threading
 from collections import defaultdict
 from contextlib import contextmanager
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, get_args
 
 from g1stream._version import __version__
 from g1stream.config import Config, load_config
@@ -32,6 +32,7 @@ from g1stream.session.source import MemorySource
 from g1stream.session.writer import attach_motion
 from g1stream.sim.lockstep import EPOCH, Lockstep
 from g1stream.sim.robot import SimulatedRobot
+from g1stream.types import StreamSupport
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -39,7 +40,7 @@ if TYPE_CHECKING:
 
     from g1stream.dds.messages import LowState
     from g1stream.dds.topics import Topic
-    from g1stream.types import FeedForwardKind, StreamSupport, Support
+    from g1stream.types import FeedForwardKind, Support
 
 __all__ = ["LATENCY", "rollout"]
 
@@ -166,6 +167,10 @@ def _resolve(
     joints: str | None,
 ) -> Config:
     """The config with the arguments of a rollout over its values."""
+    if support not in (None, *get_args(StreamSupport)):
+        raise ConfigError(
+            f"There is no support {support!r}.", f"Use {', '.join(get_args(StreamSupport))}."
+        )
     if support == "feet" or (support is None and config.stream.support == "feet"):
         config = config.model_copy(
             update={"stream": config.stream.model_copy(update={"support": "feet"})}

@@ -73,7 +73,7 @@ def find_footing(motion: Motion, robot: G1, soles: Soles) -> Footing:
     """Find where the feet of a motion stand; a lifted one follows the motion relative to the other.
 
     Raises:
-        MotionError: a foot slides, or is lifted in the first or the last frame, or with the other.
+        MotionError: a foot slides, or is lifted in the first or the last frame, or both are lifted.
     """
     of_feet = [
         (poses.pos[:, soles.links], poses.quat_wxyz[:, soles.links], soles.positions(poses))

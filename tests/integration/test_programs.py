@@ -88,6 +88,7 @@ def test_a_motion_is_played_and_recorded(played):
     assert summary["recorder"]["lost"]["/reference"] == 0
 
 
+@pytest.mark.alone  # a robot on its feet falls where another test keeps the balance from its CPU
 def test_a_robot_stands_on_its_feet_and_squats_at_the_end(running, tmp_path, domain_id):
     """Where the demo lifts its right foot, at 8.6 s."""
     pytest.importorskip("daqp")

@@ -241,6 +241,7 @@ def motions(seconds: float, clip: Path) -> dict[str, Callable[[], Motion]]:
         "weight shifts": lambda: swaying(seconds),
         "demo": lambda: load_motion("demo"),
         "steps in place": lambda: striding(seconds, (0.0, 0.0, 0.0)),
+        "each foot lifted for 5 s": lambda: striding(seconds, (0.0, 0.0, 0.0), 6.0, 5.0),
         "steps forward and back": lambda: striding(seconds, (0.12, 0.0, 0.0)),
         "steps to the side and back": lambda: striding(seconds, (0.0, 0.1, 0.0)),
         "turns by steps": lambda: striding(seconds, (0.0, 0.0, 0.4)),

@@ -15,7 +15,7 @@ import numpy as np
 
 from g1stream.control.base_estimate import BaseEstimate
 from g1stream.extras import import_extra
-from g1stream.physics.ground import beyond_hull
+from g1stream.physics.ground import TRUSTED_FRICTION, beyond_hull
 from g1stream.robot.dynamics import GRAVITY
 from g1stream.robot.rotations import (
     quat_conj,
@@ -55,10 +55,9 @@ _EVEN: Final = np.diag(1e-3 * np.tile([10.0, 10.0, 1.0, 200.0, 200.0, 200.0], 2)
 #: And that of the difference of the feet's horizontal forces, which push the feet apart: where the
 #: centre of pressure is at the edge, that would gain a little, and the soles would slide.
 _APART: Final = 3.0 * np.kron([[1.0, -1.0], [-1.0, 1.0]], np.diag([1.0, 1.0, 0.0, 0.0, 0.0, 0.0]))
-#: What the floor is trusted with: the coefficient of friction along each axis of a foot, the least
-#: force on a foot over the
-#: weight, and how far the centre of pressure is kept from the edge of a sole, m.
-_FRICTION: Final = 0.4
+#: What else the floor is trusted with, beside the friction along each axis of a foot: the least
+#: force on a foot over the weight, and how far the centre of pressure is kept from the edge of a
+#: sole, m.
 _LEAST: Final = 0.03
 _EDGE: Final = 0.01
 #: Radius of a circle as large as a sole, at which friction resists turning, m.
@@ -335,7 +334,7 @@ def _cone(sole: Floats) -> tuple[Floats, Floats]:
     In the foot's frame, about the middle of the sole: the least force, the friction pyramid, the
     centre of pressure (x = -m_y / f_z, y = m_x / f_z), and friction against turning.
     """
-    mu, twist = _FRICTION, _FRICTION * _RADIUS
+    mu, twist = TRUSTED_FRICTION, TRUSTED_FRICTION * _RADIUS
     along = np.roll(sole, -1, axis=0) - sole  # the corners go round clockwise, seen from above
     x, y = np.stack([-along[:, 1], along[:, 0]]) / np.linalg.norm(along, axis=1)  # outward
     within = x * sole[:, 0] + y * sole[:, 1] - _EDGE

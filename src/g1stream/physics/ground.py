@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "FRICTION",
+    "TRUSTED_FRICTION",
     "beyond_hull",
     "beyond_support",
     "floor_forces",
@@ -28,6 +29,9 @@ __all__ = [
 
 FRICTION: Final = 0.6
 """Coefficient of friction between sole and floor: rubber on a dry floor. Simulators have 1."""
+
+TRUSTED_FRICTION: Final = 0.4
+"""What a robot that stands trusts the floor with: less than there mostly is."""
 
 #: A corner touches the floor once it is lower and slower than the first figures, and until it is
 #: higher or faster than the second ones, m and m/s. Clips that were retargeted have standing feet

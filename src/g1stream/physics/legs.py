@@ -139,10 +139,9 @@ class Legs:
 
 def _carrying(stands: Flags, fps: float) -> Flags:
     """Which feet (T, 2), of those that stand, may carry the robot; one of them always does."""
-    unloaded = ~stands
+    carries: Flags = stands.copy()
     for ahead in range(1, 1 + ceil(_UNLOADED * fps)):
-        unloaded[:-ahead] |= ~stands[ahead:]
-    neither = unloaded.all(axis=1)
-    unloaded[neither] = ~stands[neither]
-    carrying: Flags = ~unloaded
-    return carrying
+        carries[:-ahead] &= stands[ahead:]
+    neither = ~carries.any(axis=1)
+    carries[neither] = stands[neither]
+    return carries

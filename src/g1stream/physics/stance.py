@@ -17,7 +17,7 @@ import numpy as np
 from g1stream.motion.limits import POSITION_TOLERANCE
 from g1stream.motion.trajectory import Trajectory
 from g1stream.physics.footing import find_footing, refused
-from g1stream.physics.ground import beyond_support, zero_moment_point
+from g1stream.physics.ground import TRUSTED_FRICTION, beyond_support, zero_moment_point
 from g1stream.physics.legs import Legs, LegsTooShortError
 from g1stream.robot.batch_dynamics import BatchInverseDynamics
 from g1stream.robot.dynamics import GRAVITY
@@ -43,8 +43,8 @@ _AVERAGED: Final = 0.05
 #: A centre of pressure this near to where it shall be is there, m, and attempts to get it there.
 _NEAR: Final = 0.002
 _ATTEMPTS: Final = 16
-#: A pelvis that is shifted with a greater acceleration slips, m/s², where friction is 0.4.
-_SLIPS: Final = 0.4 * GRAVITY
+#: A pelvis that is shifted with a greater acceleration slips, m/s².
+_SLIPS: Final = TRUSTED_FRICTION * GRAVITY
 #: Frames in which the pelvis would be shifted by less stay as they are, m.
 _MOVED: Final = 1e-7
 #: Legs that do not play the motion are bent by this angle at hip and ankle, rad.

@@ -82,9 +82,11 @@ def test_both_processes_see_the_same_heartbeat(heartbeat):
     command = LowCmd().seal()
     heartbeat.beat(command, START)
     assert (other.last_write, other.command) == (START, command)
-    assert heartbeat.takeover is Takeover.NONE
-    other.takeover, other.subscribers = Takeover.STOPPED, 2
+    assert (heartbeat.takeover, heartbeat.replacement) == (Takeover.NONE, b"")
+    damping, other.subscribers = damping_command(command, 3.0), 2
+    other.replace(damping, Takeover.STOPPED)
     assert (heartbeat.takeover, heartbeat.subscribers) == (Takeover.STOPPED, 2)
+    assert (heartbeat.replacement, heartbeat.command) == (damping, command)
     heartbeat.clear()
     assert other.last_write == 0
     other.close()

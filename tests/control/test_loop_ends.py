@@ -45,14 +45,12 @@ def test_a_stop_before_the_first_command_sends_nothing(make_loop, link, events):
     assert loop.report.rate is None
 
 
-@pytest.mark.parametrize("n", [0, 30, 200, RAMP + PLAY + 3])
+@pytest.mark.parametrize("n", [0, 10, 200, RAMP + PLAY + 3])
 def test_where_the_guard_has_taken_over_only_damping_is_sent(make_loop, link, n):
-    """Also the command that was about to be written: a damping one follows it in the same tick."""
     link.at_send(n, lambda: setattr(link, "guard_took_over", "the guard damps"))
     loop = make_loop()
     assert loop.run().reason == "the guard damps"
     assert int(link.sent[n + 1].reference.phase) == Phase.DAMP
-    assert link.sent[n + 1].time == link.sent[n].time
     link.assert_damped()
     assert loop.damped
 

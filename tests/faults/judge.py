@@ -120,10 +120,16 @@ def _measure(outcome: Outcome, record: dict[str, Any]) -> None:
     if limp[-1]:
         first = int(np.argmax(stiff))  # it may begin damped; 0 where no command is stiff
         damped = first + int(np.argmax(limp[first:]))
-        if not limp[damped:].all():
+        # A process that loses its CPU within a write ends that write later: one command, which was
+        # published before the first damping one, although it is received after it.
+        published = record["published"]
+        again = stiff[damped:]
+        if again.sum() > 1 or again[published[damped:] >= published[damped]].any():
             outcome.wrong.append("stiff again after damping had begun")
+        if not (limp | stiff)[damped:].all():
+            outcome.wrong.append("neither stiff nor damping")
         # Received later than published, all at once, where this machine stalled the robot.
-        length = max(times[-1] - times[damped] for times in (received, record["published"])) / 1e9
+        length = max(times[-1] - times[damped] for times in (received, published)) / 1e9
         if length < DAMPED:
             outcome.wrong.append(f"damped for {length:.2f} s only")
 

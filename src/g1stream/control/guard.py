@@ -1,7 +1,7 @@
 """What the guard process of a stream knows of it, and when it damps the robot in its place.
 
-The stream writes a heartbeat and a copy of each command into shared memory; docs/safety.md explains
-the guard. Time comes in as an argument.
+The stream writes a heartbeat and a copy of each command into shared memory, the guard what it sends
+instead; docs/safety.md explains the guard. Time comes in as an argument.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _STATE_CHECK: Final = 20_000_000
 _CHECK_PERIOD: Final = 10_000_000
 
 _COMMAND_SIZE: Final = Layout.of(LowCmd.idl_type).sample_size
-#: The fields of the shared memory, each an int64; the last command follows them.
+#: The fields of the shared memory, each an int64; the last commands of both follow them.
 _LAST_WRITE, _TAKEOVER, _SUBSCRIBERS, _FIELDS = range(4)
 
 
@@ -65,7 +65,7 @@ class Heartbeat:
     """
 
     def __init__(self, memory: int | None = None) -> None:
-        size = 8 * _FIELDS + _COMMAND_SIZE
+        size = 8 * _FIELDS + 2 * _COMMAND_SIZE
         if memory is None:
             if sys.platform != "linux":
                 raise SafetyError(
@@ -77,7 +77,8 @@ class Heartbeat:
         shared = memoryview(mmap.mmap(memory, size))
         # A store of 8 aligned bytes is atomic: neither side ever reads half a number.
         self._fields = shared[: 8 * _FIELDS].cast("q")
-        self._command = shared[8 * _FIELDS :]
+        self._command = shared[8 * _FIELDS :][:_COMMAND_SIZE]
+        self._replacement = shared[8 * _FIELDS + _COMMAND_SIZE :]
 
     def beat(self, command: bytes, now: int) -> None:
         """Note, before a command is written, what it is and when, ns of CLOCK_MONOTONIC."""
@@ -100,11 +101,17 @@ class Heartbeat:
 
     @property
     def takeover(self) -> Takeover:
-        """Why the guard damps the robot; set once, before its first command."""
+        """Why the guard damps the robot; NONE: it does not."""
         return Takeover(self._fields[_TAKEOVER])
 
-    @takeover.setter
-    def takeover(self, why: Takeover) -> None:
+    @property
+    def replacement(self) -> bytes:
+        """The guard's last command, for the stream to send as well; empty before its first one."""
+        return bytes(self._replacement) if self._fields[_TAKEOVER] else b""
+
+    def replace(self, command: bytes, why: Takeover) -> None:
+        """Note, before the guard writes a command, what it is, and why the guard damps."""
+        self._replacement[:] = command
         self._fields[_TAKEOVER] = why
 
     @property

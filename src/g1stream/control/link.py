@@ -10,7 +10,7 @@ from g1stream.dds.domain import OBSERVER, robot_announced, support_announced
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.layout import CDR_HEADER, Layout
 from g1stream.dds.ticks import TickGaps
-from g1stream.dds.topics import ARM_SDK, LOWCMD, LOWSTATE, REFERENCE, Topic
+from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE, Topic
 
 if TYPE_CHECKING:
     from g1stream.control.guard import Heartbeat
@@ -165,17 +165,24 @@ class DdsLink:
     def send(self, command: bytes, reference: bytes, stamp: int) -> int:
         """Publish a LowCmd and its Reference, both with the publish time `stamp`, ns.
 
+        Where the guard process has taken over, its last command is sent instead.
+
         Returns:
             When the LowCmd was written, ns of CLOCK_MONOTONIC.
         """
-        # Two publishers of a weight would contradict each other: the guard's alone goes on.
-        if not (self._topic is ARM_SDK and self._heartbeat and self._heartbeat.takeover):
-            if self._heartbeat:
-                self._heartbeat.beat(command, time.monotonic_ns())
-            self._commands.write(command, stamp)
+        if self._heartbeat:
+            self._heartbeat.beat(command, time.monotonic_ns())
+        replacement = self._replacement()
+        self._commands.write(replacement or command, stamp)
         written = time.monotonic_ns()
+        if not replacement and (replacement := self._replacement()):
+            self._commands.write(replacement)  # the guard began during the write
         self._references.write(reference, stamp)
         return written
+
+    def _replacement(self) -> bytes:
+        """What the guard process sends in our place; empty as long as it does not."""
+        return self._heartbeat.replacement if self._heartbeat else b""
 
     def unguarded(self) -> str:
         """Why the guard process could not damp the robot, or "" if it could or there is none."""

@@ -172,10 +172,7 @@ class StreamLoop:
         self._yield_to_guard(deadline)
         if self.newest and self.newest.due != deadline:
             self._catch_up(deadline, deadline - self.newest.due)
-        self._yield_to_guard(deadline)  # again, so that little time is left for it to begin in
         self._publish(deadline)
-        if self._yield_to_guard(deadline):  # it began just before our command
-            self._publish(deadline)
         begun = self._clock.now()
         self._receive(begun)
         self._advance(begun, deadline + self._period)
@@ -184,16 +181,14 @@ class StreamLoop:
         if self.report.commands:
             self.report.worst_work = max(self.report.worst_work, self._clock.now() - begun)
 
-    def _yield_to_guard(self, deadline: int) -> bool:
-        """Change to DAMP if the guard process has begun to damp the robot; whether it has."""
+    def _yield_to_guard(self, deadline: int) -> None:
+        """Change to DAMP if the guard process has begun to damp the robot."""
         if not self.newest or self.state.phase >= Phase.DAMP:
-            return False
-        if not (reason := self._link.replaced()):
-            return False
-        self._stop_reason = self._stop_reason or reason
-        self._advance(self._clock.now(), deadline)
-        self._prepare(deadline)
-        return True
+            return
+        if reason := self._link.replaced():
+            self._stop_reason = self._stop_reason or reason
+            self._advance(self._clock.now(), deadline)
+            self._prepare(deadline)
 
     def _catch_up(self, deadline: int, gap: int) -> None:
         """After ticks skipped for `gap`: go on a little in the motion, or stop after too many.

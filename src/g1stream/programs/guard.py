@@ -243,10 +243,13 @@ def _state(pid: int) -> Takeover:
 
 
 def _damp(heartbeat: Heartbeat, settings: _Settings, commands: RawWriter, why: Takeover) -> None:
-    heartbeat.takeover = why  # first, so that a stream that goes on sends nothing but DAMP
+    def send(frame: bytes) -> None:
+        heartbeat.replace(frame, why)  # first, so that a stream that goes on sends nothing else
+        with suppress(DDSException):  # the next one may succeed
+            commands.write(frame)
+
     frames = _frames(heartbeat.command, settings)
-    with suppress(DDSException):  # the next one may succeed
-        commands.write(next(frames))
+    send(next(frames))
     silence = time.monotonic_ns() - heartbeat.last_write
     with suppress(DDSException):
         commands.announce(user_data_of_guard(settings.stream, publishing=True))
@@ -258,20 +261,18 @@ def _damp(heartbeat: Heartbeat, settings: _Settings, commands: RawWriter, why: T
         silence / 1e6,
     )
     clock = SystemClock()
-    start = clock.now()
-    for (_, deadline), frame in zip(Ticker(clock, settings.period, start), frames, strict=False):
-        # A stream that goes on damps for as long itself, and then there is nothing left to do.
-        if not settings.arm_sdk and (deadline - start >= settings.damp or not heartbeat.last_write):
-            break
-        with suppress(DDSException):
-            commands.write(frame)
+    for _, frame in zip(Ticker(clock, settings.period, clock.now()), frames, strict=False):
+        if not heartbeat.last_write:
+            break  # a stream that went on has sent as many itself
+        send(frame)
 
 
 def _frames(command: bytes, settings: _Settings) -> Iterator[bytes]:
     """What is published where `command` was the last one."""
     if settings.arm_sdk:
         return hand_back_commands(command, settings.period)
-    return repeat(damping_command(command, settings.damp_kd))
+    number = -(-settings.damp // settings.period) + 1
+    return repeat(damping_command(command, settings.damp_kd), number)
 
 
 if __name__ == "__main__":

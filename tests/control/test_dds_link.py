@@ -1,12 +1,13 @@
-"""No LowState goes uncounted, over real DDS."""
+"""Over real DDS: no LowState goes uncounted, and what the guard process sends is sent."""
 
 import pytest
 
+from g1stream.control.guard import Heartbeat, Takeover, damping_command
 from g1stream.control.link import DdsLink
 from g1stream.dds.domain import Participant, user_data_of_bridge
-from g1stream.dds.endpoints import RawWriter
-from g1stream.dds.messages import LowState
-from g1stream.dds.topics import LOWSTATE
+from g1stream.dds.endpoints import RawReader, RawWriter
+from g1stream.dds.messages import LowCmd, LowState, Reference
+from g1stream.dds.topics import LOWCMD, LOWSTATE
 
 
 @pytest.fixture
@@ -62,3 +63,51 @@ def test_unknown_where_nobody_counts(ends, until):
     publish(writer, [0, 0, 0])
     until(lambda: link.receive(state) and link.counts()["states_received"] == 3, "three states")
     assert link.counts()["states_lost"] is None
+
+
+STIFF = LowCmd()
+STIFF.motor_mode, STIFF.kp[:], STIFF.kd[:] = 1, 100.0, 2.0
+STIFF = STIFF.seal()
+DAMPING = damping_command(STIFF, 3.0)
+
+
+@pytest.fixture
+def guarded(domain_id, until):
+    """A link whose guard may take over, its heartbeat, and the commands that arrive."""
+    heartbeat = Heartbeat()
+    with Participant(domain_id, "lo") as ours, Participant(domain_id, "lo") as theirs:
+        link = DdsLink(ours, heartbeat)
+        reader = RawReader(theirs, LOWCMD, depth=10)
+        until(link.subscribers, "a match")
+        arrived = []
+
+        def commands(number):
+            until(lambda: arrived.extend(reader.take()) or len(arrived) >= number, "commands")
+            return [one.data for one in arrived]
+
+        yield link, heartbeat, commands
+    heartbeat.close()
+
+
+def test_where_the_guard_has_taken_over_its_commands_are_sent(guarded):
+    link, heartbeat, commands = guarded
+    link.send(STIFF, Reference().tobytes(), 1)
+    later = damping_command(STIFF, 4.0)
+    for replacement in (DAMPING, later):
+        heartbeat.replace(replacement, Takeover.SILENT)
+        link.send(STIFF, Reference().tobytes(), 1)
+    assert commands(3) == [STIFF, DAMPING, later]
+
+
+def test_a_command_that_was_being_written_is_followed_by_the_guards(guarded, monkeypatch):
+    link, heartbeat, commands = guarded
+    write = RawWriter.write
+
+    def interrupted(writer, data, *more):
+        written = write(writer, data, *more)
+        heartbeat.replace(DAMPING, Takeover.STOPPED)
+        return written
+
+    monkeypatch.setattr(RawWriter, "write", interrupted)
+    link.send(STIFF, Reference().tobytes(), 1)
+    assert commands(2) == [STIFF, DAMPING]

@@ -262,8 +262,6 @@ def _damp(heartbeat: Heartbeat, settings: _Settings, commands: RawWriter, why: T
     )
     clock = SystemClock()
     for _, frame in zip(Ticker(clock, settings.period, clock.now()), frames, strict=False):
-        if not heartbeat.last_write:
-            break  # a stream that went on has sent as many itself
         send(frame)
 
 

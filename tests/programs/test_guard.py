@@ -134,9 +134,12 @@ def test_a_stream_that_goes_on_after_a_stop_sends_nothing_but_damping(streaming,
         stream.send_signal(signal.SIGCONT)
         said, _ = stream.communicate(timeout=30)
     first = next(i for i, one in enumerate(commands) if is_limp(one))
-    after = commands[first:]
-    assert all(map(is_limp, after))
-    assert len({one.writer for one in after}) == 2
+    late = [i for i in range(first, len(commands)) if not is_limp(commands[i])]
+    # A stop within a write: that command, published before the guard's first, is received after it.
+    assert len(late) <= 1
+    assert all(commands[i].stamp < commands[first].stamp for i in late)
+    assert is_limp(commands[-1])
+    assert len({one.writer for one in commands[first:]}) == 2
     assert stream.returncode == 1
     assert "was stopped" in json.loads(said)["stream"]["reason"]
 

@@ -11,7 +11,7 @@ from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
 from g1stream.session.info import MotionInfo
 from g1stream.session.recorder_summary import RecorderSummary, TopicDelay
 from g1stream.session.records import Percentiles
-from g1stream.session.stream_summary import FeedForwardChange, StreamSummary
+from g1stream.session.stream_summary import BalanceSummary, FeedForwardChange, StreamSummary
 from g1stream.session.summary import (
     JointTracking,
     MessageStats,
@@ -148,6 +148,39 @@ CASES = {
     "a robot behind its commands": Summary(
         tracking=TRACKING.model_copy(update={"delay_s": -0.0002}),
         stream=StreamSummary(preview_s=0.002),
+    ),
+    "on its feet": Summary(
+        joints=list(JOINT_NAMES[12:]),
+        settings={"stream.support": "feet", "stream.joints": "arms,waist"},
+        phases=[
+            PhaseInterval(phase=phase, start_s=start, end_s=end)
+            for phase, start, end in ((Phase.RAMP, -3.0, 0.0), (Phase.HOLD, 2.0, 5.0))
+        ],
+        stream=StreamSummary(
+            support="feet",
+            balance=BalanceSummary(
+                capture_margin_m=0.0234,
+                tilt_rad=0.0184,
+                height_error_m=0.0045,
+                feet_error_m=0.0083,
+                carried=0.836,
+                lifts=4,
+                unsolved_ticks=0,
+            ),
+        ),
+    ),
+    "one that fell": Summary(
+        stream=StreamSummary(
+            balance=BalanceSummary(
+                capture_margin_m=-0.012,
+                tilt_rad=0.09,
+                height_error_m=0.031,
+                feet_error_m=0.0,
+                carried=0.12,
+                lifts=1,
+                unsolved_ticks=25,
+            ),
+        ),
     ),
     "from 2 s to the end": Summary(
         termination=Termination(reason="", played_s=12.0, motion_s=14.0, start_s=2.0)

@@ -129,6 +129,48 @@ def test_legs_that_give_way_are_given_up(balance, first, share, falls):
     assert ("below the reference" in balance.fall) == falls
 
 
+def test_the_worst_tilt_height_and_load_are_kept(balance, first):
+    assert balance.summary is None
+    settle(balance, first, 0.5)
+    balance.watch(first)
+    before = balance.summary
+    assert before.tilt_rad < 1e-3
+    assert before.height_error_m < 1e-3
+    assert before.carried == pytest.approx(1.0, abs=0.01)
+    assert 0.03 < before.capture_margin_m < 0.1  # the soles are 0.1 m behind and before the mass
+    quat = quat_mul(quat_from_rpy(np.array([0.0, 0.1, 0.0])), first.root_quat_wxyz)
+    higher = first.root_pos + np.array([0.0, 0.0, 0.03])
+    balance.watch(first.replace(root_quat_wxyz=quat, root_pos=higher))
+    balance.watch(first)
+    worst = balance.summary
+    assert worst.tilt_rad == pytest.approx(0.1, abs=1e-3)
+    assert worst.height_error_m == pytest.approx(0.03, abs=1e-3)
+    assert worst.capture_margin_m == before.capture_margin_m
+    for _ in range(10):  # without torques the feet carry nothing
+        balance.torque(first, reading(first), 0.0)
+        balance.watch(first)
+    assert balance.summary.carried == pytest.approx(0.9**10, rel=0.02)
+    assert (worst.lifts, worst.unsolved_ticks) == (0, 0)
+    balance.begin(first)
+    assert balance.summary is None
+
+
+def test_a_foot_that_slipped_is_off_by_as_much(balance, first):
+    q = first.q.copy()
+    q[[JOINT_NAMES.index("left_hip_pitch_joint"), ANKLES[0]]] += -0.05, 0.05
+    slipped = reading(first)._replace(q=q)
+    tau = settle(balance, first, 0.5)
+    for _ in range(round(6.0 / PERIOD)):
+        tau = balance.torque(first, slipped._replace(tau=tau), 0.0)
+        balance.watch(first)
+    pose = first.root_pos[np.newaxis], first.root_quat_wxyz[np.newaxis]
+    foot = ROBOT.link_index("left_ankle_roll_link")
+    stood, stands = (forward_kinematics(ROBOT, one[np.newaxis], *pose) for one in (first.q, q))
+    off = np.linalg.norm((stands.pos - stood.pos)[0, foot, :2])
+    assert off > 0.03
+    assert balance.summary.feet_error_m == pytest.approx(off, rel=0.02)
+
+
 @pytest.fixture(scope="module")
 def demo():
     """Its right foot stands at 7.5 s, and is up by 9 cm at 8.67 s."""

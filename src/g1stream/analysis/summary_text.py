@@ -17,7 +17,11 @@ if TYPE_CHECKING:
 
     from g1stream.session.info import MotionInfo
     from g1stream.session.records import Percentiles
-    from g1stream.session.stream_summary import FeedForwardChange, StreamSummary
+    from g1stream.session.stream_summary import (
+        BalanceSummary,
+        FeedForwardChange,
+        StreamSummary,
+    )
     from g1stream.session.summary import MessageStats, Summary, Termination, TrackingSummary
 
 __all__ = [
@@ -102,9 +106,11 @@ def session_facts(summary: Summary) -> list[tuple[str, str]]:
     if summary.joints and (summary.absent or len(summary.joints) < N_JOINTS):
         lines.append(("joints", _joints(summary)))
     ramp = _ramp(summary.stream)
+    on_feet = bool(summary.stream and summary.stream.support == "feet")
+    about = {Phase.RAMP: ramp, Phase.HOLD: " (down into a squat)" * on_feet}
     if summary.phases:
         phases = [
-            f"{one.phase.name} {one.duration_s:.2f} s" + ramp * (one.phase is Phase.RAMP)
+            f"{one.phase.name} {one.duration_s:.2f} s" + about.get(one.phase, "")
             for one in summary.phases
         ]
         lines.append(("phases", ", ".join(phases)))
@@ -150,6 +156,8 @@ def _joints(summary: Summary) -> str:
     rest = "only damp" if settings.get("stream.others") == "free" else "hold their pose"
     if settings.get("stream.via") == "arm_sdk":
         rest = "are the robot's own controller's"
+    if settings.get("stream.support") == "feet":
+        rest = "stand still"
     total = N_JOINTS - len(missing)
     others = f"; the others {rest}" if len(played) < total else ""
     lacks = ", ".join(name.removesuffix("_joint") for name in summary.absent)
@@ -287,6 +295,8 @@ def stream_facts(stream: StreamSummary) -> list[tuple[str, str]]:
         lines.append(("states", f"{stream.states_received} received{lost}"))
     if stream.feedforward:
         lines.append(("feed-forward", _feedforward(stream)))
+    if stream.balance:
+        lines.append(("balance", _balance(stream.balance)))
     if stream.time_scale is not None and abs(stream.time_scale - 1.0) > _SLOW:
         lines.append(("time", f"the simulator ran at {stream.time_scale:.2f} of real time"))
     if stream.slowed not in (None, 1.0):
@@ -305,6 +315,19 @@ def stream_facts(stream: StreamSummary) -> list[tuple[str, str]]:
         granted = [f"{g.what} {g.detail if g.granted else 'not granted'}" for g in stream.realtime]
         lines.append(("real time", ", ".join(granted)))
     return lines
+
+
+def _balance(balance: BalanceSummary) -> str:
+    margin = 1e3 * balance.capture_margin_m
+    unsolved = balance.unsolved_ticks
+    return (
+        f"capture point at worst {abs(margin):.0f} mm {'inside' if margin >= 0 else 'outside of'} "
+        f"the soles; pelvis off by up to {balance.tilt_rad:.3f} rad in tilt, "
+        f"{1e3 * balance.height_error_m:.0f} mm in height; feet off by up to "
+        f"{1e3 * balance.feet_error_m:.0f} mm, with at least {100 * balance.carried:.0f} % of the "
+        f"weight on them; {counted(balance.lifts, 'lift')}"
+        + (f"; {counted(unsolved, 'tick')} without a solution" if unsolved else "")
+    )
 
 
 def _feedforward(stream: StreamSummary) -> str:

@@ -28,6 +28,7 @@ from g1stream.robot.rotations import (
 )
 from g1stream.robot.soles import OFF_FLOOR
 from g1stream.robot.standing import LEGS, BodyState, StandingDynamics
+from g1stream.session.stream_summary import BalanceSummary
 from g1stream.types import Floats
 
 if TYPE_CHECKING:
@@ -129,6 +130,8 @@ class Balance:
         self.terms: Terms | None = None
         self._other = np.zeros(3)
         self._lasted = dict.fromkeys(("below", "unloaded", "outside", "unsolved"), 0.0)
+        self._worst = np.full(5, -np.inf)
+        self._lifts = self._unsolved = 0
 
     def begin(self, first: Target) -> None:
         """The reference begins with a target, on whose soles the robot is to stand."""
@@ -141,6 +144,8 @@ class Balance:
         self.wrench, self.fall, self.carried = None, "", 0.0
         self._other = np.zeros(3)
         self._lasted = dict.fromkeys(self._lasted, 0.0)
+        self._worst = np.full(5, -np.inf)
+        self._lifts = self._unsolved = 0
 
     def torque(
         self,
@@ -176,7 +181,10 @@ class Balance:
             target = target.replace(root_pos=self._root_pos)  # the target's may be lifted
         reference = self._reference(target)
         lifted = reference.soles[:, 2] > self._planted[0][:, 2] + OFF_FLOOR
-        self._stands = tuple(~lifted) if planted else (True, True)
+        stood, self._stands = self._stands, tuple(~lifted) if planted else (True, True)
+        self._lifts += sum(
+            was and not still for was, still in zip(stood, self._stands, strict=True)
+        )
         self._stood[~lifted] = reference.soles[~lifted]
         terms = self._dynamics.terms(state, target.ddq, target.dq, self._other, self._stands)
         self.terms = terms
@@ -203,6 +211,8 @@ class Balance:
         tilt = tilt_of(quat_mul(self.base.quat_wxyz, quat_conj(target.root_quat_wxyz)))
         outside = self._capture_point_outside(self.terms)
         below = float(target.root_pos[2] - self.base.pos[2])
+        now = outside, tilt, abs(below), self._feet_error(), -self.carried
+        self._worst = np.fmax(self._worst, now)
         falls = ""
         if tilt > _TILTED:
             falls = f"the pelvis is tilted by {tilt:.2f} rad against the reference"
@@ -214,6 +224,27 @@ class Balance:
             falls = f"the feet carry {100 * self.carried:.0f} % of the weight"
         if falls and not self.fall:
             self.fall = f"the robot falls: {falls}"
+
+    @property
+    def summary(self) -> BalanceSummary | None:
+        """Of what was watched; None before `watch`."""
+        outside, tilt, height, feet, missing = self._worst.tolist()
+        if not np.isfinite(self._worst).all():
+            return None
+        return BalanceSummary(
+            capture_margin_m=-outside,
+            tilt_rad=tilt,
+            height_error_m=height,
+            feet_error_m=feet,
+            carried=-missing,
+            lifts=self._lifts,
+            unsolved_ticks=self._unsolved,
+        )
+
+    def _feet_error(self) -> float:
+        """How far the one foot stands from its place beside the other, m; 0 while one is lifted."""
+        apart = np.diff(self.base.soles - self._stood, axis=0)[0, :2]
+        return float(np.hypot(*apart)) if all(self._stands) else 0.0
 
     def _capture_point_outside(self, terms: Terms) -> float:
         """How far the capture point is outside of the soles, m; inside it is negative.
@@ -317,6 +348,7 @@ class Balance:
         wrench: Floats = weight * found
         if flag != _OPTIMAL or not np.isfinite(wrench).all():
             self._last("unsolved", True)
+            self._unsolved += 1
             return np.zeros(12) if self.wrench is None else self.wrench * free
         self._last("unsolved", False)
         self.wrench = wrench

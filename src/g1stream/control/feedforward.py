@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
     from g1stream.control.targets import Target
     from g1stream.control.torques import TorqueSource
+    from g1stream.session.stream_summary import BalanceSummary
     from g1stream.settings import StreamConfig
 
 __all__ = ["FeedForward"]
@@ -126,6 +127,11 @@ class FeedForward:
     def robot(self) -> str | None:
         """The name of the model that torques are computed with; None without torques."""
         return self._source.name if self._source and self.kind == "dynamics" else None
+
+    @property
+    def balance(self) -> BalanceSummary | None:
+        """How near a robot on its feet was to falling; None for one that is held."""
+        return self._source.balance_summary if self._source else None
 
     @classmethod
     def from_config(

@@ -150,6 +150,7 @@ class StreamLoop:
                 self.report.command_delay = self._command_delay.longest
             if self._feedforward:
                 self.report.robot = self._feedforward.robot
+                self.report.balance = self._feedforward.balance
                 self.report.time_scale = self._feedforward.median_time_scale
         return self.report
 

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from g1stream.control.commands import CommandLimits
     from g1stream.control.feedforward import FeedForward
     from g1stream.control.targets import Ramp
+    from g1stream.session.stream_summary import BalanceSummary
     from g1stream.types import FeedForwardKind, StreamSupport
 
 __all__ = ["Lateness", "LoopReport"]
@@ -69,6 +70,7 @@ class LoopReport:
             RAMP begins.
         feedforward_changes: when the torque was switched off and on again, in order.
         preview: how far commands are ahead of the reference, s; None until RAMP begins.
+        balance: of a robot on its feet.
         robot: name of the model that torques were computed with.
         time_scale: median of simulated over real time, as measured.
         command_delay: longest time that commands waited in a queue of the robot's end, s; 0: none,
@@ -93,6 +95,7 @@ class LoopReport:
     support: StreamSupport | None = None
     feedforward_changes: list[FeedForwardChange] = field(default_factory=list)
     preview: float | None = None
+    balance: BalanceSummary | None = None
     robot: str | None = None
     time_scale: float | None = None
     command_delay: float | None = None
@@ -148,6 +151,7 @@ class LoopReport:
             support=self.support,
             preview_s=self.preview,
             feedforward_changes=self.feedforward_changes,
+            balance=self.balance,
             robot=self.robot,
             time_scale=self.time_scale,
             command_delay_s=self.command_delay,

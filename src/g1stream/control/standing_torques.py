@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from g1stream.control.targets import Target
     from g1stream.control.torques import Moment, Reading
     from g1stream.robot.model import G1
+    from g1stream.session.stream_summary import BalanceSummary
     from g1stream.types import Floats, StreamSupport
 
 __all__ = ["StandingTorques"]
@@ -99,6 +100,11 @@ class StandingTorques:
     def fall(self) -> str:
         """Why the robot cannot be kept on its feet, or ""."""
         return self.balance.fall
+
+    @property
+    def balance_summary(self) -> BalanceSummary | None:
+        """How near the robot was to falling; None before PLAY."""
+        return self.balance.summary
 
     @property
     def awaited(self) -> str:

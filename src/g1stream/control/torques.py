@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from g1stream.control.state_checks import ImuReading
     from g1stream.control.targets import Target
+    from g1stream.session.stream_summary import BalanceSummary
 
 __all__ = ["HeldTorques", "Moment", "Reading", "TorqueSource"]
 
@@ -66,6 +67,7 @@ class TorqueSource(Protocol):
         fall: why the robot has to be damped at once; "" while it need not.
         awaited: what RAMP waits for; "" where it need not wait.
         stands: the robot is on its feet in RAMP already, so that it can squat down.
+        balance_summary: how near a robot on its feet was to falling; None for one that is held.
     """
 
     needed: ClassVar[bool]
@@ -84,6 +86,9 @@ class TorqueSource(Protocol):
 
     @property
     def stands(self) -> bool: ...
+
+    @property
+    def balance_summary(self) -> BalanceSummary | None: ...
 
     def begin(self, support: StreamSupport, announced: str | None, robot: str | None) -> None:
         """RAMP begins.
@@ -127,6 +132,7 @@ class HeldTorques:
     fall: Final = ""
     awaited: Final = ""
     stands: Final = False
+    balance_summary: Final = None
 
     def __init__(
         self,

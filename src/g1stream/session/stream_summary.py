@@ -8,7 +8,7 @@ from g1stream.realtime import Grant
 from g1stream.session.records import Int, Percentiles, Record
 from g1stream.types import FeedForwardKind, StreamSupport
 
-__all__ = ["FeedForwardChange", "Finding", "StreamSummary"]
+__all__ = ["BalanceSummary", "FeedForwardChange", "Finding", "StreamSummary"]
 
 
 class Finding(Record):
@@ -39,6 +39,29 @@ class FeedForwardChange(Record):
     reason: str = ""
 
 
+class BalanceSummary(Record):
+    """How near a robot on its feet was to falling: the worst values of PLAY and HOLD.
+
+    Attributes:
+        capture_margin_m: from the capture point to the edge of the soles; negative outside.
+        tilt_rad: of the pelvis against the reference.
+        height_error_m: of the pelvis, above or below the reference.
+        feet_error_m: of the one foot's place beside the other, while both stand: it slipped, or
+            was put down elsewhere.
+        carried: share of the weight on the feet; the rest is in the air, or hangs from a band.
+        lifts: how often a foot was lifted.
+        unsolved_ticks: without forces of the floor that keep the robot on its feet.
+    """
+
+    capture_margin_m: float
+    tilt_rad: float
+    height_error_m: float
+    feet_error_m: float
+    carried: float
+    lifts: Int
+    unsolved_ticks: Int
+
+
 class StreamSummary(Record):
     """What the stream counted.
 
@@ -65,6 +88,7 @@ class StreamSummary(Record):
         preview_s: by which commands were ahead of the reference (`stream.preview`); None where
             recorded ones were sent.
         feedforward_changes: when the torque was switched off and on again, in order.
+        balance: of a robot on its feet.
         robot: name of the model that feed-forward torques were computed with.
         time_scale: median of simulated over real time, where it was measured.
         command_delay_s: longest age of the commands that the motors' torques followed, because
@@ -106,6 +130,7 @@ class StreamSummary(Record):
     support: StreamSupport | None = None
     preview_s: float | None = None
     feedforward_changes: list[FeedForwardChange] = []
+    balance: BalanceSummary | None = None
     robot: str | None = None
     time_scale: float | None = None
     command_delay_s: float | None = None

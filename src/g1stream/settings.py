@@ -164,7 +164,7 @@ class StreamConfig(Table):
         None,
         "the joints that play the motion: limbs (arms, legs, left_arm, waist ...), names or "
         "patterns, separated by commas; all if unset",
-        flag=(*PLAY_FLAG, "demo"),
+        flag=(*PLAY_FLAG, "demo", "motion"),
         example="arms,waist",
     )
     others: OtherJoints = setting(

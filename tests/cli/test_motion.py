@@ -176,11 +176,14 @@ def test_physics_uses_the_settings(tmp_path):
     motion.save(path)
     config = tmp_path / "config.toml"
     config.write_text('robot = "g1_29dof"\n[safety]\nmax_tilt = 0.05\n')
-    values = json.loads(run(path, "--physics", "--json", "--config", config).stdout)
+    asked = ["--physics", "--json", "--config", config, "--joints"]
+    values = json.loads(run(path, *asked, "arms,waist").stdout)
     physics = MotionPhysics.model_validate(values["physics"])
     assert physics.robot == "g1_29dof"
     assert physics.verdicts["follow"].playable == "no"
     assert values["root"]["tilt"] == pytest.approx(physics.tilt_rad)
+    assert physics.verdicts["feet"].changed.startswith("on legs that stand")
+    assert run(path, *asked, "left_leg").returncode == 2
 
 
 def test_without_a_motion_there_is_no_physics(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -372,3 +373,23 @@ def test_feet_that_stay_and_feet_that_walk():
     found = motion_physics(moving(q, root_pos)).verdicts["feet"]
     assert found.playable == "no"
     assert "left foot slides in frames 0 to " in found.refused
+
+
+def test_the_part_that_can_be_played_on_the_feet_is_looked_for_if_asked():
+    squat = squatting(3.0)
+    root_pos = squat.root_pos.copy()
+    root_pos[100:, 0] += np.linspace(0.0, 1.0, len(root_pos) - 100)
+    sliding = moving(squat.joint_pos, root_pos)
+    assert motion_physics(sliding).verdicts["feet"].part == ""
+    found = motion_physics(sliding, find_part=True).verdicts["feet"]
+    start, duration = re.fullmatch(r"--start (\S+) --duration (\S+)", found.part).groups()
+    assert (float(start), float(duration)) == (0.0, pytest.approx(100 / sliding.fps, abs=0.4))
+    assert found.part in str(found)
+    arms = motion_physics(sliding, played=ROBOT.select("arms"), find_part=True).verdicts["feet"]
+    assert (arms.playable, arms.part) == ("yes", "")
+
+
+def test_a_robot_that_lacks_joints_cannot_play_on_its_feet():
+    lacking = G1.load("g1_23dof")
+    found = motion_physics(squatting(1.0), lacking).verdicts["feet"]
+    assert found.playable == "no"

@@ -12,8 +12,9 @@ from scipy.ndimage import gaussian_filter1d
 from g1stream.errors import MotionError
 from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
+from g1stream.physics.footing import CannotStandError
 from g1stream.physics.ground import beyond_support, touching, zero_moment_point
-from g1stream.physics.stance import on_standing_legs, stand
+from g1stream.physics.stance import longest_part, on_standing_legs, stand
 from g1stream.robot.dynamics import BaseMotion, InverseDynamics
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.kinematics import forward_kinematics
@@ -59,7 +60,7 @@ def test_only_the_legs_are_changed_and_little(squat):
 
 def test_a_motion_that_stands_is_played_as_it_is(squat):
     standing = stand(stand(squat, ROBOT).motion, ROBOT)
-    assert str(standing) == "as it is"
+    assert not str(standing)
     assert not re.search(r"\b0 mm", str(stand(squat, ROBOT)))
 
 
@@ -239,8 +240,50 @@ def test_arms_play_on_legs_that_stand(squat):
 
 def test_a_motion_that_ends_on_one_foot_is_refused():
     demo = load_motion("demo")
-    with pytest.raises(MotionError, match=r"lifted at the beginning or the end, in frame 62\."):
+    with pytest.raises(
+        MotionError, match=r"lifted at the beginning or the end, in frames 57 to 62\."
+    ):
         stand(demo.frames(200, 263), ROBOT)
+
+
+def test_an_error_has_all_frames_that_forbid_a_motion(squat):
+    sliding = squat.joint_pos.copy()
+    forbidden = np.zeros(squat.n_frames, bool)
+    for first in range(20, 180, 40):
+        forbidden[first : first + 10] = True
+    for joint, by in (("left_hip_roll_joint", 0.25), ("left_ankle_roll_joint", -0.25)):
+        sliding[forbidden, JOINT_NAMES.index(joint)] += by
+    with pytest.raises(CannotStandError) as raised:
+        stand(Motion.from_arrays(sliding, squat.root_pos, fps=squat.fps), ROBOT)
+    assert np.array_equal(raised.value.frames, forbidden)
+    assert not raised.value.slower
+
+
+def test_the_longest_part_is_found_behind_several_obstacles(squat):
+    """A foot slides from 1.4 to 1.6 s, and both are in the air from 2.2 to 2.3 s."""
+    pos, root = squat.joint_pos.copy(), squat.root_pos.copy()
+    for joint, by in (("left_hip_roll_joint", 0.25), ("left_ankle_roll_joint", -0.25)):
+        pos[70:80, JOINT_NAMES.index(joint)] += by
+    root[110:115, 2] += 0.2
+    motion = Motion.from_arrays(pos, root, fps=squat.fps)
+    part = longest_part(motion, ROBOT)
+    assert (part.start, part.start + part.duration) == pytest.approx((2.4, 4.0), abs=0.041)
+    stand(motion.trim(part.start, part.start + part.duration), ROBOT)
+    early = longest_part(motion, ROBOT, frames=range(110))
+    assert (early.start, early.start + early.duration) == pytest.approx((0.0, 1.3), abs=0.041)
+    assert longest_part(motion, ROBOT, frames=range(60, 130)) is None  # shorter than a second
+
+
+def test_joints_that_do_not_play_stand_still(squat):
+    legs = stand(squat, ROBOT, ROBOT.select("legs"))
+    assert np.ptp(legs.motion.joint_pos[:, 12:], axis=0).max() == 0.0
+    assert np.ptp(legs.motion.joint_pos[:, :12], axis=0).max() > 0.3
+    arms = stand(squat, ROBOT, ROBOT.select("arms"), Trajectory(squat))
+    assert (legs.upper_body, arms.upper_body) == (False, True)
+    assert np.array_equal(arms.motion.joint_pos[:, 15:], squat.joint_pos[:, 15:])
+    assert np.ptp(arms.motion.root_quat_wxyz, axis=0).max() == 0.0
+    corners = corners_of(arms.motion)
+    assert np.ptp(corners, axis=0) == pytest.approx(np.zeros((8, 3)), abs=1e-5)
 
 
 def jumping(jump):

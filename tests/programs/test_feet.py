@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +17,7 @@ from g1stream.physics.stance import stand
 from g1stream.programs.rollout import rollout
 from g1stream.programs.standing import refuse_feet_on_robot, stand_if_asked
 from g1stream.programs.stream import with_robot_limits
+from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import G1, REVISIONS
 from g1stream.robot.rotations import (
     quat_from_rpy,
@@ -73,6 +75,15 @@ def test_it_stands_and_follows_the_reference(session):
     assert (success.links, success.success, success.success_strict) == ("world", True, True)
     playing = session.base.time < 2.0
     assert session.base.position[playing, 2].min() > 0.6
+    balance = session.summary().stream.balance
+    assert (balance.lifts, balance.unsolved_ticks) == (0, 0)
+    assert balance.capture_margin_m > 0.03
+    assert balance.carried > 0.8
+    playing &= session.base.time > 0.0
+    reference = session.reference
+    height = np.interp(session.base.time[playing], reference.time, reference.root_pos[:, 2])
+    off = np.abs(session.base.position[playing, 2] - height).max()
+    assert off - 2e-3 < balance.height_error_m < 0.01
 
 
 @pytest.mark.slow
@@ -90,6 +101,37 @@ def test_a_motion_that_walks_is_refused():
         rollout(walk, support="feet")
 
 
+def flags_in(remedy):
+    """The settings of each way in a remedy that gives flags."""
+    for way in remedy.split("; or "):
+        given = dict(re.findall(r"--(start|duration|joints) ([\w.,]*\w)", way))
+        if given:
+            yield {name: one if name == "joints" else float(one) for name, one in given.items()}
+
+
+@pytest.mark.parametrize(
+    ("asked", "ends"),
+    [({}, 6.2), ({"start": 1.0, "duration": 12.0}, 6.2), ({"joints": "legs"}, 14.0)],
+)
+def test_what_a_remedy_gives_can_be_played(asked, ends):
+    """The bundled demo, with a hop at 6.3 to 6.5 s and a jump of an arm at 11 s."""
+    demo = load_motion("demo")
+    root, pos = demo.root_pos.copy(), demo.joint_pos.copy()
+    root[190:196, 2] += 0.2
+    pos[330:, JOINT_NAMES.index("left_shoulder_roll_joint")] += 2.0
+    hopping = replace(demo, root_pos=root, joint_pos=pos)
+    with pytest.raises(MotionError) as raised:
+        stand_if_asked(hopping, G1.default(), config(support="feet", **asked))
+    ways = list(flags_in(raised.value.remedy))
+    assert len(ways) == 2
+    for given in ways:
+        stand_if_asked(hopping, G1.default(), config(support="feet", **asked | given))
+    own, upper = ways
+    assert own["start"] + own["duration"] == pytest.approx(ends, abs=0.07)
+    assert (upper["joints"], upper["start"]) == ("arms,waist", asked.get("start", 0.0))
+    assert upper["start"] + upper["duration"] == pytest.approx(10.9, abs=0.07)
+
+
 @pytest.mark.slow
 def test_it_stands_long_on_one_foot():
     """At half its speed, the demo stands on either foot for 0.8 s, with 15 frames a second."""
@@ -105,6 +147,7 @@ def test_it_lifts_one_foot_and_then_the_other():
     session = rollout("demo", support="feet", seconds=2.5, config=config(start=7.8), noise=noise())
     assert session.metadata["stream"]["reason"] == ""
     assert session.tracking().overall < 0.01
+    assert session.summary().stream.balance.lifts == 2
 
 
 @pytest.mark.slow
@@ -136,6 +179,9 @@ def test_it_steps_to_where_the_motion_goes(goal):
     assert way[:, :2] == pytest.approx(links[:, :2] + np.array([x, y]), abs=5e-3)
     assert turned_last - turned == pytest.approx(np.full(2, heading), abs=0.01)
     assert level[:, 2, 2] == pytest.approx(np.ones(2), abs=1e-3)
+    assert loop.report.balance.lifts == 6
+    apart = np.diff(way[:, :2] - links[:, :2], axis=0)
+    assert np.linalg.norm(apart) - 2e-3 < loop.report.balance.feet_error_m < 0.015
 
 
 def test_it_needs_torques():
@@ -244,7 +290,7 @@ def test_legs_play_without_the_arms():
 
 
 def test_the_legs_play_as_a_whole_or_not_at_all():
-    with pytest.raises(ConfigError, match="left_leg"):
+    with pytest.raises(ConfigError, match="both legs"):
         rollout(squatting(1.0), support="feet", joints="left_leg,arms")
 
 
@@ -279,4 +325,5 @@ def test_a_push_is_stood_or_the_fall_is_seen_before_the_pelvis_tilts(push, stand
     loop = play(world, squatting(2.5), "free", shove)
     assert (loop.report.reason == "") == stands
     assert stands or "capture point" in loop.report.reason
+    assert (loop.report.balance.capture_margin_m > -0.01) == stands
     assert max(tilts) < 0.2

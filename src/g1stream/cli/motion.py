@@ -43,12 +43,14 @@ class Inspect(SettingsCommand, MotionFlags):
     With --physics it also prints what it would take to play the motion bolted, hanging, with the
     pelvis led (follow) or on its feet (free): contacts and skating of the feet, self-collision,
     centre of pressure, tilt and torques, and the frames that forbid it; and whether `stream
-    --support feet` can play it (feet). That does not change the exit code.
+    --support feet` can play it (feet), or what part of it, with the joints of --joints. That does
+    not change the exit code.
 
     Examples:
       g1stream motion dance.csv
       g1stream motion dance.csv --fps 60 --json
       g1stream motion dance.csv --physics
+      g1stream motion dance.csv --physics --joints arms,waist
       g1stream motion wave.csv dance.npz --blend 1 --on-floor
 
     Exit codes:
@@ -116,6 +118,8 @@ class Inspect(SettingsCommand, MotionFlags):
                 self.load(self.motions, robot),
                 robot,
                 max_tilt=config.safety.max_tilt,
+                played=robot.select(config.stream.played_joints),
+                find_part=True,
                 progress=progress,
             )
 

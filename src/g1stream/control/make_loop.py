@@ -6,8 +6,6 @@ from dataclasses import replace
 from math import inf
 from typing import TYPE_CHECKING, Final
 
-import numpy as np
-
 from g1stream.control.arm_sdk import MOVED, ArmSdkComposer, settings_for_arm_sdk
 from g1stream.control.command_delay import CommandDelay
 from g1stream.control.commands import CommandLimits, Composer
@@ -27,11 +25,8 @@ from g1stream.errors import ConfigError
 from g1stream.motion.blend import COAST
 from g1stream.motion.correction import Conditions, CorrectionSpline
 from g1stream.motion.limits import Interval
-from g1stream.robot.standing import LEGS
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from g1stream.clock import Clock
     from g1stream.config import Config
     from g1stream.control.gains import Gains
@@ -94,8 +89,6 @@ def make_loop(
             cause = "stream.via = arm_sdk moves arms and waist only"
             remedy = f"Leave --via out, or {flag}."
         raise ConfigError(f"{what} for all joints, and {cause}.", remedy)
-    if settings.support == "feet":
-        _require_standing(settings, robot, played)
     held = played if settings.others == "free" else robot.present
     # Recorded commands were checked, and are sent instead of those that are composed.
     beyond = "clamp" if recorded else settings.beyond_limits
@@ -149,22 +142,6 @@ def make_loop(
         topic=topic,
         command_delay=None if recorded or topic is ARM_SDK else CommandDelay(balanced=bool(squat)),
     )
-
-
-def _require_standing(settings: StreamConfig, robot: G1, played: NDArray[np.bool_]) -> None:
-    """Refuse settings with which a robot cannot be kept on its feet."""
-    whole = bool(robot.present.all()) and settings.via == "lowcmd" and settings.others == "hold"
-    if settings.loop or not whole:
-        raise ConfigError(
-            "support feet needs all 29 joints, on rt/lowcmd, and a motion that does not repeat.",
-            "Leave out --via, --others and --loop, or hold the robot otherwise.",
-        )
-    if 0 < np.count_nonzero(played[:LEGS]) < LEGS:
-        raise ConfigError(
-            f"support feet needs both legs as a whole: stream.joints = {settings.joints!r} selects "
-            "some of their joints.",
-            "Select arms, waist or both, or all joints.",
-        )
 
 
 def _require_fit(

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from matplotlib.figure import Figure
-    from numpy.typing import ArrayLike
+    from numpy.typing import ArrayLike, NDArray
 
     from g1stream.robot.model import G1
     from g1stream.types import Floats
@@ -190,14 +190,16 @@ class Motion:
                 f"{counted(self.n_frames, 'frame')}.",
                 f"Give a start and a stop, two frames or more apart, from 0 to {self.n_frames}.",
             )
-        part = slice(start, stop)
         cut = () if stop - start == self.n_frames else (f"cut to frames {start} to {stop}",)
+        return replace(self.at_frames(slice(start, stop)), operations=self.operations + cut)
+
+    def at_frames(self, numbers: NDArray[np.intp] | slice) -> Motion:
+        """The frames of these numbers; one that is repeated is a pause."""
         return replace(
             self,
-            operations=self.operations + cut,
-            joint_pos=self.joint_pos[part],
-            root_pos=self.root_pos[part],
-            root_quat_wxyz=self.root_quat_wxyz[part],
+            joint_pos=self.joint_pos[numbers],
+            root_pos=self.root_pos[numbers],
+            root_quat_wxyz=self.root_quat_wxyz[numbers],
         )
 
     def resample(self, fps: float) -> Motion:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from g1stream.robot.model import G1
     from g1stream.robot.soles import Soles
 
-__all__ = ["Footing", "find_footing", "refused"]
+__all__ = ["CannotStandError", "Footing", "find_footing"]
 
 #: A foot that is so much higher than the other is lifted, from when it was higher by the second
 #: figure until it is not, m.
@@ -39,6 +39,32 @@ _LEAVES: Final = 0.1
 _SLIDES: Final = 0.1, 0.25
 #: Stretches of frames that an error names.
 _NAMED: Final = 3
+
+
+class CannotStandError(MotionError):
+    """A motion that cannot be played on the robot's own feet.
+
+    Args:
+        motion: that cannot.
+        what: forbids it.
+        frames: (T,) in which.
+        slower: it may be possible to play it slower.
+
+    Attributes:
+        why: `what` and the first frames.
+        frames: (T,) all of them.
+        slower: as above.
+    """
+
+    def __init__(self, motion: Motion, what: str, frames: Flags, *, slower: bool = False) -> None:
+        spans = [(first, stop - 1) for first, stop in stretches(frames)]
+        noun = "frames" if frames.sum() > 1 else "frame"
+        self.why = f"{what} in {noun} {ranges(spans, _NAMED)}"
+        self.frames, self.slower = frames, slower
+        super().__init__(
+            f"{motion.name} cannot be played on its feet: {self.why}.",
+            "Play a part without them, or hold the robot.",
+        )
 
 
 class Footing(NamedTuple):
@@ -73,7 +99,8 @@ def find_footing(motion: Motion, robot: G1, soles: Soles) -> Footing:
     """Find where the feet of a motion stand; a lifted one follows the motion relative to the other.
 
     Raises:
-        MotionError: a foot slides, or is lifted in the first or the last frame, or both are lifted.
+        CannotStandError: a foot slides, or is lifted in the first or the last frame, or both are
+            lifted.
     """
     of_feet = [
         (poses.pos[:, soles.links], poses.quat_wxyz[:, soles.links], soles.positions(poses))
@@ -87,7 +114,7 @@ def find_footing(motion: Motion, robot: G1, soles: Soles) -> Footing:
     above = lowest - floor
     levelled = floor[:, 0] - np.median(floor)
     if (hops := levelled > _HOPS).any():
-        raise refused(motion, "no foot is on the floor", hops)
+        raise CannotStandError(motion, "no foot is on the floor", hops)
     lifted = _find_lifted(above)
     both: Flags = np.asarray(~lifted.any(axis=1))
     lifts = _in_order(motion, lifted)
@@ -133,33 +160,6 @@ def find_footing(motion: Motion, robot: G1, soles: Soles) -> Footing:
     )
 
 
-def refused(
-    motion: Motion,
-    why: str,
-    where: Flags,
-    error: type[MotionError] = MotionError,
-    *,
-    slower: bool = False,
-) -> MotionError:
-    """That a motion cannot be played on its feet: why, in which frames (T,), and what may help.
-
-    Args:
-        motion: that cannot.
-        why: with which the sentence ends, but for the frames.
-        where: the frames.
-        error: its class.
-        slower: the motion may be played slower.
-    """
-    spans = [(first, stop - 1) for first, stop in stretches(where)]
-    frames = "frames" if where.sum() > 1 else "frame"
-    return error(
-        f"{motion.name} cannot be played on its feet: {why} in {frames} {ranges(spans, _NAMED)}.",
-        f"{'Play it slower (--speed), or' if slower else 'Play'} a part without them (--trim); or "
-        "waist and arms only, on legs that stand (--joints waist,arms); or hold the robot and give "
-        "--support hanging.",
-    )
-
-
 def _find_lifted(above: Floats) -> Flags:
     """Which foot is lifted (T, 2), of how far it is above the other; never both.
 
@@ -176,12 +176,13 @@ def _in_order(motion: Motion, lifted: Flags) -> list[_Lift]:
     """The lifts of both feet; on both stands the robot before and after each of them.
 
     Raises:
-        MotionError: it does not.
+        CannotStandError: it does not.
     """
     ends = np.zeros(len(lifted), np.bool_)
-    ends[[0, -1]] = lifted[[0, -1]].any(axis=1)
+    for first, stop in stretches(np.asarray(lifted.any(axis=1))):
+        ends[first:stop] = first == 0 or stop == len(lifted)
     if ends.any():
-        raise refused(motion, "a foot is lifted at the beginning or the end,", ends)
+        raise CannotStandError(motion, "a foot is lifted at the beginning or the end,", ends)
     lifts = sorted(
         _Lift(first, stop, foot)
         for foot, one in enumerate(lifted.T)
@@ -192,14 +193,16 @@ def _in_order(motion: Motion, lifted: Flags) -> list[_Lift]:
         if one.foot != other.foot and other.first - one.stop < _LEAVES * motion.fps:
             hurried[one.stop - 1 : other.first + 1] = True
     if hurried.any():
-        raise refused(motion, f"both feet are lifted within {_LEAVES} s", hurried, slower=True)
+        raise CannotStandError(
+            motion, f"both feet are lifted within {_LEAVES} s", hurried, slower=True
+        )
     return lifts
 
 
 def _refuse_sliding(
     motion: Motion, feet: Floats, headings: Floats, lifted: Flags, now: slice
 ) -> None:
-    """Raise MotionError where a foot that stands is far from where it mostly stands `now`."""
+    """Raise CannotStandError where a foot that stands is far from where it mostly stands `now`."""
     both = ~lifted[now].any(axis=1)
     mostly = np.median(feet[now][both], axis=0)
     away = np.linalg.norm((feet[now] - mostly)[..., :2], axis=-1)
@@ -209,7 +212,7 @@ def _refuse_sliding(
         slides = np.zeros(len(feet), np.bool_)
         slides[now] = far[:, foot] & ~lifted[now, foot]
         if slides.any():
-            raise refused(motion, f"the {side} foot slides", slides)
+            raise CannotStandError(motion, f"the {side} foot slides", slides)
 
 
 def _leaving(lifted: Flags, fps: float) -> Floats:

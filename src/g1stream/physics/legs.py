@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from g1stream.errors import MotionError
-from g1stream.physics.footing import refused
+from g1stream.physics.footing import CannotStandError
 from g1stream.robot.batch_dynamics import cross
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
 from g1stream.robot.kinematics import BLOCK, forward_kinematics
@@ -48,7 +47,7 @@ _LARGEST_TURN: Final = 0.3
 _DAMPING: Final = 1e-6
 
 
-class LegsTooShortError(MotionError):
+class LegsTooShortError(CannotStandError):
     """The legs do not reach from the pelvis to where the feet shall be."""
 
 
@@ -108,7 +107,7 @@ class Legs:
             left = left[error[left] >= _EXACT]
         short = (q[:, self._knees].min(axis=1) < _KNEE) | (error >= _EXACT)
         if short.any():
-            raise refused(motion, _TOO_SHORT, short, LegsTooShortError)
+            raise LegsTooShortError(motion, _TOO_SHORT, short)
         return replace(motion, joint_pos=q, root_pos=root_pos)
 
     def _step(

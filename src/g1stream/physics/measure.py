@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from g1stream.errors import MotionError
 from g1stream.motion.trajectory import Trajectory
+from g1stream.physics.footing import CannotStandError
 from g1stream.physics.ground import FRICTION, beyond_support, stretches, touching, zero_moment_point
 from g1stream.physics.loads import Loads, movement_loads
 from g1stream.physics.result import (
@@ -23,7 +23,7 @@ from g1stream.physics.result import (
     TorquePeak,
     Verdict,
 )
-from g1stream.physics.stance import stand
+from g1stream.physics.stance import longest_part, stand
 from g1stream.robot.hulls import SelfCollision, read_hulls
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import G1
@@ -83,6 +83,8 @@ def motion_physics(
     robot: G1 | None = None,
     *,
     max_tilt: float | None = None,
+    played: Flags | None = None,
+    find_part: bool = False,
     trajectory: Trajectory | None = None,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> MotionPhysics:
@@ -94,10 +96,14 @@ def motion_physics(
         motion: its frames; the floor is at height 0.
         robot: the G1; the default one if None.
         max_tilt: pelvis tilt that ends a run, rad; the default of `safety.max_tilt` if None.
+        played: (29,) the joints that play it, for support feet; all if None.
+        find_part: look for the longest part that can be played with support feet, too, where the
+            whole motion cannot.
         trajectory: through its frames; made if None.
         progress: called with the fraction that is done, 0 to 1.
 
     Raises:
+        ConfigError: some joints of the legs are `played`, and others are not.
         RobotError: the dynamics or the soles of this robot are not known.
     """
     robot = robot or G1.default()
@@ -141,7 +147,7 @@ def motion_physics(
         mass_kg=loads.mass,
         verdicts={
             **{support: _verdict(support, excesses) for support, excesses in found.items()},
-            "feet": _on_planted_feet(trajectory, robot),
+            "feet": _on_planted_feet(trajectory, robot, played, find_part=find_part),
         },
         tilt_rad=float(tilt.max()),
         hanging_tilt_rad=float(loads.hanging_tilt.max()),
@@ -157,11 +163,18 @@ def motion_physics(
     )
 
 
-def _on_planted_feet(trajectory: Trajectory, robot: G1) -> Verdict:
+def _on_planted_feet(
+    trajectory: Trajectory, robot: G1, played: Flags | None, *, find_part: bool
+) -> Verdict:
+    motion = trajectory.motion
+    if not robot.present.all():
+        return Verdict(support="feet", refused="the robot lacks joints that it would need")
     try:
-        return Verdict(support="feet", changed=str(stand(trajectory.motion, robot, trajectory)))
-    except MotionError as error:
-        return Verdict(support="feet", refused=error.cause.rpartition(": ")[2])
+        standing = stand(motion, robot, played, trajectory)
+    except CannotStandError as error:
+        part = longest_part(motion, robot, played) if find_part else None
+        return Verdict(support="feet", refused=error.why, part=f"{part}" if part else "")
+    return Verdict(support="feet", changed=str(standing) or "as it is")
 
 
 def _without_dynamics(

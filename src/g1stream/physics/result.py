@@ -98,12 +98,15 @@ class Verdict(Record, frozen=True):
         excesses: what speaks against it, what forbids it first; none for `feet`.
         changed: for `feet`: what is changed, or "as it is".
         refused: for `feet`: why it cannot be played, and the frames.
+        part: for `feet`: the flags of `stream` for the longest part that can be, where it was
+            looked for.
     """
 
     support: StreamSupport
     excesses: tuple[Excess, ...] = ()
     changed: str = ""
     refused: str = ""
+    part: str = ""
 
     @computed_field  # type: ignore[prop-decorator]
     @property
@@ -115,7 +118,8 @@ class Verdict(Record, frozen=True):
 
     def __str__(self) -> str:
         if self.refused:
-            return f"cannot be played: {self.refused}"
+            part = f"; the longest part that can be: {self.part}" if self.part else ""
+            return f"cannot be played: {self.refused}{part}"
         against = [e.cause for e in self.excesses if e.forbids]
         harmless = [e.cause for e in self.excesses if not e.forbids]
         answers = [f"cannot be played as it is: {', '.join(against)}"] if against else []

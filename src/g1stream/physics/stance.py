@@ -10,14 +10,17 @@ method.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from heapq import heappop, heappush
+from math import ceil, floor
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from g1stream.errors import ConfigError
 from g1stream.motion.limits import POSITION_TOLERANCE
 from g1stream.motion.trajectory import Trajectory
-from g1stream.physics.footing import find_footing, refused
-from g1stream.physics.ground import TRUSTED_FRICTION, beyond_support, zero_moment_point
+from g1stream.physics.footing import CannotStandError, find_footing
+from g1stream.physics.ground import TRUSTED_FRICTION, beyond_support, stretches, zero_moment_point
 from g1stream.physics.legs import Legs, LegsTooShortError
 from g1stream.robot.batch_dynamics import BatchInverseDynamics
 from g1stream.robot.dynamics import GRAVITY
@@ -32,8 +35,10 @@ if TYPE_CHECKING:
     from g1stream.physics.ground import Flags
     from g1stream.robot.model import G1
 
-__all__ = ["Standing", "on_standing_legs", "stand"]
+__all__ = ["UPPER_BODY", "Part", "Standing", "longest_part", "on_standing_legs", "stand"]
 
+UPPER_BODY: Final = "arms,waist"
+"""The joints that almost any motion can be played with, on legs that stand."""
 #: The pelvis is lowered by steps of the first, by the second at most, m.
 _LOWERED_BY, _LOWEST = 0.005, 0.15
 #: How far the centre of pressure is kept from the edge of the support polygon, m.
@@ -47,8 +52,29 @@ _ATTEMPTS: Final = 16
 _SLIPS: Final = TRUSTED_FRICTION * GRAVITY
 #: Frames in which the pelvis would be shifted by less stay as they are, m.
 _MOVED: Final = 1e-7
+#: A part of a motion that can be played is longer, s; frames this near to what forbids one are
+#: not in it, s; before and after it the robot stands still, s.
+_LEAST: Final = 1.0
+_NEAR_IT: Final = 0.1
+_STILL: Final = 0.5
 #: Legs that do not play the motion are bent by this angle at hip and ankle, rad.
 _STANCE: Final = 0.35
+
+
+class Part(NamedTuple):
+    """A part of a motion, in hundredths of a second."""
+
+    start: float  # s
+    duration: float  # s
+
+    @classmethod
+    def of_frames(cls, first: int, last: int, fps: float) -> Part:
+        """From the first of some frames to the last, and no more."""
+        start = ceil(100.0 * first / fps)
+        return cls(start / 100.0, (floor(100.0 * last / fps) - start) / 100.0)
+
+    def __str__(self) -> str:
+        return f"--start {self.start:g} --duration {self.duration:g}"
 
 
 @dataclass(frozen=True)
@@ -57,6 +83,7 @@ class Standing:
 
     Attributes:
         motion: the changed motion, its feet flat, on a floor at height 0 unless they are lifted.
+        upper_body: the legs stand, because only waist and arms play the motion.
         levelled_mm: how far the lower foot was from the floor, which is where it mostly is.
         moved_mm: how far a foot that stands was moved, seen from between both feet, at most.
         turned_deg: by how much a foot was turned at most.
@@ -67,6 +94,7 @@ class Standing:
     """
 
     motion: Motion
+    upper_body: bool
     levelled_mm: float
     moved_mm: float
     turned_deg: float
@@ -89,22 +117,45 @@ class Standing:
         return [f"{what} {size}{unit}" for what, size, unit in sizes if float(size)]
 
     def __str__(self) -> str:
-        changes = ", ".join(self.changes)
-        return f"with changes to stand: {changes}" if changes else "as it is"
+        how = ["on legs that stand"] if self.upper_body else []
+        how += [f"with changes to stand: {', '.join(self.changes)}"] if self.changes else []
+        return ", ".join(how)
 
 
-def stand(motion: Motion, robot: G1, trajectory: Trajectory | None = None) -> Standing:
+def stand(
+    motion: Motion,
+    robot: G1,
+    played: Flags | None = None,
+    trajectory: Trajectory | None = None,
+) -> Standing:
     """The motion with its feet planted but for when they are lifted.
 
     Args:
         motion: whose feet stand, or are lifted one at a time.
         robot: the G1.
+        played: (29,) the joints that play it; all if None. Where none of a leg does, the legs
+            stand (`on_standing_legs`); where one does, the others keep the pose of its beginning.
         trajectory: through its frames; made if None.
 
     Raises:
-        MotionError: it cannot be played on the feet; the frames are named.
+        CannotStandError: it cannot be played on the feet; the frames are named.
+        ConfigError: some joints of the legs play it, and others do not.
         RobotError: the soles of this robot are not known.
     """
+    if played is not None and 0 < np.count_nonzero(played[:LEGS]) < LEGS:
+        raise ConfigError(
+            "On its feet, a robot needs both legs as a whole, and only some of their joints play.",
+            "Select arms, waist, both legs or all joints (stream.joints).",
+        )
+    upper_body = played is not None and not played[:LEGS].any()
+    if played is not None and not played[robot.present].all():
+        trajectory = None
+        still = np.where(played, motion.joint_pos, motion.joint_pos[0])
+        motion = (
+            on_standing_legs(motion, robot, played)
+            if upper_body
+            else replace(motion, joint_pos=still)
+        )
     soles = Soles(robot)
     footing = find_footing(motion, robot, soles)
     legs = Legs(robot, soles, footing.feet, footing.turns, motion.fps)
@@ -127,6 +178,7 @@ def stand(motion: Motion, robot: G1, trajectory: Trajectory | None = None) -> St
     joint = int(change.max(axis=0).argmax())
     return Standing(
         shifted,
+        upper_body,
         levelled_mm=1e3 * footing.levelled,
         moved_mm=1e3 * footing.moved,
         turned_deg=float(np.degrees(footing.turned)),
@@ -159,22 +211,64 @@ def on_standing_legs(motion: Motion, robot: G1, played: Flags) -> Motion:
     )
 
 
+def longest_part(
+    motion: Motion, robot: G1, played: Flags | None = None, frames: range | None = None
+) -> Part | None:
+    """The longest part of a motion that can be played on the feet, and is longer than a second.
+
+    What forbids it is left out, until a part is found that nothing forbids. Where a foot stands is
+    an average over the part, so that a longer one may exist.
+
+    Args:
+        motion: of which to play a part.
+        robot: the G1.
+        played: (29,) the joints that play it; all if None.
+        frames: where to look for it; everywhere if None.
+
+    Raises:
+        RobotError: the soles of this robot are not known.
+    """
+    from scipy.ndimage import binary_dilation
+
+    still, near = (max(1, round(time * motion.fps)) for time in (_STILL, _NEAR_IT))
+    frames = frames or range(motion.n_frames)
+    parts = [(-len(frames), frames.start)]  # the longest one is the first
+    while parts:
+        negative, first = heappop(parts)
+        stop = first - negative
+        shown = np.arange(max(0, first - still), min(motion.n_frames, stop + still))
+        shown = shown.clip(first, stop - 1)
+        try:
+            stand(motion.at_frames(shown), robot, played)
+        except CannotStandError as error:
+            forbidden = np.zeros(stop - first, np.bool_)
+            forbidden[shown[error.frames] - first] = True
+            for begin, end in stretches(~binary_dilation(forbidden, iterations=near)).tolist():
+                if end - begin > _LEAST * motion.fps:
+                    heappush(parts, (begin - end, first + begin))
+        else:
+            return Part.of_frames(first, stop - 1, motion.fps)
+    return None
+
+
 def _refuse_beyond_limits(motion: Motion, robot: G1) -> None:
-    """Raise MotionError where a leg's joint is beyond its limit: held there, it tilts the sole."""
+    """Raise CannotStandError where a leg's joint is beyond its limit: there it tilts the sole."""
     pos = motion.joint_pos[:, :LEGS]
     lower, upper = robot.lower[:LEGS], robot.upper[:LEGS]
     beyond = np.maximum(lower - pos, pos - upper)
     joint = int(beyond.max(axis=0).argmax())
     if (where := beyond[:, joint] > POSITION_TOLERANCE).any():
-        raise refused(motion, f"{JOINT_NAMES[joint]} gets beyond its limit", where)
+        raise CannotStandError(motion, f"{JOINT_NAMES[joint]} gets beyond its limit", where)
 
 
 def _refuse_slipping(motion: Motion, shift: Floats) -> None:
-    """Raise MotionError where the pelvis is shifted (T, 2) with more than friction can give."""
+    """Raise CannotStandError where the pelvis is shifted (T, 2) with more than friction gives."""
     acc = np.zeros(len(shift))
     acc[1:-1] = np.linalg.norm(np.diff(shift, 2, axis=0), axis=-1) * motion.fps**2
     if (slips := acc > _SLIPS).any():
-        raise refused(motion, "the feet slip, to keep the mass over them,", slips, slower=True)
+        raise CannotStandError(
+            motion, "the feet slip, to keep the mass over them,", slips, slower=True
+        )
 
 
 def _balanced(motion: Motion, trajectory: Trajectory, robot: G1, legs: Legs) -> Motion:
@@ -186,7 +280,7 @@ def _balanced(motion: Motion, trajectory: Trajectory, robot: G1, legs: Legs) -> 
     before the centre of pressure has to. `trajectory` has the pelvis's attitude.
 
     Raises:
-        MotionError: it cannot be, because the motion is too fast.
+        CannotStandError: it cannot be, because the motion is too fast.
         LegsTooShortError: the legs are too short for that.
     """
     from scipy.linalg import solveh_banded
@@ -205,7 +299,9 @@ def _balanced(motion: Motion, trajectory: Trajectory, robot: G1, legs: Legs) -> 
         if outside.max() <= _NEAR:
             return motion
         if (pulls := outside == np.inf).any():
-            raise refused(motion, "the floor would have to pull at the feet", pulls, slower=True)
+            raise CannotStandError(
+                motion, "the floor would have to pull at the feet", pulls, slower=True
+            )
         if attempt == _ATTEMPTS - 1:
             break
         inward = middle - points
@@ -219,7 +315,7 @@ def _balanced(motion: Motion, trajectory: Trajectory, robot: G1, legs: Legs) -> 
         motion = legs.reach(motion, root, moved)
     inside = round(1e3 * (_MARGIN - _NEAR))
     why = f"the centre of pressure is not kept {inside} mm inside the soles"
-    raise refused(motion, why, outside > _NEAR, slower=True)
+    raise CannotStandError(motion, why, outside > _NEAR, slower=True)
 
 
 def _update_wrench(

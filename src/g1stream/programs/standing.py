@@ -8,15 +8,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from g1stream.dds.domain import is_local_only
-from g1stream.errors import SafetyError
+from g1stream.errors import ConfigError, MotionError, SafetyError
 from g1stream.motion.limits import Interval
-from g1stream.physics.stance import on_standing_legs, stand
+from g1stream.physics.footing import CannotStandError
+from g1stream.physics.stance import UPPER_BODY, Part, longest_part, stand
 from g1stream.robot.standing import LEGS
 
 if TYPE_CHECKING:
     from g1stream.config import Config
     from g1stream.motion.motion import Motion
     from g1stream.robot.model import G1
+    from g1stream.settings import StreamConfig
 
 __all__ = ["refuse_feet_on_robot", "stand_if_asked"]
 
@@ -24,40 +26,59 @@ __all__ = ["refuse_feet_on_robot", "stand_if_asked"]
 def stand_if_asked(motion: Motion, robot: G1, config: Config) -> tuple[Motion, str]:
     """The motion with its feet planted, and what was changed; with other supports as it is, and "".
 
-    The part that is not played need not be able to stand: it becomes a pause. Where the legs do not
-    play the motion, they stand, as `on_standing_legs` has it; where only they do, waist and arms
-    keep the pose of its beginning.
+    The part that is not played need not be able to stand: it becomes a pause.
 
     Raises:
-        ConfigError: the part to play is not within the motion.
-        MotionError: it cannot be played on its feet.
+        ConfigError: the part to play is not within the motion, or the settings do not go with feet.
+        MotionError: it cannot be played on its feet; its remedy names what can.
         RobotError: the soles of this robot are not known.
     """
     if config.stream.support != "feet":
         return motion, ""
+    joints = config.stream.played_joints
+    played = robot.select(joints)
+    _require_standing(config.stream, robot)
     interval = Interval.from_config(config.stream, motion)
     length = motion.duration if interval.length is None else interval.length
     first, last = (np.array([0.0, length]) + interval.start) * motion.fps
-    rows = np.clip(np.arange(motion.n_frames), int(first), int(np.ceil(last)))
-    rows = np.minimum(rows, motion.n_frames - 1)
-    part = replace(
-        motion,
-        joint_pos=motion.joint_pos[rows],
-        root_pos=motion.root_pos[rows],
-        root_quat_wxyz=motion.root_quat_wxyz[rows],
-    )
-    played = robot.select(config.stream.played_joints)
-    changes = []
-    if not played[:LEGS].any():
-        part = on_standing_legs(part, robot, played)
-        changes.append("on legs that stand")
-    elif not played.all():
-        part = replace(part, joint_pos=np.where(played, part.joint_pos, part.joint_pos[0]))
-    standing = stand(part, robot)
-    if standing.changes:
-        changes.append(str(standing))
-    changed = replace(standing.motion, operations=(*motion.operations, *changes))
-    return changed, f"{motion.name} is played {', '.join(changes)}" if changes else ""
+    asked = range(int(first), min(int(np.ceil(last)) + 1, motion.n_frames))
+    part = motion.at_frames(np.arange(motion.n_frames).clip(asked[0], asked[-1]))
+    try:
+        standing = stand(part, robot, played)
+    except CannotStandError as error:
+        ways = ["play it slower (--speed)"] if error.slower else []
+        remedy = "; or ".join([*ways, *_other_ways(motion, asked, robot, joints)])
+        raise MotionError(error.cause, f"{remedy[0].upper()}{remedy[1:]}.") from None
+    how = str(standing)
+    if not how:
+        return standing.motion, ""
+    changed = replace(standing.motion, operations=(*motion.operations, how))
+    return changed, f"{motion.name} is played {how}"
+
+
+def _require_standing(settings: StreamConfig, robot: G1) -> None:
+    """Refuse settings with which a robot cannot be kept on its feet."""
+    whole = bool(robot.present.all()) and settings.via == "lowcmd" and settings.others == "hold"
+    if settings.loop or not whole:
+        raise ConfigError(
+            "support feet needs all 29 joints, on rt/lowcmd, and a motion that does not repeat.",
+            "Leave out --via, --others and --loop, or hold the robot otherwise.",
+        )
+
+
+def _other_ways(motion: Motion, asked: range, robot: G1, joints: str | None) -> list[str]:
+    """What can be played instead of some frames of a motion, by some joints."""
+    choices = {joints: ""}
+    if robot.select(joints)[:LEGS].any():
+        choices |= {UPPER_BODY: f"--joints {UPPER_BODY}"}
+    ways = []
+    for selection, flag in choices.items():
+        part = longest_part(motion, robot, robot.select(selection), asked)
+        if part == Part.of_frames(asked[0], asked[-1], motion.fps):
+            ways += [f"give {flag}"] if flag else []
+        elif part:
+            ways.append(f"give {f'{flag} {part}'.strip()}, the longest part that stands")
+    return [*ways, "hold the robot and give --support hanging"]
 
 
 def refuse_feet_on_robot(config: Config) -> None:

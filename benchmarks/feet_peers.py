@@ -1,10 +1,11 @@
-"""`--support feet` on Unitree's own simulators: how long it stands there, and how closely.
+"""`--support feet` over DDS, in simulators: how long it stands there, and how closely.
 
     python benchmarks/feet_peers.py [--motion demo] [--seconds 14] [--runs 3] [--simulator Python]
 
-Every run has a simulator of its own, in which the robot hangs from the elastic band. Once RAMP
-waits, key 8 lengthens the band until PLAY begins, and key 9 lets go a second later. A run has stood
-for as long as PLAY went on and the pelvis was above 0.3 m. RMSE is over all joints and PLAY.
+Every run has a simulator of its own: Unitree's two, and `g1stream sim --support free`. In Unitree's
+the robot hangs from the elastic band. Once RAMP waits, key 8 lengthens the band until PLAY begins,
+and key 9 lets go a second later. A run has stood for as long as PLAY went on and the pelvis was
+above 0.3 m. RMSE is over all joints and PLAY.
 
 tracking_peers.py says how the simulators are found. `--motion squat`, `shift`, `steps` and `turns`
 are the squats, weight shifts, steps forward and back, and turns of feet.py; for the upper body
@@ -22,6 +23,7 @@ import sys
 import tempfile
 import threading
 import time
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -34,12 +36,13 @@ from g1stream.types import Phase
 from tracking_peers import PEERS, SIMULATORS, missing, running
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from g1stream.motion.motion import Motion
 
+BRIDGE: Final = "g1stream"
 #: The Python simulator takes each command in Python, and queues those for which it has no time.
-FLAGS: Final = {"C++": [], "Python": ["--rate", "200"]}
+FLAGS: Final = {"C++": [], "Python": ["--rate", "200"], BRIDGE: []}
 #: Motions that are made, by name.
 MADE: Final[dict[str, Callable[[float], Motion]]] = {
     "squat": squatting,
@@ -53,6 +56,21 @@ _PRESSES: Final = 60
 _LET_GO: Final = 1.0  # s after PLAY began
 #: What a run takes beside the motion at most, s.
 _MARGIN: Final = 90.0
+
+
+@contextmanager
+def simulating(name: str) -> Iterator[None]:
+    """A simulator while it runs."""
+    if name != BRIDGE:
+        with running(SIMULATORS[name]):
+            yield
+        return
+    command = [sys.executable, "-m", "g1stream", "sim", "--support", "free"]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as bridge:
+        try:
+            yield
+        finally:
+            bridge.terminate()
 
 
 def lowered(name: str, motion: str, seconds: float, flags: list[str], path: Path) -> str:
@@ -77,7 +95,7 @@ def lowered(name: str, motion: str, seconds: float, flags: list[str], path: Path
     with (
         tempfile.TemporaryFile("w+") as printed,
         subprocess.Popen(
-            [PEERS / "ns", *command],
+            command if name == BRIDGE else [PEERS / "ns", *command],
             stdout=printed,
             stderr=subprocess.PIPE,
             text=True,
@@ -87,14 +105,15 @@ def lowered(name: str, motion: str, seconds: float, flags: list[str], path: Path
         reader = threading.Thread(target=follow)
         reader.start()
         try:
-            waits.wait(_MARGIN)
-            for _ in range(_PRESSES):
-                if plays.wait(_PRESS) or stream.poll() is not None:
-                    break
-                press(8)
-            if plays.is_set():
-                time.sleep(_LET_GO)
-                press(9)
+            if name != BRIDGE:
+                waits.wait(_MARGIN)
+                for _ in range(_PRESSES):
+                    if plays.wait(_PRESS) or stream.poll() is not None:
+                        break
+                    press(8)
+                if plays.is_set():
+                    time.sleep(_LET_GO)
+                    press(9)
             stream.wait(max(0.0, stop - time.monotonic()))
         except subprocess.TimeoutExpired:
             return "did not end"
@@ -125,11 +144,11 @@ def main() -> None:
     parser.add_argument("--motion", default="demo", help="file, demo, squat, shift, steps or turns")
     parser.add_argument("--seconds", type=float, default=14.0)
     parser.add_argument("--runs", type=int, default=3)
-    parser.add_argument("--simulator", choices=SIMULATORS, help="only this one")
+    parser.add_argument("--simulator", choices=FLAGS, help="only this one")
     parser.add_argument("--keep", type=Path, help="a folder for the sessions")
     parser.add_argument("flags", nargs="*", help="more flags of g1stream stream, after --")
     args = parser.parse_args()
-    if absent := missing("keys"):
+    if args.simulator != BRIDGE and (absent := missing("keys")):
         parser.error(absent)
     if args.keep:
         args.keep.mkdir(parents=True, exist_ok=True)
@@ -138,17 +157,17 @@ def main() -> None:
         if make := MADE.get(motion):
             motion = str(Path(directory, f"{motion}.npz"))
             make(args.seconds).save(motion)
-        for name in [args.simulator] if args.simulator else SIMULATORS:
+        for name in [args.simulator] if args.simulator else FLAGS:
             for number in range(args.runs):
                 path = folder / f"feet-{name}-{Path(args.motion).stem}-{number}.mcap"
                 if path.exists():
                     parser.error(f"{path} exists already; keep the sessions in another folder")
-                with running(SIMULATORS[name]):
+                with simulating(name):
                     reason = lowered(name, motion, args.seconds, args.flags, path)
                 session = open_session(path) if path.exists() else None
                 time_stood = stood(session) if session else 0.0
                 rmse = session.tracking().overall if session and time_stood else np.nan
-                line = f"{name:7s} {args.motion}: stood {time_stood:5.1f} s, RMSE {rmse:.4f} rad"
+                line = f"{name:8s} {args.motion}: stood {time_stood:5.1f} s, RMSE {rmse:.4f} rad"
                 print(line, reason, flush=True)
 
 

@@ -15,18 +15,22 @@ from g1stream.robot.joints import TORQUE_LIMIT
 IMU = ImuReading(*(np.zeros(n, np.float32) for n in (4, 3, 3)))
 
 
-def found(delay, seconds=6.0, rate=500.0, noise=0.0, bias=0.0, moving=True, away=0.0):
+def found(
+    delay, seconds=6.0, rate=500.0, noise=0.0, bias=0.0, moving=True, away=0.0, shaken=0.0, seed=3
+):
     """What is found of motors whose commands wait for so many s in a queue.
 
-    Each is within its limits, and one is `away` from its target, rad.
+    Each is within its limits, and one is `away` from its target, rad. Commands are `shaken` by a
+    force on the robot, N, as a balance makes them of sensor noise.
     """
-    rng = np.random.default_rng(3)
+    rng = np.random.default_rng(seed)
+    arms = rng.uniform(-0.5, 0.5, 29)  # m
     found, queue, command = CommandDelay(balanced=True), deque(), LowCmd()
     command.kp[:], command.kd[:] = 60.0, 1.0
     frequency = rng.uniform(3.0, 9.0, 29)  # different ones, so that no period is taken for a delay
     for k in range(round(seconds * rate)):
         time = k / rate
-        command.tau[:] = 5.0 * np.sin(moving * frequency * time)
+        command.tau[:] = 5.0 * np.sin(moving * frequency * time) + shaken * rng.normal() * arms
         found.sent(time, command.tobytes())
         queue.append(command.tau.copy())
         if len(queue) > delay * rate:
@@ -61,8 +65,15 @@ def test_a_motor_at_its_limit_is_not_late():
     assert found(0.0, noise=0.5, moving=False, away=1.5).longest == 0.0
 
 
-def test_nothing_is_said_before_the_commands_of_two_seconds_are_known():
-    assert found(0.4, seconds=1.9).longest is None
+@pytest.mark.parametrize("seed", range(10))
+def test_commands_that_sensor_noise_changes_are_not_late(seed):
+    """Those in between are not kept, and an old one may be nearer to them than the new ones."""
+    result = found(0.01, seconds=3.0, moving=False, shaken=10.0, seed=seed)
+    assert result.longest == 0.0
+
+
+def test_nothing_is_said_before_commands_and_readings_are_enough():
+    assert found(0.4, seconds=2.2).longest is None
 
 
 def test_nothing_is_found_of_a_robot_at_rest():

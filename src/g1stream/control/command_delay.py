@@ -36,6 +36,9 @@ _PROMPT: Final = 0.1
 #: both with so much more for each reading, (N·m)².
 _LEFT: Final = 0.25
 _NOISE: Final = N_JOINTS * 0.05**2
+#: Readings, counted as they are remembered, before which nothing is said: by chance, one reading is
+#: nearest to an old command, where sensor noise makes the torques differ from command to command.
+_ENOUGH: Final = 8.0
 
 
 class CommandDelay:
@@ -49,8 +52,7 @@ class CommandDelay:
         balanced: the motors keep the robot on its feet, which they cannot with a delay.
 
     Attributes:
-        longest: delay that there was, s; 0 if none was above 0.1 s, None before the commands of two
-            seconds are known.
+        longest: delay that there was, s; 0 if none was above 0.1 s, None in the first 2.5 s.
     """
 
     def __init__(self, *, balanced: bool = False) -> None:
@@ -91,6 +93,8 @@ class CommandDelay:
         kept = exp(-_EVERY / _MEMORY)
         self._errors = kept * self._errors + (error**2).sum(axis=1)
         self._noise = kept * self._noise + _NOISE
+        if self._noise < _ENOUGH * _NOISE:
+            return
         least = int(self._errors.argmin())
         least_prompt = self._errors[prompt].min()
         late = self._errors[least] + self._noise < _LEFT * (least_prompt + self._noise)

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections import deque
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -30,9 +29,10 @@ from g1stream.motion.trajectory import Trajectory
 from g1stream.physics.stance import on_standing_legs, stand
 from g1stream.programs.sim import make_world
 from g1stream.robot.model import G1
-from g1stream.robot.rotations import quat_normalize, tilt_of
+from g1stream.robot.rotations import tilt_of
 from g1stream.session.motions import load_motion
 from g1stream.sim.lockstep import Lockstep
+from g1stream.sim.noise import SensorNoise
 from g1stream.sim.robot import SimulatedRobot
 from g1stream.synthetic import squatting, stepping
 from g1stream.types import Floats, Phase
@@ -55,7 +55,7 @@ class Trouble(NamedTuple):
 
     push: Floats = np.zeros(3)  # N at the torso, for 0.1 s, 1 s after PLAY began
     mass: float = 1.0  # of the robot over the model's; the difference is in the torso
-    delay: int = 0  # ms more from a command to the robot
+    delay: float = 0.0  # s more from a command to the robot
     friction: float = 1.0  # of the floor
 
 
@@ -63,7 +63,7 @@ NONE = Trouble()
 TROUBLES = {
     "10 % heavier": Trouble(mass=1.1),
     "10 % lighter": Trouble(mass=0.9),
-    "10 ms later": Trouble(delay=10),
+    "10 ms later": Trouble(delay=0.01),
     "friction 0.4": Trouble(friction=0.4),
 }
 DANCE = "dance, arms and waist"
@@ -89,22 +89,10 @@ class Run(NamedTuple):
     height: float  # m, of the pelvis at DAMP
 
 
-class LateLink(Lockstep):
-    """Delivers commands some ticks later."""
-
-    def __init__(self, robot: SimulatedRobot, ticks: int) -> None:
-        super().__init__(robot, "free")
-        self._late = deque([(b"", b"")] * ticks)
-
-    def send(self, command: bytes, reference: bytes, stamp: int) -> int:
-        self._late.append((command, reference))
-        return super().send(*self._late.popleft(), stamp)
-
-
 def play(motion: Motion, trouble: Trouble, seed: int) -> Run:
     """Play a motion to its end, or until the robot falls."""
-    rng = np.random.default_rng(seed)
-    world = make_world(ROBOT, CONFIG.sim)
+    settings = CONFIG.sim.model_copy(update={"command_delay": trouble.delay})
+    world, add_noise = make_world(ROBOT, settings), SensorNoise(seed=seed)
     torso = world.model.body("torso_link").id
     world.model.body_mass[torso] += (trouble.mass - 1.0) * world.model.body_mass.sum()
     world.model.geom_friction[:, 0] = trouble.friction
@@ -121,14 +109,9 @@ def play(motion: Motion, trouble: Trouble, seed: int) -> Run:
         if playing and world.data.qpos[2] > FALLEN:
             stood += 1
             squares += float(((state.q[:29] - loop.newest.target.q) ** 2).mean())
-        state.q[:29] += rng.normal(0.0, 5e-4, 29)
-        state.dq[:29] += rng.normal(0.0, 0.05, 29)
-        state.gyroscope[:] += rng.normal(0.0, 0.01, 3)
-        state.accelerometer[:] += rng.normal(0.0, 0.1, 3)
-        state.quaternion[:] = quat_normalize(state.quaternion + rng.normal(0.0, 5e-4, 4))
+        add_noise(state)
 
-    robot = SimulatedRobot(world, CONFIG.sim, noise=measure)
-    link = LateLink(robot, trouble.delay // 2)
+    link = Lockstep(SimulatedRobot(world, settings, noise=measure), "free")
     loop: Any = make_loop(CONFIG, ROBOT, Trajectory(motion), link, link, settle=0)
     reason = loop.run().reason
     rmse = float(np.sqrt(squares / max(stood, 1)))

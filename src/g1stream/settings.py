@@ -317,6 +317,22 @@ class SimConfig(Table):
     command_timeout: float = setting(
         0.5, "time without a LowCmd after which the motors only damp; 0: never", "s", ge=0.0
     )
+    command_delay: float = setting(
+        0.0,
+        "time from when a LowCmd is received to when the motors obey it",
+        "s",
+        flag=("sim", "demo"),
+        ge=0.0,
+        le=1.0,
+    )
+    noise: float = setting(
+        0.0,
+        "sensor noise of LowState; at 1 its standard deviations are 0.5 mrad and 0.05 rad/s for "
+        "the joints, 0.01 rad/s, 0.1 m/s² and 1 mrad of attitude for the IMU",
+        flag=("sim", "demo"),
+        ge=0.0,
+        le=100.0,
+    )
     duration: float | None = setting(
         None,
         "stop after this; when interrupted if unset",

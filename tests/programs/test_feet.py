@@ -21,7 +21,6 @@ from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import G1, REVISIONS
 from g1stream.robot.rotations import (
     quat_from_rpy,
-    quat_normalize,
     quat_rotate,
     quat_rotate_inverse,
     tilt_of,
@@ -30,6 +29,7 @@ from g1stream.robot.rotations import (
 from g1stream.session.motions import load_motion
 from g1stream.settings import SimConfig
 from g1stream.sim.lockstep import Lockstep
+from g1stream.sim.noise import SensorNoise
 from g1stream.sim.robot import SimulatedRobot
 from g1stream.sim.world import World
 from g1stream.synthetic import squatting, stepping
@@ -40,26 +40,13 @@ pytest.importorskip("daqp")
 SHORT = {"ramp": 1.5, "hold": 0.2, "damp": 0.5}
 
 
-def config(**stream):
-    return Config.model_validate({"stream": SHORT | stream})
-
-
-def noise():
-    rng = np.random.default_rng(7)
-
-    def add(state):
-        state.q[:29] += rng.normal(0.0, 5e-4, 29)
-        state.dq[:29] += rng.normal(0.0, 0.05, 29)
-        state.gyroscope[:] += rng.normal(0.0, 0.01, 3)
-        state.accelerometer[:] += rng.normal(0.0, 0.1, 3)
-        state.quaternion[:] = quat_normalize(state.quaternion + rng.normal(0.0, 5e-4, 4))
-
-    return add
+def config(noise=0.0, **stream):
+    return Config.model_validate({"sim": {"noise": noise}, "stream": SHORT | stream})
 
 
 @pytest.fixture(scope="module")
 def session():
-    return rollout(squatting(2.0), support="feet", config=config(), noise=noise())
+    return rollout(squatting(2.0), support="feet", config=config(noise=1.0))
 
 
 @pytest.mark.slow
@@ -136,7 +123,7 @@ def test_what_a_remedy_gives_can_be_played(asked, ends):
 def test_it_stands_long_on_one_foot():
     """At half its speed, the demo stands on either foot for 0.8 s, with 15 frames a second."""
     slow = load_motion("demo").trim(7.5, 12.5).at_speed(0.5)
-    session = rollout(slow, support="feet", config=config(hold=0.0), noise=noise())
+    session = rollout(slow, support="feet", config=config(noise=1.0, hold=0.0))
     assert session.metadata["stream"]["reason"] == ""
     assert session.tracking().overall < 0.01
 
@@ -144,7 +131,7 @@ def test_it_stands_long_on_one_foot():
 @pytest.mark.slow
 def test_it_lifts_one_foot_and_then_the_other():
     """The right one of the demo at 8.6 s, the left one at 9.5 s."""
-    session = rollout("demo", support="feet", seconds=2.5, config=config(start=7.8), noise=noise())
+    session = rollout("demo", support="feet", seconds=2.5, config=config(noise=1.0, start=7.8))
     assert session.metadata["stream"]["reason"] == ""
     assert session.tracking().overall < 0.01
     assert session.summary().stream.balance.lifts == 2
@@ -158,7 +145,7 @@ def test_it_steps_to_where_the_motion_goes(goal):
     world = World(G1.default(), "free")
     feet = [world.model.body(f"{side}_ankle_roll_link").id for side in ("left", "right")]
     stood = []
-    add = noise()
+    add = SensorNoise(seed=7)
 
     def follow(loop, state):
         add(state)
@@ -297,7 +284,11 @@ def test_the_legs_play_as_a_whole_or_not_at_all():
 @pytest.mark.slow
 def test_arms_of_a_motion_that_steps_play_on_planted_feet():
     session = rollout(
-        "demo", support="feet", joints="arms", seconds=1.0, config=config(start=8.0), noise=noise()
+        "demo",
+        support="feet",
+        joints="arms",
+        seconds=1.0,
+        config=config(noise=1.0, start=8.0),
     )
     assert session.metadata["stream"]["reason"] == ""
     assert session.tracking().overall < 0.01

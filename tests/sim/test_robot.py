@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from g1stream.dds.messages import LowCmd, LowState, SecondaryImu, SportModeState
+from g1stream.robot.rotations import quat_to_rpy
 from g1stream.settings import SimConfig
 from g1stream.sim.robot import MODE_MACHINE_29, SimulatedRobot
 from g1stream.sim.world import World
@@ -79,6 +80,34 @@ def test_noise_is_in_what_is_published_only(world):
     assert state.q.tolist() == [0.25] * 29
     assert state.crc_matches()
     assert not world.state().q.any()
+
+
+def test_noise_of_the_settings_has_its_size(world):
+    quiet, noisy = SimulatedRobot(world, SimConfig()), SimulatedRobot(world, SimConfig(noise=2.0))
+    state, samples = LowState(), []
+    state.load(quiet.publish().low_state)
+    assert not state.q.any()
+    for _ in range(200):
+        state.load(noisy.publish().low_state)
+        quat = state.quaternion.astype(np.float64)
+        assert np.linalg.norm(quat) == pytest.approx(1.0, abs=1e-6)
+        assert state.rpy == pytest.approx(quat_to_rpy(quat), abs=1e-5)
+        samples.append([*state.q, *state.dq, *state.gyroscope, *state.accelerometer, *state.rpy])
+    sizes = np.repeat([1e-3, 0.1, 0.02, 0.2, 2e-3], [29, 29, 3, 3, 3])
+    assert np.std(samples, axis=0) == pytest.approx(sizes, rel=0.25)
+    means = np.mean(samples, axis=0) / sizes
+    means[63] -= 9.81 / sizes[63]  # the accelerometer, upward
+    assert np.abs(means).max() < 6.0 / np.sqrt(200)
+
+
+def test_commands_are_obeyed_later(world):
+    simulated = SimulatedRobot(world, SimConfig(command_delay=0.02))
+    run(simulated, range(10), good_command().seal())
+    assert simulated.report.commands == 0
+    assert world.state().q[KNEE] < 0.01
+    run(simulated, range(10, 20))
+    assert simulated.report.commands == 10
+    assert world.state().q[KNEE] > 0.05
 
 
 def good_command():

@@ -60,7 +60,7 @@ def rollout(
     joints: str | None = None,
     announced: Support | None = None,
     correction: Correction | str | Path | None = None,
-    noise: Callable[[LowState], None] = lambda state: None,
+    noise: Callable[[LowState], None] | None = None,
 ) -> Session:
     """Play a motion on a simulated robot, faster than real time, and return the session.
 
@@ -93,7 +93,8 @@ def rollout(
         joints: those that play the motion, such as "arms,waist"; `config.stream.joints` if None.
         announced: how the simulated robot announces that it is held, where that shall be wrong.
         correction: of the joint targets, or its file; `config.stream.correction` if None.
-        noise: called with each `LowState` before it is published, which it may change in place.
+        noise: called with each `LowState` before it is published, which it may change in place;
+            `config.sim.noise` if None.
 
     Returns:
         The session in memory, with all channels of a recorded one; `save` writes it into a file.

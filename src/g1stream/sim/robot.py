@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections import deque
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -11,6 +12,7 @@ import numpy as np
 from g1stream.dds.messages import LowCmd, LowState, Reference, SecondaryImu, SportModeState
 from g1stream.robot.joints import N_JOINTS
 from g1stream.robot.rotations import quat_to_rpy
+from g1stream.sim.noise import SensorNoise
 from g1stream.sim.supports import Root
 from g1stream.sim.world import MotorCommand
 from g1stream.types import Phase
@@ -73,9 +75,9 @@ class SimulatedRobot:
 
     Args:
         world: its physics.
-        config: rate of LowState and command timeout.
+        config: rate of LowState, command delay and timeout, noise.
         mode_machine: of the kind of G1 that the world simulates.
-        noise: may change a LowState before it is published, as sensor noise does.
+        noise: may change a LowState before it is published; `SensorNoise(config.noise)` if None.
 
     Attributes:
         period: ns between two LowStates.
@@ -88,15 +90,17 @@ class SimulatedRobot:
         config: SimConfig,
         *,
         mode_machine: int = MODE_MACHINE_29,
-        noise: Callable[[LowState], None] = lambda state: None,
+        noise: Callable[[LowState], None] | None = None,
     ) -> None:
         self.period = round(1e9 / config.rate)
         self.report = SimReport()
         self._world = world
         self._mode_machine = mode_machine
-        self._noise = noise
+        self._noise = noise or SensorNoise(config.noise)
         self._steps = max(1, round(self.period / 1e9 / world.timestep))
         self._timeout = round(config.command_timeout * 1e9)
+        self._delay = round(config.command_delay * 1e9)
+        self._arriving: deque[tuple[int, bytes]] = deque()  # with when they take effect, ns
         self._low_cmd, self._reference, self._low_state = LowCmd(), Reference(), LowState()
         self._sport_mode_state, self._secondary_imu = SportModeState(), SecondaryImu()
         self._motors = MotorCommand.off()
@@ -123,13 +127,7 @@ class SimulatedRobot:
 
     def receive_command(self, data: bytes, now: int) -> None:
         """Take a LowCmd that was received at `now`, ns."""
-        self._low_cmd.load(data)
-        refusal = self._refusal()
-        if refusal:
-            self.report.refused[refusal] = self.report.refused.get(refusal, 0) + 1
-            self.log(logging.WARNING, f"LowCmd refused: {refusal}", now)
-        else:
-            self._accept(now)
+        self._arriving.append((now + self._delay, data))
 
     def receive_reference(self, data: bytes) -> None:
         """Take a Reference; values that are not finite end the simulation."""
@@ -155,6 +153,8 @@ class SimulatedRobot:
         Raises:
             SimError: the state can no longer be integrated.
         """
+        while self._arriving and self._arriving[0][0] <= now:
+            self._check_command(self._arriving.popleft()[1], now)
         if self._accepted_at is not None and 0 < self._timeout < now - self._accepted_at:
             self._accepted_at = None
             self.report.timeouts += 1
@@ -172,6 +172,15 @@ class SimulatedRobot:
         if now - self._logged_at.get(text, -_LOG_PERIOD) >= _LOG_PERIOD:
             self._logged_at[text] = now
             _LOGGER.log(level, text)
+
+    def _check_command(self, data: bytes, now: int) -> None:
+        self._low_cmd.load(data)
+        refusal = self._refusal()
+        if refusal:
+            self.report.refused[refusal] = self.report.refused.get(refusal, 0) + 1
+            self.log(logging.WARNING, f"LowCmd refused: {refusal}", now)
+        else:
+            self._accept(now)
 
     def _refusal(self) -> str:
         command = self._low_cmd

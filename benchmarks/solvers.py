@@ -77,7 +77,8 @@ def programs(motion: Motion) -> list[Program]:
 def by_daqp(_: Any) -> Callable[[Program], Floats]:
     def solve(one: Program) -> Floats:
         kinds = np.zeros(len(one.least), np.int32)
-        return daqp.solve(one.square, one.linear, one.rows, one.most, one.least, kinds)[0]
+        x: Floats = daqp.solve(one.square, one.linear, one.rows, one.most, one.least, kinds)[0]
+        return x
 
     return solve
 
@@ -87,7 +88,8 @@ def by_quadprog(module: Any) -> Callable[[Program], Floats]:
         rows = np.concatenate([one.rows, -one.rows]).T
         bounds = np.concatenate([one.least, -one.most])
         bounded = bounds > -1e29
-        return module.solve_qp(one.square, -one.linear, rows[:, bounded], bounds[bounded])[0]
+        x: Floats = module.solve_qp(one.square, -one.linear, rows[:, bounded], bounds[bounded])[0]
+        return x
 
     return solve
 
@@ -112,7 +114,8 @@ def by_osqp(module: Any) -> Callable[[Program], Floats]:
         else:
             values = {"Px": one.square[upper][columns], "Ax": one.rows.T.ravel()}
             solver.update(q=one.linear, l=one.least, u=one.most, **values)
-        return solver.solve(raise_error=False).x
+        x: Floats = solver.solve(raise_error=False).x
+        return x
 
     return solve
 

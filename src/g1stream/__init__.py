@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from g1stream.motion.trajectory import Trajectory, TrajectoryPoint
     from g1stream.physics.measure import motion_physics
     from g1stream.physics.result import MotionPhysics
+    from g1stream.physics.stance import Standing, stand
     from g1stream.programs.convert import Conversion, ConvertReport, convert
     from g1stream.programs.live import live
     from g1stream.programs.record import record
@@ -81,6 +82,7 @@ __all__ = [
     "Samples",
     "Session",
     "SimReport",
+    "Standing",
     "Stream",
     "Summary",
     "TorsoImu",
@@ -104,6 +106,7 @@ __all__ = [
     "rollout",
     "run_library",
     "simulate",
+    "stand",
     "stream",
 ]
 
@@ -136,6 +139,7 @@ _HOME = {
     "Samples": "dds.messages",
     "Session": "session.session",
     "SimReport": "sim.robot",
+    "Standing": "physics.stance",
     "Stream": "session.streams",
     "Summary": "session.summary",
     "TorsoImu": "session.streams",
@@ -158,6 +162,7 @@ _HOME = {
     "rollout": "programs.rollout",
     "run_library": "library.run",
     "simulate": "programs.sim",
+    "stand": "physics.stance",
     "stream": "programs.stream",
 }
 

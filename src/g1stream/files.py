@@ -12,8 +12,10 @@ from typing import TYPE_CHECKING, Final
 from g1stream.errors import ConfigError, RecordingError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
     from pathlib import Path
+
+    from matplotlib.figure import Figure
 
 __all__ = [
     "check_directory",
@@ -25,6 +27,7 @@ __all__ = [
     "is_sqlite",
     "output_errors",
     "read_file",
+    "save_figure",
     "timestamped",
 ]
 
@@ -201,6 +204,18 @@ def complete_file(path: Path, *, force: bool = True) -> Iterator[Path]:
             temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def save_figure(draw: Callable[[], Figure], path: Path, *, force: bool) -> None:
+    """Write a figure, which is drawn once the path has been checked.
+
+    Raises:
+        ConfigError: the path ends neither in .png nor in .svg nor in .pdf.
+        RecordingError: it cannot be written.
+    """
+    check_suffix(path, "a figure", ".png", ".svg", ".pdf")
+    with complete_file(path, force=force) as temporary:
+        draw().savefig(temporary, format=path.suffix[1:].lower())
 
 
 @contextmanager

@@ -186,6 +186,18 @@ def test_physics_uses_the_settings(tmp_path):
     assert run(path, *asked, "left_leg").returncode == 2
 
 
+def test_how_a_motion_is_changed_for_the_feet_is_drawn(tmp_path):
+    path = tmp_path / "feet.png"
+    assert run("demo", "--feet-figure", path).returncode == 0
+    assert path.read_bytes().startswith(b"\x89PNG")
+    assert run("demo", "--feet-figure", path).returncode == 2
+    assert run("demo", "--feet-figure", path, "--force").returncode == 0
+    part = run("demo", "--trim", "6.7:8.7", "--feet-figure", tmp_path / "part.png")
+    assert part.returncode == 2
+    assert "lifted" in part.stderr
+    assert sorted(tmp_path.iterdir()) == [path]
+
+
 def test_without_a_motion_there_is_no_physics(tmp_path):
     done = run(spoiled(tmp_path, "\n9,", "\n9,nan"), "--physics", "--json")
     assert done.returncode == 2

@@ -286,6 +286,21 @@ def test_joints_that_do_not_play_stand_still(squat):
     assert np.ptp(corners, axis=0) == pytest.approx(np.zeros((8, 3)), abs=1e-5)
 
 
+def test_what_was_changed_is_drawn(squat):
+    standing = stand(squat, ROBOT)
+    axes = standing.plot().axes
+    pelvis = next(line for line in axes[0].lines if line.get_label() == "pelvis")
+    np.testing.assert_array_equal(pelvis.get_xydata(), standing.motion.root_pos[:, :2])
+    assert len(axes[0].patches) == 2  # each sole stands in one place
+    heights = [line.get_ydata() for line in axes[2].lines]
+    np.testing.assert_array_equal(heights[0], 1e3 * squat.root_pos[:, 2])
+    np.testing.assert_array_equal(heights[1], 1e3 * standing.motion.root_pos[:, 2])
+    most, changed = axes[3].lines[0], JOINT_NAMES.index(standing.joint)
+    assert most.get_label() == standing.joint.removesuffix("_joint")
+    change = np.degrees(standing.motion.joint_pos - squat.joint_pos)[:, changed]
+    np.testing.assert_allclose(most.get_ydata(), change)
+
+
 def jumping(jump):
     """Standing still, but for both shoulders that jump by an angle, rad, at frame 30."""
     pos = np.zeros((60, 29))

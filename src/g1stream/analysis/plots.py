@@ -24,7 +24,7 @@ from g1stream.analysis.plot_style import (
 from g1stream.analysis.signals import chosen_quantities
 from g1stream.analysis.tracking import NothingToCompareError
 from g1stream.errors import RecordingError
-from g1stream.files import check_suffix, complete_file
+from g1stream.files import save_figure
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
 from g1stream.session.info import MotionInfo
 from g1stream.session.records import read_record
@@ -51,7 +51,6 @@ LONGEST_VIEW: Final = 20.0
 _NARROWEST_BIN: Final = 0.1
 _MOST_BINS: Final = 200
 _PANELS: Final = 6
-_SUFFIXES: Final = (".png", ".svg", ".pdf")
 _COMPARED: Final = (Reference.topic, Measured.topic)
 
 _INCHES: Final = (16.0, 10.0)
@@ -127,10 +126,8 @@ def draw(
     """
     from matplotlib import style
 
-    path = Path(path)
-    check_suffix(path, "a figure", *_SUFFIXES)
-    with complete_file(path, force=force) as temporary, style.context(["default", dict(STYLE)]):
-        plot(session, joints, what).savefig(temporary, format=path.suffix[1:].lower())
+    with style.context(["default", dict(STYLE)]):
+        save_figure(lambda: plot(session, joints, what), Path(path), force=force)
 
 
 def plot(

@@ -44,23 +44,29 @@ class Inspect(SettingsCommand, MotionFlags):
     pelvis led (follow) or on its feet (free): contacts and skating of the feet, self-collision,
     centre of pressure, tilt and torques, and the frames that forbid it; and whether `stream
     --support feet` can play it (feet), or what part of it, with the joints of --joints. That does
-    not change the exit code.
+    not change the exit code. --feet-figure draws how the motion is changed for that.
 
     Examples:
       g1stream motion dance.csv
       g1stream motion dance.csv --fps 60 --json
       g1stream motion dance.csv --physics
       g1stream motion dance.csv --physics --joints arms,waist
+      g1stream motion steps.npz --feet-figure steps.png
       g1stream motion wave.csv dance.npz --blend 1 --on-floor
 
     Exit codes:
       0  within the limits
       1  a frame is beyond a position limit, or the spline beyond a speed limit
-      2  bad input: not a motion; what can be read of the file is printed
+      2  bad input: not a motion; what can be read of the file is printed; or a --feet-figure of
+         a motion that cannot be played on the feet
     """
 
     motions: tuple[str, ...] = argument(MOTIONS, "MOTION...")
     physics: bool = flag(False, "What it would take to play it, with each support.")
+    feet_figure: Path | None = flag(
+        None, "Draw how `--support feet` changes the motion: a .png, .svg or .pdf.", "OUT"
+    )
+    force: bool = flag(False, "Replace a figure that is there.")
     json: bool = flag(False, "Print the report as JSON.")
 
     def run(self) -> int:
@@ -99,7 +105,17 @@ class Inspect(SettingsCommand, MotionFlags):
                 print_lines(f"\n{physics}")
         if report.fault:
             raise MotionError(report.fault, report.remedy)
+        if self.feet_figure:
+            self._draw_feet(self.feet_figure, robot, config)
         return EXIT_OK if report.passed else EXIT_STOPPED
+
+    def _draw_feet(self, path: Path, robot: G1, config: Config) -> None:
+        from g1stream.files import save_figure
+        from g1stream.physics.stance import stand
+
+        played = robot.select(config.stream.played_joints)
+        motion = self.load(self.motions, robot)
+        save_figure(lambda: stand(motion, robot, played).plot(), path, force=self.force)
 
     def _physics(self, report: FileReport, robot: G1, config: Config) -> MotionPhysics | None:
         """What it would take to play the motion; None where there is none, or not in radians."""

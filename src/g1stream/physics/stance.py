@@ -9,7 +9,7 @@ method.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from heapq import heappop, heappush
 from math import ceil, floor
 from typing import TYPE_CHECKING, Final, NamedTuple
@@ -26,14 +26,16 @@ from g1stream.robot.batch_dynamics import BatchInverseDynamics
 from g1stream.robot.dynamics import GRAVITY
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.kinematics import BLOCK, LinkPoses, forward_kinematics
+from g1stream.robot.model import G1
 from g1stream.robot.soles import Soles, bent_legs
 from g1stream.robot.standing import LEGS
 from g1stream.types import Floats
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from g1stream.motion.motion import Motion
     from g1stream.physics.ground import Flags
-    from g1stream.robot.model import G1
 
 __all__ = ["UPPER_BODY", "Part", "Standing", "longest_part", "on_standing_legs", "stand"]
 
@@ -83,6 +85,8 @@ class Standing:
 
     Attributes:
         motion: the changed motion, its feet flat, on a floor at height 0 unless they are lifted.
+        before: the motion before that; joints that do not play are still.
+        robot: the G1.
         upper_body: the legs stand, because only waist and arms play the motion.
         levelled_mm: how far the lower foot was from the floor, which is where it mostly is.
         moved_mm: how far a foot that stands was moved, seen from between both feet, at most.
@@ -93,7 +97,9 @@ class Standing:
         joint: which one.
     """
 
-    motion: Motion
+    motion: Motion = field(repr=False)
+    before: Motion = field(repr=False)
+    robot: G1 = field(repr=False)
     upper_body: bool
     levelled_mm: float
     moved_mm: float
@@ -121,18 +127,26 @@ class Standing:
         how += [f"with changes to stand: {', '.join(self.changes)}"] if self.changes else []
         return ", ".join(how)
 
+    def plot(self) -> Figure:
+        """Draw the soles and the pelvis from above, heights over time, and what joints changed."""
+        from g1stream.physics.standing_figure import draw_standing
+
+        return draw_standing(self)
+
 
 def stand(
     motion: Motion,
-    robot: G1,
+    robot: G1 | None = None,
     played: Flags | None = None,
     trajectory: Trajectory | None = None,
 ) -> Standing:
-    """The motion with its feet planted but for when they are lifted.
+    """The motion as a robot on its feet can play it: its feet stand, or step one at a time.
+
+    `stream` and `rollout` do so with support feet. docs/feet.md says what is changed.
 
     Args:
         motion: whose feet stand, or are lifted one at a time.
-        robot: the G1.
+        robot: the G1; the default one if None.
         played: (29,) the joints that play it; all if None. Where none of a leg does, the legs
             stand (`on_standing_legs`); where one does, the others keep the pose of its beginning.
         trajectory: through its frames; made if None.
@@ -147,6 +161,7 @@ def stand(
             "On its feet, a robot needs both legs as a whole, and only some of their joints play.",
             "Select arms, waist, both legs or all joints (stream.joints).",
         )
+    robot = robot or G1.default()
     upper_body = played is not None and not played[:LEGS].any()
     if played is not None and not played[robot.present].all():
         trajectory = None
@@ -177,8 +192,10 @@ def stand(
     change = np.abs(shifted.joint_pos - motion.joint_pos)
     joint = int(change.max(axis=0).argmax())
     return Standing(
-        shifted,
-        upper_body,
+        motion=shifted,
+        before=motion,
+        robot=robot,
+        upper_body=upper_body,
         levelled_mm=1e3 * footing.levelled,
         moved_mm=1e3 * footing.moved,
         turned_deg=float(np.degrees(footing.turned)),

@@ -69,11 +69,13 @@ def simulating(name: str) -> Iterator[None]:
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as bridge:
         try:
             yield
+            if bridge.poll() is not None:
+                raise RuntimeError("g1stream sim ended by itself")
         finally:
             bridge.terminate()
 
 
-def lowered(name: str, motion: str, seconds: float, flags: list[str], path: Path) -> str:
+def play(name: str, motion: str, seconds: float, flags: list[str], path: Path) -> str:
     """Play a motion in a running simulator into a session file; why the run ended, if early."""
     last = ""
 
@@ -163,7 +165,7 @@ def main() -> None:
                 if path.exists():
                     parser.error(f"{path} exists already; keep the sessions in another folder")
                 with simulating(name):
-                    reason = lowered(name, motion, args.seconds, args.flags, path)
+                    reason = play(name, motion, args.seconds, args.flags, path)
                 session = open_session(path) if path.exists() else None
                 time_stood = stood(session) if session else 0.0
                 rmse = session.tracking().overall if session and time_stood else np.nan

@@ -152,6 +152,13 @@ def test_the_worst_tilt_height_and_load_are_kept(balance, first):
         balance.watch(first)
     assert balance.summary.carried == pytest.approx(0.9**10, rel=0.02)
     assert (worst.lifts, worst.unsolved_ticks) == (0, 0)
+    solve, balance._solve = balance._solve, lambda *_, **__: (np.zeros(12), 0.0, -1, {})
+    for watched in (False, True, True):
+        balance.torque(first, reading(first), 0.0)
+        if watched:
+            balance.watch(first)
+    balance._solve = solve
+    assert balance.summary.unsolved_ticks == 2
     balance.begin(first)
     assert balance.summary is None
 

@@ -212,3 +212,15 @@ def test_peaks_are_those_of_all_targets(wild_motion, robot, loop, interval):
         if name in held:
             assert held[name].count == (excess[:, j] > POSITION_TOLERANCE).sum()
             assert abs(held[name].value - held[name].limit) == pytest.approx(excess[:, j].max())
+
+
+def test_the_frames_of_an_interval_are_those_between_which_it_is_interpolated(wild_motion):
+    """0.58 * 50 is a little less than 29, and 0.14 * 50 a little more than 7."""
+    fps, length = wild_motion.fps, wild_motion.duration
+    for first, last in ((0, 7), (29, 36), (1, wild_motion.n_frames - 1)):
+        interval = Interval(first / fps, (last - first) / fps, length)
+        assert interval.frames(wild_motion) == range(first, last + 1)
+    between = Interval(1.5 / fps, 2.0 / fps, length)
+    assert between.frames(wild_motion) == range(1, 5)
+    endless = Interval(1.0, None, length, loop=True)
+    assert endless.frames(wild_motion) == range(wild_motion.n_frames)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -380,13 +379,15 @@ def test_the_part_that_can_be_played_on_the_feet_is_looked_for_if_asked():
     root_pos = squat.root_pos.copy()
     root_pos[100:, 0] += np.linspace(0.0, 1.0, len(root_pos) - 100)
     sliding = moving(squat.joint_pos, root_pos)
-    assert motion_physics(sliding).verdicts["feet"].part == ""
+    assert motion_physics(sliding).verdicts["feet"].part is None
     found = motion_physics(sliding, find_part=True).verdicts["feet"]
-    start, duration = re.fullmatch(r"--start (\S+) --duration (\S+)", found.part).groups()
-    assert (float(start), float(duration)) == (0.0, pytest.approx(100 / sliding.fps, abs=0.4))
-    assert found.part in str(found)
+    assert found.part.start_s == 0.0
+    assert found.part.duration_s == pytest.approx(100 / sliding.fps, abs=0.4)
+    assert str(found.part) in str(found)
     arms = motion_physics(sliding, played=ROBOT.select("arms"), find_part=True).verdicts["feet"]
-    assert (arms.playable, arms.part) == ("yes", "")
+    assert (arms.playable, arms.part) == ("yes", None)
+    leg = motion_physics(sliding, played=ROBOT.select("left_leg")).verdicts["feet"]
+    assert leg.playable == "no"
 
 
 def test_a_robot_that_lacks_joints_cannot_play_on_its_feet():

@@ -14,7 +14,7 @@ from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.physics.footing import CannotStandError
 from g1stream.physics.ground import beyond_support, touching, zero_moment_point
-from g1stream.physics.stance import longest_part, on_standing_legs, stand
+from g1stream.physics.stance import on_standing_legs, stand
 from g1stream.robot.dynamics import BaseMotion, InverseDynamics
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.kinematics import forward_kinematics
@@ -257,21 +257,6 @@ def test_an_error_has_all_frames_that_forbid_a_motion(squat):
         stand(Motion.from_arrays(sliding, squat.root_pos, fps=squat.fps), ROBOT)
     assert np.array_equal(raised.value.frames, forbidden)
     assert not raised.value.slower
-
-
-def test_the_longest_part_is_found_behind_several_obstacles(squat):
-    """A foot slides from 1.4 to 1.6 s, and both are in the air from 2.2 to 2.3 s."""
-    pos, root = squat.joint_pos.copy(), squat.root_pos.copy()
-    for joint, by in (("left_hip_roll_joint", 0.25), ("left_ankle_roll_joint", -0.25)):
-        pos[70:80, JOINT_NAMES.index(joint)] += by
-    root[110:115, 2] += 0.2
-    motion = Motion.from_arrays(pos, root, fps=squat.fps)
-    part = longest_part(motion, ROBOT)
-    assert (part.start, part.start + part.duration) == pytest.approx((2.4, 4.0), abs=0.041)
-    stand(motion.trim(part.start, part.start + part.duration), ROBOT)
-    early = longest_part(motion, ROBOT, frames=range(110))
-    assert (early.start, early.start + early.duration) == pytest.approx((0.0, 1.3), abs=0.041)
-    assert longest_part(motion, ROBOT, frames=range(60, 130)) is None  # shorter than a second
 
 
 def test_joints_that_do_not_play_stand_still(squat):

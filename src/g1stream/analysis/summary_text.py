@@ -106,11 +106,9 @@ def session_facts(summary: Summary) -> list[tuple[str, str]]:
     if summary.joints and (summary.absent or len(summary.joints) < N_JOINTS):
         lines.append(("joints", _joints(summary)))
     ramp = _ramp(summary.stream)
-    on_feet = bool(summary.stream and summary.stream.support == "feet")
-    about = {Phase.RAMP: ramp, Phase.HOLD: " (down into a squat)" * on_feet}
     if summary.phases:
         phases = [
-            f"{one.phase.name} {one.duration_s:.2f} s" + about.get(one.phase, "")
+            f"{one.phase.name} {one.duration_s:.2f} s" + ramp * (one.phase is Phase.RAMP)
             for one in summary.phases
         ]
         lines.append(("phases", ", ".join(phases)))

@@ -130,7 +130,8 @@ class Balance:
         self.terms: Terms | None = None
         self._other = np.zeros(3)
         self._lasted = dict.fromkeys(("below", "unloaded", "outside", "unsolved"), 0.0)
-        self._worst = np.full(5, -np.inf)
+        self._worst: dict[str, float] = {}
+        self._stood_before = True, True
         self._lifts = self._unsolved = 0
 
     def begin(self, first: Target) -> None:
@@ -144,7 +145,8 @@ class Balance:
         self.wrench, self.fall, self.carried = None, "", 0.0
         self._other = np.zeros(3)
         self._lasted = dict.fromkeys(self._lasted, 0.0)
-        self._worst = np.full(5, -np.inf)
+        self._worst = {}
+        self._stood_before = True, True
         self._lifts = self._unsolved = 0
 
     def torque(
@@ -181,10 +183,7 @@ class Balance:
             target = target.replace(root_pos=self._root_pos)  # the target's may be lifted
         reference = self._reference(target)
         lifted = reference.soles[:, 2] > self._planted[0][:, 2] + OFF_FLOOR
-        stood, self._stands = self._stands, tuple(~lifted) if planted else (True, True)
-        self._lifts += sum(
-            was and not still for was, still in zip(stood, self._stands, strict=True)
-        )
+        self._stands = tuple(~lifted) if planted else (True, True)
         self._stood[~lifted] = reference.soles[~lifted]
         terms = self._dynamics.terms(state, target.ddq, target.dq, self._other, self._stands)
         self.terms = terms
@@ -211,8 +210,7 @@ class Balance:
         tilt = tilt_of(quat_mul(self.base.quat_wxyz, quat_conj(target.root_quat_wxyz)))
         outside = self._capture_point_outside(self.terms)
         below = float(target.root_pos[2] - self.base.pos[2])
-        now = outside, tilt, abs(below), self._feet_error(), -self.carried
-        self._worst = np.fmax(self._worst, now)
+        self._keep_worst(-outside, tilt, abs(below))
         falls = ""
         if tilt > _TILTED:
             falls = f"the pelvis is tilted by {tilt:.2f} rad against the reference"
@@ -228,18 +226,25 @@ class Balance:
     @property
     def summary(self) -> BalanceSummary | None:
         """Of what was watched; None before `watch`."""
-        outside, tilt, height, feet, missing = self._worst.tolist()
-        if not np.isfinite(self._worst).all():
+        if not self._worst:
             return None
-        return BalanceSummary(
-            capture_margin_m=-outside,
-            tilt_rad=tilt,
-            height_error_m=height,
-            feet_error_m=feet,
-            carried=-missing,
-            lifts=self._lifts,
-            unsolved_ticks=self._unsolved,
-        )
+        return BalanceSummary(**self._worst, lifts=self._lifts, unsolved_ticks=self._unsolved)
+
+    def _keep_worst(self, margin: float, tilt: float, height_error: float) -> None:
+        """Take a tick that was watched into account for the summary."""
+        now = {
+            "capture_margin_m": (min, margin),
+            "tilt_rad": (max, tilt),
+            "height_error_m": (max, height_error),
+            "feet_error_m": (max, self._feet_error()),
+            "carried": (min, self.carried),
+        }
+        worst = self._worst
+        self._worst = {name: of(worst.get(name, one), one) for name, (of, one) in now.items()}
+        feet = zip(self._stood_before, self._stands, strict=True)
+        self._lifts += sum(stood and not stands for stood, stands in feet)
+        self._stood_before = self._stands
+        self._unsolved += self._lasted["unsolved"] > 0.0
 
     def _feet_error(self) -> float:
         """How far the one foot stands from its place beside the other, m; 0 while one is lifted."""
@@ -348,7 +353,6 @@ class Balance:
         wrench: Floats = weight * found
         if flag != _OPTIMAL or not np.isfinite(wrench).all():
             self._last("unsolved", True)
-            self._unsolved += 1
             return np.zeros(12) if self.wrench is None else self.wrench * free
         self._last("unsolved", False)
         self.wrench = wrench

@@ -175,8 +175,8 @@ class DdsLink:
         replacement = self._replacement()
         self._commands.write(replacement or command, stamp)
         written = time.monotonic_ns()
-        if not replacement and (replacement := self._replacement()):
-            self._commands.write(replacement)  # the guard began during the write
+        if (newer := self._replacement()) != replacement:
+            self._commands.write(newer)  # the guard went on during the write
         self._references.write(reference, stamp)
         return written
 

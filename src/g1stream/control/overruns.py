@@ -69,6 +69,6 @@ class Overruns:
             return ""
         return (
             f"the loop missed {missed} of {self._ticks_per_second:.0f} ticks within a second on "
-            f"this machine (limit safety.max_missed_ticks = {self._share:g} of them); fewer "
-            "commands per second (--rate) take less of its CPU"
+            f"this machine (limit safety.max_missed_ticks = {self._share:g} of them); a "
+            "lower stream.rate needs less CPU time"
         )

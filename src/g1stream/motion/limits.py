@@ -83,6 +83,13 @@ class Interval:
             length = rest if length is None else min(length, rest)
         return cls(start, length, motion.duration, settings.loop)
 
+    def frames(self, motion: Motion) -> range:
+        """The frames of a motion between which it is interpolated; all of one that repeats."""
+        if self.loop or self.length is None:
+            return range(motion.n_frames)
+        first, last = (time * motion.fps for time in (self.start, self.start + self.length))
+        return range(floor(first + 1e-6), min(ceil(last - 1e-6) + 1, motion.n_frames))
+
 
 @dataclass(frozen=True)
 class JointPeak:
@@ -218,10 +225,8 @@ def frame_peaks(
     """
     times = np.arange(motion.n_frames) / motion.fps
     positions = _Peaks(robot, robot.lower, robot.upper)
-    played = slice(None)
-    if interval and interval.length is not None and not interval.loop:
-        first, last = (t * motion.fps for t in (interval.start, interval.start + interval.length))
-        played = slice(floor(first + 1e-6), ceil(last - 1e-6) + 1)
+    frames = interval.frames(motion) if interval else range(motion.n_frames)
+    played = slice(frames.start, frames.stop)
     positions.update(times[played], motion.joint_pos[played])
     speeds = _Peaks(robot, -robot.velocity, robot.velocity)
     speeds.update(times, np.abs(np.gradient(motion.joint_pos, axis=0)) * motion.fps)

@@ -52,15 +52,14 @@ class CannotStandError(MotionError):
 
     Attributes:
         why: `what` and the first frames.
-        frames: (T,) all of them.
-        slower: as above.
+        what, frames, slower: as above.
     """
 
     def __init__(self, motion: Motion, what: str, frames: Flags, *, slower: bool = False) -> None:
         spans = [(first, stop - 1) for first, stop in stretches(frames)]
         noun = "frames" if frames.sum() > 1 else "frame"
         self.why = f"{what} in {noun} {ranges(spans, _NAMED)}"
-        self.frames, self.slower = frames, slower
+        self.what, self.frames, self.slower = what, frames, slower
         super().__init__(
             f"{motion.name} cannot be played on its feet: {self.why}.",
             "Play a part without them, or hold the robot.",

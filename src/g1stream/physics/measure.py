@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from g1stream.errors import ConfigError
 from g1stream.motion.trajectory import Trajectory
 from g1stream.physics.footing import CannotStandError
 from g1stream.physics.ground import FRICTION, beyond_support, stretches, touching, zero_moment_point
 from g1stream.physics.loads import Loads, movement_loads
+from g1stream.physics.parts import longest_part
 from g1stream.physics.result import (
     Cause,
     Collision,
@@ -23,7 +25,7 @@ from g1stream.physics.result import (
     TorquePeak,
     Verdict,
 )
-from g1stream.physics.stance import longest_part, stand
+from g1stream.physics.stance import stand
 from g1stream.robot.hulls import SelfCollision, read_hulls
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import G1
@@ -103,7 +105,6 @@ def motion_physics(
         progress: called with the fraction that is done, 0 to 1.
 
     Raises:
-        ConfigError: some joints of the legs are `played`, and others are not.
         RobotError: the dynamics or the soles of this robot are not known.
     """
     robot = robot or G1.default()
@@ -172,8 +173,11 @@ def _on_planted_feet(
     try:
         standing = stand(motion, robot, played, trajectory)
     except CannotStandError as error:
-        part = longest_part(motion, robot, played) if find_part else None
-        return Verdict(support="feet", refused=error.why, part=f"{part}" if part else "")
+        whole = range(motion.n_frames)
+        part = longest_part(motion, robot, whole, error.frames, played) if find_part else None
+        return Verdict(support="feet", refused=error.why, part=part)
+    except ConfigError:
+        return Verdict(support="feet", refused="only some joints of the legs play it")
     return Verdict(support="feet", changed=str(standing) or "as it is")
 
 

@@ -6,6 +6,7 @@ frames are inclusive.
 
 from __future__ import annotations
 
+from math import ceil, floor
 from typing import TYPE_CHECKING, Literal, get_args
 
 from pydantic import computed_field
@@ -22,6 +23,7 @@ __all__ = [
     "Excess",
     "Foot",
     "MotionPhysics",
+    "Part",
     "Playable",
     "TorquePeak",
     "Verdict",
@@ -89,6 +91,28 @@ class Excess(Record, frozen=True):
         )
 
 
+class Part(Record, frozen=True):
+    """A part of a motion, in hundredths of a second.
+
+    Attributes:
+        start_s: where it begins.
+        duration_s: how long it is.
+    """
+
+    start_s: float
+    duration_s: float
+
+    @classmethod
+    def of_frames(cls, frames: range, fps: float) -> Part:
+        """From the first of some frames to the last, and no more."""
+        start, end = ceil(100.0 * frames[0] / fps), floor(100.0 * frames[-1] / fps)
+        return cls(start_s=start / 100.0, duration_s=(end - start) / 100.0)
+
+    def __str__(self) -> str:
+        """As flags of `stream`."""
+        return f"--start {self.start_s:g} --duration {self.duration_s:g}"
+
+
 class Verdict(Record, frozen=True):
     """Whether a motion can be played with a support.
 
@@ -98,15 +122,14 @@ class Verdict(Record, frozen=True):
         excesses: what speaks against it, what forbids it first; none for `feet`.
         changed: for `feet`: what is changed, or "as it is".
         refused: for `feet`: why it cannot be played, and the frames.
-        part: for `feet`: the flags of `stream` for the longest part that can be, where it was
-            looked for.
+        part: for `feet`: the longest part that was found to be possible, where it was looked for.
     """
 
     support: StreamSupport
     excesses: tuple[Excess, ...] = ()
     changed: str = ""
     refused: str = ""
-    part: str = ""
+    part: Part | None = None
 
     @computed_field  # type: ignore[prop-decorator]
     @property
@@ -118,7 +141,7 @@ class Verdict(Record, frozen=True):
 
     def __str__(self) -> str:
         if self.refused:
-            part = f"; the longest part that can be: {self.part}" if self.part else ""
+            part = f"; the longest part found that can be: {self.part}" if self.part else ""
             return f"cannot be played: {self.refused}{part}"
         against = [e.cause for e in self.excesses if e.forbids]
         harmless = [e.cause for e in self.excesses if not e.forbids]

@@ -10,9 +10,7 @@ method.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from heapq import heappop, heappush
-from math import ceil, floor
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -20,7 +18,7 @@ from g1stream.errors import ConfigError
 from g1stream.motion.limits import POSITION_TOLERANCE
 from g1stream.motion.trajectory import Trajectory
 from g1stream.physics.footing import CannotStandError, find_footing
-from g1stream.physics.ground import TRUSTED_FRICTION, beyond_support, stretches, zero_moment_point
+from g1stream.physics.ground import TRUSTED_FRICTION, beyond_support, zero_moment_point
 from g1stream.physics.legs import Legs, LegsTooShortError
 from g1stream.robot.batch_dynamics import BatchInverseDynamics
 from g1stream.robot.dynamics import GRAVITY
@@ -37,10 +35,8 @@ if TYPE_CHECKING:
     from g1stream.motion.motion import Motion
     from g1stream.physics.ground import Flags
 
-__all__ = ["UPPER_BODY", "Part", "Standing", "longest_part", "on_standing_legs", "stand"]
+__all__ = ["Standing", "on_standing_legs", "stand"]
 
-UPPER_BODY: Final = "arms,waist"
-"""The joints that almost any motion can be played with, on legs that stand."""
 #: The pelvis is lowered by steps of the first, by the second at most, m.
 _LOWERED_BY, _LOWEST = 0.005, 0.15
 #: How far the centre of pressure is kept from the edge of the support polygon, m.
@@ -54,29 +50,8 @@ _ATTEMPTS: Final = 16
 _SLIPS: Final = TRUSTED_FRICTION * GRAVITY
 #: Frames in which the pelvis would be shifted by less stay as they are, m.
 _MOVED: Final = 1e-7
-#: A part of a motion that can be played is longer, s; frames this near to what forbids one are
-#: not in it, s; before and after it the robot stands still, s.
-_LEAST: Final = 1.0
-_NEAR_IT: Final = 0.1
-_STILL: Final = 0.5
 #: Legs that do not play the motion are bent by this angle at hip and ankle, rad.
 _STANCE: Final = 0.35
-
-
-class Part(NamedTuple):
-    """A part of a motion, in hundredths of a second."""
-
-    start: float  # s
-    duration: float  # s
-
-    @classmethod
-    def of_frames(cls, first: int, last: int, fps: float) -> Part:
-        """From the first of some frames to the last, and no more."""
-        start = ceil(100.0 * first / fps)
-        return cls(start / 100.0, (floor(100.0 * last / fps) - start) / 100.0)
-
-    def __str__(self) -> str:
-        return f"--start {self.start:g} --duration {self.duration:g}"
 
 
 @dataclass(frozen=True)
@@ -147,8 +122,8 @@ def stand(
     Args:
         motion: whose feet stand, or are lifted one at a time.
         robot: the G1; the default one if None.
-        played: (29,) the joints that play it; all if None. Where none of a leg does, the legs
-            stand (`on_standing_legs`); where one does, the others keep the pose of its beginning.
+        played: (29,) the joints that play it; all if None. Without the legs, these stand
+            (`on_standing_legs`); with both, other joints keep the pose of its beginning.
         trajectory: through its frames; made if None.
 
     Raises:
@@ -165,12 +140,11 @@ def stand(
     upper_body = played is not None and not played[:LEGS].any()
     if played is not None and not played[robot.present].all():
         trajectory = None
-        still = np.where(played, motion.joint_pos, motion.joint_pos[0])
-        motion = (
-            on_standing_legs(motion, robot, played)
-            if upper_body
-            else replace(motion, joint_pos=still)
-        )
+        if upper_body:
+            motion = on_standing_legs(motion, robot, played)
+        else:
+            still = np.where(played, motion.joint_pos, motion.joint_pos[0])
+            motion = replace(motion, joint_pos=still)
     soles = Soles(robot)
     footing = find_footing(motion, robot, soles)
     legs = Legs(robot, soles, footing.feet, footing.turns, motion.fps)
@@ -226,46 +200,6 @@ def on_standing_legs(motion: Motion, robot: G1, played: Flags) -> Motion:
         root_pos=root,
         root_quat_wxyz=upright,
     )
-
-
-def longest_part(
-    motion: Motion, robot: G1, played: Flags | None = None, frames: range | None = None
-) -> Part | None:
-    """The longest part of a motion that can be played on the feet, and is longer than a second.
-
-    What forbids it is left out, until a part is found that nothing forbids. Where a foot stands is
-    an average over the part, so that a longer one may exist.
-
-    Args:
-        motion: of which to play a part.
-        robot: the G1.
-        played: (29,) the joints that play it; all if None.
-        frames: where to look for it; everywhere if None.
-
-    Raises:
-        RobotError: the soles of this robot are not known.
-    """
-    from scipy.ndimage import binary_dilation
-
-    still, near = (max(1, round(time * motion.fps)) for time in (_STILL, _NEAR_IT))
-    frames = frames or range(motion.n_frames)
-    parts = [(-len(frames), frames.start)]  # the longest one is the first
-    while parts:
-        negative, first = heappop(parts)
-        stop = first - negative
-        shown = np.arange(max(0, first - still), min(motion.n_frames, stop + still))
-        shown = shown.clip(first, stop - 1)
-        try:
-            stand(motion.at_frames(shown), robot, played)
-        except CannotStandError as error:
-            forbidden = np.zeros(stop - first, np.bool_)
-            forbidden[shown[error.frames] - first] = True
-            for begin, end in stretches(~binary_dilation(forbidden, iterations=near)).tolist():
-                if end - begin > _LEAST * motion.fps:
-                    heappush(parts, (begin - end, first + begin))
-        else:
-            return Part.of_frames(first, stop - 1, motion.fps)
-    return None
 
 
 def _refuse_beyond_limits(motion: Motion, robot: G1) -> None:

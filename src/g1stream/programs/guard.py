@@ -249,8 +249,8 @@ def _damp(heartbeat: Heartbeat, settings: _Settings, commands: RawWriter, why: T
             commands.write(frame)
 
     frames = _frames(heartbeat.command, settings)
-    send(next(frames))
     silence = time.monotonic_ns() - heartbeat.last_write
+    send(next(frames))
     with suppress(DDSException):
         commands.announce(user_data_of_guard(settings.stream, publishing=True))
     _LOGGER.error(

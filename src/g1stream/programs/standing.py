@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
-
-import numpy as np
+from typing import TYPE_CHECKING, Final
 
 from g1stream.dds.domain import is_local_only
 from g1stream.errors import ConfigError, MotionError, SafetyError
 from g1stream.motion.limits import Interval
 from g1stream.physics.footing import CannotStandError
-from g1stream.physics.stance import UPPER_BODY, Part, longest_part, stand
+from g1stream.physics.parts import longest_part, stand_part
 from g1stream.robot.standing import LEGS
 
 if TYPE_CHECKING:
     from g1stream.config import Config
     from g1stream.motion.motion import Motion
+    from g1stream.physics.ground import Flags
     from g1stream.robot.model import G1
     from g1stream.settings import StreamConfig
 
 __all__ = ["refuse_feet_on_robot", "stand_if_asked"]
+
+#: The joints that almost any motion can be played with, on legs that stand.
+_UPPER_BODY: Final = "arms,waist"
 
 
 def stand_if_asked(motion: Motion, robot: G1, config: Config) -> tuple[Motion, str]:
@@ -35,19 +37,14 @@ def stand_if_asked(motion: Motion, robot: G1, config: Config) -> tuple[Motion, s
     """
     if config.stream.support != "feet":
         return motion, ""
-    joints = config.stream.played_joints
-    played = robot.select(joints)
     _require_standing(config.stream, robot)
-    interval = Interval.from_config(config.stream, motion)
-    length = motion.duration if interval.length is None else interval.length
-    first, last = (np.array([0.0, length]) + interval.start) * motion.fps
-    asked = range(int(first), min(int(np.ceil(last)) + 1, motion.n_frames))
-    part = motion.at_frames(np.arange(motion.n_frames).clip(asked[0], asked[-1]))
+    played = robot.select(config.stream.played_joints)
+    asked = Interval.from_config(config.stream, motion).frames(motion)
     try:
-        standing = stand(part, robot, played)
+        standing = stand_part(motion, robot, asked, played)
     except CannotStandError as error:
         ways = ["play it slower (--speed)"] if error.slower else []
-        remedy = "; or ".join([*ways, *_other_ways(motion, asked, robot, joints)])
+        remedy = "; or ".join([*ways, *_other_ways(motion, robot, asked, error.frames, played)])
         raise MotionError(error.cause, f"{remedy[0].upper()}{remedy[1:]}.") from None
     how = str(standing)
     if not how:
@@ -66,18 +63,24 @@ def _require_standing(settings: StreamConfig, robot: G1) -> None:
         )
 
 
-def _other_ways(motion: Motion, asked: range, robot: G1, joints: str | None) -> list[str]:
-    """What can be played instead of some frames of a motion, by some joints."""
-    choices = {joints: ""}
-    if robot.select(joints)[:LEGS].any():
-        choices |= {UPPER_BODY: f"--joints {UPPER_BODY}"}
+def _other_ways(
+    motion: Motion, robot: G1, asked: range, forbidden: Flags, played: Flags
+) -> list[str]:
+    """What can be played instead of some frames, of which some (T,) forbid that.
+
+    That these stand has been tried.
+    """
     ways = []
-    for selection, flag in choices.items():
-        part = longest_part(motion, robot, robot.select(selection), asked)
-        if part == Part.of_frames(asked[0], asked[-1], motion.fps):
-            ways += [f"give {flag}"] if flag else []
-        elif part:
-            ways.append(f"give {f'{flag} {part}'.strip()}, the longest part that stands")
+    if part := longest_part(motion, robot, asked, forbidden, played):
+        ways.append(f"give {part}, the longest part found that stands")
+    if played[:LEGS].any():
+        flag, upper = f"--joints {_UPPER_BODY}", robot.select(_UPPER_BODY)
+        try:
+            stand_part(motion, robot, asked, upper)
+            ways.append(f"give {flag}")
+        except CannotStandError as error:
+            if part := longest_part(motion, robot, asked, error.frames, upper):
+                ways.append(f"give {flag} {part}")
     return [*ways, "hold the robot and give --support hanging"]
 
 

@@ -1,0 +1,104 @@
+"""Parts of a motion that a robot on its feet can play."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from heapq import heappop, heappush
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from g1stream.physics.footing import CannotStandError
+from g1stream.physics.ground import stretches
+from g1stream.physics.result import Part
+from g1stream.physics.stance import stand
+
+if TYPE_CHECKING:
+    from g1stream.motion.motion import Motion
+    from g1stream.physics.ground import Flags
+    from g1stream.physics.stance import Standing
+    from g1stream.robot.model import G1
+
+__all__ = ["longest_part", "stand_part"]
+
+#: Before and after a part the robot stands still for so long, s: what shall not be played does not
+#: say where the feet stand.
+_STILL: Final = 0.5
+#: A part of which nothing is said is shorter, s; frames this near to what forbids one are not in
+#: it, s.
+_LEAST: Final = 1.0
+_NEAR: Final = 0.1
+#: Parts that are tried: each takes as long as the check of the whole motion, or less.
+_TRIES: Final = 20
+
+
+def stand_part(motion: Motion, robot: G1, frames: range, played: Flags | None = None) -> Standing:
+    """Some frames of a motion as `stand` has them; before and after them the robot stands still.
+
+    The changed motion is as long as it was.
+
+    Raises:
+        CannotStandError: they cannot be played on the feet; it has their numbers in the motion.
+        ConfigError: some joints of the legs play it, and others do not.
+        RobotError: the soles of this robot are not known.
+    """
+    still, everywhere = max(1, round(_STILL * motion.fps)), np.arange(motion.n_frames)
+    around = everywhere[max(0, frames.start - still) : frames.stop + still]
+    shown = around.clip(frames[0], frames[-1])
+    try:
+        standing = stand(motion.at_frames(shown), robot, played)
+    except CannotStandError as error:
+        forbidden = np.zeros(motion.n_frames, np.bool_)
+        forbidden[shown[error.frames]] = True
+        raise CannotStandError(motion, error.what, forbidden, slower=error.slower) from None
+    rows = everywhere.clip(around[0], around[-1]) - around[0]
+    changed, before = (one.at_frames(rows) for one in (standing.motion, standing.before))
+    return replace(standing, motion=changed, before=before)
+
+
+def longest_part(
+    motion: Motion, robot: G1, frames: range, forbidden: Flags, played: Flags | None = None
+) -> Part | None:
+    """The longest part that is found of those that can be played on the feet.
+
+    Frames that forbid it are left out, until nothing forbids the longest part that remains. Where a
+    foot stands is an average over a part, so that a longer one may exist.
+
+    Args:
+        motion: of which to play a part.
+        robot: the G1.
+        frames: where to look for it.
+        forbidden: (T,) the frames of the motion that forbid to play all of these.
+        played: (29,) the joints that play it; all if None.
+
+    Returns:
+        The part; None if none of a second was found in 20 attempts.
+
+    Raises:
+        ConfigError: some joints of the legs play it, and others do not.
+        RobotError: the soles of this robot are not known.
+    """
+    from scipy.ndimage import binary_dilation
+
+    near = max(1, round(_NEAR * motion.fps))
+    parts: list[tuple[int, int]] = []  # length, negative, and first frame
+
+    def add_what_remains(of: range, forbidden: Flags) -> None:
+        free = ~binary_dilation(forbidden[of.start : of.stop], iterations=near)
+        for first, stop in stretches(free).tolist():
+            if stop - first > _LEAST * motion.fps:
+                heappush(parts, (first - stop, of.start + first))
+
+    add_what_remains(frames, forbidden)
+    for _ in range(_TRIES):
+        if not parts:
+            break
+        negative, first = heappop(parts)
+        tried = range(first, first - negative)
+        try:
+            stand_part(motion, robot, tried, played)
+        except CannotStandError as error:
+            add_what_remains(tried, error.frames)
+        else:
+            return Part.of_frames(tried, motion.fps)
+    return None

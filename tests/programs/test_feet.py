@@ -138,10 +138,10 @@ def test_it_lifts_one_foot_and_then_the_other():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("goal", [(0.36, 0.0, 0.0), (0.0, 0.24, 0.0), (0.15, 0.1, 1.2)])
+@pytest.mark.parametrize("goal", [(0.24, 0.0, 0.0), (0.1, 0.1, 0.8)])
 def test_it_steps_to_where_the_motion_goes(goal):
-    """Three steps of each foot: forward, to the left, in a turn; measured in the simulator."""
-    steps = np.outer([1, 1, 2, 2, 3, 3], goal) / 3
+    """Two steps of each foot: forward; to the left in a turn; measured in the simulator."""
+    steps = np.outer([1, 1, 2, 2], goal) / 2
     world = World(G1.default(), "free")
     feet = [world.model.body(f"{side}_ankle_roll_link").id for side in ("left", "right")]
     stood = []
@@ -155,7 +155,7 @@ def test_it_steps_to_where_the_motion_goes(goal):
 
     loop = play(world, stepping(steps), "free", follow)
     assert loop.report.reason == ""
-    assert len(stood) == pytest.approx(500 * 12.8, abs=2)
+    assert len(stood) == pytest.approx(500 * 9.6, abs=2)
     (first, turned, _), (last, turned_last, level) = stood[0], stood[-1]
     x, y, heading = goal
     # As seen from between the feet where the robot began.
@@ -166,7 +166,7 @@ def test_it_steps_to_where_the_motion_goes(goal):
     assert way[:, :2] == pytest.approx(links[:, :2] + np.array([x, y]), abs=5e-3)
     assert turned_last - turned == pytest.approx(np.full(2, heading), abs=0.01)
     assert level[:, 2, 2] == pytest.approx(np.ones(2), abs=1e-3)
-    assert loop.report.balance.lifts == 6
+    assert loop.report.balance.lifts == 4
     apart = np.diff(way[:, :2] - links[:, :2], axis=0)
     assert np.linalg.norm(apart) - 2e-3 < loop.report.balance.feet_error_m < 0.015
 

@@ -28,8 +28,8 @@ _STILL: Final = 0.5
 #: it, s.
 _LEAST: Final = 1.0
 _NEAR: Final = 0.1
-#: Parts that are tried: each takes as long as the check of the whole motion, or less.
-_TRIES: Final = 20
+#: Parts that are tried at most, because each takes a check; of a dance of two minutes, 43 are.
+_TRIES: Final = 200
 
 
 def stand_part(motion: Motion, robot: G1, frames: range, played: Flags | None = None) -> Standing:
@@ -72,7 +72,7 @@ def longest_part(
         played: (29,) the joints that play it; all if None.
 
     Returns:
-        The part; None if none of a second was found in 20 attempts.
+        The part; None if none of a second was found in 200 attempts.
 
     Raises:
         ConfigError: some joints of the legs play it, and others do not.

@@ -59,13 +59,15 @@ _MARGIN: Final = 90.0
 
 
 @contextmanager
-def simulating(name: str) -> Iterator[None]:
-    """A simulator while it runs."""
+def simulating(name: str, lowered: int, flags: list[str]) -> Iterator[None]:
+    """A simulator while it runs; the band of Unitree's is lowered, ours has more flags."""
     if name != BRIDGE:
         with running(SIMULATORS[name]):
+            for _ in range(lowered):
+                press(name, 8)
             yield
         return
-    command = [sys.executable, "-m", "g1stream", "sim", "--support", "free"]
+    command = [sys.executable, "-m", "g1stream", "sim", "--support", "free", *flags]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as bridge:
         try:
             yield
@@ -75,12 +77,14 @@ def simulating(name: str) -> Iterator[None]:
             bridge.terminate()
 
 
+def press(name: str, key: int) -> None:
+    """Press a key in the window of a simulator."""
+    subprocess.run([PEERS / "keys", SIMULATORS[name].removesuffix("sim"), str(key)], check=True)
+
+
 def play(name: str, motion: str, seconds: float, flags: list[str], path: Path) -> str:
     """Play a motion in a running simulator into a session file; why the run ended, if early."""
     last = ""
-
-    def press(key: int) -> None:
-        subprocess.run([PEERS / "keys", SIMULATORS[name].removesuffix("sim"), str(key)], check=True)
 
     def follow() -> None:
         nonlocal last
@@ -112,10 +116,10 @@ def play(name: str, motion: str, seconds: float, flags: list[str], path: Path) -
                 for _ in range(_PRESSES):
                     if plays.wait(_PRESS) or stream.poll() is not None:
                         break
-                    press(8)
+                    press(name, 8)
                 if plays.is_set():
                     time.sleep(_LET_GO)
-                    press(9)
+                    press(name, 9)
             stream.wait(max(0.0, stop - time.monotonic()))
         except subprocess.TimeoutExpired:
             return "did not end"
@@ -147,6 +151,8 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=14.0)
     parser.add_argument("--runs", type=int, default=3)
     parser.add_argument("--simulator", choices=FLAGS, help="only this one")
+    parser.add_argument("--lowered", type=int, default=0, help="presses of 8 before the stream")
+    parser.add_argument("--sim", default="", help="more flags of g1stream sim, in one word")
     parser.add_argument("--keep", type=Path, help="a folder for the sessions")
     parser.add_argument("flags", nargs="*", help="more flags of g1stream stream, after --")
     args = parser.parse_args()
@@ -164,7 +170,7 @@ def main() -> None:
                 path = folder / f"feet-{name}-{Path(args.motion).stem}-{number}.mcap"
                 if path.exists():
                     parser.error(f"{path} exists already; keep the sessions in another folder")
-                with simulating(name):
+                with simulating(name, args.lowered, args.sim.split()):
                     reason = play(name, motion, args.seconds, args.flags, path)
                 session = open_session(path) if path.exists() else None
                 time_stood = stood(session) if session else 0.0

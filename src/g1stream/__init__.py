@@ -35,13 +35,14 @@ if TYPE_CHECKING:
     from g1stream.motion.trajectory import Trajectory, TrajectoryPoint
     from g1stream.physics.measure import motion_physics
     from g1stream.physics.result import MotionPhysics
-    from g1stream.physics.stance import Standing, stand
+    from g1stream.physics.stance import Standing
     from g1stream.programs.convert import Conversion, ConvertReport, convert
     from g1stream.programs.live import live
     from g1stream.programs.record import record
     from g1stream.programs.replay import replay
     from g1stream.programs.rollout import rollout
     from g1stream.programs.sim import simulate
+    from g1stream.programs.standing import stand
     from g1stream.programs.stream import stream
     from g1stream.robot.joints import JOINT_NAMES
     from g1stream.robot.model import G1
@@ -162,7 +163,7 @@ _HOME = {
     "rollout": "programs.rollout",
     "run_library": "library.run",
     "simulate": "programs.sim",
-    "stand": "physics.stance",
+    "stand": "programs.standing",
     "stream": "programs.stream",
 }
 

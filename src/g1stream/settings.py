@@ -144,12 +144,14 @@ class StreamConfig(Table):
     )
     hold: float = setting(1.0, "time at the last frame", "s", ge=0.0)
     damp: float = setting(1.0, "time of damping at the end", "s", ge=0.5, le=10.0)
-    start: float = setting(0.0, "where in the motion to start", "s", flag=PLAY_FLAG, ge=0.0)
+    start: float = setting(
+        0.0, "where in the motion to start", "s", flag=(*PLAY_FLAG, "motion"), ge=0.0
+    )
     duration: float | None = setting(
         None,
         "how much of the motion to play; to its end if unset",
         "s",
-        flag=(*PLAY_FLAG, "demo"),
+        flag=(*PLAY_FLAG, "demo", "motion"),
         example=10.0,
         gt=0.0,
     )

@@ -379,13 +379,18 @@ def test_the_part_that_can_be_played_on_the_feet_is_looked_for_if_asked():
     root_pos = squat.root_pos.copy()
     root_pos[100:, 0] += np.linspace(0.0, 1.0, len(root_pos) - 100)
     sliding = moving(squat.joint_pos, root_pos)
-    assert motion_physics(sliding).verdicts["feet"].part is None
-    found = motion_physics(sliding, find_part=True).verdicts["feet"]
-    assert found.part.start_s == 0.0
-    assert found.part.duration_s == pytest.approx(100 / sliding.fps, abs=0.4)
-    assert str(found.part) in str(found)
-    arms = motion_physics(sliding, played=ROBOT.select("arms"), find_part=True).verdicts["feet"]
-    assert (arms.playable, arms.part) == ("yes", None)
+    assert motion_physics(sliding).verdicts["feet"].instead is None
+    found = motion_physics(sliding, suggest=True).verdicts["feet"]
+    part = found.instead.part
+    assert part.start_s == 0.0
+    assert part.duration_s == pytest.approx(100 / sliding.fps, abs=0.4)
+    assert found.instead.upper_body == found.instead.asked
+    assert found.instead.asked.duration_s == pytest.approx(sliding.duration, abs=0.01)
+    assert found.instead.speed is None
+    assert str(part) in str(found)
+    assert motion_physics(sliding, frames=range(90)).verdicts["feet"].playable == "yes"
+    arms = motion_physics(sliding, played=ROBOT.select("arms"), suggest=True).verdicts["feet"]
+    assert (arms.playable, arms.instead) == ("yes", None)
     leg = motion_physics(sliding, played=ROBOT.select("left_leg")).verdicts["feet"]
     assert leg.playable == "no"
 

@@ -72,6 +72,17 @@ def test_frames_that_forbid_a_part_are_in_it(obstructed):
     assert np.flatnonzero(raised.value.frames).tolist() == [112, 113, 114]
 
 
+def test_a_part_in_which_nothing_moves_is_not_named():
+    """The robot rests for 3 s before it squats, and slides in between."""
+    squat = squatting(1.5)
+    rows = np.concatenate([np.zeros(150, int), np.arange(squat.n_frames)])
+    resting = squat.at_frames(rows)
+    root = resting.root_pos.copy()
+    root[150:160, 0] += 0.3
+    part = found_in(Motion.from_arrays(resting.joint_pos, root, fps=50.0), range(len(rows)))
+    assert part.start_s >= 3.2
+
+
 @pytest.mark.parametrize("fps", [24.0, 30.0, 50.0, 60.0, 119.88, 120.0])
 def test_a_part_is_within_its_frames(fps):
     for first in range(200):

@@ -276,7 +276,7 @@ def test_what_was_changed_is_drawn(squat):
     axes = standing.plot().axes
     pelvis = next(line for line in axes[0].lines if line.get_label() == "pelvis")
     np.testing.assert_array_equal(pelvis.get_xydata(), standing.motion.root_pos[:, :2])
-    assert len(axes[0].patches) == 2  # each sole stands in one place
+    assert len(axes[0].patches) == 4  # each sole stands in one place, drawn before and after
     heights = [line.get_ydata() for line in axes[2].lines]
     np.testing.assert_array_equal(heights[0], 1e3 * squat.root_pos[:, 2])
     np.testing.assert_array_equal(heights[1], 1e3 * standing.motion.root_pos[:, 2])

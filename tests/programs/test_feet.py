@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import g1stream
 from g1stream.config import Config
 from g1stream.control.feedforward import FeedForward
 from g1stream.control.make_loop import make_loop
@@ -117,6 +118,23 @@ def test_what_a_remedy_gives_can_be_played(asked, ends):
     assert own["start"] + own["duration"] == pytest.approx(ends, abs=0.07)
     assert (upper["joints"], upper["start"]) == ("arms,waist", asked.get("start", 0.0))
     assert upper["start"] + upper["duration"] == pytest.approx(10.9, abs=0.07)
+
+
+def test_a_speed_that_a_remedy_gives_can_be_played():
+    quick = stepping(np.outer([1, 1], [0.12, 0.0, 0.0])).at_speed(3.0)
+    with pytest.raises(MotionError) as raised:
+        g1stream.stand(quick)
+    speed = float(re.search(r"at ([\d.]+) times this speed", raised.value.remedy)[1])
+    assert g1stream.stand(quick.at_speed(speed)).motion.duration > quick.duration
+
+
+def test_a_motion_is_made_to_stand_by_name_and_for_some_joints(tmp_path):
+    whole, arms = g1stream.stand("demo"), g1stream.stand("demo", "arms")
+    assert (whole.upper_body, arms.upper_body) == (False, True)
+    saved = whole.motion.save(tmp_path / "demo.npz")
+    assert g1stream.stand(saved).joint_deg < 0.5 * whole.joint_deg
+    with pytest.raises(ConfigError):
+        g1stream.stand("demo", "left_leg")
 
 
 @pytest.mark.slow

@@ -22,6 +22,8 @@ from g1stream.errors import MotionError
 from g1stream.text import counted, labelled
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from g1stream.config import Config
     from g1stream.motion.check import FileReport, MotionReport
     from g1stream.physics.result import MotionPhysics
@@ -43,22 +45,23 @@ class Inspect(SettingsCommand, MotionFlags):
     With --physics it also prints what it would take to play the motion bolted, hanging, with the
     pelvis led (follow) or on its feet (free): contacts and skating of the feet, self-collision,
     centre of pressure, tilt and torques, and the frames that forbid it; and whether `stream
-    --support feet` can play it (feet), or what part of it, with the joints of --joints. That does
-    not change the exit code. --feet-figure draws how the motion is changed for that.
+    --support feet` can play it (feet), or what else. That does not change the exit code.
+    --feet-figure draws how the motion is changed for that. Both are about what `stream` would play
+    with the same --joints, --start and --duration; all else here is about the whole motion.
 
     Examples:
       g1stream motion dance.csv
       g1stream motion dance.csv --fps 60 --json
       g1stream motion dance.csv --physics
-      g1stream motion dance.csv --physics --joints arms,waist
+      g1stream motion dance.csv --physics --joints arms,waist --start 10
       g1stream motion steps.npz --feet-figure steps.png
       g1stream motion wave.csv dance.npz --blend 1 --on-floor
 
     Exit codes:
       0  within the limits
       1  a frame is beyond a position limit, or the spline beyond a speed limit
-      2  bad input: not a motion; what can be read of the file is printed; or a --feet-figure of
-         a motion that cannot be played on the feet
+      2  bad input: not a motion, of which what can be read is printed; no --feet-figure,
+         because the motion cannot be played on the feet
     """
 
     motions: tuple[str, ...] = argument(MOTIONS, "MOTION...")
@@ -111,14 +114,25 @@ class Inspect(SettingsCommand, MotionFlags):
 
     def _draw_feet(self, path: Path, robot: G1, config: Config) -> None:
         from g1stream.files import save_figure
-        from g1stream.physics.stance import stand
+        from g1stream.motion.limits import Interval
+        from g1stream.programs.standing import stand_or_explain
 
+        motion, how = self.load(self.motions, robot), ""
+        frames = Interval.from_config(config.stream, motion).frames(motion)
         played = robot.select(config.stream.played_joints)
-        motion = self.load(self.motions, robot)
-        save_figure(lambda: stand(motion, robot, played).plot(), path, force=self.force)
+
+        def draw() -> Figure:
+            nonlocal how
+            standing = stand_or_explain(motion, robot, frames, played)
+            how = str(standing) or "as it is"
+            return standing.plot()
+
+        save_figure(draw, path, force=self.force)
+        print_lines(f"\n{path}: how it is played on the feet, {how}", sys.stderr)
 
     def _physics(self, report: FileReport, robot: G1, config: Config) -> MotionPhysics | None:
         """What it would take to play the motion; None where there is none, or not in radians."""
+        from g1stream.motion.limits import Interval
         from g1stream.physics.measure import motion_physics
 
         if not (report.motion and report.motion.in_radians):
@@ -129,13 +143,15 @@ class Inspect(SettingsCommand, MotionFlags):
             nonlocal done
             done = fraction
 
+        motion = self.load(self.motions, robot)
         with ProgressDisplay(lambda: (done, f"physics {100 * done:3.0f} %")):
             return motion_physics(
-                self.load(self.motions, robot),
+                motion,
                 robot,
                 max_tilt=config.safety.max_tilt,
                 played=robot.select(config.stream.played_joints),
-                find_part=True,
+                frames=Interval.from_config(config.stream, motion).frames(motion),
+                suggest=True,
                 progress=progress,
             )
 

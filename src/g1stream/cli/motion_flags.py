@@ -49,7 +49,10 @@ class MotionFlags(Command):
         shown="told by joint limits and bodies; motor order in a CSV file",
     )
     trim: str = flag(
-        ":", "Only the part from A to B seconds of each motion, such as 1:5.", "A:B", shown="all"
+        ":",
+        "Only the part from A to B seconds of each motion, before --speed, such as 1:5.",
+        "A:B",
+        shown="all",
     )
     mirror: bool = flag(False, "Mirror it: left is right.")
     on_floor: bool = flag(False, "Raise or lower each motion until its feet stand on the floor.")

@@ -15,7 +15,7 @@ from g1stream.motion.trajectory import Trajectory
 from g1stream.physics.footing import CannotStandError
 from g1stream.physics.ground import FRICTION, beyond_support, stretches, touching, zero_moment_point
 from g1stream.physics.loads import Loads, movement_loads
-from g1stream.physics.parts import longest_part
+from g1stream.physics.parts import find_instead, stand_part
 from g1stream.physics.result import (
     Cause,
     Collision,
@@ -25,7 +25,6 @@ from g1stream.physics.result import (
     TorquePeak,
     Verdict,
 )
-from g1stream.physics.stance import stand
 from g1stream.robot.hulls import SelfCollision, read_hulls
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import G1
@@ -86,7 +85,8 @@ def motion_physics(
     *,
     max_tilt: float | None = None,
     played: Flags | None = None,
-    find_part: bool = False,
+    frames: range | None = None,
+    suggest: bool = False,
     trajectory: Trajectory | None = None,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> MotionPhysics:
@@ -99,8 +99,8 @@ def motion_physics(
         robot: the G1; the default one if None.
         max_tilt: pelvis tilt that ends a run, rad; the default of `safety.max_tilt` if None.
         played: (29,) the joints that play it, for support feet; all if None.
-        find_part: look for the longest part that can be played with support feet, too, where the
-            whole motion cannot.
+        frames: that are played, for support feet; all if None.
+        suggest: find what can be played with support feet instead, where that cannot.
         trajectory: through its frames; made if None.
         progress: called with the fraction that is done, 0 to 1.
 
@@ -109,26 +109,26 @@ def motion_physics(
     """
     robot = robot or G1.default()
     trajectory, soles = trajectory or Trajectory(motion), Soles(robot)
-    frames, look = _without_dynamics(motion, robot, soles, progress)
-    loads = movement_loads(trajectory, robot, soles, frames.corners, frames.touches, look)
+    known, look = _without_dynamics(motion, robot, soles, progress)
+    loads = movement_loads(trajectory, robot, soles, known.corners, known.touches, look)
     tilt = np.arccos(rotation_matrices(motion.root_quat_wxyz.T)[2, 2].clip(-1.0, 1.0))
-    beyond = _beyond_support(frames, loads)
+    beyond = _beyond_support(known, loads)
     max_tilt = SafetyConfig().max_tilt if max_tilt is None else max_tilt
 
     def tilted(values: Floats, longest: float) -> Excess | None:
-        return _excess(frames.fps, "tilt", "rad", values, max_tilt, longest=longest)
+        return _excess(known.fps, "tilt", "rad", values, max_tilt, longest=longest)
 
-    everywhere = _self_collision(frames)
+    everywhere = _self_collision(known)
     found: dict[Support, list[Excess | None]] = {
         "bolted": [everywhere],
         "hanging": [everywhere, tilted(loads.hanging_tilt, _SWINGS)],
         "follow": [everywhere, tilted(tilt, 0.0)],
-        "free": [everywhere, tilted(tilt, 0.0), *_on_its_feet(frames, loads, beyond)],
+        "free": [everywhere, tilted(tilt, 0.0), *_on_its_feet(known, loads, beyond)],
     }
     for support, excesses in found.items():
         excesses.append(
             _excess(
-                frames.fps,
+                known.fps,
                 "torque",
                 "N·m",
                 np.abs(loads.tau[support]),
@@ -137,7 +137,7 @@ def motion_physics(
                 longest=_TIPS if support == "free" else _SAGS,
             )
         )
-    stands = frames.touches.any(axis=1)
+    stands = known.touches.any(axis=1)
     pressed = np.isfinite(beyond)
     worst = int(np.nanargmax(beyond)) if pressed.any() else None
     return MotionPhysics(
@@ -148,34 +148,38 @@ def motion_physics(
         mass_kg=loads.mass,
         verdicts={
             **{support: _verdict(support, excesses) for support, excesses in found.items()},
-            "feet": _on_planted_feet(trajectory, robot, played, find_part=find_part),
+            "feet": _on_planted_feet(trajectory, robot, played, frames, suggest),
         },
         tilt_rad=float(tilt.max()),
         hanging_tilt_rad=float(loads.hanging_tilt.max()),
-        feet=tuple(_foot(frames, robot.link_names[link], i) for i, link in enumerate(soles.links)),
+        feet=tuple(_foot(known, robot.link_names[link], i) for i, link in enumerate(soles.links)),
         supported_share=float(stands.mean()),
         inside_share=float((beyond[pressed] <= 0.0).mean()) if pressed.any() else None,
         margin_mm=None if worst is None else -1e3 * float(beyond[worst]),
         margin_frame=worst,
-        collisions=_collisions(frames, robot),
+        collisions=_collisions(known, robot),
         torques={
-            support: _peaks(frames, tau, robot.torque_limit) for support, tau in loads.tau.items()
+            support: _peaks(known, tau, robot.torque_limit) for support, tau in loads.tau.items()
         },
     )
 
 
 def _on_planted_feet(
-    trajectory: Trajectory, robot: G1, played: Flags | None, *, find_part: bool
+    trajectory: Trajectory,
+    robot: G1,
+    played: Flags | None,
+    frames: range | None,
+    suggest: bool,
 ) -> Verdict:
     motion = trajectory.motion
+    frames = frames or range(motion.n_frames)
     if not robot.present.all():
         return Verdict(support="feet", refused="the robot lacks joints that it would need")
     try:
-        standing = stand(motion, robot, played, trajectory)
+        standing = stand_part(motion, robot, frames, played, trajectory)
     except CannotStandError as error:
-        whole = range(motion.n_frames)
-        part = longest_part(motion, robot, whole, error.frames, played) if find_part else None
-        return Verdict(support="feet", refused=error.why, part=part)
+        instead = find_instead(motion, robot, frames, error, played) if suggest else None
+        return Verdict(support="feet", refused=error.why, instead=instead)
     except ConfigError:
         return Verdict(support="feet", refused="only some joints of the legs play it")
     return Verdict(support="feet", changed=str(standing) or "as it is")

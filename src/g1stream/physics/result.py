@@ -7,7 +7,7 @@ frames are inclusive.
 from __future__ import annotations
 
 from math import ceil, floor
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Final, Literal, get_args
 
 from pydantic import computed_field
 
@@ -19,9 +19,11 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 __all__ = [
+    "UPPER_BODY",
     "Collision",
     "Excess",
     "Foot",
+    "Instead",
     "MotionPhysics",
     "Part",
     "Playable",
@@ -29,6 +31,9 @@ __all__ = [
     "Verdict",
     "reasons",
 ]
+
+UPPER_BODY: Final = "arms,waist"
+"""The joints that almost any motion can be played with, on legs that stand."""
 
 Playable = Literal["yes", "inexact", "no"]
 """Whether a motion can be played; `inexact`: not as the motion has it."""
@@ -113,6 +118,32 @@ class Part(Record, frozen=True):
         return f"--start {self.start_s:g} --duration {self.duration_s:g}"
 
 
+class Instead(Record, frozen=True):
+    """What a robot on its feet can play instead of what it cannot; that it stands has been tried.
+
+    Attributes:
+        asked: what it cannot play.
+        speed: times the speed, at which it can; None: at none that was tried.
+        part: the longest part that was found; None: none of a second.
+        upper_body: what arms and waist can play on legs that stand; None: no part of a second, or
+            the legs do not play.
+    """
+
+    asked: Part
+    speed: float | None
+    part: Part | None
+    upper_body: Part | None
+
+    def __str__(self) -> str:
+        """As flags of `stream` and `motion`."""
+        ways = [f"play it at {self.speed:g} times this speed (--speed)"] if self.speed else []
+        ways += [f"give {self.part}, the longest part found"] if self.part else []
+        if self.upper_body:
+            part = "" if self.upper_body == self.asked else f" {self.upper_body}"
+            ways.append(f"give --joints {UPPER_BODY}{part}")
+        return "; or ".join(ways)
+
+
 class Verdict(Record, frozen=True):
     """Whether a motion can be played with a support.
 
@@ -122,14 +153,14 @@ class Verdict(Record, frozen=True):
         excesses: what speaks against it, what forbids it first; none for `feet`.
         changed: for `feet`: what is changed, or "as it is".
         refused: for `feet`: why it cannot be played, and the frames.
-        part: for `feet`: the longest part that was found to be possible, where it was looked for.
+        instead: for `feet`: what can be played, where that was looked for.
     """
 
     support: StreamSupport
     excesses: tuple[Excess, ...] = ()
     changed: str = ""
     refused: str = ""
-    part: Part | None = None
+    instead: Instead | None = None
 
     @computed_field  # type: ignore[prop-decorator]
     @property
@@ -141,8 +172,8 @@ class Verdict(Record, frozen=True):
 
     def __str__(self) -> str:
         if self.refused:
-            part = f"; the longest part found that can be: {self.part}" if self.part else ""
-            return f"cannot be played: {self.refused}{part}"
+            instead = f"; {self.instead}" if self.instead else ""
+            return f"cannot be played: {self.refused}{instead}".removesuffix("; ")
         against = [e.cause for e in self.excesses if e.forbids]
         harmless = [e.cause for e in self.excesses if not e.forbids]
         answers = [f"cannot be played as it is: {', '.join(against)}"] if against else []

@@ -24,7 +24,6 @@ from g1stream.robot.batch_dynamics import BatchInverseDynamics
 from g1stream.robot.dynamics import GRAVITY
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.kinematics import BLOCK, LinkPoses, forward_kinematics
-from g1stream.robot.model import G1
 from g1stream.robot.soles import Soles, bent_legs
 from g1stream.robot.standing import LEGS
 from g1stream.types import Floats
@@ -34,6 +33,7 @@ if TYPE_CHECKING:
 
     from g1stream.motion.motion import Motion
     from g1stream.physics.ground import Flags
+    from g1stream.robot.model import G1
 
 __all__ = ["Standing", "on_standing_legs", "stand"]
 
@@ -62,6 +62,7 @@ class Standing:
         motion: the changed motion, its feet flat, on a floor at height 0 unless they are lifted.
         before: the motion before that; joints that do not play are still.
         robot: the G1.
+        frames: of both, that are played.
         upper_body: the legs stand, because only waist and arms play the motion.
         levelled_mm: how far the lower foot was from the floor, which is where it mostly is.
         moved_mm: how far a foot that stands was moved, seen from between both feet, at most.
@@ -75,6 +76,7 @@ class Standing:
     motion: Motion = field(repr=False)
     before: Motion = field(repr=False)
     robot: G1 = field(repr=False)
+    frames: range
     upper_body: bool
     levelled_mm: float
     moved_mm: float
@@ -111,17 +113,15 @@ class Standing:
 
 def stand(
     motion: Motion,
-    robot: G1 | None = None,
+    robot: G1,
     played: Flags | None = None,
     trajectory: Trajectory | None = None,
 ) -> Standing:
     """The motion as a robot on its feet can play it: its feet stand, or step one at a time.
 
-    `stream` and `rollout` do so with support feet. docs/feet.md says what is changed.
-
     Args:
         motion: whose feet stand, or are lifted one at a time.
-        robot: the G1; the default one if None.
+        robot: the G1.
         played: (29,) the joints that play it; all if None. Without the legs, these stand
             (`on_standing_legs`); with both, other joints keep the pose of its beginning.
         trajectory: through its frames; made if None.
@@ -136,7 +136,6 @@ def stand(
             "On its feet, a robot needs both legs as a whole, and only some of their joints play.",
             "Select arms, waist, both legs or all joints (stream.joints).",
         )
-    robot = robot or G1.default()
     upper_body = played is not None and not played[:LEGS].any()
     if played is not None and not played[robot.present].all():
         trajectory = None
@@ -169,6 +168,7 @@ def stand(
         motion=shifted,
         before=motion,
         robot=robot,
+        frames=range(motion.n_frames),
         upper_body=upper_body,
         levelled_mm=1e3 * footing.levelled,
         moved_mm=1e3 * footing.moved,

@@ -3,26 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from g1stream.dds.domain import is_local_only
 from g1stream.errors import ConfigError, MotionError, SafetyError
 from g1stream.motion.limits import Interval
+from g1stream.motion.motion import Motion
 from g1stream.physics.footing import CannotStandError
-from g1stream.physics.parts import longest_part, stand_part
-from g1stream.robot.standing import LEGS
+from g1stream.physics.parts import find_instead, stand_part
+from g1stream.robot.model import G1
+from g1stream.session.motions import load_motion
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from g1stream.config import Config
-    from g1stream.motion.motion import Motion
     from g1stream.physics.ground import Flags
-    from g1stream.robot.model import G1
+    from g1stream.physics.stance import Standing
     from g1stream.settings import StreamConfig
 
-__all__ = ["refuse_feet_on_robot", "stand_if_asked"]
-
-#: The joints that almost any motion can be played with, on legs that stand.
-_UPPER_BODY: Final = "arms,waist"
+__all__ = ["refuse_feet_on_robot", "stand", "stand_if_asked", "stand_or_explain"]
 
 
 def stand_if_asked(motion: Motion, robot: G1, config: Config) -> tuple[Motion, str]:
@@ -40,17 +40,52 @@ def stand_if_asked(motion: Motion, robot: G1, config: Config) -> tuple[Motion, s
     _require_standing(config.stream, robot)
     played = robot.select(config.stream.played_joints)
     asked = Interval.from_config(config.stream, motion).frames(motion)
-    try:
-        standing = stand_part(motion, robot, asked, played)
-    except CannotStandError as error:
-        ways = ["play it slower (--speed)"] if error.slower else []
-        remedy = "; or ".join([*ways, *_other_ways(motion, robot, asked, error.frames, played)])
-        raise MotionError(error.cause, f"{remedy[0].upper()}{remedy[1:]}.") from None
+    standing = stand_or_explain(motion, robot, asked, played)
     how = str(standing)
     if not how:
         return standing.motion, ""
     changed = replace(standing.motion, operations=(*motion.operations, how))
     return changed, f"{motion.name} is played {how}"
+
+
+def stand_or_explain(motion: Motion, robot: G1, frames: range, played: Flags) -> Standing:
+    """Some frames of a motion, as a robot on its feet can play them.
+
+    Raises:
+        ConfigError: some joints of the legs are `played` (29,), and others are not.
+        MotionError: it cannot; its remedy names what it can play.
+        RobotError: the soles of this robot are not known.
+    """
+    try:
+        return stand_part(motion, robot, frames, played)
+    except CannotStandError as error:
+        instead = find_instead(motion, robot, frames, error, played)
+        hanging = "hold the robot and give --support hanging"
+        remedy = "; or ".join(filter(None, (str(instead), hanging)))
+        raise MotionError(error.cause, f"{remedy[0].upper()}{remedy[1:]}.") from None
+
+
+def stand(
+    motion: Motion | str | Path, joints: str | None = None, robot: G1 | None = None
+) -> Standing:
+    """A motion as a robot on its feet can play it: its feet stand, or step one at a time.
+
+    `stream` and `rollout` do so with support feet. docs/feet.md says what is changed.
+
+    Args:
+        motion: a motion, a motion file, or the name of a bundled motion.
+        joints: those that play it, such as "arms,waist", on legs that stand; all if None.
+        robot: the G1; the default one if None.
+
+    Raises:
+        ConfigError: there are no such joints, or some of the legs are given, and others are not.
+        MotionError: it cannot be played on the feet; the remedy names what can.
+        RobotError: the soles of this robot are not known.
+    """
+    robot = robot or G1.default()
+    if not isinstance(motion, Motion):
+        motion = load_motion(motion)
+    return stand_or_explain(motion, robot, range(motion.n_frames), robot.select(joints))
 
 
 def _require_standing(settings: StreamConfig, robot: G1) -> None:
@@ -61,27 +96,6 @@ def _require_standing(settings: StreamConfig, robot: G1) -> None:
             "support feet needs all 29 joints, on rt/lowcmd, and a motion that does not repeat.",
             "Leave out --via, --others and --loop, or hold the robot otherwise.",
         )
-
-
-def _other_ways(
-    motion: Motion, robot: G1, asked: range, forbidden: Flags, played: Flags
-) -> list[str]:
-    """What can be played instead of some frames, of which some (T,) forbid that.
-
-    That these stand has been tried.
-    """
-    ways = []
-    if part := longest_part(motion, robot, asked, forbidden, played):
-        ways.append(f"give {part}, the longest part found that stands")
-    if played[:LEGS].any():
-        flag, upper = f"--joints {_UPPER_BODY}", robot.select(_UPPER_BODY)
-        try:
-            stand_part(motion, robot, asked, upper)
-            ways.append(f"give {flag}")
-        except CannotStandError as error:
-            if part := longest_part(motion, robot, asked, error.frames, upper):
-                ways.append(f"give {flag} {part}")
-    return [*ways, "hold the robot and give --support hanging"]
 
 
 def refuse_feet_on_robot(config: Config) -> None:

@@ -60,8 +60,7 @@ class Inspect(SettingsCommand, MotionFlags):
     Exit codes:
       0  within the limits
       1  a frame is beyond a position limit, or the spline beyond a speed limit
-      2  bad input: not a motion, of which what can be read is printed; no --feet-figure,
-         because the motion cannot be played on the feet
+      2  bad input: not a motion (what can be read is printed), or no --feet-figure
     """
 
     motions: tuple[str, ...] = argument(MOTIONS, "MOTION...")

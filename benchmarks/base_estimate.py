@@ -63,6 +63,8 @@ def compare(session: Session) -> str:
     )
     # The heading of the reference's world in the simulator's is that of the first readings.
     first = int(np.searchsorted(times, times[0] + _SETTLED))
+    if first == len(times):
+        return "PLAY is too short"
     yaw = yaw_of(quat_mul(measured.imu_quat_wxyz[newest[first]], quat_conj(found[first, 6:])))
     turn = quat_from_yaw(yaw)
     moved = quat_rotate(turn, found[first:, :3] - found[first, :3])

@@ -4,7 +4,8 @@ The programs are those of squats with waving arms, and of the bundled demo with 
 lockstep with noise (feet.py). Each solver gets them in order, and what a tick would have to do
 counts: what it asks for as input, and where it can, the start from the last solution. `apart` is
 the largest difference from the forces that daqp finds, over the robot's weight; `failed` are
-programs without a solution, or with one that breaks a bound by more than 1e-3 of the weight.
+programs without a solution, or with one that breaks a bound by more than 1e-3: of the weight, of
+the weight times a metre, or of a torque limit.
 
     pip install clarabel osqp proxsuite quadprog
     python benchmarks/solvers.py [--seconds 10]
@@ -77,7 +78,9 @@ def programs(motion: Motion) -> list[Program]:
 def by_daqp(_: Any) -> Callable[[Program], Floats]:
     def solve(one: Program) -> Floats:
         kinds = np.zeros(len(one.least), np.int32)
-        x: Floats = daqp.solve(one.square, one.linear, one.rows, one.most, one.least, kinds)[0]
+        x: Floats = daqp.solve(
+            one.square, one.linear, one.rows, one.most, one.least, kinds, iter_limit=100
+        )[0]
         return x
 
     return solve

@@ -52,6 +52,7 @@ if TYPE_CHECKING:
     from g1stream.session.stream import Stream
     from g1stream.session.streams import Base, Command, LogEvent, Measured, Reference, TorsoImu
     from g1stream.session.summary import PhaseInterval, Summary, TrackingSummary
+    from g1stream.sim.noise import SensorNoise
     from g1stream.sim.robot import SimReport
 
 __all__ = [
@@ -81,6 +82,7 @@ __all__ = [
     "PhaseInterval",
     "Reference",
     "Samples",
+    "SensorNoise",
     "Session",
     "SimReport",
     "Standing",
@@ -138,6 +140,7 @@ _HOME = {
     "PhaseInterval": "session.summary",
     "Reference": "session.streams",
     "Samples": "dds.messages",
+    "SensorNoise": "sim.noise",
     "Session": "session.session",
     "SimReport": "sim.robot",
     "Standing": "physics.stance",

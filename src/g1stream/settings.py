@@ -321,7 +321,8 @@ class SimConfig(Table):
     )
     command_delay: float = setting(
         0.0,
-        "time from when a LowCmd is received to when the motors obey it",
+        "time from when a LowCmd is received to when the motors obey it; above 0.1 s, a stream "
+        "takes it for a queue",
         "s",
         flag=("sim", "demo"),
         ge=0.0,
@@ -330,7 +331,8 @@ class SimConfig(Table):
     noise: float = setting(
         0.0,
         "sensor noise of LowState; at 1 its standard deviations are 0.5 mrad and 0.05 rad/s for "
-        "the joints, 0.01 rad/s, 0.1 m/s² and 1 mrad of attitude for the IMU",
+        "the joints, 0.01 rad/s, 0.1 m/s² and 1 mrad of attitude for the IMU; the same in every "
+        "rollout",
         flag=("sim", "demo"),
         ge=0.0,
         le=100.0,

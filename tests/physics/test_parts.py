@@ -79,8 +79,16 @@ def test_a_part_in_which_nothing_moves_is_not_named():
     resting = squat.at_frames(rows)
     root = resting.root_pos.copy()
     root[150:160, 0] += 0.3
-    part = found_in(Motion.from_arrays(resting.joint_pos, root, fps=50.0), range(len(rows)))
-    assert part.start_s >= 3.2
+    motion = Motion.from_arrays(resting.joint_pos, root, fps=50.0)
+    assert found_in(motion, range(len(rows))).start_s >= 3.2
+    still = Motion.from_arrays(resting.joint_pos[:150], root[:150], fps=50.0)
+    waving = still.joint_pos.copy()
+    waving[:, JOINT_NAMES.index("left_elbow_joint")] = np.linspace(0.0, 1.0, 150)
+    waving = Motion.from_arrays(waving, root[:150], fps=50.0)
+    none, waist = np.zeros(150, np.bool_), ROBOT.select("waist")
+    assert longest_part(still, ROBOT, range(150), none) is None
+    assert longest_part(waving, ROBOT, range(150), none) is not None
+    assert longest_part(waving, ROBOT, range(150), none, waist) is None
 
 
 @pytest.mark.parametrize("fps", [24.0, 30.0, 50.0, 60.0, 119.88, 120.0])

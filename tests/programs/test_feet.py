@@ -135,6 +135,8 @@ def test_a_motion_is_made_to_stand_by_name_and_for_some_joints(tmp_path):
     assert g1stream.stand(saved).joint_deg < 0.5 * whole.joint_deg
     with pytest.raises(ConfigError):
         g1stream.stand("demo", "left_leg")
+    with pytest.raises(ConfigError, match="23"):
+        g1stream.stand("demo", robot=G1.load("g1_23dof"))
 
 
 @pytest.mark.slow

@@ -273,7 +273,8 @@ def _require_different(side: Sequence[_Run]) -> None:
         if (same := first.setdefault(run.measured, run)) is not run:
             raise RecordingError(
                 f"{same.path} and {run.path} are one run: their measurements are the same.",
-                "Give each run once; rollouts differ only with `noise`.",
+                "Give each run once; rollouts differ only with another `noise`, such as "
+                "SensorNoise(seed=1).",
             )
 
 

@@ -107,7 +107,7 @@ class Inspect(SettingsCommand, MotionFlags):
                 print_lines(f"\n{physics}")
         if report.fault:
             raise MotionError(report.fault, report.remedy)
-        if self.feet_figure:
+        if self.feet_figure and report.motion and report.motion.in_radians:
             self._draw_feet(self.feet_figure, robot, config)
         return EXIT_OK if report.passed else EXIT_STOPPED
 

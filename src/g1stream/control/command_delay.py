@@ -36,8 +36,8 @@ _PROMPT: Final = 0.1
 #: both with so much more for each reading, (N·m)².
 _LEFT: Final = 0.25
 _NOISE: Final = N_JOINTS * 0.05**2
-#: Readings, counted as they are remembered, before which nothing is said: by chance, one reading is
-#: nearest to an old command, where sensor noise makes the torques differ from command to command.
+#: Nothing is said before so many readings, of which older ones count less: sensor noise changes the
+#: torques from command to command, and one reading may match an old command by chance.
 _ENOUGH: Final = 8.0
 
 
@@ -101,7 +101,7 @@ class CommandDelay:
         self._seconds = float(ages[least]) if late else 0.0
         if late and not self.longest:
             _LOGGER.warning(
-                "the motors follow commands that are %.2f s old, which wait in a queue: %s",
+                "the motors follow commands that are %.2f s old, as where they wait in a queue: %s",
                 self._seconds,
                 DELAY_REMEDY,
             )

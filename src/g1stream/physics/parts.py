@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from g1stream.motion.limits import Interval
 from g1stream.physics.footing import CannotStandError
 from g1stream.physics.ground import stretches
 from g1stream.physics.result import UPPER_BODY, Instead, Part
@@ -102,12 +103,13 @@ def longest_part(
     from scipy.ndimage import binary_dilation
 
     near = max(1, round(_NEAR * motion.fps))
+    playing = motion.joint_pos if played is None else motion.joint_pos[:, played]
     parts: list[tuple[int, int]] = []  # length, negative, and first frame
 
     def add_what_remains(of: range, forbidden: Flags) -> None:
         free = ~binary_dilation(forbidden[of.start : of.stop], iterations=near)
         for first, stop in stretches(free).tolist():
-            moved = np.ptp(motion.joint_pos[of.start + first : of.start + stop], axis=0).max()
+            moved = np.ptp(playing[of.start + first : of.start + stop], axis=0).max()
             if stop - first > _LEAST * motion.fps and moved > _MOVES:
                 heappush(parts, (first - stop, of.start + first))
 
@@ -116,13 +118,14 @@ def longest_part(
         if not parts:
             break
         negative, first = heappop(parts)
-        tried = range(first, first - negative)
+        part = Part.of_frames(range(first, first - negative), motion.fps)
+        tried = Interval(part.start_s, part.duration_s, motion.duration).frames(motion)
         try:
             stand_part(motion, robot, tried, played)
         except CannotStandError as error:
             add_what_remains(tried, error.frames)
         else:
-            return Part.of_frames(tried, motion.fps)
+            return part
     return None
 
 
@@ -146,21 +149,24 @@ def find_instead(
         RobotError: the soles of this robot are not known.
     """
 
-    def stands(motion: Motion, played: Flags | None) -> CannotStandError | None:
+    def refusal(one: Motion, played: Flags | None) -> CannotStandError | None:
         try:
-            stand_part(motion, robot, frames, played)
+            stand_part(one, robot, frames, played)
         except CannotStandError as error:
             return error
         return None
 
-    speeds = _SPEEDS if refused.slower else ()
-    asked, upper, upper_body = Part.of_frames(frames, motion.fps), robot.select(UPPER_BODY), None
+    # Of a part, the seconds would be others, too.
+    speeds = _SPEEDS if refused.slower and len(frames) == motion.n_frames else ()
+    asked = Part.of_frames(frames, motion.fps)
+    upper_body = None
     if played is None or played[:LEGS].any():
-        error = stands(motion, upper)
+        upper = robot.select(UPPER_BODY)
+        error = refusal(motion, upper)
         upper_body = longest_part(motion, robot, frames, error.frames, upper) if error else asked
     return Instead(
         asked=asked,
-        speed=next((one for one in speeds if not stands(motion.at_speed(one), played)), None),
+        speed=next((one for one in speeds if not refusal(motion.at_speed(one), played)), None),
         part=longest_part(motion, robot, frames, refused.frames, played),
         upper_body=upper_body,
     )

@@ -123,7 +123,7 @@ class Instead(Record, frozen=True):
 
     Attributes:
         asked: what it cannot play.
-        speed: times the speed, at which it can; None: at none that was tried.
+        speed: times the speed, at which it can; None: at none that was tried, or a part was asked.
         part: the longest part that was found; None: none of a second.
         upper_body: what arms and waist can play on legs that stand; None: no part of a second, or
             the legs do not play.
@@ -172,8 +172,8 @@ class Verdict(Record, frozen=True):
 
     def __str__(self) -> str:
         if self.refused:
-            instead = f"; {self.instead}" if self.instead else ""
-            return f"cannot be played: {self.refused}{instead}".removesuffix("; ")
+            said = (self.refused, str(self.instead or ""))
+            return f"cannot be played: {'; '.join(filter(None, said))}"
         against = [e.cause for e in self.excesses if e.forbids]
         harmless = [e.cause for e in self.excesses if not e.forbids]
         answers = [f"cannot be played as it is: {', '.join(against)}"] if against else []

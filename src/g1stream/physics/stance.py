@@ -60,7 +60,8 @@ class Standing:
 
     Attributes:
         motion: the changed motion, its feet flat, on a floor at height 0 unless they are lifted.
-        before: the motion before that; joints that do not play are still.
+        before: the motion before that; joints that do not play are still, and where the legs do
+            not, they stand and the pelvis is upright.
         robot: the G1.
         frames: of both, that are played.
         upper_body: the legs stand, because only waist and arms play the motion.

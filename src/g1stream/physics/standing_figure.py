@@ -40,7 +40,8 @@ def draw_standing(standing: Standing) -> Figure:
         for one in (before, after)
     ]
     figure = Figure(figsize=(11.0, 7.0), layout="constrained")
-    figure.suptitle(f"{after.name}: as it was (thin), and as it is played on the feet")
+    legs = ", on legs that stand" * standing.upper_body
+    figure.suptitle(f"{after.name}{legs}: as it was (thin), and as it is played on the feet")
     axes = figure.subplot_mosaic(
         [["top", "soles"], ["top", "height"], ["top", "joints"]], width_ratios=[1.0, 1.3]
     )
@@ -60,7 +61,9 @@ def draw_standing(standing: Standing) -> Figure:
         name = JOINT_NAMES[joint].removesuffix("_joint")
         style = "--" if name.startswith("right") else "-"  # both legs often do the same
         axes["joints"].plot(times, change[:, joint], style, lw=1.2, label=name)
-    axes["joints"].set(title="joints that were changed most", xlabel="time, s", ylabel="change, °")
+    axes["joints"].set(
+        title="joints of the legs that were changed most", xlabel="time, s", ylabel="change, °"
+    )
     for name, least in (("soles", _LEAST), ("height", _LEAST), ("joints", _LEAST_CHANGE)):
         low, high = axes[name].get_ylim()
         more = max(0.0, least - (high - low)) / 2.0

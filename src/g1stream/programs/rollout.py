@@ -70,14 +70,9 @@ def rollout(
 
     The session is in memory, some 4.5 MB for each second of it.
 
-    With noise of 1 mrad on every encoder:
+    With sensor noise that is another with each seed:
 
-        rng = np.random.default_rng(0)
-
-        def noise(state):
-            state.q += rng.normal(0.0, 1e-3, 29)
-
-        session = rollout("demo", noise=noise)
+        sessions = [rollout("demo", noise=SensorNoise(seed=seed)) for seed in range(5)]
 
     Publish times are simulated time since 2000-01-01 00:00 UTC (`g1stream.sim.lockstep.EPOCH`); log
     times are `LATENCY`, 0.1 ms, later.

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from g1stream.dds.domain import is_local_only
 from g1stream.errors import ConfigError, MotionError, SafetyError
 from g1stream.motion.limits import Interval
@@ -37,7 +39,7 @@ def stand_if_asked(motion: Motion, robot: G1, config: Config) -> tuple[Motion, s
     """
     if config.stream.support != "feet":
         return motion, ""
-    _require_standing(config.stream, robot)
+    _require_standing(config.stream)
     played = robot.select(config.stream.played_joints)
     asked = Interval.from_config(config.stream, motion).frames(motion)
     standing = stand_or_explain(motion, robot, asked, played)
@@ -52,10 +54,17 @@ def stand_or_explain(motion: Motion, robot: G1, frames: range, played: Flags) ->
     """Some frames of a motion, as a robot on its feet can play them.
 
     Raises:
-        ConfigError: some joints of the legs are `played` (29,), and others are not.
+        ConfigError: the robot lacks joints, or some of the legs are `played` (29,), and others are
+            not.
         MotionError: it cannot; its remedy names what it can play.
         RobotError: the soles of this robot are not known.
     """
+    if not robot.present.all():
+        raise ConfigError(
+            f"A robot on its feet needs all 29 joints, and {robot.name} has "
+            f"{np.count_nonzero(robot.present)}.",
+            "Give another robot, or hold it otherwise.",
+        )
     try:
         return stand_part(motion, robot, frames, played)
     except CannotStandError as error:
@@ -78,7 +87,8 @@ def stand(
         robot: the G1; the default one if None.
 
     Raises:
-        ConfigError: there are no such joints, or some of the legs are given, and others are not.
+        ConfigError: there are no such joints, some of the legs are given, and others are not, or
+            the robot lacks joints.
         MotionError: it cannot be played on the feet; the remedy names what can.
         RobotError: the soles of this robot are not known.
     """
@@ -88,10 +98,9 @@ def stand(
     return stand_or_explain(motion, robot, range(motion.n_frames), robot.select(joints))
 
 
-def _require_standing(settings: StreamConfig, robot: G1) -> None:
+def _require_standing(settings: StreamConfig) -> None:
     """Refuse settings with which a robot cannot be kept on its feet."""
-    whole = bool(robot.present.all()) and settings.via == "lowcmd" and settings.others == "hold"
-    if settings.loop or not whole:
+    if settings.loop or settings.via != "lowcmd" or settings.others != "hold":
         raise ConfigError(
             "support feet needs all 29 joints, on rt/lowcmd, and a motion that does not repeat.",
             "Leave out --via, --others and --loop, or hold the robot otherwise.",

@@ -15,21 +15,20 @@ if TYPE_CHECKING:
 __all__ = ["SensorNoise"]
 
 #: Standard deviations of joint positions, rad, and speeds, rad/s; of the gyroscope, rad/s, and the
-#: accelerometer, m/s²; and of each number of the attitude's quaternion. They are assumed, not those
-#: of a robot that was measured.
+#: accelerometer, m/s²; of the attitude about each axis, rad. They are assumed, not those of a robot
+#: that was measured.
 _POSITION: Final = 5e-4
 _SPEED: Final = 0.05
 _GYROSCOPE: Final = 0.01
 _ACCELEROMETER: Final = 0.1
-_ATTITUDE: Final = 5e-4
+_ATTITUDE: Final = 1e-3
 
 
 class SensorNoise:
     """Adds white noise to what a LowState measures: joint positions and speeds, and the IMU.
 
     Args:
-        scale: 1: standard deviations of 0.5 mrad and 0.05 rad/s for the joints, 0.01 rad/s,
-            0.1 m/s² and 1 mrad of attitude for the IMU; 2: twice as much; 0: none.
+        scale: the setting `sim.noise`, which has the standard deviations; 0: none.
         seed: of the random numbers; the same seed gives the same noise.
     """
 
@@ -46,5 +45,7 @@ class SensorNoise:
         state.dq[:] += normal(0.0, scale * _SPEED, N_JOINTS)
         state.gyroscope[:] += normal(0.0, scale * _GYROSCOPE, 3)
         state.accelerometer[:] += normal(0.0, scale * _ACCELEROMETER, 3)
-        state.quaternion[:] = quat_normalize(state.quaternion + normal(0.0, scale * _ATTITUDE, 4))
+        state.quaternion[:] = quat_normalize(
+            state.quaternion + normal(0.0, 0.5 * scale * _ATTITUDE, 4)
+        )
         state.rpy[:] = quat_to_rpy(state.quaternion.astype(np.float64))

@@ -153,7 +153,7 @@ class SimulatedRobot:
         Raises:
             SimError: the state can no longer be integrated.
         """
-        while self._arriving and self._arriving[0][0] <= now:
+        while self._arriving and self._arriving[0][0] <= now + self.period // 2:
             self._check_command(self._arriving.popleft()[1], now)
         if self._accepted_at is not None and 0 < self._timeout < now - self._accepted_at:
             self._accepted_at = None

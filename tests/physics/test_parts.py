@@ -7,8 +7,8 @@ import pytest
 
 from g1stream.motion.motion import Motion
 from g1stream.physics.footing import CannotStandError
+from g1stream.physics.instead import Part
 from g1stream.physics.parts import longest_part, stand_part
-from g1stream.physics.result import Part
 from g1stream.physics.stance import stand
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import G1

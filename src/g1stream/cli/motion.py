@@ -22,10 +22,10 @@ from g1stream.errors import MotionError
 from g1stream.text import counted, labelled
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from g1stream.config import Config
     from g1stream.motion.check import FileReport, MotionReport
+    from g1stream.motion.motion import Motion
+    from g1stream.physics.ground import Flags
     from g1stream.physics.result import MotionPhysics
     from g1stream.robot.model import G1
 
@@ -97,7 +97,11 @@ class Inspect(SettingsCommand, MotionFlags):
             report = FileReport(Path(motion.name), kind="motions", motion=motion)
         if robot.warning:
             print_warning(robot.warning)
-        physics = self._physics(report, robot, config) if self.physics else None
+        physics = asked = None
+        if (self.physics or self.feet_figure) and report.motion and report.motion.in_radians:
+            asked = self._asked(robot, config)
+        if asked and self.physics:
+            physics = self._physics(robot, config.safety.max_tilt, *asked)
         if self.json:
             print_json(_as_dict(report, physics))
         else:
@@ -107,49 +111,48 @@ class Inspect(SettingsCommand, MotionFlags):
                 print_lines(f"\n{physics}")
         if report.fault:
             raise MotionError(report.fault, report.remedy)
-        if self.feet_figure and report.motion and report.motion.in_radians:
-            self._draw_feet(self.feet_figure, robot, config)
+        if asked and self.feet_figure:
+            self._draw_feet(self.feet_figure, robot, *asked)
         return EXIT_OK if report.passed else EXIT_STOPPED
 
-    def _draw_feet(self, path: Path, robot: G1, config: Config) -> None:
-        from g1stream.files import save_figure
+    def _asked(self, robot: G1, config: Config) -> tuple[Motion, range, Flags]:
+        """The motion, and which frames and joints of it `stream` would play."""
         from g1stream.motion.limits import Interval
+
+        motion = self.load(self.motions, robot)
+        frames = Interval.from_config(config.stream, motion).frames(motion)
+        return motion, frames, robot.select(config.stream.played_joints)
+
+    def _draw_feet(
+        self, path: Path, robot: G1, motion: Motion, frames: range, played: Flags
+    ) -> None:
+        from g1stream.files import save_figure
         from g1stream.programs.standing import stand_or_explain
 
-        motion, how = self.load(self.motions, robot), ""
-        frames = Interval.from_config(config.stream, motion).frames(motion)
-        played = robot.select(config.stream.played_joints)
-
-        def draw() -> Figure:
-            nonlocal how
-            standing = stand_or_explain(motion, robot, frames, played)
-            how = str(standing) or "as it is"
-            return standing.plot()
-
-        save_figure(draw, path, force=self.force)
+        standing = stand_or_explain(motion, robot, frames, played)
+        save_figure(standing.plot, path, force=self.force)
+        how = str(standing) or "as it is"
         print_lines(f"\n{path}: how it is played on the feet, {how}", sys.stderr)
 
-    def _physics(self, report: FileReport, robot: G1, config: Config) -> MotionPhysics | None:
-        """What it would take to play the motion; None where there is none, or not in radians."""
-        from g1stream.motion.limits import Interval
+    def _physics(
+        self, robot: G1, max_tilt: float, motion: Motion, frames: range, played: Flags
+    ) -> MotionPhysics:
+        """What it would take to play the motion."""
         from g1stream.physics.measure import motion_physics
 
-        if not (report.motion and report.motion.in_radians):
-            return None
         done = 0.0
 
         def progress(fraction: float) -> None:
             nonlocal done
             done = fraction
 
-        motion = self.load(self.motions, robot)
         with ProgressDisplay(lambda: (done, f"physics {100 * done:3.0f} %")):
             return motion_physics(
                 motion,
                 robot,
-                max_tilt=config.safety.max_tilt,
-                played=robot.select(config.stream.played_joints),
-                frames=Interval.from_config(config.stream, motion).frames(motion),
+                max_tilt=max_tilt,
+                played=played,
+                frames=frames,
                 suggest=True,
                 progress=progress,
             )

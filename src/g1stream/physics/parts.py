@@ -11,7 +11,7 @@ import numpy as np
 from g1stream.motion.limits import Interval
 from g1stream.physics.footing import CannotStandError
 from g1stream.physics.ground import stretches
-from g1stream.physics.result import UPPER_BODY, Instead, Part
+from g1stream.physics.instead import UPPER_BODY, Instead, Part
 from g1stream.physics.stance import stand
 from g1stream.robot.standing import LEGS
 

@@ -37,17 +37,12 @@ def compare(session: Session) -> str:
     newest = np.searchsorted(measured.since(session.start_ns), times, side="right") - 1
     balance = Balance(session.robot, float(np.median(np.diff(times))))
     found = np.empty((len(times), 10))  # position, velocity, attitude
-    none = np.zeros(29 + 6)
+    n = len(times)
+    parts = (reference.q, reference.dq, reference.ddq, np.zeros((n, 29)), reference.root_pos)
+    root = (reference.root_quat_wxyz, reference.root_lin_vel, reference.root_ang_vel)
+    targets = np.concatenate([*parts, *root, np.zeros((n, 6))], axis=1)
     for k, row in enumerate(newest):
-        values = (reference.q, reference.dq, reference.ddq)
-        root = (
-            reference.root_pos,
-            reference.root_quat_wxyz,
-            reference.root_lin_vel,
-            reference.root_ang_vel,
-        )
-        parts = [*(one[k] for one in values), none[:29], *(one[k] for one in root), none[:6]]
-        target = Target(float(reference.motion_time[k]), np.concatenate(parts))
+        target = Target(float(reference.motion_time[k]), targets[k])
         if k == 0:
             balance.begin(target)
         imu = ImuReading(

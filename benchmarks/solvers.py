@@ -53,17 +53,10 @@ def programs(motion: Motion) -> list[Program]:
     found = []
     solve = daqp.solve
 
-    def spy(
-        square: Floats,
-        linear: Floats,
-        rows: Floats,
-        most: Floats,
-        least: Floats,
-        *args: Any,
-        **settings: Any,
-    ) -> Any:
+    def spy(*given: Any, **settings: Any) -> Any:
+        square, linear, rows, most, least, *_ = given
         found.append(Program(*(one.copy() for one in (square, linear, rows, least, most))))
-        return solve(square, linear, rows, most, least, *args, **settings)
+        return solve(*given, **settings)
 
     daqp.solve = spy
     try:
@@ -100,22 +93,22 @@ def by_quadprog(module: Any) -> Callable[[Program], Floats]:
 def by_osqp(module: Any) -> Callable[[Program], Floats]:
     from scipy.sparse import csc_matrix
 
-    solvers: dict[int, Any] = {}
+    solvers: dict[int, tuple[Any, Any]] = {}  # with the entries of the triangle, by column
 
     def solve(one: Program) -> Floats:
         n = len(one.linear)
-        upper = np.triu_indices(n)
-        columns = np.lexsort(upper)
-        if (solver := solvers.get(n)) is None:
-            full = csc_matrix((np.ones(upper[0].size), upper), (n, n))
-            dense = csc_matrix(np.ones_like(one.rows))
-            full.data[:] = one.square[upper][columns]
-            dense.data[:] = one.rows.T.ravel()
-            solver = solvers[n] = module.OSQP()
+        if n not in solvers:
+            triangle = np.nonzero(np.tri(n))[::-1]
+            square = csc_matrix((one.square[triangle], triangle), (n, n))
+            rows = csc_matrix(np.ones_like(one.rows))
+            rows.data[:] = one.rows.T.ravel()
             settings = {"eps_abs": 1e-5, "eps_rel": 1e-5, "verbose": False, "polishing": False}
-            solver.setup(full, one.linear, dense, one.least, one.most, **settings)
+            solver = module.OSQP()
+            solver.setup(square, one.linear, rows, one.least, one.most, **settings)
+            solvers[n] = solver, triangle
         else:
-            values = {"Px": one.square[upper][columns], "Ax": one.rows.T.ravel()}
+            solver, triangle = solvers[n]
+            values = {"Px": one.square[triangle], "Ax": one.rows.T.ravel()}
             solver.update(q=one.linear, l=one.least, u=one.most, **values)
         x: Floats = solver.solve(raise_error=False).x
         return x

@@ -3,7 +3,6 @@
     python benchmarks/tracking.py [--motion CSV] [--seconds 20] [--dds] [--plot PNG] [--json]
     python benchmarks/tracking.py --arms [--motion CSV] [--seconds 20]
     python benchmarks/tracking.py --peers [--runs 10] [--rows TEXT] [--keep DIR] [--json]
-    python benchmarks/tracking.py --peers --learn 3 [--runs 3] [--keep DIR] [--json]
 
 Every cell is the RMSE over all joints, rad, while the motion is played with the gains of Unitree's
 example; then the worst joint's. "30 Hz nearest frame" is what scripts do: no spline, q only.
@@ -16,8 +15,7 @@ measured in lockstep, with the check that would notice it left out.
 
 `--arms` plays arms and waist through the controller of our bridge (`--via arm_sdk`), over DDS.
 
-`--peers` plays the motion on Unitree's own simulators instead, see tracking_peers.py; `--learn`
-learns there from repetition to repetition.
+`--peers` plays the motion on Unitree's own simulators instead, see tracking_peers.py.
 """
 
 from __future__ import annotations
@@ -237,7 +235,6 @@ def parsed() -> argparse.Namespace:
     parser.add_argument("--runs", type=int, default=1, help="how often, for --peers")
     parser.add_argument("--rows", default="", help="only rows with this text, for --peers")
     parser.add_argument("--keep", type=Path, help="keep the sessions in this folder, for --peers")
-    parser.add_argument("--learn", type=int, help="so many repetitions of learning, for --peers")
     parser.add_argument(
         "--stream-flags", default="", help="more flags of `g1stream stream`, for --peers"
     )
@@ -253,14 +250,9 @@ def on_peers(motion: Motion, seconds: float, arguments: argparse.Namespace) -> N
     keep = arguments.keep
     if keep:
         keep.mkdir(parents=True, exist_ok=True)
-    if arguments.learn:
-        runs = tracking_peers.learn_table(
-            path, seconds, arguments.learn, arguments.runs, flags, keep=keep
-        )
-    else:
-        runs = tracking_peers.run_table(
-            path, seconds, arguments.runs, flags, rows=arguments.rows, keep=keep
-        )
+    runs = tracking_peers.run_table(
+        path, seconds, arguments.runs, flags, rows=arguments.rows, keep=keep
+    )
     if arguments.json:
         table = {"motion": motion.name, "seconds": seconds, "rmse": tracking_peers.as_json(runs)}
         print(json.dumps(table, indent=2))

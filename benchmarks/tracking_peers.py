@@ -33,7 +33,6 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from g1stream.analysis.learning import learn
 from g1stream.errors import G1StreamError
 from g1stream.session.session import open_session
 
@@ -100,65 +99,6 @@ def run_table(
                 table.setdefault(row, {}).setdefault(simulator, []).append(run)
                 print(f"{simulator}, {row}: {_shown(run)}", flush=True, file=sys.stderr)
     return table
-
-
-def learn_table(
-    motion: Path,
-    seconds: float,
-    repetitions: int,
-    runs: int,
-    flags: list[str],
-    *,
-    keep: Path | None = None,
-) -> dict[str, dict[str, list[Run]]]:
-    """Learning from repetition to repetition: by simulator and series, a run for each repetition.
-
-    Args:
-        motion: CSV file.
-        seconds: how much of it to play.
-        repetitions: how many corrections are learned and tried in a series, each from all sessions
-            of that series before it, of which two are without a correction.
-        runs: how many series, each from the start.
-        flags: more flags of `g1stream stream`.
-        keep: a folder for the sessions and corrections; None: deleted.
-    """
-    table: dict[str, dict[str, list[Run]]] = {}
-    for number in range(runs):
-        for simulator, program in SIMULATORS.items():
-            with tempfile.TemporaryDirectory() as directory:
-                name = f"{program}-learn-{motion.stem}-{seconds:g}-{number}"
-                series = _learn(
-                    program, motion, seconds, repetitions, flags, keep or Path(directory), name
-                )
-            table.setdefault(f"series {number + 1}", {})[simulator] = series
-            print(f"{simulator}: {', '.join(map(_shown, series))}", flush=True, file=sys.stderr)
-    return table
-
-
-def _learn(
-    program: str,
-    motion: Path,
-    seconds: float,
-    repetitions: int,
-    flags: list[str],
-    directory: Path,
-    name: str,
-) -> list[Run]:
-    correction: list[str] = []
-    sessions: list[Path] = []
-    series: list[Run] = []
-    without = 2  # what differs between them is not learned
-    for number in range(without + repetitions):
-        session = directory / f"{name}-{number}.mcap"
-        with running(program):
-            every = [*STREAMS["dynamics, hanging"], *flags, *correction]
-            series.append(_stream(motion, seconds, every, session))
-        if series[-1].rmse is not None:
-            sessions.append(session)
-        if sessions and without <= number + 1 < without + repetitions:
-            file = learn(sessions).save(session.with_suffix(".npz"), force=True)
-            correction = ["--correction", str(file)]
-    return series
 
 
 def as_text(table: dict[str, dict[str, list[Run]]]) -> str:

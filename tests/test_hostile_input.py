@@ -28,21 +28,17 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.writer import CompressionType, Writer
 
-from g1stream.analysis.identify import identify
-from g1stream.analysis.learning import learn
 from g1stream.cli.main import main
-from g1stream.config import Config, load_config
+from g1stream.config import load_config
 from g1stream.control.gains import read_gains
 from g1stream.dds.layout import CDR_HEADER
 from g1stream.dds.messages import Log, LowCmd, LowState, Reference
 from g1stream.dds.ros2 import encode_joint_state, encode_tf
 from g1stream.errors import ConfigError, G1StreamError, MotionError, RecordingError, RobotError
-from g1stream.exact_replay.commands import recorded_commands
 from g1stream.foxglove.encoders import encode_log
-from g1stream.motion.correction import Conditions, Correction
 from g1stream.motion.motion import Motion
 from g1stream.programs.convert import convert
-from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP, JOINT_NAMES
+from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import DEFAULT_URDF, G1
 from g1stream.session.format import CHANNELS
 from g1stream.session.motions import load_motion
@@ -135,23 +131,6 @@ CSV = (Path(load_motion("demo").source).read_bytes()).splitlines(keepends=True)
 CSV = b"".join(CSV[:6])
 
 
-def correction_bytes():
-    conditions = Conditions("m", "0" * 64, "g1", 500.0, EXAMPLE_KP, EXAMPLE_KD, None, None)
-    zeros = np.zeros((8, 29))
-    return Correction(
-        conditions, np.arange(8) / 50, zeros, zeros.astype(bool), np.array([0.1])
-    ).to_bytes()
-
-
-def stored(npz):
-    """An archive without compression, so that edits reach its arrays."""
-    file = io.BytesIO()
-    with zipfile.ZipFile(io.BytesIO(npz)) as old, zipfile.ZipFile(file, "w") as new:
-        for name in old.namelist():
-            new.writestr(name, old.read(name))
-    return file.getvalue()
-
-
 def array_files():
     """A motion as NPZ with names, as pickle of two protocols, as Parquet, and one of PyTorch."""
     motion = load_motion("demo").frames(0, 4)
@@ -189,7 +168,6 @@ def bags():
         return path.read_bytes(), converted.read_bytes()
 
 
-CORRECTION = correction_bytes()
 ARRAYS = array_files()
 BAGS = bags()
 
@@ -202,14 +180,11 @@ def path(tmp_path_factory):
 def use_session(path):
     """All that commands ask of a session file; each part may refuse it."""
     session = open_session(path)
-    robot, safety = G1.default(), Config().safety
     for part in (
         lambda: json.dumps(session.summary().model_dump(mode="json")),
         lambda: str(session.summary()).encode(),
         lambda: session.attachments,
         lambda: load_motion(path),
-        lambda: recorded_commands(session, robot, safety),
-        lambda: learn(session),
         lambda: session.sel(time=slice(0, 1)).log,
     ):
         with suppress(G1StreamError):
@@ -250,8 +225,6 @@ def test_numbers_in_a_state(path, field, value):
 
     path.write_bytes(session_bytes(change=change, n=120))
     use_session(path)
-    with suppress(RecordingError):  # it may not say enough, but not fail
-        identify(open_session(path), "bolted")
 
 
 JSON = st.recursive(
@@ -280,7 +253,6 @@ KEYS = [
     "domain",
     "interface",
     "versions",
-    "correction",
     "started_ns",
     "measured_tf",
     "g1stream",
@@ -299,41 +271,6 @@ def test_metadata(path, values):
 def test_metadata_that_is_hardly_json(path, text):
     path.write_bytes(session_bytes(metadata=dict.fromkeys(KEYS, text)))
     use_session(path)
-
-
-LEARNABLE = {
-    "motion": json.dumps({"name": "m", "fps": 30.0, "frames": 9, "content_sha256": "0" * 64}),
-    "gains": json.dumps({"kp": [40.0] * 29, "kd": [1.0] * 29}),
-    "config": json.dumps({"stream": {"rate": 500.0}}),
-    "stream": json.dumps({"reason": "", "feedforward": "velocity", "support": "bolted"}),
-}
-
-
-@examples(40)
-@given(
-    st.dictionaries(st.sampled_from([*LEARNABLE, "correction"]), JSON, max_size=1),
-    edited(URDF),
-    st.one_of(st.none(), edited(CORRECTION)),
-)
-def test_sessions_to_learn_from(path, values, urdf, correction):
-    """The session is one of 2.1 s at 50 Hz."""
-    strings = LEARNABLE | {key: json.dumps(value) for key, value in values.items()}
-    attached = [("robot.urdf", urdf), *([("correction.npz", correction)] if correction else [])]
-    path.write_bytes(session_bytes(strings, attachments=attached, n=105, rate=50))
-    session = open_session(path)
-    with suppress(G1StreamError):
-        learn(session)
-
-
-def test_a_session_to_learn_from_is_not_too_short(path):
-    for n, learned in ((105, True), (12, False)):
-        attached = [("robot.urdf", URDF)]
-        path.write_bytes(session_bytes(LEARNABLE, attachments=attached, n=n, rate=50))
-        if learned:
-            assert learn(open_session(path)).time[-1] > 2.0
-        else:
-            with pytest.raises(RecordingError):
-                learn(open_session(path))
 
 
 @examples(30)
@@ -394,14 +331,6 @@ def test_config_and_gains(path, content):
     for read in (load_config, read_gains):
         with suppress(ConfigError):
             read(path)
-
-
-@examples(150)
-@given(edited(CORRECTION, stored(CORRECTION)))
-def test_correction(path, content):
-    path.write_bytes(content)
-    with suppress(ConfigError):
-        assert np.isfinite(Correction.load(path).values).all()
 
 
 YAML = b"rosbag2_bagfile_information:\n  relative_file_paths:\n  - s_0.mcap\n  version: 6\n"
@@ -503,13 +432,8 @@ def test_a_small_file_takes_little_memory(path, kind):
     content = bomb(kind)
     assert len(content) < 3 * MIB
     path.write_bytes(content)
-    if "npz" in kind:
-        command = ("stream", "demo", "--correction", str(path), "--domain", "99")
-    elif kind == "pickle":
-        command = ("motion", str(path))
-    else:
-        command = ("info", str(path))
-    ended = in_little_memory(path, *command)
+    command = "motion" if "npz" in kind or kind == "pickle" else "info"
+    ended = in_little_memory(path, command, str(path))
     assert ended.returncode == 2, ended.stderr
     assert ended.stderr.startswith("error: ")
     assert "Traceback" not in ended.stderr
@@ -531,9 +455,6 @@ COMMANDS = (
     ("motion", "{}"),
     ("convert", "{}", "{out}.mcap"),
     ("replay", "{}"),
-    ("learn", "{}", "-o", "{out}"),
-    ("identify", "{}"),
-    ("stream", "demo", "--correction", "{}"),
     ("stream", "demo", "--gains", "{}", "--robot", "/dev/null"),
     ("motion", "demo", "--config", "{}", "--robot", "/dev/null"),
     ("motion", "demo", "--robot", "{}"),

@@ -20,7 +20,6 @@ from g1stream._version import __version__
 if TYPE_CHECKING:
     from g1stream.analysis.comparison import Comparison, compare
     from g1stream.analysis.delay import Delay
-    from g1stream.analysis.learning import learn
     from g1stream.analysis.report.page import report
     from g1stream.analysis.tracking import Tracking
     from g1stream.config import Config, load_config
@@ -30,7 +29,6 @@ if TYPE_CHECKING:
     from g1stream.library.rows import JointRow, MotionRow
     from g1stream.library.run import LibraryRun, run_library
     from g1stream.library.table import Library, open_library
-    from g1stream.motion.correction import Correction
     from g1stream.motion.motion import Motion
     from g1stream.motion.trajectory import Trajectory, TrajectoryPoint
     from g1stream.physics.measure import motion_physics
@@ -64,7 +62,6 @@ __all__ = [
     "Config",
     "Conversion",
     "ConvertReport",
-    "Correction",
     "Delay",
     "G1StreamError",
     "JointRow",
@@ -96,7 +93,6 @@ __all__ = [
     "__version__",
     "compare",
     "convert",
-    "learn",
     "live",
     "load_config",
     "load_motion",
@@ -120,7 +116,6 @@ _HOME = {
     "Config": "config",
     "Conversion": "programs.convert",
     "ConvertReport": "programs.convert",
-    "Correction": "motion.correction",
     "Delay": "analysis.delay",
     "G1": "robot.model",
     "G1StreamError": "errors",
@@ -153,7 +148,6 @@ _HOME = {
     "TrajectoryPoint": "motion.trajectory",
     "compare": "analysis.comparison",
     "convert": "programs.convert",
-    "learn": "analysis.learning",
     "live": "programs.live",
     "load_config": "config",
     "load_motion": "session.motions",

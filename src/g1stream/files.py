@@ -33,7 +33,7 @@ __all__ = [
 
 _MCAP: Final = b"\x89MCAP"
 _SQLITE: Final = b"SQLite format 3\0"
-#: A config, gains file, URDF, mesh, correction or metadata.yaml has no more bytes than this.
+#: A config, gains file, URDF, mesh or metadata.yaml has no more bytes than this.
 _LARGEST: Final = 16 * 2**20
 
 

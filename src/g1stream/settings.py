@@ -6,7 +6,6 @@ configs/sim.toml.
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -28,8 +27,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "LIVE_FLAG",
-    "MAX_KD",
-    "MAX_KP",
     "PLAY_FLAG",
     "ROBOT_FLAG",
     "DdsConfig",
@@ -44,7 +41,7 @@ __all__ = [
 ]
 
 #: The greatest gains that are ever sent, N·m/rad and N·m·s/rad: beyond any that a G1 is run with.
-MAX_KP, MAX_KD = 500.0, 50.0
+_MAX_KP, _MAX_KD = 500.0, 50.0
 
 #: Commands with the same flags: those that go on DDS, play a motion, write a session file.
 _ON_ROBOT = ("demo", "stream", "sim", "record", "replay", "rerun", "doctor")
@@ -213,14 +210,6 @@ class StreamConfig(Table):
         ge=0.0,
         le=0.1,
     )
-    correction: Path | None = setting(
-        None,
-        "correction of the joint targets that `g1stream learn` made; refused for another motion, "
-        "rate, gains, support or feed-forward",
-        flag=("stream",),
-        example="better.npz",
-        strict=False,
-    )
     time_scale: float | None = setting(
         None,
         "simulated over real time, which velocities are corrected by; measured from the joints if "
@@ -255,8 +244,8 @@ class GainsConfig(Table):
     over earlier ones, and joints that nothing names keep the example's gain.
     """
 
-    kp: dict[str, Annotated[float, Field(ge=0.0, le=MAX_KP)]] = Field(default_factory=dict)
-    kd: dict[str, Annotated[float, Field(ge=0.0, le=MAX_KD)]] = Field(default_factory=dict)
+    kp: dict[str, Annotated[float, Field(ge=0.0, le=_MAX_KP)]] = Field(default_factory=dict)
+    kd: dict[str, Annotated[float, Field(ge=0.0, le=_MAX_KD)]] = Field(default_factory=dict)
 
 
 class RecordConfig(Table):

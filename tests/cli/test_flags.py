@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from g1stream.cli.command import announce_wire
+from g1stream.cli.compare import Compare
 from g1stream.cli.flags import flag_name, parse_flags
-from g1stream.cli.learn import Learn
 from g1stream.cli.library import Library
 from g1stream.cli.record import Record
 from g1stream.cli.robot import Robot
@@ -132,11 +132,11 @@ def test_a_default_is_in_the_help_but_of_what_a_flag_switches_off(capsys):
 
 def test_a_flag_can_be_required(capsys):
     with pytest.raises(ConfigError) as caught:
-        parse_flags(Learn, "learn", "", ["session.mcap"])
-    assert "-o" in caught.value.cause
+        parse_flags(Compare, "compare", "", ["session.mcap"])
+    assert "--with" in caught.value.cause
     with pytest.raises(SystemExit):
-        parse_flags(Learn, "learn", "", ["--help"])
-    assert capsys.readouterr().out.count("(required)") == 2  # SESSION... and -o
+        parse_flags(Compare, "compare", "", ["--help"])
+    assert capsys.readouterr().out.count("(required)") == 2  # BASE... and --with
 
 
 def test_a_gains_file_goes_over_the_configs_entry_by_entry(tmp_path):

@@ -174,7 +174,7 @@ def make_loop(
         # Soft: the robot of the fake link does not move, and no torque limit is to be reached.
         gains = Gains(np.arange(29) / 8.0 + 4.0, np.arange(29) / 100.0 + 0.1)
         schedule = Schedule(targets, timing, 2 * MS)
-        of_commands = ("feedforward", "correction", "soft_start")
+        of_commands = ("feedforward", "soft_start")
         commands = NextCommand(
             schedule,
             Composer(CommandLimits(robot, safety), gains, damp_kd=3.0),

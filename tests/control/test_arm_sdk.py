@@ -14,7 +14,6 @@ from g1stream.control.make_loop import make_loop
 from g1stream.dds.messages import LowCmd
 from g1stream.errors import ConfigError
 from g1stream.programs.stream import for_wire
-from g1stream.robot.model import G1
 from g1stream.types import Phase
 
 PERIOD = 2_000_000  # ns
@@ -99,24 +98,6 @@ def test_what_cannot_be_is_refused(flag, value):
     with pytest.raises(ConfigError) as refused:
         for_wire(load_config(over={"stream.via": "arm_sdk", f"stream.{flag}": value}))
     assert f"stream.{flag}" in refused.value.cause
-
-
-@pytest.mark.parametrize(
-    ("stream", "robot_name", "reason"),
-    [
-        ({"joints": "arms"}, None, "--joints"),
-        ({"joints": "arms", "via": "arm_sdk"}, None, "--joints"),
-        ({"via": "arm_sdk"}, None, "--via"),
-        ({}, "g1_23dof", "Leave --exact out"),
-    ],
-)
-def test_what_is_for_all_joints_is_refused_with_the_reason(
-    link, clock, trajectory, stream, robot_name, reason
-):
-    config = load_config(over={f"stream.{name}": value for name, value in stream.items()})
-    with pytest.raises(ConfigError) as refused:
-        make_loop(config, G1.load(robot_name), trajectory, link, clock, recorded=True)
-    assert reason in refused.value.remedy
 
 
 def test_arms_that_do_not_play_hold_their_pose(made, link):

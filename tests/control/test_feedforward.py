@@ -160,14 +160,6 @@ def test_kind_and_support_are_decided_from_what_is_known(
     assert warned == bool(wanted or contradicted)
 
 
-def test_recorded_commands_keep_their_own_feedforward(model, target, imu, caplog):
-    feed = made(model, recorded=True)
-    feed.begin("bolted")
-    assert feed.command(Phase.PLAY, 0.0, target, imu, NOW) is target
-    assert feed.command(Phase.HOLD, 0.0, target, imu, NOW).tau.any()
-    assert all("recorded" in record.getMessage() for record in caplog.records)
-
-
 def faulty(imu, **parts):
     return imu._replace(**{name: np.asarray(value, np.float32) for name, value in parts.items()})
 

@@ -36,13 +36,12 @@ def run(*arguments: object, folder: Path | None = None) -> subprocess.CompletedP
 def sessions(
     module_domain_id: int, running: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory
 ) -> dict[str, tuple[Session, dict[str, Any]]]:
-    """A motion as it was streamed, replayed, replayed exactly and replayed at half speed."""
+    """A motion as it was streamed, replayed, and replayed at half speed."""
     directory = tmp_path_factory.mktemp("replay")
     first = directory / "first.mcap"
     runs = {
         "first": ["stream", "demo", "--start", 2.0, "--duration", PLAY],
         "again": ["replay", first],
-        "exact": ["replay", first, "--exact"],
         "slow": ["replay", first, "--speed", 0.5],
     }
     found = {}
@@ -85,31 +84,13 @@ def test_half_the_speed_takes_twice_as_long(sessions):
 
 
 def test_it_is_played_as_any_motion_is(sessions):
-    for name in ("again", "exact", "slow"):
+    for name in ("again", "slow"):
         session, summary = sessions[name]
         assert summary["stream"]["reason"] == ""
         assert session.complete
         told = [event.text for event in session.log if event.name == "stream"]
         for change in ("RAMP -> PLAY", "PLAY -> HOLD", "HOLD -> DAMP", "DAMP -> DONE"):
             assert change in told
-
-
-def test_exact_reports_the_feedforward_of_the_recording(sessions):
-    session, summary = sessions["exact"]
-    assert summary["stream"]["feedforward"] == "recorded"
-    (event,) = [event.text for event in session.log if event.text.startswith("feed-forward:")]
-    assert "recorded" in event
-
-
-def test_exact_means_bit_for_bit(sessions):
-    first, exact = sessions["first"][0], sessions["exact"][0]
-    reference = exact.reference
-    stamps = set(reference.publish_time[reference.phase == Phase.PLAY].tolist())
-    sent = [m.data for m in exact.messages("/lowcmd") if m.publish_time in stamps]
-    assert len(sent) > 0.5 * PLAY * 500
-    # All are of the first session, and in the order that they were recorded in.
-    order = {data: i for i, data in enumerate(first.replay_bytes("/lowcmd"))}
-    assert np.all(np.diff([order[data] for data in sent]) >= 0)
 
 
 def test_a_replay_does_not_carry_the_first_session_along(sessions):
@@ -143,7 +124,6 @@ def test_info_looks_into_it(sessions):
         (["replay", "nowhere.mcap"], "nowhere.mcap"),
         (["replay", PATIENT], "not an MCAP"),
         (["replay", "{first}", "--speed", 0], "speed"),
-        (["replay", "{first}", "--exact", "--loop"], "--loop"),
         (["info", "nowhere.mcap"], "nowhere.mcap"),
         (["info", PATIENT], "not an MCAP"),
     ],

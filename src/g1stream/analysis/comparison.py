@@ -13,7 +13,6 @@ from g1stream.analysis.comparison_table import comparison_table
 from g1stream.analysis.delay import interpolated
 from g1stream.analysis.differences import Difference, differences, ranked
 from g1stream.analysis.metrics import metrics
-from g1stream.analysis.played import SAME_INTERVAL
 from g1stream.analysis.summary import flat, played
 from g1stream.config import Config
 from g1stream.errors import RecordingError
@@ -45,6 +44,8 @@ CONDITION_NAMES: Final = (
 
 #: References of one motion differ by no more than this at the same motion time, rad.
 _SAME_MOTION: Final = 0.01
+#: Sessions that were played from and to within this, s, have played the same: a few LowStates.
+_SAME_INTERVAL: Final = 0.1
 #: A common part shorter than this, s, is none.
 _SHORTEST: Final = 0.1
 #: Motion times at which references are compared, Hz.
@@ -204,7 +205,7 @@ class _Run(NamedTuple):
 
     def metrics_of(self, start: float, stop: float, joints: tuple[int, ...]) -> Metrics:
         """Of some joints in a part of the motion; in the whole session if it played little else."""
-        whole = max(start - self.start, self.stop - stop) < SAME_INTERVAL
+        whole = max(start - self.start, self.stop - stop) < _SAME_INTERVAL
         if whole and joints == self.joints:
             return self.metrics
         session = _opened(self.source)
@@ -359,7 +360,6 @@ def _facts(session: Session, summary: Summary) -> Iterator[tuple[str, str]]:
         yield from (
             (f"gains.{name}.{j}", f"{k:g}") for j, k in zip(JOINT_NAMES, gains, strict=False)
         )
-    yield "correction", str(info.correction.source) if info.correction else "none"
     yield from ((f"version of {name}", v) for name, v in summary.versions.items())
     if summary.host:
         yield "host", summary.host

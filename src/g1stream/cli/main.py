@@ -28,8 +28,6 @@ _COMMANDS: Final = {
     "sim": ("sim", "Sim", "Simulate a G1 on DDS: a MuJoCo bridge on the topics of the robot."),
     "record": ("record", "Record", "Record what is on DDS into a session file (MCAP)."),
     "replay": ("stream", "Replay", "Play a recorded session again."),
-    "learn": ("learn", "Learn", "Learn from sessions of a motion to follow it more closely."),
-    "identify": ("identify", "Identify", "Tell which robot a session was recorded on."),
     "convert": (
         "convert",
         "Convert",

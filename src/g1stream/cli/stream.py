@@ -155,7 +155,6 @@ class Stream(PlayCommand, MotionFlags):
       g1stream stream dance.csv --record dance.mcap --support hanging
       g1stream stream dance.csv --support feet --joints arms,waist
       g1stream stream wave.csv dance.npz --blend 1 --trim 2:10 --mirror
-      g1stream stream dance.csv --correction better.npz --record second.mcap
       g1stream stream dance.csv --config robot --interface eth0 --arm --duration 5
 
     Exit codes:
@@ -197,7 +196,6 @@ class Replay(PlayCommand):
     Examples:
       g1stream replay dance.mcap
       g1stream replay dance.mcap --speed 0.5 --record slow.mcap
-      g1stream replay dance.mcap --exact
 
     Exit codes:
       0        played as asked
@@ -207,12 +205,6 @@ class Replay(PlayCommand):
     """
 
     file: Path = argument("The session file, or one of its parts.", "MCAP")
-    exact: bool = flag(
-        False,
-        "Publish the recorded LowCmds, bit for bit, gains and torques included, while it plays. "
-        "Refused where one is beyond a limit or for motors that are off, or where the robot would "
-        "jump: where two recordings meet, or over a gap longer than safety.state_timeout.",
-    )
     speed: float = flag(1.0, "How many times as fast as it was recorded.", "X", gt=0)
 
     def run(self) -> int:
@@ -224,7 +216,6 @@ class Replay(PlayCommand):
             summary = replay(
                 self.file,
                 config,
-                exact=self.exact,
                 speed=self.speed,
                 record=self.record,
                 force=self.force,

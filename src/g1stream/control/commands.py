@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from g1stream.safety_settings import SafetyConfig
     from g1stream.types import BeyondLimits
 
-__all__ = ["MAX_STEP_TIME", "SPEED_TOLERANCE", "CommandLimits", "Composer"]
+__all__ = ["MAX_STEP_TIME", "CommandLimits", "Composer"]
 
 MAX_STEP_TIME: Final = 0.02
 """A joint target may move in one step by what its joint can do in this time, s.
@@ -36,8 +36,8 @@ loop on an ordinary system. It is also the longest time by which a target may la
 its joint is too slow for it, and the most of a motion that is caught up on after a stall.
 """
 
-SPEED_TOLERANCE: Final = 1e-3
-"""Relative tolerance of a joint's speed: a motion exactly at its limit passes."""
+#: Relative tolerance of a joint's speed: a motion exactly at its limit passes.
+_SPEED_TOLERANCE: Final = 1e-3
 
 
 class CommandLimits:
@@ -78,7 +78,7 @@ class CommandLimits:
         self._beyond = beyond
         self._begun: Floats = (robot.lower + robot.upper) / 2
         #: Largest step, rad, and velocity, rad/s.
-        self._reach = np.stack([robot.velocity] * 2) * (1.0 + SPEED_TOLERANCE)
+        self._reach = np.stack([robot.velocity] * 2) * (1.0 + _SPEED_TOLERANCE)
         self._fastest = self._reach[1].copy()
         #: Positions of the last command, with zeros for velocities, before the torque was limited.
         self._aimed, self._next_aimed = np.zeros((2, 2, N_JOINTS))
@@ -200,10 +200,7 @@ class CommandLimits:
         )
 
     def _limit_speed(self, asked: Floats) -> Floats:
-        """Targets (2, 29) that the joints reach from those before; the same object if these are.
-
-        The rule is that of `g1stream.exact_replay.commands.find_jump`.
-        """
+        """Targets (2, 29) that the joints reach from those before; the same object if these are."""
         change = asked - self._aimed
         beyond = np.abs(change) > self._reach
         if not np.count_nonzero(beyond):

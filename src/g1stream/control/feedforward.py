@@ -62,14 +62,12 @@ class FeedForward:
         preview: s by which the target of a command is ahead of its publish time, because it takes
             effect later; None: a period for a bridge that announces its support, otherwise 0.
         time_scale: simulated over real time; None: it is measured.
-        recorded: the commands of PLAY are recorded ones, so that this applies to RAMP and HOLD.
         onboard: the robot's own controller carries it, and only arms and waist are commanded. Their
             torque is that of a pelvis at rest in the attitude that the IMU measures, whatever the
             legs do.
 
     Attributes:
         kind, support: as given; after `begin`, as decided.
-        recorded: as given.
         scale: the measured time scale; None where it is given.
         ramp: as given; it may be set until RAMP begins.
         saturated: (29,) int64, ticks at which each joint's torque was held at its limit.
@@ -87,12 +85,10 @@ class FeedForward:
         ramp: float,
         preview: float | None = 0.0,
         time_scale: float | None = 1.0,
-        recorded: bool = False,
         onboard: bool = False,
     ) -> None:
         self.kind = kind
         self.support = support
-        self.recorded = recorded
         self.scale = TimeScale() if time_scale is None else None
         self.saturated: Ints = np.zeros(N_JOINTS, dtype=np.int64)
         self.changes: list[FeedForwardChange] = []
@@ -140,7 +136,6 @@ class FeedForward:
         robot: G1,
         period: float,
         *,
-        recorded: bool = False,
         held: NDArray[np.bool_] | None = None,
     ) -> FeedForward:
         """The feed-forward of a config for commands that are `period` seconds apart.
@@ -155,12 +150,10 @@ class FeedForward:
         other = G1.load(REVISIONS[1]) if robot is G1.default() else None
         source: TorqueSource | None = None
         if settings.support == "feet":
-            if recorded or kind not in (None, "dynamics"):
+            if kind not in (None, "dynamics"):
                 raise ConfigError(
                     "support feet needs torques that are computed at every tick.",
-                    "Leave out --exact, or hold the robot otherwise."
-                    if recorded
-                    else "Give --feedforward dynamics, or hold the robot otherwise.",
+                    "Give --feedforward dynamics, or hold the robot otherwise.",
                 )
             source = StandingTorques(robot, other, period)
         elif kind in (None, "dynamics"):
@@ -169,7 +162,6 @@ class FeedForward:
                 InverseDynamics(other) if other else None,
                 period=period,
                 complete=bool(limit.all()),
-                checked=not recorded,
             )
         return cls(
             kind,
@@ -180,7 +172,6 @@ class FeedForward:
             ramp=settings.ramp,
             preview=settings.preview,
             time_scale=settings.time_scale,
-            recorded=recorded,
             onboard=settings.via == "arm_sdk",
         )
 
@@ -230,8 +221,6 @@ class FeedForward:
         text = f"dynamics, support {self.support}" if self.kind == "dynamics" else str(self.kind)
         if unknown:
             text += " only: the support is unknown; give --support"
-        if self.recorded:
-            text = f"recorded; in RAMP and HOLD {text}"
         _LOGGER.log(logging.WARNING if unknown else logging.INFO, "feed-forward: %s", text)
         if self.kind == "dynamics" and self._source and self.support:
             self._source.begin(self.support, announced, robot)
@@ -268,8 +257,7 @@ class FeedForward:
             imu: of the pelvis.
         """
         phase = self._phase
-        playing_recorded = self.recorded and phase is Phase.PLAY
-        if self.scale and phase is not Phase.WAIT and not playing_recorded:
+        if self.scale and phase is not Phase.WAIT:
             self.scale.add(time, q, dq)
         if self._source:
             self._source.observe(phase, time, Reading(q, dq, tau, imu), self.time_scale)
@@ -294,8 +282,6 @@ class FeedForward:
         self._phase = phase
         if self.kind == "none":
             return target.replace(dq=0.0)
-        if self.recorded and phase is Phase.PLAY:
-            return target
         target = target.slowed(self.time_scale)
         if self.kind != "dynamics":
             return target

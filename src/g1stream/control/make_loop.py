@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import inf
 from typing import TYPE_CHECKING, Final
 
 from g1stream.control.arm_sdk import MOVED, ArmSdkComposer, settings_for_arm_sdk
@@ -21,20 +20,15 @@ from g1stream.control.squat import SQUAT_TIME, Squat
 from g1stream.control.targets import Targets
 from g1stream.dds.domain import SETTLE
 from g1stream.dds.topics import ARM_SDK, LOWCMD
-from g1stream.errors import ConfigError
 from g1stream.motion.blend import COAST
-from g1stream.motion.correction import Conditions, CorrectionSpline
 from g1stream.motion.limits import Interval
 
 if TYPE_CHECKING:
     from g1stream.clock import Clock
     from g1stream.config import Config
-    from g1stream.control.gains import Gains
     from g1stream.control.link import Link
-    from g1stream.motion.correction import Correction
     from g1stream.motion.trajectory import Trajectory
     from g1stream.robot.model import G1
-    from g1stream.settings import StreamConfig
 
 __all__ = ["make_loop"]
 
@@ -50,8 +44,6 @@ def make_loop(
     clock: Clock,
     *,
     settle: int = round(SETTLE * 1e9),
-    recorded: bool = False,
-    correction: Correction | None = None,
 ) -> StreamLoop:
     """The loop that plays a trajectory as configured, not yet running.
 
@@ -62,12 +54,10 @@ def make_loop(
         link: the wire.
         clock: now, stamp and sleep_until.
         settle: how long other publishers are waited for before the first command, ns.
-        recorded: the link replaces the commands of PLAY by recorded ones.
-        correction: of the joint targets.
 
     Raises:
         ConfigError: the interval to play, the joints, the gains or the margin to the limits are
-            invalid, or the correction is not for this motion and these settings.
+            invalid.
         RobotError: the inverse dynamics of this robot cannot be computed.
     """
     settings = config.stream
@@ -77,22 +67,8 @@ def make_loop(
     period = round(1e9 / settings.rate)  # whole, because deadlines are
     gains = gains_in_play(config, robot)
     played = robot.select(settings.played_joints)
-    if not played.all() and (recorded or correction):
-        what, flag = ("Recorded commands are", "--exact")
-        if not recorded:
-            what, flag = ("A correction is", "--correction")
-        cause, remedy = f"a {robot.joint_set.name} lacks some", f"Leave {flag} out."
-        if settings.joints is not None:
-            cause = f"stream.joints = {settings.joints!r} selects some"
-            remedy = f"Leave --joints out, or {flag}."
-        elif settings.via == "arm_sdk":
-            cause = "stream.via = arm_sdk moves arms and waist only"
-            remedy = f"Leave --via out, or {flag}."
-        raise ConfigError(f"{what} for all joints, and {cause}.", remedy)
     held = played if settings.others == "free" else robot.present
-    # Recorded commands were checked, and are sent instead of those that are composed.
-    beyond = "clamp" if recorded else settings.beyond_limits
-    limits = CommandLimits(robot, config.safety, beyond)
+    limits = CommandLimits(robot, config.safety, settings.beyond_limits)
     composer = Composer(limits, gains, settings.damp_kd, played, robot.present)
     topic = LOWCMD
     if settings.via == "arm_sdk":
@@ -103,11 +79,6 @@ def make_loop(
         squat = Squat(robot)
         hold = round(1e9 * max(settings.hold, COAST))
         timing = replace(timing, hold=hold, squat=round(1e9 * SQUAT_TIME))
-    spline = None
-    if correction:
-        _require_fit(correction, settings, robot, trajectory, gains)
-        stop = inf if interval.length is None else interval.start + interval.length
-        spline = CorrectionSpline(correction, interval.start, stop)
     targets = Targets(
         trajectory,
         start=interval.start,
@@ -124,10 +95,7 @@ def make_loop(
         schedule,
         composer,
         period=period,
-        feedforward=FeedForward.from_config(
-            settings, robot, period / 1e9, recorded=recorded, held=held
-        ),
-        correction=spline,
+        feedforward=FeedForward.from_config(settings, robot, period / 1e9, held=held),
         soft_start=round(settings.soft_start * 1e9),
     )
     return StreamLoop(
@@ -140,25 +108,5 @@ def make_loop(
         period=period,
         allow_second_writer=config.safety.allow_second_writer,
         topic=topic,
-        command_delay=None if recorded or topic is ARM_SDK else CommandDelay(balanced=bool(squat)),
-    )
-
-
-def _require_fit(
-    correction: Correction, settings: StreamConfig, robot: G1, trajectory: Trajectory, gains: Gains
-) -> None:
-    """Refuse a correction for another motion or settings, as far as they are known now."""
-    learned, motion = correction.conditions, trajectory.motion
-    correction.require(
-        Conditions(
-            motion=motion.name,
-            motion_sha256=motion.content_sha256,
-            robot=robot.name,
-            rate=settings.rate,
-            kp=gains.kp,
-            kd=gains.kd,
-            # Without a setting, both are decided when the robot's state and support are known.
-            feedforward=settings.feedforward or learned.feedforward,
-            support=settings.support or learned.support,
-        )
+        command_delay=None if topic is ARM_SDK else CommandDelay(balanced=bool(squat)),
     )

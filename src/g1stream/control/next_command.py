@@ -1,4 +1,4 @@
-"""The command of the next deadline: the target of the schedule, correction, feed-forward, limits.
+"""The command of the next deadline: the target of the schedule, feed-forward, limits.
 
 Pure: times and measurements come in as arguments. All times are ns of one clock.
 """
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from g1stream.control.schedule import Schedule
     from g1stream.control.state_checks import Measured
     from g1stream.control.targets import Ramp, Target
-    from g1stream.motion.correction import CorrectionSpline
 
 __all__ = ["NextCommand", "Prepared"]
 
@@ -50,8 +49,6 @@ class NextCommand:
         composer: limits a command, and encodes it.
         period: between commands.
         feedforward: what a command carries beside the position; the velocity alone if left out.
-        correction: added to the joint targets of the commands, not to the published reference;
-            needs a feed-forward.
         soft_start: length of damping before RAMP, so that the first commands are not stiff.
 
     Attributes:
@@ -68,7 +65,6 @@ class NextCommand:
         *,
         period: int,
         feedforward: FeedForward | None = None,
-        correction: CorrectionSpline | None = None,
         soft_start: int = 0,
     ) -> None:
         self.feedforward = feedforward
@@ -78,24 +74,15 @@ class NextCommand:
         self._schedule = schedule
         self._composer = composer
         self._period = period
-        self._correction = correction
         self._soft_start = soft_start
         self._soft_until: int | None = None
         self._sent = 0
         self._sent_for: int | None = None
 
     def begin(self, measured: Measured, support: str | None, model: str | None) -> None:
-        """RAMP begins, of a robot that announces its support and model; None where it does not.
-
-        Raises:
-            ConfigError: the correction was learned with another feed-forward or support.
-        """
-        if feedforward := self.feedforward:
-            feedforward.begin(support, model)
-            if self._correction and feedforward.kind:
-                self._correction.correction.require_feedforward(
-                    feedforward.kind, feedforward.support
-                )
+        """RAMP begins, of a robot that announces its support and model; None where it does not."""
+        if self.feedforward:
+            self.feedforward.begin(support, model)
         self._ramp_from(measured)
         if self._soft_start:
             self._soft_until = self._schedule.state.since + self._soft_start
@@ -141,17 +128,11 @@ class NextCommand:
             commanded = feedforward.command(
                 schedule.state.phase,
                 schedule.state.elapsed(deadline) / 1e9,
-                self._corrected(effective),
+                effective,
                 measured.imu,
                 (now - measured.received) / 1e9,
             )
         self.compose(due, commanded, deadline, measured)
-
-    def _corrected(self, target: Target) -> Target:
-        if self._correction is None:
-            return target
-        q, dq, ddq = self._correction.at(target.motion_time)
-        return target.replace(q=target.q + q, dq=target.dq + dq, ddq=target.ddq + ddq)
 
     def compose(
         self, due: Target, commanded: Target, deadline: int, measured: Measured | None

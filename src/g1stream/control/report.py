@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -91,7 +91,7 @@ class LoopReport:
     limits: CommandLimits
     saturated: Ints = field(default_factory=lambda: np.zeros(N_JOINTS, np.int64))
     reason: str = ""
-    feedforward: FeedForwardKind | Literal["recorded"] | None = None
+    feedforward: FeedForwardKind | None = None
     support: StreamSupport | None = None
     feedforward_changes: list[FeedForwardChange] = field(default_factory=list)
     preview: float | None = None
@@ -113,9 +113,9 @@ class LoopReport:
 
     def begin(self, feedforward: FeedForward) -> None:
         """Take what a feed-forward has decided on, and its counters."""
-        self.feedforward = "recorded" if feedforward.recorded else feedforward.kind
+        self.feedforward = feedforward.kind
         self.support = feedforward.support
-        self.preview = None if feedforward.recorded else feedforward.preview
+        self.preview = feedforward.preview
         self.saturated, self.feedforward_changes = feedforward.saturated, feedforward.changes
 
     @property

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from g1stream.robot.dynamics import InverseDynamics
     from g1stream.types import Support
 
-__all__ = ["RevisionFit", "Window"]
+__all__ = ["RevisionFit"]
 
 
 #: Of a measured torque from that of the true model, N·m.
@@ -29,7 +29,7 @@ _DEVIATION: Final = 0.15
 _STICTION_SPEED: Final = 0.05
 
 
-class Window(NamedTuple):
+class _Window(NamedTuple):
     """The means of some readings.
 
     Attributes:
@@ -50,7 +50,7 @@ class Window(NamedTuple):
     friction: Floats
 
     @classmethod
-    def of(cls, readings: Sequence[tuple[Floats, ...]], passed: float) -> Window | None:
+    def of(cls, readings: Sequence[tuple[Floats, ...]], passed: float) -> _Window | None:
         """Of tuples of q, dq, tau and an `ImuReading`, over `passed` s of the robot's time.
 
         The acceleration is the change of velocity. None if a value is not finite.
@@ -110,9 +110,9 @@ class RevisionFit:
         models: the two.
     """
 
-    WINDOW: Final = 0.1  # s
-    GAP: Final = 0.03  # s between readings, beyond which a window is not used
-    FEWEST: Final = 8  # readings in a window
+    _WINDOW: Final = 0.1  # s
+    _GAP: Final = 0.03  # s between readings, beyond which a window is not used
+    _FEWEST: Final = 8  # readings in a window
     #: The least information that decides, 1 / variance of a.
     _ENOUGH: Final = 10.0
 
@@ -144,19 +144,19 @@ class RevisionFit:
         `FeedForward.observe` describes the reading; `scale` is simulated over real time.
         """
         next(self._work, None)
-        if not 0.0 < time - self._last <= self.GAP:
+        if not 0.0 < time - self._last <= self._GAP:
             self._readings, self._start = [], time
         self._last = time
         self._readings.append(tuple(part.astype(np.float64) for part in (q, dq, tau, *imu)))
         passed = (time - self._start) * scale
-        if time - self._start >= self.WINDOW:
-            if len(self._readings) >= self.FEWEST:
+        if time - self._start >= self._WINDOW:
+            if len(self._readings) >= self._FEWEST:
                 self._work = self._evaluate(self._readings, passed)
             self._readings, self._start = self._readings[-1:], time
 
     def _evaluate(self, readings: list[tuple[Floats, ...]], passed: float) -> Iterator[None]:
         """Compare a window, in steps of one solution each."""
-        window = Window.of(readings, passed)
+        window = _Window.of(readings, passed)
         if window is None:
             return
         predicted = []

@@ -124,8 +124,6 @@ class HeldTorques:
             torques are compared with both, and the one that fits better is used from then on.
         period: s between commands.
         complete: every joint gets its torque; otherwise the revisions cannot be told apart.
-        checked: every command has this torque; otherwise neither the force that carries the robot
-            nor how it is held can be observed.
     """
 
     needed: ClassVar = False
@@ -141,11 +139,10 @@ class HeldTorques:
         *,
         period: float,
         complete: bool = True,
-        checked: bool = True,
     ) -> None:
         self._dynamics, self._alternative = dynamics, alternative
         self._period = period
-        self._complete, self._checked = complete, checked
+        self._complete = complete
         self._support: Support = "bolted"
         self._trusted = False
         self._observer: ForceObserver | None = None
@@ -179,8 +176,6 @@ class HeldTorques:
                 announced,
                 support,
             )
-        if not self._checked:
-            return
         if self._alternative and robot == self._alternative.name:
             self._dynamics = self._alternative
         elif self._alternative and robot is None and self._complete:

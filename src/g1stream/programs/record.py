@@ -20,7 +20,6 @@ from g1stream.errors import RecordingError, WireError
 from g1stream.events import ConsoleHandler, handled_by
 from g1stream.files import timestamped
 from g1stream.foxglove.pipeline import MessagePipeline
-from g1stream.motion.correction import ATTACHMENT_NAME, Correction
 from g1stream.programs.child_process import run_child
 from g1stream.programs.ros2 import publishing_for_ros2
 from g1stream.realtime import lower_priority
@@ -92,17 +91,12 @@ def record(
     pipeline = MessagePipeline(robot, settings)  # before there is a file: may refuse
     about, now = _metadata(config, session or SessionInfo()), time.time_ns()
     size, duration = settings.split_size, settings.split_duration
-    corrected = session and session.correction and session.correction.source
-    correction = Correction.load(corrected) if corrected else None
 
     def write_file_header(writer: SessionWriter) -> None:
         writer.add_metadata(about)
         writer.attach("robot.urdf", "application/xml", robot.urdf.encode(), now)
         writer.attach("config.json", "application/json", config.model_dump_json().encode(), now)
         attach_motion(writer, session.motion if session else None, now)
-        if correction:
-            data = correction.to_bytes()
-            writer.attach(ATTACHMENT_NAME, "application/octet-stream", data, now)
         for messages in pipeline.file_header(time.time_ns()):
             writer.write_batch(*messages)
 

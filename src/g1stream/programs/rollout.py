@@ -18,7 +18,6 @@ from g1stream.dds.messages import Batch
 from g1stream.dds.topics import LOG
 from g1stream.errors import ConfigError
 from g1stream.foxglove.pipeline import MessagePipeline
-from g1stream.motion.correction import ATTACHMENT_NAME, Correction
 from g1stream.motion.fit import fit_to_robot
 from g1stream.motion.motion import Motion
 from g1stream.programs.sim import make_world
@@ -59,7 +58,6 @@ def rollout(
     seconds: float | None = None,
     joints: str | None = None,
     announced: Support | None = None,
-    correction: Correction | str | Path | None = None,
     noise: Callable[[LowState], None] | None = None,
 ) -> Session:
     """Play a motion on a simulated robot, faster than real time, and return the session.
@@ -87,7 +85,6 @@ def rollout(
         seconds: how much of the motion to play; `config.stream.duration` if None.
         joints: those that play the motion, such as "arms,waist"; `config.stream.joints` if None.
         announced: how the simulated robot announces that it is held, where that shall be wrong.
-        correction: of the joint targets, or its file; `config.stream.correction` if None.
         noise: called with each `LowState` before it is published, which it may change in place;
             `config.sim.noise` if None.
 
@@ -120,20 +117,14 @@ def rollout(
     motion, changed = stand_if_asked(motion, robot, config)
     fitted = fit_to_robot(motion, robot, config, simulated=True)
     trajectory, motion = fitted.trajectory, fitted.trajectory.motion
-    if not isinstance(correction, Correction):
-        path = correction or config.stream.correction
-        correction = Correction.load(path) if path else None
-    loop = make_loop(config, robot, trajectory, link, link, settle=0, correction=correction)
+    loop = make_loop(config, robot, trajectory, link, link, settle=0)
     with _log_to(lambda data, _: on_sample(LOG, data, link.stamp())):
         if changed:
             _LOGGER.info("%s", changed)
         loop.run()
     source = MemorySource(f"rollout of {motion.name}")
-    info = SessionInfo.of(config, robot, motion, gains_in_play(config, robot)._asdict(), correction)
+    info = SessionInfo.of(config, robot, motion, gains_in_play(config, robot)._asdict())
     _write_header(source, config, robot, motion, info)
-    if correction:
-        data = correction.to_bytes()
-        source.attach(ATTACHMENT_NAME, "application/octet-stream", data, EPOCH)
     for messages in (*pipeline.file_header(EPOCH), *pipeline.encode(batches)):
         source.write_batch(*messages)
     stream = loop.report.summary().model_copy(

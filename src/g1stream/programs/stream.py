@@ -24,13 +24,9 @@ from g1stream.doctor.findings import explain_no_robot
 from g1stream.doctor.wire import inspect_participant
 from g1stream.errors import G1StreamError, SafetyError, WireError
 from g1stream.events import handled_by
-from g1stream.exact_replay.recorded_link import RecordedLink
 from g1stream.files import timestamped
-from g1stream.motion.correction import Correction
-from g1stream.motion.fit import Playable, fit_to_robot
-from g1stream.motion.limits import Interval
+from g1stream.motion.fit import fit_to_robot
 from g1stream.motion.motion import Motion
-from g1stream.motion.trajectory import Trajectory
 from g1stream.programs.arming import inspect_for_arming, motion_service, require_arming
 from g1stream.programs.child_process import Child, ChildError
 from g1stream.programs.guard import Guard
@@ -49,10 +45,11 @@ from g1stream.session.summary import Summary, Termination
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from g1stream.control.guard import Heartbeat
     from g1stream.control.loop import LoopReport
     from g1stream.doctor.facts import Finding
-    from g1stream.exact_replay.commands import RecordedCommands
+    from g1stream.motion.fit import Playable
+    from g1stream.motion.limits import Interval
+    from g1stream.motion.trajectory import Trajectory
     from g1stream.programs.arming import ArmingReport
     from g1stream.realtime import Grant
     from g1stream.settings import RecordConfig
@@ -78,7 +75,6 @@ def stream(
     force: bool = False,
     arm: Callable[[ArmingReport], bool] | None = None,
     on_loop: Callable[[StreamLoop], None] | None = None,
-    recorded: RecordedCommands | None = None,
 ) -> Summary:
     """Play a motion on the robot that subscribes to LowCmd, and return how it went.
 
@@ -94,7 +90,6 @@ def stream(
         arm: called before anything is sent with what is about to happen; nothing is sent unless it
             returns True. Needed on anything but the loopback interface.
         on_loop: called with the loop before it runs, to display it or to stop it.
-        recorded: commands to publish during PLAY, bit for bit, instead of new ones.
 
     Raises:
         SafetyError: it is not armed, the motion is beyond the robot's limits, or there is another
@@ -110,7 +105,6 @@ def stream(
     robot = G1.load(config.robot, own_limits=config.safety.urdf_limits)
     if not isinstance(motion, Motion):
         motion = load_motion(motion)
-    correction = Correction.load(path) if (path := config.stream.correction) else None
     clock = SystemClock()
     with (
         Guard(on_wire) as guard,
@@ -119,7 +113,7 @@ def stream(
     ):
         joined = clock.now()
         # Done now, because it takes as long as the discovery of other publishers.
-        playable = _fit(motion, robot, config, recorded)
+        playable = _fit(motion, robot, config)
         trajectory, interval = playable.trajectory, playable.interval
         motion = trajectory.motion
         _arm(participant, on_wire, trajectory, interval, arm)
@@ -127,23 +121,15 @@ def stream(
         if not config.safety.allow_second_writer:
             clock.sleep_until(joined + round(DISCOVERY * 1e9))
             _refuse_if_commanded(participant, config)
-        link = _link(participant, recorded, guard.wait_until_ready(), config)
+        link = DdsLink(participant, guard.wait_until_ready(), COMMANDS[config.stream.via])
         events = dds_log_handler(participant, "stream")
-        loop = make_loop(
-            on_wire,
-            robot,
-            trajectory,
-            link,
-            clock,
-            recorded=recorded is not None,
-            correction=correction,
-        )
+        loop = make_loop(on_wire, robot, trajectory, link, clock)
         if on_loop:
             on_loop(loop)
         recorder = None
         if session:
             gains = gains_in_play(config, robot)._asdict()
-            info = SessionInfo.of(config, robot, motion, gains, correction)
+            info = SessionInfo.of(config, robot, motion, gains)
             recorder = _RecorderChild(session, force, on_wire, info, loop)
         recording = None
         granted: list[Grant] = []
@@ -182,17 +168,6 @@ def stream(
         stream=played,
         recorder=recording,
     )
-
-
-def _link(
-    participant: Participant,
-    recorded: RecordedCommands | None,
-    heartbeat: Heartbeat | None,
-    config: Config,
-) -> DdsLink:
-    if recorded:
-        return RecordedLink(participant, recorded, heartbeat)
-    return DdsLink(participant, heartbeat, COMMANDS[config.stream.via])
 
 
 def _run(loop: StreamLoop, guard: Guard) -> LoopReport:
@@ -284,11 +259,8 @@ def _refuse_if_commanded(participant: Participant, config: Config) -> None:
         )
 
 
-def _fit(motion: Motion, robot: G1, config: Config, recorded: RecordedCommands | None) -> Playable:
-    """The motion as it may be played; recorded commands were checked, and are sent as they are."""
-    if recorded:
-        interval = Interval.from_config(config.stream, motion)
-        return Playable(Trajectory(motion, loop=config.stream.loop), interval)
+def _fit(motion: Motion, robot: G1, config: Config) -> Playable:
+    """The motion as it may be played."""
     motion, changed = stand_if_asked(motion, robot, config)
     playable = fit_to_robot(motion, robot, config, simulated=is_local_only(config.dds.interface))
     if changed:

@@ -21,7 +21,6 @@ constant velocity. docs/tracking.md has the derivation.
 
 from __future__ import annotations
 
-from copy import copy
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -127,7 +126,7 @@ class InverseDynamics:
         import mujoco
 
         robot.link_index(carrier)
-        model = copy(compiled_dynamics(robot, gravity))  # `carrier` may change it
+        model = compiled_dynamics(robot, gravity)
         self._mujoco: Any = mujoco
         self._model: Any = model
         self._data: Any = mujoco.MjData(model)
@@ -182,30 +181,6 @@ class InverseDynamics:
         tau = np.zeros(N_JOINTS)
         tau[self._present] = total[v] + friction_torque(dq)[self._present]
         return Solution(tau, base_acc[:3], base_acc[3:], total[:_BASE])
-
-    @property
-    def carrier(self) -> tuple[float, Floats]:
-        """Mass, kg, and mass centre (3,), m, in its frame, of the carrier with what is fixed to it.
-
-        May be set; the inertia about the mass centre remains.
-        """
-        model, data, (bodies, share) = self._model, self._data, self._rigid_part
-        self._mujoco.mj_kinematics(model, data)
-        turn = data.xmat[bodies[0]].reshape(3, 3)
-        centre: Floats = turn.T @ (share @ data.xipos[bodies] - data.xpos[bodies[0]])
-        return float(model.body_mass[bodies].sum()), centre
-
-    @carrier.setter
-    def carrier(self, mass_and_centre: tuple[float, Floats]) -> None:
-        model, bodies = self._model, self._rigid_part[0]
-        (before, centre), (mass, new) = self.carrier, mass_and_centre
-        first = bodies[0]
-        moment = model.body_mass[first] * model.body_ipos[first] + mass * new - before * centre
-        model.body_mass[first] += mass - before
-        model.body_ipos[first] = moment / model.body_mass[first]
-        self._mujoco.mj_setConst(model, self._data)
-        self._rigid_part = bodies, model.body_mass[bodies] / model.body_mass[bodies].sum()
-        self.mass = float(model.body_mass.sum())
 
     def _place(self, q: Floats, dq: Floats, base: BaseMotion) -> None:
         """Set the state in MuJoCo; the base stays at the origin, as nothing depends on it."""

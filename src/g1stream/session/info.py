@@ -14,12 +14,11 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from g1stream.config import Config
-    from g1stream.motion.correction import Correction
     from g1stream.motion.motion import Motion
     from g1stream.robot.model import G1
     from g1stream.types import Floats
 
-__all__ = ["CorrectionInfo", "MotionInfo", "SessionInfo"]
+__all__ = ["MotionInfo", "SessionInfo"]
 
 
 class MotionInfo(Record):
@@ -65,29 +64,6 @@ class MotionInfo(Record):
         return (self.frames - 1) / self.fps if self.frames and self.fps else None
 
 
-class CorrectionInfo(Record):
-    """The correction with which a motion was played; the file itself is attached.
-
-    Attributes:
-        source: path of its file.
-        repetitions: of the motion that it was learned from.
-        largest_rad: the largest correction, either way.
-    """
-
-    source: str | None = None
-    repetitions: Int | None = None
-    largest_rad: float | None = None
-
-    @classmethod
-    def of(cls, correction: Correction) -> CorrectionInfo:
-        """Of a correction in memory."""
-        return cls(
-            source=str(correction.source) if correction.source else None,
-            repetitions=len(correction.history),
-            largest_rad=correction.largest,
-        )
-
-
 class SessionInfo(Record):
     """What is known of a session before its first sample: the file's metadata as it begins.
 
@@ -101,7 +77,6 @@ class SessionInfo(Record):
         joints: names of those that play the motion; None in files of earlier versions: all.
         absent: names of those that the robot does not have.
         config: all settings of the streamer.
-        correction: of the joint targets; None: without.
     """
 
     g1stream: str | None = None
@@ -115,7 +90,6 @@ class SessionInfo(Record):
     joints: list[str] | None = None
     absent: list[str] = []
     config: dict[str, Any] | None = None
-    correction: CorrectionInfo | None = None
 
     @classmethod
     def of(
@@ -124,7 +98,6 @@ class SessionInfo(Record):
         robot: G1,
         motion: Motion,
         gains: Mapping[str, Floats],
-        correction: Correction | None = None,
     ) -> SessionInfo:
         """Of a motion that is about to be played; `gains` are arrays by the names in `Gains`."""
         return cls(
@@ -135,5 +108,4 @@ class SessionInfo(Record):
             ],
             absent=[JOINT_NAMES[i] for i in robot.joint_set.absent],
             config=config.model_dump(mode="json"),
-            correction=correction and CorrectionInfo.of(correction),
         )

@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from g1stream.errors import MotionError, RecordingError
 from g1stream.files import is_session, is_sqlite
 from g1stream.motion.files import motion_file, open_motion_file
@@ -14,7 +12,7 @@ from g1stream.motion.motion import Motion, check_fps
 from g1stream.session.info import MotionInfo
 from g1stream.session.poses import motion_of_poses
 from g1stream.session.records import read_record
-from g1stream.types import STREAM_RATE, Floats, Phase
+from g1stream.types import STREAM_RATE, Phase
 
 if TYPE_CHECKING:
     import os
@@ -30,7 +28,6 @@ if TYPE_CHECKING:
 __all__ = [
     "attached_motion",
     "check_motion_file",
-    "commanded_motion",
     "load_motion",
     "reference_motion",
 ]
@@ -172,18 +169,3 @@ def attached_motion(session: Session) -> Motion | None:
     except (KeyError, MotionError):
         return None
     return motion if motion.content_sha256 == info.content_sha256 else None
-
-
-def commanded_motion(times: Floats, q: Floats, path: Path) -> Motion:
-    """The joint targets of the commands, where there is no reference; the pelvis stays upright.
-
-    Args:
-        times: (N,) s, rising.
-        q: (N, 29) rad, motor order.
-        path: of the session; the motion gets its name.
-
-    Raises:
-        MotionError: that is less than two frames.
-    """
-    upright = np.tile([1.0, 0.0, 0.0, 0.0], (len(q), 1))
-    return motion_of_poses(times, q, np.zeros((len(q), 3)), upright, path, None)

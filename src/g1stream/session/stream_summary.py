@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 from g1stream.realtime import Grant
 from g1stream.session.records import Int, Percentiles, Record
 from g1stream.types import FeedForwardKind, StreamSupport
@@ -82,11 +80,9 @@ class StreamSummary(Record):
         torque_limited_ticks: joint -> ticks at which its target was brought nearer to the measured
             position, because the servo would have asked for more torque than the motor has.
         saturated_ticks: joint -> ticks at which its feed-forward torque was held at its limit.
-        feedforward: what commands carried beside the position when RAMP began; "recorded" where a
-            replay sent recorded commands.
+        feedforward: what commands carried beside the position when RAMP began.
         support: how the robot was taken to be held.
-        preview_s: by which commands were ahead of the reference (`stream.preview`); None where
-            recorded ones were sent.
+        preview_s: by which commands were ahead of the reference (`stream.preview`).
         feedforward_changes: when the torque was switched off and on again, in order.
         balance: of a robot on its feet.
         robot: name of the model that feed-forward torques were computed with.
@@ -126,7 +122,7 @@ class StreamSummary(Record):
     speed_limited_ticks: dict[str, Int] | None = None
     torque_limited_ticks: dict[str, Int] | None = None
     saturated_ticks: dict[str, Int] | None = None
-    feedforward: FeedForwardKind | Literal["recorded"] | None = None
+    feedforward: FeedForwardKind | None = None
     support: StreamSupport | None = None
     preview_s: float | None = None
     feedforward_changes: list[FeedForwardChange] = []

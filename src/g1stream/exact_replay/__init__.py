@@ -1,1 +1,0 @@
-"""Recorded commands, sent again bit for bit."""

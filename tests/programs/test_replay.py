@@ -66,7 +66,7 @@ def test_the_reference_is_a_motion_at_the_speed_asked_for(write, handed):
 
 
 def test_without_a_reference_there_is_no_motion_to_replay(write, handed):
-    with pytest.raises(RecordingError, match="No motion was played"):
+    with pytest.raises(RecordingError, match="no messages on /reference"):
         replay(write(references=False))
     assert not handed
 

@@ -85,21 +85,21 @@ def test_a_value_that_is_not_accepted_is_named_with_its_flag(command, arguments,
 @pytest.mark.parametrize(
     ("arguments", "cause", "remedy"),
     [
-        (["x", "--domian", "3"], "--domian", "--domain"),
+        (["x", "--domian", "3"], "flag --domian", "--domain"),
         (["--domian=3"], "--domian", "--domain"),
         (["x", "-q"], "-q", "--help"),
         ([], "MOTION", "--help"),
         (["--arm"], "MOTION", "--help"),
-        (["x", "--domain"], "--domain", "--domain N"),
-        (["x", "--duration", "--arm"], "--duration", "--duration S"),
-        (["x", "--support"], "--support", "--support {bolted,hanging,follow,free,feet}"),
+        (["x", "--domain"], "--domain", "--help"),
+        (["x", "--duration", "--arm"], "--duration", "--help"),
+        (["x", "--support"], "--support", "--help"),
         (["x", "--arm=yes"], "yes", "--help"),
     ],
 )
 def test_flags_and_arguments_that_do_not_exist_or_are_missing(arguments, cause, remedy, capsys):
     with pytest.raises(ConfigError) as caught:
         parse_flags(Stream, "stream", "", arguments)
-    assert cause in caught.value.cause.rstrip(".").split()
+    assert cause in caught.value.cause
     assert remedy in caught.value.remedy
     assert capsys.readouterr() == ("", "")
 

@@ -7,10 +7,10 @@ import os
 import signal
 import sys
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TextIO
 
-from g1stream.cli.flags import flag, given_settings
+from g1stream.cli.flags import flag
 from g1stream.text import printable
 
 if TYPE_CHECKING:
@@ -64,7 +64,13 @@ class Command:
 
 @dataclass(frozen=True, kw_only=True)
 class SettingsCommand(Command):
-    """A subcommand that has settings; `parse_flags` adds a field for each with a flag on it."""
+    """A subcommand that has settings.
+
+    Attributes:
+        settings: those whose flags were given, keyed like `stream.rate`; `parse_flags` sets it.
+    """
+
+    settings: dict[str, Any] = field(default_factory=dict)
 
     config: str | None = flag(
         None,
@@ -84,7 +90,7 @@ class SettingsCommand(Command):
 
     def overrides(self) -> dict[str, Any]:
         """The flags that were given, keyed like `stream.rate`."""
-        return given_settings(self)
+        return dict(self.settings)
 
 
 def announce_wire(config: Config, *, commands: bool = True) -> None:

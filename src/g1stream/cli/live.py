@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from g1stream.cli.command import SettingsCommand
-from g1stream.cli.flags import flag, given_settings
+from g1stream.cli.flags import flag
 from g1stream.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ class LiveCommand(SettingsCommand):
         Raises:
             ConfigError: the file or a value does not fit, or a flag has no effect.
         """
-        if not self.live and "live_port" in given_settings(self):
+        if not self.live and "live_port" in self.settings:
             raise ConfigError(
                 "The flag --live-port has no effect without --live.", "Add --live, or leave it out."
             )

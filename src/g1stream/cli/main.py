@@ -6,50 +6,77 @@ import os
 import shutil
 import signal
 import sys
-from contextlib import contextmanager, suppress
 from difflib import get_close_matches
 from importlib import import_module
 from io import TextIOWrapper
-from pathlib import Path
 from textwrap import TextWrapper
-from typing import TYPE_CHECKING, Any, Final, TextIO, cast
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from g1stream.errors import ConfigError, G1StreamError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
 
-__all__ = ["main"]
+    from g1stream.cli.command import Command
 
-#: Command -> the module and class of it, imported only when it runs, and its purpose.
-_COMMANDS: Final = {
-    "demo": ("demo", "Demo", "Simulate a G1 on this machine, play a motion, record and compare."),
-    "stream": ("stream", "Stream", "Play a motion on the robot or simulator that listens on DDS."),
-    "sim": ("sim", "Sim", "Simulate a G1 on DDS: a MuJoCo bridge on the topics of the robot."),
-    "record": ("record", "Record", "Record what is on DDS into a session file (MCAP)."),
-    "replay": ("stream", "Replay", "Play a recorded session again."),
-    "convert": (
-        "convert",
-        "Convert",
-        "Convert a motion into MCAP, CSV, NPZ, or a session into a ROS 2 bag.",
-    ),
-    "library": ("library", "Library", "Check, simulate or convert many motions at once."),
-    "info": ("info", "Info", "Print what is in a session file, and how well it went."),
-    "report": ("report", "Report", "Write a page on sessions: tables, figures, events."),
-    "plot": ("plot", "Plot", "Plot joints of a session: PNG, SVG or PDF."),
-    "compare": ("compare", "Compare", "Compare sessions of a motion: what got better or worse."),
-    "render": (
-        "render",
-        "Render",
-        "Make a video of a session: the robot, and its reference as a ghost.",
-    ),
-    "rerun": ("rerun", "Rerun", "Show a session, or what is on DDS, in the Rerun viewer."),
-    "repair": ("repair", "Repair", "Write the index of a session whose recorder was killed."),
-    "layout": ("layout", "Layout", "Write a layout of a viewer that shows sessions."),
-    "motion": ("motion", "Inspect", "Check a motion file: frames, joints, limits, physics."),
-    "robot": ("robot", "Robot", "Show, release or restore the robot's own controller."),
-    "doctor": ("doctor", "Doctor", "Find what keeps robot and g1stream apart, or the loop late."),
+__all__ = ["COMMANDS", "load_command", "main"]
+
+
+class _Row(NamedTuple):
+    """A command.
+
+    Attributes:
+        home: module and class of it, imported only when it runs. The extra that it belongs to is
+            the folder below `extras`.
+        purpose: one sentence.
+    """
+
+    home: str
+    purpose: str
+
+
+COMMANDS: Final = {
+    name: _Row(*row)
+    for name, row in {
+        "demo": (
+            "cli.demo:Demo",
+            "Simulate a G1 on this machine, play a motion, record and compare.",
+        ),
+        "stream": ("cli.stream:Stream", "Play a motion on the robot or simulator on DDS."),
+        "sim": ("cli.sim:Sim", "Simulate a G1 on DDS: a MuJoCo bridge on the robot's topics."),
+        "record": ("cli.record:Record", "Record what is on DDS into a session file (MCAP)."),
+        "replay": ("cli.stream:Replay", "Play a recorded session again."),
+        "convert": (
+            "cli.convert:Convert",
+            "Convert a motion into MCAP, CSV, NPZ, or a session into a ROS 2 bag.",
+        ),
+        "library": ("cli.library:Library", "Check, simulate or convert many motions at once."),
+        "info": ("cli.info:Info", "Print what is in a session file, and how well it went."),
+        "report": ("cli.report:Report", "Write a page on sessions: tables, figures, events."),
+        "plot": ("cli.plot:Plot", "Plot joints of a session: PNG, SVG or PDF."),
+        "compare": (
+            "cli.compare:Compare",
+            "Compare sessions of a motion: what got better or worse.",
+        ),
+        "render": (
+            "cli.render:Render",
+            "Make a video of a session: the robot, and its reference as a ghost.",
+        ),
+        "rerun": ("cli.rerun:Rerun", "Show a session, or what is on DDS, in the Rerun viewer."),
+        "repair": (
+            "cli.repair:Repair",
+            "Write the index of a session whose recorder was killed.",
+        ),
+        "layout": ("cli.layout:Layout", "Write a layout of a viewer that shows sessions."),
+        "motion": ("cli.motion:Inspect", "Check a motion file: frames, joints, limits, physics."),
+        "robot": ("cli.robot:Robot", "Show, release or restore the robot's own controller."),
+        "doctor": (
+            "cli.doctor:Doctor",
+            "Find what keeps robot and g1stream apart, or the loop late.",
+        ),
+    }.items()
 }
+"""The commands. To add one, add a row."""
 
 _HELP: Final = """\
 usage: g1stream [-h] [--version] COMMAND ...
@@ -88,16 +115,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):  # what the terminal's encoding lacks is escaped
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
-    with _lenient_output() as output:
-        try:
-            code = _run(arguments)
-        except KeyboardInterrupt:
-            return 128 + signal.SIGINT
-        except G1StreamError as error:
-            print(_error_text(error), file=sys.stderr)
-            return 2
-        output.flush()
-        return code or int(output.failed)
+    try:
+        code = _run(arguments)
+        sys.stdout.flush()
+    except KeyboardInterrupt:
+        return 128 + signal.SIGINT
+    except G1StreamError as error:
+        print(_error_text(error), file=sys.stderr)
+        return 2
+    except BrokenPipeError:  # as from `| head`: nobody reads on
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    return code
 
 
 def _error_text(error: G1StreamError) -> str:
@@ -114,72 +143,9 @@ def _error_text(error: G1StreamError) -> str:
     return "\n".join(lines)
 
 
-class _Output:
-    """Standard output or error: what cannot be written is dropped, and the program goes on.
-
-    Attributes:
-        failed: whether something was dropped.
-    """
-
-    def __init__(self, stream: TextIO) -> None:
-        self._stream = stream
-        self.failed = False
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._stream, name)
-
-    def write(self, text: str) -> int:
-        if not self.failed:
-            try:
-                return self._stream.write(text)
-            except OSError as error:
-                self._fail(error)
-        return len(text)
-
-    def flush(self) -> None:
-        if not self.failed:
-            try:
-                self._stream.flush()
-            except OSError as error:
-                self._fail(error)
-
-    def _fail(self, error: OSError) -> None:
-        self.failed = True
-        # What is buffered must not fail again at exit.
-        with suppress(OSError), Path(os.devnull).open("w") as nothing:
-            os.dup2(nothing.fileno(), self._stream.fileno())
-        if self is sys.stdout and not isinstance(error, BrokenPipeError):  # that is `| head`
-            print(f"error: standard output cannot be written: {error.strerror}", file=sys.stderr)
-
-
-@contextmanager
-def _lenient_output() -> Iterator[_Output]:
-    """Let no output fail, neither on a full disk nor on a terminal or pipe that is closed.
-
-    Yields:
-        Standard output.
-    """
-    # A closed descriptor would be given to the next file that is opened, and printed into.
-    while (descriptor := os.open(os.devnull, os.O_RDWR)) <= 2:
-        pass
-    os.close(descriptor)
-    before = sys.stdout, sys.stderr
-    output, errors = (
-        _Output(stream or os.fdopen(number, "w", closefd=False))
-        for number, stream in enumerate(before, start=1)
-    )
-    sys.stdout, sys.stderr = cast("TextIO", output), cast("TextIO", errors)
-    try:
-        yield output
-    finally:
-        output.flush()
-        errors.flush()
-        sys.stdout, sys.stderr = before
-
-
 def _run(arguments: Sequence[str]) -> int:
     if not arguments or arguments[0] in ("-h", "--help"):
-        lines = [f"  {name:<8} {purpose}" for name, (_, _, purpose) in _COMMANDS.items()]
+        lines = [f"  {name:<8} {purpose}" for name, (_, purpose) in COMMANDS.items()]
         print(_HELP.format(commands="\n".join(lines)), end="")
         return 0
     name, *rest = arguments
@@ -188,12 +154,30 @@ def _run(arguments: Sequence[str]) -> int:
 
         print(f"g1stream {__version__}")
         return 0
-    if name not in _COMMANDS:
-        close = get_close_matches(name, _COMMANDS, 3) or list(_COMMANDS)
+    if name not in COMMANDS:
+        close = get_close_matches(name, COMMANDS, 3) or list(COMMANDS)
         raise ConfigError(f"There is no command {name}.", f"Choose from {', '.join(close)}.")
     from g1stream.cli.flags import parse_flags
 
-    module, kind, purpose = _COMMANDS[name]
-    command = getattr(import_module(f"g1stream.cli.{module}"), kind)
-    code: int = parse_flags(command, name, purpose, rest).run()
+    code: int = parse_flags(load_command(name), name, COMMANDS[name].purpose, rest).run()
     return code
+
+
+def load_command(name: str) -> type[Command]:
+    """The class of a command.
+
+    Raises:
+        ConfigError: the extra that it belongs to is not installed.
+    """
+    module, _, kind = COMMANDS[name].home.partition(":")
+    try:
+        command: type[Command] = getattr(import_module(f"g1stream.{module}"), kind)
+    except ModuleNotFoundError as error:
+        if not module.startswith("extras."):
+            raise
+        extra = module.split(".")[1]
+        raise ConfigError(
+            f"g1stream {name} needs {error.name}, which is not installed.",
+            f"Install the extra: pip install 'g1stream[{extra}]'.",
+        ) from error
+    return command

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from g1stream.cli.command import EXIT_OK, SettingsCommand, announce_wire, on_signals
-from g1stream.cli.flags import flag, flag_name, given_settings
+from g1stream.cli.flags import flag, flag_name
 from g1stream.errors import ConfigError
 from g1stream.events import ConsoleHandler, handled_by
 from g1stream.realtime import lower_priority
@@ -73,7 +73,7 @@ class Rerun(SettingsCommand):
             against, remedy = "--live", "Leave it out; `g1stream record` saves what is on DDS."
         else:
             wrong = ["config"] if self.config else []
-            wrong += [name.rpartition(".")[2] for name in given_settings(self)]
+            wrong += [name.rpartition(".")[2] for name in self.settings]
             against, remedy = "a session", "Leave it out."
         if wrong:
             raise ConfigError(f"{flag_name(wrong[0])} does not go with {against}.", remedy)

@@ -17,17 +17,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from g1stream.app.sim import make_world
 from g1stream.config import Config
-from g1stream.control.balance import Balance
 from g1stream.control.feedforward import FeedForward
 from g1stream.control.make_loop import make_loop
 from g1stream.control.state_checks import ImuReading
 from g1stream.control.targets import Target
 from g1stream.control.torques import Reading
+from g1stream.extras.feet.balance import Balance
+from g1stream.extras.physics.stance import on_standing_legs, stand
 from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
-from g1stream.physics.stance import on_standing_legs, stand
-from g1stream.programs.sim import make_world
 from g1stream.robot.model import G1
 from g1stream.robot.rotations import tilt_of
 from g1stream.session.motions import load_motion

@@ -18,8 +18,8 @@ from typing import Any, get_args
 
 from mcap.reader import make_reader
 
+from g1stream.app.rollout import rollout
 from g1stream.config import Config
-from g1stream.programs.rollout import rollout
 from g1stream.types import ChannelSet
 
 

@@ -27,8 +27,8 @@ from typing import Any
 import numpy as np
 
 import g1stream
-from g1stream.library.compute import Task, contents_of, rows_of
-from g1stream.library.processes import Limits
+from g1stream.extras.library.compute import Task, contents_of, rows_of
+from g1stream.extras.library.processes import Limits
 from g1stream.testing import dask_cluster
 
 

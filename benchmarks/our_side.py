@@ -23,13 +23,12 @@ from typing import Any
 import numpy as np
 
 from g1stream.clock import SystemClock, Ticker
+from g1stream.config import RealtimeConfig
 from g1stream.control.report import Lateness
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawReader, RawWriter
-from g1stream.dds.messages import LowCmd, LowState
-from g1stream.dds.topics import LOWCMD, LOWSTATE
+from g1stream.dds.messages import LOWCMD, LOWSTATE, LowCmd, LowState
 from g1stream.realtime import on_time
-from g1stream.settings import RealtimeConfig
 
 BURST = 16
 

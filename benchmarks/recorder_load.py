@@ -17,8 +17,7 @@ import numpy as np
 from g1stream.clock import SystemClock
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawWriter
-from g1stream.dds.messages import LowCmd, LowState, Reference
-from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE
+from g1stream.dds.messages import LOWCMD, LOWSTATE, REFERENCE, LowCmd, LowState, Reference
 
 TABLE = 4096
 MATCH_WITHIN = 15_000_000_000

@@ -21,7 +21,7 @@ from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 from mcap_protobuf.writer import Writer
 
 from g1stream.dds.domain import Participant
-from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE
+from g1stream.dds.messages import LOWCMD, LOWSTATE, REFERENCE
 from g1stream.robot.joints import JOINT_NAMES
 
 

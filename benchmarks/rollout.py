@@ -22,12 +22,12 @@ from typing import Any
 from unittest.mock import patch
 
 import g1stream
+from g1stream.app.sim import make_world
 from g1stream.config import load_config
 from g1stream.control.feedforward import FeedForward
-from g1stream.foxglove.pipeline import MessagePipeline
-from g1stream.programs.sim import make_world
 from g1stream.robot.model import G1
 from g1stream.sim.world import World
+from g1stream.view.pipeline import MessagePipeline
 
 PARTS = {
     "physics": ((World, "step"), (World, "state")),

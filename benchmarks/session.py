@@ -71,7 +71,7 @@ def stock(path: Path) -> dict[str, float]:
     from mcap.reader import make_reader
 
     from g1stream.dds.layout import Layout
-    from g1stream.dds.topics import LOWSTATE
+    from g1stream.dds.messages import LOWSTATE
 
     field = Layout.of(LOWSTATE.message.idl_type)["motor_state.q"]
     begun = time.perf_counter()

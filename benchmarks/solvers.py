@@ -24,7 +24,7 @@ import daqp
 import numpy as np
 
 from feet import NONE, ROBOT, play
-from g1stream.physics.stance import stand
+from g1stream.extras.physics.stance import stand
 from g1stream.session.motions import load_motion
 from g1stream.synthetic import squatting
 

@@ -15,7 +15,7 @@ from statistics import median
 import sides
 from g1stream.dds.domain import OBSERVER, Participant
 from g1stream.dds.endpoints import RawReader
-from g1stream.dds.topics import LOWCMD
+from g1stream.dds.messages import LOWCMD
 
 
 def first_command(domain: int) -> float:

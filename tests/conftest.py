@@ -24,8 +24,7 @@ from hypothesis import HealthCheck, settings
 from g1stream.dds.domain import OBSERVER, Participant
 from g1stream.dds.endpoints import RawReader
 from g1stream.dds.layout import members
-from g1stream.dds.messages import LowCmd
-from g1stream.dds.topics import LOWCMD, Topic
+from g1stream.dds.messages import LOWCMD, LowCmd, Topic
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -12,10 +12,10 @@ from pathlib import Path
 import pytest
 from hatchling.builders.wheel import WheelBuilder
 
+from g1stream.app.stream import for_wire
 from g1stream.config import SHIPPED, Config, load_config, settings
 from g1stream.control.state_checks import STATE_TIMEOUT
 from g1stream.errors import ConfigError
-from g1stream.programs.stream import for_wire
 
 ROOT = Path(__file__).parents[1]
 

@@ -28,6 +28,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.writer import CompressionType, Writer
 
+from g1stream.app.convert import convert
 from g1stream.cli.main import main
 from g1stream.config import load_config
 from g1stream.control.gains import read_gains
@@ -35,9 +36,7 @@ from g1stream.dds.layout import CDR_HEADER
 from g1stream.dds.messages import Log, LowCmd, LowState, Reference
 from g1stream.dds.ros2 import encode_joint_state, encode_tf
 from g1stream.errors import ConfigError, G1StreamError, MotionError, RecordingError, RobotError
-from g1stream.foxglove.encoders import encode_log
 from g1stream.motion.motion import Motion
-from g1stream.programs.convert import convert
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import DEFAULT_URDF, G1
 from g1stream.session.format import CHANNELS
@@ -45,6 +44,7 @@ from g1stream.session.motions import load_motion
 from g1stream.session.parts import SessionFiles
 from g1stream.session.session import open_session
 from g1stream.types import Phase
+from g1stream.view.encoders import encode_log
 
 #: What numpy complains about would be printed on the terminal.
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning", "error::UserWarning")

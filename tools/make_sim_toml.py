@@ -1,4 +1,4 @@
-"""Writes configs/sim.toml, every setting with its default, from the fields of g1stream.settings.
+"""Writes configs/sim.toml, every setting with its default, from the fields of g1stream.config.
 
 python tools/make_sim_toml.py
 """
@@ -9,8 +9,7 @@ import json
 import textwrap
 from typing import TYPE_CHECKING, Any
 
-from g1stream.config import SHIPPED, Config, settings
-from g1stream.settings import accepted
+from g1stream.config import SHIPPED, Config, accepted, settings
 
 if TYPE_CHECKING:
     from pydantic.fields import FieldInfo

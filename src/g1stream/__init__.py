@@ -18,30 +18,30 @@ from typing import TYPE_CHECKING, Any
 from g1stream._version import __version__
 
 if TYPE_CHECKING:
-    from g1stream.analysis.comparison import Comparison, compare
     from g1stream.analysis.delay import Delay
-    from g1stream.analysis.report.page import report
     from g1stream.analysis.tracking import Tracking
+    from g1stream.app.convert import Conversion, ConvertReport, convert
+    from g1stream.app.live import live
+    from g1stream.app.record import record
+    from g1stream.app.replay import replay
+    from g1stream.app.rollout import rollout
+    from g1stream.app.sim import simulate
+    from g1stream.app.stream import stream
     from g1stream.config import Config, load_config
     from g1stream.dds.messages import LowState, Samples
     from g1stream.errors import G1StreamError
-    from g1stream.library.compute import LibraryCase
-    from g1stream.library.rows import JointRow, MotionRow
-    from g1stream.library.run import LibraryRun, run_library
-    from g1stream.library.table import Library, open_library
+    from g1stream.extras.feet.stand import stand
+    from g1stream.extras.library.compute import LibraryCase
+    from g1stream.extras.library.rows import JointRow, MotionRow
+    from g1stream.extras.library.run import LibraryRun, run_library
+    from g1stream.extras.library.table import Library, open_library
+    from g1stream.extras.physics.measure import motion_physics
+    from g1stream.extras.physics.result import MotionPhysics
+    from g1stream.extras.physics.stance import Standing
+    from g1stream.extras.report.compare import Comparison, compare
+    from g1stream.extras.report.page import report
     from g1stream.motion.motion import Motion
     from g1stream.motion.trajectory import Trajectory, TrajectoryPoint
-    from g1stream.physics.measure import motion_physics
-    from g1stream.physics.result import MotionPhysics
-    from g1stream.physics.stance import Standing
-    from g1stream.programs.convert import Conversion, ConvertReport, convert
-    from g1stream.programs.live import live
-    from g1stream.programs.record import record
-    from g1stream.programs.replay import replay
-    from g1stream.programs.rollout import rollout
-    from g1stream.programs.sim import simulate
-    from g1stream.programs.standing import stand
-    from g1stream.programs.stream import stream
     from g1stream.robot.joints import JOINT_NAMES
     from g1stream.robot.model import G1
     from g1stream.session.metrics import Metrics
@@ -112,33 +112,33 @@ __all__ = [
 _HOME = {
     "Base": "session.streams",
     "Command": "session.streams",
-    "Comparison": "analysis.comparison",
+    "Comparison": "extras.report.compare",
     "Config": "config",
-    "Conversion": "programs.convert",
-    "ConvertReport": "programs.convert",
+    "Conversion": "app.convert",
+    "ConvertReport": "app.convert",
     "Delay": "analysis.delay",
     "G1": "robot.model",
     "G1StreamError": "errors",
     "JOINT_NAMES": "robot.joints",
-    "JointRow": "library.rows",
-    "Library": "library.table",
-    "LibraryCase": "library.compute",
-    "LibraryRun": "library.run",
+    "JointRow": "extras.library.rows",
+    "Library": "extras.library.table",
+    "LibraryCase": "extras.library.compute",
+    "LibraryRun": "extras.library.run",
     "LogEvent": "session.streams",
     "LowState": "dds.messages",
     "Measured": "session.streams",
     "Message": "session.session",
     "Metrics": "session.metrics",
     "Motion": "motion.motion",
-    "MotionPhysics": "physics.result",
-    "MotionRow": "library.rows",
+    "MotionPhysics": "extras.physics.result",
+    "MotionRow": "extras.library.rows",
     "PhaseInterval": "session.summary",
     "Reference": "session.streams",
     "Samples": "dds.messages",
     "SensorNoise": "sim.noise",
     "Session": "session.session",
     "SimReport": "sim.robot",
-    "Standing": "physics.stance",
+    "Standing": "extras.physics.stance",
     "Stream": "session.streams",
     "Summary": "session.summary",
     "TorsoImu": "session.streams",
@@ -146,22 +146,22 @@ _HOME = {
     "TrackingSummary": "session.summary",
     "Trajectory": "motion.trajectory",
     "TrajectoryPoint": "motion.trajectory",
-    "compare": "analysis.comparison",
-    "convert": "programs.convert",
-    "live": "programs.live",
+    "compare": "extras.report.compare",
+    "convert": "app.convert",
+    "live": "app.live",
     "load_config": "config",
     "load_motion": "session.motions",
-    "motion_physics": "physics.measure",
-    "open_library": "library.table",
+    "motion_physics": "extras.physics.measure",
+    "open_library": "extras.library.table",
     "open_session": "session.session",
-    "record": "programs.record",
-    "replay": "programs.replay",
-    "report": "analysis.report.page",
-    "rollout": "programs.rollout",
-    "run_library": "library.run",
-    "simulate": "programs.sim",
-    "stand": "programs.standing",
-    "stream": "programs.stream",
+    "record": "app.record",
+    "replay": "app.replay",
+    "report": "extras.report.page",
+    "rollout": "app.rollout",
+    "run_library": "extras.library.run",
+    "simulate": "app.sim",
+    "stand": "extras.feet.stand",
+    "stream": "app.stream",
 }
 
 

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from g1stream.dds.layout import CDR_HEADER, Layout
-from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE, SPORTMODESTATE
+from g1stream.dds.messages import LOWCMD, LOWSTATE, REFERENCE, SPORTMODESTATE
+from g1stream.extras.physics.legs import Legs
 from g1stream.motion.blend import minimum_jerk
 from g1stream.motion.motion import Motion
-from g1stream.physics.legs import Legs
 from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP, JOINT_NAMES, N_JOINTS
 from g1stream.robot.model import G1
 from g1stream.robot.rotations import quat_from_yaw, quat_rotate
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from g1stream.dds.topics import Topic
+    from g1stream.dds.messages import Topic
     from g1stream.session.source import MemorySource
     from g1stream.session.writer import SessionWriter
 

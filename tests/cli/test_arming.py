@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import pytest
 
+from g1stream.app.arming import ArmingReport, LimbDistance
 from g1stream.cli.arming import arming, render
 from g1stream.cli.main import main
 from g1stream.doctor.facts import ok, problem, warning
 from g1stream.errors import ConfigError
-from g1stream.programs.arming import ArmingReport, LimbDistance
 
 
 @pytest.fixture

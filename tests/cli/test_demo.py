@@ -8,9 +8,9 @@ from types import SimpleNamespace
 
 import pytest
 
+from g1stream.app import demo as program
 from g1stream.cli.demo import Demo
 from g1stream.errors import RecordingError
-from g1stream.programs import demo as program
 from g1stream.session.motions import load_motion
 from g1stream.session.summary import Summary, Termination
 

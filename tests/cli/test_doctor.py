@@ -6,7 +6,7 @@ from g1stream.cli.doctor import render
 from g1stream.cli.main import main
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawWriter
-from g1stream.dds.topics import LOWSTATE
+from g1stream.dds.messages import LOWSTATE
 from g1stream.doctor.facts import ok, problem, warning
 
 

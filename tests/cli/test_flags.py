@@ -5,15 +5,15 @@ from __future__ import annotations
 import pytest
 
 from g1stream.cli.command import announce_wire
-from g1stream.cli.compare import Compare
 from g1stream.cli.flags import flag_name, parse_flags
-from g1stream.cli.library import Library
 from g1stream.cli.record import Record
 from g1stream.cli.robot import Robot
 from g1stream.cli.sim import Sim
 from g1stream.cli.stream import Replay, Stream
 from g1stream.config import Config, settings
 from g1stream.errors import ConfigError
+from g1stream.extras.library.library_cli import Library
+from g1stream.extras.report.compare_cli import Compare
 
 CLASSES = {"stream": Stream, "replay": Replay, "record": Record, "sim": Sim}
 

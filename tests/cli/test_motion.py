@@ -12,9 +12,9 @@ import pytest
 
 from g1stream.cli.motion import render
 from g1stream.dds.messages import Reference
+from g1stream.extras.physics.result import MotionPhysics
 from g1stream.motion.check import check_file
 from g1stream.motion.limits import JointPeak
-from g1stream.physics.result import MotionPhysics
 from g1stream.robot.model import G1
 from g1stream.session.motions import load_motion
 from g1stream.session.writer import SessionWriter

@@ -6,9 +6,9 @@ import json
 
 import pytest
 
+from g1stream.app import motion_service
 from g1stream.cli.main import main
 from g1stream.dds.motion_switcher import OnboardStatus
-from g1stream.programs import motion_service
 
 
 @pytest.fixture

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+from g1stream.config import SafetyConfig
 from g1stream.control.commands import CommandLimits, Composer
 from g1stream.control.gains import Gains
 from g1stream.control.loop import StreamLoop
@@ -22,7 +23,6 @@ from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.joints import N_JOINTS
 from g1stream.robot.model import G1
-from g1stream.safety_settings import SafetyConfig
 from g1stream.testing import FakeClock, FakeLink
 from g1stream.types import Phase
 

@@ -7,13 +7,13 @@ import itertools
 import numpy as np
 import pytest
 
+from g1stream.app.stream import for_wire
 from g1stream.clock import Ticker
 from g1stream.config import load_config
 from g1stream.control.arm_sdk import hand_back_commands
 from g1stream.control.make_loop import make_loop
 from g1stream.dds.messages import LowCmd
 from g1stream.errors import ConfigError
-from g1stream.programs.stream import for_wire
 from g1stream.types import Phase
 
 PERIOD = 2_000_000  # ns

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from g1stream.config import SafetyConfig
 from g1stream.control.commands import MAX_STEP_TIME, CommandLimits, Composer
 from g1stream.control.gains import Gains
 from g1stream.control.state_checks import Measured
@@ -10,7 +11,6 @@ from g1stream.control.targets import Target
 from g1stream.dds.messages import LowCmd, LowState, Reference
 from g1stream.errors import ConfigError, SafetyError
 from g1stream.robot.joints import JOINT_NAMES
-from g1stream.safety_settings import SafetyConfig
 from g1stream.types import Phase
 
 PERIOD = 0.002

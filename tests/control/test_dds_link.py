@@ -6,8 +6,7 @@ from g1stream.control.guard import Heartbeat, Takeover, damping_command
 from g1stream.control.link import DdsLink
 from g1stream.dds.domain import Participant, user_data_of_bridge
 from g1stream.dds.endpoints import RawReader, RawWriter
-from g1stream.dds.messages import LowCmd, LowState, Reference
-from g1stream.dds.topics import LOWCMD, LOWSTATE
+from g1stream.dds.messages import LOWCMD, LOWSTATE, LowCmd, LowState, Reference
 
 
 @pytest.fixture

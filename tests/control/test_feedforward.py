@@ -7,6 +7,7 @@ import logging
 import numpy as np
 import pytest
 
+from g1stream.config import SafetyConfig, SimConfig
 from g1stream.control.commands import CommandLimits, Composer
 from g1stream.control.feedforward import FeedForward
 from g1stream.control.gains import Gains
@@ -20,14 +21,12 @@ from g1stream.control.state_checks import ImuReading
 from g1stream.control.support import ForceObserver
 from g1stream.control.targets import Targets
 from g1stream.control.torques import HeldTorques
-from g1stream.dds.topics import LOWSTATE
+from g1stream.dds.messages import LOWSTATE
 from g1stream.motion.blend import minimum_jerk
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.dynamics import InverseDynamics, Solution
 from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP
-from g1stream.safety_settings import SafetyConfig
 from g1stream.session.motions import load_motion
-from g1stream.settings import SimConfig
 from g1stream.sim.lockstep import Lockstep
 from g1stream.sim.robot import SimulatedRobot
 from g1stream.sim.world import World

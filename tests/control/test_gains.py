@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from g1stream.config import load_config
+from g1stream.config import GainsConfig, load_config
 from g1stream.control.gains import gains_in_play, resolve_gains
 from g1stream.errors import ConfigError
 from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP, JOINT_NAMES
 from g1stream.robot.model import G1
-from g1stream.settings import GainsConfig
 
 
 def test_defaults_are_the_example():

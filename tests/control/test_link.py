@@ -9,8 +9,7 @@ import pytest
 from g1stream.control.link import DdsLink
 from g1stream.dds.domain import Participant, user_data_of_bridge
 from g1stream.dds.endpoints import RawReader, RawWriter
-from g1stream.dds.messages import LowCmd, LowState, Reference
-from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE
+from g1stream.dds.messages import LOWCMD, LOWSTATE, REFERENCE, LowCmd, LowState, Reference
 
 STAMP = 1_700_000_000_123_456_789
 

@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from g1stream.config import SafetyConfig
 from g1stream.control.feedforward import FeedForward
 from g1stream.control.targets import Target, Targets
 from g1stream.control.torques import HeldTorques
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.dynamics import Solution
-from g1stream.safety_settings import SafetyConfig
 from g1stream.types import Phase
 
 MS = 1_000_000

@@ -5,9 +5,9 @@ import logging
 import numpy as np
 import pytest
 
+from g1stream.config import SafetyConfig
 from g1stream.control.targets import Targets
 from g1stream.errors import SafetyError
-from g1stream.safety_settings import SafetyConfig
 from g1stream.types import Phase
 
 MS = 1_000_000

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from g1stream.config import SafetyConfig
 from g1stream.control.feedforward import FeedForward
 from g1stream.dds.messages import LowState
-from g1stream.safety_settings import SafetyConfig
 from g1stream.types import Phase
 
 PERIOD = 2_000_000

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from g1stream.app.rollout import rollout
 from g1stream.config import load_config
 from g1stream.control.revision import RevisionFit
 from g1stream.control.state_checks import ImuReading
-from g1stream.programs.rollout import rollout
 from g1stream.robot.dynamics import InverseDynamics
 from g1stream.robot.model import G1, REVISIONS
 

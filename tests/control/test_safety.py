@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from g1stream.config import SafetyConfig
 from g1stream.control.safety import Safety
 from g1stream.dds.messages import LowState
 from g1stream.errors import ConfigError
-from g1stream.safety_settings import SafetyConfig
 
 NOW = 5_000_000_000
 

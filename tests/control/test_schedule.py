@@ -6,10 +6,10 @@ import pytest
 
 from g1stream.control.phases import Inputs, PhaseState, Timing
 from g1stream.control.schedule import Schedule
-from g1stream.control.squat import Squat
 from g1stream.control.targets import Targets
+from g1stream.extras.feet.squat import Squat
+from g1stream.extras.physics.stance import stand
 from g1stream.motion.trajectory import Trajectory
-from g1stream.physics.stance import stand
 from g1stream.robot.model import G1
 from g1stream.synthetic import squatting
 from g1stream.types import Phase

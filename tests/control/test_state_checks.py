@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from g1stream.config import SafetyConfig
 from g1stream.control.state_checks import Measured, StateChecks, is_unit
 from g1stream.dds.messages import LowState
 from g1stream.robot.model import G1
-from g1stream.safety_settings import SafetyConfig
 
 MS = 1_000_000
 NOW = 5_000 * MS

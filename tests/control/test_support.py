@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from g1stream.app.rollout import rollout
 from g1stream.config import load_config
 from g1stream.control.state_checks import ImuReading
 from g1stream.control.support import SupportCheck
 from g1stream.control.time_scale import TimeScale
-from g1stream.programs.rollout import rollout
 from g1stream.robot.dynamics import InverseDynamics
 from g1stream.robot.model import G1
 

@@ -190,7 +190,7 @@ import sys
 import time
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawReader, RawWriter
-from g1stream.dds.topics import LOWCMD, TOPICS
+from g1stream.dds.messages import LOWCMD, TOPICS
 
 with Participant(int(sys.argv[1]), "lo") as participant:
     writers = {topic.name: RawWriter(participant, topic) for topic in TOPICS}

@@ -20,8 +20,7 @@ from g1stream.dds.domain import (
     user_data_of_bridge,
 )
 from g1stream.dds.endpoints import RawReader, RawWriter
-from g1stream.dds.messages import LowCmd
-from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE, TOPICS
+from g1stream.dds.messages import LOWCMD, LOWSTATE, REFERENCE, TOPICS, LowCmd
 from g1stream.errors import WireError
 
 LOWCMD_TYPE = "unitree_hg::msg::dds_::LowCmd_"

@@ -9,8 +9,7 @@ from cyclonedds.core import DDSException
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.layout import CDR_HEADER, Layout
-from g1stream.dds.messages import LowCmd
-from g1stream.dds.topics import LOWCMD, LOWSTATE, TOPICS
+from g1stream.dds.messages import LOWCMD, LOWSTATE, TOPICS, LowCmd
 
 STAMP = 1_700_000_000_123_456_789
 

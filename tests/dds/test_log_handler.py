@@ -7,8 +7,7 @@ import pytest
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawReader
 from g1stream.dds.log_handler import dds_log_handler
-from g1stream.dds.messages import Log
-from g1stream.dds.topics import LOG
+from g1stream.dds.messages import LOG, Log
 from g1stream.events import handled_by
 
 pytestmark = pytest.mark.dds

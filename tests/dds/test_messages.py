@@ -7,6 +7,9 @@ from hypothesis import strategies as st
 
 from g1stream.dds.layout import CDR_HEADER, Layout
 from g1stream.dds.messages import (
+    LOWCMD,
+    LOWSTATE,
+    TOPICS,
     Log,
     LowCmd,
     LowState,
@@ -15,7 +18,6 @@ from g1stream.dds.messages import (
     Samples,
     SecondaryImu,
 )
-from g1stream.dds.topics import LOWCMD, LOWSTATE, TOPICS
 from g1stream.errors import WireError
 
 MESSAGES = list(dict.fromkeys(topic.message for topic in TOPICS))

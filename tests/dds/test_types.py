@@ -3,7 +3,7 @@
 from cyclonedds.idl import types as cyclone_types
 
 from g1stream.dds.layout import leaves, members
-from g1stream.dds.topics import TOPICS
+from g1stream.dds.messages import TOPICS
 
 # Beyond cyclonedds 0.10 IDL's octet is `byte` there: `uint8` would crash peers (see types.py).
 PRIMITIVES = {

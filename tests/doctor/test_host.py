@@ -6,9 +6,9 @@ from contextlib import nullcontext
 
 import pytest
 
+from g1stream.config import RealtimeConfig
 from g1stream.doctor import host
 from g1stream.doctor.host import inspect_host, measure_wakeup_latency, wakeup_latency
-from g1stream.settings import RealtimeConfig
 from g1stream.testing import FakeClock
 
 MS = 1_000_000

@@ -16,8 +16,7 @@ from cyclonedds.topic import Topic
 from g1stream.dds import types
 from g1stream.dds.domain import Participant, user_data_of_bridge
 from g1stream.dds.endpoints import RawReader, RawWriter
-from g1stream.dds.messages import LowState
-from g1stream.dds.topics import LOG, LOWCMD, LOWSTATE
+from g1stream.dds.messages import LOG, LOWCMD, LOWSTATE, LowState
 from g1stream.doctor.facts import Interface, Qos
 from g1stream.doctor.wire import inspect_domain, qos_facts
 

@@ -194,7 +194,7 @@ class Session:
 
     def children(self, program: str = "") -> list[int]:
         """The processes of this session's programs, or of one of them, such as `record`."""
-        name, found = f"g1stream.programs.{program}", []
+        name, found = f"g1stream.app.{program}", []
         for task in Path(f"/proc/{self.process.pid}/task").glob("*/children"):
             with suppress(OSError):  # a thread or a process that has just ended
                 pids = map(int, task.read_text().split())

@@ -6,8 +6,7 @@ from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
 
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawReader, RawWriter
-from g1stream.dds.messages import LowCmd, LowState
-from g1stream.dds.topics import LOWCMD, LOWSTATE
+from g1stream.dds.messages import LOWCMD, LOWSTATE, LowCmd, LowState
 
 N_MOTORS = 29
 # What the SDK's Python binding calls the fields, beside their names on the wire.

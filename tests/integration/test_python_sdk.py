@@ -16,9 +16,16 @@ from cyclonedds.idl.types import uint32
 
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawReader, RawWriter
-from g1stream.dds.messages import LowState, Message
+from g1stream.dds.messages import (
+    LOWCMD,
+    LOWSTATE,
+    SECONDARY_IMU,
+    SPORTMODESTATE,
+    LowState,
+    Message,
+    Topic,
+)
 from g1stream.dds.motion_switcher import ApiId
-from g1stream.dds.topics import LOWCMD, LOWSTATE, SECONDARY_IMU, SPORTMODESTATE, Topic
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.sim.onboard import MotionService
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from g1stream.programs.convert import Conversion, convert
+from g1stream.app.convert import Conversion, convert
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.kinematics import local_transforms
 from g1stream.robot.model import G1

@@ -15,8 +15,7 @@ from mcap.reader import make_reader
 
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawWriter
-from g1stream.dds.messages import LowState
-from g1stream.dds.topics import LOWSTATE
+from g1stream.dds.messages import LOWSTATE, LowState
 from g1stream.session.session import open_session
 
 

@@ -19,7 +19,7 @@ import sys, time
 from g1stream.dds.domain import Participant
 from g1stream.dds.messages import LowState
 from g1stream.dds.endpoints import RawWriter
-from g1stream.dds.topics import LOWSTATE
+from g1stream.dds.messages import LOWSTATE
 with Participant(int(sys.argv[1]), sys.argv[2]) as participant:
     writer, state = RawWriter(participant, LOWSTATE, 100), LowState()
     while not writer.matched:

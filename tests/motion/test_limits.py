@@ -9,13 +9,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from g1stream.app.stream import stream
 from g1stream.config import Config
 from g1stream.control.commands import CommandLimits
 from g1stream.control.loop import StreamLoop
 from g1stream.events import handled_by
 from g1stream.motion.limits import POSITION_TOLERANCE, Interval, measure_limits
 from g1stream.motion.trajectory import Trajectory
-from g1stream.programs.stream import stream
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.session.motions import load_motion
 

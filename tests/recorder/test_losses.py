@@ -6,8 +6,7 @@ import socket
 
 import pytest
 
-from g1stream.dds.messages import Batch, LowState, Reference
-from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE
+from g1stream.dds.messages import LOWCMD, LOWSTATE, REFERENCE, Batch, LowState, Reference
 from g1stream.recorder.losses import Losses, MissingCommands, dropped_datagrams
 
 

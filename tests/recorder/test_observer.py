@@ -10,8 +10,7 @@ from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 from g1stream.config import Config
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawWriter
-from g1stream.dds.messages import LowState
-from g1stream.dds.topics import LOWSTATE
+from g1stream.dds.messages import LOWSTATE, LowState
 from g1stream.recorder.observer import observe
 
 T0 = 1_700_000_000_000_000_000

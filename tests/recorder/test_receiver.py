@@ -8,14 +8,13 @@ import pytest
 
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawReader, RawSample, RawWriter
-from g1stream.dds.messages import LowState
-from g1stream.dds.topics import LOWSTATE
+from g1stream.dds.messages import LOWSTATE, LowState
 from g1stream.errors import RecordingError
-from g1stream.foxglove.pipeline import MessagePipeline
 from g1stream.recorder.receiver import Receiver
 from g1stream.recorder.recorder import Recorder
 from g1stream.robot.model import G1
 from g1stream.session.writer import SessionWriter
+from g1stream.view.pipeline import MessagePipeline
 
 T0 = 1_700_000_000_000_000_000
 

@@ -13,7 +13,7 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap_ros2.decoder import DecoderFactory
 
 from g1stream.dds.layout import leaves
-from g1stream.dds.topics import TOPICS
+from g1stream.dds.messages import TOPICS
 from g1stream.session.format import CHANNELS, metadata_from_strings, metadata_to_strings
 
 WIRE = [channel for channel in CHANNELS.values() if channel.dds_topic]

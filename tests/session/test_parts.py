@@ -10,7 +10,7 @@ import yaml
 from mcap.reader import make_reader
 
 from g1stream.dds.layout import CDR_HEADER, Layout
-from g1stream.dds.topics import LOWCMD, LOWSTATE
+from g1stream.dds.messages import LOWCMD, LOWSTATE
 from g1stream.errors import RecordingError
 from g1stream.session.format import metadata_from_strings
 from g1stream.session.parts import SessionFiles, check_recording_path, remove_recording

@@ -11,7 +11,7 @@ import pytest
 import yaml
 from mcap.reader import make_reader
 
-from g1stream.dds.topics import LOWCMD, LOWSTATE
+from g1stream.dds.messages import LOWCMD, LOWSTATE
 from g1stream.errors import RecordingError
 from g1stream.session.repair import repair_session
 from g1stream.session.session import open_session

@@ -8,7 +8,7 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from g1stream.dds.layout import members
-from g1stream.dds.topics import (
+from g1stream.dds.messages import (
     ARM_SDK,
     LOWCMD,
     LOWSTATE,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from g1stream.dds.topics import LOWCMD, LOWSTATE
+from g1stream.dds.messages import LOWCMD, LOWSTATE
 from g1stream.session.session import Session
 from g1stream.session.source import MemorySource
 

@@ -17,12 +17,12 @@ from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoders
 from mcap_ros2.decoder import DecoderFactory as Ros2Decoders
 
 from g1stream.errors import RecordingError
-from g1stream.foxglove.encoders import JointStatesTemplate
 from g1stream.session import writer as writer_module
 from g1stream.session.format import CHANNELS, metadata_from_strings
 from g1stream.session.info import MotionInfo
 from g1stream.session.parts import SessionFiles
 from g1stream.session.writer import SessionWriter, attach_motion
+from g1stream.view.encoders import JointStatesTemplate
 
 T0 = 1_700_000_000_000_000_000
 MS = 1_000_000

@@ -9,13 +9,20 @@ import numpy as np
 import pytest
 
 from g1stream.clock import SystemClock
-from g1stream.config import Config
+from g1stream.config import Config, SimConfig
 from g1stream.dds.domain import Participant, support_announced
 from g1stream.dds.endpoints import RawReader, RawWriter
-from g1stream.dds.messages import Log, LowCmd, LowState
-from g1stream.dds.topics import LOG, LOWCMD, LOWSTATE, SECONDARY_IMU, SPORTMODESTATE
+from g1stream.dds.messages import (
+    LOG,
+    LOWCMD,
+    LOWSTATE,
+    SECONDARY_IMU,
+    SPORTMODESTATE,
+    Log,
+    LowCmd,
+    LowState,
+)
 from g1stream.robot.model import G1
-from g1stream.settings import SimConfig
 from g1stream.sim.bridge import Bridge
 from g1stream.sim.robot import MODE_MACHINE_29, SimulatedRobot
 from g1stream.sim.world import World
@@ -70,7 +77,7 @@ def test_states_out_and_commands_in(domain_id):
 
 
 def test_events_are_published_and_logged(domain_id, caplog):
-    from g1stream.programs.sim import simulate
+    from g1stream.app.sim import simulate
 
     config = Config.model_validate({"dds": {"domain": domain_id}, "realtime": {"priority": 0}})
     event, command = Log(), good_command()

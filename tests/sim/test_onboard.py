@@ -9,15 +9,14 @@ import numpy as np
 import pytest
 
 from g1stream.clock import SystemClock
+from g1stream.config import SimConfig
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawReader
-from g1stream.dds.messages import LowCmd, LowState
+from g1stream.dds.messages import LOWCMD, LowCmd, LowState
 from g1stream.dds.motion_switcher import ApiEndpoint, MotionSwitcherClient, Request_
-from g1stream.dds.topics import LOWCMD
 from g1stream.errors import WireError
 from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP
 from g1stream.robot.model import G1
-from g1stream.settings import SimConfig
 from g1stream.sim.bridge import Bridge
 from g1stream.sim.onboard import MotionService
 from g1stream.sim.robot import SimulatedRobot

@@ -7,9 +7,9 @@ import logging
 import numpy as np
 import pytest
 
+from g1stream.config import SimConfig
 from g1stream.dds.messages import LowCmd, LowState, SecondaryImu, SportModeState
 from g1stream.robot.rotations import quat_to_rpy
-from g1stream.settings import SimConfig
 from g1stream.sim.robot import MODE_MACHINE_29, SimulatedRobot
 from g1stream.sim.world import World
 
@@ -62,7 +62,7 @@ def test_base_and_torso(simulated, world):
 
 @pytest.mark.parametrize("rate", [100, 300, 500, 1000])
 def test_simulated_time_is_a_multiple_of_the_period(robot, rate):
-    from g1stream.programs.sim import physics_timestep
+    from g1stream.app.sim import physics_timestep
 
     world = World(robot, timestep=physics_timestep(rate))
     simulated = SimulatedRobot(world, SimConfig(rate=rate))

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from g1stream.foxglove.tracking_error import MAX_GAP_NS
 from g1stream.types import Floats
+from g1stream.view.tracking_error import MAX_GAP_NS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

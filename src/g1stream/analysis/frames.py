@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from g1stream.foxglove.tracking_error import MAX_GAP_NS
 from g1stream.robot.rotations import (
     UNIT_TOLERANCE,
     quat_from_yaw,
@@ -21,6 +20,7 @@ from g1stream.robot.rotations import (
     yaw_of,
 )
 from g1stream.types import Floats
+from g1stream.view.tracking_error import MAX_GAP_NS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

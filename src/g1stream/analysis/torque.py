@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from g1stream.analysis.tracking import blocks, rms
-from g1stream.foxglove.tracking_error import MAX_GAP_NS
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.session.metrics import JointTorque, TorqueMetrics
 from g1stream.session.streams import Command
 from g1stream.types import Floats
+from g1stream.view.tracking_error import MAX_GAP_NS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

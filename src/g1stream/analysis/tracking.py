@@ -17,11 +17,11 @@ import numpy as np
 from g1stream.analysis.delay import Delay, Delays
 from g1stream.dds.messages import played_joints
 from g1stream.errors import RecordingError
-from g1stream.foxglove.tracking_error import MAX_GAP_NS, neighbours
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
 from g1stream.session.streams import Measured, Reference
 from g1stream.session.summary import JointTracking, TrackingSummary
 from g1stream.types import Floats, Phase
+from g1stream.view.tracking_error import MAX_GAP_NS, neighbours
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

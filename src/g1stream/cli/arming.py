@@ -13,8 +13,8 @@ from g1stream.errors import ConfigError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from g1stream.app.arming import ArmingReport
     from g1stream.doctor.facts import Finding
-    from g1stream.programs.arming import ArmingReport
 
 __all__ = ["arming", "render"]
 

@@ -101,7 +101,7 @@ def announce_wire(config: Config, *, commands: bool = True) -> None:
         commands: whether what is published moves a robot.
     """
     from g1stream.dds.domain import is_local_only
-    from g1stream.dds.topics import COMMANDS
+    from g1stream.dds.messages import COMMANDS
 
     where = f"DDS domain {config.dds.domain} on {config.dds.interface}"
     if os.environ.get("CYCLONEDDS_URI"):

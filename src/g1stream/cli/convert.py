@@ -27,7 +27,7 @@ from g1stream.text import counted
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from g1stream.programs.convert import ConvertReport
+    from g1stream.app.convert import ConvertReport
 
 __all__ = ["Convert"]
 
@@ -226,7 +226,7 @@ class Convert(MotionFlags):
     def _session_file(
         self, on_progress: Callable[[float], None]
     ) -> tuple[dict[str, Any], str, tuple[str, ...]]:
-        from g1stream.programs.convert import Conversion, convert
+        from g1stream.app.convert import Conversion, convert
         from g1stream.robot.model import G1
         from g1stream.session.timestamps import parse_time
 

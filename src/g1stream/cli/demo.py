@@ -50,7 +50,7 @@ class Demo(LiveCommand, MotionFlags):
 
     def run(self) -> int:
         """Run it, and return the exit code."""
-        from g1stream.programs.demo import FIGURE, REPORT, demo
+        from g1stream.app.demo import FIGURE, REPORT, demo
         from g1stream.robot.model import G1
 
         config = self.resolve()

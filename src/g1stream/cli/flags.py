@@ -189,10 +189,12 @@ class _Parser(ArgumentParser):
             shown = option.metavar if option.positional else f"The flag {names[0]}"
             about["type"] = self._reader(shown, kind, option.limits)
             about["action"] = "append" if get_origin(kind) is list else "store"
+            if get_origin(kind) is tuple:
+                about["nargs"] = "+"
+            elif option.positional and not option.required:
+                about["nargs"] = "?"
         if option.positional:
-            several = get_origin(kind) is tuple
-            nargs = "+" if several else None if option.required else "?"
-            group.add_argument(key, nargs=nargs, default=default, **about)
+            group.add_argument(key, default=default, **about)
             self._usage.append(metavar if option.required else f"[{metavar}]")
             return
         if option.required:
@@ -279,7 +281,7 @@ def _settings_of(command: str) -> dict[str, FieldInfo]:
 
 def _option_of(setting: FieldInfo) -> _Option:
     """The flag of a setting."""
-    from g1stream.settings import accepted
+    from g1stream.config import accepted
 
     about: Any = setting.json_schema_extra
     text, default = setting.description or "", setting.default

@@ -57,7 +57,7 @@ class Layout(Command):
         from g1stream.errors import ConfigError
         from g1stream.files import complete_file
         from g1stream.session.session import open_session
-        from g1stream.viewers.layouts import (
+        from g1stream.view.layouts import (
             DEFAULT_JOINTS,
             foxglove_layout,
             plotjuggler_layout,

@@ -52,7 +52,7 @@ class LiveCommand(SettingsCommand):
         if not self.live:
             yield
             return
-        from g1stream.programs.live import live
+        from g1stream.app.live import live
 
         with live(config) as address:
             where = f"Open connection > Foxglove WebSocket > {address}"

@@ -50,12 +50,18 @@ COMMANDS: Final = {
             "cli.convert:Convert",
             "Convert a motion into MCAP, CSV, NPZ, or a session into a ROS 2 bag.",
         ),
-        "library": ("cli.library:Library", "Check, simulate or convert many motions at once."),
+        "library": (
+            "extras.library.library_cli:Library",
+            "Check, simulate or convert many motions at once.",
+        ),
         "info": ("cli.info:Info", "Print what is in a session file, and how well it went."),
-        "report": ("cli.report:Report", "Write a page on sessions: tables, figures, events."),
+        "report": (
+            "extras.report.report_cli:Report",
+            "Write a page on sessions: tables, figures, events.",
+        ),
         "plot": ("cli.plot:Plot", "Plot joints of a session: PNG, SVG or PDF."),
         "compare": (
-            "cli.compare:Compare",
+            "extras.report.compare_cli:Compare",
             "Compare sessions of a motion: what got better or worse.",
         ),
         "render": (

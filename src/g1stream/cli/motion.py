@@ -23,10 +23,10 @@ from g1stream.text import counted, labelled
 
 if TYPE_CHECKING:
     from g1stream.config import Config
+    from g1stream.extras.physics.ground import Flags
+    from g1stream.extras.physics.result import MotionPhysics
     from g1stream.motion.check import FileReport, MotionReport
     from g1stream.motion.motion import Motion
-    from g1stream.physics.ground import Flags
-    from g1stream.physics.result import MotionPhysics
     from g1stream.robot.model import G1
 
 __all__ = ["Inspect", "render"]
@@ -126,8 +126,8 @@ class Inspect(SettingsCommand, MotionFlags):
     def _draw_feet(
         self, path: Path, robot: G1, motion: Motion, frames: range, played: Flags
     ) -> None:
+        from g1stream.extras.feet.stand import stand_or_explain
         from g1stream.files import save_figure
-        from g1stream.programs.standing import stand_or_explain
 
         standing = stand_or_explain(motion, robot, frames, played)
         save_figure(standing.plot, path, force=self.force)
@@ -138,7 +138,7 @@ class Inspect(SettingsCommand, MotionFlags):
         self, robot: G1, max_tilt: float, motion: Motion, frames: range, played: Flags
     ) -> MotionPhysics:
         """What it would take to play the motion."""
-        from g1stream.physics.measure import motion_physics
+        from g1stream.extras.physics.measure import motion_physics
 
         done = 0.0
 

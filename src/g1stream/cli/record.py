@@ -50,7 +50,7 @@ class Record(LiveCommand):
 
     def run(self) -> int:
         """Record, and return the exit code."""
-        from g1stream.programs.record import record
+        from g1stream.app.record import record
 
         lower_priority()
         stopped: list[str] = []

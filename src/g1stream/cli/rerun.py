@@ -58,7 +58,7 @@ class Rerun(SettingsCommand):
         if self.out:
             print(session.to_rerun(self.out, force=self.force))
         else:
-            from g1stream.programs.rerun import show_session
+            from g1stream.app.rerun import show_session
 
             show_session(session, self.connect)
         return EXIT_OK
@@ -81,7 +81,7 @@ class Rerun(SettingsCommand):
             raise ConfigError("--out and --connect do not go together.", "Leave one of them out.")
 
     def _show_live(self) -> int:
-        from g1stream.programs.rerun import show_live
+        from g1stream.app.rerun import show_live
 
         lower_priority()
         config = self.resolve()

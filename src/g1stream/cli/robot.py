@@ -77,7 +77,7 @@ class Robot(SettingsCommand):
             raise ConfigError(f"{name} has no effect on robot {self.action}.", "Leave it out.")
 
     def _status(self, config: Config) -> int:
-        from g1stream.programs.motion_service import onboard_status
+        from g1stream.app.motion_service import onboard_status
 
         status = onboard_status(config.dds, self.timeout)
         if self.json:
@@ -87,8 +87,8 @@ class Robot(SettingsCommand):
         return EXIT_OK
 
     def _change(self, config: Config) -> int:
+        from g1stream.app.motion_service import release_mode, restore_mode
         from g1stream.dds.domain import is_local_only, network_name
-        from g1stream.programs.motion_service import release_mode, restore_mode
 
         if not is_local_only(config.dds.interface):
             what = (

@@ -55,7 +55,7 @@ class Sim(LiveCommand):
 
     def run(self) -> int:
         """Simulate, and return the exit code."""
-        from g1stream.programs.sim import simulate
+        from g1stream.app.sim import simulate
 
         stopped: list[str] = []
         config = self.resolve()

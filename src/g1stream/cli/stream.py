@@ -168,7 +168,7 @@ class Stream(PlayCommand, MotionFlags):
 
     def run(self) -> int:
         """Play, and return the exit code."""
-        from g1stream.programs.stream import stream
+        from g1stream.app.stream import stream
         from g1stream.robot.model import G1
 
         config = self.resolve()
@@ -209,7 +209,7 @@ class Replay(PlayCommand):
 
     def run(self) -> int:
         """Play, and return the exit code."""
-        from g1stream.programs.replay import replay
+        from g1stream.app.replay import replay
 
         config = self.resolve()
         with self.serving(config), playing() as prepare:

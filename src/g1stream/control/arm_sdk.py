@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from g1stream.config import StreamConfig
     from g1stream.control.gains import Gains
-    from g1stream.settings import StreamConfig
 
 __all__ = ["MOVED", "ArmSdkComposer", "hand_back_commands", "settings_for_arm_sdk"]
 

@@ -19,11 +19,11 @@ from g1stream.types import Floats, Phase
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from g1stream.config import SafetyConfig
     from g1stream.control.gains import Gains
     from g1stream.control.state_checks import Measured
     from g1stream.control.targets import Target
     from g1stream.robot.model import G1
-    from g1stream.safety_settings import SafetyConfig
     from g1stream.types import BeyondLimits
 
 __all__ = ["MAX_STEP_TIME", "CommandLimits", "Composer"]

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Final, get_args
 
 import numpy as np
 
-from g1stream.control.standing_torques import StandingTorques
 from g1stream.control.state_checks import STALE, ImuReading, all_finite, is_unit
 from g1stream.control.time_scale import TimeScale
 from g1stream.control.torques import HeldTorques, Moment, Reading
 from g1stream.errors import ConfigError
+from g1stream.extras.feet.standing_torques import StandingTorques
 from g1stream.motion.blend import minimum_jerk
 from g1stream.robot.dynamics import InverseDynamics
 from g1stream.robot.joints import N_JOINTS
@@ -25,10 +25,10 @@ from g1stream.types import FeedForwardKind, Floats, Ints, Phase, StreamSupport, 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from g1stream.config import StreamConfig
     from g1stream.control.targets import Target
     from g1stream.control.torques import TorqueSource
     from g1stream.session.stream_summary import BalanceSummary
-    from g1stream.settings import StreamConfig
 
 __all__ = ["FeedForward"]
 

@@ -14,9 +14,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from g1stream.config import Config
+    from g1stream.config import Config, GainsConfig
     from g1stream.robot.model import G1
-    from g1stream.settings import GainsConfig
 
 __all__ = ["Gains", "gains_in_play", "read_gains", "resolve_gains"]
 
@@ -78,8 +77,7 @@ def read_gains(path: Path) -> dict[str, Any]:
     """
     from pydantic import ValidationError
 
-    from g1stream.config import read_toml
-    from g1stream.settings import GainsConfig
+    from g1stream.config import GainsConfig, read_toml
 
     tables = read_toml(path, "gains file")
     try:

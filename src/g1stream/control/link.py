@@ -9,8 +9,8 @@ from g1stream.control.guard import Takeover
 from g1stream.dds.domain import OBSERVER, robot_announced, support_announced
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.layout import CDR_HEADER, Layout
+from g1stream.dds.messages import LOWCMD, LOWSTATE, REFERENCE, Topic
 from g1stream.dds.ticks import TickGaps
-from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE, Topic
 
 if TYPE_CHECKING:
     from g1stream.control.guard import Heartbeat

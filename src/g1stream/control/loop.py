@@ -17,8 +17,7 @@ from g1stream.control.overruns import Overruns
 from g1stream.control.phases import Inputs, PhaseState
 from g1stream.control.report import LoopReport
 from g1stream.control.safety import Safety
-from g1stream.dds.messages import LowState
-from g1stream.dds.topics import ARM_SDK, LOWCMD, Topic
+from g1stream.dds.messages import ARM_SDK, LOWCMD, LowState, Topic
 from g1stream.errors import G1StreamError, SafetyError
 from g1stream.text import counted
 from g1stream.types import Phase

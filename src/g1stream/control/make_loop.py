@@ -16,10 +16,10 @@ from g1stream.control.overruns import Overruns
 from g1stream.control.phases import Timing
 from g1stream.control.safety import Safety
 from g1stream.control.schedule import Schedule
-from g1stream.control.squat import SQUAT_TIME, Squat
 from g1stream.control.targets import Targets
 from g1stream.dds.domain import SETTLE
-from g1stream.dds.topics import ARM_SDK, LOWCMD
+from g1stream.dds.messages import ARM_SDK, LOWCMD
+from g1stream.extras.feet.squat import SQUAT_TIME, Squat
 from g1stream.motion.blend import COAST
 from g1stream.motion.limits import Interval
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from g1stream.dds.topics import LOWCMD, LOWSTATE, Topic
+from g1stream.dds.messages import LOWCMD, LOWSTATE, Topic
 
 if TYPE_CHECKING:
     from g1stream.control.link import Link

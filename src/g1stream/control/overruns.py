@@ -10,7 +10,7 @@ from g1stream.control.state_checks import state_timeout
 from g1stream.types import Phase
 
 if TYPE_CHECKING:
-    from g1stream.safety_settings import SafetyConfig
+    from g1stream.config import SafetyConfig
 
 __all__ = ["Overruns"]
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from g1stream.types import Phase
 
 if TYPE_CHECKING:
-    from g1stream.settings import StreamConfig
+    from g1stream.config import StreamConfig
 
 __all__ = ["Inputs", "PhaseState", "Timing", "step"]
 

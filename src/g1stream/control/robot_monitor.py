@@ -16,10 +16,10 @@ from g1stream.types import Floats, Ints
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from g1stream.config import SafetyConfig
     from g1stream.control.state_checks import Measured
     from g1stream.dds.messages import LowState
     from g1stream.robot.model import G1
-    from g1stream.safety_settings import SafetyConfig
 
 __all__ = ["MOTOR_FAULTS", "RobotMonitor"]
 

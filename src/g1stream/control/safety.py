@@ -16,10 +16,10 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from g1stream.config import SafetyConfig
     from g1stream.control.state_checks import Measured
     from g1stream.dds.messages import LowState
     from g1stream.robot.model import G1
-    from g1stream.safety_settings import SafetyConfig
     from g1stream.types import Floats
 
 __all__ = ["Safety"]

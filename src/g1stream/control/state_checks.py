@@ -18,9 +18,9 @@ from g1stream.robot.rotations import UNIT_TOLERANCE
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from g1stream.config import SafetyConfig
     from g1stream.dds.messages import LowState
     from g1stream.robot.model import G1
-    from g1stream.safety_settings import SafetyConfig
     from g1stream.types import Floats
 
 __all__ = [

@@ -16,7 +16,7 @@ from g1stream.types import Floats, Phase
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from g1stream.control.squat import Squat
+    from g1stream.extras.feet.squat import Squat
     from g1stream.motion.trajectory import Trajectory, TrajectoryPoint
 
 __all__ = ["LOWERED", "Ramp", "Target", "Targets"]

@@ -1,6 +1,6 @@
 """Where the torque of a command comes from: the interface, and the torques of a robot that is held.
 
-Pure. The torques of a robot on its feet are in `g1stream.control.standing_torques`.
+Pure. The torques of a robot on its feet are in `g1stream.extras.feet.standing_torques`.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ from cyclonedds.builtin import (
 from cyclonedds.core import DDSException, InstanceState, Policy
 from cyclonedds.domain import Domain, DomainParticipant
 
-from g1stream.dds.topics import ARM_SDK, LOG, LOWCMD, LOWSTATE, REFERENCE
+from g1stream.dds.messages import ARM_SDK, LOG, LOWCMD, LOWSTATE, REFERENCE
 from g1stream.errors import WireError
 
 if TYPE_CHECKING:

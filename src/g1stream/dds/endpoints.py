@@ -20,8 +20,8 @@ from cyclonedds.topic import Topic as CycloneTopic
 
 from g1stream.dds.domain import Participant
 from g1stream.dds.layout import Layout
+from g1stream.dds.messages import Topic
 from g1stream.dds.ros2 import Ros2Topic
-from g1stream.dds.topics import Topic
 
 __all__ = ["RawReader", "RawSample", "RawWriter"]
 

@@ -6,8 +6,7 @@ import logging
 from typing import TYPE_CHECKING
 
 from g1stream.dds.endpoints import RawWriter
-from g1stream.dds.messages import Log
-from g1stream.dds.topics import LOG
+from g1stream.dds.messages import LOG, Log
 from g1stream.events import severity
 
 if TYPE_CHECKING:

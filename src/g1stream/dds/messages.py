@@ -10,7 +10,7 @@ that a G1 has.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import numpy as np
 
@@ -24,9 +24,16 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from g1stream.dds.topics import Topic
-
 __all__ = [
+    "ARM_SDK",
+    "COMMANDS",
+    "LOG",
+    "LOWCMD",
+    "LOWSTATE",
+    "REFERENCE",
+    "SECONDARY_IMU",
+    "SPORTMODESTATE",
+    "TOPICS",
     "Batch",
     "Log",
     "LowCmd",
@@ -36,6 +43,7 @@ __all__ = [
     "Samples",
     "SecondaryImu",
     "SportModeState",
+    "Topic",
     "played_bits",
     "played_joints",
 ]
@@ -357,3 +365,30 @@ class Samples:
         """(N, ...) the same, a view of the samples where it can be: for who copies it at once."""
         values = self._layout[path].read(self._payloads)
         return values[:, :N_JOINTS] if path.startswith(("motor_cmd.", "motor_state.")) else values
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A DDS topic: its name on the wire and the message it carries."""
+
+    name: str
+    message: type[Message]
+
+    @property
+    def idl_type(self) -> Any:
+        """The cyclonedds class that names the type on the wire."""
+        return self.message.idl_type
+
+
+LOWCMD: Final = Topic("rt/lowcmd", LowCmd)
+ARM_SDK: Final = Topic("rt/arm_sdk", LowCmd)
+LOWSTATE: Final = Topic("rt/lowstate", LowState)
+SPORTMODESTATE: Final = Topic("rt/sportmodestate", SportModeState)
+SECONDARY_IMU: Final = Topic("rt/secondary_imu", SecondaryImu)
+REFERENCE: Final = Topic("rt/g1stream/reference", Reference)
+LOG: Final = Topic("rt/g1stream/log", Log)
+
+COMMANDS: Final = {"lowcmd": LOWCMD, "arm_sdk": ARM_SDK}
+"""Where commands go, by `stream.via`."""
+
+TOPICS: Final = (LOWCMD, ARM_SDK, LOWSTATE, SPORTMODESTATE, SECONDARY_IMU, REFERENCE, LOG)

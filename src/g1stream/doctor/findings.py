@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from g1stream.dds.topics import COMMANDS, LOG, LOWCMD, LOWSTATE, SPORTMODESTATE
+from g1stream.dds.messages import COMMANDS, LOG, LOWCMD, LOWSTATE, SPORTMODESTATE
 from g1stream.doctor.facts import Facts, Finding, Level, Peer, Qos, ok, problem, warning
 from g1stream.robot.joints import JointSet
 from g1stream.text import counted

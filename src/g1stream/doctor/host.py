@@ -18,7 +18,7 @@ from g1stream.realtime import on_time
 
 if TYPE_CHECKING:
     from g1stream.clock import Clock
-    from g1stream.settings import RealtimeConfig
+    from g1stream.config import RealtimeConfig
 
 __all__ = ["inspect_host", "measure_wakeup_latency", "wakeup_latency"]
 

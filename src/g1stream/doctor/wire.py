@@ -12,9 +12,8 @@ from cyclonedds.core import Policy
 
 from g1stream.dds.domain import MAX_DOMAIN, OBSERVER, Participant, support_announced
 from g1stream.dds.endpoints import RawReader
-from g1stream.dds.messages import LowState
+from g1stream.dds.messages import LOWSTATE, TOPICS, LowState
 from g1stream.dds.ticks import TickGaps
-from g1stream.dds.topics import LOWSTATE, TOPICS
 from g1stream.doctor.facts import Peer, Qos, StateFacts, WireFacts
 from g1stream.errors import WireError
 

@@ -22,10 +22,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from g1stream.config import StreamConfig
     from g1stream.motion.motion import Motion
     from g1stream.motion.trajectory import Trajectory
     from g1stream.robot.model import G1
-    from g1stream.settings import StreamConfig
     from g1stream.types import Floats
 
 __all__ = [

@@ -14,9 +14,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from g1stream.dds.messages import Samples
+from g1stream.dds.messages import ARM_SDK, LOWCMD, LOWSTATE, REFERENCE, Samples
 from g1stream.dds.ticks import TickGaps
-from g1stream.dds.topics import ARM_SDK, LOWCMD, LOWSTATE, REFERENCE
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence

@@ -6,11 +6,11 @@ import time
 from typing import TYPE_CHECKING
 
 from g1stream.dds.domain import Participant
-from g1stream.dds.topics import TOPICS
-from g1stream.foxglove.pipeline import MessagePipeline
+from g1stream.dds.messages import TOPICS
 from g1stream.realtime import quick_thread_switches
 from g1stream.recorder.receiver import Receiver
 from g1stream.robot.model import G1
+from g1stream.view.pipeline import MessagePipeline
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator

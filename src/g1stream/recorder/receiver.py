@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from g1stream.dds.domain import Participant
-    from g1stream.dds.topics import Topic
+    from g1stream.dds.messages import Topic
 
 __all__ = ["Receiver"]
 

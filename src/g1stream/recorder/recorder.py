@@ -14,26 +14,26 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from g1stream.dds.domain import GUARD_PROGRAM, support_announced
-from g1stream.dds.topics import ARM_SDK, LOWCMD, LOWSTATE, TOPICS
+from g1stream.dds.messages import ARM_SDK, LOWCMD, LOWSTATE, TOPICS
 from g1stream.errors import RecordingError
 from g1stream.events import severity
-from g1stream.foxglove.encoders import encode_log
-from g1stream.foxglove.pipeline import CHANNEL_OF
 from g1stream.realtime import quick_thread_switches
 from g1stream.recorder.clocks import DelayEstimator, StepDetector, read_clocks
 from g1stream.recorder.losses import Losses, dropped_datagrams
 from g1stream.recorder.receiver import Receiver
 from g1stream.session.recorder_summary import ClockStep, RecorderSummary, TopicDelay
 from g1stream.text import counted
+from g1stream.view.encoders import encode_log
+from g1stream.view.pipeline import CHANNEL_OF
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from g1stream.dds.domain import Participant
     from g1stream.dds.messages import Batch
-    from g1stream.foxglove.pipeline import MessagePipeline
     from g1stream.recorder.clocks import ClockReading
     from g1stream.session.writer import SessionWriter
+    from g1stream.view.pipeline import MessagePipeline
 
 __all__ = ["Recorder"]
 

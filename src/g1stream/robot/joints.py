@@ -36,6 +36,7 @@ __all__ = [
     "JOINT_GROUPS",
     "JOINT_NAMES",
     "JOINT_SETS",
+    "LEGS",
     "N_JOINTS",
     "TORQUE_LIMIT",
     "JointSet",
@@ -77,6 +78,9 @@ JOINT_GROUPS: Final[Mapping[str, tuple[int, ...]]] = MappingProxyType(
     }
 )
 """Limb name to the motor indices of that limb; together the groups hold each joint once."""
+
+LEGS: Final = len(JOINT_GROUPS["left_leg"]) + len(JOINT_GROUPS["right_leg"])
+"""The joints of the legs come first."""
 
 
 def matching_joints(pattern: str, where: str) -> list[int]:

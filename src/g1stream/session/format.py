@@ -154,7 +154,7 @@ def _protobuf_schema(message_class: type[Message]) -> bytes:
 
 def _ros2_schema(dds_topic: str) -> bytes:
     """The type of a DDS topic as ROS 2 message text, followed by the types inside it."""
-    from g1stream.dds.topics import TOPICS
+    from g1stream.dds.messages import TOPICS
 
     idl_type = next(topic.idl_type for topic in TOPICS if topic.name == dds_topic)
     nested = (

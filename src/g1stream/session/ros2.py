@@ -27,7 +27,6 @@ from g1stream.dds.ros2 import (
 )
 from g1stream.errors import RecordingError
 from g1stream.files import output_errors
-from g1stream.foxglove.encoders import MEASURED_PREFIX
 from g1stream.session.format import CHANNELS, Channel
 from g1stream.session.parts import (
     SessionFiles,
@@ -40,6 +39,7 @@ from g1stream.session.parts import (
     write_metadata_yaml,
 )
 from g1stream.session.writer import SessionWriter
+from g1stream.view.encoders import MEASURED_PREFIX
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

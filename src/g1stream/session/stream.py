@@ -16,7 +16,7 @@ from g1stream.types import Floats, Ints
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from g1stream.dds.topics import Topic
+    from g1stream.dds.messages import Topic
 
 __all__ = ["Columns", "Stream", "StreamT"]
 

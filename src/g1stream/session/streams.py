@@ -10,7 +10,7 @@ import numpy as np
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from google.protobuf.message import DecodeError
 
-from g1stream.dds import topics
+from g1stream.dds import messages
 from g1stream.errors import RecordingError
 from g1stream.session.stream import Stream
 from g1stream.session.summary import PhaseInterval
@@ -52,7 +52,7 @@ class Reference(Stream):
     """
 
     topic = "/reference"
-    source = topics.REFERENCE
+    source = messages.REFERENCE
 
     tick: NDArray[np.uint64]
     motion_time: Floats
@@ -126,7 +126,7 @@ class Command(Stream):
     """
 
     topic = "/lowcmd"
-    source = topics.LOWCMD
+    source = messages.LOWCMD
     paths = MappingProxyType(
         {name: f"motor_cmd.{name}" for name in ("mode", "q", "dq", "tau", "kp", "kd")}
     )
@@ -143,7 +143,7 @@ class ArmCommand(Command):
     """The targets for arms and waist that the robot's own controller was given."""
 
     topic = "/arm_sdk"
-    source = topics.ARM_SDK
+    source = messages.ARM_SDK
 
     __annotations__ = Command.__annotations__
 
@@ -160,7 +160,7 @@ class Measured(Stream):
     """
 
     topic = "/lowstate"
-    source = topics.LOWSTATE
+    source = messages.LOWSTATE
     paths = MappingProxyType(
         {
             "q": "motor_state.q",
@@ -192,7 +192,7 @@ class Base(Stream):
     """
 
     topic = "/sportmodestate"
-    source = topics.SPORTMODESTATE
+    source = messages.SPORTMODESTATE
 
     position: Floats
     velocity: Floats
@@ -208,7 +208,7 @@ class TorsoImu(Stream):
     """
 
     topic = "/secondary_imu"
-    source = topics.SECONDARY_IMU
+    source = messages.SECONDARY_IMU
     paths = MappingProxyType({"imu_quat_wxyz": "quaternion"})
 
     imu_quat_wxyz: Floats

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from g1stream.dds.domain import user_data_of_bridge
 from g1stream.dds.endpoints import RawReader, RawWriter
-from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE, SECONDARY_IMU, SPORTMODESTATE
+from g1stream.dds.messages import LOWCMD, LOWSTATE, REFERENCE, SECONDARY_IMU, SPORTMODESTATE
 from g1stream.sim.onboard import MotionService
 
 if TYPE_CHECKING:

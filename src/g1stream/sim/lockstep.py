@@ -7,13 +7,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from g1stream.dds.topics import LOWCMD, LOWSTATE, REFERENCE, SECONDARY_IMU, SPORTMODESTATE
+from g1stream.dds.messages import LOWCMD, LOWSTATE, REFERENCE, SECONDARY_IMU, SPORTMODESTATE
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from g1stream.dds.messages import LowState
-    from g1stream.dds.topics import Topic
+    from g1stream.dds.messages import LowState, Topic
     from g1stream.sim.robot import SimulatedRobot
     from g1stream.types import Support
 

@@ -16,9 +16,8 @@ from typing import TYPE_CHECKING, Any, Final, get_args
 import numpy as np
 
 from g1stream.dds.endpoints import RawReader, RawWriter
-from g1stream.dds.messages import LowCmd, LowState
+from g1stream.dds.messages import ARM_SDK, LOWCMD, LowCmd, LowState
 from g1stream.dds.motion_switcher import API_VERSION, ApiEndpoint, ApiId, ErrorCode, response_to
-from g1stream.dds.topics import ARM_SDK, LOWCMD
 from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP, select_joints
 from g1stream.sim.supports import Root
 from g1stream.types import OnboardMode

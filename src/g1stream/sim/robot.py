@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from g1stream.settings import SimConfig
+    from g1stream.config import SimConfig
     from g1stream.sim.world import Imu, World
 
 __all__ = ["MODE_MACHINE_29", "Published", "SimReport", "SimulatedRobot"]

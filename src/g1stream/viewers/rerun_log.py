@@ -20,22 +20,22 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from g1stream.config import RecordConfig
 from g1stream.dds.messages import played_joints
 from g1stream.files import complete_file
-from g1stream.foxglove.encoders import IDENTITY_POSE
-from g1stream.foxglove.measured_base import MeasuredBase
-from g1stream.foxglove.pipeline import GHOST_TINT, REFERENCE_TINT, Decimator
-from g1stream.foxglove.scene import load_mesh
-from g1stream.foxglove.timing import Timing
-from g1stream.foxglove.tracking_error import Track, TrackingError, by_limb
 from g1stream.robot.joints import JOINT_GROUPS
 from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.visuals import read_visuals
 from g1stream.session.streams import Base, LogEvent, Measured, Reference
-from g1stream.settings import RecordConfig
 from g1stream.text import short_name
 from g1stream.types import Floats, Ints, Phase
-from g1stream.viewers.layouts import LIMB_COLORS, MEASURED, RED, REFERENCE, worst_joints
+from g1stream.view.encoders import IDENTITY_POSE
+from g1stream.view.layouts import LIMB_COLORS, MEASURED, RED, REFERENCE, worst_joints
+from g1stream.view.measured_base import MeasuredBase
+from g1stream.view.pipeline import GHOST_TINT, REFERENCE_TINT, Decimator
+from g1stream.view.scene import load_mesh
+from g1stream.view.timing import Timing
+from g1stream.view.tracking_error import Track, TrackingError, by_limb
 from g1stream.viewers.offscreen import with_shapes
 from g1stream.viewers.rerun_layout import APPLICATION, import_rerun, rerun_layout
 
@@ -43,11 +43,11 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from g1stream.foxglove.scene import Rgba
     from g1stream.robot.model import G1
     from g1stream.robot.visuals import Visual
     from g1stream.session.session import Session
     from g1stream.session.stream import Stream
+    from g1stream.view.scene import Rgba
 
 __all__ = ["RerunLog", "log_session", "save_session"]
 

@@ -1,1 +1,0 @@
-"""The report of sessions: one HTML page that needs no network."""

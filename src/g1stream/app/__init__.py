@@ -1,0 +1,1 @@
+"""What runs: stream, replay, record, sim, convert, live, demo, rollout, doctor."""

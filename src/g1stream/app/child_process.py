@@ -1,0 +1,345 @@
+"""A program of ours run as a child process of another, connected by a pipe.
+
+The parent sends a startup message, the child answers that it is ready; later the parent sends a
+final message, the child finishes and answers with its result. A child whose parent is gone, however
+that ended, finishes as well.
+
+`multiprocessing` would start the child by importing the user's script once more, which has to be
+written for that, and leaves Ctrl-C in the terminal to the child, too; so only its pipe is used.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from contextlib import contextmanager, suppress
+from multiprocessing.connection import Connection, Pipe
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from g1stream.errors import G1StreamError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+__all__ = ["Child", "ChildError", "Parent", "optional_child", "process_state", "run_child"]
+
+_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+#: Between two heartbeats of a child, s; silence after which a stopped and a running one has failed.
+_BEAT_PERIOD: Final = 0.5
+_STOPPED_SILENCE: Final = 1.0
+_MAX_SILENCE: Final = 5.0
+#: How often a wait for a child asks whether it is abandoned, s.
+_POLL_PERIOD: Final = 0.05
+
+
+class ChildError(G1StreamError):
+    """A child process failed, or did not answer in time."""
+
+
+def process_state(pid: int) -> str:
+    """The state of a process as in proc(5), such as T for stopped; "" where there is none.
+
+    One that is being killed by a fault counts as X, also while its memory is written to a file.
+    """
+    try:
+        status = Path(f"/proc/{pid}/status").read_text()
+    except OSError:
+        return ""
+    if "\nCoreDumping:\t1" in status:
+        return "X"
+    return status.partition("\nState:\t")[2][:1]
+
+
+def _never() -> bool:
+    return False
+
+
+def _start(name: str, pass_fds: Sequence[int]) -> tuple[Connection, subprocess.Popen[bytes]]:
+    """Start a program; returns our end of the pipe to it, and its process."""
+    ours, theirs = Pipe()
+    with theirs:
+        process = subprocess.Popen(
+            [sys.executable, "-m", f"g1stream.app.{name}", str(theirs.fileno())],
+            pass_fds=[theirs.fileno(), *pass_fds],
+            stdin=subprocess.DEVNULL,
+            stdout=2,  # what a library prints must not get into our --json
+            # Our matrices are small; a pool of BLAS threads would only cost time at the start.
+            env={"OPENBLAS_NUM_THREADS": "1", **os.environ},
+            # Ctrl-C in the terminal goes to the parent only, which ends the child.
+            start_new_session=True,
+        )
+    return ours, process
+
+
+class Child:
+    """A program running as a child process.
+
+    Args:
+        name: of the module in `g1stream.app` that ends in a call of `run_child`.
+        startup_message: what the program is to do; anything that can be pickled.
+        pass_fds: file descriptors that it inherits.
+        on_failure: called once, from another thread, with the cause, when it fails, ends before it
+            is told to, or does not show that it is alive (`Parent.beat`).
+
+    Raises:
+        ChildError: the system cannot start a process.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        startup_message: Any,
+        *,
+        pass_fds: Sequence[int] = (),
+        on_failure: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self.name = name
+        self._on_failure = on_failure
+        try:
+            self._connection, self._process = _start(name, pass_fds)
+        except OSError as error:
+            raise ChildError(
+                f"g1stream {name} cannot be started: {error.strerror}.",
+                "Look at the limits of this process with `ulimit -a`: open files, processes and "
+                "memory.",
+            ) from error
+        self._ready, self._ended = threading.Event(), threading.Event()
+        self._result: Any = None
+        self._error: ChildError | None = None
+        self._beating = self._failed = self._finishing = False
+        self._listener = threading.Thread(target=self._listen, name=name, daemon=True)
+        self._listener.start()
+        self._send(startup_message)
+
+    @property
+    def alive(self) -> bool:
+        return self._process.poll() is None
+
+    def wait_until_ready(
+        self, timeout: float = 20.0, abandoned: Callable[[], bool] = _never
+    ) -> None:
+        """Wait until the program says that it is ready, or until `abandoned`.
+
+        Raises:
+            ChildError: it failed, ended or was not ready in time, s.
+        """
+        self._wait(self._ready, "be ready", timeout, abandoned)
+
+    def finish(
+        self,
+        final_message: Any = None,
+        timeout: float = 30.0,
+        abandoned: Callable[[], bool] = _never,
+    ) -> Any:
+        """Tell the program to finish, wait until its process has ended, and return its result.
+
+        Raises:
+            ChildError: it failed, did not finish in time, s, or the wait for it was abandoned; the
+                process is gone all the same.
+        """
+        self._finishing = True
+        try:
+            self._send(final_message)
+            self._wait(self._ended, "finish", timeout, abandoned)
+            if not self._ended.is_set():
+                raise ChildError(
+                    f"g1stream {self.name} was ended before it had finished.",
+                    "Wait until it has, or end the program that waits for it once only.",
+                )
+            self._process.wait(timeout)
+        except subprocess.TimeoutExpired as error:
+            raise self._too_slow("end", timeout) from error
+        finally:
+            self.kill()
+        return self._result
+
+    def kill(self) -> None:
+        """End the process if it still runs: by SIGTERM and, where that does not help, SIGKILL."""
+        self._finishing = True
+        if process_state(self._process.pid) in ("T", "t"):
+            self._process.kill()
+        self._process.terminate()
+        try:
+            self._process.wait(5.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._listener.join()
+        self._connection.close()
+
+    def resume(self) -> None:
+        """Let the process continue if it is stopped."""
+        with suppress(ProcessLookupError):
+            os.kill(self._process.pid, signal.SIGCONT)
+
+    def _wait(
+        self, event: threading.Event, step: str, timeout: float, abandoned: Callable[[], bool]
+    ) -> None:
+        end = time.monotonic() + timeout
+        while not event.wait(_POLL_PERIOD):
+            if abandoned():
+                return
+            if time.monotonic() >= end:
+                raise self._too_slow(step, timeout)
+        if self._error:
+            raise self._error
+
+    def _send(self, message: Any) -> None:
+        with suppress(OSError):  # the process has ended; the listener says so
+            self._connection.send(message)
+
+    def _listen(self) -> None:
+        """Receive what the program says until it has ended."""
+        try:
+            while not self._ended.is_set():
+                self._hear(*self._connection.recv())
+                since = time.monotonic()
+                while self._beating and not self._connection.poll(_BEAT_PERIOD):
+                    self._check_silence(time.monotonic() - since)
+        except (EOFError, OSError):
+            code = self._process.wait()
+            how = f"with exit code {code}" if code >= 0 else f"by {signal.Signals(-code).name}"
+            self._error = ChildError(
+                f"g1stream {self.name} ended {how}.",
+                f"Run g1stream {self.name} by itself to see why.",
+            )
+        if self._error:
+            self._fail(self._error.cause)
+        self._ready.set()
+        self._ended.set()
+
+    def _hear(self, kind: str, value: Any) -> None:
+        if kind == "ready":
+            self._ready.set()
+        elif kind == "alive":
+            self._beating = True
+        elif kind == "failed":
+            self._fail(value)
+        elif kind == "error":
+            self._error = ChildError(*value)
+            self._ended.set()
+        else:
+            self._result = value
+            self._ended.set()
+
+    def _check_silence(self, silence: float) -> None:
+        stopped = process_state(self._process.pid) in ("T", "t")
+        if silence >= (_STOPPED_SILENCE if stopped else _MAX_SILENCE):
+            how = "is stopped" if stopped else f"has not responded for {silence:.0f} s"
+            self._fail(f"g1stream {self.name} {how}.")
+
+    def _fail(self, cause: str) -> None:
+        if not (self._failed or self._finishing):
+            self._failed = True
+            self._on_failure(cause)
+
+    def _too_slow(self, step: str, timeout: float) -> ChildError:
+        return ChildError(
+            f"g1stream {self.name} did not {step} within {timeout:g} s.",
+            f"Run g1stream {self.name} by itself to see what delays it.",
+        )
+
+
+@contextmanager
+def optional_child(
+    name: str, startup_message: Any, consequence: str, abandoned: Callable[[], bool] = _never
+) -> Iterator[None]:
+    """Run a program that nothing else depends on, for the length of a `with`.
+
+    Args:
+        name: of its module in `g1stream.app`.
+        startup_message: what it is to do.
+        consequence: of a failure once it is ready, for the warning that is all it causes then.
+        abandoned: asked while the program starts; True ends the wait for it.
+
+    Raises:
+        ChildError: it cannot be started, or failed before it was ready.
+    """
+    ready = False
+
+    def warn(cause: str) -> None:
+        if ready:  # else it is raised
+            logging.getLogger(f"g1stream.{name}").warning("%s: %s", consequence, cause)
+
+    child = Child(name, startup_message, on_failure=warn)
+    try:
+        child.wait_until_ready(abandoned=abandoned)
+        ready = True
+        yield
+    finally:
+        child.kill()
+
+
+class Parent:
+    """The child's side of the pipe.
+
+    Attributes:
+        startup_message: what the program is to do.
+        final_message: what came with the request to finish; None where the parent is gone.
+        done: set when the program is to finish: the parent said so, or is gone, or a signal came.
+        signal: name of the signal that came, or "".
+        gone: when the parent went without a request to finish, s of CLOCK_MONOTONIC.
+    """
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+        self.startup_message = connection.recv()
+        self.final_message: Any = None
+        self.signal = ""
+        self.gone: float | None = None
+        self.done = threading.Event()
+        self._next_beat = 0.0
+        threading.Thread(target=self._wait, name="parent", daemon=True).start()
+
+    def ready(self) -> None:
+        """Say that the program is ready."""
+        self._send("ready", None)
+
+    def beat(self) -> None:
+        """Say that the program is alive; once begun, a few times per second."""
+        if time.monotonic() >= self._next_beat:
+            self._next_beat = time.monotonic() + _BEAT_PERIOD
+            self._send("alive", None)
+
+    def failed(self, cause: str) -> None:
+        """Say that the program cannot do what it was told to, and will finish later."""
+        self._send("failed", cause)
+
+    def end_by_signal(self, number: int, _: object) -> None:
+        """Handle a signal."""
+        self.signal = signal.Signals(number).name
+        self.done.set()
+
+    def _wait(self) -> None:
+        try:
+            self.final_message = self._connection.recv()
+        except (EOFError, OSError):
+            self.gone = time.monotonic()
+        self.done.set()
+
+    def _send(self, kind: str, value: Any) -> None:
+        with suppress(OSError):  # the parent is gone
+            self._connection.send((kind, value))
+
+
+def run_child(program: Callable[[Parent], Any]) -> None:
+    """Run a program in this process for the parent that started it, and exit.
+
+    Args:
+        program: returns its result, which must be picklable, soon after `Parent.done` is set.
+    """
+    parent = Parent(Connection(int(sys.argv[1])))
+    for number in _SIGNALS:
+        signal.signal(number, parent.end_by_signal)
+    try:
+        result = program(parent)
+    except G1StreamError as error:
+        parent._send("error", (error.cause, error.remedy))
+        sys.exit(2)
+    parent._send("done", result)

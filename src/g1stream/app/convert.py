@@ -1,0 +1,271 @@
+"""Convert a motion file into a session file, without a robot, a simulator or DDS."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from g1stream._version import __version__
+from g1stream.dds.ros2 import encode_string
+from g1stream.errors import ConfigError, MotionError
+from g1stream.files import check_not_input, check_suffix, complete_file
+from g1stream.robot.meshes import robot_with_meshes
+from g1stream.robot.model import G1
+from g1stream.robot.visuals import missing_meshes
+from g1stream.session.format import CHANNELS, Channel
+from g1stream.session.info import MotionInfo
+from g1stream.session.motions import load_motion
+from g1stream.session.timestamps import frame_timestamps
+from g1stream.session.writer import SessionWriter, attach_motion
+from g1stream.view.encoders import (
+    IDENTITY_POSE,
+    WORLD_FRAME,
+    JointStatesTemplate,
+    TransformsEncoder,
+)
+from g1stream.view.scene import draw_meshes, encode_scene
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+
+    from g1stream.motion.motion import Motion
+    from g1stream.session.mcap_writer import Compression
+
+__all__ = ["Conversion", "ConvertReport", "convert"]
+
+#: Poses in one chunk: with some 6 kB each, a chunk fits into the processor's cache, which makes it
+#: several times faster, and is large enough to compress well.
+_CHUNK: Final = 128
+_TF, _JOINTS, _SCENE, _DESCRIPTION = (
+    "/tf",
+    "/reference/joint_states",
+    "/scene",
+    "/robot_description",
+)
+_RESAMPLED_FIELDS: Final = ("position", "velocity", "acceleration")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Conversion:
+    """How a motion becomes a session file.
+
+    Attributes:
+        base_time_ns: time of frame 0, ns since the epoch.
+        frames: (first, stop) as in a slice; None is the motion's first or last frame.
+        resample: rate at which to sample the spline through the frames, Hz; None writes the frames
+            themselves.
+        floating_root: False pins the root link to the world's origin.
+        root_link: the link whose pose the motion contains; the URDF's root link if None.
+        world_frame: name of the world's frame.
+        flat: put every link directly under the world instead of under its parent.
+        topic: of the transforms.
+        meshes: show the URDF's meshes, with fewer triangles, or the real G1's (extra `meshes`).
+        compression: of the file's chunks.
+        force: replace an existing file.
+    """
+
+    base_time_ns: int = 0
+    frames: tuple[int | None, int | None] = (None, None)
+    resample: float | None = None
+    floating_root: bool = True
+    root_link: str | None = None
+    world_frame: str = WORLD_FRAME
+    flat: bool = False
+    topic: str = _TF
+    meshes: bool = False
+    compression: Compression = "zstd"
+    force: bool = False
+
+
+@dataclass(frozen=True)
+class ConvertReport:
+    """What a conversion wrote.
+
+    Attributes:
+        path: of the file.
+        size: of the file, bytes.
+        motion: its name.
+        frames: number of poses written.
+        rate: poses per second.
+        start_ns, end_ns: first and last time, ns since the epoch.
+        counts: messages by topic.
+        warnings: what was corrected or left out, a sentence each.
+    """
+
+    path: Path
+    size: int
+    motion: str
+    frames: int
+    rate: float
+    start_ns: int
+    end_ns: int
+    counts: dict[str, int]
+    warnings: tuple[str, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """The report as JSON values."""
+        duration = (self.end_ns - self.start_ns) / 1e9
+        return {**vars(self), "path": str(self.path), "duration_s": duration}
+
+
+def convert(
+    motion: Motion | str | Path,
+    out: str | Path,
+    options: Conversion | None = None,
+    *,
+    robot: G1 | None = None,
+    fps: float | None = None,
+    on_progress: Callable[[float], None] = lambda _: None,
+) -> ConvertReport:
+    """Write a motion as a session file: transforms, joint states, scene and URDF of the robot.
+
+    Log and publish time of every message are the base time + frame / fps, to the nearest
+    nanosecond. A failure leaves no file behind.
+
+    Args:
+        motion: a motion, a motion file, a session file, or the name of a bundled motion.
+        out: the session file.
+        options: how; see `Conversion`.
+        robot: whose joints the motion has; the 29-dof G1 if None.
+        fps: frames per second of the motion file; the motion's own if None.
+        on_progress: called with the fraction done, 0 to 1.
+
+    Raises:
+        G1StreamError: the motion, the robot, an option or the file does not allow it.
+    """
+    options = options or Conversion()
+    out = Path(out)
+    check_suffix(out, "a session file; motion files end in .csv, .npz or .parquet", ".mcap")
+    robot = robot or G1.default()
+    motion = _load(motion, robot, fps)
+    start, stop = _frame_range(motion, options.frames)
+    first, last = frame_timestamps(options.base_time_ns, (start, stop - 1), motion.fps).tolist()
+    transforms = TransformsEncoder(
+        robot, root_link=options.root_link, world=options.world_frame, flat=options.flat
+    )
+    fields = ("position",) if options.resample is None else _RESAMPLED_FIELDS
+    joint_states = JointStatesTemplate(robot.joint_names, fields)
+    check_not_input(out, motion.source, Path(robot.source))
+    channels = _channels(options.topic)
+    with (
+        complete_file(out, force=options.force) as temporary,
+        SessionWriter(temporary, channels=channels, compression=options.compression) as writer,
+    ):
+        _write_file_header(writer, motion, robot, options, first)
+        for times, joint_pos, root_pos, root_quat, *rates in _poses(motion, options, start, stop):
+            root = (root_pos, root_quat) if options.floating_root else IDENTITY_POSE
+            poses = transforms.encode(times, joint_pos, *root)
+            writer.write_batch(options.topic, poses, times, times)
+            writer.write_batch(_JOINTS, joint_states.encode(times, joint_pos, *rates), times, times)
+            writer.flush()
+            on_progress((int(times[-1]) - first) / max(1, last - first))
+    warnings = motion.warnings
+    if missing := missing_meshes(robot):
+        warnings += (
+            f"{robot.source}: meshes not found: {len(missing)}, such as {missing[0]}; the scene "
+            "has only their names.",
+        )
+    return ConvertReport(
+        path=out,
+        size=out.stat().st_size,
+        motion=motion.name,
+        frames=writer.counts[_JOINTS],
+        rate=options.resample or motion.fps,
+        start_ns=first,
+        end_ns=last,
+        counts=writer.counts,
+        warnings=warnings,
+    )
+
+
+def _load(motion: Motion | str | Path, robot: G1, fps: float | None) -> Motion:
+    if isinstance(motion, str | Path):
+        return load_motion(motion, fps=fps)
+    return motion if fps is None else replace(motion, fps=fps)
+
+
+def _frame_range(motion: Motion, frames: tuple[int | None, int | None]) -> tuple[int, int]:
+    start = 0 if frames[0] is None else frames[0]
+    stop = motion.n_frames if frames[1] is None else frames[1]
+    if not 0 <= start < stop <= motion.n_frames:
+        raise MotionError(
+            f"The frames {start}:{stop} are out of range: {motion.name} has {motion.n_frames}.",
+            f"Choose a range within 0:{motion.n_frames}, of one frame or more.",
+        )
+    return start, stop
+
+
+def _poses(motion: Motion, options: Conversion, start: int, stop: int) -> Iterator[tuple[Any, ...]]:
+    """The poses to write, `_CHUNK` rows at a time: frames, or samples of the spline through them.
+
+    Yields:
+        times (T,) ns, joint_pos (T, 29), root_pos (T, 3), root_quat_wxyz (T, 4) and, where they
+        are resampled, joint_vel and joint_acc (T, 29).
+    """
+    base, rate = options.base_time_ns, options.resample
+    parts: Iterable[tuple[Any, ...]]
+    if rate is None:
+        times, rows = frame_timestamps(base, range(start, stop), motion.fps), slice(start, stop)
+        pose = (motion.joint_pos[rows], motion.root_pos[rows], motion.root_quat_wxyz[rows])
+        parts = [(times, *pose)]
+    else:
+        from g1stream.motion.trajectory import resample  # brings scipy
+
+        parts = (
+            (
+                frame_timestamps(base, numbers, rate),
+                *(point.joint_pos, point.root_pos, point.root_quat_wxyz),
+                *(point.joint_vel, point.joint_acc),
+            )
+            for numbers, point in resample(motion, rate, start, stop)
+        )
+    for part in parts:
+        for first in range(0, len(part[0]), _CHUNK):
+            yield tuple(array[first : first + _CHUNK] for array in part)
+
+
+def _write_file_header(
+    writer: SessionWriter, motion: Motion, robot: G1, options: Conversion, first: int
+) -> None:
+    """Write what a file has once: metadata, attachments, the scene and the URDF."""
+    writer.add_metadata(_metadata(motion, robot, options))
+    writer.attach("robot.urdf", "application/xml", robot.urdf.encode(), first)
+    attach_motion(writer, MotionInfo.of(motion), first)
+    if options.meshes:
+        shown = robot_with_meshes(robot)
+        scene = encode_scene(first, shown, drawn=draw_meshes(shown))
+    else:
+        scene = encode_scene(first, robot)
+    writer.write(_SCENE, scene, first, first)
+    writer.write(_DESCRIPTION, encode_string(robot.urdf), first, first)
+
+
+def _channels(topic: str) -> dict[str, Channel]:
+    """The channels of the file, by topic; the transforms go on the topic that was asked for."""
+    if not topic or topic in (_JOINTS, _SCENE, _DESCRIPTION):
+        raise ConfigError(
+            f"The transforms cannot go on the topic {topic!r}: "
+            f"{'it has no name' if not topic else 'it is used for other messages'}.",
+            f"Choose another, such as {_TF}.",
+        )
+    return {**CHANNELS, topic: replace(CHANNELS[_TF], topic=topic)}
+
+
+def _metadata(motion: Motion, robot: G1, options: Conversion) -> dict[str, Any]:
+    """What was converted and how; the same for the same input on every machine."""
+    how = {k: v for k, v in vars(options).items() if k not in ("force", "compression")}
+    return {
+        "g1stream": __version__,
+        "made_by": "g1stream convert",
+        "motion": {
+            "name": motion.name,
+            "fps": motion.fps,
+            "frames": motion.n_frames,
+            "file": motion.source.name if motion.source else None,
+            "sha256": motion.sha256,
+            "operations": list(motion.operations),
+        },
+        "robot": robot.name,
+        "conversion": how,
+    }

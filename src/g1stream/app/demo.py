@@ -1,0 +1,149 @@
+"""Everything on one machine: our bridge, a motion played on it, a recording, and a figure."""
+
+from __future__ import annotations
+
+import logging
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from g1stream.app.child_process import Child
+from g1stream.app.stream import stream
+from g1stream.config import Config
+from g1stream.dds.domain import DISCOVERY, Participant, is_local_only, is_loopback
+from g1stream.dds.messages import LOWSTATE
+from g1stream.errors import ConfigError, RecordingError, WireError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from g1stream.control.loop import StreamLoop
+    from g1stream.motion.motion import Motion
+    from g1stream.session.summary import Summary
+
+__all__ = ["FIGURE", "REPORT", "SESSION", "demo"]
+
+_LOGGER = logging.getLogger(__name__)
+
+SESSION, FIGURE, REPORT = "session.mcap", "tracking.png", "report.html"
+"""Names of the files in the output directory."""
+
+#: So many domains are tried, from the default on.
+_MOST_DOMAINS: Final = 8
+
+
+def demo(
+    motion: Motion | str | Path,
+    out: Path,
+    config: Config | None = None,
+    *,
+    force: bool = False,
+    on_loop: Callable[[StreamLoop, Config], None] | None = None,
+) -> Summary:
+    """Play a motion on our own bridge and record it, all on this machine.
+
+    Returns the summary of the session; where no command was sent, what the stream counted.
+
+    Args:
+        motion: a motion, a motion file, or the name of a bundled motion.
+        out: directory for session.mcap, tracking.png, the figure of `Session.plot`, and
+            report.html, the page of `g1stream.report`; made where it is missing.
+        config: all settings; the defaults if left out. Where it sets no domain, the first one from
+            1 on in which nobody publishes a robot's topics.
+        force: replace files that are there already.
+        on_loop: is given the loop before it runs, and the settings with the domain.
+
+    Raises:
+        ConfigError: the domain is not this machine's alone.
+        WireError: there is a robot or simulator in the domain already.
+        RecordingError: a file is there already and `force` is off, or none can be made there.
+        G1StreamError: another setting or the wire does not allow it.
+    """
+    from g1stream.analysis.plots import draw
+    from g1stream.extras.report.page import report
+    from g1stream.session.session import open_session
+
+    config = config or Config()
+    _check_local_only(config.dds.interface)
+    session_path, figure_path, report_path = (out / name for name in (SESSION, FIGURE, REPORT))
+    if not force:
+        named_anew = config.record.auto_name  # with the time in it
+        _check_absent(*([] if named_anew else [session_path]), figure_path, report_path)
+    _make_directory(out)
+    config = _with_free_domain(config)
+    # What is published for ROS 2 is published once, for the stream.
+    quiet = config.dds.model_copy(update={"ros_tf": False})
+    sim = Child("sim", config.model_copy(update={"dds": quiet}))
+    try:
+        sim.wait_until_ready()
+        played = stream(
+            motion,
+            config,
+            record=session_path,
+            force=force,
+            on_loop=on_loop and (lambda loop: on_loop(loop, config)),
+        )
+        sim.finish()
+    finally:
+        sim.kill()
+    recorder = played.recorder
+    if not (played.stream and played.stream.commands and recorder):
+        return played
+    session = open_session(recorder.path)  # it may have the time in its name
+    draw(session, figure_path)
+    report(session, report_path, force=True)
+    return session.summary()
+
+
+def _check_local_only(interface: str) -> None:
+    if is_local_only(interface):
+        return
+    what = "CYCLONEDDS_URI is set, which could lead elsewhere"
+    if not is_loopback(interface):
+        what = f"the interface {interface} is not the loopback"
+    raise ConfigError(
+        f"A demo is local to this machine, but {what}.",
+        "Leave that out; to play on a robot use `g1stream stream`.",
+    )
+
+
+def _check_absent(*paths: Path) -> None:
+    for path in paths:
+        if path.exists():
+            raise RecordingError(
+                f"The file {path} exists already.",
+                "Give --force to replace it, or choose another --out.",
+            )
+
+
+def _make_directory(out: Path) -> None:
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RecordingError(
+            f"The directory {out} cannot be created: {error.strerror}.", "Choose another --out."
+        ) from error
+
+
+def _with_free_domain(config: Config) -> Config:
+    """The config with a domain in which nobody publishes a robot's topics."""
+    first = config.dds.domain
+    given = "domain" in config.dds.model_fields_set
+    for domain in range(first, first + (1 if given else _MOST_DOMAINS)):
+        others = _publishers(domain, config.dds.interface)
+        if not others:
+            dds = config.dds.model_copy(update={"domain": domain})
+            return config.model_copy(update={"dds": dds})
+        _LOGGER.info("DDS domain %d is taken by %s", domain, ", ".join(others))
+    raise WireError(
+        f"DDS domain {domain} has other publishers: {', '.join(others)}.",
+        f"End them, or choose a free domain, such as --domain {domain + 1}.",
+    )
+
+
+def _publishers(domain: int, interface: str) -> list[str]:
+    """Who publishes what a robot or its streamer does."""
+    with Participant(domain, interface) as participant:
+        time.sleep(DISCOVERY)
+        writers = [*participant.writers(LOWSTATE.name), *participant.commanders()]
+        return sorted({participant.owner(writer) for writer in writers})

@@ -1,0 +1,152 @@
+"""The messages of a session as they come, on a WebSocket server for Foxglove and Lichtblick.
+
+A child process of its own, and an observer of DDS like the recorder: neither the loop nor a
+recording waits for it or for its clients. The SDK keeps a bounded queue for each client, and drops
+the oldest messages of one that reads too slowly.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from contextlib import closing, contextmanager
+from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING, Any, Final
+
+from g1stream.app.child_process import optional_child, run_child
+from g1stream.config import Config
+from g1stream.errors import ConfigError
+from g1stream.events import ConsoleHandler, handled_by
+from g1stream.optional import not_installed
+from g1stream.realtime import lower_priority
+from g1stream.recorder.observer import observe
+from g1stream.session.format import CHANNELS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from foxglove.websocket import ChannelView, Client
+
+    from g1stream.app.child_process import Parent
+    from g1stream.session.format import MessageBatch
+
+__all__ = ["live"]
+
+#: Programs on other hosts cannot connect.
+_HOST: Final = "127.0.0.1"
+
+
+@contextmanager
+def live(config: Config | None = None) -> Iterator[str]:
+    """Serve everything on a DDS domain to Foxglove and Lichtblick for the length of a `with`.
+
+    The channels are those of a session file, with the log times of a recorder. Clients can only
+    read, and only those on this machine. A server that fails later is logged, and nothing else.
+
+        with g1stream.live() as address:
+            g1stream.stream("demo")
+
+    Args:
+        config: all settings; the defaults if left out.
+
+    Yields:
+        The address to open, once clients can connect, such as `ws://localhost:8765`.
+
+    Raises:
+        ConfigError: the extra `live` is not installed.
+        ChildError: the port is in use, or a setting or the wire does not allow it.
+    """
+    config = config or Config()
+    _require_sdk()
+    with optional_child("live", config, "the live view ended"):
+        yield f"ws://localhost:{config.live_port}"
+
+
+def _require_sdk() -> None:
+    try:
+        version("foxglove-sdk")  # to import it would load it into the process of the loop
+    except PackageNotFoundError:
+        raise not_installed("foxglove-sdk", "live", "A live view needs") from None
+
+
+class _Server:
+    """The channels of a session file on a WebSocket server, until the process ends.
+
+    `WebSocketServer.stop` is never called: it would wait for a client that does not read.
+
+    Args:
+        latched: the messages that every client is sent when it subscribes.
+        port: of the server.
+
+    Raises:
+        ConfigError: the port cannot be opened.
+    """
+
+    def __init__(self, latched: list[MessageBatch], port: int) -> None:
+        from foxglove import Channel, Context, Schema, start_server
+
+        self._latched = {messages.topic: bytes(messages.payloads[0]) for messages in latched}
+        self._context = Context()  # kept: the server and the channels do not
+        self._channels = {
+            one.topic: Channel(
+                one.topic,
+                message_encoding=one.message_encoding,
+                schema=Schema(
+                    name=one.schema_name, encoding=one.schema_encoding, data=one.build_schema()
+                ),
+                context=self._context,
+            )
+            for one in CHANNELS.values()
+        }
+        listener: Any = self  # of the callbacks, only those for what clients can do here
+        try:
+            self._server = start_server(
+                name="g1stream",
+                host=_HOST,
+                port=port,
+                context=self._context,
+                server_listener=listener,
+            )
+        except RuntimeError as error:
+            reason = str(error).rpartition(": ")[2]
+            raise ConfigError(
+                f"The live view cannot listen on port {port}: {reason}.",
+                "End the program that uses it, or choose another with --live-port.",
+            ) from error
+
+    def send(self, messages: MessageBatch) -> None:
+        """Send messages to the clients that have subscribed to their topic; never waits."""
+        channel = self._channels[messages.topic]
+        if messages.topic in self._latched or not channel.has_sinks():
+            return
+        for payload, logged in zip(messages.payloads, messages.log_times.tolist(), strict=True):
+            channel.log(bytes(payload), log_time=logged)
+
+    def on_subscribe(self, _: Client, view: ChannelView) -> None:
+        """Called by the SDK; it can only send to all clients, which replace what they had."""
+        if view.topic in self._latched:
+            channel = self._channels[view.topic]
+            channel.log(self._latched[view.topic], log_time=time.time_ns())
+
+    def on_unsubscribe(self, _: Client, view: ChannelView) -> None:
+        """Called by the SDK."""
+
+
+def _run_child(parent: Parent) -> None:
+    """Serve for a parent: the startup message is the config."""
+    lower_priority()
+    # The SDK logs how clients come and go; the viewer shows that itself.
+    logging.getLogger("foxglove").addHandler(logging.NullHandler())
+    with (
+        handled_by(ConsoleHandler(logging.WARNING, "live")),
+        closing(observe(parent.startup_message, parent.done.is_set)) as lists,
+    ):
+        server = _Server(next(lists), parent.startup_message.live_port)
+        parent.ready()
+        for made in lists:
+            for messages in made:
+                server.send(messages)
+
+
+if __name__ == "__main__":
+    run_child(_run_child)

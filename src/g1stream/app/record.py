@@ -1,0 +1,228 @@
+"""Record what is published on DDS into a session file."""
+
+from __future__ import annotations
+
+import logging
+import socket
+import time
+from contextlib import ExitStack
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+from uuid import uuid4
+
+from g1stream._version import __version__
+from g1stream.analysis.summary import summarise_run
+from g1stream.app.child_process import run_child
+from g1stream.app.ros2 import publishing_for_ros2
+from g1stream.config import Config
+from g1stream.dds.domain import Participant
+from g1stream.dds.messages import COMMANDS, REFERENCE
+from g1stream.errors import RecordingError, WireError
+from g1stream.events import ConsoleHandler, handled_by
+from g1stream.files import timestamped
+from g1stream.realtime import lower_priority
+from g1stream.recorder.recorder import Recorder
+from g1stream.robot.model import G1
+from g1stream.session.format import CHANNELS
+from g1stream.session.info import SessionInfo
+from g1stream.session.parts import remove_recording
+from g1stream.session.writer import SessionWriter, attach_motion
+from g1stream.view.pipeline import MessagePipeline
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from g1stream.app.child_process import Parent
+    from g1stream.session.recorder_summary import RecorderSummary
+    from g1stream.session.summary import Summary
+
+__all__ = ["record"]
+
+#: How long a stream is looked for, s.
+_MATCH_TIMEOUT: Final = 10.0
+_POLL_PERIOD: Final = 0.05
+#: From the end of a stream to its guard's first command, at most, s.
+_GUARD_DELAY: Final = 1.0
+
+
+def record(
+    path: str | Path,
+    config: Config | None = None,
+    *,
+    force: bool = False,
+    session: SessionInfo | None = None,
+    should_stop: Callable[[], bool] = lambda: False,
+    on_ready: Callable[[], None] = lambda: None,
+    on_recorder: Callable[[Recorder], None] = lambda _: None,
+    on_stopped: Callable[[str], None] = lambda cause: None,
+    final_metadata: Callable[[], Mapping[str, Any]] = dict,
+) -> Summary:
+    """Record until told to stop, or until the disk is full.
+
+    Events are logged below the logger `g1stream.recorder`, and written into /log of the file.
+
+    Args:
+        path: the session file; its directory must exist. A file without any sample is removed.
+        config: all settings; the defaults if left out.
+        force: replace an existing file.
+        session: the motion that a stream is about to play, for the metadata. The recorder then
+            waits until it is matched with the stream before it calls `on_ready`. `path` is taken
+            as it is, whatever `record.auto_name` says.
+        should_stop: asked several times per second.
+        on_ready: called when nothing that is published from then on can be missed.
+        on_recorder: called with the recorder before it runs, to display it.
+        on_stopped: called with the cause when the recording has ended before it was told to.
+        final_metadata: more metadata; called when told to stop. `stopped` in it is why the
+            recording ended too early.
+
+    Returns:
+        What was recorded; `recorder.stopped` is why it ended early, if it did, and
+        `recorder.removed` that there was nothing to record.
+
+    Raises:
+        G1StreamError: the file, a setting or the wire does not allow it.
+    """
+    config = config or Config()
+    settings, robot = config.record, G1.load(config.robot)
+    path = Path(path)
+    if settings.auto_name and session is None:
+        path = timestamped(path, time.time_ns())
+    pipeline = MessagePipeline(robot, settings)  # before there is a file: may refuse
+    about, now = _metadata(config, session or SessionInfo()), time.time_ns()
+    size, duration = settings.split_size, settings.split_duration
+
+    def write_file_header(writer: SessionWriter) -> None:
+        writer.add_metadata(about)
+        writer.attach("robot.urdf", "application/xml", robot.urdf.encode(), now)
+        writer.attach("config.json", "application/json", config.model_dump_json().encode(), now)
+        attach_motion(writer, session.motion if session else None, now)
+        for messages in pipeline.file_header(time.time_ns()):
+            writer.write_batch(*messages)
+
+    with (
+        Participant(config.dds.domain, config.dds.interface) as participant,
+        ExitStack() as stack,
+    ):
+        if not session:  # else the stream has it published
+            stack.enter_context(publishing_for_ros2(config, should_stop))
+        writer = SessionWriter(
+            path,
+            force=force,
+            split_bytes=None if size is None else round(size * 1e6),
+            split_ns=None if duration is None else round(duration * 1e9),
+            file_header=write_file_header,
+        )
+        stack.callback(_remove_if_empty, writer)
+        stack.enter_context(writer)
+        recorder = Recorder(participant, writer, pipeline, settings.batch)
+        on_recorder(recorder)
+
+        def on_started() -> None:
+            if not session or _wait_for_stream(recorder, config, should_stop):
+                on_ready()
+
+        report = recorder.run(should_stop, on_started=on_started)
+        if report.stopped:
+            on_stopped(report.stopped)
+        while session and not should_stop():  # a full disk does not end the stream
+            time.sleep(_POLL_PERIOD)
+        _close(writer, report, final_metadata())
+    return summarise_run(config, recorder=report)
+
+
+def _has_samples(writer: SessionWriter) -> bool:
+    return any(n and CHANNELS[topic].dds_topic for topic, n in writer.counts.items())
+
+
+def _remove_if_empty(writer: SessionWriter) -> None:
+    """Remove a closed recording without samples, so that the next one is not refused for it."""
+    if writer.paths and not _has_samples(writer):  # else an older recording has stayed in its place
+        remove_recording(writer.path)
+
+
+def _close(
+    writer: SessionWriter, report: RecorderSummary, final_metadata: Mapping[str, Any]
+) -> None:
+    """Write the final metadata and the index, for which a full disk may not have room."""
+    final = dict(final_metadata)
+    report.stopped = report.stopped or final.pop("stopped", "")
+    try:
+        recorder = report.model_dump(mode="json", exclude={"removed"})
+        values = {**final, "recorder": recorder, "measured_tf": recorder["measured_tf"]}
+        writer.add_metadata(values)
+        writer.close()
+        report.paths = [str(path) for path in writer.paths]
+    except RecordingError as error:
+        report.stopped = report.stopped or error.cause
+    report.removed = not _has_samples(writer)
+
+
+def _wait_for_stream(recorder: Recorder, config: Config, should_stop: Callable[[], bool]) -> bool:
+    """Wait until the stream's publishers are matched; False if told to stop before."""
+    end = time.monotonic() + _MATCH_TIMEOUT
+    commands = COMMANDS[config.stream.via]
+    while not should_stop():
+        matched = recorder.matched()
+        absent = [topic.name for topic in (commands, REFERENCE) if not matched[topic.name]]
+        if not absent:
+            return True
+        if time.monotonic() >= end:
+            raise WireError(
+                f"No publisher of {' or '.join(absent)} was found within {_MATCH_TIMEOUT:g} s.",
+                "Check with `g1stream doctor` that the recorder and the stream see each other on "
+                "this domain and interface.",
+            )
+        time.sleep(_POLL_PERIOD)
+    return False
+
+
+def _metadata(config: Config, session: SessionInfo) -> dict[str, Any]:
+    """The file's metadata before the first sample."""
+    packages = ("cyclonedds", "mcap", "numpy")
+    return {
+        "g1stream": __version__,
+        "versions": {name: version(name) for name in packages},
+        "host": socket.gethostname(),
+        "domain": config.dds.domain,
+        "interface": config.dds.interface,
+        "session_id": uuid4().hex,
+        "started_ns": time.time_ns(),
+        # Log times come from this host's clock; publish times from that of whoever published.
+        "log_clock": f"CLOCK_REALTIME of {socket.gethostname()}",
+        "realtime_minus_monotonic_ns": time.time_ns() - time.monotonic_ns(),
+        **session.model_dump(mode="json", exclude_unset=True),
+    }
+
+
+def _run_child(parent: Parent) -> RecorderSummary | None:
+    """Record for a stream: the startup message has arguments of `record`."""
+    lower_priority()
+    config: Config = parent.startup_message.get("config") or Config()
+    # Where the stream is gone, its guard damps the robot.
+    longer = config.stream.damp + _GUARD_DELAY if config.safety.guard else 0.0
+
+    def should_stop() -> bool:
+        parent.beat()
+        if parent.signal:
+            parent.failed(stopped())
+        if parent.gone is not None and not parent.signal:
+            return time.monotonic() >= parent.gone + longer
+        return parent.done.is_set()
+
+    def stopped() -> str:
+        return f"g1stream record was ended by {parent.signal}." if parent.signal else ""
+
+    with handled_by(ConsoleHandler(logging.WARNING, "record")):
+        summary = record(
+            **parent.startup_message,
+            should_stop=should_stop,
+            on_ready=parent.ready,
+            on_stopped=parent.failed,
+            final_metadata=lambda: parent.final_message or {"stopped": stopped()},
+        )
+    return summary.recorder
+
+
+if __name__ == "__main__":
+    run_child(_run_child)

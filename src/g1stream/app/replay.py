@@ -1,0 +1,67 @@
+"""Play a recorded session again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import isfinite
+from typing import TYPE_CHECKING
+
+from g1stream.app.stream import stream
+from g1stream.errors import ConfigError
+from g1stream.session.session import Session, open_session
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from g1stream.app.arming import ArmingReport
+    from g1stream.config import Config
+    from g1stream.control.loop import StreamLoop
+    from g1stream.motion.motion import Motion
+    from g1stream.session.summary import Summary
+
+__all__ = ["replay"]
+
+
+def replay(
+    session: Session | str | Path,
+    config: Config | None = None,
+    *,
+    speed: float = 1.0,
+    record: str | Path | None = None,
+    force: bool = False,
+    arm: Callable[[ArmingReport], bool] | None = None,
+    on_loop: Callable[[StreamLoop, Motion], None] | None = None,
+) -> Summary:
+    """Play a recorded session on the robot that subscribes to LowCmd, and return how it went.
+
+    The recorded reference is played like any motion: with a ramp, within the limits, with the gains
+    and feed-forward of `config`.
+
+    Args:
+        session: a session or its file.
+        config: all settings; by default domain 1 on loopback.
+        speed: factor relative to the recording.
+        record: also record the new session into this file.
+        force: replace an existing recording.
+        arm: called before anything is sent, as by `stream`; needed on anything but loopback.
+        on_loop: called with the loop and the motion before the loop runs.
+
+    Raises:
+        SafetyError: the robot is not armed, or the motion is beyond its limits.
+        G1StreamError: a file, a setting or the wire does not allow it.
+    """
+    if not (isfinite(speed) and speed > 0):
+        raise ConfigError(f"The speed {speed} is not above 0.", "Give a --speed such as 0.5.")
+    if not isinstance(session, Session):
+        session = open_session(session)
+    motion = session.motion()
+    motion = replace(motion, fps=motion.fps * speed)
+    return stream(
+        motion,
+        config,
+        record=record,
+        force=force,
+        arm=arm,
+        on_loop=on_loop and (lambda loop: on_loop(loop, motion)),
+    )

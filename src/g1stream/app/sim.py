@@ -1,0 +1,137 @@
+"""Run the MuJoCo bridge: a simulated G1 on DDS."""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+import time
+from contextlib import ExitStack
+from typing import TYPE_CHECKING
+
+from g1stream.app.child_process import run_child
+from g1stream.app.ros2 import publishing_for_ros2
+from g1stream.clock import SystemClock
+from g1stream.config import Config
+from g1stream.dds.domain import Participant
+from g1stream.dds.log_handler import dds_log_handler
+from g1stream.events import ConsoleHandler, handled_by
+from g1stream.realtime import describe, on_time
+from g1stream.robot.model import G1
+from g1stream.sim.bridge import Bridge
+from g1stream.sim.robot import SimulatedRobot
+from g1stream.sim.world import World
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from g1stream.app.child_process import Parent
+    from g1stream.config import SimConfig
+    from g1stream.sim.robot import SimReport
+
+__all__ = ["make_world", "physics_timestep", "simulate"]
+
+_LOGGER = logging.getLogger(__name__)
+
+#: By how much its priority is below that of the loop, which must not wait for the bridge.
+_BELOW_LOOP = 10
+
+
+def simulate(
+    config: Config | None = None,
+    *,
+    should_stop: Callable[[], bool] = lambda: False,
+    on_ready: Callable[[], None] = lambda: None,
+    on_report: Callable[[SimReport], None] = lambda _: None,
+) -> SimReport:
+    """Run a simulated G1 on DDS until told to stop or for `config.sim.duration`.
+
+    Args:
+        config: all settings; the defaults if left out.
+        should_stop: asked at every LowState.
+        on_ready: called when the robot is about to appear on DDS.
+        on_report: called then with what it will count, to display it.
+
+    Raises:
+        G1StreamError: a setting or the wire does not allow it.
+    """
+    config = config or Config()
+    settings = config.sim
+    model = G1.load(config.robot)
+    world = make_world(model, settings)
+    with ExitStack() as stack:
+        participant = stack.enter_context(Participant(config.dds.domain, config.dds.interface))
+        stack.enter_context(handled_by(dds_log_handler(participant, "sim")))
+        stack.enter_context(publishing_for_ros2(config, should_stop))
+        view = _viewer(world, stack) if settings.viewer else None
+        robot = SimulatedRobot(world, settings, mode_machine=model.joint_set.mode_machine)
+        bridge = Bridge(
+            participant,
+            robot,
+            settings.support,
+            SystemClock(),
+            model=model.name,
+            onboard=settings.onboard,
+            view=view,
+        )
+        granted = stack.enter_context(on_time(_priority(config)))
+        on_ready()
+        on_report(robot.report)
+        _LOGGER.info(describe(granted))
+        end = None if settings.duration is None else time.monotonic() + settings.duration
+        return bridge.run(lambda: should_stop() or (end is not None and time.monotonic() >= end))
+
+
+def _run_child(parent: Parent) -> SimReport:
+    """Simulate for a parent: the startup message is the config."""
+    with handled_by(ConsoleHandler(program="sim")):
+        return simulate(
+            parent.startup_message, should_stop=parent.done.is_set, on_ready=parent.ready
+        )
+
+
+def _priority(config: Config) -> int:
+    """Of SCHED_FIFO: below the loop's, and 0 where the bridge could block everything else.
+
+    With one CPU, a simulation that is too slow for it would; with a viewer, it would wait for the
+    thread that draws.
+    """
+    cpus = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if config.sim.viewer or cpus < 2:
+        return 0
+    return max(0, config.realtime.priority - _BELOW_LOOP)
+
+
+def make_world(robot: G1, settings: SimConfig) -> World:
+    """The simulated robot as the settings have it.
+
+    Raises:
+        SimError: the robot cannot be simulated.
+    """
+    return World(
+        robot,
+        settings.support,
+        self_collision=settings.self_collision,
+        timestep=physics_timestep(settings.rate),
+    )
+
+
+def physics_timestep(rate: float) -> float:
+    """The largest physics step of a millisecond or less that divides the period of LowState."""
+    return 1.0 / (rate * math.ceil(1000.0 / rate))
+
+
+def _viewer(world: World, stack: ExitStack) -> Callable[[], bool]:
+    from g1stream.sim.viewer import open_viewer
+
+    window = stack.enter_context(open_viewer(world))
+
+    def view() -> bool:
+        window.sync()
+        return bool(window.is_running())
+
+    return view
+
+
+if __name__ == "__main__":
+    run_child(_run_child)

@@ -1,0 +1,1 @@
+"""What most users do without: each folder is a pip extra of the same name."""

@@ -1,0 +1,1 @@
+"""A robot on its own feet: plans, balance, torques."""

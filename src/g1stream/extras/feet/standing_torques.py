@@ -1,0 +1,187 @@
+"""The torque of a robot that is to stand: hanging until its feet carry it, then balancing; pure.
+
+docs/feet.md explains how the feet take the weight.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar, Final
+
+import numpy as np
+
+from g1stream.control.targets import LOWERED
+from g1stream.control.torques import HeldTorques
+from g1stream.errors import ConfigError
+from g1stream.extras.feet.balance import Balance
+from g1stream.motion.blend import minimum_jerk
+from g1stream.robot.dynamics import InverseDynamics
+from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
+from g1stream.robot.rotations import quat_rotate_inverse
+from g1stream.robot.soles import SIDES
+from g1stream.types import Phase
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from g1stream.control.state_checks import ImuReading
+    from g1stream.control.targets import Target
+    from g1stream.control.torques import Moment, Reading
+    from g1stream.robot.model import G1
+    from g1stream.session.stream_summary import BalanceSummary
+    from g1stream.types import Floats, StreamSupport
+
+__all__ = ["StandingTorques"]
+
+#: The feet stand once they carry this share of the weight, and no more below this one.
+_LANDS, _LIFTS = 0.1, 0.05
+#: Between these shares, the torque changes from that of a hanging robot to that of a standing one.
+_HANGS, _STANDS = 0.05, 0.25
+#: PLAY begins when the feet have carried this share for this time, s.
+_CARRIED: Final = 0.9, 1.0
+#: With this share on its feet a robot is more stable in a squat than in what holds it.
+_SQUATS: Final = 0.5
+#: Time constant of the measured share, s.
+_LOAD: Final = 0.1
+_UP: Final = np.array([0.0, 0.0, 1.0])
+#: The joints that turn a sole about y and about x, (2, 2).
+_ANKLES: Final = np.array(
+    [
+        [JOINT_NAMES.index(f"{side}_ankle_{axis}_joint") for axis in ("pitch", "roll")]
+        for side in SIDES
+    ]
+)
+
+
+class StandingTorques:
+    """The torque of a hanging robot, and of one on its feet once they carry it.
+
+    The bridge of g1stream holds the pelvis until PLAY begins and lowers the robot in RAMP: there
+    the feet take the weight at the end of RAMP. Elsewhere the robot is taken to hang from a band at
+    its torso, and the measured load on the feet decides; RAMP waits until they carry it.
+
+    Args:
+        robot: the G1.
+        alternative: another revision of it, see `HeldTorques`.
+        period: s between commands.
+
+    Raises:
+        ConfigError: the solver is not installed.
+        RobotError: the soles of a robot are not known.
+    """
+
+    needed: ClassVar = True
+
+    def __init__(self, robot: G1, alternative: G1 | None, period: float) -> None:
+        robots: Sequence[G1] = [robot] if alternative is None else [robot, alternative]
+        self._balances = {one.name: Balance(one, period) for one in robots}
+        self._hanging = HeldTorques(*(InverseDynamics(one) for one in robots), period=period)
+        self._period = period
+        self._lowered_by_bridge = False
+        self._reading: Reading | None = None
+        self._landed = False
+        self._load = self._carried_for = 0.0
+
+    @property
+    def name(self) -> str:
+        """Of the robot's model."""
+        return self._hanging.name
+
+    @property
+    def balance(self) -> Balance:
+        """Of the revision in use."""
+        return self._balances[self.name]
+
+    @property
+    def fault(self) -> str:
+        """Why there is no torque that keeps the robot on its feet, or ""."""
+        return self.balance.fault
+
+    @property
+    def fall(self) -> str:
+        """Why the robot cannot be kept on its feet, or ""."""
+        return self.balance.fall
+
+    @property
+    def balance_summary(self) -> BalanceSummary | None:
+        """How near the robot was to falling; None before PLAY."""
+        return self.balance.summary
+
+    @property
+    def awaited(self) -> str:
+        """What RAMP waits for, or ""."""
+        if self._lowered_by_bridge or self._carried_for > _CARRIED[1]:
+            return ""
+        return (
+            f"the feet carry {100 * max(0.0, self._load):.0f} % of the weight; lower "
+            f"the robot until they carry {100 * _CARRIED[0]:.0f} %, and let it go in PLAY"
+        )
+
+    @property
+    def stands(self) -> bool:
+        """Whether the feet carry half of the weight, which nothing but a band shares."""
+        return not self._lowered_by_bridge and self._load > _SQUATS
+
+    def begin(self, support: StreamSupport, announced: str | None, robot: str | None) -> None:
+        """RAMP begins; `TorqueSource` has the arguments."""
+        if announced not in (None, "free"):
+            raise ConfigError(
+                f"The simulator holds the robot ({announced}); it does not stand on its feet.",
+                "Start it with --support free, or stream without --support feet.",
+            )
+        self._lowered_by_bridge = announced == "free"
+        self._hanging.begin("hanging", "hanging", robot)
+
+    def ramp_to(self, first: Target) -> None:
+        """RAMP begins, or begins anew, to the first target of PLAY."""
+        for balance in self._balances.values():
+            balance.begin(first)
+        self._landed, self._load, self._carried_for = False, 0.0, 0.0
+
+    def observe(self, phase: Phase, time: float, reading: Reading, scale: float) -> None:
+        """Take a LowState into account; `TorqueSource` has the arguments."""
+        self._reading = reading
+        if not self._lowered_by_bridge:
+            self._hanging.observe(phase, time, reading, scale)
+
+    def command(self, moment: Moment) -> Target:
+        """The target with the torque of its command; that of the servos comes on top."""
+        phase, ramped, target, imu, age = moment
+        balance, reading = self.balance, self._reading
+        if reading is None:
+            raise RuntimeError("nothing was measured")
+        if phase is not Phase.RAMP:
+            tau = balance.torque(target, reading, age)
+            balance.watch(target)
+            return target.replace(tau=tau)
+        if self._lowered_by_bridge:
+            share = minimum_jerk((ramped - LOWERED) / (1.0 - LOWERED))[0]
+            tau = balance.torque(target, reading, age, share=share, planted=False)
+            return target.replace(tau=tau)
+        hanging = self._hanging.command(moment)
+        if ramped < 1.0:  # legs that move would look loaded
+            return hanging.replace(q=target.q + _levelled(target, imu))
+        loaded = None if self._landed or self._load > _HANGS else 0.0
+        standing = balance.torque(target, reading, age, share=loaded, planted=self._landed)
+        self._load += (min(1.0, balance.carried) - self._load) * self._period / _LOAD
+        self._landed = self._load > (_LIFTS if self._landed else _LANDS)
+        if self._carried_for <= _CARRIED[1]:  # then RAMP ends, also where the load dips again
+            carried = self._load > _CARRIED[0]
+            self._carried_for = self._carried_for + self._period if carried else 0.0
+        stands = minimum_jerk((self._load - _HANGS) / (_STANDS - _HANGS))[0]
+        return target.replace(
+            q=target.q + (1.0 - stands) * _levelled(target, imu),
+            tau=hanging.tau + stands * (standing - hanging.tau),
+        )
+
+
+def _levelled(target: Target, imu: ImuReading) -> Floats:
+    """By how much to turn the ankles (29,), rad, so that a tilted robot lands on flat soles.
+
+    The tilt against the target is that between the directions of gravity, seen from the pelvis.
+    """
+    up = quat_rotate_inverse(imu.quat_wxyz.astype(np.float64), _UP)
+    tilt = np.cross(up, quat_rotate_inverse(target.root_quat_wxyz, _UP))
+    change = np.zeros(N_JOINTS)
+    change[_ANKLES[:, 0]] = -tilt[1]
+    change[_ANKLES[:, 1]] = -tilt[0]
+    return change

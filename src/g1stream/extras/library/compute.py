@@ -1,0 +1,378 @@
+"""What is computed of one motion: its rows, and with `simulate` and `convert` its files.
+
+`rows_of` is what every process runs. Whatever is wrong with a motion becomes its row.
+"""
+
+from __future__ import annotations
+
+import json
+import resource
+import time
+from dataclasses import dataclass, field
+from functools import cache, cached_property
+from hashlib import sha256
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+from g1stream._version import __version__
+from g1stream.config import Config
+from g1stream.errors import G1StreamError, MotionError, RecordingError
+from g1stream.extras.library.files import content_hash, local_copy, stem
+from g1stream.extras.library.rows import FORMAT, Command, JointRow, MotionRow, Rows, Status
+from g1stream.extras.physics.measure import motion_physics
+from g1stream.motion.check import check_motion
+from g1stream.motion.motion import Motion
+from g1stream.motion.save import MOTION_SUFFIXES
+from g1stream.motion.trajectory import Trajectory
+from g1stream.robot.joints import JOINT_NAMES
+from g1stream.robot.kinematics import forward_kinematics
+from g1stream.robot.model import G1
+from g1stream.robot.rotations import (
+    quat_from_yaw,
+    quat_rotate,
+    quat_rotate_inverse,
+    yaw_of,
+)
+from g1stream.session.motions import load_motion
+
+if TYPE_CHECKING:
+    from g1stream.extras.physics.result import MotionPhysics
+    from g1stream.session.metrics import Metrics
+    from g1stream.types import StreamSupport
+
+__all__ = ["OUTPUTS", "Content", "LibraryCase", "Task", "contents_of", "rows_of"]
+
+OUTPUTS: Final = {"simulate": "sessions", "convert": "converted"}
+"""The directory of a library with the files that a command writes."""
+
+#: Settings that change nothing in a simulation: where on DDS, when on the CPU, what is recorded.
+_WITHOUT_EFFECT: Final = {"dds", "realtime", "record", "live_port"}
+#: What the robot of a picture is drawn of, a line each, by links.
+_LIMBS: Final = (
+    ("left_ankle_roll_link", "left_knee_link", "left_hip_roll_link", "pelvis"),
+    ("right_ankle_roll_link", "right_knee_link", "right_hip_roll_link", "pelvis"),
+    ("pelvis", "torso_link", "head"),
+    ("torso_link", "left_shoulder_pitch_link", "left_elbow_link", "left_wrist_yaw_link"),
+    ("torso_link", "right_shoulder_pitch_link", "right_elbow_link", "right_wrist_yaw_link"),
+)
+_POSES: Final = 5
+#: From the torso's origin to the top of the head, m.
+_HEAD: Final = np.array([0.0, 0.0, 0.5])
+
+
+@dataclass(frozen=True)
+class LibraryCase:
+    """What is computed of each motion.
+
+    Attributes:
+        command: check, simulate or convert.
+        config: all settings.
+        support: how the pelvis is held; of `simulate`.
+        sweep: values of settings in this case, by name; they are in `config` already.
+        format: ending of the files of `convert`: csv, npz, parquet or mcap.
+        out: the library's directory.
+        sessions: `simulate` keeps each session and its report.
+    """
+
+    command: Command
+    out: Path
+    config: Config = field(default_factory=Config)
+    support: StreamSupport | None = None
+    sweep: dict[str, float | str] = field(default_factory=dict)
+    format: str = ""
+    sessions: bool = False
+
+    @property
+    def variant(self) -> str:
+        """What tells the rows of one motion and one command apart."""
+        values = [
+            f"{name}={value:.12g}" if isinstance(value, float) else f"{name}={value}"
+            for name, value in self.sweep.items()
+        ]
+        return " ".join(filter(None, [self.support, self.format, *values]))
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Equal where command, variant, settings and versions are."""
+        about: dict[str, Any] = {
+            "command": self.command,
+            "variant": self.variant,
+            "table": FORMAT,
+            "robot": _robot(self.config).urdf,
+            "g1stream": __version__,
+        }
+        if self.command != "convert":
+            about["mujoco"] = version("mujoco")
+        if self.command == "check":
+            safety = self.config.safety
+            about["settings"] = (*_limits(self.config), safety.max_tilt, safety.urdf_limits)
+        elif self.command == "simulate":
+            settings = self.config.model_dump(mode="json", exclude=_WITHOUT_EFFECT)
+            about |= {"settings": settings, "sessions": self.sessions}
+        return sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()
+
+
+class Content(NamedTuple):
+    """What is in a file: its SHA-256 in hex; where it cannot be read, why."""
+
+    sha256: str
+    fault: str = ""
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is computed at once: one case of one motion."""
+
+    location: str
+    content: Content
+    case: LibraryCase
+
+    @property
+    def key(self) -> str:
+        """Of the row: the same where content, variant, settings and versions are."""
+        return self._key(self.case.fingerprint)
+
+    @property
+    def key_if_broken(self) -> str:
+        """Of the row where no motion can be read from the file: of all cases of a command."""
+        return self._key(self.case.command, FORMAT, __version__)
+
+    def _key(self, *about: object) -> str:
+        of = *about, self.content.sha256 or self.location
+        return sha256(" ".join(map(str, of)).encode()).hexdigest()[:16]
+
+    def rows(self, status: Status, reason: str | None = None) -> Rows:
+        """The rows of a motion of which nothing else is known."""
+        broken, case = status == "broken", self.case
+        row = MotionRow(
+            key=self.key_if_broken if broken else self.key,
+            name=stem(self.location),
+            path=self.location,
+            sha256=self.content.sha256,
+            command=case.command,
+            variant="" if broken else case.variant,
+            support=None if broken else case.support,
+            status=status,
+            reason=reason,
+        )
+        return Rows(motion=row, sweep={} if broken else case.sweep)
+
+
+@cache
+def _robot_at(path: Path | None, own_limits: bool) -> G1:
+    return G1.load(path, own_limits=own_limits)
+
+
+def _robot(config: Config) -> G1:
+    return _robot_at(config.robot, config.safety.urdf_limits)
+
+
+def _limits(config: Config) -> tuple[float, float]:
+    """What limits are checked with: targets per second, and the margin to position limits."""
+    return config.stream.rate, config.safety.position_margin
+
+
+def contents_of(locations: list[str]) -> list[Content]:
+    """What is at each of some paths and URLs."""
+    return [_content(location) for location in locations]
+
+
+def _content(location: str) -> Content:
+    try:
+        return Content(content_hash(location))
+    except MotionError as error:
+        return Content("", error.cause)
+
+
+def rows_of(task: Task) -> Rows:
+    """Compute the rows of one motion; what is wrong with it is in them."""
+    begun = time.perf_counter()
+    case, rows, path = task.case, task.rows("refused"), Path(task.location)
+    row = rows.motion
+    try:
+        if task.content.fault:
+            raise MotionError(task.content.fault, "")
+        with local_copy(task.location) as path:
+            motion = _load(path)
+            row.frames, row.fps, row.duration = motion.n_frames, motion.fps, motion.duration
+            row.picture = picture(motion, _robot(case.config))
+            _COMPUTE[case.command](motion, case, rows)
+        row.status = "ok"
+    except RecordingError as error:  # a file of ours cannot be written now
+        row.status, row.reason = "error", error.cause
+    except G1StreamError as error:
+        if row.frames is None:
+            rows = task.rows("broken")
+        row = rows.motion
+        row.reason = _without_name(error.cause, path)
+    except MemoryError:
+        row.status, row.reason = "huge", "It takes more memory than --memory-limit."
+    except Exception as error:  # a fault of ours ends no other motion
+        row.status, row.reason = "error", f"{type(error).__name__}: {error}"
+    row.seconds = time.perf_counter() - begun
+    row.memory = _resident() / 1e6
+    return rows
+
+
+def _load(path: Path) -> Motion:
+    try:
+        return load_motion(path)
+    except RecordingError as error:  # a session of others is damaged: no file of ours
+        raise MotionError(error.cause, error.remedy) from error
+
+
+def _without_name(cause: str, path: Path) -> str:
+    """A cause without the path of the file, which the row has, or that of its copy."""
+    shorter = cause.removeprefix(path.name).lstrip(":, ")
+    return shorter.replace(f"The file {path}", "The file").replace(str(path), "the file")
+
+
+def _resident() -> int:
+    """Bytes of memory of this process."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
+
+
+def _check(motion: Motion, case: LibraryCase, rows: Rows) -> None:
+    robot, row = _robot(case.config), rows.motion
+    rate, margin = _limits(case.config)
+    trajectory = Trajectory(motion)
+    report = check_motion(motion, robot, rate=rate, position_margin=margin, trajectory=trajectory)
+    row.within_limits = report.within_limits
+    row.looks_like = report.suspicion or None
+    speeds = {one.joint: one.value for one in report.streamed.speeds}
+    row.max_speed = max(speeds.values())
+    lowest, highest = motion.joint_pos.min(axis=0), motion.joint_pos.max(axis=0)
+    joints = {
+        name: JointRow(
+            key=row.key,
+            joint=name,
+            lowest=float(lowest[j]),
+            highest=float(highest[j]),
+            max_speed=speeds.get(name),
+        )
+        for j, name in enumerate(JOINT_NAMES)
+    }
+    rows.joints += joints.values()
+    if report.in_radians:
+        max_tilt = case.config.safety.max_tilt
+        found = motion_physics(motion, robot, max_tilt=max_tilt, trajectory=trajectory)
+        _add_physics(found, row, joints)
+
+
+def _add_physics(found: MotionPhysics, row: MotionRow, joints: dict[str, JointRow]) -> None:
+    causes = []
+    for support, verdict in found.verdicts.items():
+        setattr(row, support, verdict.playable)
+        against = dict.fromkeys(excess.cause for excess in verdict.excesses)
+        if why := verdict.refused or ", ".join(against):
+            causes.append(f"{support}: {why}")
+    row.causes = "; ".join(causes) or None
+    row.max_tilt = found.tilt_rad
+    row.max_collision = found.collisions[0].depth_mm if found.collisions else 0.0
+    row.max_penetration = max(foot.penetration_mm for foot in found.feet)
+    row.max_skating = max(foot.skating_max_mm_s or 0.0 for foot in found.feet)
+    row.least_margin, row.supported = found.margin_mm, found.supported_share
+    for support, peaks in found.torques.items():
+        setattr(row, f"torque_{support}", peaks[0].share)
+        for peak in peaks:
+            joint = joints[peak.joint]
+            joint.torque_limit = peak.limit_nm
+            setattr(joint, f"torque_{support}", peak.torque_nm)
+
+
+def _simulate(motion: Motion, case: LibraryCase, rows: Rows) -> None:
+    from g1stream.app.rollout import rollout
+
+    row, config = rows.motion, case.config
+    if not case.sessions:  # nobody looks at it
+        record = config.record.model_copy(update={"channels": "raw"})
+        config = config.model_copy(update={"record": record})
+    session = rollout(motion, support=case.support, config=config)
+    metrics, summary = session.metrics(), session.summary()
+    success, row.ended = metrics.success, summary.termination.reason or None
+    row.completed, row.success = success.completed, success.success
+    row.progress = success.progress
+    for name, value in metrics.named().items():
+        if name in MotionRow.model_fields:
+            setattr(row, name, value)
+    if metrics.tracking:
+        row.worst_joint = metrics.tracking.all_joints.worst_joint
+    rows.joints += _joint_rows(row.key, metrics)
+    if case.sessions:
+        from g1stream.extras.report.page import report
+
+        path = _output(motion, case, row.key, "mcap")
+        page = path.with_suffix(".html")
+        session.save(path, force=True)
+        report(path, page, force=True)
+        row.output, row.report = (str(one.relative_to(case.out)) for one in (path, page))
+
+
+def _joint_rows(key: str, metrics: Metrics) -> list[JointRow]:
+    if metrics.tracking is None:
+        return []
+    torques = metrics.torque.joints if metrics.torque else {}
+    rows = []
+    for name, one in metrics.tracking.joints.items():
+        row = JointRow(
+            key=key,
+            joint=name,
+            rmse=one.rmse_rad,
+            bias=one.mean_rad,
+            p99=one.p99_rad,
+            max=one.max_abs_rad,
+            delay=one.delay_s,
+        )
+        if torque := torques.get(name):
+            row.torque_limit, row.torque_p99 = torque.limit_nm, torque.p99_nm
+            row.torque_use, row.saturated = torque.use, torque.saturated
+        rows.append(row)
+    return rows
+
+
+def _convert(motion: Motion, case: LibraryCase, rows: Rows) -> None:
+    from g1stream.app.convert import Conversion, convert
+
+    path = _output(motion, case, rows.motion.key, case.format)
+    if path.suffix in MOTION_SUFFIXES:
+        motion.save(path, force=True)
+    else:
+        convert(motion, path, Conversion(force=True), robot=_robot(case.config))
+    rows.motion.output = str(path.relative_to(case.out))
+
+
+def _output(motion: Motion, case: LibraryCase, key: str, suffix: str) -> Path:
+    """Where the file of a row goes: motions of one name have different keys."""
+    directory = case.out / OUTPUTS[case.command]
+    directory.mkdir(parents=True, exist_ok=True)
+    return directory / f"{motion.name}-{key[:8]}.{suffix}"
+
+
+_COMPUTE: Final = {"check": _check, "simulate": _simulate, "convert": _convert}
+
+
+def picture(motion: Motion, robot: G1) -> str:
+    """Five poses of a motion as stick figures: the path of an SVG 100 wide and 30 high.
+
+    Each is seen from ahead and to the right of its own heading, 45 degrees between the two.
+    """
+    frames = np.linspace(0, motion.n_frames - 1, _POSES).round().astype(int)
+    root_quat = motion.root_quat_wxyz[frames]
+    poses = forward_kinematics(robot, motion.joint_pos[frames], np.zeros((_POSES, 3)), root_quat)
+    places = {name: poses.pos[:, i] for i, name in enumerate(robot.link_names)}
+    torso = poses.quat_wxyz[:, robot.link_index("torso_link")]
+    places["head"] = places["torso_link"] + quat_rotate(torso, _HEAD)
+    heading = quat_from_yaw(yaw_of(root_quat))
+    path = []
+    for pose in range(_POSES):
+        for limb in _LIMBS:
+            points = np.array([places[link][pose] for link in limb if link in places])
+            seen = quat_rotate_inverse(heading[pose], points)
+            across = (seen[:, 1] - seen[:, 0]) * np.sqrt(0.5)
+            x = 100.0 * (pose + 0.5) / _POSES + 17.0 * across
+            y = 16.0 - 17.0 * seen[:, 2]
+            path.append("M" + "L".join(f"{a:.1f} {b:.1f}" for a, b in zip(x, y, strict=True)))
+    return "".join(path)

@@ -1,0 +1,183 @@
+"""Motion files below paths and URLs, and what they contain; URLs are those of fsspec."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+from contextlib import contextmanager
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Any, Final
+
+from g1stream.errors import ConfigError, MotionError, RecordingError
+from g1stream.files import output_errors
+from g1stream.optional import import_extra
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+__all__ = ["LIBRARY", "content_hash", "find_motions", "local_copy", "stem"]
+
+#: Of the files in a directory that may be motions; a file that is named is read whatever its name.
+_SUFFIXES: Final = {
+    *(".csv", ".npz", ".npy", ".parquet"),
+    *(".pkl", ".pickle", ".joblib", ".pt", ".pth"),
+    *(".mcap", ".db3"),
+}
+#: A directory with this file is a recording in parts, or a bag of ROS 2: one motion.
+_BAG: Final = "metadata.yaml"
+LIBRARY: Final = ".g1stream-library"
+"""The file in each library's directory; its tables and what it wrote are no motions to look at."""
+#: Bytes of a file from a URL; an hour of motion at 500 Hz has as many.
+_LARGEST: Final = 2**30
+
+
+def find_motions(places: Sequence[str]) -> list[str]:
+    """The motion files below directories, files and URLs, in order, each location once.
+
+    A directory stands for the files below it whose names end like those of motion files, and for
+    its recordings in parts; libraries and hidden files and directories are left out, links to
+    directories not followed.
+
+    Args:
+        places: paths, or URLs such as `s3://bucket/motions`.
+
+    Returns:
+        Absolute paths, and URLs.
+
+    Raises:
+        ConfigError: there is no such place, or the package for a kind of URL is not installed.
+    """
+    found: list[str] = []
+    for place in places:
+        found += _below_url(place) if "://" in place else _below(place)
+    return list(dict.fromkeys(found))
+
+
+def _below(place: str) -> Iterator[str]:
+    path = Path(place).absolute()
+    if not path.exists():
+        raise ConfigError(
+            f"There is no {place}.", "Give motion files, directories with some, or URLs."
+        )
+    if not path.is_dir():
+        yield str(path)
+        return
+    for directory, names, files in os.walk(path):
+        names[:] = sorted(name for name in names if not name.startswith("."))
+        if _BAG in files or LIBRARY in files:
+            names.clear()
+            if _BAG in files:
+                yield directory
+            continue
+        for name in _motions_among(files):
+            if (one := Path(directory, name)).is_file():
+                yield str(one)
+
+
+def _motions_among(names: Iterable[str]) -> list[str]:
+    paths = ((name, PurePosixPath(name)) for name in names)
+    return sorted(
+        name
+        for name, path in paths
+        if path.suffix.lower() in _SUFFIXES and not path.name.startswith(".")
+    )
+
+
+def _below_url(url: str) -> list[str]:
+    fsspec = import_extra("fsspec", "library", "URLs need")
+    try:
+        files, root = fsspec.core.url_to_fs(url)
+        if _motions_among([root]) and files.isfile(root):
+            return [url]
+        if not files.exists(root):
+            raise FileNotFoundError("there is nothing")
+        _, inside, archive = url.partition("::")  # zip://motions::s3://bucket/all.zip
+        found = _motions_among(files.find(root))
+        if not found and files.isfile(root):  # a web server's directory is a file, too
+            return [url]
+        return [f"{files.unstrip_protocol(path)}{inside}{archive}" for path in found]
+    except ImportError as error:  # s3 needs s3fs, http aiohttp, and so on
+        raise ConfigError(f"{url} cannot be read: {error}.", "Install that package.") from error
+    except Exception as error:  # what a file system raises is its own
+        raise ConfigError(
+            f"{url} cannot be listed: {type(error).__name__}: {error}.",
+            "Check the URL, and whether this machine may read there.",
+        ) from error
+
+
+def stem(location: str) -> str:
+    """The name of the motion at a path or URL."""
+    return _path(location).stem
+
+
+def _path(location: str) -> PurePosixPath:
+    """The path in a URL, which may be followed by that of an archive: `zip://a.npz::file:///b`."""
+    return PurePosixPath(location.partition("::")[0] if "://" in location else location)
+
+
+def content_hash(location: str) -> str:
+    """SHA-256 of what is at a path or URL, in hex; of a directory, of its files in order.
+
+    Raises:
+        MotionError: it cannot be read, is too large, or is not a file.
+    """
+    digest = hashlib.sha256()
+    path = Path(location)
+    parts = [location]
+    if "://" not in location and path.is_dir():
+        parts = [str(part) for part in sorted(path.iterdir()) if part.is_file()]
+    for part in parts:
+        with _opened(part) as file:
+            while block := file.read(2**20):
+                digest.update(block)
+    return digest.hexdigest()
+
+
+@contextmanager
+def local_copy(location: str) -> Iterator[Path]:
+    """A path at which the motion can be read: its own or, of a URL, that of a temporary copy.
+
+    Raises:
+        MotionError: it cannot be read or is too large.
+        RecordingError: the copy cannot be written.
+    """
+    if "://" not in location:
+        yield Path(location)
+        return
+    with output_errors(Path(tempfile.gettempdir())):
+        scratch = tempfile.TemporaryDirectory(prefix="g1stream-")
+    with scratch as directory:
+        copy = Path(directory, _path(location).name)
+        with output_errors(copy), copy.open("wb") as out, _opened(location) as file:
+            while block := file.read(2**20):
+                with output_errors(copy):  # no fault of the URL
+                    out.write(block)
+        yield copy
+
+
+@contextmanager
+def _opened(location: str) -> Iterator[Any]:
+    """A regular file of bounded size, or one at a URL."""
+    try:
+        if "://" in location:
+            import fsspec
+
+            files, path = fsspec.core.url_to_fs(location)
+            size, opened = files.size(path), files.open
+        else:
+            path, opened = Path(location), Path.open
+            if not path.is_file():
+                raise OSError("it is not a file")
+            size = path.stat().st_size
+        if size is not None and size > _LARGEST:
+            raise OSError(f"it has more than {_LARGEST / 2**20:g} MiB")
+        with opened(path, "rb") as file:
+            yield file
+    except (MemoryError, RecordingError):  # of who reads it
+        raise
+    except Exception as error:  # what a file system raises is its own
+        raise MotionError(
+            f"{location} cannot be read: {getattr(error, 'strerror', None) or error}.",
+            "Check that it is there and that you may read it.",
+        ) from error

@@ -1,0 +1,259 @@
+"""`g1stream library`: many motions at once."""
+
+from __future__ import annotations
+
+import sys
+from collections import Counter
+from dataclasses import dataclass
+from math import isnan
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Literal, cast, get_args
+
+from g1stream.cli.command import (
+    EXIT_OK,
+    EXIT_STOPPED,
+    SettingsCommand,
+    exit_code_of_signal,
+    on_signals,
+    print_lines,
+    print_warning,
+)
+from g1stream.cli.flags import argument, flag
+from g1stream.cli.progress import ProgressDisplay
+from g1stream.errors import ConfigError
+from g1stream.text import counted, labelled, table
+from g1stream.types import StreamSupport, Support
+
+if TYPE_CHECKING:
+    from g1stream.extras.library.compute import LibraryCase
+    from g1stream.extras.library.rows import MotionRow
+    from g1stream.extras.library.run import LibraryRun
+
+__all__ = ["Library"]
+
+#: Motions that are named where several failed.
+_NAMED: Final = 5
+#: Between two lines of progress where there is no terminal, s.
+_IN_PIPE_S: Final = 30.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Library(SettingsCommand):
+    """Checks, simulates or converts all motion files in directories, copies of a file once.
+
+    check: what `g1stream motion --physics` says. simulate: plays each motion on a simulated robot,
+    faster than real time, once for each support and each value of a sweep. convert: writes motion
+    files, or MCAP files for viewers.
+
+    The result is a directory with Parquet tables, a row for each motion and one for each of its
+    joints, and index.html. A file that is broken, or takes too much time or memory, is a row with
+    its reason. The same command continues where it was ended, and computes again what other
+    settings or versions change. docs/library.md has the columns; --fail-if takes those that are
+    numbers, yes and no as 1 and 0, and `ok`, 1 for a row whose status is ok.
+
+    Examples:
+      g1stream library check motions -o library
+      g1stream library simulate s3://lab/motions --support bolted,hanging
+      g1stream library simulate motions --sweep gains.kp=0.5,1,2
+      g1stream library check motions --fail-if 'max_collision > 10 or free < 1'
+      g1stream library check motions --fail-if 'ok > 0 and max_collision > 10'
+      g1stream library check motions --cluster tcp://head:8786
+
+    Exit codes:
+      0        computed; that a motion failed is a result, too
+      1        --fail-if holds, or cannot be told, for a row; or rows are missing
+      2        bad input
+      128 + n  ended by signal n; what was computed is kept
+    """
+
+    action: Literal["check", "simulate", "convert"] = argument(
+        "check limits and physics of the motions, simulate a robot that plays them, or convert "
+        "their files. Flags that begin with an action go with that one only.",
+        "ACTION",
+    )
+    places: tuple[str, ...] = argument(
+        "Directories, motion files, or URLs such as s3://bucket/motions (extra `library`).",
+        "PATH...",
+    )
+    out: Path = flag(Path("library"), "Directory of the tables.", "DIR", aliases=("-o",))
+    support: str | None = flag(
+        None,
+        f"simulate: how the pelvis is held: {', '.join(get_args(StreamSupport))}; several with "
+        "commas.",
+        "SUPPORT",
+        shown="bolted",
+    )
+    sweep: list[str] = flag(
+        (),
+        "simulate: once with each value of a setting, such as stream.rate=250,500; of gains.kp and "
+        "gains.kd, with so many times the gains. May be repeated: all combinations.",
+        "NAME=A,B",
+        shown="none",
+    )
+    sessions: bool = flag(False, "simulate: keep each session, and its report.")
+    to: Literal["npz", "csv", "parquet", "mcap"] = flag("npz", "convert: format of the files.")
+    workers: int | None = flag(None, "Processes on this machine.", "N", shown="CPUs", gt=0)
+    cluster: str | None = flag(
+        None, "Use the workers of this Dask scheduler instead (extra `cluster`).", "ADDRESS"
+    )
+    time_limit: float = flag(600.0, "Time for a motion.", "S", gt=0)
+    memory_limit: float = flag(4000.0, "Memory for a motion.", "MB", gt=0)
+    fail_if: str | None = flag(None, "Exit code 1 where this holds for a row.", "CONDITION")
+    json: bool = flag(False, "Print a line of JSON for each row that is computed.")
+
+    def run(self) -> int:
+        """Compute, and return the exit code."""
+        from g1stream.analysis.condition import Condition
+        from g1stream.extras.library.processes import Limits
+        from g1stream.extras.library.rows import CONDITION_NAMES, condition_values
+        from g1stream.extras.library.run import LibraryRun, run_library
+        from g1stream.extras.library.table import newest_motions
+
+        self._check_flags()
+        condition = None if self.fail_if is None else Condition(self.fail_if)
+        if condition:  # refused now, and not when all is computed
+            condition.holds({name: 1.0 + i for i, name in enumerate(CONDITION_NAMES)})
+        cases = self._cases()
+        run, reasons = LibraryRun(), list[str]()
+        with on_signals(reasons.append), ProgressDisplay(run.status, in_pipe=_IN_PIPE_S):
+            run_library(
+                self.places,
+                cases,
+                workers=self.workers,
+                cluster=self.cluster,
+                limits=Limits(self.time_limit, self.memory_limit),
+                run=run,
+                on_row=_print_row if self.json else lambda row: None,
+                stop=lambda: bool(reasons),
+                warn=print_warning,
+            )
+        found = newest_motions(self.out) if run.done or run.known else None
+        rows = [] if found is None else found[found["key"].isin(run.keys)].to_dict("records")
+        variants = {case.variant: i for i, case in enumerate(cases)}
+        rows.sort(key=lambda row: (variants.get(row["variant"], -1), row["path"]))
+        out = sys.stderr if self.json else None
+        lines = [*_about(run, self.out), *_results(rows), *_problems(run, rows)]
+        print_lines("\n".join(lines), out)
+        failed = False
+        if condition:
+            names = condition.metrics
+            truths = [condition.holds(condition_values(row, names)) for row in rows]
+            held = {
+                text: [row for row, truth in zip(rows, truths, strict=True) if truth is one]
+                for text, one in (("holds", True), ("cannot be told", None))
+            }
+            failed = any(held.values())
+            verdict = ", and ".join(
+                f"{text} for {counted(len(of), 'row')}, such as {of[0]['name']}"
+                for text, of in held.items()
+                if of
+            )
+            label = "FAILED: " if failed else "passed: " if run.complete else "not decided: "
+            there = "" if run.complete else f" of the {counted(len(rows), 'row')} that are there"
+            verdict = verdict or f"holds for no row{there}"
+            print_lines(labelled(label, f"{condition.text} {verdict}"), out)
+        if reasons:
+            return exit_code_of_signal(reasons[0]) or EXIT_STOPPED
+        return EXIT_STOPPED if failed or not run.complete else EXIT_OK
+
+    def _check_flags(self) -> None:
+        only = {
+            "--support": (self.support, "simulate"),
+            "--sweep": (self.sweep, "simulate"),
+            "--sessions": (self.sessions, "simulate"),
+            "--to": (self.to != "npz", "convert"),
+        }
+        for name, (given, action) in only.items():
+            if given and self.action != action:
+                raise ConfigError(
+                    f"{name} has no effect on library {self.action}.", "Leave it out."
+                )
+        if self.workers and self.cluster:
+            raise ConfigError("--workers and --cluster exclude each other.", "Give one of them.")
+
+    def _cases(self) -> list[LibraryCase]:
+        from g1stream.extras.library.compute import LibraryCase
+        from g1stream.extras.library.sweep import swept
+
+        config, out = self.resolve(), self.out
+        if self.action == "check":
+            return [LibraryCase("check", out, config)]
+        if self.action == "convert":
+            return [LibraryCase("convert", out, config, format=self.to)]
+        asked = dict.fromkeys((self.support or config.sim.support).split(","))
+        if unknown := asked.keys() - set(get_args(StreamSupport)):
+            raise ConfigError(
+                f"There is no support {min(unknown)!r}.",
+                f"Choose from {', '.join(get_args(StreamSupport))}.",
+            )
+        supports = cast("list[StreamSupport]", list(asked))
+        return [
+            LibraryCase("simulate", out, settings, support, values, sessions=self.sessions)
+            for support in supports
+            for values, settings in swept(config, self.sweep)
+        ]
+
+
+def _print_row(row: MotionRow) -> None:
+    print(row.model_dump_json(exclude={"picture"}), flush=True)
+
+
+def _about(run: LibraryRun, out: Path) -> list[str]:
+    """What was found, and what became of it."""
+    from g1stream.extras.library.page import PAGE
+
+    motions = counted(run.files - run.copies, "motion")
+    copies = f", {run.copies} the same as another" if run.copies else ""
+    known = f", {run.known} known before" if run.known else ""
+    missing = run.total - run.known - run.done
+    more = f", {missing} missing: the same command computes them" if missing else ""
+    return [
+        f"{out}: {counted(run.total, 'row')} of {motions}{copies}",
+        f"  {run.done} computed in {run.elapsed:.1f} s{known}{more}",
+        *([f"  {out / PAGE}"] if run.known or run.done else []),
+    ]
+
+
+def _results(rows: list[dict[str, Any]]) -> list[str]:
+    """What can be played with each support, or how closely each variant was followed."""
+    from g1stream.extras.physics.result import Playable
+
+    ok = [row for row in rows if row["status"] == "ok"]
+    if not ok or ok[0]["command"] == "convert":
+        return []
+    if ok[0]["command"] == "check":
+        answers = get_args(Playable)
+        counts = {one: Counter(row[one] for row in ok) for one in (*get_args(Support), "feet")}
+        cells = [(name, *(str(n[answer]) for answer in answers)) for name, n in counts.items()]
+        return ["", *table([("can be played", *answers), *cells], left=(0,))]
+    lines = [("simulated", "rows", "success", "median RMSE rad", "worst", "motion")]
+    played = [row for row in ok if not isnan(row["rmse"])]
+    for variant in dict.fromkeys(row["variant"] for row in played):
+        of = sorted((r for r in played if r["variant"] == variant), key=lambda row: row["rmse"])
+        successes = sum(row["success"] is True for row in of)
+        median, worst = of[len(of) // 2], of[-1]
+        figures = f"{median['rmse']:.4f}", f"{worst['rmse']:.4f}", worst["name"]
+        lines.append((variant, str(len(of)), str(successes), *figures))
+    return ["", *table(lines, left=(0, 5))]
+
+
+def _problems(run: LibraryRun, rows: list[dict[str, Any]]) -> list[str]:
+    """What failed, and why; some of each kind. And what a file that was written lacks."""
+    from g1stream.motion.csv import DEFAULT_FPS
+
+    failed = [row for row in rows if row["status"] != "ok"]
+    kinds = ", ".join(f"{n} {kind}" for kind, n in Counter(r["status"] for r in failed).items())
+    lines = ["", f"failed: {kinds}"] if failed else []
+    for row in failed[:_NAMED]:
+        of = f" ({row['variant']})" if row["variant"] else ""
+        lines.append(labelled("  ", f"{row['path']}{of}: {row['reason']}"))
+    if len(failed) > _NAMED:
+        lines.append(f"  and {len(failed) - _NAMED} more: column `reason` of the table")
+    csv = [row for row in rows if row["variant"] == "csv" and row["status"] == "ok"]
+    if rated := [row for row in csv if row["fps"] != DEFAULT_FPS]:
+        lines.append(
+            f"CSV files keep no rate: read {counted(len(rated), 'file')} of these with --fps, such "
+            f"as {rated[0]['output']} with --fps {rated[0]['fps']:g}; column `fps` has the others'"
+        )
+    lost = list(run.lost.items())[:_NAMED]
+    return lines + [labelled("  ", f"{path}: not computed: {why}") for path, why in lost]

@@ -1,0 +1,123 @@
+"""The page of a library: its motions as a table to sort and filter, worst first."""
+
+from __future__ import annotations
+
+import json
+from html import escape
+from importlib import resources
+from pathlib import Path, PurePosixPath
+from string import Template
+from typing import TYPE_CHECKING, Any, Final, get_args
+
+from g1stream.extras.library.rows import MotionRow
+from g1stream.extras.library.table import newest_motions
+from g1stream.files import complete_file
+from g1stream.text import printable
+from g1stream.types import Support
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    import pandas
+
+__all__ = ["PAGE", "write_page"]
+
+PAGE: Final = "index.html"
+
+#: Where the page has the data, which are written in pieces of so many rows.
+_DATA: Final = "\0"
+_ROWS: Final = 500
+#: Before the values of a sweep, and after them. The page has a reason in place of what is behind.
+_FIRST: Final = ["picture", "name", "status", "support", "variant"]
+_THEN: Final = ["reason", "rmse", "report", "output"]
+_LEFT_OUT: Final = {"key", "sha256", "command", "limits"}
+#: The same for many rows, or told by another column.
+_LAST: Final = ["frames", "fps", "path", "seconds", "memory"]
+
+
+def write_page(directory: Path) -> Path:
+    """Write the page of a library, which needs no network.
+
+    Args:
+        directory: of the library.
+
+    Raises:
+        RecordingError: there is no library, or the page cannot be written.
+    """
+    motions = newest_motions(directory)
+    text = Template(_resource("page.html")).substitute(
+        title=escape(printable(directory.absolute().name)),
+        style=_resource("page.css"),
+        data=_DATA,
+        script=_resource("page.js"),
+    )
+    before, _, after = text.partition(_DATA)
+    path = directory / PAGE
+    with complete_file(path) as temporary, temporary.open("w", encoding="utf-8") as file:
+        file.write(before)
+        for number, command in enumerate(dict.fromkeys(motions["command"])):
+            file.write(f"{',' if number else '{'}{json.dumps(command)}:")
+            for piece in _shown(motions[motions["command"] == command]):
+                file.write(piece.replace("<", "\\u003c"))
+        file.write("}" + after)
+    return path
+
+
+def _shown(motions: pandas.DataFrame) -> Iterator[str]:
+    """JSON of the columns that have values and of the rows, worst first, in pieces."""
+    motions = motions.assign(name=_distinct(motions["name"], motions["path"]))
+    sweep = [name for name in motions if name not in MotionRow.model_fields]
+    motions = motions.iloc[(-_badness(motions)).argsort(kind="stable")]
+    told = motions.replace("", None).notna().any()
+    told["variant"] &= not told["support"]  # and values of a sweep, which have their columns
+    used = [name for name in motions if name not in _LEFT_OUT and told[name]]
+    ahead = [*_FIRST, *sweep, *_THEN]
+    names = [name for name in ahead if name in used]
+    names += [name for name in used if name not in {*ahead, *_LAST}]
+    names += [name for name in _LAST if name in used]
+    about = {name: MotionRow.model_fields.get(name) for name in names}
+    columns = [
+        {
+            "name": name,
+            "about": field.description if field else "value of the sweep",
+            "unit": field.json_schema_extra["unit"] if field else "",  # type: ignore[index]
+        }
+        for name, field in about.items()
+    ]
+    yield f'{{"columns":{json.dumps(columns)},"rows":['
+    for first in range(0, len(motions), _ROWS):
+        rows = motions[names].iloc[first : first + _ROWS]
+        text = rows.to_json(orient="values", double_precision=9)
+        yield f"{',' if first else ''}{text[1:-1]}"
+    yield "]}"
+
+
+def _distinct(names: Sequence[str], paths: Sequence[str]) -> list[str]:
+    """Names, with as much of the path before those of several files as tells them apart."""
+    files: dict[str, set[str]] = {}
+    for name, path in zip(names, paths, strict=True):
+        files.setdefault(name, set()).add(path)
+    return [
+        name if len(files[name]) == 1 else _end(path, files[name])
+        for name, path in zip(names, paths, strict=True)
+    ]
+
+
+def _end(path: str, others: set[str]) -> str:
+    parts = {one: PurePosixPath(one).parts for one in others}
+    for n in range(2, len(parts[path])):
+        if len({one[-n:] for one in parts.values()}) == len(parts):
+            return "/".join(parts[path][-n:])
+    return path
+
+
+def _badness(motions: pandas.DataFrame) -> Any:
+    """(N,) numbers: what failed has the highest, then what cannot be played or followed closely."""
+    forbidden = sum((motions[support] == "no").astype(float) for support in get_args(Support))
+    failed = (motions["status"] != "ok").astype(float)
+    detail = motions["rmse"].fillna(motions["max_collision"] / 1e3).fillna(0.0).clip(0.0, 0.99)
+    return (10.0 * failed + forbidden + detail).to_numpy()
+
+
+def _resource(name: str) -> str:
+    return resources.files(__package__).joinpath(name).read_text(encoding="utf-8")

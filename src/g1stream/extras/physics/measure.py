@@ -1,0 +1,406 @@
+"""The physical sense of a motion: what it would take to play it, for each way to hold the robot.
+
+Nothing is simulated: every frame is looked at by itself, with the velocities and accelerations of
+the spline through the frames. docs/motion-physics.md has the formulas, thresholds and sources.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from g1stream.config import SafetyConfig
+from g1stream.errors import ConfigError
+from g1stream.extras.physics.footing import CannotStandError
+from g1stream.extras.physics.ground import (
+    FRICTION,
+    beyond_support,
+    stretches,
+    touching,
+    zero_moment_point,
+)
+from g1stream.extras.physics.loads import Loads, movement_loads
+from g1stream.extras.physics.parts import find_instead, stand_part
+from g1stream.extras.physics.result import (
+    Cause,
+    Collision,
+    Excess,
+    Foot,
+    MotionPhysics,
+    TorquePeak,
+    Verdict,
+)
+from g1stream.motion.trajectory import Trajectory
+from g1stream.robot.hulls import SelfCollision, read_hulls
+from g1stream.robot.joints import JOINT_NAMES
+from g1stream.robot.model import G1
+from g1stream.robot.rotations import rotation_matrices
+from g1stream.robot.soles import SIDES, Soles
+from g1stream.types import Floats, Support
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from typing import Any
+
+    from numpy.typing import NDArray
+
+    from g1stream.extras.physics.ground import Flags
+    from g1stream.motion.motion import Motion
+    from g1stream.robot.hulls import Hull
+    from g1stream.robot.kinematics import LinkPoses
+
+__all__ = ["motion_physics"]
+
+# Limits, and how long they may be passed; docs/motion-physics.md says why these.
+_TOUCHING: Final = 1.0  # depth of two links in each other, mm
+_DEEP: Final = 10.0  # the same, which forbids a motion
+_OUTSIDE: Final = 10.0  # of the centre of pressure from the support polygon, mm
+_UNSUPPORTED: Final = 0.2  # force that nothing exerts, over the weight
+_SUNK: Final = 10.0  # depth below the floor, mm
+_SKATING: Final = 100.0  # speed of a corner that touches the floor, mm/s
+_TIPS: Final = 0.1  # time in which a robot on its feet begins to fall, s
+_SAGS: Final = 0.5  # time in which a joint that lacks torque is somewhere else, s
+_SWINGS: Final = 0.5  # time in which a hanging pelvis turns, s
+
+
+class _Frames(NamedTuple):
+    """What is known of T frames without dynamics.
+
+    Attributes:
+        fps: frames per second.
+        corners: (T, 8, 3) m, world, of the soles.
+        touches: (T, 8) whether a corner touches the floor.
+        speeds: (T, 8) m/s, horizontal.
+        heights: by link but the feet, (T,) m from the floor to its lowest point, infinite where it
+            is above the floor.
+        depths: by pair of links, (T,) m that they are inside each other.
+    """
+
+    fps: float
+    corners: Floats
+    touches: Flags
+    speeds: Floats
+    heights: dict[str, Floats]
+    depths: dict[tuple[str, str], Floats]
+
+
+def motion_physics(
+    motion: Motion,
+    robot: G1 | None = None,
+    *,
+    max_tilt: float | None = None,
+    played: Flags | None = None,
+    frames: range | None = None,
+    suggest: bool = False,
+    trajectory: Trajectory | None = None,
+    progress: Callable[[float], None] = lambda fraction: None,
+) -> MotionPhysics:
+    """What it would take to play a motion: contacts, collisions, centre of pressure, torques.
+
+    docs/motion-physics.md has the formulas, and what it takes.
+
+    Args:
+        motion: its frames; the floor is at height 0.
+        robot: the G1; the default one if None.
+        max_tilt: pelvis tilt that ends a run, rad; the default of `safety.max_tilt` if None.
+        played: (29,) the joints that play it, for support feet; all if None.
+        frames: that are played, for support feet; all if None.
+        suggest: find what can be played with support feet instead, where that cannot.
+        trajectory: through its frames; made if None.
+        progress: called with the fraction that is done, 0 to 1.
+
+    Raises:
+        RobotError: the dynamics or the soles of this robot are not known.
+    """
+    robot = robot or G1.default()
+    trajectory, soles = trajectory or Trajectory(motion), Soles(robot)
+    known, look = _without_dynamics(motion, robot, soles, progress)
+    loads = movement_loads(trajectory, robot, soles, known.corners, known.touches, look)
+    tilt = np.arccos(rotation_matrices(motion.root_quat_wxyz.T)[2, 2].clip(-1.0, 1.0))
+    beyond = _beyond_support(known, loads)
+    max_tilt = SafetyConfig().max_tilt if max_tilt is None else max_tilt
+
+    def tilted(values: Floats, longest: float) -> Excess | None:
+        return _excess(known.fps, "tilt", "rad", values, max_tilt, longest=longest)
+
+    everywhere = _self_collision(known)
+    found: dict[Support, list[Excess | None]] = {
+        "bolted": [everywhere],
+        "hanging": [everywhere, tilted(loads.hanging_tilt, _SWINGS)],
+        "follow": [everywhere, tilted(tilt, 0.0)],
+        "free": [everywhere, tilted(tilt, 0.0), *_on_its_feet(known, loads, beyond)],
+    }
+    for support, excesses in found.items():
+        excesses.append(
+            _excess(
+                known.fps,
+                "torque",
+                "N·m",
+                np.abs(loads.tau[support]),
+                robot.torque_limit,
+                JOINT_NAMES,
+                longest=_TIPS if support == "free" else _SAGS,
+            )
+        )
+    stands = known.touches.any(axis=1)
+    pressed = np.isfinite(beyond)
+    worst = int(np.nanargmax(beyond)) if pressed.any() else None
+    return MotionPhysics(
+        motion=motion.name,
+        frames=motion.n_frames,
+        fps=motion.fps,
+        robot=robot.name,
+        mass_kg=loads.mass,
+        verdicts={
+            **{support: _verdict(support, excesses) for support, excesses in found.items()},
+            "feet": _on_planted_feet(trajectory, robot, played, frames, suggest),
+        },
+        tilt_rad=float(tilt.max()),
+        hanging_tilt_rad=float(loads.hanging_tilt.max()),
+        feet=tuple(_foot(known, robot.link_names[link], i) for i, link in enumerate(soles.links)),
+        supported_share=float(stands.mean()),
+        inside_share=float((beyond[pressed] <= 0.0).mean()) if pressed.any() else None,
+        margin_mm=None if worst is None else -1e3 * float(beyond[worst]),
+        margin_frame=worst,
+        collisions=_collisions(known, robot),
+        torques={
+            support: _peaks(known, tau, robot.torque_limit) for support, tau in loads.tau.items()
+        },
+    )
+
+
+def _on_planted_feet(
+    trajectory: Trajectory,
+    robot: G1,
+    played: Flags | None,
+    frames: range | None,
+    suggest: bool,
+) -> Verdict:
+    motion = trajectory.motion
+    frames = frames or range(motion.n_frames)
+    if not robot.present.all():
+        return Verdict(support="feet", refused="the robot lacks joints that it would need")
+    try:
+        standing = stand_part(motion, robot, frames, played, trajectory)
+    except CannotStandError as error:
+        instead = find_instead(motion, robot, frames, error, played) if suggest else None
+        return Verdict(support="feet", refused=error.why, instead=instead)
+    except ConfigError:
+        return Verdict(support="feet", refused="only some joints of the legs play it")
+    return Verdict(support="feet", changed=str(standing) or "as it is")
+
+
+def _without_dynamics(
+    motion: Motion, robot: G1, soles: Soles, progress: Callable[[float], None]
+) -> tuple[_Frames, Callable[[slice, LinkPoses], None]]:
+    """What is known of the feet, and what completes it with all links of some frames."""
+    feet = [robot.link_names[link] for link in soles.links]
+    hulls = [hull for hull in read_hulls(robot) if hull.link not in feet]
+    collision = SelfCollision(robot)
+    n_frames = motion.n_frames
+    corners = soles.path(motion.joint_pos, motion.root_pos, motion.root_quat_wxyz)
+    heights = {hull.link: np.full(n_frames, np.inf) for hull in hulls}
+    depths: dict[tuple[str, str], Floats] = {}
+
+    def look(part: slice, poses: LinkPoses) -> None:
+        for link, height in _lowest(robot, hulls, poses):
+            heights[link][part] = np.minimum(heights[link][part], height)
+        for pair, depth in collision.depths(motion.joint_pos[part]).items():
+            depths.setdefault(pair, np.zeros(n_frames))[part] = depth
+        progress(part.stop / n_frames)
+
+    return _Frames(motion.fps, corners, *touching(corners, motion.fps), heights, depths), look
+
+
+def _lowest(robot: G1, hulls: Sequence[Hull], poses: LinkPoses) -> Iterator[tuple[str, Floats]]:
+    """The height (T,) of each hull's lowest point, m, infinite where it is above the floor."""
+    links = [robot.link_index(hull.link) for hull in hulls]
+    w, x, y, z = poses.quat_wxyz.T[:, links]
+    # The world's vertical in the links' frames: the last row of their matrices.
+    up = np.stack([2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)])
+    for number, hull in enumerate(hulls):
+        height, own = poses.pos.T[2, links[number]], up[:, number]
+        centre, radius = hull.sphere
+        near = height + centre @ own < radius
+        if near.any():
+            lowest = np.full(len(height), np.inf)
+            lowest[near] = height[near] + (hull.vertices @ own[:, near]).min(axis=0)
+            yield hull.link, lowest
+
+
+def _beyond_support(frames: _Frames, loads: Loads) -> Floats:
+    """How far the centre of pressure is outside of the support polygon (T,), m.
+
+    NaN where no foot is on the floor, or next to nothing on the feet.
+    """
+    points = zero_moment_point(loads.force, loads.moment)
+    pressed = frames.touches.any(axis=1) & (loads.force[:, 2] > _UNSUPPORTED * loads.weight)
+    beyond = np.full(len(points), np.nan)
+    beyond[pressed] = beyond_support(
+        points[pressed], frames.corners[pressed], frames.touches[pressed]
+    )
+    return beyond
+
+
+def _self_collision(frames: _Frames) -> Excess | None:
+    values = 1e3 * _columns(frames.depths, len(frames.corners))
+    names = [f"{link} in {other}" for link, other in frames.depths]
+    what: tuple[float, Cause, str, Floats] = (frames.fps, "self-collision", "mm", values)
+    return _excess(*what, _DEEP, names, longest=0.0) or _excess(*what, _TOUCHING, names)
+
+
+def _on_its_feet(frames: _Frames, loads: Loads, beyond: Floats) -> list[Excess | None]:
+    """What speaks against a motion on the robot's own feet, but tilt, torque and self-collision."""
+    fps, stands = frames.fps, frames.touches.any(axis=1)
+    force, up = loads.force, loads.force[:, 2]
+    pull = np.where(stands, np.maximum(-up, 0.0), np.linalg.norm(force, axis=1))
+    sideways = np.linalg.norm(force[:, :2], axis=1)
+    pressed = np.isfinite(beyond)
+    grip = np.divide(sideways, up, out=np.zeros_like(up), where=pressed)
+    feet = [f"{side} foot" for side in SIDES for _ in range(4)]
+    sinks = np.maximum(-1e3 * frames.corners[..., 2], 0.0)
+    slides = 1e3 * np.where(frames.touches, frames.speeds, 0.0)
+    below = np.maximum(-1e3 * _columns(frames.heights, len(force)), 0.0)
+    return [
+        _excess(fps, "support", "of the weight", pull / loads.weight, _UNSUPPORTED, longest=_TIPS),
+        _excess(
+            fps,
+            "centre of pressure",
+            "mm",
+            1e3 * np.where(pressed, beyond, 0.0),
+            _OUTSIDE,
+            longest=_TIPS,
+        ),
+        _excess(fps, "friction", "", grip, FRICTION, longest=_TIPS),
+        _excess(fps, "floor contact", "mm", below, _SUNK, list(frames.heights), longest=_TIPS),
+        _excess(fps, "penetration", "mm", sinks, _SUNK, feet),
+        _excess(fps, "skating", "mm/s", slides, _SKATING, feet),
+    ]
+
+
+def _columns(arrays: Mapping[Any, Floats], n_frames: int) -> Floats:
+    """K arrays (T,) as one (T, K)."""
+    columns: Floats = np.array(list(arrays.values())).reshape(-1, n_frames).T
+    return columns
+
+
+def _excess(
+    fps: float,
+    cause: Cause,
+    unit: str,
+    values: Floats,
+    limit: float | Floats,
+    names: Sequence[str] = ("",),
+    *,
+    longest: float | None = None,
+) -> Excess | None:
+    """Where values (T,) or (T, K) are above a limit, a number or (K,); None if nowhere.
+
+    Where one of the K is for longer than `longest` s, that forbids the motion, and only these
+    frames count.
+    """
+    values = values.reshape(len(values), -1)
+    limits = np.broadcast_to(np.asarray(limit, dtype=np.float64), values.shape[1:])
+    over = values > limits
+    if not over.any():
+        return None
+    lasting = over if longest is None else _lasting(over, longest * fps)
+    forbids = longest is not None and bool(lasting.any())
+    over = lasting if forbids else over
+    frame, column = divmod(int(np.where(over, values / limits, 0.0).argmax()), values.shape[1])
+    anywhere = np.asarray(over.any(axis=1))
+    longest_frames = max(np.diff(edges).max() for _, edges in _stretches_by_column(over))
+    return Excess(
+        cause=cause,
+        where=names[column],
+        worst=float(values[frame, column]),
+        limit=float(limits[column]),
+        unit=unit,
+        frame=frame,
+        time_s=frame / fps,
+        spans=_spans(anywhere),
+        longest_s=int(longest_frames) / fps,
+        forbids=forbids,
+    )
+
+
+def _lasting(flags: Flags, n_frames: float) -> Flags:
+    """The stretches of True in each column of (T, K) that are longer than so many frames."""
+    lasting = np.zeros_like(flags)
+    for k, edges in _stretches_by_column(flags):
+        for first, stop in edges[np.diff(edges)[:, 0] > n_frames]:
+            lasting[first:stop, k] = True
+    return lasting
+
+
+def _stretches_by_column(flags: Flags) -> Iterator[tuple[int, NDArray[np.intp]]]:
+    """The columns of (T, K) that have some, and their stretches of True."""
+    for k in np.flatnonzero(flags.any(axis=0)):
+        yield int(k), stretches(flags[:, k])
+
+
+def _spans(flags: Flags) -> tuple[tuple[int, int], ...]:
+    """First and last index of each stretch of True in (T,)."""
+    return tuple((int(first), int(stop) - 1) for first, stop in stretches(flags))
+
+
+def _verdict(support: Support, found: Sequence[Excess | None]) -> Verdict:
+    excesses = sorted((e for e in found if e is not None), key=lambda e: not e.forbids)
+    return Verdict(support=support, excesses=tuple(excesses))
+
+
+def _foot(frames: _Frames, link: str, number: int) -> Foot:
+    own = slice(4 * number, 4 * number + 4)
+    touches, heights = frames.touches[:, own], frames.corners[:, own, 2].min(axis=1)
+    stands = touches.any(axis=1)
+    deepest = int(heights.argmin())
+    slides = np.where(touches, 1e3 * frames.speeds[:, own], -np.inf)
+    fastest = int(slides.max(axis=1).argmax())
+    down = bool(stands.any())
+    return Foot(
+        link=link,
+        contact_share=float(stands.mean()),
+        height_mm=1e3 * float(heights[stands].mean()) if down else None,
+        penetration_mm=max(0.0, -1e3 * float(heights[deepest])),
+        penetration_frame=deepest,
+        skating_mm_s=float(slides[touches].mean()) if down else None,
+        skating_max_mm_s=float(slides[fastest].max()) if down else None,
+        skating_max_frame=fastest if down else None,
+    )
+
+
+def _collisions(frames: _Frames, robot: G1) -> tuple[Collision, ...]:
+    solid = {hull.link for hull in read_hulls(robot) if hull.solid}
+    found = []
+    for (link, other), depths in frames.depths.items():
+        frame = int(depths.argmax())
+        found.append(
+            Collision(
+                link=link,
+                other=other,
+                depth_mm=1e3 * float(depths[frame]),
+                frame=frame,
+                time_s=frame / frames.fps,
+                spans=_spans(np.greater(depths, 0.0)),
+                simulated={link, other} <= solid,
+            )
+        )
+    return tuple(sorted(found, key=lambda one: -one.depth_mm))
+
+
+def _peaks(frames: _Frames, tau: Floats, limit: Floats) -> tuple[TorquePeak, ...]:
+    worst = np.abs(tau).argmax(axis=0)
+    beyond = (np.abs(tau) > limit).sum(axis=0)
+    peaks = [
+        TorquePeak(
+            joint=joint,
+            torque_nm=float(tau[worst[j], j]),
+            limit_nm=float(limit[j]),
+            frame=int(worst[j]),
+            time_s=int(worst[j]) / frames.fps,
+            frames=int(beyond[j]),
+        )
+        for j, joint in enumerate(JOINT_NAMES)
+    ]
+    return tuple(sorted(peaks, key=lambda peak: -peak.share))

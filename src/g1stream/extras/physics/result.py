@@ -1,0 +1,352 @@
+"""What `motion_physics` found about a motion, as records and as text.
+
+Field names are those of the JSON; units are part of them. Frames are counted from 0; spans of
+frames are inclusive.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal, get_args
+
+from pydantic import computed_field
+
+from g1stream.extras.physics.instead import Instead
+from g1stream.session.records import Record
+from g1stream.text import counted, labelled, ranges, table
+from g1stream.types import StreamSupport, Support
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+__all__ = [
+    "Collision",
+    "Excess",
+    "Foot",
+    "MotionPhysics",
+    "Playable",
+    "TorquePeak",
+    "Verdict",
+    "reasons",
+]
+
+Playable = Literal["yes", "inexact", "no"]
+"""Whether a motion can be played; `inexact`: not as the motion has it."""
+
+Cause = Literal[
+    "self-collision",
+    "torque",
+    "tilt",
+    "floor contact",
+    "support",
+    "centre of pressure",
+    "friction",
+    "penetration",
+    "skating",
+]
+
+_LABEL = 16
+_ROWS = 10
+_SPANS = 4
+
+
+class Excess(Record, frozen=True):
+    """A quantity that is beyond its limit in some frames.
+
+    Attributes:
+        cause: self-collision: depth by which two links would be inside each other. torque: of a
+            joint. tilt: of the pelvis. floor contact: depth of another link than a foot below the
+            floor. support: force that nothing can exert, because no foot is on the floor, or
+            because the floor would have to pull. centre of pressure: distance from the support
+            polygon. friction: the coefficient that is needed. penetration: of a foot below the
+            floor. skating: speed of a foot on the floor.
+        where: joint, links or foot of the worst value; empty for the whole robot.
+        worst, limit: in `unit`; of an excess that forbids the motion, in the stretches that do.
+        frame: of the worst value.
+        time_s: of that frame.
+        spans: first and last frame of each stretch beyond the limit; of an excess that forbids the
+            motion, those that do.
+        longest_s: longest time that one joint, pair of links or foot is beyond it.
+        forbids: whether the motion cannot be played so; otherwise it is played, but not exactly.
+    """
+
+    cause: Cause
+    where: str
+    worst: float
+    limit: float
+    unit: str
+    frame: int
+    time_s: float
+    spans: tuple[tuple[int, int], ...]
+    longest_s: float
+    forbids: bool
+
+    def __str__(self) -> str:
+        what = f"{self.cause} of {self.where}" if self.where else self.cause
+        n_frames = sum(last - first + 1 for first, last in self.spans)
+        worst = f"{_rounded(self.worst)} {self.unit}".rstrip()
+        return (
+            f"{what}: {worst} at {self.time_s:.2f} s, limit {_rounded(self.limit)}; "
+            f"{counted(n_frames, 'frame')}, {ranges(self.spans, _SPANS)}"
+        )
+
+
+class Verdict(Record, frozen=True):
+    """Whether a motion can be played with a support.
+
+    Attributes:
+        support: how the pelvis is held; `feet`: not at all, by `stream --support feet`, which
+            changes the motion.
+        excesses: what speaks against it, what forbids it first; none for `feet`.
+        changed: for `feet`: what is changed, or "as it is".
+        refused: for `feet`: why it cannot be played, and the frames.
+        instead: for `feet`: what can be played, where that was looked for.
+    """
+
+    support: StreamSupport
+    excesses: tuple[Excess, ...] = ()
+    changed: str = ""
+    refused: str = ""
+    instead: Instead | None = None
+
+    @computed_field  # type: ignore[prop-decorator]
+    @property
+    def playable(self) -> Playable:
+        """`yes`; `no` where something forbids it; `inexact` where something else is against it."""
+        if self.refused or any(excess.forbids for excess in self.excesses):
+            return "no"
+        return "inexact" if self.excesses else "yes"
+
+    def __str__(self) -> str:
+        if self.refused:
+            said = (self.refused, str(self.instead or ""))
+            return f"cannot be played: {'; '.join(filter(None, said))}"
+        against = [e.cause for e in self.excesses if e.forbids]
+        harmless = [e.cause for e in self.excesses if not e.forbids]
+        answers = [f"cannot be played as it is: {', '.join(against)}"] if against else []
+        answers += [f"not exactly: {', '.join(harmless)}"] if harmless else []
+        # Nothing in the loop looks at where the mass centre is.
+        how = "by a controller that balances" if self.support == "free" else self.changed
+        return "; ".join(answers) or f"can be played {how}".rstrip()
+
+
+class Foot(Record, frozen=True):
+    """A foot on the floor at height 0.
+
+    Attributes:
+        link: of the foot.
+        contact_share: of the frames in which one of its corners touches the floor.
+        height_mm: mean of its lowest corner above the floor, while one touches.
+        penetration_mm: depth of its lowest corner below the floor, at most, and where.
+        penetration_frame: of that depth.
+        skating_mm_s: mean horizontal speed of the corners that touch.
+        skating_max_mm_s: its highest.
+        skating_max_frame: of that speed.
+    """
+
+    link: str
+    contact_share: float
+    height_mm: float | None
+    penetration_mm: float
+    penetration_frame: int
+    skating_mm_s: float | None
+    skating_max_mm_s: float | None
+    skating_max_frame: int | None
+
+
+class Collision(Record, frozen=True):
+    """Two links that would be inside each other.
+
+    Attributes:
+        link, other: their names.
+        depth_mm: that the one would have to be moved until they only touch, at most.
+        frame: of that depth.
+        time_s: of that frame.
+        spans: first and last frame of each stretch in which they are inside each other.
+        simulated: whether Unitree's simulators, and ours, let these links collide.
+    """
+
+    link: str
+    other: str
+    depth_mm: float
+    frame: int
+    time_s: float
+    spans: tuple[tuple[int, int], ...]
+    simulated: bool
+
+
+class TorquePeak(Record, frozen=True):
+    """Where the motion takes the largest torque of a joint.
+
+    Attributes:
+        joint: its name.
+        torque_nm: there, with its sign.
+        limit_nm: the smaller of the motor's limit and the URDF's effort.
+        frame: of the peak.
+        time_s: of that frame.
+        frames: beyond the limit.
+    """
+
+    joint: str
+    torque_nm: float
+    limit_nm: float
+    frame: int
+    time_s: float
+    frames: int
+
+    @property
+    def share(self) -> float:
+        """Of the limit."""
+        return abs(self.torque_nm) / self.limit_nm
+
+
+class MotionPhysics(Record, frozen=True):
+    """What it would take to play a motion.
+
+    `str()` of it is the text that `g1stream motion --physics` prints.
+
+    Attributes:
+        motion: its name.
+        frames, fps: of the motion.
+        robot: name of the model.
+        mass_kg: of the robot.
+        verdicts: by support, `feet` among them.
+        tilt_rad: of the pelvis in the motion, at most.
+        hanging_tilt_rad: of the pelvis of a robot that hangs at rest in a pose of the motion.
+        feet: left and right.
+        supported_share: of the frames with a foot on the floor.
+        inside_share: of those in which the feet carry a fifth of the weight or more, with the
+            centre of pressure inside the support polygon; None where there are none.
+        margin_mm: from the centre of pressure to the edge of the polygon, at least; negative
+            outside; None as above.
+        margin_frame: of that margin.
+        collisions: the deepest first.
+        torques: by support, every joint, the largest share of its limit first.
+    """
+
+    motion: str
+    frames: int
+    fps: float
+    robot: str
+    mass_kg: float
+    verdicts: dict[StreamSupport, Verdict]
+    tilt_rad: float
+    hanging_tilt_rad: float
+    feet: tuple[Foot, ...]
+    supported_share: float
+    inside_share: float | None
+    margin_mm: float | None
+    margin_frame: int | None
+    collisions: tuple[Collision, ...]
+    torques: dict[Support, tuple[TorquePeak, ...]]
+
+    def __str__(self) -> str:
+        sections = (
+            [
+                _line("physics", f"of {self.robot}, {self.mass_kg:.1f} kg"),
+                *(_line(f"  {support}", str(one)) for support, one in self.verdicts.items()),
+            ],
+            [_line(of, str(excess)) for of, excess in reasons(self.verdicts)],
+            self._feet(),
+            self._torques(),
+            self._collisions(),
+        )
+        return "\n\n".join("\n".join(lines) for lines in sections if lines)
+
+    @property
+    def pressure(self) -> str:
+        """Where the centre of pressure is, in a sentence; empty where nothing is on the feet."""
+        if self.margin_mm is None or self.margin_frame is None:
+            return ""
+        side = "inside" if self.margin_mm >= 0 else "outside"
+        return (
+            f"inside the support polygon in {self.inside_share:.0%} of the frames with weight on a "
+            f"foot ({self.supported_share:.0%} have a foot on the floor); at worst, if only "
+            f"for a frame, {abs(self.margin_mm):.0f} mm {side}, at "
+            f"{self.margin_frame / self.fps:.2f} s"
+        )
+
+    @property
+    def tilt(self) -> str:
+        """How far the pelvis leans, in a sentence."""
+        return (
+            f"{self.tilt_rad:.2f} rad at most; {self.hanging_tilt_rad:.2f} rad where the robot "
+            "hangs at rest in a pose of the motion"
+        )
+
+    def _feet(self) -> list[str]:
+        rows = [("foot", "contact", "height mm", "deepest mm", "skating mm/s", "fastest mm/s")]
+        rows += [
+            (
+                foot.link,
+                f"{foot.contact_share:.0%}",
+                _number(foot.height_mm),
+                _number(foot.penetration_mm),
+                _number(foot.skating_mm_s),
+                _number(foot.skating_max_mm_s),
+            )
+            for foot in self.feet
+        ]
+        lines = [*table(rows, left=(0,)), "", _line("tilt", self.tilt)]
+        return [*lines, _line("pressure", self.pressure)] if self.pressure else lines
+
+    def _torques(self) -> list[str]:
+        rows = [("support", "largest torques", "N·m", "limit", "at s", "frames beyond")]
+        rows += [
+            (
+                support,
+                peak.joint.removesuffix("_joint"),
+                f"{peak.torque_nm:.1f}",
+                f"{peak.limit_nm:.0f}",
+                f"{peak.time_s:.2f}",
+                f"{peak.frames}",
+            )
+            for support, peaks in self.torques.items()
+            for peak in peaks[:2]
+        ]
+        return table(rows, left=(0, 1))
+
+    def _collisions(self) -> list[str]:
+        if not self.collisions:
+            return [_line("self-collision", "none")]
+        rows = [("self-collision", "with", "mm", "at s", "frames", "simulated")]
+        rows += [
+            (
+                one.link,
+                one.other,
+                f"{one.depth_mm:.1f}",
+                f"{one.time_s:.2f}",
+                str(sum(last - first + 1 for first, last in one.spans)),
+                "yes" if one.simulated else "no",
+            )
+            for one in self.collisions[:_ROWS]
+        ]
+        more = len(self.collisions) - _ROWS
+        return [*table(rows, left=(0, 1, 5)), *([f"and {more} more pairs"] if more > 0 else [])]
+
+
+def reasons(verdicts: Mapping[StreamSupport, Verdict]) -> list[tuple[str, Excess]]:
+    """Each excess once, what forbids a motion first, with the supports that it is about, named.
+
+    `any support`: all but `feet`, for which the motion is changed.
+    """
+    supports: dict[Excess, list[str]] = {}
+    for support, verdict in verdicts.items():
+        for excess in verdict.excesses:
+            supports.setdefault(excess, []).append(support)
+    return [
+        ("any support" if len(of) == len(get_args(Support)) else ", ".join(of), excess)
+        for excess, of in sorted(supports.items(), key=lambda one: not one[0].forbids)
+    ]
+
+
+def _line(label: str, text: str) -> str:
+    return labelled(f"{label} ".ljust(_LABEL), text)
+
+
+def _rounded(value: float) -> str:
+    """Three digits, or the whole number."""
+    return f"{value:.0f}" if abs(value) >= 1000.0 else f"{value:.3g}"
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{round(value, 1) + 0.0:.1f}"  # never -0.0

@@ -1,0 +1,1 @@
+"""Pages on sessions, and the comparison of sessions."""

@@ -1,0 +1,370 @@
+"""Two sets of sessions of one motion, metric by metric."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from g1stream.analysis.delay import interpolated
+from g1stream.analysis.metrics import metrics
+from g1stream.analysis.summary import flat, played
+from g1stream.config import Config
+from g1stream.errors import RecordingError
+from g1stream.extras.report.compare_table import comparison_table
+from g1stream.extras.report.differences import Difference, differences, ranked
+from g1stream.files import check_not_input, check_output_path, check_suffix
+from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS, matching_joints
+from g1stream.session.info import SessionInfo
+from g1stream.session.metrics import NAMED_METRICS
+from g1stream.session.records import Record, read_record
+from g1stream.session.session import Session, open_session
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from g1stream.session.metrics import Metrics
+    from g1stream.session.summary import Summary
+    from g1stream.types import Floats
+
+__all__ = ["CONDITION_NAMES", "Comparison", "compare"]
+
+_PARTS: Final = (*JOINT_GROUPS, *JOINT_NAMES)
+CONDITION_NAMES: Final = (
+    *NAMED_METRICS,
+    *(f"rmse.{part}" for part in _PARTS),
+    *(f"p.{name}" for name in (*NAMED_METRICS, *_PARTS)),
+)
+"""What a condition on a comparison can name; of sessions that lack some of it, less."""
+
+#: References of one motion differ by no more than this at the same motion time, rad.
+_SAME_MOTION: Final = 0.01
+#: Sessions that were played from and to within this, s, have played the same: a few LowStates.
+_SAME_INTERVAL: Final = 0.1
+#: A common part shorter than this, s, is none.
+_SHORTEST: Final = 0.1
+#: Motion times at which references are compared, Hz.
+_RATE: Final = 20.0
+
+_SIGNED: Final = {"delay"}
+
+
+class Comparison(Record):
+    """Sessions of one motion beside others.
+
+    Attributes:
+        motion: its name.
+        base, other: paths of the sessions.
+        start_s, stop_s: the part of the motion that all of them played, which is compared.
+        metrics: of all joints that played in every session, by the name that --fail-if takes.
+        limbs, joints: RMSE, rad, by name; the joints that differ most first, significantly at the
+            top.
+        differs: what else differs between the sides, such as `gains.kp of knee` -> what it was in
+            each.
+    """
+
+    motion: str
+    base: list[str]
+    other: list[str]
+    start_s: float
+    stop_s: float
+    metrics: dict[str, Difference]
+    limbs: dict[str, Difference]
+    joints: dict[str, Difference]
+    differs: dict[str, tuple[str, str]]
+
+    def __str__(self) -> str:
+        return comparison_table(self)
+
+    def named(self) -> tuple[dict[str, float], dict[str, float]]:
+        """What a condition can name, and what `base` stands for beside it.
+
+        The first are those of the other side, such as `rmse` and `rmse.left_leg`, and the adjusted
+        p-values of the differences, such as `p.rmse` and `p.left_leg`.
+        """
+        parts = self.limbs | self.joints
+        metrics = self.metrics | {f"rmse.{part}": one for part, one in parts.items()}
+        p = {
+            f"p.{name}": one.p_adjusted
+            for name, one in (self.metrics | parts).items()
+            if one.p_adjusted is not None
+        }
+        other = {name: one.other for name, one in metrics.items()}
+        return other | p, {name: one.base for name, one in metrics.items()}
+
+
+def compare(
+    base: Sequence[Session | str | Path] | Session | str | Path,
+    other: Sequence[Session | str | Path] | Session | str | Path,
+    *,
+    page: str | Path | None = None,
+    force: bool = False,
+    progress: Callable[[str, float], None] = lambda what, fraction: None,
+) -> Comparison:
+    """Compare sessions of one motion with others, over the part that all of them played.
+
+    Args:
+        base: one or several sessions, or their files.
+        other: those that are compared with them.
+        page: of an HTML page, which is written too: it shows both sides over each other and needs
+            no network.
+        force: replace a page that is there.
+        progress: called with what takes its time, and the fraction of it that is done, 0 to 1.
+
+    Returns:
+        The differences. Two sessions or more on each side tell noise from change; with one on a
+        side nothing can.
+
+    Raises:
+        ConfigError: the page does not end in .html.
+        RecordingError: a session has no tracking error, its motion is another one, no joint
+            played in all of them, or two of a side are the same; or the page cannot be written.
+    """
+    if page is not None:
+        check_suffix(Path(page), "a page", ".html")
+        check_output_path(Path(page), force=force)  # before all sessions are read
+    several = [_several(side) for side in (base, other)]
+    total, sides = sum(map(len, several)), list[list[_Run]]()
+    for side in several:
+        sides.append([])
+        for one in side:
+            progress("reading", sum(map(len, sides)) / total)
+            sides[-1].append(_read(one))
+    for runs in sides:
+        _require_different(runs)
+    runs = [*sides[0], *sides[1]]
+    if page is not None:
+        check_not_input(Path(page), *(Path(run.path) for run in runs))
+    start, stop = max(run.start for run in runs), min(run.stop for run in runs)
+    joints = tuple(sorted(set.intersection(*({*run.joints} for run in runs))))
+    if not joints:
+        raise RecordingError(
+            "No joint plays the motion in all of these sessions.",
+            "Compare sessions in which the same joints play.",
+        )
+    for run in runs[1:]:
+        _require_same_motion(runs[0], run)
+    if stop - start < _SHORTEST:
+        raise _nothing_in_common(max(runs, key=lambda run: run.start), start, stop)
+    found = [[run.metrics_of(start, stop, joints) for run in side] for side in sides]
+    comparison = Comparison(
+        motion=runs[0].motion,
+        base=[run.path for run in sides[0]],
+        other=[run.path for run in sides[1]],
+        start_s=start,
+        stop_s=stop,
+        metrics=differences(
+            [[one.named() for one in side] for side in found],
+            {name: unit for name, (unit, _) in NAMED_METRICS.items()},
+            _SIGNED,
+        ),
+        limbs=differences([[_rmse(m, "limbs") for m in side] for side in found], {}),
+        joints=ranked(differences([[_rmse(m, "joints") for m in side] for side in found], {})),
+        differs=_circumstances(*sides),
+    )
+    if page is not None:
+        from g1stream.extras.report.compare_page import write_page
+
+        sources = [[run.source for run in side] for side in sides]
+        progress("drawing", 0.0)
+        write_page(comparison, sources, joints, Path(page), force=force)
+    return comparison
+
+
+class _Run(NamedTuple):
+    """What is kept of a session; its samples are not, as many sessions would fill the memory.
+
+    Attributes:
+        source: the session, or its file.
+        path, motion: their names.
+        start, stop: motion time that was played, s.
+        rows: (T,) motion times of `reference`, in steps of the grid that all runs share.
+        reference: (T, 29) rad.
+        joints: motor indices of those that played.
+        metrics: of the whole session.
+        measured: hash of all joint positions and their times.
+        facts: what may make a difference, beside the motion.
+    """
+
+    source: Session | str | Path
+    path: str
+    motion: str
+    start: float
+    stop: float
+    rows: NDArray[np.intp]
+    reference: Floats
+    joints: tuple[int, ...]
+    metrics: Metrics
+    measured: bytes
+    facts: dict[str, str]
+
+    def metrics_of(self, start: float, stop: float, joints: tuple[int, ...]) -> Metrics:
+        """Of some joints in a part of the motion; in the whole session if it played little else."""
+        whole = max(start - self.start, self.stop - stop) < _SAME_INTERVAL
+        if whole and joints == self.joints:
+            return self.metrics
+        session = _opened(self.source)
+        if whole:
+            return metrics(session, joints)
+        found = session.tracking()
+        inside = (found.motion_time >= start) & (found.motion_time <= stop)
+        if inside.any():
+            first, last = found.time[inside][[0, -1]].tolist()
+            part = metrics(session.sel(time=slice(first, last)), joints)
+            if part.tracking:
+                return part
+        raise _nothing_in_common(self, start, stop)
+
+
+def _several(
+    side: Sequence[Session | str | Path] | Session | str | Path,
+) -> Sequence[Session | str | Path]:
+    several = [side] if isinstance(side, (Session, str, Path)) else side
+    if not several:
+        raise RecordingError("There is nothing to compare.", "Give sessions on both sides.")
+    return several
+
+
+def _opened(source: Session | str | Path) -> Session:
+    return source if isinstance(source, Session) else open_session(source)
+
+
+def _read(source: Session | str | Path) -> _Run:
+    session = _opened(source)
+    if played(session.phases) > 1:
+        raise RecordingError(
+            f"Several motions were played in {session.path}.", "Give sessions with one motion."
+        )
+    of_all, found = session.metrics(), session.tracking()
+    start, stop = found.motion_time[[0, -1]].tolist()
+    rows = np.arange(math.ceil(start * _RATE), math.floor(stop * _RATE) + 1)
+    summary = session.summary()
+    return _Run(
+        source=source,
+        path=str(session.path),
+        motion=(summary.motion and summary.motion.name) or "unknown",
+        start=start,
+        stop=stop,
+        rows=rows,
+        reference=interpolated(rows / _RATE, found.motion_time, found.reference),
+        joints=found.joints,
+        metrics=of_all,
+        measured=hashlib.sha256(found.motion_time.tobytes() + found.measured.tobytes()).digest(),
+        facts=dict(_facts(session, summary)),
+    )
+
+
+def _nothing_in_common(run: _Run, start: float, stop: float) -> RecordingError:
+    return RecordingError(
+        f"{run.path} ({run.motion}) and the others have no part of a motion in common: the last "
+        f"began at {start:.2f} s of it, the first ended at {stop:.2f} s.",
+        "Compare sessions that played the same part of a motion.",
+    )
+
+
+def _require_different(side: Sequence[_Run]) -> None:
+    """One run given twice would be two without any noise: every difference from it significant."""
+    first: dict[bytes, _Run] = {}
+    for run in side:
+        if (same := first.setdefault(run.measured, run)) is not run:
+            raise RecordingError(
+                f"{same.path} and {run.path} are one run: their measurements are the same.",
+                "Give each run once; rollouts differ only with another `noise`, such as "
+                "SensorNoise(seed=1).",
+            )
+
+
+def _require_same_motion(first: _Run, other: _Run) -> None:
+    """What was asked at each motion time says it, whatever names and files say."""
+    _, rows, other_rows = np.intersect1d(first.rows, other.rows, return_indices=True)
+    joints = sorted({*first.joints} & {*other.joints})
+    difference = first.reference[rows] - other.reference[other_rows]
+    apart = np.abs(difference[:, joints]).max(initial=0.0)
+    if len(rows) and apart <= _SAME_MOTION:
+        return
+    reason = "they have no part of a motion in common"
+    if len(rows):
+        reason = f"at the same motion time their references are up to {apart:.2f} rad apart"
+    raise RecordingError(
+        f"{first.path} ({first.motion}) and {other.path} ({other.motion}) are not sessions of one "
+        f"motion: {reason}.",
+        "Compare sessions of one motion, played at the same speed.",
+    )
+
+
+def _rmse(found: Metrics, which: str) -> dict[str, float | None]:
+    assert found.tracking
+    return {name: one.rmse_rad for name, one in getattr(found.tracking, which).items()}
+
+
+def _circumstances(base: Sequence[_Run], other: Sequence[_Run]) -> dict[str, tuple[str, str]]:
+    """By name, what the sessions of the two sides do not have in common."""
+    sides = [[run.facts for run in side] for side in (base, other)]
+    every = [one for side in sides for one in side]
+    # Of a recording that lacks its settings, nothing says that they were others.
+    shown = {
+        name: tuple(", ".join(dict.fromkeys(one[name] for one in side)) for side in sides)
+        for name in every[0]
+        if all(name in one for one in every)
+    }
+    return _by_part({name: (a, b) for name, (a, b) in shown.items() if a != b})
+
+
+def _by_part(differs: dict[str, tuple[str, str]]) -> dict[str, tuple[str, str]]:
+    """What is of a joint, such as `gains.kp.left_knee_joint`, with that of others like it."""
+    joints: dict[tuple[str, tuple[str, str]], set[int]] = {}
+    for name, sides in differs.items():
+        setting, _, joint = name.rpartition(".")
+        if joint in JOINT_NAMES:
+            joints.setdefault((setting, sides), set()).add(JOINT_NAMES.index(joint))
+        else:
+            joints[name, sides] = set()
+    return {
+        name + (f" of {_in_words(several)}" if several else ""): sides
+        for (name, sides), several in joints.items()
+    }
+
+
+def _in_words(joints: set[int]) -> str:
+    """Motors by the names of limbs and of joints on both sides: `legs, waist_yaw, elbow`."""
+    if len(joints) == N_JOINTS:
+        return "all joints"
+    limbs = ("legs", "arms", *JOINT_GROUPS)
+    pairs = [name.replace("left_", "*_") for name in JOINT_NAMES if name.startswith("left_")]
+    words, left = list[str](), set(joints)
+    for pattern in (*limbs, *pairs, *JOINT_NAMES):
+        if left.issuperset(named := matching_joints(pattern, pattern)):
+            words.append(pattern.removeprefix("*_").removesuffix("_joint"))
+            left.difference_update(named)
+    return ", ".join(words)
+
+
+def _facts(session: Session, summary: Summary) -> Iterator[tuple[str, str]]:
+    """What may make a difference, beside the motion; what is not known is left out."""
+    info = read_record(SessionInfo, dict(session.metadata))[0] or SessionInfo()
+    if stream := summary.stream:
+        known = {
+            "feed-forward": stream.feedforward,
+            "support": stream.support,
+            "robot": stream.robot,
+            "rate": stream.nominal_rate_hz and f"{stream.nominal_rate_hz:g} Hz",
+        }
+        yield from ((name, str(value)) for name, value in known.items() if value is not None)
+        yield "slowed", f"{stream.slowed or 1.0:g}"
+    for name, gains in (info.gains or {}).items():
+        yield from (
+            (f"gains.{name}.{j}", f"{k:g}") for j, k in zip(JOINT_NAMES, gains, strict=False)
+        )
+    yield from ((f"version of {name}", v) for name, v in summary.versions.items())
+    if summary.host:
+        yield "host", summary.host
+    if info.config is None:
+        return
+    for name, value in (flat(Config().model_dump(mode="json")) | flat(info.config)).items():
+        if not name.startswith(("stream.feedforward", "stream.rate", "gains.", "record.")):
+            yield name, "not set" if value is None else str(value)

@@ -1,0 +1,74 @@
+"""`g1stream report`: how sessions went, as a page, JSON or CSV."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from g1stream.cli.command import EXIT_OK, Command, print_json
+from g1stream.cli.flags import argument, flag
+from g1stream.cli.progress import showing_progress
+
+__all__ = ["Report"]
+
+#: The page that is written if none is named.
+_PAGE: Final = Path("report.html")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report(Command):
+    """The page needs no network: what ran, tracking by joint and limb, body space, torque, what
+    the motion asks of a robot, timing, events, and figures of every joint. A video or picture
+    beside a session, of the same name, is shown in it; --video renders one.
+
+    Examples:
+      g1stream report session.mcap
+      g1stream report monday.mcap tuesday.mcap -o both.html
+      g1stream report session.mcap --video
+      g1stream report session.mcap --json | jq '.sessions[0].metrics.tracking'
+
+    Exit codes:
+      0  written or printed
+      2  bad input: not a session file, a file that cannot be written
+    """  # noqa: D205
+
+    sessions: tuple[Path, ...] = argument(
+        "Session files, or directories of split recordings.", "SESSION..."
+    )
+    out: Path | None = flag(None, "The page to write.", "HTML", shown=str(_PAGE), aliases=("-o",))
+    video: bool = flag(False, "Render each session into the page (extra `render`).")
+    force: bool = flag(False, "Replace a file that is there.")
+    json: bool = flag(False, "Print summary, metrics, physics as JSON; no page.")
+    csv: bool = flag(False, "Print the metrics as CSV, and write no page.")
+
+    def run(self) -> int:
+        """Write the page or print the numbers, and return the exit code."""
+        from g1stream.errors import ConfigError
+        from g1stream.extras.report.page import numbers, report, to_csv
+
+        page = self.video or self.out is not None
+        if self.json + self.csv + page > 1:
+            raise ConfigError(
+                "Two of --json, --csv and a page (--out, --video) are asked for.",
+                "Ask for one of them.",
+            )
+        if self.csv:
+            print(to_csv(self.sessions), end="")
+            return EXIT_OK
+        with showing_progress() as progress:
+            if self.json:
+                found = numbers(self.sessions, progress)
+            else:
+                path = report(
+                    self.sessions,
+                    self.out or _PAGE,
+                    video=self.video,
+                    force=self.force,
+                    progress=progress,
+                )
+        if self.json:
+            print_json(found)
+        else:
+            print(path)
+        return EXIT_OK

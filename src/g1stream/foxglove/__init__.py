@@ -1,1 +1,0 @@
-"""What viewers get: protobuf messages, transforms and scenes made from samples."""

@@ -1,1 +1,0 @@
-"""The programs: each wires the rooms together into something that runs."""

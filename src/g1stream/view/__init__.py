@@ -1,0 +1,1 @@
+"""What viewers get: transforms, joint states, scenes, tracking errors, layouts."""

@@ -1,0 +1,297 @@
+"""Layouts of viewers: which topics of a session they show, and where."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+from xml.etree import ElementTree
+
+from g1stream.errors import RecordingError
+from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
+from g1stream.robot.model import G1
+from g1stream.text import short_name
+from g1stream.view.encoders import GHOST_PREFIX, MEASURED_PREFIX
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from g1stream.session.session import Session
+
+__all__ = [
+    "DEFAULT_JOINTS",
+    "LIMB_COLORS",
+    "MEASURED",
+    "RED",
+    "REFERENCE",
+    "foxglove_layout",
+    "plotjuggler_layout",
+    "worst_joints",
+]
+
+#: How many joints are plotted.
+_N_PLOTS: Final = 6
+
+REFERENCE, MEASURED, RED = "#1abfff", "#ffa61a", "#f44336"
+"""Of the reference, of what is measured, and of limits."""
+
+LIMB_COLORS: Final = ("#4e98e2", "#f5774d", "#a395e2", "#55d18c", "#f7df71")
+"""One for each of `JOINT_GROUPS`."""
+
+#: The robots and the path in the 3D panel, and which of them are shown at first.
+_SCENES: Final = {
+    "/measured/scene": True,
+    "/ghost/scene": True,
+    "/measured/path": True,
+    "/scene": False,
+}
+
+DEFAULT_JOINTS: Final = (
+    "left_knee_joint",
+    "right_knee_joint",
+    "waist_yaw_joint",
+    "left_shoulder_pitch_joint",
+    "right_shoulder_pitch_joint",
+    "left_elbow_joint",
+)
+"""What is plotted where no session says which joints matter."""
+
+
+def worst_joints(session: Session) -> tuple[str, ...]:
+    """The six played joints with the greatest RMSE in a session, greatest first.
+
+    `DEFAULT_JOINTS` where there is nothing to compare.
+    """
+    try:
+        tracking = session.tracking()
+    except RecordingError:
+        return DEFAULT_JOINTS
+    worst = sorted(tracking.joints, key=lambda joint: -tracking.rmse[joint])
+    return tuple(JOINT_NAMES[joint] for joint in worst[:_N_PLOTS])
+
+
+def foxglove_layout(joints: Sequence[str], robot: G1 | None = None) -> dict[str, Any]:
+    """A layout for Foxglove and Lichtblick, as the JSON that they import.
+
+    Args:
+        joints: names of up to six joints to plot.
+        robot: whose frames are hidden and whose torque limits are drawn; the default one if None.
+    """
+    robot = robot or G1.default()
+    panels: dict[str, Any] = {
+        "3D!robot": _robot_panel(robot),
+        "StateTransitions!phase": {
+            **_title("phase"),
+            "paths": [{"value": "/reference.phase", "label": "phase", **_BY_LOG_TIME}],
+            "isSynced": True,
+        },
+        "RosOut!log": {
+            **_title("log"),
+            "searchTerms": [],
+            "minLogLevel": 1,
+            "topicToRender": "/log",
+        },
+        "Plot!limbs": _plot(
+            "tracking error by limb, RMS, rad",
+            [
+                (_joint_path("/tracking_error/limbs", limb, "position"), limb, color)
+                for limb, color in zip(JOINT_GROUPS, LIMB_COLORS, strict=True)
+            ],
+            legend=True,
+        ),
+        "Plot!timing": _plot(
+            "longest interval and latency, ms",
+            [
+                ("/timing/commands.interval_ms", "command interval", REFERENCE),
+                ("/timing/commands.latency_ms", "command latency", RED),
+                ("/timing/states.interval_ms", "state interval", MEASURED),
+            ],
+            legend=True,
+        ),
+    }
+    positions, torques = [], []
+    for joint in joints:
+        name = short_name(joint)
+        position, torque = f"Plot!{joint}", f"Plot!{joint}-torque"
+        limit = float(robot.torque_limit[robot.joint_names.index(joint)])
+        panels[position] = _plot(
+            f"{name}, rad",
+            [
+                (_joint_path("/reference/joint_states", joint, "position"), "reference", REFERENCE),
+                (_joint_path("/measured/joint_states", joint, "position"), "measured", MEASURED),
+            ],
+        )
+        panels[torque] = _plot(
+            f"{name}, N·m",
+            [
+                (
+                    _joint_path("/reference/joint_states", joint, "effort"),
+                    "feed-forward",
+                    REFERENCE,
+                ),
+                (_joint_path("/measured/joint_states", joint, "effort"), "estimated", MEASURED),
+                (f"{limit:g}", "limit", RED),
+                (f"{-limit:g}", "-limit", RED),
+            ],
+        )
+        positions.append(position)
+        torques.append(torque)
+    panels["Tab!joints"] = {
+        "activeTabIdx": 0,
+        "tabs": [
+            {"title": "Positions", "layout": _grid(positions)},
+            {"title": "Torques", "layout": _grid(torques)},
+        ],
+    }
+    left = _column(("3D!robot", 74), ("StateTransitions!phase", 42), "RosOut!log")
+    right = _column(("Tab!joints", 56), ("Plot!limbs", 50), "Plot!timing")
+    return {
+        "configById": panels,
+        "globalVariables": {},
+        "userNodes": {},
+        "playbackConfig": {"speed": 1},
+        "layout": {"direction": "row", "first": left, "second": right, "splitPercentage": 46},
+    }
+
+
+_BY_LOG_TIME: Final = {"enabled": True, "timestampMethod": "receiveTime"}
+
+
+def _robot_panel(robot: G1) -> dict[str, Any]:
+    """The 3D panel: robots without frames and labels, the camera beside the measured pelvis."""
+    frames = [
+        "world",
+        *(
+            f"{prefix}{link}"
+            for prefix in ("", MEASURED_PREFIX, GHOST_PREFIX)
+            for link in robot.link_names
+        ),
+    ]
+    return {
+        **_title("measured robot; blue: reference joints on the measured pelvis"),
+        "cameraState": {
+            "perspective": True,
+            "distance": 2.6,
+            "phi": 76,
+            "thetaOffset": 55,
+            "targetOffset": [0, 0, -0.05],
+            "target": [0, 0, 0],
+            "targetOrientation": [0, 0, 0, 1],
+            "fovy": 40,
+            "near": 0.05,
+            "far": 200,
+        },
+        "followMode": "follow-position",
+        "followTf": MEASURED_PREFIX + robot.link_names[0],
+        "scene": {
+            "backgroundColor": "#20242b",
+            "transforms": {"showLabel": False, "axisScale": 0, "lineWidth": 0},
+        },
+        "transforms": {f"frame:{frame}": {"visible": False} for frame in frames},
+        "topics": {topic: {"visible": visible} for topic, visible in _SCENES.items()},
+        "layers": {
+            "floor": {
+                "instanceId": "floor",
+                "layerId": "foxglove.Grid",
+                "label": "Floor",
+                "visible": True,
+                "frameId": "world",
+                "frameLocked": True,
+                "size": 8,
+                "divisions": 16,
+                "lineWidth": 1,
+                "color": "#8aa0b860",
+                "position": [0, 0, 0],
+                "rotation": [0, 0, 0],
+                "order": 1,
+            }
+        },
+    }
+
+
+def _title(text: str) -> dict[str, str]:
+    """A panel's title, as each of the viewers names it."""
+    return {"foxglovePanelTitle": text, "lichtblickPanelTitle": text}
+
+
+def _plot(
+    title: str, series: Sequence[tuple[str, str, str]], *, legend: bool = False
+) -> dict[str, Any]:
+    """A plot of series: message path or constant, label, colour."""
+    return {
+        **_title(title),
+        "paths": [
+            {"value": path, "label": label, "color": color, "lineSize": 1.5, **_BY_LOG_TIME}
+            for path, label, color in series
+        ],
+        "showXAxisLabels": True,
+        "showYAxisLabels": True,
+        "showLegend": legend,
+        "legendDisplay": "left" if legend else "none",
+        "showPlotValuesInLegend": False,
+        "sidebarDimension": 190,
+        "isSynced": True,
+        "xAxisVal": "timestamp",
+    }
+
+
+def _joint_path(topic: str, joint: str, field: str) -> str:
+    return f'{topic}.joints[:]{{name=="{joint}"}}.{field}'
+
+
+def _grid(panels: Sequence[str]) -> Any:
+    """Two columns of panels."""
+    half = (len(panels) + 1) // 2
+    columns = [_rows(part) for part in (panels[:half], panels[half:]) if part]
+    if len(columns) < 2:
+        return columns[0] if columns else None
+    return {"direction": "row", "first": columns[0], "second": columns[1]}
+
+
+def _rows(panels: Sequence[str]) -> Any:
+    """Panels one below the other, of the same height."""
+    return _column(
+        *((panel, 100 / (len(panels) - i)) for i, panel in enumerate(panels[:-1])), panels[-1]
+    )
+
+
+def _column(*panels: Any) -> Any:
+    """Panels one below the other: each with its share of what is left, %, and the last one."""
+    *above, below = panels
+    for panel, share in reversed(above):
+        below = {
+            "direction": "column",
+            "first": panel,
+            "second": below,
+            "splitPercentage": share,
+        }
+    return below
+
+
+def plotjuggler_layout(joints: Sequence[str]) -> str:
+    """A layout for PlotJuggler, as the XML that it loads.
+
+    It plots the curves that PlotJuggler makes of sensor_msgs/JointState, which it names by joint:
+    of a session that was converted with `g1stream convert --ros2`.
+
+    Args:
+        joints: names of up to six joints to plot.
+    """
+    root = ElementTree.Element("root")
+    widget = {"name": "Main Window", "parent": "main_window"}
+    tabs = ElementTree.SubElement(root, "tabbed_widget", widget)
+    for title, field in (("Joint positions", "position"), ("Joint torques", "effort")):
+        tab = ElementTree.SubElement(tabs, "Tab", tab_name=title, containers="1")
+        container = ElementTree.SubElement(tab, "Container")
+        sizes = ";".join([f"{1 / len(joints):.6f}"] * len(joints))
+        split = ElementTree.SubElement(
+            container, "DockSplitter", orientation="-", sizes=sizes, count=str(len(joints))
+        )
+        for joint in joints:
+            area = ElementTree.SubElement(split, "DockArea", name=f"{joint}")
+            plot = ElementTree.SubElement(area, "plot", style="Lines", mode="TimeSeries")
+            for topic, color in (("/reference", REFERENCE), ("/measured", MEASURED)):
+                name = f"{topic}/joint_states/{joint}/{field}"
+                ElementTree.SubElement(plot, "curve", name=name, color=color)
+    ElementTree.SubElement(tabs, "currentTabIndex", index="0")
+    ElementTree.SubElement(root, "use_relative_time_offset", enabled="1")
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"

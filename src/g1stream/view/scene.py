@@ -1,0 +1,227 @@
+"""What viewers draw: Foxglove scenes of the robot and of its path, and its URDF as ROS sends it."""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from foxglove_schemas_protobuf.TriangleListPrimitive_pb2 import TriangleListPrimitive
+
+from g1stream.errors import RobotError
+from g1stream.files import read_file
+from g1stream.robot.meshes import LARGEST_MESH, decimate, read_stl
+from g1stream.robot.visuals import find_mesh, read_visuals
+from g1stream.types import Floats, Ints
+from g1stream.view.encoders import WORLD_FRAME
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
+
+    from g1stream.robot.model import G1
+    from g1stream.robot.visuals import Visual
+
+__all__ = [
+    "PathEncoder",
+    "Rgba",
+    "Shape",
+    "draw_meshes",
+    "encode_scene",
+    "load_mesh",
+]
+
+Rgba = tuple[float, float, float, float]
+
+_MEDIA_TYPES: Final = {
+    ".stl": "model/stl",
+    ".dae": "model/vnd.collada+xml",
+    ".obj": "model/obj",
+    ".glb": "model/gltf-binary",
+}
+#: Bytes of all meshes of a scene that are embedded, as often as they occur in it.
+_LARGEST_SCENE: Final = 256 * 2**20
+#: The grid of the points of a mesh: 0.12 mm, a power of two, so that most bits of them are zero.
+_POINTS_PER_M: Final = 2.0**13
+
+
+class Shape(NamedTuple):
+    """A mesh as a visual of a URDF scales it: the mesh's name there, and the scale (3,)."""
+
+    mesh: str
+    scale: tuple[float, ...]
+
+
+def draw_meshes(robot: G1) -> dict[Shape, TriangleListPrimitive]:
+    """The STL meshes of a robot with fewer triangles, as `encode_scene` takes them.
+
+    Triangles are what all viewers show the same: a mesh file would have to say which axis is up,
+    and to be tinted. Points are rounded, which makes them small in a compressed file.
+
+    Raises:
+        RobotError: a mesh cannot be read.
+        ConfigError: the extra `meshes` is not installed.
+    """
+    visuals = (visual for visual in read_visuals(robot) if visual.kind == "mesh")
+    shapes = {Shape(visual.mesh, visual.size) for visual in visuals}
+    files = {name: find_mesh(robot, name) for name, _ in shapes}
+    meshes = {
+        name: decimate(read_stl(path))
+        for name, path in files.items()
+        if path and path.suffix.lower() == ".stl"
+    }
+    drawn = {}
+    for shape in shapes:
+        if shape.mesh in meshes:
+            points, triangles = meshes[shape.mesh]
+            points = np.round(points * np.array(shape.scale) * _POINTS_PER_M) / _POINTS_PER_M
+            drawn[shape] = TriangleListPrimitive(indices=triangles.ravel().tolist())
+            for x, y, z in points.tolist():
+                drawn[shape].points.add(x=x, y=y, z=z)
+    return drawn
+
+
+def encode_scene(
+    timestamp_ns: int,
+    robot: G1,
+    prefix: str = "",
+    tint: Rgba | None = None,
+    drawn: Mapping[Shape, TriangleListPrimitive] = MappingProxyType({}),
+) -> bytes:
+    """A foxglove.SceneUpdate with the shapes of a robot, locked to the frames of its links.
+
+    Meshes that are not in `drawn` are embedded whole where their files are found and their suffix
+    is one of a mesh; others are referred to by name, so that a URDF cannot bring another file into
+    a session.
+
+    Args:
+        timestamp_ns: ns since the epoch.
+        robot: whose URDF has the shapes.
+        prefix: of the frames of its links.
+        tint: red, green, blue and opacity of all shapes, 0 to 1; the URDF's colours if None.
+        drawn: the robot's meshes by `draw_meshes`.
+
+    Raises:
+        RobotError: the URDF has a shape that cannot be read, or its meshes are too large.
+    """
+    update = SceneUpdate()
+    visuals = read_visuals(robot)
+    others = {v.mesh for v in visuals if v.mesh and Shape(v.mesh, v.size) not in drawn}
+    models = {name: load_mesh(robot, name) for name in others}
+    size = sum(len(models.get(v.mesh, {}).get("data", b"")) for v in visuals)
+    if size > _LARGEST_SCENE:
+        raise RobotError(
+            f"The meshes of {robot.source} have {size / 2**20:.0f} MiB.",
+            f"Give it simpler ones, of {_LARGEST_SCENE / 2**20:.0f} MiB at most, or move them away "
+            "to be shown by their names only.",
+        )
+    entities: dict[str, SceneEntity] = {}
+    for visual in visuals:
+        frame = prefix + visual.link
+        if frame not in entities:
+            entities[frame] = update.entities.add(id=frame, frame_id=frame, frame_locked=True)
+            entities[frame].timestamp.FromNanoseconds(timestamp_ns)
+        _add(entities[frame], visual, tint, drawn, models)
+    data: bytes = update.SerializeToString()
+    return data
+
+
+class PathEncoder:
+    """Draws where a frame has been in the last seconds, as foxglove.SceneUpdate with one line.
+
+    Args:
+        entity_id: of the line.
+        seconds: how long the line reaches back.
+        color: red, green, blue and opacity, 0 to 1.
+    """
+
+    def __init__(self, entity_id: str, seconds: float, color: Rgba) -> None:
+        self._id, self._color, self._length = entity_id, color, round(seconds * 1e9)
+        self._times: Ints = np.empty(0, dtype=np.int64)
+        self._points: Floats = np.empty((0, 3))
+
+    def encode(self, times: Ints, points: Floats, instants: Ints) -> list[bytes]:
+        """Take in points, and draw the line at some of their times.
+
+        Args:
+            times: (T,) ns since the epoch.
+            points: (T, 3) m, world.
+            instants: (K,) of the times, at which a line is wanted.
+        """
+        self._times = np.append(self._times, times)
+        self._points = np.concatenate([self._points, points])
+        lines = [self._line(int(instant)) for instant in instants]
+        recent = self._times >= self._times[-1:].max(initial=0) - self._length
+        self._times, self._points = self._times[recent], self._points[recent]
+        return lines
+
+    def _line(self, instant: int) -> bytes:
+        update = SceneUpdate()
+        entity = update.entities.add(id=self._id, frame_id=WORLD_FRAME)
+        entity.timestamp.FromNanoseconds(instant)
+        line = entity.lines.add(type=LinePrimitive.LINE_STRIP, thickness=3.0, scale_invariant=True)
+        line.pose.orientation.w = 1.0
+        line.color.r, line.color.g, line.color.b, line.color.a = self._color
+        drawn = (self._times <= instant) & (self._times > instant - self._length)
+        for x, y, z in self._points[drawn].tolist():
+            line.points.add(x=x, y=y, z=z)
+        data: bytes = update.SerializeToString()
+        return data
+
+
+def load_mesh(robot: G1, name: str) -> dict[str, Any]:
+    """A mesh as a foxglove.ModelPrimitive has it.
+
+    Returns:
+        `data` and `media_type` where its file is found, else `url`, its name for the viewer to look
+        up.
+
+    Raises:
+        RobotError: the file is there and cannot be read.
+    """
+    path = find_mesh(robot, name)
+    media_type = _MEDIA_TYPES.get(path.resolve().suffix.lower()) if path else None
+    if path is None or media_type is None:
+        return {"url": name}
+    try:
+        return {"data": read_file(path, LARGEST_MESH), "media_type": media_type}
+    except OSError as error:
+        raise RobotError(
+            f"The mesh {path} of {robot.name} cannot be read: {error.strerror}.",
+            "Make it readable, or move it away to be shown by its name only.",
+        ) from error
+
+
+def _add(
+    entity: SceneEntity,
+    visual: Visual,
+    tint: Rgba | None,
+    drawn: Mapping[Shape, TriangleListPrimitive],
+    models: Mapping[str, Mapping[str, Any]],
+) -> None:
+    """Add a shape to its link's entity."""
+    triangles = drawn.get(Shape(visual.mesh, visual.size))
+    if triangles is not None:
+        entity.triangles.append(triangles)
+        shape: Any = entity.triangles[-1]
+    elif visual.kind == "box":
+        shape = entity.cubes.add()
+    elif visual.kind == "sphere":
+        shape = entity.spheres.add()
+    elif visual.kind == "cylinder":
+        shape = entity.cylinders.add(bottom_scale=1.0, top_scale=1.0)
+    else:
+        # Viewers tint a mesh only by overriding its colours with one.
+        override = visual.coloured or tint is not None
+        shape = entity.models.add(override_color=override, **models[visual.mesh])
+    if triangles is None:
+        extent = shape.scale if visual.kind == "mesh" else shape.size
+        extent.x, extent.y, extent.z = visual.size
+    pose, colour = shape.pose, shape.color
+    pose.position.x, pose.position.y, pose.position.z = visual.pos
+    q = pose.orientation
+    q.w, q.x, q.y, q.z = visual.quat_wxyz
+    colour.r, colour.g, colour.b, colour.a = tint or visual.rgba

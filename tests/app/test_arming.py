@@ -1,0 +1,213 @@
+"""What has to be asked, and is told, before anything but loopback is commanded."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+import pytest
+
+from g1stream.app.arming import inspect_for_arming
+from g1stream.app.replay import replay
+from g1stream.app.sim import simulate
+from g1stream.app.stream import for_wire, stream, with_robot_limits
+from g1stream.config import Config, load_config
+from g1stream.dds.domain import Participant
+from g1stream.dds.endpoints import RawReader, RawWriter
+from g1stream.dds.messages import LOWCMD, LOWSTATE, LowCmd, LowState
+from g1stream.doctor.facts import Level, ok
+from g1stream.errors import SafetyError, WireError
+from g1stream.robot.joints import JOINT_NAMES
+from g1stream.session.motions import load_motion
+from g1stream.sim.onboard import MotionService
+
+ELSEWHERE = {"dds": {"domain": 0, "interface": "no-such-interface"}}
+
+
+@pytest.fixture
+def simulation(domain_id):
+    """Starts a bridge in a thread."""
+    done, threads = threading.Event(), []
+
+    def start(onboard=None):
+        config = Config.model_validate({"dds": {"domain": domain_id}, "sim": {"onboard": onboard}})
+        ready = threading.Event()
+        options = {"should_stop": done.is_set, "on_ready": ready.set}
+        threads.append(threading.Thread(target=simulate, args=(config,), kwargs=options))
+        threads[-1].start()
+        assert ready.wait(30)
+
+    yield start
+    done.set()
+    for thread in threads:
+        thread.join()
+
+
+@pytest.fixture
+def still_robot(domain_id):
+    """Starts a robot that stands still with every joint at 0.1 rad, and has a motion service."""
+    done, threads = threading.Event(), []
+    state = LowState()
+    state.q[:], state.quaternion[0] = 0.1, 1.0
+    state.mode_machine[()] = 5
+    sealed = state.seal()
+    with Participant(domain_id, "lo") as participant:
+        writer = RawWriter(participant, LOWSTATE)
+
+        def start(*, crc=sealed[-4:], serves=True):
+            service = MotionService(participant) if serves else None
+
+            def publish():
+                while not done.wait(0.005):
+                    writer.write(sealed[:-4] + crc)
+                    if service:
+                        service.step(sealed, 1)
+
+            threads.append(threading.Thread(target=publish))
+            threads[-1].start()
+
+        yield start
+        done.set()
+        for thread in threads:
+            thread.join()
+
+
+@pytest.fixture
+def config(domain_id):
+    timing = {"wait": 2.0, "ramp": 0.4, "soft_start": 0.1, "duration": 0.2, "hold": 0, "damp": 0.5}
+    patient = {"state_timeout": 1.0, "max_missed_ticks": 1.0}  # the bridge shares this process
+    return Config.model_validate(
+        {"dds": {"domain": domain_id}, "stream": timing, "safety": patient}
+    )
+
+
+@pytest.mark.parametrize("play", [stream, replay])
+@pytest.mark.parametrize("elsewhere", ["interface", "uri"])
+def test_unarmed_is_refused_before_a_file_or_the_network_is_touched(play, elsewhere, monkeypatch):
+    monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
+    config = Config.model_validate(ELSEWHERE)
+    monkeypatch.setattr("g1stream.dds.domain.interfaces", lambda: ["lo", config.dds.interface])
+    if elsewhere == "uri":
+        monkeypatch.setenv("CYCLONEDDS_URI", "<CycloneDDS/>")
+        config = Config()
+    with pytest.raises(SafetyError) as caught:
+        play("no such file", config)
+    assert "--arm" in caught.value.remedy
+
+
+@pytest.mark.parametrize("play", [stream, replay])
+def test_an_interface_that_does_not_exist_is_refused_before_arming(play):
+    with pytest.raises(WireError) as caught:
+        play("no such file", Config.model_validate(ELSEWHERE))
+    assert ELSEWHERE["dds"]["interface"] in caught.value.cause
+
+
+def test_robot_toml_applies_where_nothing_is_set(monkeypatch):
+    monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
+    robot = load_config("robot")
+    given = Config.model_validate(
+        ELSEWHERE | {"safety": {"max_tilt": 0.9}, "stream": {"feedforward": None, "rate": 250.0}}
+    )
+    found = with_robot_limits(given)
+    assert found.dds == given.dds
+    assert found.safety == robot.safety.model_copy(update={"max_tilt": 0.9})
+    assert found.stream == robot.stream.model_copy(update={"rate": 250.0})
+    assert found == for_wire(given) == with_robot_limits(found)
+    assert with_robot_limits(Config()) == Config()
+    assert found.stream.soft_start > 0.0
+
+
+def test_the_report_is_about_this_robot_and_motion(still_robot, config):
+    still_robot()
+    reports = []
+    with Participant(config.dds.domain, "lo") as theirs:
+        tap = RawReader(theirs, LOWCMD, depth=4096)
+        with pytest.raises(SafetyError):
+            stream("demo", config, arm=lambda report: reports.append(report) or False)
+        assert tap.take(4096) == []
+    (report,) = reports
+    assert (report.domain, report.interface) == (config.dds.domain, "lo")
+    assert report.tilt == 0.0
+    way = load_motion("demo").joint_pos[0] - 0.1
+    assert report.furthest.distance == pytest.approx(way[np.abs(way).argmax()], abs=1e-6)
+    assert report.furthest.joint == JOINT_NAMES[np.abs(way).argmax()]
+    assert report.limbs[0].distance == pytest.approx(way[np.abs(way[:6]).argmax()], abs=1e-6)
+    least = 1.875 * abs(report.furthest.distance) / config.stream.ramp_speed
+    assert report.ramp == pytest.approx(max(config.stream.ramp, least))
+    peak = 1.875 * abs(report.furthest.distance) / report.ramp
+    assert report.peak_speed == pytest.approx(peak)
+    assert [limb.limb for limb in report.limbs] == [
+        "left_leg",
+        "right_leg",
+        "waist",
+        "left_arm",
+        "right_arm",
+    ]
+    assert report.limbs[0].kp == (40.0, 100.0)
+    assert report.limits["state_timeout"] == 1.0
+    assert report.motion_service == ok("motion service", "no mode is active")
+    assert {"publisher", "LowState", "mode_machine"} <= {one.about for one in report.findings}
+
+
+def test_a_motion_service_that_does_not_answer_is_a_warning(still_robot, config):
+    still_robot(serves=False)
+    with Participant(config.dds.domain, "lo") as participant:
+        report = inspect_for_arming(participant, config, np.zeros(29))
+    assert report.motion_service.level is Level.WARNING
+
+
+@pytest.mark.parametrize(("robot", "warned"), [(None, False), ("g1_23dof", True)])
+def test_motor_numbers_that_no_robot_has_confirmed_are_a_warning(
+    still_robot, config, robot, warned
+):
+    still_robot()
+    config = config.model_copy(update={"robot": robot})
+    with Participant(config.dds.domain, "lo") as participant:
+        report = inspect_for_arming(participant, config, np.zeros(29))
+    assert ("motors" in {one.about for one in report.findings}) == warned
+
+
+def test_the_pose_is_that_of_a_state_whose_crc_is_not_provided(still_robot, config):
+    still_robot(crc=bytes(4))
+    with Participant(config.dds.domain, "lo") as participant:
+        report = inspect_for_arming(participant, config, np.zeros(29))
+    assert report.furthest.distance == pytest.approx(-0.1)
+
+
+def test_no_pose_is_taken_from_a_state_with_a_wrong_crc(still_robot, config):
+    still_robot(crc=b"\1\2\3\4")
+    with Participant(config.dds.domain, "lo") as participant, pytest.raises(WireError):
+        inspect_for_arming(participant, config, np.zeros(29))
+
+
+def test_an_active_mode_is_refused_before_anybody_is_asked(simulation, config):
+    simulation("ai")
+    with pytest.raises(SafetyError) as caught:
+        stream("demo", config, arm=lambda report: pytest.fail("asked"))
+    assert "ai" in caught.value.cause
+    assert f"g1stream robot release --domain {config.dds.domain}" in caught.value.remedy
+
+
+def test_without_a_robot_there_is_nothing_to_arm(config):
+    with pytest.raises(WireError):
+        stream("demo", config, arm=lambda report: pytest.fail("asked"))
+
+
+def test_armed_starts_with_damping(simulation, config):
+    simulation()
+    with Participant(config.dds.domain, "lo") as theirs:
+        tap = RawReader(theirs, LOWCMD, depth=4096)
+        summary = stream("demo", config, arm=lambda report: True)
+        samples = tap.take(4096)
+    assert summary.termination.reason == ""
+    stiffness = []
+    for sample in samples:
+        command = LowCmd()
+        command.load(sample.data)
+        stiffness.append(float(command.kp.max()))
+    soft = next(i for i, kp in enumerate(stiffness) if kp)
+    damped = samples[soft].publish_time - samples[0].publish_time
+    # The 0.1 s are between deadlines, which the first command may be late for.
+    assert damped + 1e3 * summary.stream.lateness_us.max >= 0.09e9
+    assert set(stiffness[soft:]) == {100.0, 0.0}
+    assert stiffness[-1] == 0.0

@@ -1,0 +1,366 @@
+"""Converted files, decoded with other people's packages and compared with yourdfpy's kinematics."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections import defaultdict
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yourdfpy
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoders
+from mcap_ros2.decoder import DecoderFactory as Ros2Decoders
+from scipy.spatial.transform import Rotation
+
+from g1stream.app.convert import Conversion, convert
+from g1stream.errors import ConfigError, MotionError, RecordingError, RobotError
+from g1stream.motion.motion import Motion
+from g1stream.robot.joints import JOINT_NAMES
+from g1stream.robot.meshes import real_g1
+from g1stream.robot.model import G1
+from g1stream.session.format import metadata_from_strings
+from g1stream.session.motions import load_motion
+
+T0 = 1_700_000_000_000_000_000
+JOINTS = "/reference/joint_states"
+
+
+@pytest.fixture(scope="module")
+def motion():
+    """300 frames, the joints anywhere within their limits and the root anywhere."""
+    robot, rng = G1.default(), np.random.default_rng(9)
+    return Motion(
+        name="anywhere",
+        fps=30.0,
+        joint_pos=rng.uniform(robot.lower, robot.upper, (300, 29)),
+        root_pos=rng.normal(size=(300, 3)),
+        root_quat_wxyz=rng.normal(size=(300, 4)),
+    )
+
+
+@pytest.fixture
+def out(tmp_path):
+    return tmp_path / "out.mcap"
+
+
+def read(path):
+    """Messages by topic, each with its decoded body."""
+    found = defaultdict(list)
+    with path.open("rb") as file:
+        factories = [ProtobufDecoders(), Ros2Decoders()]
+        reader = make_reader(file, validate_crcs=True, decoder_factories=factories)
+        for _, channel, message, body in reader.iter_decoded_messages():
+            found[channel.topic].append((message, body))
+    return found
+
+
+def world_poses(body, world="world"):
+    """Each link's matrix, by following the frames from the world as a viewer does."""
+    found = {world: np.eye(4)}
+    for t in body.transforms:
+        p, q = t.translation, t.rotation
+        local = np.eye(4)
+        local[:3, :3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
+        local[:3, 3] = p.x, p.y, p.z
+        found[t.child_frame_id] = found[t.parent_frame_id] @ local
+    return found
+
+
+def root_matrix(motion, frame):
+    matrix = np.eye(4)
+    matrix[:3, :3] = Rotation.from_quat(np.roll(motion.root_quat_wxyz[frame], -1)).as_matrix()
+    matrix[:3, 3] = motion.root_pos[frame]
+    return matrix
+
+
+def yourdfpy_poses(motion, frame):
+    """Each link's matrix in its root link, by yourdfpy."""
+    urdf = yourdfpy.URDF.load(StringIO(G1.default().urdf), load_meshes=False)
+    urdf.update_cfg(dict(zip(JOINT_NAMES, motion.joint_pos[frame], strict=True)))
+    return {link: urdf.get_transform(link) for link in urdf.link_map}
+
+
+@pytest.mark.slow
+def test_link_poses_match_yourdfpy(motion, out):
+    report = convert(motion, out)
+    messages = read(out)
+    assert {topic: len(found) for topic, found in messages.items()} == report.counts
+    assert report.counts == {"/tf": 300, JOINTS: 300, "/scene": 1, "/robot_description": 1}
+    for frame in (0, 127, 128, 299):
+        poses = world_poses(messages["/tf"][frame][1])
+        expected = yourdfpy_poses(motion, frame)
+        assert poses.keys() == {"world", *expected}
+        for link, in_root in expected.items():
+            matrix = root_matrix(motion, frame) @ in_root
+            np.testing.assert_allclose(poses[link], matrix, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_flat_transforms_give_the_same_poses(motion, out, tmp_path):
+    flat = tmp_path / "flat.mcap"
+    convert(motion, out)
+    convert(motion, flat, Conversion(flat=True))
+    for (_, tree), (_, straight) in zip(read(out)["/tf"], read(flat)["/tf"], strict=True):
+        assert {t.parent_frame_id for t in straight.transforms} == {"world"}
+        composed, given = world_poses(tree), world_poses(straight)
+        assert composed.keys() == given.keys()
+        for link, matrix in composed.items():
+            np.testing.assert_allclose(given[link], matrix, atol=1e-9)
+
+
+def test_joint_states_are_the_motions(motion, out):
+    convert(motion, out)
+    for frame, (_, body) in enumerate(read(out)[JOINTS]):
+        assert tuple(joint.name for joint in body.joints) == JOINT_NAMES
+        assert [joint.position for joint in body.joints] == motion.joint_pos[frame].tolist()
+        assert not any(joint.HasField("velocity") for joint in body.joints)
+
+
+def stamps_of(body):
+    """The stamps inside a message."""
+    inside = getattr(body, "transforms", None) or getattr(body, "entities", None) or [body]
+    return {item.timestamp.ToNanoseconds() for item in inside}
+
+
+def test_log_time_publish_time_and_timestamps_inside_are_equal(motion, out):
+    convert(motion, out, Conversion(base_time_ns=T0))
+    messages = read(out)
+    for topic in ("/tf", JOINTS):
+        for frame, (message, body) in enumerate(messages[topic]):
+            exact = T0 + (2 * frame * 10**9 + 30) // 60
+            assert message.log_time == message.publish_time == exact
+            assert message.sequence == frame + 1
+            assert stamps_of(body) == {exact}
+    for topic in ("/scene", "/robot_description"):
+        ((message, _),) = messages[topic]
+        assert message.log_time == message.publish_time == T0
+    ((_, scene),) = messages["/scene"]
+    assert stamps_of(scene) == {T0}
+
+
+@pytest.mark.slow
+def test_the_time_zone_of_the_machine_changes_nothing(tmp_path):
+    contents = set()
+    for zone in ("UTC", "Asia/Tokyo", "America/New_York"):
+        path = tmp_path / f"{zone.replace('/', '-')}.mcap"
+        command = ["-m", "g1stream", "convert", "demo", str(path)]
+        flags = ["--base-time", "2026-03-01T12:00:00+01:00", "--frames", ":40"]
+        environment = {**os.environ, "TZ": zone}
+        subprocess.run([sys.executable, *command, *flags], check=True, env=environment)
+        contents.add(path.read_bytes())
+    assert len(contents) == 1
+    ((message, body), *_) = read(path)["/tf"]
+    assert message.log_time == 1_772_362_800 * 10**9
+    assert stamps_of(body) == {message.log_time}
+
+
+def test_half_the_fps_takes_twice_as_long(motion, out, tmp_path):
+    slow = tmp_path / "slow.mcap"
+    convert(motion, out)
+    convert(motion, slow, fps=15.0)
+    fast_times = [message.log_time for message, _ in read(out)["/tf"]]
+    slow_times = [message.log_time for message, _ in read(slow)["/tf"]]
+    assert len(fast_times) == len(slow_times)
+    assert (fast_times[150], slow_times[150]) == (5 * 10**9, 10 * 10**9)
+    assert slow_times[-1] == (2 * 299 * 10**9 + 15) // 30
+
+
+@pytest.mark.parametrize(
+    ("frames", "kept"),
+    [((10, 200), range(10, 200)), ((290, None), range(290, 300)), ((None, 1), range(1))],
+)
+def test_a_frame_range_has_the_messages_of_the_whole(motion, out, tmp_path, frames, kept):
+    part = tmp_path / "part.mcap"
+    convert(motion, out)
+    convert(motion, part, Conversion(frames=frames))
+    whole, cut = read(out), read(part)
+    for topic in ("/tf", JOINTS):
+        assert [m.data for m, _ in cut[topic]] == [whole[topic][i][0].data for i in kept]
+        assert [m.log_time for m, _ in cut[topic]] == [whole[topic][i][0].log_time for i in kept]
+
+
+def test_resampled_joints_go_through_the_frames_and_have_velocities(motion, out):
+    report = convert(motion, out, Conversion(resample=90.0))
+    assert report.rate == 90.0
+    bodies = [body for _, body in read(out)[JOINTS]]
+    assert len(bodies) == 299 * 3 + 1
+    position = np.array([[joint.position for joint in body.joints] for body in bodies])
+    velocity = np.array([[joint.velocity for joint in body.joints] for body in bodies])
+    np.testing.assert_allclose(position[::3], motion.joint_pos, atol=1e-9)
+    # Simpson's rule is exact on cubics, up to where they are joined: over two samples of three.
+    moved = (velocity[:-2] + 4 * velocity[1:-1] + velocity[2:]) / (6 * 45.0)
+    inside = np.arange(len(moved)) % 3 < 2
+    np.testing.assert_allclose(moved[inside], (position[2:] - position[:-2])[inside], atol=1e-9)
+    assert all(joint.HasField("acceleration") for joint in bodies[7].joints)
+
+
+def test_resampled_times_are_exact(motion, out):
+    convert(motion, out, Conversion(resample=90.0, base_time_ns=T0))
+    times = [message.log_time for message, _ in read(out)["/tf"]]
+    assert times == [T0 + (2 * i * 10**9 + 90) // 180 for i in range(len(times))]
+
+
+@pytest.mark.slow
+def test_without_a_floating_root_the_pelvis_is_at_the_origin(motion, out):
+    convert(motion, out, Conversion(floating_root=False))
+    for frame, (_, body) in list(enumerate(read(out)["/tf"]))[::50]:
+        poses = world_poses(body)
+        for link, in_root in yourdfpy_poses(motion, frame).items():
+            np.testing.assert_allclose(poses[link], in_root, atol=1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("floating", [True, False])
+def test_root_link_is_at_the_pose_of_the_motion(motion, out, floating):
+    convert(motion, out, Conversion(root_link="torso_link", floating_root=floating))
+    for frame, (_, body) in list(enumerate(read(out)["/tf"]))[::50]:
+        assert body.transforms[0].child_frame_id == "pelvis"
+        poses, in_root = world_poses(body), yourdfpy_poses(motion, frame)
+        torso = root_matrix(motion, frame) if floating else np.eye(4)
+        np.testing.assert_allclose(poses["torso_link"], torso, atol=1e-9)
+        hand = np.linalg.inv(in_root["torso_link"]) @ in_root["left_wrist_yaw_link"]
+        np.testing.assert_allclose(poses["left_wrist_yaw_link"], torso @ hand, atol=1e-9)
+
+
+def test_world_frame_and_topic(motion, out):
+    convert(motion, out, Conversion(world_frame="map", topic="/clip/tf"))
+    messages = read(out)
+    assert "/tf" not in messages
+    assert messages["/clip/tf"][0][1].transforms[0].parent_frame_id == "map"
+
+
+@pytest.mark.slow
+def test_meshes_are_triangles_of_the_real_robot_in_the_scene(motion, out):
+    if real_g1() is None:
+        pytest.skip("needs the extra `meshes`")
+    report = convert(motion, out, Conversion(meshes=True, frames=(0, 2)))
+    ((_, scene),) = read(out)["/scene"]
+    assert {entity.frame_id for entity in scene.entities} < set(G1.default().link_names)
+    assert sum(len(one.indices) for entity in scene.entities for one in entity.triangles) > 3 * 40e3
+    assert not any(entity.cubes or entity.models for entity in scene.entities)
+    assert report.size < 2e6
+
+
+def test_urdf_and_motion_are_attached(out):
+    source = Path(load_motion("demo").source)
+    convert("demo", out)
+    urdf = G1.default().urdf
+    with out.open("rb") as file:
+        attachments = {a.name: a.data for a in make_reader(file).iter_attachments()}
+    assert attachments == {"robot.urdf": urdf.encode(), "demo.csv": source.read_bytes()}
+    assert read(out)["/robot_description"][0][1].data == urdf
+    with out.open("rb") as file:
+        (record,) = make_reader(file).iter_metadata()
+    values = metadata_from_strings(record.metadata)
+    assert values["motion"]["sha256"] == load_motion("demo").sha256
+    assert values["conversion"]["base_time_ns"] == 0
+
+
+def test_the_same_input_gives_the_same_bytes(out, tmp_path):
+    again = tmp_path / "again.mcap"
+    convert("demo", out)
+    convert("demo", again)
+    assert out.read_bytes() == again.read_bytes()
+
+
+def test_progress_rises_to_one(motion, out):
+    told = []
+    convert(motion, out, on_progress=told.append)
+    assert told == sorted(told)
+    assert told[-1] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({"frames": (200, 100)}, MotionError, "200:100"),
+        ({"frames": (0, 301)}, MotionError, "300"),
+        ({"resample": 0.0}, MotionError, "0"),
+        ({"resample": float("nan")}, MotionError, "nan"),
+        ({"root_link": "head"}, RobotError, "'head'"),
+        ({"world_frame": "pelvis"}, ConfigError, "'pelvis'"),
+        ({"topic": "/scene"}, ConfigError, "/scene"),
+        ({"topic": ""}, ConfigError, "''"),
+        ({"base_time_ns": 2**63 - 1}, ConfigError, "2262"),
+    ],
+)
+def test_invalid_options_are_refused_and_leave_no_file(motion, out, options, error, message):
+    with pytest.raises(error, match=message):
+        convert(motion, out, Conversion(**options))
+    assert list(out.parent.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("link", "alike"),
+    [("nope", ""), ("", ""), ("hip", "left_hip_pitch_link"), ("torsolink", "torso_link")],
+)
+def test_an_unknown_link_is_refused_with_similar_names(motion, out, link, alike):
+    with pytest.raises(RobotError) as caught:
+        convert(motion, out, Conversion(root_link=link))
+    offered = caught.value.remedy.partition("such as ")[2].rstrip(".").split(", ")
+    assert len(offered) == 5
+    assert set(offered) <= set(G1.default().link_names)
+    assert not alike or offered[0] == alike
+
+
+def test_the_input_file_is_not_overwritten(tmp_path):
+    source = tmp_path / "clip.mcap"
+    convert("demo", source)
+    before = source.read_bytes()
+    with pytest.raises(RecordingError, match=str(source)):
+        convert(source, source, Conversion(force=True))
+    assert source.read_bytes() == before
+
+
+@pytest.mark.parametrize("name", ["clip", "clip.xyz", "clip.csv"])
+def test_another_suffix_is_refused(tmp_path, name):
+    with pytest.raises(ConfigError):
+        convert("demo", tmp_path / name)
+    assert not list(tmp_path.iterdir())
+
+
+HOUR = """
+import resource, sys
+from g1stream.cli.main import main
+code = main(["convert", sys.argv[1], sys.argv[2]])
+print(code, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)
+"""
+
+
+@pytest.mark.slow
+def test_a_long_motion_needs_little_more_memory_than_a_short_one(tmp_path):
+    """Twenty minutes and one: the difference is the motion itself, 36 doubles a frame, not what
+    is written for it, which is twenty times as much.
+    """
+    header, *lines = Path(load_motion("demo").source).read_text().splitlines()
+    peak = {}
+    for minutes in (1, 20):
+        motion = tmp_path / f"{minutes}.csv"
+        rows = (f"{i},{lines[i % len(lines)].split(',', 1)[1]}" for i in range(minutes * 60 * 30))
+        motion.write_text("\n".join((header, *rows)))
+        command = [sys.executable, "-c", HOUR, str(motion), str(tmp_path / f"{minutes}.mcap")]
+        done = subprocess.run(command, check=True, capture_output=True, text=True)
+        code, peak[minutes] = map(int, done.stdout.splitlines()[-1].split())
+        assert code == 0
+    frames = 19 * 60 * 30
+    assert (peak[20] - peak[1]) * 2**20 < 5 * frames * 36 * 8
+
+
+IMPORTS = """
+import sys
+from g1stream.cli.main import main
+code = main(["convert", "demo", sys.argv[1]])
+heavy = ("scipy", "trimesh", "yourdfpy", "mujoco", "cyclonedds", "matplotlib")
+print(code, [name for name in heavy if name in sys.modules])
+"""
+
+
+def test_conversion_imports_nothing_that_it_does_not_need(out):
+    command = [sys.executable, "-c", IMPORTS, str(out)]
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    assert done.stdout.splitlines()[-1] == "0 []"

@@ -1,0 +1,62 @@
+"""What a demo refuses before anything is started."""
+
+import pytest
+
+from g1stream.app import demo as program
+from g1stream.config import Config
+from g1stream.errors import ConfigError, RecordingError, WireError
+
+
+class StartedError(Exception):
+    """The simulator would be up."""
+
+
+@pytest.fixture(autouse=True)
+def nothing_starts(monkeypatch):
+    def start(*_):
+        raise StartedError
+
+    monkeypatch.setattr(program, "_publishers", lambda *_: [])
+    monkeypatch.setattr(program, "Child", start)
+    monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
+
+
+@pytest.mark.parametrize("name", ["session.mcap", "tracking.png", "report.html"])
+def test_files_that_are_there_are_refused_before_the_start(tmp_path, name):
+    there = tmp_path / name
+    there.write_text("precious")
+    with pytest.raises(RecordingError, match=f"{name} exists already") as caught:
+        program.demo("demo", tmp_path)
+    assert "--force" in caught.value.remedy
+    assert there.read_text() == "precious"
+    with pytest.raises(StartedError):
+        program.demo("demo", tmp_path, force=True)
+
+
+def test_a_session_named_by_the_time_conflicts_with_no_file(tmp_path):
+    (tmp_path / "session.mcap").touch()
+    with pytest.raises(StartedError):
+        program.demo("demo", tmp_path, Config.model_validate({"record": {"auto_name": True}}))
+
+
+def test_a_demo_does_not_leave_the_machine(tmp_path, monkeypatch):
+    elsewhere = Config.model_validate({"dds": {"interface": "eth7"}})
+    with pytest.raises(ConfigError, match="eth7 is not the loopback") as caught:
+        program.demo("demo", tmp_path / "out", elsewhere)
+    assert "g1stream stream" in caught.value.remedy
+    monkeypatch.setenv("CYCLONEDDS_URI", "<CycloneDDS/>")
+    with pytest.raises(ConfigError, match="CYCLONEDDS_URI is set"):
+        program.demo("demo", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(("given", "chosen"), [({}, 3), ({"domain": 3}, 3), ({"domain": 2}, None)])
+def test_it_avoids_domains_that_are_taken_unless_one_is_asked_for(monkeypatch, given, chosen):
+    others = {1: ["g1stream sim"], 2: ["unitree_mujoco"]}
+    monkeypatch.setattr(program, "_publishers", lambda domain, _: others.get(domain, []))
+    config = Config.model_validate({"dds": given})
+    if chosen:
+        assert program._with_free_domain(config).dds.domain == chosen
+    else:
+        with pytest.raises(WireError, match="unitree_mujoco"):
+            program._with_free_domain(config)

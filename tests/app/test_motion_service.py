@@ -1,0 +1,78 @@
+"""Release and restore of a mode of the motion service, against the bridge."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+
+from g1stream.app.motion_service import onboard_status, release_mode, restore_mode
+from g1stream.app.sim import simulate
+from g1stream.config import Config, DdsConfig, SimConfig
+from g1stream.dds.domain import Participant
+from g1stream.dds.endpoints import RawWriter
+from g1stream.dds.messages import LOWCMD
+from g1stream.dds.motion_switcher import OnboardStatus
+from g1stream.errors import ConfigError, SafetyError, WireError
+
+
+@pytest.fixture(autouse=True)
+def state_directory(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    return tmp_path / "state"
+
+
+@pytest.fixture
+def robot(domain_id):
+    """A bridge with an onboard controller, in a thread; where it is."""
+    where, done, ready = DdsConfig(domain=domain_id), threading.Event(), threading.Event()
+    config = Config(dds=where, sim=SimConfig(onboard="advanced"))
+    options = {"should_stop": done.is_set, "on_ready": ready.set}
+    thread = threading.Thread(target=simulate, args=(config,), kwargs=options)
+    thread.start()
+    assert ready.wait(30)
+    yield where
+    done.set()
+    thread.join()
+
+
+def test_what_was_released_is_restored(robot):
+    assert onboard_status(robot) == OnboardStatus(form="0", name="advanced")
+    assert release_mode(robot) == "advanced"
+    assert onboard_status(robot).name == ""
+    assert release_mode(robot) == ""  # which does not forget the mode
+    assert restore_mode(robot) == "advanced"
+    assert onboard_status(robot).name == "advanced"
+    assert restore_mode(robot, "normal") == "normal"
+    assert onboard_status(robot).name == "normal"
+
+
+def test_a_state_directory_that_cannot_be_written_does_not_keep_a_mode_active(
+    robot, state_directory, caplog
+):
+    state_directory.write_text("a file")
+    assert release_mode(robot) == "advanced"
+    assert onboard_status(robot).name == ""
+    assert len([one for one in caplog.records if one.levelname == "WARNING"]) >= 1
+    with pytest.raises(ConfigError):
+        restore_mode(robot)
+
+
+def test_a_mode_is_not_restored_beside_a_publisher(robot, until):
+    release_mode(robot)
+    with Participant(robot.domain, "lo") as theirs:
+        writer = RawWriter(theirs, LOWCMD)
+        until(lambda: writer.matched, "the bridge")
+        with pytest.raises(SafetyError):
+            restore_mode(robot)
+    assert onboard_status(robot).name == ""
+
+
+def test_nothing_to_restore_is_an_error_before_the_wire_is_used():
+    with pytest.raises(ConfigError):
+        restore_mode(DdsConfig(interface="no such interface"))
+
+
+def test_without_a_service_there_is_no_status(domain_id):
+    with pytest.raises(WireError):
+        onboard_status(DdsConfig(domain=domain_id), 0.3)

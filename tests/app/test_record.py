@@ -1,0 +1,145 @@
+"""Recording as a program: when it is ready, and what it leaves when it fails."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from pathlib import Path
+
+import pytest
+
+from g1stream.app import record as program
+from g1stream.cli.command import EXIT_STOPPED, exit_code
+from g1stream.config import Config
+from g1stream.dds.domain import Participant
+from g1stream.dds.endpoints import RawWriter
+from g1stream.dds.log_handler import dds_log_handler
+from g1stream.dds.messages import LOWCMD, LOWSTATE, REFERENCE, LowState
+from g1stream.errors import ConfigError, WireError
+from g1stream.robot.model import G1
+from g1stream.session.info import MotionInfo, SessionInfo
+from g1stream.session.mcap_reader import McapFile
+from g1stream.session.writer import SessionWriter
+
+SESSION = SessionInfo(motion=MotionInfo(name="walk"))
+
+
+@pytest.fixture
+def config(domain_id):
+    return Config.model_validate({"dds": {"domain": domain_id, "interface": "lo"}})
+
+
+def test_a_missing_stream_is_an_error(config, tmp_path, monkeypatch):
+    monkeypatch.setattr(program, "_MATCH_TIMEOUT", 0.2)
+    ready = threading.Event()
+    with pytest.raises(WireError, match="rt/lowcmd"):
+        program.record(tmp_path / "s.mcap", config, session=SESSION, on_ready=ready.set)
+    assert not ready.is_set()
+    assert not (tmp_path / "s.mcap").exists()
+
+
+@pytest.mark.parametrize("split", [None, 60.0])
+@pytest.mark.parametrize("before", [False, True])
+def test_a_recording_without_a_sample_is_removed_and_an_older_one_is_kept(
+    config, tmp_path, split, before
+):
+    config = Config.model_validate(config.model_dump() | {"record": {"split_duration": split}})
+    path = tmp_path / "s.mcap"
+    old = tmp_path / "s" / "s_0.mcap" if split else path
+    if before:
+        files = SessionWriter(path, split_ns=60 * 10**9 if split else None)
+        files.write("/lowstate", LowState().tobytes(), 1, 1)
+        files.close()
+    there = sorted(tmp_path.rglob("*"))
+    content = old.read_bytes() if before else b""
+    summary = program.record(path, config, force=True, should_stop=lambda: True)
+    assert summary.recorder.removed
+    assert summary.recorder.first_ns is None
+    assert summary.problems
+    assert exit_code(summary) == EXIT_STOPPED
+    assert sorted(tmp_path.rglob("*")) == there
+    assert not before or old.read_bytes() == content
+
+
+def test_the_events_of_a_program_alone_are_no_recording(config, domain_id, tmp_path):
+    with Participant(domain_id, "lo") as participant:
+        stop = iter([False] * 20 + [True] * 100)
+        events = dds_log_handler(participant, "sim")
+        logger = logging.getLogger("g1stream.sim")
+        logger.addHandler(events)
+        try:
+
+            def should_stop():
+                logger.error("here")
+                return next(stop)
+
+            summary = program.record(tmp_path / "s.mcap", config, should_stop=should_stop)
+        finally:
+            logger.removeHandler(events)
+    assert summary.recorder.counts["/log"]
+    assert summary.recorder.removed
+
+
+def test_a_stream_names_its_recording_and_its_recorder_takes_the_name(config, tmp_path):
+    config = Config.model_validate(config.model_dump() | {"record": {"auto_name": True}})
+    stop = {"should_stop": lambda: True}
+    named = [
+        Path(program.record(tmp_path / "s.mcap", config, session=session, **stop).recorder.path)
+        for session in (SESSION, None)
+    ]
+    assert [path.name == "s.mcap" for path in named] == [True, False]
+
+
+def test_it_stops_while_it_waits_for_the_stream(config, tmp_path):
+    ready = threading.Event()
+    summary = program.record(
+        tmp_path / "s.mcap",
+        config,
+        session=SESSION,
+        should_stop=lambda: True,
+        on_ready=ready.set,
+    )
+    assert not ready.is_set()
+    assert summary.recorder.stopped == ""
+
+
+def test_samples_are_received_while_waiting_for_the_stream(config, domain_id, tmp_path, until):
+    """Each when it comes: ten that come one by one do not share a log time."""
+    stop = threading.Event()
+    path = tmp_path / "s.mcap"
+    with Participant(domain_id, "lo") as participant:
+        states = RawWriter(participant, LOWSTATE, 20)
+        ready = threading.Event()
+        thread = threading.Thread(
+            target=program.record,
+            args=(path, config),
+            kwargs={"session": SESSION, "should_stop": stop.is_set, "on_ready": ready.set},
+        )
+        thread.start()
+        try:
+            until(lambda: states.matched, "the recorder's reader")
+            for _ in range(10):
+                states.write(LowState().tobytes())
+                stop.wait(0.05)
+            assert not ready.is_set()
+            RawWriter(participant, LOWCMD)
+            RawWriter(participant, REFERENCE)
+            until(ready.is_set, "the recorder")
+        finally:
+            stop.set()
+            thread.join()
+    times = [
+        stamp
+        for _, messages in McapFile(path).batches({"/lowstate"})
+        for stamp in messages.log_times.tolist()
+    ]
+    assert len(set(times)) == 10
+
+
+def test_a_robot_that_cannot_be_shown_leaves_no_file(config, tmp_path):
+    urdf = tmp_path / "g1.urdf"
+    urdf.write_text(G1.load().urdf.replace('"head_link"', '"world"'))
+    config = config.model_copy(update={"robot": str(urdf)})
+    with pytest.raises(ConfigError, match="world"):
+        program.record(tmp_path / "s.mcap", config, should_stop=lambda: True)
+    assert not (tmp_path / "s.mcap").exists()

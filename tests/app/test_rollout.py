@@ -1,0 +1,289 @@
+"""A motion played in lockstep: deterministic, in simulated time, a session like a recorded one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
+
+from g1stream.app.rollout import LATENCY, rollout
+from g1stream.config import Config
+from g1stream.dds.messages import LowCmd, played_joints
+from g1stream.errors import ConfigError, RecordingError
+from g1stream.extras.report.page import report
+from g1stream.robot.joints import JOINT_NAMES
+from g1stream.session.session import Session, open_session
+from g1stream.sim.lockstep import EPOCH
+from g1stream.types import Phase
+from g1stream.viewers.video import Poses
+
+SHORT = {"ramp": 1.0, "hold": 0.1, "damp": 0.5}
+
+
+def config(**values):
+    return Config.model_validate({"stream": SHORT} | values)
+
+
+@pytest.fixture(scope="module")
+def session() -> Session:
+    return rollout("demo", seconds=2.0, config=config())
+
+
+@pytest.mark.slow
+def test_it_is_the_same_byte_for_byte(session):
+    again = rollout("demo", seconds=2.0, config=config())
+    assert again.topics == session.topics
+    assert again.metadata == session.metadata
+    for topic in session.topics:
+        assert list(again.messages(topic)) == list(session.messages(topic))
+
+
+def test_times_are_simulated(session):
+    reference, state = session.reference, session.measured
+    first = int(reference.publish_time[0])
+    assert EPOCH <= first < EPOCH + 1_000_000_000
+    assert np.unique(np.diff(reference.publish_time)).tolist() == [2_000_000]
+    assert np.unique(np.diff(state.publish_time)).tolist() == [2_000_000]
+    assert {(t - first) % 2_000_000 for t in state.publish_time.tolist()} == {1_000_000}
+    for topic in ("/lowcmd", "/lowstate", "/reference", "/sportmodestate", "/log", "/tf"):
+        assert {m.log_time - m.publish_time for m in session.messages(topic)} == {LATENCY}
+    assert session.command.publish_time.tolist() == reference.publish_time.tolist()
+    summary = session.summary()
+    assert summary.simulated
+    assert "2000-01-01" not in str(summary)
+    assert {stats.latency_us for stats in summary.topics.values()} == {None}
+    assert session.metrics().timing.state_age_us.max == pytest.approx(1000.0)
+
+
+def test_every_phase_and_channel_is_there(session):
+    durations = {one.phase: one.duration_s for one in session.phases}
+    assert durations[Phase.RAMP] == pytest.approx(session.metadata["stream"]["ramp_s"])
+    assert durations[Phase.RAMP] > config().stream.ramp  # the demo begins 1 rad away
+    assert durations[Phase.PLAY] == pytest.approx(2.0)
+    assert durations[Phase.DAMP] == pytest.approx(0.5, abs=0.003)
+    assert set(session.topics) == {
+        *("/lowcmd", "/lowstate", "/reference", "/sportmodestate", "/secondary_imu"),
+        *("/tf", "/measured/tf", "/reference/joint_states", "/measured/joint_states"),
+        *(
+            "/tracking_error/joint_states",
+            "/tracking_error/limbs",
+            "/timing/commands",
+            "/timing/states",
+            "/log",
+        ),
+        *("/ghost/tf", "/scene", "/measured/scene", "/ghost/scene", "/measured/path"),
+        "/measured/robot_description",
+    }
+    assert session.attachments.keys() >= {"robot.urdf", "config.json"}
+    assert session.metadata["motion"]["name"] == "demo"
+    assert session.metadata["stream"]["reason"] == ""
+
+
+@pytest.mark.slow
+def test_what_is_known_of_a_session_does_not_depend_on_its_channels(session):
+    samples = ("/lowcmd", "/lowstate", "/reference", "/sportmodestate", "/secondary_imu")
+
+    def known(of):
+        summary = of.summary().model_dump(exclude={"settings", "attachments_bytes"})
+        summary["topics"] = {topic: summary["topics"][topic] for topic in samples}
+        del summary["recorder"]["counts"]
+        return summary
+
+    for channels in ("raw", "full"):
+        other = rollout("demo", seconds=2.0, config=config(record={"channels": channels}))
+        for topic in samples:
+            assert list(other.replay_bytes(topic)) == list(session.replay_bytes(topic))
+        assert np.array_equal(other.tracking().error, session.tracking().error)
+        assert known(other) == known(session)
+        if channels == "raw":
+            assert set(other.topics) == {*samples, "/log"}
+
+
+@pytest.mark.parametrize("support", ["hanging", "feet"])
+def test_the_same_arguments_give_the_same_messages(support):
+    if support == "feet":
+        pytest.importorskip("daqp")
+    first, second = (
+        rollout("demo", support=support, seconds=0.2, config=config(stream={"ramp": 0.5}))
+        for _ in range(2)
+    )
+    assert list(first.replay_bytes("/lowcmd")) == list(second.replay_bytes("/lowcmd"))
+    assert list(first.replay_bytes("/lowstate")) == list(second.replay_bytes("/lowstate"))
+
+
+def test_events_of_loop_and_bridge(session):
+    names = {event.name for event in session.log}
+    assert names == {"stream", "sim"}
+    assert "RAMP -> PLAY" in {event.text for event in session.log}
+
+
+@pytest.mark.slow
+def test_a_wrong_announcement_is_noticed_by_nobody(session):
+    """The loop believes the bridge; the torques are then those of another support."""
+    wrong = rollout("demo", seconds=2.0, announced="hanging", config=config())
+    assert wrong.metadata["stream"]["support"] == "hanging"
+    assert wrong.tracking().overall > 10 * session.tracking().overall
+
+
+@pytest.mark.slow
+def test_noise_is_measured(session):
+    rng = np.random.default_rng(3)
+
+    def noise(state):
+        state.q[:] = rng.normal(state.q, 0.01)
+
+    noisy = rollout("demo", seconds=0.5, config=config(), noise=noise)
+    q = noisy.sel("PLAY").measured.q
+    assert np.std(q - session.sel("PLAY").measured.q[: len(q)]) == pytest.approx(0.01, rel=0.1)
+
+
+@pytest.mark.slow
+def test_gains_have_an_effect():
+    soft = config(gains={"kp": {"*": 10.0}})
+    assert rollout("demo", seconds=0.5, config=soft).command.kp.max() == 10.0
+
+
+@pytest.mark.parametrize(
+    ("settings", "named"),
+    [({"stream": {"loop": True}}, "stream.loop"), ({"stream": {"start": 1e4}}, "10000 s")],
+)
+def test_settings_that_cannot_be_played(settings, named):
+    with pytest.raises(ConfigError, match=named):
+        rollout("demo", config=Config.model_validate(settings))
+
+
+def test_a_support_that_does_not_exist():
+    with pytest.raises(ConfigError, match="'foot'") as raised:
+        rollout("demo", support="foot")
+    assert "feet" in raised.value.remedy
+
+
+def test_seconds_must_be_positive():
+    with pytest.raises(ConfigError, match=r"stream\.duration.*-1"):
+        rollout("demo", seconds=-1)
+
+
+@pytest.mark.slow
+def test_a_loop_plays_as_long_as_asked():
+    looped = rollout("demo", seconds=0.5, config=config(stream=SHORT | {"loop": True}))
+    assert {one.phase: one.duration_s for one in looped.phases}[Phase.PLAY] == pytest.approx(0.5)
+
+
+@pytest.mark.slow
+def test_it_is_saved_as_a_recorder_writes_it(session, tmp_path):
+    path = session.save(tmp_path / "rollout.mcap")
+    saved = open_session(path)
+    assert saved.complete
+    assert saved.topics == session.topics
+    for topic in session.topics:
+        assert list(saved.messages(topic)) == list(session.messages(topic))
+    assert saved.metadata == session.metadata
+    assert saved.attachments == session.attachments
+    assert saved.tracking().overall == session.tracking().overall
+    assert saved.summary().problems == session.summary().problems == []
+    again = session.save(tmp_path / "again.mcap")
+    assert again.read_bytes() == path.read_bytes()
+    with pytest.raises(RecordingError, match=r"again\.mcap"):
+        session.save(again)
+
+
+def test_a_phase_is_saved(session, tmp_path):
+    saved = open_session(session.sel("PLAY").save(tmp_path / "play.mcap"))
+    assert [one.phase for one in saved.phases] == [Phase.PLAY]
+    assert len(saved.reference) == len(session.sel("PLAY").reference)
+
+
+@pytest.fixture(scope="module")
+def arms() -> Session:
+    over = {"stream": SHORT | {"others": "free"}}
+    return rollout("demo", seconds=1.0, joints="arms", config=Config.model_validate(over))
+
+
+def test_joints_that_are_free_only_damp(arms):
+    command = arms.command[arms.reference.phase < Phase.DAMP]
+    assert not command.kp[:, :15].any()
+    assert not command.tau[:, :15].any()
+    assert not command.dq[:, :15].any()
+    assert (command.kp[:, 15:] == 40.0).all()
+    assert np.ptp(arms.measured.q[:, :15], axis=0).max() > 0.1  # the torso leans
+    assert arms.summary().termination.reason == ""
+
+
+def test_only_played_joints_count(arms, session):
+    names = list(JOINT_NAMES[15:])
+    summary, metrics, tracking = arms.summary(), arms.metrics(), arms.tracking()
+    assert arms.metadata["joints"] == summary.joints == names
+    assert list(summary.tracking.joints) == list(metrics.tracking.joints) == names
+    assert list(summary.tracking.rmse_by_limb_rad) == ["left_arm", "right_arm"]
+    assert list(metrics.tracking.limbs) == ["left_arm", "right_arm"]
+    assert list(metrics.torque.joints) == names
+    assert tracking.joints == tuple(range(15, 29))
+    assert tracking.overall == pytest.approx(np.sqrt(np.mean(tracking.rmse[15:] ** 2)))
+    assert metrics.tracking.all_joints.rmse_rad == pytest.approx(tracking.overall)
+    assert tracking.rmse[:15].max() > tracking.overall  # the legs, which fell
+    links = metrics.body.pelvis_frame.by_link_mm
+    assert len(links) == 14
+    assert all("shoulder" in link or "elbow" in link or "wrist" in link for link in links)
+    assert (arms.reference.played == sum(1 << joint for joint in range(15, 29))).all()
+    assert (session.reference.played == 2**29 - 1).all()
+    assert session.metadata["joints"] == list(JOINT_NAMES)
+
+
+def test_the_error_of_a_limb_is_that_of_its_played_joints(arms):
+    *_, last = (JointStates.FromString(m.data) for m in arms.messages("/tracking_error/limbs"))
+    *_, joints = (
+        JointStates.FromString(m.data) for m in arms.messages("/tracking_error/joint_states")
+    )
+    assert last.timestamp == joints.timestamp
+    error = np.array([joint.position for joint in joints.joints])
+    found = {joint.name: joint.position for joint in last.joints}
+    assert [name for name, value in found.items() if np.isnan(value)] == [
+        "left_leg",
+        "right_leg",
+        "waist",
+    ]
+    assert found["left_arm"] == pytest.approx(np.sqrt(np.mean(error[15:22] ** 2)))
+    shown, tracking = Poses(arms, np.array([0.8])), arms.tracking()
+    at = np.abs(tracking.time - 0.8).argmin()
+    expected = np.degrees(np.sqrt(np.mean(tracking.error[at, 15:] ** 2)))
+    assert f"{expected:.2f} deg" in shown.text(0)[1]
+
+
+@pytest.mark.slow
+def test_a_figure_and_a_report_show_some_joints(arms, tmp_path):
+    arms.plot().savefig(tmp_path / "arms.png")
+    report(arms, tmp_path / "arms.html")
+    assert (tmp_path / "arms.html").stat().st_size > 100_000
+
+
+def test_recorded_references_of_earlier_versions_play_all_joints():
+    assert played_joints(np.zeros(1, np.uint32)).all()
+    assert np.flatnonzero(played_joints(np.array([2**12 + 1], np.uint32))[0]).tolist() == [0, 12]
+
+
+@pytest.fixture(scope="module")
+def small() -> Session:
+    return rollout("demo", seconds=0.5, config=config(robot="g1_23dof"))
+
+
+def test_a_robot_with_23_joints_plays_those_it_has(small):
+    absent = [13, 14, 20, 21, 27, 28]
+    present = np.setdiff1d(np.arange(29), absent)
+    summary, command, state = small.summary(), small.command.read(), small.measured.read()
+    assert summary.termination.reason == ""
+    assert summary.absent == [JOINT_NAMES[i] for i in absent]
+    assert list(summary.tracking.joints) == [JOINT_NAMES[i] for i in present]
+    assert summary.tracking.rmse_rad < 0.01
+    assert small.robot.joint_set.mode_machine == 4
+    assert (command.mode[:, present] == 1).all()
+    assert (command.kd[:, present] > 0.0).all()
+    for name in ("mode", "q", "dq", "tau", "kp", "kd"):  # in every phase, DAMP included
+        assert not getattr(command, name)[:, absent].any()
+    for name in ("q", "dq", "ddq", "tau"):
+        assert not getattr(state, name)[:, absent].any()
+    raw = LowCmd()
+    for message in list(small.messages("/lowcmd"))[:: len(command) // 5]:
+        raw.load(message.data)
+        assert raw.crc_matches()
+        assert int(raw.mode_machine) == 4
+    assert small.plot().axes

@@ -1,0 +1,192 @@
+"""A stream without a robot says why, and what happens to its recording."""
+
+from __future__ import annotations
+
+import json
+import os
+import threading
+from contextlib import contextmanager, nullcontext
+
+import pytest
+from cyclonedds.core import Policy
+from cyclonedds.core import Qos as CycloneQos
+from cyclonedds.idl import make_idl_struct
+from cyclonedds.idl.types import uint32
+from cyclonedds.pub import DataWriter
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
+
+from g1stream.app import stream as program
+from g1stream.app.child_process import Child, ChildError
+from g1stream.app.stream import stream
+from g1stream.cli.main import main
+from g1stream.config import Config
+from g1stream.dds import types
+from g1stream.dds.domain import Participant
+from g1stream.dds.endpoints import RawReader, RawWriter
+from g1stream.dds.messages import LOWCMD, LOWSTATE, REFERENCE, SECONDARY_IMU, LowState, SecondaryImu
+from g1stream.errors import RecordingError, SafetyError
+
+
+@pytest.fixture
+def config(domain_id):
+    return Config.model_validate({"dds": {"domain": domain_id}, "stream": {"wait": 1.0}})
+
+
+@contextmanager
+def background(publish):
+    """Publish at 50 Hz meanwhile."""
+    stop = threading.Event()
+
+    def run():
+        while not stop.wait(0.02):
+            publish()
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    yield
+    stop.set()
+    thread.join()
+
+
+def fail_to_record(monkeypatch):
+    finish = Child.finish
+
+    def fail(child, *arguments, **options):
+        if child.name != "record":
+            return finish(child, *arguments, **options)
+        child.kill()
+        raise ChildError("It hangs.", "")
+
+    monkeypatch.setattr(Child, "finish", fail)
+
+
+@pytest.mark.parametrize("ready", [True, False])
+def test_a_simulator_whose_first_states_are_zeros_is_waited_for(domain_id, config, ready):
+    """As both of unitree_mujoco's bridges do; if nothing else comes, the reason says what came."""
+    with Participant(domain_id, "lo") as peer:
+        commands, states, published = RawReader(peer, LOWCMD), RawWriter(peer, LOWSTATE), []
+
+        def publish():
+            state = LowState()
+            if ready and len(published) > 25:
+                state.quaternion[0] = 1.0
+            published.append(state.tobytes())
+            states.write(published[-1])
+
+        parts = {"wait": 2.0, "ramp": 0.2, "duration": 0.1, "hold": 0.0, "damp": 0.5}
+        quick = config.model_copy(update={"stream": config.stream.model_copy(update=parts)})
+        with background(publish):
+            summary = stream("demo", quick)
+        assert bool(commands.take()) == ready
+    assert (summary.stream.reason == "") == ready
+    assert ready or "norm 0.000" in summary.stream.reason
+
+
+def test_the_process_of_another_stream_is_named_as_the_doctor_does(domain_id, config):
+    with Participant(domain_id, "lo") as peer:
+        writers = [RawWriter(peer, LOWCMD), RawWriter(peer, REFERENCE)]
+        with pytest.raises(SafetyError) as error:
+            stream("demo", config)
+        assert f"g1stream stream (pid {os.getpid()} on" in error.value.cause
+        del writers
+
+
+def test_a_publisher_of_another_type_is_named(domain_id, config):
+    other = make_idl_struct("LowState_", "unitree_hg.msg.dds_.LowState_", {"crc": uint32})
+    with Participant(domain_id, "lo") as peer:
+        writer = DataWriter(peer.entity, Topic(peer.entity, LOWSTATE.name, other))
+        summary = stream("demo", config)
+        del writer
+    assert "no LowState" in summary.stream.reason
+    (finding,) = summary.stream.findings
+    assert finding.about == "types"
+    assert finding.remedy
+
+
+def test_a_reader_with_other_policies_is_named(domain_id, config):
+    with Participant(domain_id, "lo") as peer:
+        RawWriter(peer, LOWSTATE)
+        topic = Topic(peer.entity, LOWCMD.name, types.LowCmd_)
+        durable = CycloneQos(Policy.Reliability.Reliable(0), Policy.Durability.TransientLocal)
+        reader = DataReader(peer.entity, topic, durable)
+        summary = stream("demo", config)
+        del reader
+    causes = {finding.about: finding.cause for finding in summary.stream.findings}
+    assert set(causes) == {"LowState", "QoS"}
+    assert "transient local" in causes["QoS"]
+
+
+@pytest.fixture
+def short(tmp_path):
+    path = tmp_path / "short.toml"
+    path.write_text("[stream]\nwait = 1.0\n")
+    return str(path)
+
+
+def test_where_nobody_is_it_leads_to_the_doctor(domain_id, short, capsys, monkeypatch):
+    monkeypatch.setattr("g1stream.cli.stream.on_signals", lambda stop: nullcontext())
+    assert main(["stream", "demo", "--domain", str(domain_id), "--config", short]) == 1
+    printed = capsys.readouterr().out
+    printed = " ".join(printed.split())
+    assert f"no publisher on rt/lowstate in domain {domain_id} on lo" in printed
+    assert f"g1stream doctor --domain {domain_id} --interface lo" in printed
+
+
+def test_it_is_in_the_json(domain_id, short, capsys, monkeypatch):
+    monkeypatch.setattr("g1stream.cli.stream.on_signals", lambda stop: nullcontext())
+    main(["stream", "demo", "--domain", str(domain_id), "--config", short, "--json"])
+    stream = json.loads(capsys.readouterr().out)["stream"]
+    assert [finding["about"] for finding in stream["findings"]] == ["publisher"]
+
+
+@pytest.mark.parametrize(
+    ("settings", "path"),
+    [
+        ({}, "no/s.mcap"),
+        ({}, "there"),
+        ({}, ""),
+        ({"auto_name": True}, "no/s.mcap"),
+        ({"split_size": 1.0}, "there.mcap"),
+    ],
+)
+def test_an_output_path_is_refused_before_anything_starts(tmp_path, monkeypatch, settings, path):
+    monkeypatch.setattr(program, "Participant", lambda *_: pytest.fail("a participant is created"))
+    (tmp_path / "there").write_bytes(b"precious")
+    config = Config.model_validate({"record": settings})
+    with pytest.raises(RecordingError):
+        stream("demo", config, record=tmp_path / path)
+    assert [*tmp_path.iterdir()] == [tmp_path / "there"]
+    assert (tmp_path / "there").read_bytes() == b"precious"
+
+
+@pytest.mark.parametrize("record", [{}, {"split_size": 1.0}, {"auto_name": True}])
+def test_a_recording_without_a_sample_is_removed(config, tmp_path, record):
+    config = Config.model_validate(config.model_dump() | {"record": record})
+    summary = stream("demo", config, record=tmp_path / "s.mcap")
+    assert summary.recorder.removed
+    assert summary.recorder.paths
+    assert not [*tmp_path.iterdir()]
+
+
+def test_a_recording_with_a_sample_is_kept(config, domain_id, tmp_path):
+    with Participant(domain_id, "lo") as peer:
+        imu = RawWriter(peer, SECONDARY_IMU)
+        with background(lambda: imu.write(SecondaryImu().tobytes())):
+            summary = stream("demo", config, record=tmp_path / "s.mcap")
+    assert not summary.recorder.removed
+    assert summary.recorder.counts["/secondary_imu"]
+    assert (tmp_path / "s.mcap").exists()
+
+
+def test_a_recorder_that_fails_is_reported_and_its_file_kept(
+    config, domain_id, tmp_path, monkeypatch
+):
+    fail_to_record(monkeypatch)
+    with Participant(domain_id, "lo") as peer:
+        imu = RawWriter(peer, SECONDARY_IMU)
+        with background(lambda: imu.write(SecondaryImu().tobytes())):
+            summary = stream("demo", config, record=tmp_path / "s.mcap")
+    assert summary.recorder.stopped == "It hangs."
+    assert not summary.recorder.removed
+    assert (tmp_path / "s.mcap").exists()

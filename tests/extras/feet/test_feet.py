@@ -1,0 +1,339 @@
+"""A simulated robot on its own feet: it stands, is pushed, and falls safely."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import g1stream
+from g1stream.app.rollout import rollout
+from g1stream.app.stream import with_robot_limits
+from g1stream.config import Config, SimConfig
+from g1stream.control.feedforward import FeedForward
+from g1stream.control.make_loop import make_loop
+from g1stream.errors import ConfigError, MotionError, SafetyError
+from g1stream.extras.feet.stand import refuse_feet_on_robot, stand_if_asked
+from g1stream.extras.physics.stance import stand
+from g1stream.motion.trajectory import Trajectory
+from g1stream.robot.joints import JOINT_NAMES
+from g1stream.robot.model import G1, REVISIONS
+from g1stream.robot.rotations import (
+    quat_from_rpy,
+    quat_rotate,
+    quat_rotate_inverse,
+    tilt_of,
+    yaw_of,
+)
+from g1stream.session.motions import load_motion
+from g1stream.sim.lockstep import Lockstep
+from g1stream.sim.noise import SensorNoise
+from g1stream.sim.robot import SimulatedRobot
+from g1stream.sim.world import World
+from g1stream.synthetic import squatting, stepping
+from g1stream.types import Phase
+
+pytest.importorskip("daqp")
+
+SHORT = {"ramp": 1.5, "hold": 0.2, "damp": 0.5}
+
+
+def config(noise=0.0, **stream):
+    return Config.model_validate({"sim": {"noise": noise}, "stream": SHORT | stream})
+
+
+@pytest.fixture(scope="module")
+def session():
+    return rollout(squatting(2.0), support="feet", config=config(noise=1.0))
+
+
+@pytest.mark.slow
+def test_it_stands_and_follows_the_reference(session):
+    played = session.metadata["stream"]
+    assert played["reason"] == ""
+    assert played["support"] == "feet"
+    assert len(session.metadata["motion"]["operations"]) == 1  # it was changed to stand
+    assert not any("with changes to stand" in problem for problem in session.summary().problems)
+    assert any("with changes to stand" in event.text for event in session.log)
+    assert session.tracking().overall < 0.004
+    success = session.metrics().success
+    assert (success.links, success.success, success.success_strict) == ("world", True, True)
+    playing = session.base.time < 2.0
+    assert session.base.position[playing, 2].min() > 0.6
+    balance = session.summary().stream.balance
+    assert (balance.lifts, balance.unsolved_ticks) == (0, 0)
+    assert balance.capture_margin_m > 0.03
+    assert balance.carried > 0.8
+    playing &= session.base.time > 0.0
+    reference = session.reference
+    height = np.interp(session.base.time[playing], reference.time, reference.root_pos[:, 2])
+    off = np.abs(session.base.position[playing, 2] - height).max()
+    assert off - 2e-3 < balance.height_error_m < 0.01
+
+
+@pytest.mark.slow
+def test_the_feet_take_the_weight_before_the_robot_is_let_go(session):
+    """Without that the legs would give way by several mm, and the pelvis drop."""
+    after = (session.base.time > 0.0) & (session.base.time < 0.1)
+    assert np.abs(session.base.velocity[after, 2]).max() < 0.05
+
+
+def test_a_motion_that_walks_is_refused():
+    walk = squatting(1.0)
+    forward = np.outer(np.linspace(0.0, 1.0, walk.n_frames), [1.0, 0.0, 0.0])
+    walk = replace(walk, root_pos=walk.root_pos + forward)
+    with pytest.raises(MotionError, match="slides in frames"):
+        rollout(walk, support="feet")
+
+
+def flags_in(remedy):
+    """The settings of each way in a remedy that gives flags."""
+    for way in remedy.split("; or "):
+        given = dict(re.findall(r"--(start|duration|joints) ([\w.,]*\w)", way))
+        if given:
+            yield {name: one if name == "joints" else float(one) for name, one in given.items()}
+
+
+@pytest.mark.parametrize(
+    ("asked", "ends"),
+    [({}, 6.2), ({"start": 1.0, "duration": 12.0}, 6.2), ({"joints": "legs"}, 14.0)],
+)
+def test_what_a_remedy_gives_can_be_played(asked, ends):
+    """The bundled demo, with a hop at 6.3 to 6.5 s and a jump of an arm at 11 s."""
+    demo = load_motion("demo")
+    root, pos = demo.root_pos.copy(), demo.joint_pos.copy()
+    root[190:196, 2] += 0.2
+    pos[330:, JOINT_NAMES.index("left_shoulder_roll_joint")] += 2.0
+    hopping = replace(demo, root_pos=root, joint_pos=pos)
+    with pytest.raises(MotionError) as raised:
+        stand_if_asked(hopping, G1.default(), config(support="feet", **asked))
+    ways = list(flags_in(raised.value.remedy))
+    assert len(ways) == 2
+    for given in ways:
+        stand_if_asked(hopping, G1.default(), config(support="feet", **asked | given))
+    own, upper = ways
+    assert own["start"] + own["duration"] == pytest.approx(ends, abs=0.07)
+    assert (upper["joints"], upper["start"]) == ("arms,waist", asked.get("start", 0.0))
+    assert upper["start"] + upper["duration"] == pytest.approx(10.9, abs=0.07)
+
+
+def test_a_speed_that_a_remedy_gives_can_be_played():
+    quick = stepping(np.outer([1, 1], [0.12, 0.0, 0.0])).at_speed(3.0)
+    with pytest.raises(MotionError) as raised:
+        g1stream.stand(quick)
+    speed = float(re.search(r"at ([\d.]+) times this speed", raised.value.remedy)[1])
+    assert g1stream.stand(quick.at_speed(speed)).motion.duration > quick.duration
+
+
+def test_a_motion_is_made_to_stand_by_name_and_for_some_joints(tmp_path):
+    whole, arms = g1stream.stand("demo"), g1stream.stand("demo", "arms")
+    assert (whole.upper_body, arms.upper_body) == (False, True)
+    saved = whole.motion.save(tmp_path / "demo.npz")
+    assert g1stream.stand(saved).joint_deg < 0.5 * whole.joint_deg
+    with pytest.raises(ConfigError):
+        g1stream.stand("demo", "left_leg")
+    with pytest.raises(ConfigError, match="23"):
+        g1stream.stand("demo", robot=G1.load("g1_23dof"))
+
+
+@pytest.mark.slow
+def test_it_stands_long_on_one_foot():
+    """At half its speed, the demo stands on either foot for 0.8 s, with 15 frames a second."""
+    slow = load_motion("demo").trim(7.5, 12.5).at_speed(0.5)
+    session = rollout(slow, support="feet", config=config(noise=1.0, hold=0.0))
+    assert session.metadata["stream"]["reason"] == ""
+    assert session.tracking().overall < 0.01
+
+
+@pytest.mark.slow
+def test_it_lifts_one_foot_and_then_the_other():
+    """The right one of the demo at 8.6 s, the left one at 9.5 s."""
+    session = rollout("demo", support="feet", seconds=2.5, config=config(noise=1.0, start=7.8))
+    assert session.metadata["stream"]["reason"] == ""
+    assert session.tracking().overall < 0.01
+    assert session.summary().stream.balance.lifts == 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("goal", [(0.24, 0.0, 0.0), (0.1, 0.1, 0.8)])
+def test_it_steps_to_where_the_motion_goes(goal):
+    """Two steps of each foot: forward; to the left in a turn; measured in the simulator."""
+    steps = np.outer([1, 1, 2, 2], goal) / 2
+    world = World(G1.default(), "free")
+    feet = [world.model.body(f"{side}_ankle_roll_link").id for side in ("left", "right")]
+    stood = []
+    add = SensorNoise(seed=7)
+
+    def follow(loop, state):
+        add(state)
+        if loop.state.phase is Phase.PLAY:
+            turns = world.data.xmat[feet].reshape(2, 3, 3)
+            stood.append((world.data.xpos[feet].copy(), yaw_of(world.data.xquat[feet]), turns))
+
+    loop = play(world, stepping(steps), "free", follow)
+    assert loop.report.reason == ""
+    assert len(stood) == pytest.approx(500 * 9.6, abs=2)
+    (first, turned, _), (last, turned_last, level) = stood[0], stood[-1]
+    x, y, heading = goal
+    # As seen from between the feet where the robot began.
+    begun = quat_from_rpy(np.array([0.0, 0.0, turned.mean()]))
+    way = quat_rotate_inverse(begun, last - first.mean(axis=0))
+    turn = quat_from_rpy(np.array([0.0, 0.0, heading]))
+    links = quat_rotate(turn, np.array([[0.0, 0.1, 0.0], [0.0, -0.1, 0.0]]))
+    assert way[:, :2] == pytest.approx(links[:, :2] + np.array([x, y]), abs=5e-3)
+    assert turned_last - turned == pytest.approx(np.full(2, heading), abs=0.01)
+    assert level[:, 2, 2] == pytest.approx(np.ones(2), abs=1e-3)
+    assert loop.report.balance.lifts == 4
+    apart = np.diff(way[:, :2] - links[:, :2], axis=0)
+    assert np.linalg.norm(apart) - 2e-3 < loop.report.balance.feet_error_m < 0.015
+
+
+def test_it_needs_torques():
+    with pytest.raises(ConfigError, match="torques"):
+        rollout(squatting(1.0), support="feet", feedforward="velocity")
+
+
+def test_off_loopback_the_torques_have_to_be_asked_for_as_the_remedy_says():
+    def made(**stream):
+        given = {"support": "feet", "experimental_feet": True} | stream
+        off_loopback = Config.model_validate({"dds": {"interface": "eth0"}, "stream": given})
+        settings = with_robot_limits(off_loopback).stream
+        return FeedForward.from_config(settings, G1.default(), 0.002)
+
+    with pytest.raises(ConfigError) as refused:
+        made()
+    assert "--feedforward dynamics" in refused.value.remedy
+    assert made(feedforward="dynamics").kind == "dynamics"
+
+
+def test_where_there_may_be_a_robot_it_has_to_be_allowed():
+    def asked(**stream):
+        return Config.model_validate(
+            {"dds": {"interface": "eth0"}, "stream": {"support": "feet"} | stream}
+        )
+
+    with pytest.raises(SafetyError, match="eth0"):
+        refuse_feet_on_robot(asked())
+    refuse_feet_on_robot(asked(experimental_feet=True))
+    refuse_feet_on_robot(asked(support="hanging"))
+    refuse_feet_on_robot(config(support="feet"))
+
+
+@pytest.mark.slow
+def test_it_ends_in_a_squat(session):
+    base, reference = session.base, session.reference
+    squat = base.time[-1] - 0.5 - 0.05  # just before DAMP
+    before = np.searchsorted(base.time, squat)
+    assert base.position[before, 2] < 0.65
+    assert np.linalg.norm(base.velocity[before]) < 0.02
+    assert set(np.unique(reference.phase)) >= {Phase.PLAY, Phase.HOLD, Phase.DAMP}
+
+
+def play(world, motion, announced, on_state, **stream):
+    """The loop of a motion on a world, in lockstep; `on_state` gets it and every LowState."""
+    robot = G1.default()
+    settings = Config.model_validate({"stream": SHORT | {"support": "feet"} | stream})
+    simulated = SimulatedRobot(world, SimConfig(), noise=lambda state: on_state(loop, state))
+    link = Lockstep(simulated, announced)
+    trajectory = Trajectory(stand(motion, robot).motion)
+    loop = make_loop(settings, robot, trajectory, link, link, settle=0)
+    loop.run()
+    return loop
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("requests", [1, 2])
+def test_a_requested_stop_squats_and_a_second_one_damps_at_once(requests):
+    world = World(G1.default(), "free")
+    heights = {}
+
+    def stop(loop, _state):
+        phase = loop.state.phase
+        heights[phase] = float(world.data.qpos[2])
+        playing = phase is Phase.PLAY and loop.motion_time > 0.3
+        if (playing and not loop.stop_requests) or (phase is Phase.HOLD and requests == 2):
+            loop.request_stop("enough")
+
+    loop = play(world, squatting(3.0), "free", stop)
+    assert loop.report.reason == "enough"
+    assert (heights[Phase.HOLD] < 0.65) == (requests == 1)
+
+
+@pytest.mark.slow
+def test_a_robot_that_hangs_is_lowered_onto_its_feet_and_stands():
+    """As in unitree_mujoco: a band that is lowered, and let go once PLAY has begun.
+
+    The robot is not of the revision that the loop assumes until it has moved.
+    """
+    (name,) = (one for one in REVISIONS if one != G1.default().name)
+    world = World(G1.load(name), "hanging")
+    band = world._support
+    heights, waited = [], []
+
+    def lower(loop, _state):
+        if loop.state.phase is Phase.RAMP and loop.state.elapsed(loop._clock.now()) > 1.5e9:
+            waited.append(float(world.data.qpos[2]))
+            band._TOP -= 0.0006  # 0.3 m/s
+        elif loop.state.phase is Phase.PLAY:
+            band._STIFFNESS = band._DAMPING = 0.0
+            heights.append(float(world.data.qpos[2]))
+
+    loop = play(world, squatting(1.0), None, lower)
+    assert loop.report.reason == ""
+    assert loop.report.robot == name
+    assert waited[0] > 1.0  # it hung in the air
+    assert len(heights) == 500
+    assert min(heights) > 0.68
+
+
+def test_legs_play_without_the_arms():
+    asked = config(support="feet", joints="legs", start=0.5)
+    motion, _ = stand_if_asked(squatting(1.0), G1.default(), asked)
+    assert np.ptp(motion.joint_pos[:, 12:], axis=0).max() == 0.0
+    assert np.ptp(motion.joint_pos[:, :12], axis=0).max() > 0.05
+
+
+def test_the_legs_play_as_a_whole_or_not_at_all():
+    with pytest.raises(ConfigError, match="both legs"):
+        rollout(squatting(1.0), support="feet", joints="left_leg,arms")
+
+
+@pytest.mark.slow
+def test_arms_of_a_motion_that_steps_play_on_planted_feet():
+    session = rollout(
+        "demo",
+        support="feet",
+        joints="arms",
+        seconds=1.0,
+        config=config(noise=1.0, start=8.0),
+    )
+    assert session.metadata["stream"]["reason"] == ""
+    assert session.tracking().overall < 0.01
+    assert len(session.tracking().joints) == 14
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("push", "stands"),
+    [((75.0, 0.0), True), ((0.0, 170.0), True), ((100.0, 0.0), False), ((0.0, 220.0), False)],
+)
+def test_a_push_is_stood_or_the_fall_is_seen_before_the_pelvis_tilts(push, stands):
+    """For 0.1 s, at the torso; with 170 N to the left the pelvis goes aside by some 15 cm."""
+    world = World(G1.default(), "free")
+    torso = world.model.body("torso_link").id
+    tilts = []
+
+    def shove(loop, _state):
+        elapsed = loop.state.elapsed(loop._clock.now()) / 1e9
+        pushed = loop.state.phase is Phase.PLAY and 0.5 <= elapsed < 0.6
+        world.data.xfrc_applied[torso, :2] = np.multiply(push, pushed)
+        if loop.state.phase < Phase.DAMP:
+            tilts.append(tilt_of(world.data.qpos[3:7]))
+
+    loop = play(world, squatting(2.5), "free", shove)
+    assert (loop.report.reason == "") == stands
+    assert stands or "capture point" in loop.report.reason
+    assert (loop.report.balance.capture_margin_m > -0.01) == stands
+    assert max(tilts) < 0.2

@@ -1,0 +1,83 @@
+"""The way down into a squat: against kinematics, its own derivatives, and statics."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from g1stream.control.targets import Target
+from g1stream.extras.feet.squat import SQUAT_TIME, Squat
+from g1stream.extras.feet.standing import BodyState, StandingDynamics
+from g1stream.extras.physics.stance import stand
+from g1stream.motion.trajectory import Trajectory
+from g1stream.robot.model import G1
+from g1stream.session.motions import load_motion
+from g1stream.synthetic import squatting
+
+ROBOT = G1.default()
+DYNAMICS = StandingDynamics(ROBOT)
+PERIOD = 0.002
+
+
+def state_of(target):
+    return BodyState(target.root_quat_wxyz, np.zeros(3), target.q, target.dq)
+
+
+@pytest.fixture(scope="module")
+def standing():
+    trajectory = Trajectory(stand(squatting(2.0), ROBOT).motion)
+    return Target.of(1.0, trajectory.sample(1.0)).at_rest()
+
+
+@pytest.fixture(scope="module")
+def way(standing):
+    squat = Squat(ROBOT)
+    squat.begin(standing)
+    return [squat.at(k * PERIOD) for k in range(round(SQUAT_TIME / PERIOD) + 1)]
+
+
+def test_it_begins_where_the_robot_stands_and_the_soles_stay_there(way, standing):
+    assert way[0].q == pytest.approx(standing.q, abs=1e-6)
+    pos, headings = DYNAMICS.soles(state_of(standing))
+    for target in way[::100]:
+        then, turned = DYNAMICS.soles(state_of(target))
+        assert then + target.root_pos == pytest.approx(pos + standing.root_pos, abs=1e-5)
+        assert turned == pytest.approx(headings, abs=1e-5)
+
+
+def test_it_ends_low_and_at_rest_with_the_mass_above_the_middle_of_the_feet(way, standing):
+    last = way[-1]
+    assert last.root_pos[2] < standing.root_pos[2] - 0.1
+    assert not last.dq.any()
+    assert (last.q < ROBOT.upper).all()
+    assert (last.q > ROBOT.lower).all()
+    assert last.q[12:].tolist() == standing.q[12:].tolist()
+    still = np.zeros(3)
+    centre = DYNAMICS.movement(
+        state_of(last), last.root_pos, still, (still, still, np.zeros(29))
+    ).pos
+    middle = DYNAMICS.soles(state_of(last))[0].mean(axis=0) + last.root_pos
+    assert centre[:2] == pytest.approx(middle[:2], abs=1e-3)
+
+
+def test_speeds_and_accelerations_are_the_derivatives_of_the_angles(way):
+    q, dq, ddq = (np.array([getattr(one, name) for one in way]) for name in ("q", "dq", "ddq"))
+    inner = slice(2, -2)
+    assert np.gradient(q, PERIOD, axis=0)[inner] == pytest.approx(dq[inner], abs=1e-4)
+    assert np.gradient(dq, PERIOD, axis=0)[inner] == pytest.approx(ddq[inner], abs=1e-3)
+    assert np.abs(dq).max() > 0.1
+
+
+def test_a_robot_that_is_lower_already_does_not_rise(way):
+    squat = Squat(ROBOT)
+    lower = way[-1]
+    squat.begin(lower)
+    assert squat.at(SQUAT_TIME).root_pos[2] == pytest.approx(lower.root_pos[2], abs=1e-3)
+
+
+def test_there_is_no_way_down_while_a_foot_is_lifted():
+    """The demo lifts its right foot at 8.6 s, for 0.4 s."""
+    trajectory = Trajectory(stand(load_motion("demo"), ROBOT).motion)
+    squat = Squat(ROBOT)
+    possible = [squat.possible(Target.of(t, trajectory.sample(t))) for t in (8.4, 8.7, 9.2)]
+    assert possible == [True, False, True]

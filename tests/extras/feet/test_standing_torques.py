@@ -1,0 +1,113 @@
+"""From hanging to standing: which torque a command has, and what RAMP waits for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from g1stream.control.state_checks import ImuReading
+from g1stream.control.targets import Target
+from g1stream.control.torques import HeldTorques, Moment, Reading
+from g1stream.errors import ConfigError
+from g1stream.extras.physics.stance import stand
+from g1stream.motion.trajectory import Trajectory
+from g1stream.robot.dynamics import InverseDynamics
+from g1stream.robot.joints import JOINT_NAMES
+from g1stream.robot.model import G1
+from g1stream.robot.rotations import quat_from_rpy, quat_mul
+from g1stream.synthetic import squatting
+from g1stream.types import Phase
+
+pytest.importorskip("daqp")
+from g1stream.extras.feet.standing_torques import StandingTorques
+
+ROBOT = G1.default()
+PERIOD = 0.002
+LEFT, RIGHT = (
+    [JOINT_NAMES.index(f"{side}_ankle_{axis}_joint") for axis in ("pitch", "roll")]
+    for side in ("left", "right")
+)
+
+
+@pytest.fixture(scope="module")
+def first():
+    return Target.of(0.0, Trajectory(stand(squatting(1.0), ROBOT).motion).sample(0.0)).at_rest()
+
+
+@pytest.fixture
+def torques(first):
+    torques = StandingTorques(ROBOT, None, PERIOD)
+    torques.begin("feet", None, None)
+    torques.ramp_to(first)
+    return torques
+
+
+def commanded(torques, first, tau, *, rpy=(0.0, 0.0, 0.0), ramped=1.0, phase=Phase.RAMP):
+    """The command for a robot that is still in the pose of the target, with these torques."""
+    quat = quat_mul(quat_from_rpy(np.array(rpy)), first.root_quat_wxyz)
+    imu = ImuReading(quat, np.zeros(3), np.array([0.0, 0.0, 9.81]))
+    torques.observe(phase, 0.0, Reading(first.q, np.zeros(29), tau, imu), 1.0)
+    return torques.command(Moment(phase, ramped, first, imu, 0.0))
+
+
+def hanging_torque(first):
+    held = HeldTorques(InverseDynamics(ROBOT), period=PERIOD)
+    held.begin("hanging", "hanging", None)
+    imu = ImuReading(first.root_quat_wxyz, np.zeros(3), np.array([0.0, 0.0, 9.81]))
+    return held.command(Moment(Phase.RAMP, 0.5, first, imu, 0.0)).tau
+
+
+@pytest.mark.parametrize("ramped", [0.5, 1.0])
+def test_in_the_air_it_has_the_torque_of_a_hanging_robot_and_waits(torques, first, ramped):
+    expected = hanging_torque(first)
+    for _ in range(20):
+        command = commanded(torques, first, expected, ramped=ramped)
+    assert command.tau == pytest.approx(expected, abs=0.1)
+    assert command.q == pytest.approx(first.q, abs=1e-9)
+    assert torques.awaited
+
+
+def test_ankles_take_the_tilt_back_whatever_the_heading_of_the_imu(torques, first):
+    for heading in (0.0, 1.0):
+        pitch = quat_mul(
+            quat_from_rpy(np.array([0.0, 0.0, heading])), quat_from_rpy(np.array([0.05, 0.1, 0.0]))
+        )
+        tilted = first.replace(root_quat_wxyz=np.array([1.0, 0.0, 0.0, 0.0]))
+        imu = ImuReading(pitch, np.zeros(3), np.array([0.0, 0.0, 9.81]))
+        torques.observe(Phase.RAMP, 0.0, Reading(first.q, np.zeros(29), np.zeros(29), imu), 1.0)
+        change = torques.command(Moment(Phase.RAMP, 0.5, tilted, imu, 0.0)).q - first.q
+        for ankle in (LEFT, RIGHT):
+            assert change[ankle] == pytest.approx([-0.1, -0.05], abs=2e-3)
+        assert np.count_nonzero(change) == 4
+
+
+@pytest.mark.slow
+def test_once_the_feet_carry_the_robot_it_balances_and_play_may_begin(torques, first):
+    """At rest, with the torques that it asks for: what the feet carry grows to the weight."""
+    standing = torques.balance
+    tau = standing.torque(first, reading_at_rest(first), 0.0, share=1.0)
+    torques.ramp_to(first)
+    for _ in range(round(0.9 / PERIOD)):
+        command = commanded(torques, first, tau)
+    assert torques.awaited
+    for _ in range(round(0.9 / PERIOD)):
+        command = commanded(torques, first, tau)
+    assert torques.awaited == ""
+    assert standing.wrench[[2, 8]].sum() == pytest.approx(33.34 * 9.81, rel=0.02)
+    assert command.tau == pytest.approx(tau, abs=2.0)
+    for _ in range(round(0.5 / PERIOD)):  # the load dips: RAMP ends all the same, without a jump
+        commanded(torques, first, 0.5 * tau)
+    assert torques.awaited == ""
+    assert commanded(torques, first, tau, phase=Phase.PLAY).q.tolist() == first.q.tolist()
+    assert torques.fall == torques.fault == ""
+
+
+def reading_at_rest(first):
+    imu = ImuReading(first.root_quat_wxyz, np.zeros(3), np.array([0.0, 0.0, 9.81]))
+    return Reading(first.q, np.zeros(29), np.zeros(29), imu)
+
+
+def test_a_robot_that_a_simulator_holds_does_not_stand():
+    torques = StandingTorques(ROBOT, None, PERIOD)
+    with pytest.raises(ConfigError, match="bolted"):
+        torques.begin("feet", "bolted", None)

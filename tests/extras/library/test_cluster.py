@@ -1,0 +1,90 @@
+"""A library on a Dask cluster: the same result as on one machine, whatever ends."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import pandas as pd
+import pytest
+
+import g1stream
+from g1stream.extras.library.engine import completed, open_executor
+from g1stream.testing import dask_cluster
+
+pytestmark = pytest.mark.slow
+
+#: Columns that differ from one run to the next.
+COST = ["seconds", "memory"]
+
+
+@pytest.fixture
+def many(cuts):
+    return cuts(20)
+
+
+def test_the_result_is_that_of_one_machine(checked, motions, tmp_path):
+    case = g1stream.LibraryCase("check", tmp_path)
+    with dask_cluster() as (address, _, _):
+        run = g1stream.run_library([str(motions)], [case], cluster=address)
+    assert run.complete
+    here, there = (
+        library.motions.sort_values("key").drop(columns=COST).reset_index(drop=True)
+        for library in (g1stream.open_library(checked[1]), g1stream.open_library(tmp_path))
+    )
+    pd.testing.assert_frame_equal(here, there)
+
+
+def test_a_worker_that_is_killed_loses_nothing(many, tmp_path):
+    case = g1stream.LibraryCase("check", tmp_path / "out")
+    with dask_cluster(workers=2) as (address, _, workers):
+        run = g1stream.run_library(
+            [str(many)], [case], cluster=address, on_row=lambda row: workers[0].kill()
+        )
+    assert (run.complete, run.failed, run.lost) == (True, 0, {})
+    assert list(g1stream.open_library(tmp_path / "out").motions["status"]) == ["ok"] * 20
+
+
+def test_a_scheduler_without_workers_is_waited_for(motions, tmp_path):
+    said = []
+    case = g1stream.LibraryCase("check", tmp_path)
+    with dask_cluster(workers=0) as (address, _, _):
+        run = g1stream.run_library(
+            [str(motions)], [case], cluster=address, warn=said.append, stop=lambda: bool(said)
+        )
+    assert not run.complete
+    assert address in said[0]
+
+
+def test_a_result_that_is_on_its_way_when_the_scheduler_is_killed_is_lost():
+    class SlowToSend:
+        def __reduce__(self):
+            time.sleep(4.0)
+            return str, ()
+
+    with dask_cluster() as (address, head, _), open_executor(1, address) as executor:
+        threading.Timer(2.0, head.kill).start()
+        ((_, future),) = (
+            pair for pairs in completed(executor, lambda _: SlowToSend(), [0]) for pair in pairs
+        )
+    assert future.cancelled()
+
+
+def test_a_scheduler_that_is_killed_ends_the_run_and_keeps_its_rows(many, tmp_path):
+    case = g1stream.LibraryCase("check", tmp_path / "out")
+    with dask_cluster() as (address, head, _):
+        rows = []
+
+        def on_row(row):
+            rows.append(row.key)
+            if len(rows) == 3:
+                threading.Thread(target=head.kill).start()
+
+        run = g1stream.run_library([str(many)], [case], cluster=address, on_row=on_row)
+    assert not run.complete
+    assert run.lost
+    kept = g1stream.open_library(tmp_path / "out").motions["key"]
+    assert set(rows) == set(kept)
+    again = g1stream.run_library([str(many)], [case], workers=1)
+    assert again.complete
+    assert (again.known, again.done) == (len(rows), 20 - len(rows))

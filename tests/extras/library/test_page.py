@@ -1,0 +1,150 @@
+"""The page of a library, as data and in a real browser."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+from html import unescape
+from pathlib import Path
+
+import pytest
+
+from g1stream.extras.library.page import write_page
+from g1stream.extras.library.rows import MotionRow, Rows
+from g1stream.extras.library.table import writing
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+
+#: Sorts, filters and asks the page for what a reader sees.
+PROBE = """<script>
+const names = () => [...document.querySelectorAll("tbody tr")].map((row) =>
+  row.children[heads().indexOf("name")].textContent);
+const heads = () => [...document.querySelectorAll("thead th > button")].map((one) =>
+  one.textContent.replace(/ [▼▲]/, ""));
+const click = (name) =>
+  document.querySelectorAll("thead th > button")[heads().indexOf(name)].click();
+const filter = document.getElementById("filter");
+const type = (text) => { filter.value = text; filter.dispatchEvent(new Event("input")); };
+const seen = { heads: heads(), first: names(),
+  pictures: document.querySelectorAll("td path").length,
+  tooltips: [...document.querySelectorAll("tbody tr")].map((row) => row.children[1].title),
+  reasons: [...document.querySelectorAll("td.reason")].map((one) => one.textContent),
+  bars: document.querySelectorAll("th rect").length };
+click("max speed"); seen.descending = names();
+click("max speed"); seen.ascending = names();
+type("max_speed>2 WAVE"); seen.filtered = names();
+type("status=broken"); seen.broken = names();
+type(""); document.querySelectorAll(".kinds button")[0].click(); seen.clicked = filter.value;
+type(""); document.querySelector("th rect[height='26']").dispatchEvent(new Event("click"));
+seen.bar = filter.value;
+const told = document.createElement("pre");
+told.id = "seen";
+told.textContent = JSON.stringify(seen);
+document.body.append(told);
+</script></body>"""
+
+
+@pytest.fixture
+def library(tmp_path):
+    """Three motions: one broken, one that cannot be played, one that can."""
+
+    def row(name, **values):
+        about = {"key": name, "path": f"{name}.csv", "sha256": name, "command": "check"}
+        return Rows(motion=MotionRow(name=name, **about, **values))
+
+    good = {"bolted": "yes", "free": "yes", "max_speed": 1.0, "picture": "M0 0L5 5"}
+    bad = {"bolted": "yes", "free": "no", "max_speed": 3.0, "picture": "M0 0L5 5"}
+    with writing(tmp_path) as writer:
+        writer.add([row("stand <b>&amp;", **good), row("wave", **bad)])
+        writer.add([row("gone", status="broken", reason="</script><script>alert(1)</script>")])
+    return tmp_path
+
+
+def data_of(page):
+    text = page.read_text()
+    (data,) = re.findall(r'id="data">(.*)</script>\n<script>', text)
+    return json.loads(data)
+
+
+def test_the_worst_is_first(library):
+    check = data_of(write_page(library))["check"]
+    columns = [column["name"] for column in check["columns"]]
+    assert columns == [
+        *("picture", "name", "status", "reason"),
+        *("bolted", "free", "max_speed", "path"),
+    ]
+    names = [row[columns.index("name")] for row in check["rows"]]
+    assert names == ["gone", "wave", "stand <b>&amp;"]
+    speed = next(column for column in check["columns"] if column["name"] == "max_speed")
+    assert speed["unit"] == "rad/s"
+    assert [row[columns.index("max_speed")] for row in check["rows"]] == [None, 3.0, 1.0]
+
+
+def test_files_of_one_name_are_told_apart(tmp_path):
+    paths = ["/motions/day1/a/wave.csv", "/motions/day2/a/wave.csv", "/motions/walk.csv"]
+    with writing(tmp_path) as writer:
+        writer.add(
+            [
+                Rows(
+                    motion=MotionRow(
+                        key=path, name=Path(path).stem, path=path, sha256=path, command="check"
+                    )
+                )
+                for path in paths
+            ]
+        )
+    check = data_of(write_page(tmp_path))["check"]
+    place = [column["name"] for column in check["columns"]].index("name")
+    names = {row[place] for row in check["rows"]}
+    assert names == {"day1/a/wave.csv", "day2/a/wave.csv", "walk"}
+
+
+def test_a_broken_file_has_the_reason_that_was_found_last(tmp_path):
+    about = {"name": "gone", "path": "gone.csv", "sha256": "", "command": "simulate"}
+    with writing(tmp_path) as writer:
+        for variant, reason in (("bolted", "before"), ("free", "now")):
+            motion = MotionRow(
+                key=variant, variant=variant, status="broken", reason=reason, **about
+            )
+            writer.add([Rows(motion=motion)])
+    simulate = data_of(write_page(tmp_path))["simulate"]
+    place = [column["name"] for column in simulate["columns"]].index("reason")
+    assert [row[place] for row in simulate["rows"]] == ["now"]
+
+
+def test_it_needs_no_network(library):
+    text = write_page(library).read_text()
+    assert "http" not in text.replace("http://www.w3.org/2000/svg", "")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
+def test_it_sorts_and_filters_in_a_browser(library, tmp_path):
+    page = write_page(library)
+    page.write_text(page.read_text().replace("</body>", PROBE))
+    done = subprocess.run(
+        [
+            *(CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr"),
+            *(f"--user-data-dir={tmp_path / 'profile'}", "--dump-dom", page.as_uri()),
+        ],
+        capture_output=True,
+        text=True,
+        timeout=170,
+        check=True,
+    )
+    assert "CONSOLE" not in done.stderr
+    seen = json.loads(unescape(re.search(r'<pre id="seen">(.+)</pre>', done.stdout)[1]))
+    assert seen["heads"][:4] == ["picture", "name", "status", "bolted"]
+    assert seen["reasons"] == ["</script><script>alert(1)</script>"]
+    assert seen["tooltips"] == ["gone.csv", "wave.csv", "stand <b>&amp;.csv"]
+    assert seen["first"] == ["gone", "wave", "stand <b>&amp;"]
+    assert seen["pictures"] == 2
+    assert seen["bars"] == 14
+    assert seen["descending"] == ["wave", "stand <b>&amp;", "gone"]
+    assert seen["ascending"] == ["stand <b>&amp;", "wave", "gone"]
+    assert seen["filtered"] == ["wave"]
+    assert seen["broken"] == ["gone"]
+    assert seen["clicked"] == 'status="ok"'
+    assert seen["bar"] == "max_speed<1.143"

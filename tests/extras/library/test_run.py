@@ -1,0 +1,321 @@
+"""Whole libraries: what is computed, what is not computed again, what becomes of bad files."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import g1stream
+from g1stream.config import load_config
+from g1stream.errors import ConfigError, RecordingError
+from g1stream.extras.library.compute import LibraryCase
+from g1stream.extras.library.files import LIBRARY
+from g1stream.extras.library.processes import Limits
+from g1stream.extras.library.run import LibraryRun, run_library
+from g1stream.session.writer import SessionWriter
+from g1stream.synthetic import SyntheticSession
+
+
+def by_name(library):
+    return {row["name"]: row for row in library.motions.to_dict("records")}
+
+
+def test_each_content_is_checked_once(checked):
+    run, out = checked
+    assert (run.files, run.copies, run.total, run.done, run.failed) == (5, 1, 4, 4, 1)
+    assert run.complete
+    library = g1stream.open_library(out)
+    found = by_name(library)
+    assert set(found) == {"copy", "second", "third", "broken"}
+    assert found["broken"]["status"] == "broken"
+    assert "1 column" in found["broken"]["reason"]
+    assert "broken.csv" not in found["broken"]["reason"]  # it is in `path`
+    assert found["second"]["frames"] == g1stream.load_motion("demo").trim(1.0, 2.0).n_frames
+    joints = library.joints.groupby("key")["joint"].apply(tuple)
+    assert set(joints) == {g1stream.JOINT_NAMES}
+    assert len(joints) == 3
+
+
+def test_a_row_says_what_the_physics_of_the_motion_say(checked, motions):
+    _, out = checked
+    library = g1stream.open_library(out)
+    motion = g1stream.load_motion(motions / "below" / "third.npz")
+    physics = g1stream.motion_physics(motion)
+    row = by_name(library)["third"]
+    for support, verdict in physics.verdicts.items():
+        assert row[support] == verdict.playable
+    for support, peaks in physics.torques.items():
+        assert row[f"torque_{support}"] == peaks[0].share
+    assert row["max_tilt"] == physics.tilt_rad
+    assert row["max_collision"] == max((c.depth_mm for c in physics.collisions), default=0.0)
+    assert row["supported"] == physics.supported_share
+    joints = library.joints[library.joints["key"] == row["key"]].set_index("joint")
+    assert joints["lowest"].to_numpy() == pytest.approx(motion.joint_pos.min(axis=0))
+    for peak in physics.torques["free"]:
+        assert joints.loc[peak.joint, "torque_free"] == peak.torque_nm
+
+
+def test_the_example_of_the_docs_on_a_library_with_a_broken_file(
+    checked, tmp_path, monkeypatch, capsys
+):
+    text = (Path(__file__).parents[3] / "docs" / "library.md").read_text()
+    (example,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    (tmp_path / "library").symlink_to(checked[1])
+    monkeypatch.chdir(tmp_path)
+    exec(compile(example, "library.md", "exec"), {})
+    fastest = capsys.readouterr().out.splitlines()[-5:]
+    assert {line.split()[1] for line in fastest} <= {*g1stream.JOINT_NAMES}
+
+
+def test_the_picture_has_five_robots_in_its_frame(checked):
+    row = by_name(g1stream.open_library(checked[1]))["third"]
+    lines = row["picture"].split("M")[1:]
+    assert len(lines) == 5 * 5
+    points = np.array([[float(x) for x in p.split()] for one in lines for p in one.split("L")])
+    assert points.min() >= 0.0
+    assert points[:, 0].max() <= 100.0
+    assert points[:, 1].max() <= 30.0
+
+
+@pytest.mark.slow
+def test_only_what_changed_is_computed_again(motions, tmp_path):
+    case = g1stream.LibraryCase("check", tmp_path)
+    places = [str(motions / "first.npz"), str(motions / "second.csv")]
+    assert g1stream.run_library(places[:1], [case], workers=1).done == 1
+    run = g1stream.run_library(places, [case], workers=1)
+    assert (run.known, run.done, run.complete) == (1, 1, True)
+    other = replace(case, config=load_config(over={"safety.max_tilt": 0.4}))
+    run = g1stream.run_library(places, [other], workers=1)
+    assert (run.known, run.done) == (0, 2)
+    assert len(g1stream.open_library(tmp_path).motions) == 2
+    # A row that another one has replaced is computed again.
+    assert g1stream.run_library(places[:1], [case], workers=1).known == 0
+    assert g1stream.run_library(places[:1], [other], workers=1).known == 0
+    # What is recorded changes nothing in a check.
+    same = replace(other, config=load_config(over={"safety.max_tilt": 0.4, "record.tf_rate": 9.0}))
+    assert g1stream.run_library(places, [same], workers=1).known == 2
+
+
+@pytest.mark.slow
+def test_slow_and_huge_motions_are_rows(tmp_path):
+    motion = g1stream.load_motion("demo").looped(60)
+    motion.save(tmp_path / "long.npz")
+    case = g1stream.LibraryCase("check", tmp_path / "out")
+    for limits, status in ((Limits(seconds=1e-3), "slow"), (Limits(megabytes=20.0), "huge")):
+        run = g1stream.run_library([str(tmp_path)], [case], workers=1, limits=limits)
+        assert (run.done, run.failed) == (1, 1)
+        (row,) = g1stream.open_library(tmp_path / "out").motions.to_dict("records")
+        assert (row["status"], row["limits"]) == (status, str(limits))
+        # Within the same limits it would fail again.
+        assert g1stream.run_library([str(tmp_path)], [case], workers=1, limits=limits).known == 1
+
+
+@pytest.fixture
+def many(cuts):
+    return cuts(40)
+
+
+def start(*arguments):
+    return subprocess.Popen(
+        [sys.executable, "-m", "g1stream", "library", *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def processes_of(pid):
+    """The child processes of all its threads."""
+    tasks = Path(f"/proc/{pid}/task").iterdir()
+    return [int(child) for task in tasks for child in (task / "children").read_text().split()]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_a_command_that_is_ended_goes_on_where_it_was(cuts, tmp_path, number, until):
+    n_motions, out = 100, tmp_path / "out"  # so many that it is not done when the signal comes
+    command = (
+        "check",
+        cuts(n_motions),
+        "-o",
+        out,
+        "--workers",
+        2,
+        "--json",
+        "--fail-if",
+        "frames > 1e9",
+    )
+    process = start(*command)
+    printed = [json.loads(process.stdout.readline()) for _ in range(5)]
+    processes = processes_of(process.pid)
+    if number == signal.SIGINT:
+        os.killpg(process.pid, number)  # as a terminal does
+    else:
+        process.send_signal(number)
+    # Not communicate(), which loses what readline() has read ahead.
+    printed += [json.loads(line) for line in process.stdout if line.endswith("}\n")]
+    process.wait(60)
+    assert process.returncode == (-number if number == signal.SIGKILL else 128 + number)
+    assert ("not decided: frames" in process.stderr.read()) == (number != signal.SIGKILL)
+    alive = lambda: [pid for pid in processes if Path(f"/proc/{pid}").exists()]  # noqa: E731
+    until(lambda: not alive(), "its processes to end")
+    kept = set(g1stream.open_library(out).motions["key"])
+    assert {row["key"] for row in printed} <= kept
+    assert len(kept) < n_motions
+    again = start(*command)
+    computed = [json.loads(line)["key"] for line in again.communicate(timeout=100)[0].splitlines()]
+    assert again.returncode == 0
+    assert kept.isdisjoint(computed)
+    assert len(kept) + len(computed) == n_motions == len(g1stream.open_library(out).motions)
+
+
+@pytest.mark.slow
+def test_processes_that_are_killed_lose_nothing(many, tmp_path):
+    process = start("check", many, "-o", tmp_path / "out", "--workers", 2, "--json")
+    process.stdout.readline()
+    for pid in processes_of(process.pid):
+        if "spawn_main" in Path(f"/proc/{pid}/cmdline").read_text():
+            os.kill(pid, signal.SIGKILL)
+    _, errors = process.communicate(timeout=100)
+    assert process.returncode == 0, errors
+    motions = g1stream.open_library(tmp_path / "out").motions
+    assert list(motions["status"]) == ["ok"] * 40
+
+
+@pytest.mark.slow
+def test_the_command(motions, tmp_path):
+    def run(*arguments):
+        process = start("check", motions, "-o", tmp_path / "out", "--workers", 1, *arguments)
+        out, err = process.communicate(timeout=100)
+        return process.returncode, out, err
+
+    code, out, _ = run("--fail-if", "max_speed > 1000")
+    assert code == 1  # of the broken one it cannot be told
+    assert "bolted" in out
+    assert "cannot be told for 1 row, such as broken" in out
+    assert run("--fail-if", "ok > 0 and max_speed > 1000")[0] == 0
+    code, out, _ = run("--fail-if", "bolted > 0 and duration > 0.5")
+    assert code == 1
+    assert "holds for 3 rows, such as copy, and cannot be told for 1 row" in " ".join(out.split())
+    (motions / "broken.csv").rename(tmp_path / "broken.csv")
+    try:
+        assert run("--fail-if", "max_speed > 1000")[0] == 0
+        assert run("--fail-if", "max_speed > 0.001")[0] == 1
+    finally:
+        (tmp_path / "broken.csv").rename(motions / "broken.csv")
+    assert run("--fail-if", "speed > 1")[0] == 2
+    assert run("--fail-if", "rmse > base")[0] == 2
+    assert run("--sessions")[0] == 2
+    for address in ("127.0.0.1", "tls://127.0.0.1:1", "tcp://127.0.0.1:1"):
+        code, _, err = run("--cluster", address)
+        assert code == 2
+        assert "Traceback" not in err
+
+
+def test_the_rate_is_that_of_all_rows_that_are_done():
+    run = LibraryRun(computing=True, keys=set(map(str, range(30))), done=10, failed=8, elapsed=4.0)
+    fraction, text = run.status()
+    assert fraction == pytest.approx(1 / 3)
+    assert "2.5 a second, 0:08 min left" in text
+    run.done = 0
+    assert "left" not in run.status()[1]
+
+
+def test_a_broken_file_has_a_row_though_its_copy_was_repaired(tmp_path):
+    motions, out = tmp_path / "motions", tmp_path / "out"
+    motions.mkdir()
+    for name in ("a.csv", "b.csv"):
+        (motions / name).write_text("1\n2\n")
+    case = g1stream.LibraryCase("check", out)
+    assert g1stream.run_library([str(motions)], [case], workers=1).done == 1
+    assert list(by_name(g1stream.open_library(out))) == ["a"]
+    g1stream.load_motion("demo").trim(0.0, 1.0).save(motions / "a.csv", force=True)
+    for _ in range(2):
+        g1stream.run_library([str(motions)], [case], workers=1)
+    found = by_name(g1stream.open_library(out))
+    assert {name: row["status"] for name, row in found.items()} == {"a": "ok", "b": "broken"}
+
+
+@pytest.mark.slow
+def test_a_broken_file_is_one_line_and_one_row_of_the_page_for_all_values_of_a_sweep(tmp_path):
+    motions, out = tmp_path / "motions", tmp_path / "out"
+    motions.mkdir()
+    g1stream.load_motion("demo").trim(0.0, 0.5).save(motions / "good.npz")
+    (motions / "cut.npz").write_bytes((motions / "good.npz").read_bytes()[:1000])
+    session = tmp_path / "session.mcap"
+    with SessionWriter(session) as writer:
+        SyntheticSession(1.0).write(writer)
+    (motions / "half.mcap").write_bytes(session.read_bytes()[:1000])
+    process = start("simulate", motions, "-o", out, "--sweep", "stream.rate=500,250,100")
+    printed = process.communicate(timeout=200)[0]
+    assert process.returncode == 0
+    assert printed.count("cut.npz") == printed.count("half.mcap") == 1
+    assert re.findall(r"stream\.rate=(\d+)", printed) == ["500", "250", "100"]
+    assert "failed: 2 broken" in printed
+    rows = g1stream.open_library(out).motions
+    assert list(rows["status"].value_counts()[["ok", "broken"]]) == [3, 2]
+    broken = rows[rows["status"] == "broken"]
+    assert broken["support"].isna().all()
+    assert broken["stream.rate"].isna().all()
+    assert "5 rows of 3 motions\n  5 computed" in printed
+    again = start("simulate", motions, "-o", out, "--sweep", "stream.rate=500,250,100")
+    assert "0 computed in 0.0 s, 5 known before" in again.communicate(timeout=200)[0]
+    (data,) = re.findall(r'id="data">(.*)</script>\n<script>', (out / "index.html").read_text())
+    simulate = json.loads(data)["simulate"]
+    columns = [column["name"] for column in simulate["columns"]]
+    assert columns[:7] == [
+        *("picture", "name", "status", "support", "stream.rate", "reason", "rmse"),
+    ]
+    rows = [dict(zip(columns, row, strict=True)) for row in simulate["rows"]]
+    assert sorted((row["name"], row["support"], row["stream.rate"]) for row in rows[:2]) == [
+        ("cut", None, None),
+        ("half", None, None),
+    ]
+    assert sorted(row["stream.rate"] for row in rows[2:]) == [100.0, 250.0, 500.0]
+
+
+def test_a_library_does_not_hide_its_motions(tmp_path):
+    motions = tmp_path / "motions"
+    motions.mkdir()
+    g1stream.load_motion("demo").trim(0.0, 1.0).save(motions / "a.csv")
+    for out in (motions, tmp_path):
+        with pytest.raises(ConfigError):
+            run_library([str(motions)], [LibraryCase("check", out)])
+        assert not (out / LIBRARY).exists()
+
+
+@pytest.mark.slow
+def test_a_file_that_cannot_be_written_is_tried_again(tmp_path):
+    source, out = tmp_path / "a.csv", tmp_path / "library"
+    g1stream.load_motion("demo").trim(0.0, 1.0).save(source)
+    case = LibraryCase("convert", out, format="npz")
+    out.mkdir()
+    (out / "converted").write_text("in the way")
+    assert run_library([str(source)], [case], workers=1).failed == 1
+    (out / "converted").unlink()
+    again = run_library([str(source)], [case], workers=1)
+    assert (again.known, again.done, again.failed) == (0, 1, 0)
+
+
+@pytest.mark.slow
+def test_a_damaged_table_is_an_error_with_its_name(tmp_path):
+    out = tmp_path / "library"
+    for name, stop in (("a", 1.0), ("b", 1.5)):
+        g1stream.load_motion("demo").trim(0.0, stop).save(tmp_path / f"{name}.csv")
+    case = LibraryCase("check", out)
+    run_library([str(tmp_path / "a.csv")], [case], workers=1)
+    (part,) = (out / "joints").glob("*.parquet")
+    part.write_bytes(b"PAR1")
+    with pytest.raises(RecordingError) as refused:
+        run_library([str(tmp_path / "b.csv")], [case], workers=1)
+    assert part.name in refused.value.cause

@@ -1,0 +1,197 @@
+"""Soles on a floor: against figures by hand, and MuJoCo's Jacobians."""
+
+from __future__ import annotations
+
+from unittest.mock import Mock
+
+import numpy as np
+import pytest
+from scipy.optimize import nnls
+
+from g1stream.errors import RobotError
+from g1stream.extras.physics.ground import (
+    FRICTION,
+    beyond_support,
+    floor_forces,
+    touching,
+    zero_moment_point,
+)
+from g1stream.robot.joints import N_JOINTS
+from g1stream.robot.kinematics import forward_kinematics
+from g1stream.robot.model import G1
+from g1stream.robot.soles import Soles
+
+RNG = np.random.default_rng(3)
+SQUARE = np.array([(1, 1, 0), (1, -1, 0), (-1, -1, 0), (-1, 1, 0)], dtype=float)
+ALL = np.ones((1, 4), bool)
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return G1.default()
+
+
+@pytest.fixture(scope="module")
+def soles(robot):
+    return Soles(robot)
+
+
+def poses_of(robot, joint_pos, root_pos=(0.0, 0.0, 0.0), quat=(1.0, 0.0, 0.0, 0.0)):
+    return forward_kinematics(robot, np.atleast_2d(joint_pos), np.array(root_pos), np.array(quat))
+
+
+def pushes(corners, force, moment):
+    """Forces on corners that all touch the floor, in one frame."""
+    return floor_forces(corners[None], np.ones((1, len(corners)), bool), force[None], moment[None])[
+        0
+    ]
+
+
+def test_corners_are_the_spheres_of_unitrees_model(robot, soles):
+    """They have a radius of 5 mm and are at x -0.05 and 0.12, y 0.025 and 0.03, z -0.03."""
+    poses = poses_of(robot, np.zeros(N_JOINTS))
+    corners = soles.positions(poses).reshape(2, 4, 3) - poses.pos[0, soles.links, np.newaxis]
+    spheres = [(0.12, 0.03, -0.03), (0.12, -0.03, -0.03), (-0.05, -0.025, -0.03)]
+    spheres.append((-0.05, 0.025, -0.03))
+    distance = np.linalg.norm(corners - spheres, axis=-1)
+    assert distance == pytest.approx(np.full((2, 4), 0.005), abs=2e-4)
+    assert corners[..., 2] == pytest.approx(np.full((2, 4), -0.035), abs=1e-3)
+
+
+def test_a_robot_with_other_feet_is_refused(robot):
+    other = G1.from_urdf(robot.urdf.replace("ankle_roll_link", "foot"), "other.urdf")
+    with pytest.raises(RobotError, match="left_foot"):
+        Soles(other)
+
+
+def test_a_robot_without_joints_at_its_feet_is_refused():
+    with pytest.raises(RobotError, match="g1_dual_arm"):
+        Soles(G1.load("g1_dual_arm"))
+
+
+@pytest.mark.parametrize(
+    ("point", "beyond"),
+    [
+        ((0.0, 0.0), -1.0),
+        ((0.7, 0.2), -0.3),
+        ((1.0, 0.5), 0.0),
+        ((1.5, 0.0), 0.5),
+        ((4.0, 5.0), 5.0),
+    ],
+)
+def test_distance_from_a_square(point, beyond):
+    found = beyond_support(np.array([point]), SQUARE[np.newaxis], ALL)
+    assert found == pytest.approx([beyond], abs=1e-12)
+
+
+def test_distance_from_an_edge_and_from_a_corner():
+    point = np.array([[0.0, 0.0]])
+    edge = np.array([[True, True, False, False]])
+    corner = np.array([[False, False, True, False]])
+    assert beyond_support(point, SQUARE[np.newaxis], edge) == pytest.approx([1.0])
+    assert beyond_support(point, SQUARE[np.newaxis], corner) == pytest.approx([np.sqrt(2)])
+    on_it = np.array([[1.0, 0.3]])
+    assert beyond_support(on_it, SQUARE[np.newaxis], edge) == pytest.approx([0.0], abs=1e-12)
+
+
+def test_distance_from_any_polygon():
+    """Against the support function in 20,000 directions."""
+    points, corners = 0.7 * RNG.normal(size=(50, 2)), RNG.normal(size=(50, 8, 3))
+    touches = RNG.random((50, 8)) < 0.5
+    touches[:, 0] = True
+    angles = np.linspace(0, 2 * np.pi, 20_000)
+    directions = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    found = beyond_support(points, corners, touches)
+    for point, own, on, distance in zip(points, corners, touches, found, strict=True):
+        reach = (own[on, :2] @ directions.T).max(axis=0)
+        assert distance == pytest.approx((directions @ point - reach).max(), abs=2e-3)
+    assert (found < 0).sum() > 5
+    assert (found > 0).sum() > 5
+
+
+def test_a_sliding_corner_has_its_speed():
+    times = np.arange(30) / 30
+    corners = np.zeros((30, 1, 3))
+    corners[:, 0, :2] = times[:, np.newaxis] * (0.03, 0.04)
+    touches, speed = touching(corners, 30.0)
+    assert touches.all()
+    assert speed == pytest.approx(np.full((30, 1), 0.05))
+
+
+def test_contact_ends_where_a_corner_is_clearly_off():
+    heights = np.array([25, 25, 10, 25, 15, 34, 36, 34, 21, 19, 30]) * 1e-3
+    corners = np.zeros((len(heights), 1, 3))
+    corners[:, 0, 2] = heights
+    touches, _ = touching(corners, fps=2.0)  # 0.03 m/s at most
+    assert touches[:, 0].astype(int).tolist() == [1, 1, 1, 1, 1, 1, 0, 0, 0, 1, 1]
+
+
+def test_a_fast_corner_does_not_touch():
+    corners = np.zeros((40, 1, 3))
+    corners[20:, 0, 0] = 0.03 * np.arange(20)  # 0.9 m/s
+    touches, _ = touching(corners, 30.0)
+    assert touches[:19].all()
+    assert not touches[21:].any()
+
+
+def test_the_zero_moment_point_is_where_the_force_acts():
+    point, force = np.array([0.3, -0.2, 0.0]), np.array([20.0, -10.0, 300.0])
+    twist = np.array([0.0, 0.0, 4.0])
+    assert zero_moment_point(force, np.cross(point, force) + twist) == pytest.approx(point[:2])
+
+
+def test_forces_add_up_and_push_within_the_friction_cone():
+    corners = np.concatenate([SQUARE * 0.1, SQUARE * 0.1 + (0.5, 0, 0)])
+    point, force = np.array([0.2, 0.03, 0.0]), np.array([30.0, -40.0, 330.0])
+    moment = np.cross(point, force)
+    forces = pushes(corners, force, moment)
+    assert forces.sum(axis=0) == pytest.approx(force, rel=1e-5)
+    assert np.cross(corners, forces).sum(axis=0) == pytest.approx(moment, rel=1e-4)
+    assert (forces[:, 2] >= 0).all()
+    assert (np.hypot(*forces[:, :2].T) <= FRICTION * forces[:, 2] + 1e-9).all()
+
+
+def test_alike_feet_carry_alike():
+    corners = np.concatenate([SQUARE * 0.1 + (0, 0.2, 0), SQUARE * 0.1 - (0, 0.2, 0)])
+    forces = pushes(corners, np.array([0.0, 0.0, 320.0]), np.zeros(3))
+    assert forces[:, 2] == pytest.approx(np.full(8, 40.0), rel=1e-5)
+
+
+def test_what_a_floor_cannot_do_it_does_not():
+    pull = pushes(SQUARE, np.array([0.0, 0.0, -100.0]), np.zeros(3))
+    assert pull == pytest.approx(np.zeros((4, 3)), abs=1e-9)
+    slips = pushes(SQUARE, np.array([300.0, 0.0, 100.0]), np.zeros(3)).sum(axis=0)
+    assert slips[0] <= FRICTION * slips[2] + 1e-9
+
+
+def test_forces_of_many_frames_are_those_of_lawson_and_hanson():
+    """Of feet that slip, tip, pull, stand on one corner or on none."""
+    n, rng = 300, np.random.default_rng(4)
+    corners = np.tile(np.concatenate([SQUARE * 0.1, SQUARE * 0.1 + (0.4, 0, 0)]), (n, 1, 1))
+    corners += 0.01 * rng.normal(size=corners.shape)
+    touches = rng.random((n, 8)) < rng.random((n, 1))
+    force = rng.normal(size=(n, 3)) * (60, 60, 200) + (0, 0, 300)
+    moment = np.cross(rng.normal(size=(n, 3)) * (0.3, 0.1, 0), force)
+    forces = floor_forces(corners, touches, force, moment)
+    assert not forces[~touches].any()
+    edges = FRICTION * np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0)]) + (0, 0, 1)
+    for k in np.flatnonzero(touches.any(axis=1)):
+        on = corners[k, touches[k]]
+        centre = on.mean(axis=0)
+        push = np.tile(edges, (len(on), 1))
+        lever = np.cross(np.repeat(on - centre, 4, axis=0), push)
+        factors = np.vstack([push.T, lever.T, 1e-3 * np.eye(len(push))])
+        asked = np.zeros(len(factors))
+        asked[:6] = *force[k], *(moment[k] - np.cross(centre, force[k]))
+        expected = nnls(factors, asked)[0].reshape(-1, 4) @ edges
+        np.testing.assert_allclose(forces[k, touches[k]], expected, rtol=0, atol=1e-6)
+
+
+def test_a_solver_that_gives_up_is_replaced(monkeypatch):
+    point, force = np.array([0.2, 0.3, 0.0]), np.array([30.0, -40.0, 330.0])
+    task = SQUARE, force, np.cross(point, force)
+    expected = pushes(*task)
+    monkeypatch.setattr("g1stream.extras.physics.ground._ROUNDS", 1)
+    assert pushes(*task) == pytest.approx(expected, abs=1e-6)
+    monkeypatch.setattr("scipy.optimize.nnls", Mock(side_effect=RuntimeError("iterations")))
+    assert pushes(*task) == pytest.approx(expected, abs=1e-3)

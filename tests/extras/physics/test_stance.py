@@ -1,0 +1,366 @@
+"""A motion with planted feet: against kinematics, dynamics and the limits of the soles."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter1d
+
+from g1stream.errors import MotionError
+from g1stream.extras.feet.standing import BodyState, StandingDynamics
+from g1stream.extras.physics.footing import CannotStandError
+from g1stream.extras.physics.ground import beyond_support, touching, zero_moment_point
+from g1stream.extras.physics.stance import on_standing_legs, stand
+from g1stream.motion.motion import Motion
+from g1stream.motion.trajectory import Trajectory
+from g1stream.robot.dynamics import BaseMotion, InverseDynamics
+from g1stream.robot.joints import JOINT_NAMES
+from g1stream.robot.kinematics import forward_kinematics
+from g1stream.robot.model import G1
+from g1stream.robot.rotations import quat_from_rpy, quat_rotate, yaw_of
+from g1stream.robot.soles import OFF_FLOOR, Soles
+from g1stream.session.motions import load_motion
+from g1stream.synthetic import squatting, stepping
+
+ROBOT = G1.default()
+SOLES = Soles(ROBOT)
+
+
+def corners_of(motion):
+    poses = forward_kinematics(ROBOT, motion.joint_pos, motion.root_pos, motion.root_quat_wxyz)
+    return SOLES.positions(poses)
+
+
+@pytest.fixture(scope="module")
+def squat():
+    return squatting(4.0)
+
+
+def test_the_feet_stand_still_and_flat_on_the_floor(squat):
+    corners = corners_of(stand(squat, ROBOT).motion)
+    assert np.ptp(corners, axis=0) == pytest.approx(np.zeros((8, 3)), abs=1e-5)
+    assert corners[..., 2].min() == pytest.approx(0.0, abs=1e-5)
+    assert corners[..., 2].max() == pytest.approx(0.0, abs=1e-3)  # a corner is 0.7 mm higher
+    assert touching(corners, squat.fps)[0].all()
+
+
+def test_only_the_legs_are_changed_and_little(squat):
+    standing = stand(squat, ROBOT)
+    change = np.abs(standing.motion.joint_pos - squat.joint_pos)
+    assert change[:, 12:].max() == 0.0
+    assert np.degrees(change.max()) == pytest.approx(standing.joint_deg)
+    assert JOINT_NAMES[int(change.max(axis=0).argmax())] == standing.joint
+    assert standing.joint_deg < 1.0
+    assert standing.moved_mm < 5.0
+    assert np.array_equal(standing.motion.root_quat_wxyz, squat.root_quat_wxyz)
+
+
+def test_a_motion_that_stands_is_played_as_it_is(squat):
+    standing = stand(stand(squat, ROBOT).motion, ROBOT)
+    assert not str(standing)
+    assert not re.search(r"\b0 mm", str(stand(squat, ROBOT)))
+
+
+def test_stretched_legs_are_bent():
+    straight = Motion.from_arrays(np.zeros((20, 29)), np.tile([0, 0, 0.79], (20, 1)), fps=50.0)
+    standing = stand(straight, ROBOT)
+    knees = [JOINT_NAMES.index(f"{side}_knee_joint") for side in ("left", "right")]
+    assert standing.motion.joint_pos[:, knees].min() >= 0.12
+    assert 0.0 < standing.lowered_mm < 20.0
+
+
+def test_legs_that_are_stretched_are_bent_for_a_shift_too():
+    """Over the one foot, the pelvis is further from the other: lower than it is at rest."""
+    time = np.arange(400) / 50.0
+    up = 0.3 * (1.0 - np.cos(2.0 * np.pi * np.clip((time - 2.0) / 4.0, 0.0, 1.0)))
+    pos = np.zeros((len(time), 29))
+    for joint, share in (("hip_pitch", -1.0), ("knee", 2.0), ("ankle_pitch", -1.0)):
+        pos[:, JOINT_NAMES.index(f"left_{joint}_joint")] = share * up
+    root = np.tile([0.0, 0.0, 0.79], (len(time), 1))
+    both, lifted = (
+        stand(Motion.from_arrays(one, root, fps=50.0), ROBOT) for one in (np.zeros_like(pos), pos)
+    )
+    assert lifted.shifted_mm > 30.0
+    assert lifted.lowered_mm > both.lowered_mm
+    assert lifted.motion.joint_pos[:, [3, 9]].min() >= 0.12
+    assert corners_of(lifted.motion)[:, 4:, 2].min(axis=1) == pytest.approx(0.0, abs=1e-5)
+
+
+def test_the_mass_is_kept_over_the_soles():
+    """Leant forward by 0.6 rad at the hips, the robot would fall on its face."""
+    squat = squatting(2.0, arms=0.0)
+    leant = squat.joint_pos.copy()
+    for side in ("left", "right"):
+        leant[:, JOINT_NAMES.index(f"{side}_hip_pitch_joint")] -= 0.6
+        leant[:, JOINT_NAMES.index(f"{side}_shoulder_pitch_joint")] = -1.5
+    quat = np.tile(quat_from_rpy(np.array([0.0, 0.6, 0.0])), (len(leant), 1))
+    standing = stand(Motion.from_arrays(leant, squat.root_pos, quat, fps=squat.fps), ROBOT)
+    assert standing.shifted_mm > 10.0
+    still = standing.motion.frames(0, 2)
+    state = BodyState(still.root_quat_wxyz[0], np.zeros(3), still.joint_pos[0], np.zeros(29))
+    none = np.zeros(3), np.zeros(3), np.zeros(29)
+    centre = StandingDynamics(ROBOT).movement(state, still.root_pos[0], np.zeros(3), none).pos
+    corners = corners_of(still)[:1]
+    assert beyond_support(centre[np.newaxis, :2], corners, np.ones((1, 8), bool)) < -0.015
+
+
+def test_a_foot_that_slides_is_refused_with_its_frames(squat):
+    sliding = squat.joint_pos.copy()
+    sliding[50:60, JOINT_NAMES.index("left_hip_roll_joint")] += 0.25
+    sliding[50:60, JOINT_NAMES.index("left_ankle_roll_joint")] -= 0.25
+    with pytest.raises(MotionError, match="left foot slides in frames 50 to 59"):
+        stand(Motion.from_arrays(sliding, squat.root_pos, fps=squat.fps), ROBOT)
+
+
+@pytest.mark.slow
+def test_a_foot_that_is_lifted_too_fast_for_the_mass_is_refused_with_its_frames(squat):
+    lifted = squat.joint_pos.copy()
+    lifted[50:60, JOINT_NAMES.index("left_knee_joint")] += 0.6
+    with pytest.raises(MotionError, match=r"centre of pressure is not kept .* frames"):
+        stand(Motion.from_arrays(lifted, squat.root_pos, fps=squat.fps), ROBOT)
+
+
+def test_a_hop_is_refused_with_its_frames(squat):
+    root = squat.root_pos.copy()
+    root[50:60, 2] += 0.2
+    with pytest.raises(MotionError, match="no foot is on the floor in frames 50 to 59"):
+        stand(Motion.from_arrays(squat.joint_pos, root, fps=squat.fps), ROBOT)
+
+
+def test_a_squat_that_is_faster_than_the_robot_falls_is_refused():
+    time = np.arange(200) / 50.0
+    bend = 0.9 - 0.7 * np.cos(6.0 * np.pi * time)
+    pos = np.zeros((len(time), 29))
+    for side in ("left", "right"):
+        for joint, share in (("hip_pitch", -0.5), ("knee", 1.0), ("ankle_pitch", -0.5)):
+            pos[:, JOINT_NAMES.index(f"{side}_{joint}_joint")] = share * bend
+    in_air = Motion.from_arrays(pos, np.tile([0.0, 0.0, 0.7], (len(time), 1)), fps=50.0)
+    lowest = corners_of(in_air)[..., 2].min(axis=1, keepdims=True)
+    with pytest.raises(MotionError, match="floor would have to pull"):
+        stand(replace(in_air, root_pos=in_air.root_pos - [0.0, 0.0, 1.0] * lowest), ROBOT)
+
+
+def test_a_foot_beside_one_on_its_toes_is_lifted_by_as_much_as_its_sole():
+    """The link of a foot on its toes is higher up than that of the other, which is lifted."""
+    time = np.arange(400) / 50.0
+    up = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.clip((time - 2.0) / 4.0, 0.0, 1.0))
+    pos = np.zeros((len(time), 29))
+    for side, bend, tip in (("left", 0.8, 0.0), ("right", 0.4, 0.5)):
+        for joint, share in (("hip_pitch", -0.5), ("knee", 1.0), ("ankle_pitch", -0.5)):
+            bent = 0.6 + (bend - 0.6) * up
+            pos[:, JOINT_NAMES.index(f"{side}_{joint}_joint")] = share * bent
+        pos[:, JOINT_NAMES.index(f"{side}_ankle_pitch_joint")] += tip * up
+    toes = Motion.from_arrays(pos, np.tile([0.0, 0.0, 0.75], (len(time), 1)), fps=50.0)
+    given = corners_of(toes)[200, :, 2].reshape(2, 4).min(axis=1)
+    stood = corners_of(stand(toes, ROBOT).motion)[200, :, 2].reshape(2, 4).min(axis=1)
+    assert stood - stood.min() == pytest.approx(given - given.min(), abs=1e-4)
+    assert stood[0] > 0.03
+
+
+def test_the_demo_lifts_its_feet_one_by_one_and_puts_them_back_where_they_stood():
+    demo = load_motion("demo")
+    motion = stand(demo, ROBOT).motion
+    feet = corners_of(motion).reshape(-1, 2, 4, 3)
+    up = feet[..., 2].min(axis=2) > OFF_FLOOR
+    assert not up.all(axis=1).any()
+    assert [np.count_nonzero(np.diff(one.astype(int)) == 1) for one in up.T] == [2, 2]
+    for foot in (0, 1):
+        standing = feet[~up[:, foot], foot]
+        assert np.ptp(standing, axis=0) == pytest.approx(np.zeros((4, 3)), abs=2e-3)
+    assert feet[..., 2].max() > 0.1
+
+
+#: x and y, m, and heading, rad, of the robot after each step: the left foot, the right one, ...
+STEPS = [(0.12, 0.0, 0.0), (0.12, 0.0, 0.0), (0.12, 0.08, 0.5), (0.12, 0.08, 0.5)]
+PERIOD = 1.6
+
+
+def test_a_foot_that_steps_stands_where_the_motion_puts_it():
+    source = stepping([*STEPS, *STEPS[-1:] * 2], period=PERIOD)
+    motion = stand(source, ROBOT).motion
+    feet = corners_of(motion).reshape(-1, 2, 4, 3)
+    up = feet[..., 2].min(axis=2) > OFF_FLOOR
+    assert [np.count_nonzero(np.diff(one.astype(int)) == 1) for one in up.T] == [3, 3]
+    pose = motion.joint_pos, motion.root_pos, motion.root_quat_wxyz
+    headings = yaw_of(forward_kinematics(ROBOT, *pose).quat_wxyz[:, SOLES.links])
+    for k, (x, y, heading) in enumerate(STEPS):
+        foot = k % 2
+        down, lifted = PERIOD * (k + 1) + 0.8, PERIOD * (k + 3)
+        first, stop = round(down * motion.fps) + 5, round(lifted * motion.fps) - 5
+        link = np.array([0.0, 0.1 - 0.2 * foot, 0.0])
+        turn = quat_from_rpy(np.array([0.0, 0.0, heading]))
+        middle = quat_rotate(turn, link + SOLES.corners[foot].mean(axis=0))
+        expected = [x + middle[0], y + middle[1]]
+        stood = feet[first:stop, foot].mean(axis=1)
+        assert stood[:, :2] == pytest.approx(np.tile(expected, (len(stood), 1)), abs=2e-3)
+        assert headings[first:stop, foot] == pytest.approx(heading, abs=2e-3)
+        assert np.ptp(stood, axis=0) == pytest.approx(np.zeros(3), abs=1e-4)
+
+
+def test_a_motion_that_turns_around_once_by_steps_stands():
+    """The headings pass pi, where their numbers jump."""
+    around = np.repeat(np.linspace(0.0, 2.0 * np.pi, 13)[1:], 2)
+    standing = stand(stepping(np.outer(around, [0.0, 0.0, 1.0])), ROBOT)
+    assert standing.turned_deg < 5.0
+    assert corners_of(standing.motion)[-1] == pytest.approx(
+        corners_of(standing.motion)[0], abs=5e-3
+    )
+
+
+def test_steps_without_time_on_both_feet_are_refused_with_their_frames():
+    with pytest.raises(
+        MotionError, match=r"both feet are lifted within 0\.1 s in frames \d+ to \d+"
+    ):
+        stand(stepping(STEPS, period=0.3, swing=0.4), ROBOT)
+
+
+def test_a_step_too_long_for_the_mass_is_refused_with_its_frames():
+    far = [(0.3, 0.0, 0.0), (0.3, 0.0, 0.0)]
+    with pytest.raises(MotionError, match=r"centre of pressure is not kept .* in frames? \d+"):
+        stand(stepping(far), ROBOT)
+
+
+def test_arms_play_on_legs_that_stand(squat):
+    """Of a motion that turns and walks, the arms and the waist are left."""
+    walking = Motion.from_arrays(
+        squat.joint_pos + 0.1, squat.root_pos + np.arange(len(squat.root_pos))[:, None], fps=50.0
+    )
+    played = ROBOT.select("arms")
+    changed = on_standing_legs(walking, ROBOT, played)
+    assert np.array_equal(changed.joint_pos[:, played], walking.joint_pos[:, played])
+    assert np.ptp(changed.joint_pos[:, ~played], axis=0).max() == 0.0
+    assert not changed.joint_pos[:, 12:15].any()
+    standing = stand(changed, ROBOT)
+    assert standing.lowered_mm == 0.0
+    assert corners_of(standing.motion)[..., 2].min() == pytest.approx(0.0, abs=1e-5)
+
+
+def test_a_motion_that_ends_on_one_foot_is_refused():
+    demo = load_motion("demo")
+    with pytest.raises(
+        MotionError, match=r"lifted at the beginning or the end, in frames 57 to 62\."
+    ):
+        stand(demo.frames(200, 263), ROBOT)
+
+
+def test_an_error_has_all_frames_that_forbid_a_motion(squat):
+    sliding = squat.joint_pos.copy()
+    forbidden = np.zeros(squat.n_frames, bool)
+    for first in range(20, 180, 40):
+        forbidden[first : first + 10] = True
+    for joint, by in (("left_hip_roll_joint", 0.25), ("left_ankle_roll_joint", -0.25)):
+        sliding[forbidden, JOINT_NAMES.index(joint)] += by
+    with pytest.raises(CannotStandError) as raised:
+        stand(Motion.from_arrays(sliding, squat.root_pos, fps=squat.fps), ROBOT)
+    assert np.array_equal(raised.value.frames, forbidden)
+    assert not raised.value.slower
+
+
+def test_joints_that_do_not_play_stand_still(squat):
+    legs = stand(squat, ROBOT, ROBOT.select("legs"))
+    assert np.ptp(legs.motion.joint_pos[:, 12:], axis=0).max() == 0.0
+    assert np.ptp(legs.motion.joint_pos[:, :12], axis=0).max() > 0.3
+    arms = stand(squat, ROBOT, ROBOT.select("arms"), Trajectory(squat))
+    assert (legs.upper_body, arms.upper_body) == (False, True)
+    assert np.array_equal(arms.motion.joint_pos[:, 15:], squat.joint_pos[:, 15:])
+    assert np.ptp(arms.motion.root_quat_wxyz, axis=0).max() == 0.0
+    corners = corners_of(arms.motion)
+    assert np.ptp(corners, axis=0) == pytest.approx(np.zeros((8, 3)), abs=1e-5)
+
+
+def test_what_was_changed_is_drawn(squat):
+    standing = stand(squat, ROBOT)
+    axes = standing.plot().axes
+    pelvis = next(line for line in axes[0].lines if line.get_label() == "pelvis")
+    np.testing.assert_array_equal(pelvis.get_xydata(), standing.motion.root_pos[:, :2])
+    assert len(axes[0].patches) == 4  # each sole stands in one place, drawn before and after
+    heights = [line.get_ydata() for line in axes[2].lines]
+    np.testing.assert_array_equal(heights[0], 1e3 * squat.root_pos[:, 2])
+    np.testing.assert_array_equal(heights[1], 1e3 * standing.motion.root_pos[:, 2])
+    most, changed = axes[3].lines[0], JOINT_NAMES.index(standing.joint)
+    assert most.get_label() == standing.joint.removesuffix("_joint")
+    change = np.degrees(standing.motion.joint_pos - squat.joint_pos)[:, changed]
+    np.testing.assert_allclose(most.get_ydata(), change)
+
+
+def jumping(jump):
+    """Standing still, but for both shoulders that jump by an angle, rad, at frame 30."""
+    pos = np.zeros((60, 29))
+    for side in ("left", "right"):
+        pos[30:, JOINT_NAMES.index(f"{side}_shoulder_pitch_joint")] = -jump
+    motion = Motion.from_arrays(pos, np.tile([0, 0, 0.79], (60, 1)), fps=30.0)
+    return on_standing_legs(motion, ROBOT, ROBOT.select("arms"))
+
+
+def test_arms_that_jump_within_a_frame_do_not_tip_the_robot():
+    assert stand(jumping(0.25), ROBOT).shifted_mm == pytest.approx(0.0, abs=5.0)
+
+
+@pytest.mark.parametrize(("jump", "frames"), [(1.0, "in frame 30"), (2.0, "in frames 29 to 31")])
+def test_arms_that_jump_far_are_refused_with_the_frames(jump, frames):
+    with pytest.raises(MotionError, match=f"the feet slip, .* {frames}"):
+        stand(jumping(jump), ROBOT)
+
+
+def test_the_pressure_of_a_changed_motion_is_inside_the_soles_in_every_frame():
+    """Also in frames that the last attempts left as they were: MuJoCo computes all of them."""
+    motion = stand(load_motion("demo"), ROBOT).motion
+    dynamics, trajectory = InverseDynamics(ROBOT), Trajectory(motion)
+    wrench = np.empty((motion.n_frames, 6))
+    for k in range(motion.n_frames):
+        point = trajectory.sample(k / motion.fps)
+        base = BaseMotion(
+            point.root_quat_wxyz,
+            point.root_ang_vel,
+            lin_acc=point.root_lin_acc,
+            ang_acc=point.root_ang_acc,
+        )
+        solved = dynamics.solve("follow", point.joint_pos, point.joint_vel, point.joint_acc, base)
+        force, turned = solved.wrench[:3], quat_rotate(point.root_quat_wxyz, solved.wrench[3:])
+        wrench[k] = *force, *(turned + np.cross(point.root_pos, force))
+    averaged = gaussian_filter1d(wrench, 0.05 * motion.fps, axis=0)  # a jump is over soon
+    corners = corners_of(motion)
+    floor = corners[..., 2].min()
+    stands = (corners[..., 2].reshape(-1, 2, 4).min(axis=2) < floor + OFF_FLOOR).repeat(4, axis=1)
+    beyond = [
+        beyond_support(zero_moment_point(one[:, :3], one[:, 3:]), corners, stands)
+        for one in (wrench, averaged)
+    ]
+    assert np.min(beyond, axis=0).max() < -0.018 + 5e-4
+
+
+def test_legs_beyond_a_limit_are_refused_with_their_frames(squat):
+    pitch = [
+        i for i, name in enumerate(JOINT_NAMES) if re.search("hip_pitch|knee|ankle_pitch", name)
+    ]
+    pos = squat.joint_pos.copy()
+    pos[:, pitch] *= 2.0
+    ankle = JOINT_NAMES.index("left_ankle_pitch_joint")
+    beyond = np.flatnonzero(pos[:, ankle] < ROBOT.lower[ankle])
+    deep = Motion.from_arrays(pos, squat.root_pos, fps=squat.fps)
+    with pytest.raises(MotionError, match="ankle_pitch_joint gets beyond its limit") as raised:
+        stand(deep, ROBOT)
+    named = [int(number) for number in re.findall(r"\d+", raised.value.cause)]
+    assert named == pytest.approx([beyond[0], beyond[-1]], abs=3)
+
+
+@pytest.mark.parametrize("length", [0.01, 0.025, 0.12])
+def test_steps_of_any_length_are_walked(length):
+    """Three steps with each foot: the feet come as far as the robot does."""
+    ahead = length * np.repeat([1.0, 2.0, 3.0], 2)
+    walk = stepping(np.stack([ahead, 0.0 * ahead, 0.0 * ahead], axis=1))
+    x = corners_of(stand(walk, ROBOT).motion).reshape(-1, 2, 4, 3)[..., 0].mean(axis=2)
+    assert x[-1] - x[0] == pytest.approx(3.0 * np.array([length, length]), rel=0.01)
+
+
+def test_a_foot_that_turns_on_the_floor_slides(squat):
+    pos = squat.joint_pos.copy()
+    pos[:, JOINT_NAMES.index("left_hip_yaw_joint")] = np.linspace(-0.3, 0.3, squat.n_frames)
+    turning = Motion.from_arrays(pos, squat.root_pos, fps=squat.fps)
+    foot = corners_of(turning)[:, :4, :2].mean(axis=1)
+    assert np.linalg.norm(foot - np.median(foot, axis=0), axis=1).max() < 0.1  # but it turns
+    with pytest.raises(MotionError, match="the left foot slides"):
+        stand(turning, ROBOT)

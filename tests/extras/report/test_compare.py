@@ -1,0 +1,314 @@
+"""Sessions beside others: noise and change told apart, conditions, and what is refused."""
+
+import re
+
+import numpy as np
+import pytest
+from scipy.stats import ttest_ind
+
+import g1stream
+from g1stream.analysis.condition import Condition
+from g1stream.cli.main import main
+from g1stream.config import Config
+from g1stream.errors import ConfigError, RecordingError
+from g1stream.extras.report.compare_table import verdict
+from g1stream.extras.report.differences import differences, ranked
+from g1stream.session.session import Session
+from g1stream.session.source import MemorySource
+from g1stream.session.writer import SessionWriter
+from g1stream.synthetic import SyntheticSession
+
+
+def session(**wrong):
+    source = MemorySource()
+    SyntheticSession(wrong.pop("seconds", 2.0), **wrong).write(source)
+    return Session(source)
+
+
+def runs(level, n=4, seconds=2.0, **more):
+    """Sessions whose error varies by some 3 % from run to run."""
+    rng = np.random.default_rng(int(level * 1e4))
+    levels = level * (1.0 + 0.03 * rng.standard_normal(n))
+    return [session(bias=one, noise=1e-4, seconds=seconds, **more) for one in levels]
+
+
+@pytest.fixture(scope="module")
+def worse():
+    return g1stream.compare(runs(0.010), runs(0.013))
+
+
+def test_a_change_beyond_the_noise_is_significant(worse):
+    rmse = worse.metrics["rmse"]
+    assert rmse.change == pytest.approx(0.3, abs=0.05)
+    assert rmse.significant
+    assert worse.joints["left_knee_joint"].significant
+    expected = ttest_ind(rmse.base_values, rmse.other_values, equal_var=False).pvalue
+    assert rmse.p == pytest.approx(expected, rel=1e-6)
+
+
+def test_noise_is_not():
+    rng = np.random.default_rng(5)
+    sides = [
+        [session(bias=0.01 * (1 + 0.03 * x), noise=1e-4) for x in rng.standard_normal(3)]
+        for _ in range(2)
+    ]
+    same = g1stream.compare(*sides)
+    assert not any(one.significant for one in same.joints.values())
+    assert all(one.p <= one.p_adjusted <= 1.0 for one in same.joints.values())
+
+
+def test_one_session_a_side_tells_nothing():
+    found = g1stream.compare(session(bias=0.01), session(bias=0.02))
+    assert found.metrics["rmse"].other == pytest.approx(2 * found.metrics["rmse"].base, rel=1e-3)
+    assert found.metrics["rmse"].significant is None
+    assert max(map(len, str(found).splitlines())) <= 80
+
+
+def test_joints_are_ranked_by_the_difference_and_not_by_its_share():
+    base = {"waist_yaw_joint": 1e-9, "left_knee_joint": 0.02, "right_knee_joint": 0.03}
+    other = {"waist_yaw_joint": 1e-7, "left_knee_joint": 0.025, "right_knee_joint": 0.031}
+    found = differences([[base], [other]], {})
+    assert list(ranked(found)) == ["left_knee_joint", "right_knee_joint", "waist_yaw_joint"]
+    found["waist_yaw_joint"].p_adjusted = 0.01
+    assert next(iter(ranked(found))) == "waist_yaw_joint"
+
+
+def test_the_joints_of_a_comparison_are_ranked(worse):
+    assert list(worse.joints) == list(ranked(worse.joints))
+
+
+@pytest.mark.parametrize(
+    ("base", "other", "figures"),
+    [
+        (0.05523, 0.05501, {"0.05523", "0.05501"}),
+        (1.20001, 1.20002, {"1.20001", "1.20002"}),
+        (0.5, 0.50000001, {"0.5"}),
+    ],
+)
+def test_the_verdict_has_the_digits_that_a_difference_needs(base, other, figures):
+    found = g1stream.compare(session(bias=0.01), session(bias=0.02))
+    found.metrics = differences([[{"rmse": one}] for one in (base, other)], {})
+    assert set(re.findall(r"\d\.\d+(?= rad| \()", verdict(found))) == figures
+    found.metrics = differences([[{"rmse": np.radians(one)}] for one in (base, other)], {})
+    assert set(re.findall(r"\d\.\d+(?= deg| \()", verdict(found, "deg"))) == figures
+
+
+def test_a_share_of_what_has_a_sign_or_is_zero_says_nothing():
+    found = g1stream.compare(session(delay=0.001), session(delay=0.004)).metrics["delay"]
+    assert found.change is None
+    assert found.difference == pytest.approx(0.003, abs=2e-4)
+    assert differences([[{"x": 0.0}], [{"x": 2.0}]], {})["x"].change is None
+    assert differences([[{"x": 4.0}], [{"x": 2.0}]], {})["x"].change == -0.5
+
+
+def test_settings_that_one_side_lacks_are_no_difference():
+    config = {"stream": {"preview": 0.004}}
+    first, other = session(metadata={"config": config}), session()
+    assert g1stream.compare(first, other).differs == {}
+    default = session(metadata={"config": {}})
+    assert g1stream.compare(first, default).differs == {"stream.preview": ("0.004", "not set")}
+
+
+def test_what_is_the_same_in_every_run():
+    found = differences([[{"a": 1.0, "b": 1.0}] * 2, [{"a": 2.0, "b": 1.0}] * 2], {})
+    assert [one.p for one in found.values()] == [0.0, 1.0]
+
+
+def test_a_run_counts_once(tmp_path):
+    """A rollout made twice has the same measurements, whatever else is in its file."""
+    once, again, other = session(), session(metadata={"host": "another"}), session(bias=0.02)
+    for sides in (([once, again], [other]), ([other], [once, other, again])):
+        with pytest.raises(RecordingError, match="one run"):
+            g1stream.compare(*sides)
+    assert g1stream.compare([once, other], [again, session(bias=0.03)]).metrics["rmse"].p < 1.0
+
+
+def test_only_the_common_part_is_compared():
+    found = g1stream.compare(session(seconds=2.0, bias=0.01), session(seconds=4.0, bias=0.01))
+    assert (found.start_s, found.stop_s) == pytest.approx((0.0, 2.0), abs=0.01)
+    assert found.metrics["rmse"].change == pytest.approx(0.0, abs=1e-3)
+
+
+def test_another_motion_is_refused(monkeypatch):
+    first = session()
+    monkeypatch.setattr(
+        SyntheticSession, "joints", lambda self, time, late=0.0: np.zeros((3, len(time), 29))
+    )
+    with pytest.raises(RecordingError):
+        g1stream.compare(first, session())
+
+
+@pytest.mark.slow
+def test_only_joints_that_play_in_all_sessions_count():
+    config = Config.model_validate({"stream": {"ramp": 0.5, "hold": 0.1, "damp": 0.5}})
+    left, arms, right = (
+        g1stream.rollout("demo", joints=joints, seconds=0.5, config=config)
+        for joints in ("left_arm", "arms", "right_arm")
+    )
+    found, alone = g1stream.compare(left, arms), arms.tracking().rmse[15:22]
+    assert list(found.limbs) == ["left_arm"]
+    assert len(found.joints) == 7
+    assert found.metrics["rmse"].base == left.tracking().overall
+    assert found.metrics["rmse"].other == pytest.approx(np.sqrt(np.mean(alone**2)))
+    with pytest.raises(RecordingError, match="No joint"):
+        g1stream.compare([left, arms], right)
+
+
+def test_what_differs_is_said():
+    gains = {"kp": [60.0] * 29, "kd": [1.0] * 29}
+    soft = {"kp": [40.0] * 29, "kd": [1.0] * 29}
+    soft["kp"][:12] = [50.0] * 12
+    soft["kp"][12] = soft["kp"][25] = 60.0
+    stream = {"feedforward": "dynamics", "support": "bolted", "nominal_rate_hz": 500.0}
+    first = session(metadata={"gains": gains, "stream": stream})
+    other = session(metadata={"gains": soft, "stream": stream | {"feedforward": "velocity"}})
+    assert g1stream.compare(first, other).differs == {
+        "feed-forward": ("dynamics", "velocity"),
+        "gains.kp of legs": ("60", "50"),
+        "gains.kp of left_arm, waist_roll, waist_pitch, "
+        "right_shoulder_pitch, right_shoulder_roll, right_shoulder_yaw, "
+        "right_wrist_roll, right_wrist_pitch, right_wrist_yaw": ("60", "40"),
+    }
+
+
+@pytest.mark.parametrize(
+    ("wrong", "close"), [("rmsee", "rmse"), ("rmse.left_knee", "rmse.left_knee_joint")]
+)
+def test_an_unknown_metric_is_refused_with_those_that_there_are(wrong, close, capsys):
+    missing = ["compare", "not there", "--with", "not there either"]
+    assert main([*missing, "--fail-if", f"{wrong} > 1"]) == 2  # before anything is read
+    said = capsys.readouterr().err
+    assert close in said.split("Choose from")[0].split("Close matches")[1]
+    assert "mpjpe_world" in said
+    assert "right_wrist_yaw_joint" in said
+
+
+def of(comparison, text):
+    """Whether a condition holds for a comparison."""
+    return Condition(text).holds(*comparison.named())
+
+
+def test_a_condition_on_metrics_alone():
+    condition = Condition("rmse > 0.02 and not max < 0.1")
+    assert condition.metrics == ["rmse", "max"]
+    assert condition.holds({"rmse": 0.03, "max": 0.2})
+    assert not condition.holds({"rmse": 0.03, "max": 0.05})
+    with pytest.raises(ConfigError):
+        Condition("rmse > base").holds({"rmse": 0.03})
+
+
+@pytest.mark.parametrize(
+    ("text", "holds"),
+    [
+        ("rmse > 1.1 * base", True),
+        ("rmse > 1.5 * base", False),
+        ("rmse.left_leg > base and rmse.left_knee_joint > base", True),
+        ("not rmse > base", False),
+        ("0.012 < rmse < 0.014", True),
+        ("rmse - base > 0.5 or mpjpe > 1e9", False),
+        ("rmse / mae > 0.5", True),
+        ("rmse > base and p.rmse < 0.05 and p.left_leg < 0.05 and p.left_knee_joint < 0.05", True),
+        ("p.rate < 0.05", False),
+        ("rmse > 1 / (rmse - rmse)", None),
+        ("rmse > 1 / (rmse - rmse) or rmse > base", True),
+    ],
+)
+def test_conditions(worse, text, holds):
+    assert of(worse, text) is holds
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "rmse",
+        "rmse >",
+        "base > 1",
+        "rmse + p99 > base",
+        "rmse == base",
+        "rmse > True",
+        "rmse > '1'",
+        "__import__('os').system('true') > 0",
+        "(lambda: 1)() > 0",
+        "rmse.left_leg.x > 0",
+        "rmse > 2 ** 99",
+        "[r for r in (1,)] > 0",
+        "(" * 300 + "rmse" + ")" * 300 + " > 1",
+        "rmse > " + "-" * 600 + "1",
+    ],
+)
+def test_what_is_no_condition(text):
+    with pytest.raises(ConfigError):
+        Condition(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "holds"),
+    [
+        ("rmse > 0.02", None),
+        ("not rmse > 0.02", None),
+        ("ok > 0 and rmse > 0.02", False),
+        ("rmse > 0.02 and ok > 0", False),
+        ("ok < 1 or rmse > 0.02", True),
+        ("rmse > 0.02 or ok > 0", None),
+        ("ok < 1 and rmse > 0.02", None),
+        ("1 / ok > 2", None),
+        ("ok > 0 and 1 / ok > 2", False),
+    ],
+)
+def test_what_takes_an_unknown_metric_is_not_told(text, holds):
+    assert Condition(text).holds({"rmse": None, "ok": 0.0}) is holds
+
+
+@pytest.mark.parametrize("text", ["speed > 1", "rmse.left_hand > base", "p.rmse > base"])
+def test_conditions_that_cannot_be_told(worse, text):
+    with pytest.raises(ConfigError):
+        of(worse, text)
+
+
+def test_the_command(tmp_path, capsys):
+    paths = []
+    for name, bias in (("a", 0.01), ("b", 0.02)):
+        paths.append(str(tmp_path / f"{name}.mcap"))
+        with SessionWriter(paths[-1]) as writer:
+            SyntheticSession(1.0, bias=bias).write(writer)
+    given = ["compare", paths[0], "--with", paths[1]]
+    assert main(given) == 0
+    assert main([*given, "--fail-if", "rmse > 1.1 * base"]) == 1
+    capsys.readouterr()
+    assert main([*given, "--fail-if", "rmse < base"]) == 0
+    assert "passed: rmse < base does not hold" in capsys.readouterr().out
+    assert main([*given, "--fail-if", "1 / (rmse - rmse) < 0"]) == 1
+    assert "cannot be told: it divides by 0" in capsys.readouterr().out
+    assert main([*given, "--fail-if=-rmse < 0"]) == 1
+    assert "FAILED: -rmse < 0 holds" in capsys.readouterr().out
+    missing = ["compare", "not there", "--with", "not there either"]
+    assert main([*missing, "--fail-if", "p.rmse < 0.05"]) == 2
+    assert "two or more" in capsys.readouterr().err
+    assert main(["compare", paths[0]]) == 2
+    page = tmp_path / "compare.html"
+    assert main([*given, "-o", str(page)]) == 0
+    assert main([*given, "-o", str(page)]) == 2
+    assert main([*given, "-o", str(page), "--force"]) == 0
+    assert main([*given, "--fail-if", "rmse"]) == 2
+    capsys.readouterr()
+    assert main([*given, "--json", "--fail-if", "rmse > base"]) == 1
+    assert '"failed": true' in capsys.readouterr().out
+
+
+def test_three_sessions_without_a_common_part_are_refused():
+    whole = session(seconds=4.0)
+    early, late = whole.sel(time=slice(0.0, 1.0)), whole.sel(time=slice(3.0, None))
+    with pytest.raises(RecordingError):
+        g1stream.compare(whole, [early, late])
+    touching = whole.sel(time=slice(0.95, None))
+    with pytest.raises(RecordingError):
+        g1stream.compare(early, touching)
+
+
+def test_a_short_common_part_is_compared():
+    whole = session(seconds=4.0, bias=0.01)
+    early, late = whole.sel(time=slice(0.0, 1.0)), whole.sel(time=slice(0.85, None))
+    found = g1stream.compare(early, late)
+    assert found.stop_s - found.start_s == pytest.approx(0.15, abs=0.01)
+    assert found.metrics["rmse"].base == pytest.approx(0.01, rel=0.1)

@@ -1,0 +1,318 @@
+"""The page says what the JSON says, of whatever there is, and trusts no text of a file."""
+
+import base64
+import csv
+import gzip
+import io
+import json
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+import g1stream
+from g1stream.config import Config
+from g1stream.errors import ConfigError, RecordingError
+from g1stream.extras.report.page import numbers, to_csv
+from g1stream.extras.report.tables import Column, table
+from g1stream.robot.joints import JOINT_NAMES
+from g1stream.session.session import open_session
+
+
+class Page(HTMLParser):
+    """The values in the tables of a page, by key, and as they are shown; its text; its scripts."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.values, self.shown, self.texts, self.scripts = {}, {}, [], []
+        self._key, self._in = None, []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        self._in.append(tag)
+        found = dict(attributes)
+        if tag == "data":
+            self._key = found["data-key"]
+            self.values[self._key] = json.loads(found["value"])
+        if tag == "script":
+            self.scripts.append(found.get("id"))
+
+    def handle_endtag(self, tag):
+        while self._in and self._in.pop() != tag:
+            pass
+
+    def handle_data(self, data):
+        if "data" in self._in:
+            self.shown[self._key] = data
+        if not {"script", "style"} & set(self._in):
+            self.texts.append(data)
+
+
+def figures(text):
+    packed = re.search(r'id="figures">([^<]+)<', text)[1]
+    return json.loads(gzip.decompress(base64.b64decode(packed)))
+
+
+def floats(text):
+    return np.frombuffer(base64.b64decode(text), dtype="<f4")
+
+
+def at(values, key):
+    for part in key.split("."):
+        values = values[int(part) if isinstance(values, list) else part]
+    return values
+
+
+@pytest.fixture
+def path(play, write_session):
+    return write_session(
+        *play(0.04, 0.1), {"motion": {"name": "dance"}, "versions": {"numpy": "9"}}
+    )
+
+
+def test_the_tables_are_the_json(path, tmp_path):
+    text = g1stream.report(path, tmp_path / "report.html").read_text()
+    page, values = Page(text), numbers(path)
+    assert len(page.values) > 29 * 5
+    for key, value in page.values.items():
+        assert value == at(values, key), key
+    for joint, one in values["sessions"][0]["metrics"]["tracking"]["joints"].items():
+        key = f"sessions.0.metrics.tracking.joints.{joint}"
+        assert page.shown[f"{key}.rmse_rad"] == f"{np.degrees(one['rmse_rad']):.3f}"
+        assert page.values[f"{key}.max_abs_rad"] == one["max_abs_rad"]
+    words = " ".join(page.texts)
+    for what in ("dance", "numpy 9", "RAMP 0.50 s"):
+        assert what in words
+
+
+def test_the_numbers_are_the_sessions(path):
+    (one,) = numbers(path)["sessions"]
+    session = open_session(path)
+    assert one["metrics"] == json.loads(session.metrics().model_dump_json())
+    assert one["summary"] == json.loads(session.summary().model_dump_json())
+    rows = list(csv.DictReader(io.StringIO(to_csv(path))))
+    assert {row["session"] for row in rows} == {str(path)}
+    told = {row["key"]: row["value"] for row in rows}
+    assert len(told) == len(rows)
+    knee = one["metrics"]["tracking"]["joints"]["left_knee_joint"]
+    assert float(told["tracking.joints.left_knee_joint.rmse_rad"]) == knee["rmse_rad"]
+
+
+@pytest.mark.slow
+def test_the_figures_lose_no_peak(play, write_session, tmp_path):
+    reference, measured = play(phases=((1, 0.5), (2, 20.0), (4, 0.2)))
+    measured.q[4321, 7] += 0.5
+    path = write_session(reference, measured)
+    (drawn,) = figures(g1stream.report(path, tmp_path / "report.html").read_text())
+    error = open_session(path).tracking().error[:, 7]
+    (line,) = drawn["signals"]["error"]["lines"]
+    shown = floats(line["joints"][7]["y"])
+    assert len(shown) < len(error) / 2
+    assert np.abs(shown).max() == pytest.approx(np.degrees(np.abs(error).max()))
+    assert len(floats(line["joints"][7]["x"])) == len(shown)
+    assert drawn["first_joint"] == int(open_session(path).tracking().rmse.argmax())
+
+
+def test_the_lateness_histogram_keeps_every_tick(play, write_session, tmp_path):
+    histogram = {"0": 5, "12": 7, "19": 1, "20": 2, "4999": 1}
+    path = write_session(*play(), {"stream": {"lateness_histogram_us": histogram}})
+    (drawn,) = figures(g1stream.report(path, tmp_path / "report.html").read_text())
+    bins = {one["us"]: one["ticks"] for one in drawn["lateness"] if one["ticks"]}
+    assert bins == {"0–1": 5, "10–20": 8, "20–30": 2, "3000–5000": 1}
+
+
+@pytest.mark.slow
+def test_the_physics_of_what_was_played(tmp_path):
+    path = tmp_path / "walk.csv"
+    g1stream.load_motion("demo").frames(0, 24).save(path)
+    whole, part = g1stream.load_motion(path), g1stream.load_motion(path).frames(0, 18)
+    config = Config.model_validate({"stream": {"ramp": 0.5, "hold": 0.1, "damp": 0.5}})
+    rollouts = [
+        g1stream.rollout(one, support="bolted", seconds=0.5, config=config) for one in (whole, part)
+    ]
+    text = g1stream.report(rollouts, tmp_path / "report.html").read_text()
+    values = numbers(rollouts)
+    attached, reference = (one["physics"] for one in values["sessions"])
+    assert attached == json.loads(g1stream.motion_physics(whole).model_dump_json())
+    assert reference["frames"] == 0.5 * part.fps  # what was played of it
+    shown = {key: value for key, value in Page(text).values.items() if ".physics." in key}
+    assert {key.split(".")[1] for key in shown} == {"0", "1"}
+    for key, value in shown.items():
+        assert value == at(values, key), key
+    assert "bolted, as in this session" in " ".join(Page(text).texts)
+
+
+def test_the_physics_of_nothing(play, write_session, tmp_path):
+    twice = ((1, 0.2), (2, 0.5), (3, 0.2), (2, 0.5), (4, 0.2))
+    without = play()._replace(reference=None)
+    cases = {"Several motions": play(phases=twice), "no messages on /reference": without}
+    for reason, streams in cases.items():
+        path = write_session(*streams, name=f"{reason.replace('/', '')}.mcap")
+        assert numbers(path)["sessions"][0]["physics"] is None
+        page = g1stream.report(path, path.with_suffix(".html")).read_text()
+        section = page.partition("Physics of the motion")[2].partition("<h3>")[0]
+        assert reason in section
+
+
+def test_several_sessions_share_the_script(path, play, write_session, tmp_path):
+    other = write_session(*play(0.02), name="other.mcap")
+    text = g1stream.report([path, open_session(other)], tmp_path / "report.html").read_text()
+    page = Page(text)
+    assert page.scripts == ["plotly", "figures", None]
+    assert len(figures(text)) == 2
+    values = numbers([path, other])
+    for i in range(2):
+        for name in ("all_joints", "joints.waist_yaw_joint"):
+            key = f"sessions.{i}.metrics.tracking.{name}.rmse_rad"
+            assert page.values[key] == at(values, key)
+
+
+@pytest.mark.parametrize("lacks", ["reference", "measured"])
+def test_a_session_that_lacks_something_says_so(play, write_session, tmp_path, lacks):
+    streams = play()._asdict() | {lacks: None}
+    path = write_session(**streams)
+    text = g1stream.report(path, tmp_path / "report.html").read_text()
+    reason = numbers(path)["sessions"][0]["metrics"]["missing"]["tracking"]
+    assert reason in " ".join(Page(text).texts)
+    (drawn,) = figures(text)
+    assert len(drawn["signals"]["q"]["lines"]) == 1
+    assert 'data-figure="joint"' in text
+    assert 'data-figure="rmse_deg"' not in text
+
+
+@pytest.mark.slow
+def test_the_session_of_a_killed_recorder(play, write_session, tmp_path):
+    path = write_session(*play(), close=False)
+    page = Page(g1stream.report(path, tmp_path / "report.html").read_text())
+    assert "did not close the file" in " ".join(page.texts)
+    assert "sessions.0.metrics.tracking.all_joints.rmse_rad" in page.values
+
+
+def test_a_converted_motion(tmp_path):
+    g1stream.convert("demo", tmp_path / "motion.mcap")
+    text = g1stream.report(tmp_path / "motion.mcap", tmp_path / "report.html").read_text()
+    page = Page(text)
+    assert "no messages on /reference and /lowstate" in " ".join(page.texts)
+    assert 'class="verdict "' in text  # neither good nor bad
+    (session,) = numbers(tmp_path / "motion.mcap")["sessions"]
+    motion = g1stream.motion_physics(g1stream.load_motion("demo"))
+    assert session["physics"]["frames"] == motion.frames
+    assert session["physics"]["tilt_rad"] == pytest.approx(motion.tilt_rad)
+    assert {key.split(".")[2] for key in page.values} == {"physics"}
+    (drawn,) = figures(text)
+    assert [len(drawn["signals"][one]["lines"]) for one in ("q", "error", "tau")] == [1, 0, 0]
+
+
+def test_a_column_in_which_nothing_is_said_is_left_out():
+    rows = [("free", f"verdicts.{i}", {"where": "", "worst": 1.0}) for i in range(2)]
+    text = table("support", (Column("of", "", "where"), Column("worst", "", "worst")), rows)
+    assert "worst" in text
+    assert "of" not in re.findall(r"<th[^>]*>([^<]*)<", text)
+
+
+def test_a_session_that_is_not_there_is_named_before_a_page_that_is(path, tmp_path):
+    out = tmp_path / "report.html"
+    out.write_text("older")
+    for missing in (tmp_path / "nope.mcap", [path, tmp_path / "nope.mcap"]):
+        with pytest.raises(RecordingError, match=r"nope\.mcap"):
+            g1stream.report(missing, out)
+
+
+def test_no_text_of_a_file_becomes_markup(play, write_session, tmp_path):
+    evil = "</script><script>alert(1)</script>"
+    metadata = {"motion": {"name": evil}, "stream": {"reason": evil}, "versions": {evil: "1"}}
+    path = write_session(*play(), metadata, name="<b>&amp.mcap")
+    text = g1stream.report(path, tmp_path / "report.html").read_text()
+    assert evil not in text
+    assert Page(text).scripts == ["plotly", "figures", None]
+    assert "<b>" not in text
+
+
+def test_a_video_beside_the_session_is_shown(path, tmp_path):
+    path.with_suffix(".mp4").write_bytes(b"film")
+    text = g1stream.report(path, tmp_path / "report.html").read_text()
+    assert f"data:video/mp4;base64,{base64.b64encode(b'film').decode()}" in text
+
+
+@pytest.mark.slow
+def test_a_video_is_rendered_into_the_page(play, write_session, tmp_path, monkeypatch):
+    av = pytest.importorskip("av")
+    monkeypatch.setattr("g1stream.viewers.video.with_shapes", lambda robot: robot)
+    path = write_session(*play(phases=((1, 0.1), (2, 0.4), (4, 0.1))))
+    text = g1stream.report(path, tmp_path / "report.html", video=True).read_text()
+    video = base64.b64decode(re.search(r'data:video/mp4;base64,([^"]+)"', text)[1])
+    with av.open(io.BytesIO(video)) as container:
+        assert container.streams.video[0].width == 640
+    assert not path.with_suffix(".mp4").exists()
+
+
+@pytest.mark.slow
+def test_a_session_in_memory_has_no_video_beside_it(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    config = Config.model_validate({"stream": {"ramp": 0.5, "hold": 0.1, "damp": 0.5}})
+    session = g1stream.rollout("demo", seconds=0.2, config=config)
+    session.path.with_suffix(".png").write_bytes(b"of something else")
+    assert "<img" not in g1stream.report(session, tmp_path / "report.html").read_text()
+
+
+def test_what_cannot_be_written(path, tmp_path):
+    out = tmp_path / "report.html"
+    out.write_text("older")
+    with pytest.raises(RecordingError):
+        g1stream.report(path, out)
+    with pytest.raises(RecordingError):
+        g1stream.report(tmp_path / "nowhere.mcap", out, force=True)
+    with pytest.raises(ConfigError):
+        g1stream.report([], out, force=True)
+    assert out.read_text() == "older"
+    g1stream.report(path, out, force=True)
+    assert out.read_text().startswith("<!doctype html>")
+
+
+@pytest.mark.slow
+def test_the_tables_of_a_comparison_are_its_json(path, play, write_session, tmp_path):
+    others = [write_session(*play(0.04, offset), name=f"{offset}.mcap") for offset in (0.2, 0.21)]
+    out = tmp_path / "compare.html"
+    first = write_session(*play(0.04, 0.19), name="first.mcap")
+    comparison = g1stream.compare([path, first], others, page=out)
+    text = out.read_text()
+    page, values = Page(text), json.loads(comparison.model_dump_json())
+    assert len(page.values) > 29 * 5
+    for key, value in page.values.items():
+        assert value == at(values, key), key
+    rmse = values["joints"]["left_knee_joint"]["base"]
+    assert page.shown["joints.left_knee_joint.base"] == f"{np.degrees(rmse):.4g}"
+    assert page.shown["metrics.rmse.base"] == f"{np.degrees(values['metrics']['rmse']['base']):.4g}"
+    shown = [key for key in page.shown if re.fullmatch(r"joints\.\w+\.base", key)]
+    assert shown == [f"joints.{name}.base" for name in comparison.joints]
+    (drawn,) = figures(text)
+    assert [one["side"] for one in drawn["lines"]] == [0, 0, 1, 1]
+    time = open_session(others[0]).tracking().motion_time
+    shown = floats(drawn["lines"][2]["error"][3]["x"])
+    assert (shown[0], shown[-1]) == pytest.approx((time[0], time[-1]), abs=0.01)
+    with pytest.raises(RecordingError):
+        g1stream.compare(path, others[0], page=out)
+
+
+def test_a_session_is_not_replaced_by_its_page(path, tmp_path):
+    copy = tmp_path / "session.html"
+    copy.write_bytes(path.read_bytes())
+    for page in (tmp_path / "page.pdf", tmp_path / "page"):
+        with pytest.raises(ConfigError):
+            g1stream.report(copy, page)
+        with pytest.raises(ConfigError):
+            g1stream.compare(path, copy, page=page)
+        assert not page.exists()
+    with pytest.raises(RecordingError):
+        g1stream.report(copy, copy, force=True)
+    with pytest.raises(RecordingError):
+        g1stream.compare(path, copy, page=copy, force=True)
+    assert copy.read_bytes() == path.read_bytes()
+
+
+def test_the_joints_to_choose_from(path, tmp_path):
+    text = g1stream.report(path, tmp_path / "report.html").read_text()
+    options = re.findall(r'<option value="(\d+)"(?: selected)?>([^<]+)<', text)
+    plain = [name.removesuffix("_joint").replace("_", " ") for name in JOINT_NAMES]
+    assert options == [(str(i), name) for i, name in enumerate(plain)]

@@ -1,0 +1,137 @@
+"""Layouts show only what is in session files, as official decoders see it."""
+
+from __future__ import annotations
+
+import json
+import re
+from typing import Any
+from xml.etree import ElementTree
+
+import pytest
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoderFactory
+from mcap_ros2.decoder import DecoderFactory as Ros2DecoderFactory
+
+import g1stream
+from g1stream.config import Config
+from g1stream.robot.joints import JOINT_NAMES, TORQUE_LIMIT
+from g1stream.robot.model import G1
+from g1stream.view.layouts import (
+    DEFAULT_JOINTS,
+    foxglove_layout,
+    plotjuggler_layout,
+    worst_joints,
+)
+
+PATH = re.compile(r'(/[\w/]+)\.(?:joints\[:\]\{name=="(\w+)"\}\.)?(\w+)')
+
+
+@pytest.fixture(scope="module")
+def session():
+    config = Config.model_validate({"stream": {"ramp": 0.5, "hold": 0.1, "damp": 0.5}})
+    return g1stream.rollout("demo", support="hanging", seconds=0.5, config=config)
+
+
+@pytest.fixture(scope="module")
+def decoded(session, tmp_path_factory) -> dict[str, list[Any]]:
+    """By topic, the first messages of the session, decoded by official packages."""
+    path = tmp_path_factory.mktemp("layouts") / "session.mcap"
+    session.save(path)
+    found: dict[str, list[Any]] = {}
+    factories = [ProtobufDecoderFactory(), Ros2DecoderFactory()]
+    with path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=factories)
+        for schema, channel, message in reader.iter_messages():
+            messages = found.setdefault(channel.topic, [])
+            if len(messages) < 50 and channel.message_encoding != "json":
+                decoder = next(
+                    made
+                    for factory in factories
+                    if (made := factory.decoder_for(channel.message_encoding, schema))
+                )
+                messages.append(decoder(message.data))
+            elif channel.message_encoding == "json":
+                messages.append(json.loads(message.data))
+    return found
+
+
+def series(layout: dict[str, Any]) -> list[str]:
+    return [
+        path["value"]
+        for name, panel in layout["configById"].items()
+        if name.startswith(("Plot", "StateTransitions"))
+        for path in panel["paths"]
+    ]
+
+
+def names_in(tree: Any) -> set[str]:
+    if isinstance(tree, str):
+        return {tree}
+    return names_in(tree["first"]) | names_in(tree["second"])
+
+
+def test_every_series_is_in_the_messages(session, decoded):
+    layout = foxglove_layout(worst_joints(session))
+    limits = []
+    for value in series(layout):
+        match = PATH.fullmatch(value)
+        if match is None:
+            limits.append(float(value))
+            continue
+        topic, name, field = match.groups()
+        if name:
+            (one,) = (joint for joint in decoded[topic][0].joints if joint.name == name)
+            assert one.HasField(field)
+        elif isinstance(decoded[topic][0], dict):
+            assert any(field in message for message in decoded[topic])
+        else:
+            assert getattr(decoded[topic][0], field) == 1  # RAMP
+    robot = G1.default()
+    expected = {
+        sign * robot.torque_limit[JOINT_NAMES.index(joint)]
+        for joint in worst_joints(session)
+        for sign in (1, -1)
+    }
+    assert set(limits) == expected
+    assert max(expected) <= max(TORQUE_LIMIT)
+
+
+def test_every_panel_is_placed_and_every_scene_is_a_topic(decoded):
+    layout = foxglove_layout(DEFAULT_JOINTS)
+    panels = layout["configById"]
+    placed = names_in(layout["layout"])
+    for tab in panels["Tab!joints"]["tabs"]:
+        placed |= names_in(tab["layout"])
+    assert placed == set(panels)
+    robot = panels["3D!robot"]
+    assert set(robot["topics"]) <= set(decoded)
+    frames = {
+        transform.child_frame_id
+        for topic in ("/tf", "/measured/tf", "/ghost/tf")
+        for transform in decoded[topic][0].transforms
+    }
+    assert {name.removeprefix("frame:") for name in robot["transforms"]} == {*frames, "world"}
+    assert robot["followTf"] in frames
+
+
+def test_the_worst_joints_come_first(session):
+    rmse = session.tracking().rmse
+    worst = [JOINT_NAMES.index(name) for name in worst_joints(session)]
+    assert len(worst) == 6
+    assert rmse[worst[0]] == rmse.max()
+    assert (rmse >= rmse[worst[-1]]).sum() == 6
+
+
+def test_where_there_is_nothing_to_compare_the_default_joints_are_plotted(session):
+    assert worst_joints(session.sel(phase="RAMP")) == DEFAULT_JOINTS
+
+
+def test_plotjugglers_curves_are_named_by_joint():
+    root = ElementTree.fromstring(plotjuggler_layout(DEFAULT_JOINTS))
+    names = {curve.get("name") for curve in root.iter("curve")}
+    assert names == {
+        f"/{which}/joint_states/{joint}/{field}"
+        for which in ("reference", "measured")
+        for joint in DEFAULT_JOINTS
+        for field in ("position", "effort")
+    }

@@ -1,0 +1,152 @@
+"""Batches of wire samples in, messages of the file out, with no DDS participant."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
+from foxglove_schemas_protobuf.Log_pb2 import Log as LogLine
+
+from g1stream.config import RecordConfig
+from g1stream.dds.messages import LOG, LOWSTATE, REFERENCE, Batch, Log, LowState, Reference
+from g1stream.robot.joints import JOINT_GROUPS
+from g1stream.robot.model import G1
+from g1stream.view.pipeline import Decimator, MessagePipeline
+
+T0 = 1_700_000_000_000_000_000
+
+
+def batch(message, times, **fields):
+    """One sample per time with these fields, received 50 us after it was published."""
+    for name, value in fields.items():
+        if isinstance(value, str):
+            setattr(message, name, value)
+        else:
+            getattr(message, name)[...] = value
+    return Batch([message.tobytes()] * len(times), [t + 50_000 for t in times], list(times))
+
+
+def batches_of(times):
+    upright = np.array([1.0, 0.0, 0.0, 0.0])
+    return {
+        REFERENCE.name: batch(Reference(), times, q=0.5, dq=0.25, root_quat_wxyz=upright),
+        LOWSTATE.name: batch(LowState(), times, q=0.25, tau_est=3.0, quaternion=upright),
+        LOG.name: batch(Log(), times[:1], level=3, name="stream", text="late"),
+    }
+
+
+def make_pipeline(channels):
+    return MessagePipeline(G1.default(), RecordConfig(channels=channels))
+
+
+TIMES = [T0 + 2_000_000 * i for i in range(50)]
+JOINT_STATES = {f"/{name}/joint_states" for name in ("reference", "measured", "tracking_error")}
+
+
+def test_batches_become_raw_and_derived_messages():
+    pipeline = make_pipeline("full")
+    times, batches = TIMES, batches_of(TIMES)
+    made = {messages.topic: messages for messages in pipeline.encode(batches)}
+    assert {topic: len(messages.payloads) for topic, messages in made.items()} == {
+        "/reference": 50,
+        "/lowstate": 50,
+        "/reference/joint_states": 50,
+        "/measured/joint_states": 50,
+        "/tf": 10,
+        "/measured/tf": 10,
+        "/ghost/tf": 10,
+        "/measured/path": 1,
+        "/timing/commands": 2,
+        "/timing/states": 2,
+        "/log": 1,
+        "/tracking_error/joint_states": 50,
+        "/tracking_error/limbs": 10,
+    }
+    assert list(made["/lowstate"].payloads) == batches[LOWSTATE.name].data
+    for messages in made.values():
+        assert set(messages.log_times - messages.publish_times) == {50_000}
+    error = JointStates.FromString(bytes(made["/tracking_error/joint_states"].payloads[7]))
+    assert [joint.position for joint in error.joints] == [0.25] * 29
+    assert {joint.velocity for joint in error.joints} == {0.25}
+    measured = JointStates.FromString(bytes(made["/measured/joint_states"].payloads[7]))
+    assert {(joint.position, joint.effort) for joint in measured.joints} == {(0.25, 3.0)}
+    assert tuple(joint.name for joint in measured.joints) == G1.default().joint_names
+    transforms = FrameTransforms.FromString(bytes(made["/measured/tf"].payloads[1])).transforms
+    assert transforms[0].timestamp.ToNanoseconds() == times[5]
+    assert transforms[0].child_frame_id == "measured/pelvis"
+    ghost = FrameTransforms.FromString(bytes(made["/ghost/tf"].payloads[1])).transforms
+    root, knee = ghost[0], next(t for t in ghost if t.child_frame_id == "ghost/left_knee_link")
+    assert (root.parent_frame_id, root.child_frame_id) == ("measured/pelvis", "ghost/pelvis")
+    assert (root.rotation.w, root.translation.x, root.translation.z) == (1.0, 0.0, 0.0)
+    reference = FrameTransforms.FromString(bytes(made["/tf"].payloads[1])).transforms
+    same = next(t for t in reference if t.child_frame_id == "left_knee_link")
+    assert knee.rotation == same.rotation
+    limbs = JointStates.FromString(bytes(made["/tracking_error/limbs"].payloads[3]))
+    assert {joint.name: joint.position for joint in limbs.joints} == dict.fromkeys(
+        JOINT_GROUPS, 0.25
+    )
+    line = LogLine.FromString(made["/log"].payloads[0])
+    assert (line.level, line.name, line.message) == (3, "stream", "late")
+    assert pipeline.encode({}) == []
+
+
+def test_standard_has_the_same_with_joint_states_as_often_as_transforms():
+    made = {
+        name: {one.topic: one for one in make_pipeline(name).encode(batches_of(TIMES))}
+        for name in ("standard", "full")
+    }
+    assert made["standard"].keys() == made["full"].keys() > JOINT_STATES
+    for topic, full in made["full"].items():
+        standard = made["standard"][topic]
+        kept = slice(None, None, 5) if topic in JOINT_STATES else slice(None)
+        assert standard.publish_times.tolist() == full.publish_times[kept].tolist()
+        assert standard.log_times.tolist() == full.log_times[kept].tolist()
+        assert list(map(bytes, standard.payloads)) == list(map(bytes, full.payloads))[kept]
+
+
+def test_raw_has_samples_and_log_only_and_aligns_the_yaw_all_the_same():
+    raw, full = map(make_pipeline, ("raw", "full"))
+    batches = batches_of(TIMES)
+    made = {messages.topic: messages for messages in raw.encode(batches)}
+    assert made.keys() == {"/reference", "/lowstate", "/log"}
+    assert list(made["/reference"].payloads) == batches[REFERENCE.name].data
+    assert raw.file_header(T0) == []
+    full.encode(batches)
+    assert raw.base.summary() == full.base.summary()
+    assert raw.base.yaw_offset is not None
+
+
+def test_timing_has_the_longest_interval_and_latency_of_each_span():
+    pipeline = MessagePipeline(G1.default())
+    start = T0 // 50_000_000 * 50_000_000
+    first = [start + 2_000_000 * i for i in range(10)]
+    later = [first[-1] + 30_000_000 + 2_000_000 * i for i in range(5)]
+    found = []
+    for times in (first, later):
+        states = batch(LowState(), times)
+        states.log_times[1] += 400_000
+        made = pipeline.encode({LOWSTATE.name: states})
+        found += [json.loads(p) for m in made if m.topic == "/timing/states" for p in m.payloads]
+    assert found == [
+        {"interval_ms": 2.0, "latency_ms": 0.45},
+        {"interval_ms": 30.0, "latency_ms": 0.05},
+        {"interval_ms": 2.0, "latency_ms": 0.45},
+    ]
+
+
+@pytest.mark.parametrize(("rate", "kept"), [(500, 100), (1000, 100), (100, 100), (30, 30)])
+def test_decimator_thins_a_fast_stream_evenly_and_keeps_a_slow_one(rate, kept):
+    stamps = T0 + np.arange(rate) * (1_000_000_000 // rate)
+    decimator = Decimator(100)
+    picked = np.concatenate([part[decimator.pick(part)] for part in np.array_split(stamps, 20)])
+    assert len(picked) == kept
+    assert set(np.diff(picked)) == {1_000_000_000 // kept}
+
+
+def test_decimator_of_an_empty_batch():
+    decimator = Decimator(100)
+    assert len(decimator.pick(np.array([], dtype=np.int64))) == 0
+    assert len(decimator.pick(np.array([5, 6]))) == 1

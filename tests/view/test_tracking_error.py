@@ -1,0 +1,94 @@
+"""The tracking error against trajectories whose difference is known at every time."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from g1stream.view.tracking_error import Track, TrackingError
+
+T0 = 1_700_000_000_000_000_000
+MS = 1_000_000
+SLOPE = np.linspace(-2.0, 2.0, 29)
+
+
+def ramp(times_ms, offset=0.0, delay_ms=0.1):
+    """q rises by SLOPE each second; logged a little later."""
+    stamps = T0 + np.round(np.asarray(times_ms) * MS).astype(np.int64)
+    seconds = (stamps - T0)[:, np.newaxis] / 1e9
+    logged = stamps + round(delay_ms * MS)
+    return Track(stamps, logged, seconds * SLOPE + offset, np.tile(SLOPE, (len(stamps), 1)))
+
+
+def test_the_reference_is_interpolated_at_the_time_of_the_state():
+    error = TrackingError(29)
+    error.add_references(ramp(np.arange(0, 100, 2)))
+    error.add_states(ramp(np.arange(10, 60, 3.3), offset=0.25))
+    errors = error.take()
+    assert len(errors.publish_times) == len(np.arange(10, 60, 3.3))
+    np.testing.assert_allclose(errors.q, -0.25, atol=1e-12)
+    np.testing.assert_allclose(errors.dq, 0.0, atol=1e-12)
+
+
+def test_log_time_is_that_of_the_last_sample_used():
+    error = TrackingError(29)
+    error.add_references(ramp([0, 10], delay_ms=5))
+    error.add_states(ramp([5, 10], delay_ms=1))
+    errors = error.take()
+    assert ((errors.publish_times - T0) / MS).tolist() == [5, 10]
+    assert ((errors.log_times - T0) / MS).tolist() == [15, 15]
+
+
+def test_errors_do_not_depend_on_how_batches_are_cut():
+    references, states = ramp(np.arange(0, 400, 2)), ramp(np.arange(1, 390, 1), offset=0.1)
+    whole = TrackingError(29)
+    whole.add_references(references)
+    whole.add_states(states)
+    expected = whole.take().q
+    cut, made = TrackingError(29), []
+    for start in range(0, 400, 37):
+        cut.add_states(states.where(slice(start, start + 37)))
+        cut.add_references(references.where(slice(start // 2, (start + 37) // 2)))
+        made.append(cut.take().q)
+    cut.add_references(references.where(slice((start + 37) // 2, None)))
+    made.append(cut.take().q)
+    np.testing.assert_array_equal(np.concatenate(made), expected)
+
+
+def test_states_before_the_first_reference_have_no_error():
+    error = TrackingError(29)
+    error.add_states(ramp([0, 5]))
+    error.add_references(ramp([10, 20]))
+    error.add_states(ramp([15]))
+    published = error.take().publish_times
+    assert ((published - T0) / MS).tolist() == [15]
+
+
+def test_states_in_a_gap_of_the_reference_have_no_error():
+    error = TrackingError(29)
+    error.add_references(ramp([0, 10, 500, 510]))
+    error.add_states(ramp([5, 250, 505]))
+    published = error.take().publish_times
+    assert ((published - T0) / MS).tolist() == [5, 505]
+
+
+def test_waiting_samples_are_dropped_after_a_second():
+    error = TrackingError(29)
+    for start in range(0, 20_000, 1000):
+        error.add_states(ramp(np.arange(start, start + 1000)))
+        assert len(error.take().q) == 0
+    assert len(error._states.q) <= 1001
+    error = TrackingError(29)
+    for start in range(0, 20_000, 1000):
+        error.add_references(ramp(np.arange(start, start + 1000)))
+        error.take()
+    assert len(error._references.q) <= 1001
+
+
+def test_a_state_that_comes_a_batch_late_finds_its_reference():
+    error, published = TrackingError(29), []
+    references, states = ramp(np.arange(0, 400, 2)), ramp(np.arange(1, 390, 2))
+    for start in range(0, 250, 25):
+        error.add_references(references.where(slice(start, start + 25)))
+        error.add_states(states.where(slice(max(0, start - 25), start)))
+        published += error.take().publish_times.tolist()
+    assert published == states.publish_times.tolist()

@@ -77,8 +77,9 @@ def test_unarmed_asks_nothing():
         arming(False, "eth9")
 
 
-def test_anything_but_loopback_is_refused_unarmed(monkeypatch, capsys):
+@pytest.mark.parametrize("command", [["stream", "demo"], ["replay", "no-such.mcap"]])
+def test_anything_but_loopback_is_refused_unarmed(command, monkeypatch, capsys):
     monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
     monkeypatch.setattr("g1stream.dds.domain.interfaces", lambda: ["lo", "eth9"])
-    assert main(["stream", "demo", "--interface", "eth9", "--domain", "0"]) == 2
+    assert main([*command, "--interface", "eth9", "--domain", "0"]) == 2
     assert "--arm" in capsys.readouterr().err

@@ -6,7 +6,9 @@ from dataclasses import replace
 from math import isfinite
 from typing import TYPE_CHECKING
 
+from g1stream.app.arming import require_arming
 from g1stream.app.stream import stream
+from g1stream.config import Config
 from g1stream.errors import ConfigError
 from g1stream.session.session import Session, open_session
 
@@ -15,7 +17,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from g1stream.app.arming import ArmingReport
-    from g1stream.config import Config
     from g1stream.control.loop import StreamLoop
     from g1stream.motion.motion import Motion
     from g1stream.session.summary import Summary
@@ -51,6 +52,8 @@ def replay(
         SafetyError: the robot is not armed, or the motion is beyond its limits.
         G1StreamError: a file, a setting or the wire does not allow it.
     """
+    config = config or Config()
+    require_arming(config.dds.interface, armed=arm is not None)
     if not (isfinite(speed) and speed > 0):
         raise ConfigError(f"The speed {speed} is not above 0.", "Give a --speed such as 0.5.")
     if not isinstance(session, Session):

@@ -18,13 +18,15 @@ from typing import TYPE_CHECKING, Any
 from g1stream._version import __version__
 
 if TYPE_CHECKING:
-    from g1stream.analysis.delay import Delay
-    from g1stream.analysis.tracking import Tracking
+    from g1stream.analysis.metrics import Metrics
+    from g1stream.analysis.summary import Summary
+    from g1stream.analysis.tracking import Delay, ErrorStats, Tracking, TrackingSummary
     from g1stream.app.convert import Conversion, ConvertReport, convert
     from g1stream.app.live import live
     from g1stream.app.record import record
     from g1stream.app.replay import replay
     from g1stream.app.rollout import rollout
+    from g1stream.app.session import Session, open_session
     from g1stream.app.sim import simulate
     from g1stream.app.stream import stream
     from g1stream.config import Config, load_config
@@ -44,12 +46,18 @@ if TYPE_CHECKING:
     from g1stream.motion.trajectory import Trajectory, TrajectoryPoint
     from g1stream.robot.joints import JOINT_NAMES
     from g1stream.robot.model import G1
-    from g1stream.session.metrics import Metrics
     from g1stream.session.motions import load_motion
-    from g1stream.session.session import Message, Session, open_session
-    from g1stream.session.stream import Stream
-    from g1stream.session.streams import Base, Command, LogEvent, Measured, Reference, TorsoImu
-    from g1stream.session.summary import PhaseInterval, Summary, TrackingSummary
+    from g1stream.session.recording import Message
+    from g1stream.session.records import PhaseInterval
+    from g1stream.session.streams import (
+        Base,
+        Command,
+        LogEvent,
+        Measured,
+        Reference,
+        Stream,
+        TorsoImu,
+    )
     from g1stream.sim.noise import SensorNoise
     from g1stream.sim.robot import SimReport
 
@@ -63,6 +71,7 @@ __all__ = [
     "Conversion",
     "ConvertReport",
     "Delay",
+    "ErrorStats",
     "G1StreamError",
     "JointRow",
     "Library",
@@ -116,7 +125,8 @@ _HOME = {
     "Config": "config",
     "Conversion": "app.convert",
     "ConvertReport": "app.convert",
-    "Delay": "analysis.delay",
+    "Delay": "analysis.tracking",
+    "ErrorStats": "analysis.tracking",
     "G1": "robot.model",
     "G1StreamError": "errors",
     "JOINT_NAMES": "robot.joints",
@@ -127,23 +137,23 @@ _HOME = {
     "LogEvent": "session.streams",
     "LowState": "dds.messages",
     "Measured": "session.streams",
-    "Message": "session.session",
-    "Metrics": "session.metrics",
+    "Message": "session.recording",
+    "Metrics": "analysis.metrics",
     "Motion": "motion.motion",
     "MotionPhysics": "extras.physics.result",
     "MotionRow": "extras.library.rows",
-    "PhaseInterval": "session.summary",
+    "PhaseInterval": "session.records",
     "Reference": "session.streams",
     "Samples": "dds.messages",
     "SensorNoise": "sim.noise",
-    "Session": "session.session",
+    "Session": "app.session",
     "SimReport": "sim.robot",
     "Standing": "extras.physics.stance",
     "Stream": "session.streams",
-    "Summary": "session.summary",
+    "Summary": "analysis.summary",
     "TorsoImu": "session.streams",
     "Tracking": "analysis.tracking",
-    "TrackingSummary": "session.summary",
+    "TrackingSummary": "analysis.tracking",
     "Trajectory": "motion.trajectory",
     "TrajectoryPoint": "motion.trajectory",
     "compare": "extras.report.compare",
@@ -153,7 +163,7 @@ _HOME = {
     "load_motion": "session.motions",
     "motion_physics": "extras.physics.measure",
     "open_library": "extras.library.table",
-    "open_session": "session.session",
+    "open_session": "app.session",
     "record": "app.record",
     "replay": "app.replay",
     "report": "extras.report.page",

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from g1stream.errors import RecordingError
-from g1stream.session.stream import Stream
-from g1stream.session.streams import LogEvent, Measured, Reference
+from g1stream.session.streams import LogEvent, Measured, Reference, Stream
 from g1stream.types import Phase
 from g1stream.view.encoders import encode_log
 

@@ -8,13 +8,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from g1stream.app.session import Session, open_session
 from g1stream.dds.messages import LowState
 from g1stream.errors import RecordingError
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
 from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1
 from g1stream.robot.visuals import read_visuals
-from g1stream.session.session import Session, open_session
 from g1stream.session.source import MemorySource
 from g1stream.view.encoders import encode_log
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from g1stream.app.session import open_session
 from g1stream.errors import ConfigError, RecordingError, RobotError
 from g1stream.robot.model import G1
-from g1stream.session.session import open_session
 from g1stream.viewers.offscreen import with_shapes
 from g1stream.viewers.video import AZIMUTHS, parse_size, render
 

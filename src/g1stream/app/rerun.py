@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from g1stream.analysis.tracking import worst_joints
 from g1stream.dds.messages import Samples
 from g1stream.errors import ConfigError, WireError
 from g1stream.recorder.observer import observe
 from g1stream.robot.model import G1
-from g1stream.session.stream import Stream
-from g1stream.session.streams import Base, LogEvent, Measured, Reference
-from g1stream.view.layouts import DEFAULT_JOINTS, worst_joints
+from g1stream.session.streams import Base, LogEvent, Measured, Reference, Stream
+from g1stream.view.layouts import DEFAULT_JOINTS
 from g1stream.viewers.rerun_layout import APPLICATION, import_rerun, rerun_layout
 from g1stream.viewers.rerun_log import RerunLog, log_session
 
@@ -30,9 +30,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from g1stream.app.session import Session
     from g1stream.config import Config
     from g1stream.session.format import MessageBatch
-    from g1stream.session.session import Session
 
 __all__ = ["log_live", "show_live", "show_session"]
 
@@ -60,7 +60,9 @@ def show_session(session: Session, address: str | None = None) -> None:
         WireError: the viewer does not take the data.
     """
     if address is not None:
-        with _connected(*_parse(address), rerun_layout(worst_joints(session))) as recording:
+        with _connected(
+            *_parse(address), rerun_layout(worst_joints(session, 6) or DEFAULT_JOINTS)
+        ) as recording:
             log_session(session, recording)
         return
     with TemporaryDirectory(prefix="g1stream-") as directory:

@@ -9,11 +9,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from g1stream.analysis.summary import summarise_run
+from g1stream.analysis.summarise import summarise_run
+from g1stream.analysis.summary import Summary, Termination
 from g1stream.app.arming import inspect_for_arming, motion_service, require_arming
 from g1stream.app.child_process import Child, ChildError
 from g1stream.app.guard import Guard
 from g1stream.app.ros2 import publishing_for_ros2
+from g1stream.app.session import open_session
 from g1stream.clock import SystemClock
 from g1stream.config import SHIPPED, Config, load_config
 from g1stream.control.arm_sdk import settings_for_arm_sdk
@@ -34,13 +36,9 @@ from g1stream.motion.fit import fit_to_robot
 from g1stream.motion.motion import Motion
 from g1stream.realtime import describe, on_time
 from g1stream.robot.model import G1
-from g1stream.session.info import MotionInfo, SessionInfo
 from g1stream.session.motions import load_motion
 from g1stream.session.parts import check_recording_path
-from g1stream.session.recorder_summary import RecorderSummary
-from g1stream.session.session import open_session
-from g1stream.session.stream_summary import StreamSummary
-from g1stream.session.summary import Summary, Termination
+from g1stream.session.records import MotionInfo, RecorderSummary, SessionInfo, StreamSummary
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -129,7 +127,7 @@ def stream(
         recorder = None
         if session:
             gains = gains_in_play(config, robot)._asdict()
-            info = SessionInfo.of(config, robot, motion, gains)
+            info = SessionInfo.from_config(config, robot, motion, gains)
             recorder = _RecorderChild(session, force, on_wire, info, loop)
         recording = None
         granted: list[Grant] = []
@@ -158,7 +156,7 @@ def stream(
         return open_session(recording.path).summary()
     return summarise_run(
         config,
-        motion=MotionInfo.of(motion),
+        motion=MotionInfo.from_motion(motion),
         termination=Termination(
             reason=report.reason,
             played_s=report.played / 1e9,

@@ -51,7 +51,7 @@ class Rerun(SettingsCommand):
         self._check()
         if self.live:
             return self._show_live()
-        from g1stream.session.session import open_session
+        from g1stream.app.session import open_session
 
         assert self.session is not None
         session = open_session(self.session)

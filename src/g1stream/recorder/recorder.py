@@ -18,10 +18,15 @@ from g1stream.dds.messages import ARM_SDK, LOWCMD, LOWSTATE, TOPICS
 from g1stream.errors import RecordingError
 from g1stream.events import severity
 from g1stream.realtime import quick_thread_switches
-from g1stream.recorder.clocks import DelayEstimator, StepDetector, read_clocks
-from g1stream.recorder.losses import Losses, dropped_datagrams
+from g1stream.recorder.diagnostics import (
+    DelayEstimator,
+    Losses,
+    StepDetector,
+    dropped_datagrams,
+    read_clocks,
+)
 from g1stream.recorder.receiver import Receiver
-from g1stream.session.recorder_summary import ClockStep, RecorderSummary, TopicDelay
+from g1stream.session.records import ClockStep, RecorderSummary, TopicDelay
 from g1stream.text import counted
 from g1stream.view.encoders import encode_log
 from g1stream.view.pipeline import CHANNEL_OF
@@ -31,7 +36,7 @@ if TYPE_CHECKING:
 
     from g1stream.dds.domain import Participant
     from g1stream.dds.messages import Batch
-    from g1stream.recorder.clocks import ClockReading
+    from g1stream.recorder.diagnostics import ClockReading
     from g1stream.session.writer import SessionWriter
     from g1stream.view.pipeline import MessagePipeline
 

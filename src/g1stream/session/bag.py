@@ -22,11 +22,9 @@ from g1stream.files import is_sqlite
 from g1stream.motion.motion import LARGEST, SMALLEST_QUAT
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.rotations import quat_normalize, wxyz_from_xyzw, xyzw_from_wxyz
-from g1stream.session.mcap_chunks import LATEST
-from g1stream.session.mcap_reader import McapFile
+from g1stream.session.mcap_reader import LATEST, McapFile, Messages
 from g1stream.session.parts import parts_of
 from g1stream.session.poses import motion_of_poses
-from g1stream.session.source import Messages
 from g1stream.session.streams import STREAMS, Reference
 from g1stream.text import counted
 from g1stream.types import Floats, Ints

@@ -9,9 +9,9 @@ from g1stream.errors import MotionError, RecordingError
 from g1stream.files import is_session, is_sqlite
 from g1stream.motion.files import motion_file, open_motion_file
 from g1stream.motion.motion import Motion, check_fps
-from g1stream.session.info import MotionInfo
 from g1stream.session.poses import motion_of_poses
-from g1stream.session.records import read_record
+from g1stream.session.recording import open_recording
+from g1stream.session.records import MotionInfo, read_record
 from g1stream.types import STREAM_RATE, Phase
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from g1stream.motion.check import FileReport
     from g1stream.robot.model import G1
     from g1stream.session.bag import Bag
-    from g1stream.session.session import Session
+    from g1stream.session.recording import Recording
     from g1stream.session.streams import Reference
     from g1stream.types import JointOrder
 
@@ -29,7 +29,7 @@ __all__ = [
     "attached_motion",
     "check_motion_file",
     "load_motion",
-    "reference_motion",
+    "motion_of",
 ]
 
 
@@ -63,9 +63,7 @@ def load_motion(
     if bag := _foreign_bag(path):
         return bag.motion(fps)
     if is_session(path):
-        from g1stream.session.session import open_session
-
-        return open_session(path).motion(fps)
+        return motion_of(open_recording(path), fps)
     file = open_motion_file(path_or_name, joint_order)
     if fps is not None:
         check_fps(fps, file.path.stem)
@@ -131,7 +129,25 @@ def check_motion_file(
     return FileReport(path, kind="session", motion=motion)
 
 
-def reference_motion(reference: Reference, path: Path, fps: float | None = None) -> Motion:
+def motion_of(session: Recording, fps: float | None = None) -> Motion:
+    """The motion that was played, as the reference has it; or what `convert` made of a motion.
+
+    Args:
+        session: a recording.
+        fps: frames per second; the rate of the reference if None.
+
+    Raises:
+        RecordingError: there is no motion in this session.
+        MotionError: `fps` is not a frame rate, or leaves less than two frames.
+    """
+    if session.converted:
+        from g1stream.session.bag import Bag
+
+        return Bag(session.path).motion(fps)
+    return _reference_motion(session.reference, session.path, fps)
+
+
+def _reference_motion(reference: Reference, path: Path, fps: float | None = None) -> Motion:
     """The reference in PLAY as a motion.
 
     Args:
@@ -153,7 +169,7 @@ def reference_motion(reference: Reference, path: Path, fps: float | None = None)
     return motion_of_poses(play.motion_time, play.q, play.root_pos, play.root_quat_wxyz, path, fps)
 
 
-def attached_motion(session: Session) -> Motion | None:
+def attached_motion(session: Recording) -> Motion | None:
     """The whole motion in the attached file, where that is the one which was played.
 
     None where no file is attached, or what was played is something else that was made of it.

@@ -29,7 +29,6 @@ from g1stream.errors import RecordingError
 from g1stream.files import output_errors
 from g1stream.session.format import CHANNELS, Channel
 from g1stream.session.parts import (
-    SessionFiles,
     check_recording_path,
     part_path,
     parts_directory,
@@ -38,6 +37,7 @@ from g1stream.session.parts import (
     temporary_path,
     write_metadata_yaml,
 )
+from g1stream.session.source import SessionFiles
 from g1stream.session.writer import SessionWriter
 from g1stream.view.encoders import MEASURED_PREFIX
 

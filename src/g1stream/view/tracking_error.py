@@ -6,69 +6,21 @@ The reference between two samples is taken as a straight line. Between samples f
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from g1stream.robot.joints import JOINT_GROUPS
+from g1stream.session.streams import MAX_GAP_NS, neighbours
 from g1stream.types import Floats, Ints
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["MAX_GAP_NS", "Neighbours", "Track", "TrackingError", "by_limb", "neighbours"]
-
-MAX_GAP_NS: Final = 100_000_000
-"""References further apart than this say nothing of the time between them."""
+__all__ = ["Track", "TrackingError", "by_limb"]
 
 #: How long a state waits for the reference that follows it, ns.
 _MAX_WAIT_NS: Final = 1_000_000_000
-
-
-class Neighbours(NamedTuple):
-    """The samples around K instants; an instant equal to a sample's time has it on both sides.
-
-    Attributes:
-        instants: (K,) which of the instants asked for.
-        before, after: (K,) indices of the samples.
-        gap: (K,) ns between the two.
-        weight: (K,) of the later one, 0 to 1.
-    """
-
-    instants: NDArray[np.intp]
-    before: NDArray[np.intp]
-    after: NDArray[np.intp]
-    gap: Ints
-    weight: Floats
-
-    def where(self, mask: NDArray[np.bool_] | slice) -> Neighbours:
-        """Some of the instants, by a mask (K,) or a slice."""
-        return Neighbours._make(values[mask] for values in self)
-
-    def interpolate(self, values: NDArray[Any]) -> Floats:
-        """(K, J) the samples' values (R, J) at the instants, linearly interpolated."""
-        earlier = values[self.before]
-        between: Floats = values[self.after] - earlier
-        between *= self.weight[:, np.newaxis]
-        between += earlier
-        return between
-
-
-def neighbours(times: Ints, instants: Ints) -> Neighbours:
-    """Find the samples around each instant; instants before the first and after the last drop out.
-
-    Args:
-        times: (R,) ns, not decreasing.
-        instants: (N,) ns, in any order.
-    """
-    after = np.searchsorted(times, instants)
-    exact = np.append(times, -1)[after] == instants
-    before = np.where(exact, after, after - 1)
-    inside = np.flatnonzero((before >= 0) & (after < len(times)))
-    before, after = before[inside], after[inside]
-    gap = times[after] - times[before]
-    weight = (instants[inside] - times[before]) / np.maximum(gap, 1)
-    return Neighbours(inside, before, after, gap, weight)
 
 
 class Track(NamedTuple):

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from g1stream.analysis.tracking import worst_joints
 from g1stream.config import RecordConfig
 from g1stream.dds.messages import played_joints
 from g1stream.files import complete_file
@@ -30,7 +31,7 @@ from g1stream.session.streams import Base, LogEvent, Measured, Reference
 from g1stream.text import short_name
 from g1stream.types import Floats, Ints, Phase
 from g1stream.view.encoders import IDENTITY_POSE
-from g1stream.view.layouts import LIMB_COLORS, MEASURED, RED, REFERENCE, worst_joints
+from g1stream.view.layouts import DEFAULT_JOINTS, LIMB_COLORS, MEASURED, RED, REFERENCE
 from g1stream.view.measured_base import MeasuredBase
 from g1stream.view.pipeline import GHOST_TINT, REFERENCE_TINT, Decimator
 from g1stream.view.scene import load_mesh
@@ -45,8 +46,8 @@ if TYPE_CHECKING:
 
     from g1stream.robot.model import G1
     from g1stream.robot.visuals import Visual
-    from g1stream.session.session import Session
-    from g1stream.session.stream import Stream
+    from g1stream.session.recording import Recording
+    from g1stream.session.streams import Stream
     from g1stream.view.scene import Rgba
 
 __all__ = ["RerunLog", "log_session", "save_session"]
@@ -62,10 +63,10 @@ _POINT: Final = 1e-3
 _LEVELS: Final = {"WARNING": "WARN", "FATAL": "CRITICAL"}
 
 
-def save_session(session: Session, path: Path, *, force: bool) -> Path:
+def save_session(session: Recording, path: Path, *, force: bool) -> Path:
     """See `Session.to_rerun`."""
     rr = import_rerun()
-    blueprint = rerun_layout(worst_joints(session))
+    blueprint = rerun_layout(worst_joints(session, 6) or DEFAULT_JOINTS)
     with complete_file(path, force=force) as temporary:
         recording = rr.RecordingStream(APPLICATION)
         recording.save(temporary, default_blueprint=blueprint)
@@ -76,7 +77,7 @@ def save_session(session: Session, path: Path, *, force: bool) -> Path:
     return path
 
 
-def log_session(session: Session, recording: Any) -> None:
+def log_session(session: Recording, recording: Any) -> None:
     """Log all of a session.
 
     Args:

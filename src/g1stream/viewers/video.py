@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from g1stream.session.session import Session
-    from g1stream.session.stream import Stream
+    from g1stream.session.recording import Recording
+    from g1stream.session.streams import Stream
 
     Picture = NDArray[np.uint8]
 
@@ -67,7 +67,7 @@ class Video:
 
 
 def render(
-    session: Session,
+    session: Recording,
     path: Path,
     *,
     start: float | None = None,
@@ -133,7 +133,7 @@ def parse_size(text: str) -> tuple[int, int]:
 
 
 def _frame_times(
-    session: Session, start: float | None, duration: float | None, fps: float
+    session: Recording, start: float | None, duration: float | None, fps: float
 ) -> Floats:
     """When each frame is, s on the motion's clock."""
     kinds = (Reference, Measured)
@@ -176,7 +176,7 @@ class Poses:
         robots: the measured robot with its ghost, or that of the two which is there.
     """
 
-    def __init__(self, session: Session, times: Floats) -> None:
+    def __init__(self, session: Recording, times: Floats) -> None:
         self._times = times
         present = session.topics.get
         reference = session.reference if present(Reference.topic) else None

@@ -47,7 +47,7 @@ __all__ = [
 MAX_KP, MAX_KD = 500.0, 50.0
 
 #: Commands with the same flags: those that go on DDS, play a motion, write a session file.
-_ON_ROBOT = ("demo", "stream", "sim", "record", "replay", "rerun", "doctor")
+_ON_ROBOT = ("demo", "stream", "sim", "record", "replay", "doctor")
 _DDS = (*_ON_ROBOT, "robot")
 _RECORD = ("stream", "replay", "record")
 _ROS = ("demo", "stream", "replay", "sim", "record")

@@ -45,7 +45,6 @@ _COMMANDS: Final = {
         "Render",
         "Make a video of a session: the robot, and its reference as a ghost.",
     ),
-    "rerun": ("rerun", "Rerun", "Show a session, or what is on DDS, in the Rerun viewer."),
     "repair": ("repair", "Repair", "Write the index of a session whose recorder was killed."),
     "layout": ("layout", "Layout", "Write a layout of a viewer that shows sessions."),
     "motion": ("motion", "Inspect", "Check a motion file: frames, joints, limits, physics."),

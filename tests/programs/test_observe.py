@@ -12,7 +12,7 @@ from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.messages import LowState
 from g1stream.dds.topics import LOWSTATE
-from g1stream.recorder.observer import observe
+from g1stream.programs.live import observe
 
 T0 = 1_700_000_000_000_000_000
 

@@ -91,7 +91,7 @@ class Library(SettingsCommand):
         shown="none",
     )
     sessions: bool = flag(False, "simulate: keep each session, and its report.")
-    to: Literal["npz", "csv", "parquet", "mcap"] = flag("npz", "convert: format of the files.")
+    to: Literal["npz", "csv", "mcap"] = flag("npz", "convert: format of the files.")
     workers: int | None = flag(None, "Processes on this machine.", "N", shown="CPUs", gt=0)
     cluster: str | None = flag(
         None, "Use the workers of this Dask scheduler instead (extra `cluster`).", "ADDRESS"

@@ -20,7 +20,7 @@ __all__ = ["LIBRARY", "content_hash", "find_motions", "local_copy", "stem"]
 
 #: Of the files in a directory that may be motions; a file that is named is read whatever its name.
 _SUFFIXES: Final = {
-    *(".csv", ".npz", ".npy", ".parquet"),
+    *(".csv", ".npz", ".npy"),
     *(".pkl", ".pickle", ".joblib", ".pt", ".pth"),
     *(".mcap", ".db3"),
 }

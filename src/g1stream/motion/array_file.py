@@ -1,4 +1,4 @@
-"""Motion files of named arrays: NPZ, Parquet, pickles of arrays, and what PyTorch saves.
+"""Motion files of named arrays: NPZ, pickles of arrays, and what PyTorch saves.
 
 What the arrays are is told by their names and shapes, by the frame rate in the file, and where that
 leaves a choice by evidence: see `joint_order`.
@@ -32,7 +32,6 @@ from g1stream.motion.arrays import is_npy, is_zip, read_npy, read_npz
 from g1stream.motion.csv import DEFAULT_FPS
 from g1stream.motion.joint_order import Bodies, in_motor_order, names_in_order, tell_order
 from g1stream.motion.motion import SMALLEST_QUAT, Motion, norm_warnings
-from g1stream.motion.parquet import is_parquet, read_parquet
 from g1stream.motion.pickles import is_pickle, read_pickle
 from g1stream.motion.torch_file import is_torch, read_torch
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
@@ -57,7 +56,6 @@ _LYING: Final = 1.05
 _UPRIGHT: Final = 0.8
 #: What each kind of file is called, how it is recognised, and what reads it.
 _KINDS: Final[tuple[tuple[str, Callable[[bytes], bool], Callable[[bytes], Any]], ...]] = (
-    ("Parquet", is_parquet, read_parquet),
     ("NPY", is_npy, lambda data: {"qpos": read_npy(data)}),
     ("file of PyTorch", is_torch, read_torch),
     ("NPZ", is_zip, lambda data: read_npz(data, objects=True)),
@@ -83,15 +81,13 @@ class ArrayFile:
 
     Args:
         path: where it is, for messages.
-        content: its bytes: an NPZ, an NPY, a Parquet file, a file of PyTorch, or a pickle, plain
-            or of joblib.
+        content: its bytes: an NPZ, an NPY, a file of PyTorch, or a pickle, plain or of joblib.
         joint_order: of the joints, if the file does not name them; told by evidence if None.
         member: the name of the motion, in a file of several.
 
     Raises:
         MotionError: it cannot be read, or has no such motion. Anything else wrong in it is an error
             only when what it is about is asked for.
-        ConfigError: it is a Parquet file, and pyarrow is not installed.
 
     Attributes:
         path: as given.

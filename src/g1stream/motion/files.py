@@ -38,6 +38,7 @@ _NOT_READ: Final = {
     b"PXR-USDC": "a USD stage",
     b"\x89HDF": "an HDF5 file",
     b"MATLAB": "a MATLAB file",
+    b"PAR1": "a Parquet file",
     b"#ROSBAG V": "a bag of ROS 1",
     b"\x89PNG": "a PNG picture",
     b"\xff\xd8\xff": "a JPEG picture",
@@ -49,11 +50,11 @@ _NOT_READ: Final = {
 }
 #: Endings of files that are no text.
 _BINARY: Final = {
-    *(".npz", ".npy", ".parquet", ".mcap", ".db3"),
+    *(".npz", ".npy", ".mcap", ".db3"),
     *(".pkl", ".pickle", ".joblib", ".pt", ".pth"),
 }
 _READ: Final = (
-    "Read are CSV, NPZ, NPY, Parquet, pickles of arrays, files of PyTorch, session files, and bags "
+    "Read are CSV, NPZ, NPY, pickles of arrays, files of PyTorch, session files, and bags "
     "of ROS 2 and MCAP files with joint states: docs/formats.md says with which content."
 )
 

@@ -318,22 +318,20 @@ class Motion:
         return draw_motion(self, joints)
 
     def save(self, path: str | os.PathLike[str], *, force: bool = False) -> Path:
-        """Write a CSV, NPZ or Parquet file that `load_motion` reads back to the last bit.
+        """Write a CSV or NPZ file that `load_motion` reads back to the last bit.
 
         A CSV file has a header and 37 columns: frame number, root position (m), root quaternion
         (xyzw) and the joints (rad). It has no frame rate: give `load_motion` the `fps` of the
-        motion if it is not 30. A Parquet file (extra `export`) has the same columns, and `fps` in
-        its metadata. An NPZ file has the arrays `joint_pos`, `root_pos` and `root_quat_wxyz` of
-        this class, `joint_names` and `fps`.
+        motion if it is not 30. An NPZ file has the arrays `joint_pos`, `root_pos` and
+        `root_quat_wxyz` of this class, `joint_names` and `fps`.
 
         Args:
-            path: ends in .csv, .npz or .parquet.
+            path: ends in .csv or .npz.
             force: replace a file that exists.
 
         Raises:
             MotionError: the path has another ending.
             RecordingError: the file exists, is the one the motion came from, or cannot be written.
-            ConfigError: it is a Parquet file, and pyarrow is not installed.
         """
         from g1stream.motion.save import save_motion
 

@@ -10,7 +10,7 @@ from pyarrow import parquet
 import g1stream
 from g1stream.errors import RecordingError
 from g1stream.library import table
-from g1stream.library.rows import CONDITION_NAMES, JointRow, MotionRow, Rows, condition_values
+from g1stream.library.rows import CONDITION_NAMES, JointRow, MotionRow, Rows, condition_value
 from g1stream.library.table import open_library, writing
 
 
@@ -81,7 +81,7 @@ def test_a_condition_takes_numbers_and_answers():
     row = {"frames": 30, "free": "inexact", "rmse": np.nan, "success": True}
     assert {*row} < {*CONDITION_NAMES}
     others = {"status": "ok", "feet": "false"}  # as an older version wrote it
-    found = condition_values(row | others, ["ok", *row])
+    found = {name: condition_value(row | others, name) for name in ("ok", *row)}
     assert found == {"ok": 1.0, "frames": 30.0, "free": 0.5, "rmse": None, "success": 1.0}
 
 

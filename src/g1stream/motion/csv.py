@@ -242,8 +242,8 @@ class CsvFile:
             faults += [f"columns that are no joint: {', '.join(self.unknown)}"] * bool(self.unknown)
             raise self._error(
                 "; ".join(faults),
-                f"Name the columns {','.join(_ROOT_COLUMNS[1:])} and the {len(JOINT_NAMES)} joints, "
-                "in any order; or use the 36 columns of LAFAN1 and no header.",
+                f"Name the columns {','.join(_ROOT_COLUMNS[1:])} and the {len(JOINT_NAMES)} joints "
+                "in any order, or use the 36 columns of LAFAN1 and no header.",
                 line=1,
             )
 

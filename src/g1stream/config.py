@@ -14,6 +14,7 @@ from pydantic import ValidationError
 
 from g1stream.errors import ConfigError
 from g1stream.files import read_file
+from g1stream.input_limits import SETTINGS_FILE
 from g1stream.safety_settings import SafetyConfig
 from g1stream.settings import (
     LIVE_FLAG,
@@ -43,9 +44,6 @@ __all__ = ["SHIPPED", "Config", "load_config", "read_toml", "settings"]
 
 #: Config files that come with the package, found by name: `--config robot`.
 SHIPPED: Final = Path(__file__).with_name("configs")
-
-#: A TOML file has no more bytes than this.
-_LARGEST: Final = 2**20
 
 
 class Config(Table):
@@ -131,7 +129,7 @@ def read_toml(path: Path, what: str = "config") -> dict[str, Any]:
         ConfigError: it cannot be read, or is not TOML; calls it `what`.
     """
     try:
-        values: dict[str, Any] = tomllib.loads(read_file(path, _LARGEST).decode("utf-8"))
+        values: dict[str, Any] = tomllib.loads(read_file(path, SETTINGS_FILE).decode("utf-8"))
     except OSError as error:
         names = ", ".join(sorted(file.stem for file in SHIPPED.glob("*.toml")))
         raise ConfigError(

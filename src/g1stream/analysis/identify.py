@@ -11,6 +11,7 @@ from g1stream.control.revision import RevisionFit, Window
 from g1stream.control.state_checks import ImuReading
 from g1stream.control.time_scale import TimeScale
 from g1stream.errors import RecordingError
+from g1stream.input_limits import NUMBER
 from g1stream.robot.dynamics import InverseDynamics
 from g1stream.robot.joints import JOINT_GROUPS
 from g1stream.robot.model import G1, REVISIONS
@@ -26,8 +27,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Identification", "identify"]
 
-#: A reading with a value, in SI units, not below this is left out, as is NaN.
-_LARGEST: Final = 1e4
 #: More windows than these are thinned out.
 _MOST_WINDOWS: Final = 300
 _WAIST: Final = list(JOINT_GROUPS["waist"])
@@ -135,7 +134,7 @@ def _windows(session: Session, fit: RevisionFit, scale: TimeScale) -> Iterator[W
     for interval in phases:
         moving |= (time >= interval.start_s) & (time <= interval.end_s)
     for name in ("q", "dq", "tau", "imu_quat_wxyz", "gyroscope", "accelerometer"):
-        moving &= (np.abs(getattr(states, name)) < _LARGEST).all(axis=1)
+        moving &= (np.abs(getattr(states, name)) < NUMBER).all(axis=1)
     moving &= np.abs(states.imu_quat_wxyz).max(axis=1) > 0.1  # a bridge may leave it zero
     readings: list[tuple[Floats, ...]] = []
     start, last = -np.inf, -np.inf

@@ -9,7 +9,8 @@ import numpy as np
 
 from g1stream.control.state_checks import STALE
 from g1stream.errors import RecordingError
-from g1stream.motion.correction import ATTACHMENT_NAME, Conditions, Correction
+from g1stream.input_limits import FRAMES
+from g1stream.motion.correction import ATTACHMENT_NAME, GRID_STEP, Conditions, Correction
 from g1stream.robot.joints import N_JOINTS
 from g1stream.robot.model import G1
 from g1stream.session.info import SessionInfo
@@ -29,9 +30,8 @@ SAME_INTERVAL: Final = 0.1
 
 #: The torque may have been off for this long, s, such as after a late LowState.
 _LONGEST_DROPOUT: Final = 0.5
-#: A motion of which something can be learned, s: as long as one could hold in memory, and longer
-#: than the windows over which an error is judged.
-_LONGEST: Final = 1e4
+#: A motion of which something can be learned, s: longer than the windows over which an error is
+#: judged.
 _SHORTEST: Final = 0.8
 
 
@@ -112,7 +112,7 @@ def read_played(session: Session) -> Played:
     tracking = session.tracking()
     start, stop = tracking.motion_time[[0, -1]].tolist()
     elapsed = float(np.ptp(tracking.time))
-    if not (0.0 <= stop - start < _LONGEST and abs(elapsed - (stop - start)) < 1.0):
+    if not (0.0 <= stop - start < FRAMES * GRID_STEP and abs(elapsed - (stop - start)) < 1.0):
         raise _cannot(session, "its motion times do not fit its publish times", "repeat it with")
     if stop - start < _SHORTEST:
         raise _cannot(session, f"it has {stop - start:.2f} s of a motion", "record more of it with")

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from g1stream.errors import MotionError
+from g1stream.input_limits import UNPACKED
 from g1stream.motion.array_names import (
     ANGLES,
     BODY_POSITIONS,
@@ -46,8 +47,8 @@ if TYPE_CHECKING:
 
 __all__ = ["ArrayFile", "is_array_file"]
 
-#: An array that is converted to 64 bits has no more: 512 MiB.
-_MOST_NUMBERS: Final = 2**26
+#: Numbers in an array that is converted to 64 bits.
+_NUMBERS: Final = UNPACKED // 8
 #: Motions of a file that an error names.
 _NAMED: Final = 20
 #: A pelvis that leans by more than the first on average, by less than the second if w is at the
@@ -333,9 +334,9 @@ class ArrayFile:
                 f"{name} is no array of numbers with {dimensions} dimensions",
                 "Give it a row for each frame.",
             )
-        if values.size > _MOST_NUMBERS:
+        if values.size > _NUMBERS:
             raise self._error(
-                f"{name} has more than {_MOST_NUMBERS:,} numbers", "Give a part of the motion."
+                f"{name} has more than {_NUMBERS:,} numbers", "Give a part of the motion."
             )
         return values
 

@@ -30,7 +30,14 @@ if TYPE_CHECKING:
 
     from g1stream.types import Floats
 
-__all__ = ["ATTACHMENT_NAME", "LARGEST_CORRECTION", "Conditions", "Correction", "CorrectionSpline"]
+__all__ = [
+    "ATTACHMENT_NAME",
+    "GRID_STEP",
+    "LARGEST_CORRECTION",
+    "Conditions",
+    "Correction",
+    "CorrectionSpline",
+]
 
 ATTACHMENT_NAME: Final = "correction.npz"
 """Under this name a session has the correction that it was played with."""
@@ -38,10 +45,11 @@ ATTACHMENT_NAME: Final = "correction.npz"
 LARGEST_CORRECTION: Final = 0.15
 """No correction is larger, either way, rad."""
 
+GRID_STEP: Final = 0.02
+"""Two times of the grid of a correction are at most this far apart, s."""
+
 #: The correction fades in and out in this time at both ends of what is played, s.
 _FADE: Final = 0.3
-#: Two times of the grid of a correction are at most this far apart, s.
-_STEP: Final = 0.02
 #: Times that are added at both ends, with no correction.
 _PADDING: Final = 4
 #: Largest relative difference of gains and rates that count as equal.
@@ -315,7 +323,7 @@ class CorrectionSpline:
 
 def grid(start: float, stop: float) -> Floats:
     """The times of a correction from `start` to `stop`, s."""
-    return np.linspace(start, stop, max(4, int(np.ceil((stop - start) / _STEP))) + 1)
+    return np.linspace(start, stop, max(4, int(np.ceil((stop - start) / GRID_STEP))) + 1)
 
 
 def fade(time: Floats, start: float, stop: float) -> Floats:

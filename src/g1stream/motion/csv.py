@@ -22,8 +22,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from g1stream.errors import MotionError
+from g1stream.input_limits import NUMBER
 from g1stream.motion.joint_order import names_in_order
-from g1stream.motion.motion import LARGEST, SMALLEST_QUAT, Motion, norm_warnings
+from g1stream.motion.motion import SMALLEST_QUAT, Motion, norm_warnings
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.rotations import wxyz_from_xyzw, xyzw_from_wxyz
 from g1stream.text import counted
@@ -110,7 +111,7 @@ class CsvFile:
         except ValueError:
             raise self._first_fault() from None
         shape = (self.n_rows, self.n_columns)
-        if values.shape != shape or not (np.abs(values) <= LARGEST).all():
+        if values.shape != shape or not (np.abs(values) <= NUMBER).all():
             raise self._first_fault()
         return values
 
@@ -229,7 +230,7 @@ class CsvFile:
             for column, cell in enumerate(cells):
                 if not _is_number(cell):
                     return self._error(
-                        f"{cell.strip()!r:.60} is not a finite number up to {LARGEST:g}",
+                        f"{cell.strip()!r:.60} is not a finite number up to {NUMBER:g}",
                         "Write a decimal number there, such as -0.25.",
                         line=number,
                         column=column,
@@ -300,6 +301,6 @@ def _is_number(cell: str) -> bool:
     if "_" in cell or not cell.isascii():
         return False
     try:
-        return abs(float(cell)) <= LARGEST
+        return abs(float(cell)) <= NUMBER
     except ValueError:
         return False

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 from g1stream.errors import MotionError
 from g1stream.files import read_file
+from g1stream.input_limits import MOTION_FILE
 from g1stream.motion.array_file import ArrayFile, is_array_file
 from g1stream.motion.csv import CsvFile
 
@@ -26,9 +27,6 @@ __all__ = ["BUNDLED_MOTIONS", "open_motion_file"]
 
 BUNDLED_MOTIONS: Final = ("demo",)
 """Names of the motions in this package."""
-
-#: Bytes of a motion file; an hour at 500 Hz has as many.
-_LARGEST: Final = 2**30
 
 #: How files begin that people have motions in, but that have no joint angles of a G1 as such.
 _NOT_READ: Final = {
@@ -118,7 +116,7 @@ def _of_member(path: Path) -> tuple[Path, str | None]:
 
 def _read(path: Path) -> bytes:
     try:
-        return read_file(path, _LARGEST)
+        return read_file(path, MOTION_FILE)
     except IsADirectoryError:
         raise MotionError(
             f"{path} is a directory, and no bag or session: it has no metadata.yaml.",

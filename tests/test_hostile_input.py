@@ -132,7 +132,7 @@ CSV = b"".join(CSV[:6])
 
 
 def array_files():
-    """A motion as NPZ with names, as pickle of two protocols, as Parquet, and one of PyTorch."""
+    """A motion as NPZ with names, as pickle of two protocols, and one of PyTorch."""
     motion = load_motion("demo").frames(0, 4)
     arrays = {"fps": 30, "dof": motion.joint_pos, "dof_names": list(JOINT_NAMES)}
     arrays |= {"root_pos": motion.root_pos, "root_rot": motion.root_quat_wxyz}
@@ -140,9 +140,7 @@ def array_files():
     np.savez(npz, **arrays)
     pickles = pickle.dumps(arrays, protocol=2), pickle.dumps(arrays)
     tensors = Path(__file__).with_name("data") / "protomotions.pt"
-    with TemporaryDirectory() as directory:
-        parquet = motion.save(Path(directory) / "motion.parquet").read_bytes()
-    return npz.getvalue(), *pickles, parquet, tensors.read_bytes()
+    return npz.getvalue(), *pickles, tensors.read_bytes()
 
 
 def bags():

@@ -10,6 +10,7 @@ from datetime import datetime, timezone
 from typing import TYPE_CHECKING, Final
 
 from g1stream.errors import ConfigError, RecordingError
+from g1stream.input_limits import SMALL_FILE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -33,11 +34,9 @@ __all__ = [
 
 _MCAP: Final = b"\x89MCAP"
 _SQLITE: Final = b"SQLite format 3\0"
-#: A config, gains file, URDF, mesh or metadata.yaml has no more bytes than this.
-_LARGEST: Final = 16 * 2**20
 
 
-def read_file(path: Path, most: int = _LARGEST) -> bytes:
+def read_file(path: Path, most: int = SMALL_FILE) -> bytes:
     """The content of a file.
 
     Args:
@@ -58,7 +57,7 @@ def read_file(path: Path, most: int = _LARGEST) -> bytes:
         if not stat.S_ISREG(about.st_mode):
             raise OSError(errno.EINVAL, "it is not a regular file")
         # Files in /proc have the size 0 and a content.
-        content = file.read(min(about.st_size or _LARGEST, most) + 1)
+        content = file.read(min(about.st_size or SMALL_FILE, most) + 1)
     if len(content) > most:
         raise OSError(errno.EFBIG, f"it has more than {most / 2**20:g} MiB")
     return content

@@ -136,7 +136,7 @@ def convert(
     """
     options = options or Conversion()
     out = Path(out)
-    check_suffix(out, "a session file; motion files end in .csv, .npz or .parquet", ".mcap")
+    check_suffix(out, "a session file; motion files end in .csv or .npz", ".mcap")
     robot = robot or G1.default()
     motion = _load(motion, robot, fps)
     start, stop = _frame_range(motion, options.frames)

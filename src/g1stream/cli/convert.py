@@ -53,7 +53,7 @@ class Convert(MotionFlags):
     Log and publish time of every message are the base time + frame / fps, to the nearest
     nanosecond. With the default base time the same input always gives the same bytes.
 
-    An output that ends in .csv, .npz or .parquet is a motion file again.
+    An output that ends in .csv or .npz is a motion file again.
 
     With --ros2 a session becomes a ROS 2 bag: a directory with metadata.yaml and an MCAP file that
     has messages of ROS only.
@@ -72,7 +72,7 @@ class Convert(MotionFlags):
     """
 
     files: tuple[str, ...] = argument(
-        f"{MOTIONS} The last one is the file to write, .mcap, .csv, .npz or .parquet; with --ros2 "
+        f"{MOTIONS} The last one is the file to write, .mcap, .csv or .npz; with --ros2 "
         "the directory.",
         "MOTION... FILE",
     )

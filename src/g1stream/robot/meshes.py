@@ -10,6 +10,7 @@ import numpy as np
 
 from g1stream.errors import RobotError
 from g1stream.files import read_file
+from g1stream.input_limits import MESHES
 from g1stream.optional import import_extra, not_installed
 from g1stream.robot.model import G1
 from g1stream.robot.visuals import has_meshes
@@ -17,10 +18,7 @@ from g1stream.robot.visuals import has_meshes
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["LARGEST_MESH", "Mesh", "decimate", "read_stl", "real_g1", "robot_with_meshes"]
-
-LARGEST_MESH: Final = 64 * 2**20
-"""A larger file is refused, bytes."""
+__all__ = ["Mesh", "decimate", "read_stl", "real_g1", "robot_with_meshes"]
 
 _PURPOSE: Final = "Meshes need"
 #: Where the package example-robot-data, of the extra `meshes`, has the G1.
@@ -77,7 +75,7 @@ def read_stl(path: Path) -> Mesh:
         RobotError: it cannot be read, or is no binary STL.
     """
     try:
-        data = read_file(path, LARGEST_MESH)
+        data = read_file(path, MESHES)
     except OSError as error:
         raise RobotError(
             f"The mesh {path} cannot be read: {error.strerror}.", "Make it readable."

@@ -19,10 +19,10 @@ import numpy as np
 from g1stream.dds.ros2 import FramePose, JointAngles, decode_joint_state, decode_tf
 from g1stream.errors import MotionError, RecordingError
 from g1stream.files import is_sqlite
-from g1stream.motion.motion import LARGEST, SMALLEST_QUAT
+from g1stream.input_limits import LATEST_NS, NUMBER, UNPACKED
+from g1stream.motion.motion import SMALLEST_QUAT
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.rotations import quat_normalize, wxyz_from_xyzw, xyzw_from_wxyz
-from g1stream.session.mcap_chunks import LATEST
 from g1stream.session.mcap_reader import McapFile
 from g1stream.session.parts import parts_of
 from g1stream.session.poses import motion_of_poses
@@ -43,8 +43,6 @@ __all__ = ["Bag"]
 
 T = TypeVar("T")
 
-#: Bytes of the messages that are read.
-_LARGEST: Final = 512 * 2**20
 #: Messages that are taken from SQLite at once.
 _ROWS: Final = 100
 #: Topics that are taken before others.
@@ -209,11 +207,11 @@ class Bag:
         clocks = np.array([(one.stamp, time) for one, time in poses], np.int64).T
         pos = np.array([one.pos for one, _ in poses])
         quat = np.array([one.quat_wxyz for one, _ in poses])
-        valid = (np.abs(np.hstack([pos, quat])) <= LARGEST).all(axis=1)
+        valid = (np.abs(np.hstack([pos, quat])) <= NUMBER).all(axis=1)
         if not (valid & (np.abs(quat).max(axis=1) > SMALLEST_QUAT)).all():
             raise RecordingError(
                 f"A transform of {child} in {self.path} has a number that is not finite or beyond "
-                f"{LARGEST:g}, or a zero quaternion.",
+                f"{NUMBER:g}, or a zero quaternion.",
                 "Record it again.",
             )
         return _Poses(child, parent, clocks, pos, quat)
@@ -223,9 +221,9 @@ class Bag:
         for file in self._files:
             for _, messages in file.batches({topic}):
                 size += sum(map(len, messages.data))
-                if size > _LARGEST:
+                if size > UNPACKED:
                     raise RecordingError(
-                        f"{topic} in {self.path} has more than {_LARGEST / 2**20:g} MiB.",
+                        f"{topic} in {self.path} has more than {UNPACKED / 2**20:g} MiB.",
                         "Give a shorter part of it.",
                     )
                 yield messages
@@ -306,7 +304,7 @@ class _SqliteFile:
             rows = self._rows(query, self._ids[topic])
             while some := list(islice(rows, _ROWS)):
                 times, data = zip(*some, strict=True)
-                if not all(isinstance(time, int) and 0 <= time < LATEST for time in times):
+                if not all(isinstance(time, int) and 0 <= time < LATEST_NS for time in times):
                     raise self._error("a message has no time")
                 if not all(isinstance(one, bytes) for one in data):
                     raise self._error("a message has no content")
@@ -331,7 +329,7 @@ class _SqliteFile:
 
 def _nanoseconds(timestamp: Timestamp) -> int:
     time = int(timestamp.ToNanoseconds())
-    if not 0 <= time < LATEST:
+    if not 0 <= time < LATEST_NS:
         raise ValueError("its time is not one of a recording")
     return time
 

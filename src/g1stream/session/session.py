@@ -379,24 +379,6 @@ class Session:
             force=force,
         ).path
 
-    def to_rerun(self, path: str | os.PathLike[str], *, force: bool = False) -> Path:
-        """Write a recording for the Rerun viewer, with a layout; needs the extra `rerun`.
-
-        The robot has the real G1's meshes with the extra `meshes`, else primitive shapes.
-
-        Args:
-            path: of the file, .rrd; its directory must exist.
-            force: replace a file that is there.
-
-        Raises:
-            ConfigError: Rerun is not installed.
-            RecordingError: the file cannot be written.
-            RobotError: the session's URDF cannot be used.
-        """
-        from g1stream.viewers.rerun_log import save_session
-
-        return save_session(self, Path(path), force=force)
-
     def motion(self, fps: float | None = None) -> Motion:
         """The motion that was played, as the reference has it; or what `convert` made of a motion.
 

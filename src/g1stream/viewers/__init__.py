@@ -1,1 +1,1 @@
-"""What viewers show: layouts, Rerun, and pictures of the robot."""
+"""What viewers show: layouts, and pictures of the robot."""

@@ -12,6 +12,7 @@ import numpy as np
 from g1stream.dds.messages import played_joints
 from g1stream.errors import ConfigError, RecordingError
 from g1stream.files import check_suffix, complete_file
+from g1stream.input_limits import FRAMES
 from g1stream.optional import import_extra
 from g1stream.session.streams import Base, Measured, Reference
 from g1stream.types import Floats, Ints, Phase
@@ -42,7 +43,6 @@ _OLD: Final = 0.1
 _GHOST: Final = (0.1, 0.6, 1.0, 0.3)
 _BLUE: Final = (0.1, 0.6, 1.0, 1.0)
 _LARGEST_SIDE, _HIGHEST_FPS = 4096, 240.0
-_MOST_FRAMES: Final = 100_000
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,7 @@ def _frame_times(
             f"It lasts from {first:.2f} s to {end:.2f} s on the motion's clock.",
         )
     frames = max(1, int(length * fps))
-    if frames > _MOST_FRAMES:
+    if frames > FRAMES:
         raise RecordingError(
             f"A video of {length:.0f} s would have {frames} frames.",
             "Render a part of the session, with a start and a duration.",

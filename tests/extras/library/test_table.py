@@ -15,7 +15,7 @@ from g1stream.extras.library.rows import (
     JointRow,
     MotionRow,
     Rows,
-    condition_values,
+    condition_value,
 )
 from g1stream.extras.library.table import open_library, writing
 
@@ -87,7 +87,7 @@ def test_a_condition_takes_numbers_and_answers():
     row = {"frames": 30, "free": "inexact", "rmse": np.nan, "success": True}
     assert {*row} < {*CONDITION_NAMES}
     others = {"status": "ok", "feet": "false"}  # as an older version wrote it
-    found = condition_values(row | others, ["ok", *row])
+    found = {name: condition_value(row | others, name) for name in ("ok", *row)}
     assert found == {"ok": 1.0, "frames": 30.0, "free": 0.5, "rmse": None, "success": 1.0}
 
 

@@ -72,7 +72,7 @@ class LibraryCase:
         config: all settings.
         support: how the pelvis is held; of `simulate`.
         sweep: values of settings in this case, by name; they are in `config` already.
-        format: ending of the files of `convert`: csv, npz, parquet or mcap.
+        format: ending of the files of `convert`: csv, npz or mcap.
         out: the library's directory.
         sessions: `simulate` keeps each session and its report.
     """

@@ -14,7 +14,7 @@ from g1stream.extras.physics.result import Playable
 from g1stream.session.records import Int, Record
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Mapping
 
 __all__ = [
     "CONDITION_NAMES",
@@ -24,7 +24,7 @@ __all__ = [
     "MotionRow",
     "Rows",
     "Status",
-    "condition_values",
+    "condition_value",
 ]
 
 Command = Literal["check", "simulate", "convert"]
@@ -121,19 +121,16 @@ CONDITION_NAMES: Final = (
 """What a condition on a row can name: its columns that are numbers or answers, and `ok`."""
 
 
-def condition_values(row: Mapping[str, Any], names: Iterable[str]) -> dict[str, float | None]:
-    """What a condition names, as numbers; None for what is not known.
+def condition_value(row: Mapping[str, Any], name: str) -> float | None:
+    """What a condition names, as a number; None for what is not known.
 
     Args:
         row: of the table of motions, with None or NaN for what was not computed.
-        names: of `CONDITION_NAMES`.
+        name: of `CONDITION_NAMES`.
     """
-    values: dict[str, float | None] = {}
-    for name in names:
-        value = row["status"] == "ok" if name == "ok" else row[name]
-        unknown = value is None or (isinstance(value, float) and isnan(value))
-        values[name] = None if unknown else float(_PLAYABLE.get(value, value))
-    return values
+    value = row["status"] == "ok" if name == "ok" else row[name]
+    unknown = value is None or (isinstance(value, float) and isnan(value))
+    return None if unknown else float(_PLAYABLE.get(value, value))
 
 
 class JointRow(Record):

@@ -10,14 +10,15 @@ from pyarrow import parquet
 import g1stream
 from g1stream.errors import RecordingError
 from g1stream.extras.library import table
-from g1stream.extras.library.rows import (
+from g1stream.extras.library.table import (
     CONDITION_NAMES,
     JointRow,
     MotionRow,
     Rows,
     condition_value,
+    open_library,
+    writing,
 )
-from g1stream.extras.library.table import open_library, writing
 
 
 def rows(name="wave", key="1", sweep=None, **values):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections import Counter
 from dataclasses import dataclass
+from itertools import product
 from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, cast, get_args
@@ -20,17 +21,23 @@ from g1stream.cli.command import (
 )
 from g1stream.cli.flags import argument, flag
 from g1stream.cli.progress import ProgressDisplay
+from g1stream.config import load_config, settings
+from g1stream.control.gains import resolve_gains
 from g1stream.errors import ConfigError
+from g1stream.robot.joints import JOINT_NAMES
 from g1stream.text import counted, labelled, table
 from g1stream.types import StreamSupport, Support
 
 if TYPE_CHECKING:
-    from g1stream.cli.fail_if import FailIf
-    from g1stream.extras.library.compute import LibraryCase
-    from g1stream.extras.library.rows import MotionRow
-    from g1stream.extras.library.run import LibraryRun
+    from collections.abc import Iterator, Sequence
 
-__all__ = ["Library"]
+    from g1stream.cli.fail_if import FailIf
+    from g1stream.config import Config
+    from g1stream.extras.library.compute import LibraryCase
+    from g1stream.extras.library.run import LibraryRun
+    from g1stream.extras.library.table import MotionRow
+
+__all__ = ["Library", "swept"]
 
 #: Motions that are named where several failed.
 _NAMED: Final = 5
@@ -112,9 +119,8 @@ class Library(SettingsCommand):
         """Compute, and return the exit code."""
         from g1stream.cli.fail_if import FailIf
         from g1stream.extras.library.processes import Limits
-        from g1stream.extras.library.rows import CONDITION_NAMES
         from g1stream.extras.library.run import LibraryRun, run_library
-        from g1stream.extras.library.table import newest_motions
+        from g1stream.extras.library.table import CONDITION_NAMES, newest_motions
 
         self._check_flags()
         # Refused now, and not when all is computed.
@@ -165,7 +171,6 @@ class Library(SettingsCommand):
 
     def _cases(self) -> list[LibraryCase]:
         from g1stream.extras.library.compute import LibraryCase
-        from g1stream.extras.library.sweep import swept
 
         config, out = self.resolve(), self.out
         if self.action == "check":
@@ -188,7 +193,7 @@ class Library(SettingsCommand):
 
 def _verdict(condition: FailIf, rows: list[dict[str, Any]], *, complete: bool) -> tuple[bool, str]:
     """Whether a condition fails the run, and that in words."""
-    from g1stream.extras.library.rows import condition_value
+    from g1stream.extras.library.table import condition_value
 
     truths = [condition.holds(condition_value(row, condition.name)) for row in rows]
     held = {
@@ -270,3 +275,55 @@ def _problems(run: LibraryRun, rows: list[dict[str, Any]]) -> list[str]:
         )
     lost = list(run.lost.items())[:_NAMED]
     return lines + [labelled("  ", f"{path}: not computed: {why}") for path, why in lost]
+
+
+#: Settings whose values in a sweep are factors.
+_GAINS: Final = ("gains.kp", "gains.kd")
+
+
+def swept(config: Config, sweeps: Sequence[str]) -> Iterator[tuple[dict[str, float | str], Config]]:
+    """Every combination of the values of a sweep, and the settings with them.
+
+    Args:
+        config: the other settings.
+        sweeps: such as `stream.rate=250,500`; the values of `gains.kp` and `gains.kd` are factors
+            of the gains.
+
+    Raises:
+        ConfigError: a sweep names what is no setting, one twice, or a value that does not fit.
+    """
+    values: dict[str, list[float | str]] = {}
+    for text in sweeps:
+        name, _, given = text.partition("=")
+        if name not in settings() or name in values:
+            reason = "is swept twice" if name in values else "is no setting"
+            raise ConfigError(
+                f"{name} in --sweep {text} {reason}.",
+                "Name a setting of configs/sim.toml, once: --sweep stream.rate=250,500.",
+            )
+        values[name] = list(dict.fromkeys(_value(one.strip()) for one in given.split(",")))
+        if "" in values[name]:
+            raise ConfigError(
+                f"--sweep {text} lacks a value.", f"Give some: --sweep {name}=0.5,1,2."
+            )
+    for combination in product(*values.values()):
+        chosen = dict(zip(values, combination, strict=True))
+        over = {name: _setting(config, name, value) for name, value in chosen.items()}
+        yield chosen, load_config(over=config.model_dump() | over)
+
+
+def _value(text: str) -> float | str:
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def _setting(config: Config, name: str, value: float | str) -> Any:
+    if name not in _GAINS:
+        return int(value) if isinstance(value, float) and value.is_integer() else value
+    if isinstance(value, str):
+        raise ConfigError(f"{name} cannot be {value} times the gains.", "Give a number.")
+    kp, kd = resolve_gains(config.gains)
+    gains = value * (kp if name == "gains.kp" else kd)
+    return dict(zip(JOINT_NAMES, gains.tolist(), strict=True))

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from g1stream.control.base_estimate import BaseEstimate
-from g1stream.extras import import_extra
+from g1stream.optional import import_extra
 from g1stream.physics.ground import TRUSTED_FRICTION, beyond_hull
 from g1stream.robot.dynamics import GRAVITY
 from g1stream.robot.rotations import (

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from g1stream.dds.messages import Log, Samples, played_joints
-from g1stream.dds.ros2 import encode_string
 from g1stream.dds.topics import LOG, LOWSTATE, REFERENCE, SPORTMODESTATE
 from g1stream.errors import ConfigError
 from g1stream.foxglove.encoders import (
@@ -31,7 +30,7 @@ from g1stream.foxglove.tracking_error import Track, TrackingError, by_limb
 from g1stream.robot.joints import JOINT_GROUPS
 from g1stream.robot.meshes import robot_with_meshes
 from g1stream.robot.urdf import with_prefixed_links
-from g1stream.session.format import CHANNELS, TIMING_FIELDS, MessageBatch
+from g1stream.session.format import CHANNELS, TIMING_FIELDS, MessageBatch, encode_string
 from g1stream.settings import RecordConfig
 from g1stream.types import Floats, Ints
 

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from g1stream._version import __version__
 from g1stream.errors import ConfigError
-from g1stream.extras import import_extra
 from g1stream.library.processes import end_processes
+from g1stream.optional import import_extra
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator

@@ -10,8 +10,8 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, Final
 
 from g1stream.errors import ConfigError, MotionError, RecordingError
-from g1stream.extras import import_extra
 from g1stream.files import output_errors
+from g1stream.optional import import_extra
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence

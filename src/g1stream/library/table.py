@@ -17,10 +17,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, get_args
 
 from g1stream.errors import RecordingError
-from g1stream.extras import import_extra
 from g1stream.files import complete_file, output_errors
 from g1stream.library.files import LIBRARY
 from g1stream.library.rows import JointRow, MotionRow
+from g1stream.optional import import_extra
 from g1stream.text import counted
 
 if TYPE_CHECKING:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from g1stream.extras import import_extra
 from g1stream.motion.csv import ROOT_COLUMNS, canonical_column
+from g1stream.optional import import_extra
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.rotations import xyzw_from_wxyz
 

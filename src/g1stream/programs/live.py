@@ -10,13 +10,12 @@ from __future__ import annotations
 import logging
 import time
 from contextlib import closing, contextmanager
-from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any, Final
 
 from g1stream.config import Config
 from g1stream.errors import ConfigError
 from g1stream.events import ConsoleHandler, handled_by
-from g1stream.extras import not_installed
+from g1stream.optional import require_installed
 from g1stream.programs.child_process import optional_child, run_child
 from g1stream.realtime import lower_priority
 from g1stream.recorder.observer import observe
@@ -57,16 +56,9 @@ def live(config: Config | None = None) -> Iterator[str]:
         ChildError: the port is in use, or a setting or the wire does not allow it.
     """
     config = config or Config()
-    _require_sdk()
+    require_installed("foxglove-sdk", "live", "A live view needs")
     with optional_child("live", config, "the live view ended"):
         yield f"ws://localhost:{config.live_port}"
-
-
-def _require_sdk() -> None:
-    try:
-        version("foxglove-sdk")  # to import it would load it into the process of the loop
-    except PackageNotFoundError:
-        raise not_installed("foxglove-sdk", "live", "A live view needs") from None
 
 
 class _Server:

@@ -21,8 +21,7 @@ from g1stream.events import ConsoleHandler, handled_by
 from g1stream.files import timestamped
 from g1stream.foxglove.pipeline import MessagePipeline
 from g1stream.motion.correction import ATTACHMENT_NAME, Correction
-from g1stream.programs.child_process import run_child
-from g1stream.programs.ros2 import publishing_for_ros2
+from g1stream.programs.child_process import publishing_for_ros2, run_child
 from g1stream.realtime import lower_priority
 from g1stream.recorder.recorder import Recorder
 from g1stream.robot.model import G1

@@ -14,8 +14,7 @@ from g1stream.config import Config
 from g1stream.dds.domain import Participant
 from g1stream.dds.log_handler import dds_log_handler
 from g1stream.events import ConsoleHandler, handled_by
-from g1stream.programs.child_process import run_child
-from g1stream.programs.ros2 import publishing_for_ros2
+from g1stream.programs.child_process import publishing_for_ros2, run_child
 from g1stream.realtime import describe, on_time
 from g1stream.robot.model import G1
 from g1stream.sim.bridge import Bridge

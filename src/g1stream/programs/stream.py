@@ -32,9 +32,8 @@ from g1stream.motion.limits import Interval
 from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.programs.arming import inspect_for_arming, motion_service, require_arming
-from g1stream.programs.child_process import Child, ChildError
+from g1stream.programs.child_process import Child, ChildError, publishing_for_ros2
 from g1stream.programs.guard import Guard
-from g1stream.programs.ros2 import publishing_for_ros2
 from g1stream.programs.standing import refuse_feet_on_robot, stand_if_asked
 from g1stream.realtime import describe, on_time
 from g1stream.robot.model import G1

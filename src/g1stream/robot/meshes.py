@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from g1stream.errors import RobotError
-from g1stream.extras import import_extra, not_installed
 from g1stream.files import read_file
+from g1stream.optional import import_extra, not_installed
 from g1stream.robot.model import G1
 from g1stream.robot.visuals import has_meshes
 

@@ -8,8 +8,8 @@ from mimetypes import guess_type
 from typing import TYPE_CHECKING, Any, Final
 
 from g1stream.errors import RecordingError
-from g1stream.extras import import_extra
 from g1stream.files import complete_file, output_errors
+from g1stream.optional import import_extra
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.session.format import CHANNELS
 from g1stream.session.streams import STREAMS

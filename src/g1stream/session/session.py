@@ -407,11 +407,10 @@ class Session:
             RecordingError: there is no motion in this session.
             MotionError: `fps` is not a frame rate, or leaves less than two frames.
         """
-        from g1stream.session.bag import Bag
-        from g1stream.session.motions import reference_motion
+        from g1stream.session.motions import recorded_motion, reference_motion
 
-        if self.converted:
-            return Bag(self.path).motion(fps)
+        if self.converted and (recorded := recorded_motion(self.path)):
+            return recorded.motion(fps)
         return reference_motion(self.reference, self.path, fps)
 
     def save(self, path: str | os.PathLike[str], *, force: bool = False) -> Path:

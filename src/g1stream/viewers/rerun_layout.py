@@ -6,7 +6,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Final
 
-from g1stream.extras import import_extra
+from g1stream.optional import import_extra
 from g1stream.text import short_name
 
 if TYPE_CHECKING:

@@ -11,9 +11,9 @@ import numpy as np
 
 from g1stream.dds.messages import played_joints
 from g1stream.errors import ConfigError, RecordingError
-from g1stream.extras import import_extra
 from g1stream.files import check_suffix, complete_file
 from g1stream.foxglove.measured_base import MeasuredBase
+from g1stream.optional import import_extra
 from g1stream.session.streams import Base, Measured, Reference
 from g1stream.types import Floats, Ints, Phase
 from g1stream.viewers.offscreen import Offscreen, PosedRobot, with_shapes

@@ -6,6 +6,7 @@ import logging
 import os
 import signal
 from collections import defaultdict
+from importlib.metadata import PackageNotFoundError
 from io import StringIO
 from pathlib import Path
 
@@ -25,9 +26,10 @@ from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.messages import LowState, Reference, SportModeState
 from g1stream.dds.topics import LOWSTATE, REFERENCE, SPORTMODESTATE
+from g1stream.errors import ConfigError
+from g1stream.programs.child_process import publishing_for_ros2
 from g1stream.programs.demo import demo
 from g1stream.programs.record import record
-from g1stream.programs.ros2 import publishing_for_ros2
 from g1stream.programs.sim import simulate
 from g1stream.robot.model import G1
 
@@ -319,6 +321,16 @@ def test_nothing_is_published_unless_asked(domain_id):
     before = children()
     with publishing_for_ros2(Config.model_validate({"dds": {"domain": domain_id}})):
         assert children() == before
+
+
+def test_without_rosbags_the_extra_is_named(domain_id, monkeypatch):
+    def version(name):
+        raise PackageNotFoundError(name)
+
+    monkeypatch.setattr("g1stream.optional.version", version)
+    with pytest.raises(ConfigError, match="need rosbags") as caught:
+        publishing_for_ros2(make_config(domain_id))
+    assert "'g1stream[ros2]'" in caught.value.remedy
 
 
 def test_sim_and_record_publish(domain_id, ros, tmp_path, until):

@@ -192,7 +192,7 @@ def test_nothing_is_replaced_without_force(session, tmp_path):
 
 def test_meshes_are_embedded_where_they_are_installed(session, saved, monkeypatch):
     monkeypatch.undo()
-    from g1stream.viewers.offscreen import with_shapes
+    from g1stream.robot.meshes import with_shapes
 
     shapes = with_shapes(session.robot)
     if shapes is G1.default():

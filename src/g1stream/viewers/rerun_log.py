@@ -30,13 +30,13 @@ from g1stream.foxglove.timing import Timing
 from g1stream.foxglove.tracking_error import Track, TrackingError, by_limb
 from g1stream.robot.joints import JOINT_GROUPS
 from g1stream.robot.kinematics import forward_kinematics
+from g1stream.robot.meshes import with_shapes
 from g1stream.robot.visuals import read_visuals
 from g1stream.session.streams import Base, LogEvent, Measured, Reference
 from g1stream.settings import RecordConfig
 from g1stream.text import short_name
 from g1stream.types import Floats, Ints, Phase
 from g1stream.viewers.layouts import LIMB_COLORS, MEASURED, RED, REFERENCE, worst_joints
-from g1stream.viewers.offscreen import with_shapes
 from g1stream.viewers.rerun_layout import APPLICATION, import_rerun, rerun_layout
 
 if TYPE_CHECKING:

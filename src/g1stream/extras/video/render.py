@@ -125,7 +125,7 @@ def render(
 def _labelled(pixels: NDArray[np.uint8], text: str) -> Image.Image:
     """A picture with lines of text in its upper left corner."""
     picture = Image.fromarray(pixels)
-    size = max(10.0, picture.height / 30)
+    size = max(10.0, picture.height / 25)
     font = ImageFont.load_default(size)
     place = (size / 2, size / 2)
     drawing = ImageDraw.Draw(picture)

@@ -19,13 +19,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = [
+    "begins_with",
     "check_directory",
     "check_not_input",
     "check_output_path",
     "check_suffix",
     "complete_file",
     "is_session",
-    "is_sqlite",
     "output_errors",
     "read_file",
     "save_figure",
@@ -33,7 +33,6 @@ __all__ = [
 ]
 
 _MCAP: Final = b"\x89MCAP"
-_SQLITE: Final = b"SQLite format 3\0"
 
 
 def read_file(path: Path, most: int = SMALL_FILE) -> bytes:
@@ -69,25 +68,21 @@ def is_session(path: Path) -> bool:
     False where neither can be read.
     """
     try:
-        return (path / "metadata.yaml").is_file() or _begins_with(path, _MCAP)
+        return (path / "metadata.yaml").is_file() or begins_with(path, _MCAP)
     except OSError:
         return False
 
 
-def is_sqlite(path: Path) -> bool:
-    """Whether a path is that of an SQLite file, as a bag of ROS 2 may be; False if unreadable."""
+def begins_with(path: Path, start: bytes) -> bool:
+    """Whether a file begins with some bytes; False if it cannot be read."""
     try:
-        return _begins_with(path, _SQLITE)
+        # Only regular files are opened: bytes read from a pipe are gone.
+        if not path.is_file():
+            return False
+        with path.open("rb") as file:
+            return file.read(len(start)) == start
     except OSError:
         return False
-
-
-def _begins_with(path: Path, magic: bytes) -> bool:
-    # Only regular files are opened: bytes read from a pipe are gone.
-    if not path.is_file():
-        return False
-    with path.open("rb") as file:
-        return file.read(len(magic)) == magic
 
 
 def timestamped(path: Path, now_ns: int) -> Path:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import logging
 import time
 from contextlib import closing, contextmanager
-from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any, Final
 
 from g1stream.app.child_process import optional_child, run_child
@@ -19,7 +18,7 @@ from g1stream.dds.domain import Participant
 from g1stream.dds.messages import TOPICS
 from g1stream.errors import ConfigError
 from g1stream.events import ConsoleHandler, handled_by
-from g1stream.optional import not_installed
+from g1stream.optional import require_installed
 from g1stream.realtime import lower_priority, quick_thread_switches
 from g1stream.recorder.receiver import Receiver
 from g1stream.robot.model import G1
@@ -61,16 +60,9 @@ def live(config: Config | None = None) -> Iterator[str]:
         ChildError: the port is in use, or a setting or the wire does not allow it.
     """
     config = config or Config()
-    _require_sdk()
+    require_installed("foxglove-sdk", "live", "A live view needs")
     with optional_child("live", config, "the live view ended"):
         yield f"ws://localhost:{config.live_port}"
-
-
-def _require_sdk() -> None:
-    try:
-        version("foxglove-sdk")  # to import it would load it into the process of the loop
-    except PackageNotFoundError:
-        raise not_installed("foxglove-sdk", "live", "A live view needs") from None
 
 
 class _Server:

@@ -22,6 +22,7 @@ from g1stream.cli.motion_flags import MOTIONS, MotionFlags
 from g1stream.cli.progress import ProgressDisplay
 from g1stream.errors import ConfigError
 from g1stream.files import check_not_input, is_session
+from g1stream.optional import extension
 from g1stream.text import counted
 
 if TYPE_CHECKING:
@@ -206,9 +207,7 @@ class Convert(MotionFlags):
     def _ros2_bag(
         self, on_progress: Callable[[float], None]
     ) -> tuple[dict[str, Any], str, tuple[str, ...]]:
-        from g1stream.session.ros2 import write_ros2_bag
-
-        report = write_ros2_bag(
+        report = extension("write_bag")(
             Path(self.motions[0]),
             self.out,
             force=self.force,

@@ -13,12 +13,20 @@ from g1stream.files import read_file
 from g1stream.input_limits import MESHES
 from g1stream.optional import import_extra, not_installed
 from g1stream.robot.model import G1
-from g1stream.robot.visuals import has_meshes
+from g1stream.robot.visuals import has_meshes, mesh_names
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["Mesh", "decimate", "read_stl", "real_g1", "robot_with_meshes"]
+__all__ = [
+    "Mesh",
+    "decimate",
+    "read_stl",
+    "real_g1",
+    "robot_with_meshes",
+    "with_shapes",
+]
+
 
 _PURPOSE: Final = "Meshes need"
 #: Where the package example-robot-data, of the extra `meshes`, has the G1.
@@ -66,6 +74,19 @@ def robot_with_meshes(robot: G1) -> G1:
             "Leave out --meshes, or give a URDF whose own meshes are found.",
         )
     return real
+
+
+def with_shapes(robot: G1) -> G1:
+    """The robot whose shapes stand for a robot's: itself where its URDF's meshes are found.
+
+    Else the real G1 with meshes where they are installed, or instead of missing meshes the default
+    robot, if it has links of the same names.
+    """
+    if has_meshes(robot):
+        return robot
+    others = (real_g1(), G1.default() if mesh_names(robot) else None)
+    same = (one for one in others if one and set(one.link_names) == set(robot.link_names))
+    return next(same, robot)
 
 
 def read_stl(path: Path) -> Mesh:

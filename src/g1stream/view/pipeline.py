@@ -18,12 +18,11 @@ from g1stream.dds.messages import (
     Samples,
     played_joints,
 )
-from g1stream.dds.ros2 import encode_string
 from g1stream.errors import ConfigError
 from g1stream.robot.joints import JOINT_GROUPS
 from g1stream.robot.meshes import robot_with_meshes
 from g1stream.robot.urdf import with_prefixed_links
-from g1stream.session.format import CHANNELS, TIMING_FIELDS, MessageBatch
+from g1stream.session.format import CHANNELS, TIMING_FIELDS, MessageBatch, encode_string
 from g1stream.types import Floats, Ints
 from g1stream.view.encoders import (
     GHOST_PREFIX,

@@ -1,1 +1,0 @@
-"""What viewers show: layouts, and pictures of the robot."""

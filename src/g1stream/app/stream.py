@@ -24,7 +24,7 @@ from g1stream.dds.domain import DISCOVERY, Participant, is_local_only
 from g1stream.dds.log_handler import dds_log_handler
 from g1stream.dds.messages import COMMANDS, LOWCMD
 from g1stream.doctor.findings import explain_no_robot
-from g1stream.doctor.wire import inspect_participant
+from g1stream.doctor.inspection import inspect_participant
 from g1stream.errors import G1StreamError, SafetyError, WireError
 from g1stream.events import handled_by
 from g1stream.extras.feet.stand import refuse_feet_on_robot, stand_if_asked

@@ -1,0 +1,57 @@
+# Made by `make docs`.
+from g1stream._version import __version__ as __version__
+from g1stream.analysis.delay import Delay as Delay
+from g1stream.analysis.tracking import Tracking as Tracking
+from g1stream.app.convert import Conversion as Conversion
+from g1stream.app.convert import ConvertReport as ConvertReport
+from g1stream.app.convert import convert as convert
+from g1stream.app.live import live as live
+from g1stream.app.record import record as record
+from g1stream.app.replay import replay as replay
+from g1stream.app.rollout import rollout as rollout
+from g1stream.app.sim import simulate as simulate
+from g1stream.app.stream import stream as stream
+from g1stream.config import Config as Config
+from g1stream.config import load_config as load_config
+from g1stream.dds.messages import LowState as LowState
+from g1stream.dds.messages import Samples as Samples
+from g1stream.errors import G1StreamError as G1StreamError
+from g1stream.extras.feet.stand import stand as stand
+from g1stream.extras.library.compute import LibraryCase as LibraryCase
+from g1stream.extras.library.run import LibraryRun as LibraryRun
+from g1stream.extras.library.run import run_library as run_library
+from g1stream.extras.library.table import JointRow as JointRow
+from g1stream.extras.library.table import Library as Library
+from g1stream.extras.library.table import MotionRow as MotionRow
+from g1stream.extras.library.table import open_library as open_library
+from g1stream.extras.physics.measure import motion_physics as motion_physics
+from g1stream.extras.physics.result import MotionPhysics as MotionPhysics
+from g1stream.extras.physics.stance import Standing as Standing
+from g1stream.extras.report.compare import Comparison as Comparison
+from g1stream.extras.report.compare import compare as compare
+from g1stream.extras.report.page import report as report
+from g1stream.motion.motion import Motion as Motion
+from g1stream.motion.trajectory import Trajectory as Trajectory
+from g1stream.motion.trajectory import TrajectoryPoint as TrajectoryPoint
+from g1stream.robot.joints import JOINT_NAMES as JOINT_NAMES
+from g1stream.robot.model import G1 as G1
+from g1stream.session.metrics import Metrics as Metrics
+from g1stream.session.motions import load_motion as load_motion
+from g1stream.session.session import Message as Message
+from g1stream.session.session import Session as Session
+from g1stream.session.session import open_session as open_session
+from g1stream.session.stream import Stream as Stream
+from g1stream.session.streams import Base as Base
+from g1stream.session.streams import Command as Command
+from g1stream.session.streams import LogEvent as LogEvent
+from g1stream.session.streams import Measured as Measured
+from g1stream.session.streams import Reference as Reference
+from g1stream.session.streams import TorsoImu as TorsoImu
+from g1stream.session.summary import PhaseInterval as PhaseInterval
+from g1stream.session.summary import Summary as Summary
+from g1stream.session.summary import TrackingSummary as TrackingSummary
+from g1stream.sim.robot import SensorNoise as SensorNoise
+from g1stream.sim.robot import SimReport as SimReport
+
+__all__: list[str]
+_HOME: dict[str, str]

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from contextlib import suppress
 from heapq import merge
-from importlib import import_module
 from mimetypes import guess_type
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final
 
 from g1stream.errors import RecordingError
 from g1stream.files import complete_file, output_errors
-from g1stream.optional import import_extra
+from g1stream.optional import extension, import_extra
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.session.format import CHANNELS
 from g1stream.session.recording import Recording
@@ -31,7 +30,7 @@ if TYPE_CHECKING:
     from g1stream.analysis.summary import Summary
     from g1stream.analysis.tracking import Tracking
     from g1stream.motion.motion import Motion
-    from g1stream.types import Floats
+    from g1stream.types import Camera, Floats
 
 __all__ = ["Session", "open_session"]
 
@@ -127,7 +126,7 @@ class Session(Recording):
         duration: float | None = None,
         fps: float = 25.0,
         size: tuple[int, int] = (640, 480),
-        camera: Literal["front", "oblique", "left", "back", "right"] = "oblique",
+        camera: Camera = "oblique",
         force: bool = False,
     ) -> Path:
         """Write a video or a picture: the measured robot, and over it the reference as a ghost.
@@ -135,7 +134,7 @@ class Session(Recording):
         The ghost has the reference's joints on the measured pelvis. Time, phase and the RMS error
         of all joints are written into each frame. Without a reference or without a measured state,
         what there is is shown. The robot has the real G1's meshes with the extra `meshes`, else
-        primitive shapes. MP4 needs the extra `render`.
+        primitive shapes. MP4 needs the extra `video`.
 
         Args:
             path: ends in .mp4, .gif, or .png for the frame at `start`.
@@ -153,36 +152,8 @@ class Session(Recording):
             RobotError: the session's URDF cannot be used.
             SimError: there is no OpenGL to draw with.
         """
-        video = import_module("g1stream.viewers.video").render(
-            self,
-            Path(path),
-            start=start,
-            duration=duration,
-            fps=fps,
-            size=size,
-            camera=camera,
-            force=force,
-        )
-        written: Path = video.path
-        return written
-
-    def to_rerun(self, path: str | os.PathLike[str], *, force: bool = False) -> Path:
-        """Write a recording for the Rerun viewer, with a layout; needs the extra `rerun`.
-
-        The robot has the real G1's meshes with the extra `meshes`, else primitive shapes.
-
-        Args:
-            path: of the file, .rrd; its directory must exist.
-            force: replace a file that is there.
-
-        Raises:
-            ConfigError: Rerun is not installed.
-            RecordingError: the file cannot be written.
-            RobotError: the session's URDF cannot be used.
-        """
-        written: Path = import_module("g1stream.viewers.rerun_log").save_session(
-            self, Path(path), force=force
-        )
+        how = {"start": start, "duration": duration, "fps": fps, "size": size, "camera": camera}
+        written: Path = extension("render")(self, Path(path), **how, force=force).path
         return written
 
     def motion(self, fps: float | None = None) -> Motion:

@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, Final
 from g1stream.analysis.summarise import summarise_run
 from g1stream.analysis.summary import Summary, Termination
 from g1stream.app.arming import inspect_for_arming, motion_service, require_arming
-from g1stream.app.child_process import Child, ChildError
+from g1stream.app.child_process import Child, ChildError, publishing_for_ros2
 from g1stream.app.guard import Guard
-from g1stream.app.ros2 import publishing_for_ros2
 from g1stream.app.session import open_session
 from g1stream.clock import SystemClock
 from g1stream.config import SHIPPED, Config, load_config
@@ -27,13 +26,14 @@ from g1stream.dds.domain import DISCOVERY, Participant, is_local_only
 from g1stream.dds.log_handler import dds_log_handler
 from g1stream.dds.messages import COMMANDS, LOWCMD
 from g1stream.doctor.findings import explain_no_robot
-from g1stream.doctor.wire import inspect_participant
+from g1stream.doctor.inspection import inspect_participant
 from g1stream.errors import G1StreamError, SafetyError, WireError
 from g1stream.events import handled_by
 from g1stream.extras.feet.stand import refuse_feet_on_robot, stand_if_asked
 from g1stream.files import timestamped
 from g1stream.motion.fit import fit_to_robot
 from g1stream.motion.motion import Motion
+from g1stream.motion.trajectory import Trajectory
 from g1stream.realtime import describe, on_time
 from g1stream.robot.model import G1
 from g1stream.session.motions import load_motion

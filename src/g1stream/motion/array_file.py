@@ -1,4 +1,4 @@
-"""Motion files of named arrays: NPZ, Parquet, pickles of arrays, and what PyTorch saves.
+"""Motion files of named arrays: NPZ, pickles of arrays, and what PyTorch saves.
 
 What the arrays are is told by their names and shapes, by the frame rate in the file, and where that
 leaves a choice by evidence: see `joint_order`.
@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from g1stream.errors import MotionError
+from g1stream.input_limits import UNPACKED
 from g1stream.motion.array_names import (
     ANGLES,
     BODY_POSITIONS,
@@ -32,7 +33,6 @@ from g1stream.motion.arrays import is_npy, is_zip, read_npy, read_npz
 from g1stream.motion.csv import DEFAULT_FPS
 from g1stream.motion.joint_order import Bodies, in_motor_order, names_in_order, tell_order
 from g1stream.motion.motion import SMALLEST_QUAT, Motion, norm_warnings
-from g1stream.motion.parquet import is_parquet, read_parquet
 from g1stream.motion.pickles import is_pickle, read_pickle
 from g1stream.motion.torch_file import is_torch, read_torch
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
@@ -47,8 +47,8 @@ if TYPE_CHECKING:
 
 __all__ = ["ArrayFile", "is_array_file"]
 
-#: An array that is converted to 64 bits has no more: 512 MiB.
-_MOST_NUMBERS: Final = 2**26
+#: Numbers in an array that is converted to 64 bits.
+_NUMBERS: Final = UNPACKED // 8
 #: Motions of a file that an error names.
 _NAMED: Final = 20
 #: A pelvis that leans by more than the first on average, by less than the second if w is at the
@@ -57,7 +57,6 @@ _LYING: Final = 1.05
 _UPRIGHT: Final = 0.8
 #: What each kind of file is called, how it is recognised, and what reads it.
 _KINDS: Final[tuple[tuple[str, Callable[[bytes], bool], Callable[[bytes], Any]], ...]] = (
-    ("Parquet", is_parquet, read_parquet),
     ("NPY", is_npy, lambda data: {"qpos": read_npy(data)}),
     ("file of PyTorch", is_torch, read_torch),
     ("NPZ", is_zip, lambda data: read_npz(data, objects=True)),
@@ -83,15 +82,13 @@ class ArrayFile:
 
     Args:
         path: where it is, for messages.
-        content: its bytes: an NPZ, an NPY, a Parquet file, a file of PyTorch, or a pickle, plain
-            or of joblib.
+        content: its bytes: an NPZ, an NPY, a file of PyTorch, or a pickle, plain or of joblib.
         joint_order: of the joints, if the file does not name them; told by evidence if None.
         member: the name of the motion, in a file of several.
 
     Raises:
         MotionError: it cannot be read, or has no such motion. Anything else wrong in it is an error
             only when what it is about is asked for.
-        ConfigError: it is a Parquet file, and pyarrow is not installed.
 
     Attributes:
         path: as given.
@@ -337,9 +334,9 @@ class ArrayFile:
                 f"{name} is no array of numbers with {dimensions} dimensions",
                 "Give it a row for each frame.",
             )
-        if values.size > _MOST_NUMBERS:
+        if values.size > _NUMBERS:
             raise self._error(
-                f"{name} has more than {_MOST_NUMBERS:,} numbers", "Give a part of the motion."
+                f"{name} has more than {_NUMBERS:,} numbers", "Give a part of the motion."
             )
         return values
 

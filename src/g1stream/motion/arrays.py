@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from g1stream.motion.pickles import LARGEST, read_pickle
+from g1stream.input_limits import UNPACKED
+from g1stream.motion.pickles import read_pickle
 
 __all__ = ["is_npy", "is_zip", "read_npy", "read_npz", "zip_members"]
 
@@ -47,8 +48,8 @@ def zip_members(data: bytes) -> dict[str, bytes]:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             members = archive.infolist()
             # zipfile itself reads no more than this size of a member.
-            if sum(member.file_size for member in members) > LARGEST:
-                raise ValueError(f"it is larger than {LARGEST / 2**20:g} MiB unpacked")
+            if sum(member.file_size for member in members) > UNPACKED:
+                raise ValueError(f"it is larger than {UNPACKED / 2**20:g} MiB unpacked")
             plain = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
             if any(member.compress_type not in plain for member in members):
                 raise ValueError("it is compressed in another way than deflate")

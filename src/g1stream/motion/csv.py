@@ -22,8 +22,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from g1stream.errors import MotionError
+from g1stream.input_limits import NUMBER
 from g1stream.motion.joint_order import names_in_order
-from g1stream.motion.motion import LARGEST, SMALLEST_QUAT, Motion, norm_warnings
+from g1stream.motion.motion import SMALLEST_QUAT, Motion, norm_warnings
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.rotations import wxyz_from_xyzw, xyzw_from_wxyz
 from g1stream.text import counted
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
 
     from g1stream.types import Floats, JointOrder
 
-__all__ = ["DEFAULT_FPS", "ROOT_COLUMNS", "CsvFile", "canonical_column", "to_csv"]
+__all__ = ["DEFAULT_FPS", "CsvFile", "to_csv"]
 
 DEFAULT_FPS: Final = 30.0
 """Frames per second of LAFAN1, assumed for both layouts if none is given."""
@@ -52,7 +53,7 @@ _OTHER_NAMES: Final = {
     for axis in axes
     for prefix in prefixes
 } | {"frame": _FRAME}
-ROOT_COLUMNS: Final = (_FRAME, *_POSITION, *_QUAT_XYZW)
+_ROOT_COLUMNS: Final = (_FRAME, *_POSITION, *_QUAT_XYZW)
 """The columns of the Foxglove layout before those of the joints."""
 _LAFAN1: Final = (*_POSITION, *_QUAT_XYZW, *JOINT_NAMES)
 
@@ -91,7 +92,7 @@ class CsvFile:
         if not self.has_header and self.n_columns == len(_LAFAN1):
             self.columns = (*_LAFAN1[:7], *names_in_order(joint_order or "motor"))
         elif self.has_header and self.n_columns > 1:
-            self.columns = tuple(map(canonical_column, first))
+            self.columns = tuple(map(_canonical_column, first))
         self.n_rows = self._text.count("\n") + 1 - self.has_header
 
     @cached_property
@@ -110,7 +111,7 @@ class CsvFile:
         except ValueError:
             raise self._first_fault() from None
         shape = (self.n_rows, self.n_columns)
-        if values.shape != shape or not (np.abs(values) <= LARGEST).all():
+        if values.shape != shape or not (np.abs(values) <= NUMBER).all():
             raise self._first_fault()
         return values
 
@@ -148,13 +149,13 @@ class CsvFile:
     @property
     def missing(self) -> list[str]:
         """Columns of the layout that the file lacks."""
-        wanted = (*ROOT_COLUMNS, *JOINT_NAMES) if self.has_header else _LAFAN1
+        wanted = (*_ROOT_COLUMNS, *JOINT_NAMES) if self.has_header else _LAFAN1
         return [name for name in wanted if name not in (*self.columns, _FRAME)]
 
     @property
     def unknown(self) -> list[str]:
         """Columns of the file that neither belong to the layout nor are joints."""
-        known = (*ROOT_COLUMNS, *JOINT_NAMES)
+        known = (*_ROOT_COLUMNS, *JOINT_NAMES)
         return [name for name in self.columns if name and name not in known]
 
     def _error(
@@ -229,7 +230,7 @@ class CsvFile:
             for column, cell in enumerate(cells):
                 if not _is_number(cell):
                     return self._error(
-                        f"{cell.strip()!r:.60} is not a finite number up to {LARGEST:g}",
+                        f"{cell.strip()!r:.60} is not a finite number up to {NUMBER:g}",
                         "Write a decimal number there, such as -0.25.",
                         line=number,
                         column=column,
@@ -242,8 +243,8 @@ class CsvFile:
             faults += [f"columns that are no joint: {', '.join(self.unknown)}"] * bool(self.unknown)
             raise self._error(
                 "; ".join(faults),
-                f"Name the columns {','.join(ROOT_COLUMNS[1:])} and the {len(JOINT_NAMES)} joints, "
-                "in any order; or use the 36 columns of LAFAN1 and no header.",
+                f"Name the columns {','.join(_ROOT_COLUMNS[1:])} and the {len(JOINT_NAMES)} joints "
+                "in any order, or use the 36 columns of LAFAN1 and no header.",
                 line=1,
             )
 
@@ -281,12 +282,12 @@ def to_csv(motion: Motion) -> str:
     """The Foxglove layout of a motion, every number with all its digits."""
     table = [motion.root_pos, xyzw_from_wxyz(motion.root_quat_wxyz), motion.joint_pos]
     rows = np.concatenate(table, axis=1).tolist()
-    lines = [",".join((*ROOT_COLUMNS, *motion.joint_names))]
+    lines = [",".join((*_ROOT_COLUMNS, *motion.joint_names))]
     lines += [f"{frame}," + ",".join(map(repr, row)) for frame, row in enumerate(rows)]
     return "\n".join(lines) + "\n"
 
 
-def canonical_column(column: str) -> str:
+def _canonical_column(column: str) -> str:
     """The name of a column as g1stream writes it, where it is another name for the same."""
     lower = column.lower()
     if lower in _OTHER_NAMES:
@@ -300,6 +301,6 @@ def _is_number(cell: str) -> bool:
     if "_" in cell or not cell.isascii():
         return False
     try:
-        return abs(float(cell)) <= LARGEST
+        return abs(float(cell)) <= NUMBER
     except ValueError:
         return False

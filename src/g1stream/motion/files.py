@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 from g1stream.errors import MotionError
 from g1stream.files import read_file
+from g1stream.input_limits import MOTION_FILE
 from g1stream.motion.array_file import ArrayFile, is_array_file
 from g1stream.motion.csv import CsvFile
 
@@ -27,9 +28,6 @@ __all__ = ["BUNDLED_MOTIONS", "open_motion_file"]
 BUNDLED_MOTIONS: Final = ("demo",)
 """Names of the motions in this package."""
 
-#: Bytes of a motion file; an hour at 500 Hz has as many.
-_LARGEST: Final = 2**30
-
 #: How files begin that people have motions in, but that have no joint angles of a G1 as such.
 _NOT_READ: Final = {
     b"HIERARCHY": "a BVH file, the motion of a skeleton that is still to be retargeted",
@@ -38,6 +36,7 @@ _NOT_READ: Final = {
     b"PXR-USDC": "a USD stage",
     b"\x89HDF": "an HDF5 file",
     b"MATLAB": "a MATLAB file",
+    b"PAR1": "a Parquet file",
     b"#ROSBAG V": "a bag of ROS 1",
     b"\x89PNG": "a PNG picture",
     b"\xff\xd8\xff": "a JPEG picture",
@@ -49,11 +48,11 @@ _NOT_READ: Final = {
 }
 #: Endings of files that are no text.
 _BINARY: Final = {
-    *(".npz", ".npy", ".parquet", ".mcap", ".db3"),
+    *(".npz", ".npy", ".mcap", ".db3"),
     *(".pkl", ".pickle", ".joblib", ".pt", ".pth"),
 }
 _READ: Final = (
-    "Read are CSV, NPZ, NPY, Parquet, pickles of arrays, files of PyTorch, session files, and bags "
+    "Read are CSV, NPZ, NPY, pickles of arrays, files of PyTorch, session files, and bags "
     "of ROS 2 and MCAP files with joint states: docs/formats.md says with which content."
 )
 
@@ -117,7 +116,7 @@ def _of_member(path: Path) -> tuple[Path, str | None]:
 
 def _read(path: Path) -> bytes:
     try:
-        return read_file(path, _LARGEST)
+        return read_file(path, MOTION_FILE)
     except IsADirectoryError:
         raise MotionError(
             f"{path} is a directory, and no bag or session: it has no metadata.yaml.",

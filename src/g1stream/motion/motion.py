@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, ClassVar, Final
 import numpy as np
 
 from g1stream.errors import MotionError
+from g1stream.input_limits import NUMBER
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.rotations import sign_continuous
 from g1stream.text import counted
@@ -26,15 +27,12 @@ if TYPE_CHECKING:
     from g1stream.types import Floats
 
 __all__ = [
-    "LARGEST",
     "SMALLEST_QUAT",
     "Motion",
     "check_fps",
     "norm_warnings",
 ]
 
-LARGEST: Final = 1e9
-"""No value of a motion is larger, rad or m, so that nothing computed from them overflows."""
 SMALLEST_QUAT: Final = 1e-6
 """A quaternion whose norm is not above this counts as zero."""
 #: Quaternion norms that differ from 1 by more than this give a warning; by more than the second
@@ -65,7 +63,7 @@ class Motion:
 
     Raises:
         MotionError: the shapes do not fit together, there is only one frame, a value is not finite
-            or beyond `LARGEST`, a quaternion is zero, or `fps` is not a frame rate.
+            or too large, a quaternion is zero, or `fps` is not a frame rate.
     """
 
     name: str
@@ -318,22 +316,20 @@ class Motion:
         return draw_motion(self, joints)
 
     def save(self, path: str | os.PathLike[str], *, force: bool = False) -> Path:
-        """Write a CSV, NPZ or Parquet file that `load_motion` reads back to the last bit.
+        """Write a CSV or NPZ file that `load_motion` reads back to the last bit.
 
         A CSV file has a header and 37 columns: frame number, root position (m), root quaternion
         (xyzw) and the joints (rad). It has no frame rate: give `load_motion` the `fps` of the
-        motion if it is not 30. A Parquet file (extra `export`) has the same columns, and `fps` in
-        its metadata. An NPZ file has the arrays `joint_pos`, `root_pos` and `root_quat_wxyz` of
-        this class, `joint_names` and `fps`.
+        motion if it is not 30. An NPZ file has the arrays `joint_pos`, `root_pos` and
+        `root_quat_wxyz` of this class, `joint_names` and `fps`.
 
         Args:
-            path: ends in .csv, .npz or .parquet.
+            path: ends in .csv or .npz.
             force: replace a file that exists.
 
         Raises:
             MotionError: the path has another ending.
             RecordingError: the file exists, is the one the motion came from, or cannot be written.
-            ConfigError: it is a Parquet file, and pyarrow is not installed.
         """
         from g1stream.motion.save import save_motion
 
@@ -348,12 +344,12 @@ class Motion:
                 f"The motion {self.name} has {field} of shape {values.shape}.",
                 f"Give it shape {shape}, a row per frame.",
             )
-        valid = np.abs(values) <= LARGEST  # NaN is not
+        valid = np.abs(values) <= NUMBER  # NaN is not
         if not valid.all():
             frame, column = np.argwhere(~valid)[0].tolist()
             raise MotionError(
                 f"The motion {self.name} has {values[frame, column]:g} in {field}, frame {frame}.",
-                f"Give it finite numbers, at most {LARGEST:g}.",
+                f"Give it finite numbers, at most {NUMBER:g}.",
             )
         return values
 

@@ -13,20 +13,19 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import numpy as np
 
+from g1stream.input_limits import PICKLE_VALUES, UNPACKED
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from numpy.typing import NDArray
 
-__all__ = ["LARGEST", "ArrayStandIn", "Unpickler", "is_pickle", "read_pickle"]
+__all__ = ["ArrayStandIn", "Unpickler", "is_pickle", "read_pickle"]
 
-LARGEST: Final = 512 * 2**20
-"""All arrays of a file together have no more bytes than this: hours of a motion."""
-#: The most numbers and texts that are not in an array, and how deep they may be in containers.
-_MOST_VALUES: Final = 5_000_000
+#: How deep numbers and texts that are not in an array may be in containers.
 _DEPTH: Final = 4
-#: Characters of the texts in an array of Python objects, each as long as the longest.
-_LONGEST_TEXTS: Final = 1_000_000
+#: Bytes of a character in an array of texts, each of which is as long as the longest.
+_CHARACTER: Final = 4
 #: Calls what is on the stack.
 _REDUCE: Final[Any] = pickle._Unpickler.dispatch[pickle.REDUCE[0]]
 #: The types of numbers and texts that arrays may have; texts may be Python objects.
@@ -71,12 +70,16 @@ def _is_compressed(data: bytes) -> bool:
 def _decompressed(data: bytes) -> bytes:
     decompressor = zlib.decompressobj(wbits=zlib.MAX_WBITS + 32)  # zlib or gzip
     try:
-        content = decompressor.decompress(data, LARGEST)
+        content = decompressor.decompress(data, UNPACKED)
     except zlib.error as error:
         raise ValueError(f"it cannot be unpacked: {error}") from error
     if decompressor.unconsumed_tail:
-        raise ValueError(f"it is larger than {LARGEST / 2**20:g} MiB unpacked")
+        raise _too_large()
     return content
+
+
+def _too_large() -> ValueError:
+    return ValueError(f"it is larger than {UNPACKED / 2**20:g} MiB unpacked")
 
 
 class _Dtype:
@@ -121,16 +124,15 @@ class _JoblibArray:
         if self._padded:
             file.read(file.read(1)[0])
         size = prod(int(n) for n in self._shape) * self._dtype.numpy.itemsize
-        content = file.read(size) if size <= LARGEST else b""
-        return _shaped(content, self._dtype, self._shape, self._order)
+        return _shaped(file.read(size), self._dtype, self._shape, self._order)
 
 
 def _shaped(content: Any, dtype: _Dtype, shape: Any, order: Any) -> NDArray[Any]:
     if dtype.numpy.hasobject:
         if not isinstance(content, list) or not all(isinstance(one, str) for one in content):
             raise ValueError("it has an array of Python objects")
-        if len(content) * max(map(len, content), default=0) > _LONGEST_TEXTS:
-            raise ValueError("it has an array of long texts")
+        if len(content) * max(map(len, content), default=0) * _CHARACTER > UNPACKED:
+            raise _too_large()
         values = np.array(content)
     else:
         values = np.frombuffer(content, dtype.numpy)
@@ -197,7 +199,7 @@ class Unpickler(pickle._Unpickler):
     def __init__(self, file: io.BytesIO) -> None:
         super().__init__(file)
         self._file = file
-        self._left = LARGEST
+        self._left = UNPACKED
 
     def find_class(self, module: str, name: str) -> Any:
         known = self.known.get((module, name))
@@ -215,7 +217,7 @@ class Unpickler(pickle._Unpickler):
         elif made.values.dtype.kind == "U":  # arrays of numbers are views
             self._left -= made.values.nbytes
         if self._left < 0:
-            raise ValueError(f"it is larger than {LARGEST / 2**20:g} MiB unpacked")
+            raise _too_large()
 
     def _reduce(self) -> None:
         _REDUCE(self)
@@ -250,12 +252,12 @@ class _Plain:
     """
 
     def __init__(self) -> None:
-        self._left = _MOST_VALUES
+        self._left = PICKLE_VALUES
 
     def of(self, value: Any, depth: int = 0) -> Any:
         self._left -= 1
         if self._left < 0:
-            raise ValueError(f"it is a pickle of more than {_MOST_VALUES:,} single values")
+            raise ValueError(f"it is a pickle of more than {PICKLE_VALUES:,} single values")
         if isinstance(value, ArrayStandIn):
             return value.values
         if depth < _DEPTH and isinstance(value, dict):

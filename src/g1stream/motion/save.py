@@ -9,7 +9,6 @@ import numpy as np
 from g1stream.errors import MotionError
 from g1stream.files import check_not_input, complete_file
 from g1stream.motion.csv import to_csv
-from g1stream.motion.parquet import write_parquet
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -18,7 +17,7 @@ if TYPE_CHECKING:
 
 __all__ = ["MOTION_SUFFIXES", "save_motion"]
 
-MOTION_SUFFIXES: Final = (".csv", ".npz", ".parquet")
+MOTION_SUFFIXES: Final = (".csv", ".npz")
 """Of the files that are written."""
 
 
@@ -34,8 +33,6 @@ def save_motion(motion: Motion, path: Path, *, force: bool = False) -> None:
     with complete_file(path, force=force) as temporary:
         if suffix == ".csv":
             temporary.write_text(to_csv(motion), encoding="utf-8")
-        elif suffix == ".parquet":
-            write_parquet(motion, temporary)
         else:
             with temporary.open("wb") as file:
                 np.savez_compressed(

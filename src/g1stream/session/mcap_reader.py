@@ -30,6 +30,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema, Statistics
 
 from g1stream.errors import RecordingError
+from g1stream.input_limits import LATEST_NS, SESSION_RATIO, UNPACKED
 from g1stream.session.format import METADATA_NAME, metadata_from_strings
 
 if TYPE_CHECKING:
@@ -38,7 +39,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["LATEST", "RECOVER", "McapFile", "Messages", "Slices"]
+__all__ = ["RECOVER", "McapFile", "Messages", "Slices"]
 
 RECOVER: Final = "Recover the rest with a tool such as `pymcap-cli recover`."
 """The remedy for a damaged file."""
@@ -50,12 +51,6 @@ _MOST_THREADS: Final = 4
 #: Chunks are decompressed some at a time, of together this many bytes at least.
 _GROUP: Final = 2**18
 
-# Far above what g1stream writes, as LARGEST_RECORD; samples compress to a fifth of their size.
-#: Bytes of all attachments together.
-_LARGEST_ATTACHMENTS: Final = 256 * 2**20
-#: The content of all chunks: bytes in any case, and for each byte of the file.
-_LARGEST_CONTENT: Final = 256 * 2**20
-_LARGEST_RATIO: Final = 100
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 """The first and the last bytes of a file."""
@@ -67,13 +62,6 @@ RECORD_HEAD: Final = struct.Struct("<BQ")
 #: their compression is; behind the name are the length of the compressed data and the data.
 _CHUNK: Final = struct.Struct("<QQQII")
 _LENGTH: Final = struct.Struct("<Q")
-
-LARGEST_RECORD: Final = 512 * 2**20
-"""Bytes of a record, and of the content of a chunk.
-
-A few bytes can claim, or decompress to, more than any memory holds. This is far above what g1stream
-writes: a chunk has 32 MiB at most, or one scene with meshes.
-"""
 
 
 class Messages(NamedTuple):
@@ -179,7 +167,7 @@ def content_of(file: IO[bytes], record: RecordSpan) -> bytes:
     Raises:
         ValueError: they are too many.
     """
-    if record.length > LARGEST_RECORD:
+    if record.length > UNPACKED:
         raise ValueError("the record is too large")
     file.seek(record.start)
     return file.read(record.length)
@@ -202,7 +190,7 @@ def decompressed(content: bytes | memoryview) -> bytes:
     data = content[_CHUNK.size + name_length :]
     (data_length,) = _LENGTH.unpack_from(data)
     data = data[_LENGTH.size :][:data_length]
-    if size > LARGEST_RECORD:
+    if size > UNPACKED:
         raise ValueError("the chunk is too large")
     # Neither decompressor may make more than the chunk says: a frame has a size of its own.
     if compression == b"zstd":
@@ -221,10 +209,6 @@ def decompressed(content: bytes | memoryview) -> bytes:
     if crc and fastcrc.crc32.iso_hdlc(records) != crc:
         raise ValueError("the checksum of a chunk does not match")
     return records
-
-
-LATEST: Final = 2**62
-"""Times are before this, ns since the epoch (in 2116), so that sums of two are 64-bit numbers."""
 
 
 #: Of a MessageIndex record: the channel, and how many bytes of entries follow.
@@ -258,7 +242,7 @@ class Chunk:
     def add_index(self, file: IO[bytes], record: RecordSpan) -> None:
         channel, size = _INDEX.unpack(read_at(file, record.start, _INDEX.size))
         n_entries, rest = divmod(size, _INDEX_ENTRY.itemsize)
-        if rest or size != record.length - _INDEX.size or size > LARGEST_RECORD:
+        if rest or size != record.length - _INDEX.size:
             raise ValueError("the index of a chunk has another length than it says")
         if n_entries:
             self.index[channel] = (record.start + _INDEX.size, n_entries)
@@ -342,7 +326,7 @@ def _messages_at(
     if (wrong | (ends < starts) | (ends > limits)).any():
         raise ValueError("the index of a chunk points to something else than a message")
     times = (np.ascontiguousarray(heads["log_time"]), np.ascontiguousarray(heads["publish_time"]))
-    if any(one.min() < 0 or one.max() >= LATEST for one in times):
+    if any(one.min() < 0 or one.max() >= LATEST_NS for one in times):
         raise ValueError("a message has a time after 2116")
     return Messages(*times, Slices(data, starts, ends))
 
@@ -378,12 +362,16 @@ class McapFile:
         self._statistics: Statistics | None = None
         with self._open() as file:
             last = None
-            allowed = _LARGEST_CONTENT + _LARGEST_RATIO * os.fstat(file.fileno()).st_size
+            allowed = UNPACKED + SESSION_RATIO * os.fstat(file.fileno()).st_size
             for last in records_of(file):
                 with self.damage_at(last):
                     self._add_record(file, last)
                 if self._content_size > allowed:
-                    raise self._too_large("chunks", self._content_size)
+                    raise RecordingError(
+                        f"The chunks of {self.path} are said to have "
+                        f"{self._content_size / 2**20:.0f} MiB, which no session of its size has.",
+                        "Give a file that g1stream recorded.",
+                    )
             # Of the last chunk of a file cut short, a part of the index may be missing.
             if last and last.opcode in {Opcode.CHUNK, Opcode.MESSAGE_INDEX}:
                 self._chunks[-1].index.clear()
@@ -420,9 +408,6 @@ class McapFile:
         Raises:
             RecordingError: one of them is damaged.
         """
-        size = sum(record.length for record in self._attachments)
-        if size > _LARGEST_ATTACHMENTS:
-            raise self._too_large("attachments", size)
         with self._open() as file:
             for record in self._attachments:
                 with self.damage_at(record):
@@ -505,9 +490,10 @@ class McapFile:
     def _content(self, file: IO[bytes], chunk: Chunk) -> tuple[bytes, bytes]:
         """A chunk and its index as they are in the file, and its records."""
         with self.damage_at(chunk.record):
-            if chunk.record.length > LARGEST_RECORD:
+            size = chunk.end - chunk.record.start
+            if size > UNPACKED:
                 raise ValueError("the record is too large")
-            content = read_at(file, chunk.record.start, chunk.end - chunk.record.start)
+            content = read_at(file, chunk.record.start, size)
             return content, decompressed(memoryview(content)[: chunk.record.length])
 
     @contextmanager
@@ -520,13 +506,6 @@ class McapFile:
                 "decoded.",
                 RECOVER,
             ) from error
-
-    def _too_large(self, what: str, size: int) -> RecordingError:
-        return RecordingError(
-            f"The {what} of {self.path} are said to have {size / 2**20:.0f} MiB, which no session "
-            "of its size has.",
-            "Give a file that g1stream recorded.",
-        )
 
     def _topic(self, channel_id: int) -> str:
         return self._topics.get(channel_id, f"channel {channel_id}")

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from g1stream.errors import MotionError, RecordingError
-from g1stream.files import is_session, is_sqlite
+from g1stream.files import begins_with, is_session
 from g1stream.motion.files import motion_file, open_motion_file
 from g1stream.motion.motion import Motion, check_fps
-from g1stream.session.poses import motion_of_poses
-from g1stream.session.recording import open_recording
+from g1stream.optional import extension
+from g1stream.session.recorded_motion import FOXGLOVE, RecordedMotion, motion_of_poses
 from g1stream.session.records import MotionInfo, read_record
 from g1stream.types import STREAM_RATE, Phase
 
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
     from g1stream.motion.check import FileReport
     from g1stream.robot.model import G1
-    from g1stream.session.bag import Bag
     from g1stream.session.recording import Recording
     from g1stream.session.streams import Reference
     from g1stream.types import JointOrder
@@ -30,7 +29,15 @@ __all__ = [
     "check_motion_file",
     "load_motion",
     "motion_of",
+    "recorded_motion",
 ]
+
+_READERS: Final[dict[bytes | str, str]] = {
+    b"SQLite format 3\0": "read_bag",
+    b"\x28\xb5\x2f\xfd": "read_bag",  # a file of a bag, compressed as a whole
+    "sensor_msgs/msg/JointState": "read_bag",
+}
+"""What reads recordings of others, by how a file begins or by a type of the messages in an MCAP."""
 
 
 def load_motion(
@@ -60,9 +67,11 @@ def load_motion(
         RecordingError: the session is damaged, or no motion was played in it.
     """
     path = Path(path_or_name)
-    if bag := _foreign_bag(path):
-        return bag.motion(fps)
+    if recorded := recorded_motion(path):
+        return recorded.motion(fps)
     if is_session(path):
+        from g1stream.session.recording import open_recording
+
         return motion_of(open_recording(path), fps)
     file = open_motion_file(path_or_name, joint_order)
     if fps is not None:
@@ -70,14 +79,35 @@ def load_motion(
     return file.motion(fps)
 
 
-def _foreign_bag(path: Path) -> Bag | None:
-    """The bag at a path; None where there is a session, or a motion file."""
-    if not (is_sqlite(path) or is_session(path)):
-        return None
-    from g1stream.session.bag import Bag
+def recorded_motion(path: Path) -> RecordedMotion | None:
+    """The recording of others, or of `convert`, at a path; None for a session or a motion file.
 
-    bag = Bag(path)
-    return bag if bag.is_foreign else None
+    Raises:
+        ConfigError: the extra that reads it is not installed.
+        RecordingError: it is damaged.
+    """
+    starts = [start for start in _READERS if isinstance(start, bytes)]
+    if not is_session(path) and not any(begins_with(path, start) for start in starts):
+        return None
+    from g1stream.session.mcap_reader import McapFile
+    from g1stream.session.parts import parts_of
+    from g1stream.session.streams import STREAMS, Reference
+
+    parts = parts_of(path)
+    readers = [_READERS[start] for start in starts if begins_with(parts[0], start)]
+    if not readers:
+        files = [McapFile(part) for part in parts]
+        types = {topic: kind for file in files for topic, kind in file.types.items()}
+        readers = [_READERS[kind] for kind, _ in types.values() if kind in _READERS]
+        # A robot's own topics in a bag with joint states are none of ours.
+        has_joints = readers or not FOXGLOVE.joint_states.keys().isdisjoint(types.values())
+        ours = Reference.topic in types or any(file.metadata for file in files)
+        if not types.keys().isdisjoint(STREAMS) and (ours or not has_joints):
+            return None
+        if not readers:
+            return RecordedMotion(path, files, FOXGLOVE)
+    recorded: RecordedMotion = extension(readers[0])(path)
+    return recorded
 
 
 def check_motion_file(
@@ -108,11 +138,11 @@ def check_motion_file(
     from g1stream.motion.check import FileReport, check_file, check_motion
 
     path = Path(path_or_name)
-    if bag := _foreign_bag(path):
+    if recorded := recorded_motion(path):
         motion = check_motion(
-            change(bag.motion(fps)), robot, rate=rate, position_margin=position_margin
+            change(recorded.motion(fps)), robot, rate=rate, position_margin=position_margin
         )
-        return FileReport(path, kind="bag", evidence=bag.evidence, motion=motion)
+        return FileReport(path, kind="bag", evidence=recorded.evidence, motion=motion)
     if not is_session(path):
         return check_file(
             path_or_name,
@@ -140,10 +170,8 @@ def motion_of(session: Recording, fps: float | None = None) -> Motion:
         RecordingError: there is no motion in this session.
         MotionError: `fps` is not a frame rate, or leaves less than two frames.
     """
-    if session.converted:
-        from g1stream.session.bag import Bag
-
-        return Bag(session.path).motion(fps)
+    if session.converted and (recorded := recorded_motion(session.path)):
+        return recorded.motion(fps)
     return _reference_motion(session.reference, session.path, fps)
 
 

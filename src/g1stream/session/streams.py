@@ -13,6 +13,7 @@ from google.protobuf.message import DecodeError
 
 from g1stream.dds import messages
 from g1stream.errors import RecordingError
+from g1stream.input_limits import LATEST_NS, NUMBER
 from g1stream.session.records import PhaseInterval
 from g1stream.text import counted
 from g1stream.types import Floats, Ints, Phase
@@ -45,8 +46,6 @@ _TIMES: Final = ("log_time", "publish_time")
 
 #: If half of the messages take longer than this, ns, it is the clocks that differ.
 _SLOWEST_WIRE: Final = 20_000_000
-#: Times are moved by no more than this, ns, so that the sum is a 64-bit number.
-_LARGEST_SHIFT: Final = 2**62
 
 StreamT = TypeVar("StreamT", bound="Stream")
 
@@ -192,7 +191,7 @@ class Stream:
         """(N,) s, publish times on the recorder's clock since a time on it."""
         # Nanoseconds since the epoch need more digits than a float has; the differences do not.
         shift = self.clock_offset - start_ns
-        shift = max(-_LARGEST_SHIFT, min(shift, _LARGEST_SHIFT))
+        shift = max(-LATEST_NS, min(shift, LATEST_NS))
         return _read_only((self.publish_time + shift) / 1e9)
 
     @property
@@ -217,10 +216,6 @@ def _as_float64(values: NDArray[Any]) -> NDArray[Any]:
 def _read_only(values: NDArray[Any]) -> NDArray[Any]:
     values.setflags(write=False)
     return values
-
-
-#: A motion time beyond this, s, which no motion of ours has, is passed over.
-_LONGEST_MOTION: Final = 1e9
 
 
 class Reference(Stream):
@@ -262,7 +257,7 @@ class Reference(Stream):
         On the recorder's clock. Where nothing was played, when the first sample was published.
         """
         self.read("phase", "motion_time")
-        sane = np.abs(self.motion_time) < _LONGEST_MOTION
+        sane = np.abs(self.motion_time) < NUMBER
         playing = np.flatnonzero((self.phase == Phase.PLAY) & sane)
         if not len(playing):
             return super().start_ns

@@ -40,12 +40,11 @@ from g1stream.extras.ros2.messages import joint_state, tf_message
 from g1stream.motion.motion import Motion
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import DEFAULT_URDF, G1
-from g1stream.session.format import CHANNELS
+from g1stream.session.format import CHANNELS, encode_log
 from g1stream.session.motions import load_motion
 from g1stream.session.recorded_motion import FramePose
 from g1stream.session.source import SessionFiles
 from g1stream.types import Phase
-from g1stream.view.encoders import encode_log
 
 #: What numpy complains about would be printed on the terminal.
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning", "error::UserWarning")

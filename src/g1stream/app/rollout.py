@@ -21,6 +21,7 @@ from g1stream.errors import ConfigError
 from g1stream.extras.feet.stand import stand_if_asked
 from g1stream.motion.fit import fit_to_robot
 from g1stream.motion.motion import Motion
+from g1stream.recorder.recorder import raw_messages
 from g1stream.robot.model import G1
 from g1stream.session.motions import load_motion
 from g1stream.session.records import RecorderSummary, SessionInfo
@@ -122,7 +123,8 @@ def rollout(
     source = MemorySource(f"rollout of {motion.name}")
     info = SessionInfo.from_config(config, robot, motion, gains_in_play(config, robot)._asdict())
     _write_header(source, config, robot, motion, info)
-    for messages in (*pipeline.file_header(EPOCH), *pipeline.encode(batches)):
+    header, shown = pipeline.file_header(EPOCH), pipeline.encode(batches)
+    for messages in (*header, *raw_messages(batches), *shown):
         source.write_batch(*messages)
     stream = loop.report.summary().model_copy(
         update={"start_s": config.stream.start, "slowed": fitted.slowed}
@@ -131,7 +133,7 @@ def rollout(
         first_ns=EPOCH,
         last_ns=link.stamp() + LATENCY,
         counts=source.topics,
-        measured_tf=pipeline.base.summary(),
+        measured_tf=pipeline.base.summary() if pipeline.base else None,
     ).model_dump(mode="json")
     source.add_metadata(
         {

@@ -41,15 +41,15 @@ from g1stream.app.rollout import rollout
 from g1stream.app.stream import stream
 from g1stream.config import load_config
 from g1stream.control.feedforward import FeedForward
+from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.joints import JOINT_NAMES
-from g1stream.session.motions import load_motion
 from g1stream.session.session import open_session
 
 if TYPE_CHECKING:
     from g1stream.dds.messages import LowState
     from g1stream.motion.motion import Motion
-    from g1stream.motion.trajectory import TrajectoryPoint
+    from g1stream.motion.spline import TrajectoryPoint
     from g1stream.session.session import Session
     from g1stream.types import FeedForwardKind, Floats, Support
 

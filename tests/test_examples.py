@@ -10,7 +10,7 @@ import pytest
 
 from g1stream.app.child_process import Child
 from g1stream.config import Config
-from g1stream.session.motions import load_motion
+from g1stream.motion.readers import load_motion
 from g1stream.session.session import open_session
 from g1stream.session.writer import SessionWriter
 from g1stream.synthetic import SyntheticSession

@@ -37,10 +37,10 @@ from g1stream.dds.messages import Log, LowCmd, LowState, Reference
 from g1stream.dds.ros2 import encode_joint_state, encode_tf
 from g1stream.errors import ConfigError, G1StreamError, MotionError, RecordingError, RobotError
 from g1stream.motion.motion import Motion
+from g1stream.motion.readers import load_motion
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import DEFAULT_URDF, G1
 from g1stream.session.format import CHANNELS
-from g1stream.session.motions import load_motion
 from g1stream.session.parts import SessionFiles
 from g1stream.session.session import open_session
 from g1stream.types import Phase

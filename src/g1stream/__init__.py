@@ -41,11 +41,12 @@ if TYPE_CHECKING:
     from g1stream.extras.report.compare import Comparison, compare
     from g1stream.extras.report.page import report
     from g1stream.motion.motion import Motion
-    from g1stream.motion.trajectory import Trajectory, TrajectoryPoint
+    from g1stream.motion.readers import load_motion
+    from g1stream.motion.spline import TrajectoryPoint
+    from g1stream.motion.trajectory import Trajectory
     from g1stream.robot.joints import JOINT_NAMES
     from g1stream.robot.model import G1
     from g1stream.session.metrics import Metrics
-    from g1stream.session.motions import load_motion
     from g1stream.session.session import Message, Session, open_session
     from g1stream.session.stream import Stream
     from g1stream.session.streams import Base, Command, LogEvent, Measured, Reference, TorsoImu
@@ -145,12 +146,12 @@ _HOME = {
     "Tracking": "analysis.tracking",
     "TrackingSummary": "session.summary",
     "Trajectory": "motion.trajectory",
-    "TrajectoryPoint": "motion.trajectory",
+    "TrajectoryPoint": "motion.spline",
     "compare": "extras.report.compare",
     "convert": "app.convert",
     "live": "app.live",
     "load_config": "config",
-    "load_motion": "session.motions",
+    "load_motion": "motion.readers",
     "motion_physics": "extras.physics.measure",
     "open_library": "extras.library.table",
     "open_session": "session.session",

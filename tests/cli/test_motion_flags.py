@@ -12,8 +12,8 @@ from g1stream.cli.motion import Inspect
 from g1stream.cli.stream import Stream
 from g1stream.errors import ConfigError, MotionError, RecordingError
 from g1stream.motion.motion import Motion
+from g1stream.motion.readers import load_motion
 from g1stream.session.info import MotionInfo
-from g1stream.session.motions import load_motion
 from g1stream.session.session import open_session
 
 COMMANDS = {"stream": Stream, "motion": Inspect, "convert": Convert, "demo": Demo}

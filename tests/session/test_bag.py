@@ -16,8 +16,8 @@ import g1stream
 from g1stream.cli.main import main
 from g1stream.dds.ros2 import decode_joint_state, decode_tf, encode_joint_state, encode_tf
 from g1stream.errors import MotionError, RecordingError
+from g1stream.motion.readers import check_motion_file, load_motion
 from g1stream.session.bag import Bag
-from g1stream.session.motions import check_motion_file, load_motion
 
 ROS = get_typestore(Stores.ROS2_HUMBLE)
 START = 1_700_000_000_000_000_000
@@ -106,9 +106,8 @@ def test_a_bag_of_ros(tmp_path, motion, joints, transforms, storage):
         np.testing.assert_array_equal(found.root_pos, motion.root_pos)
         np.testing.assert_allclose(found.root_quat_wxyz, motion.root_quat_wxyz, atol=1e-15)
     report = check_motion_file(directory, g1stream.G1.default())
-    assert report.kind == "bag"
-    assert "/joint_states" in report.evidence[0]
-    assert "pelvis in odom" in report.evidence[2]
+    assert "/joint_states" in report.evidence.used["file"]
+    assert "pelvis in odom" in report.evidence.used["pelvis"]
 
 
 def test_without_transforms_the_pelvis_is_upright(tmp_path, joints):

@@ -37,6 +37,8 @@ __all__ = [
     "JOINT_NAMES",
     "JOINT_SETS",
     "LEGS",
+    "MIRRORED_JOINT",
+    "MIRROR_SIGN",
     "N_JOINTS",
     "TORQUE_LIMIT",
     "JointSet",
@@ -81,6 +83,21 @@ JOINT_GROUPS: Final[Mapping[str, tuple[int, ...]]] = MappingProxyType(
 
 LEGS: Final = len(JOINT_GROUPS["left_leg"]) + len(JOINT_GROUPS["right_leg"])
 """The joints of the legs come first."""
+
+_OTHER_SIDE: Final = {"left": "right", "right": "left"}
+MIRRORED_JOINT: Final = np.array(
+    [
+        JOINT_NAMES.index(f"{_OTHER_SIDE.get(side, side)}_{joint}")
+        for side, _, joint in (name.partition("_") for name in JOINT_NAMES)
+    ]
+)
+"""(29,) the joint on the other side, or the same one in the middle."""
+
+MIRROR_SIGN: Final = np.array(
+    [-1.0 if "_roll_" in name or "_yaw_" in name else 1.0 for name in JOINT_NAMES]
+)
+"""(29,) a mirrored pose has the angles `MIRROR_SIGN * joint_pos[..., MIRRORED_JOINT]`: an axis is a
+pseudovector, so that turns about x and z change their sign and those about y do not."""
 
 
 def matching_joints(pattern: str, where: str) -> list[int]:

@@ -13,8 +13,8 @@ from g1stream.extras.physics.footing import CannotStandError
 from g1stream.extras.physics.parts import find_instead, stand_part
 from g1stream.motion.limits import Interval
 from g1stream.motion.motion import Motion
+from g1stream.motion.readers import load_motion
 from g1stream.robot.model import G1
-from g1stream.session.motions import load_motion
 
 if TYPE_CHECKING:
     from pathlib import Path

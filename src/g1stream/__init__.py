@@ -32,9 +32,8 @@ if TYPE_CHECKING:
     from g1stream.errors import G1StreamError
     from g1stream.extras.feet.stand import stand
     from g1stream.extras.library.compute import LibraryCase
-    from g1stream.extras.library.rows import JointRow, MotionRow
     from g1stream.extras.library.run import LibraryRun, run_library
-    from g1stream.extras.library.table import Library, open_library
+    from g1stream.extras.library.table import JointRow, Library, MotionRow, open_library
     from g1stream.extras.physics.measure import motion_physics
     from g1stream.extras.physics.result import MotionPhysics
     from g1stream.extras.physics.stance import Standing
@@ -121,7 +120,7 @@ _HOME = {
     "G1": "robot.model",
     "G1StreamError": "errors",
     "JOINT_NAMES": "robot.joints",
-    "JointRow": "extras.library.rows",
+    "JointRow": "extras.library.table",
     "Library": "extras.library.table",
     "LibraryCase": "extras.library.compute",
     "LibraryRun": "extras.library.run",
@@ -132,7 +131,7 @@ _HOME = {
     "Metrics": "session.metrics",
     "Motion": "motion.motion",
     "MotionPhysics": "extras.physics.result",
-    "MotionRow": "extras.library.rows",
+    "MotionRow": "extras.library.table",
     "PhaseInterval": "session.summary",
     "Reference": "session.streams",
     "Samples": "dds.messages",

@@ -211,7 +211,7 @@ def test_a_missing_extra_is_named(monkeypatch):
     def version(name):
         raise PackageNotFoundError(name)
 
-    monkeypatch.setattr(program, "version", version)
+    monkeypatch.setattr("g1stream.optional.version", version)
     with pytest.raises(ConfigError) as caught, program.live():
         pass
     assert "'g1stream[live]'" in caught.value.remedy

@@ -11,11 +11,11 @@ from g1stream.config import Config
 from g1stream.dds.messages import LowCmd, played_joints
 from g1stream.errors import ConfigError, RecordingError
 from g1stream.extras.report.page import report
+from g1stream.extras.video.render import Poses
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.session.session import Session, open_session
 from g1stream.sim.lockstep import EPOCH
 from g1stream.types import Phase
-from g1stream.viewers.video import Poses
 
 SHORT = {"ramp": 1.0, "hold": 0.1, "damp": 0.5}
 
@@ -246,7 +246,7 @@ def test_the_error_of_a_limb_is_that_of_its_played_joints(arms):
     shown, tracking = Poses(arms, np.array([0.8])), arms.tracking()
     at = np.abs(tracking.time - 0.8).argmin()
     expected = np.degrees(np.sqrt(np.mean(tracking.error[at, 15:] ** 2)))
-    assert f"{expected:.2f} deg" in shown.text(0)[1]
+    assert f"{expected:.2f} deg" in shown.text(0)
 
 
 @pytest.mark.slow

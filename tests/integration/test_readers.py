@@ -7,10 +7,10 @@ motion and with our kinematics, which have truths of their own.
 from __future__ import annotations
 
 import json
-import os
 import re
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -107,13 +107,11 @@ def test_foxgloves_packages_see_the_motion_to_the_last_bit(converted, read_with_
 
 @pytest.fixture(scope="module")
 def rerun():
-    """Rerun's command; not among our dependencies, as it is half a gigabyte."""
-    found = os.environ.get("RERUN") or shutil.which("rerun")
-    if not found:
-        pytest.skip("needs Rerun's command: pip install rerun-sdk, or its path in RERUN")
+    """Rerun's command."""
+    pytest.importorskip("rerun", reason="Rerun needs Python 3.11")
 
     def run(*arguments):
-        command = [found, *map(str, arguments)]
+        command = [sys.executable, "-m", "rerun_cli", *map(str, arguments)]
         done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
         return done.stdout
 

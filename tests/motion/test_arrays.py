@@ -7,8 +7,6 @@ import io
 import os
 import pickle
 import struct
-import subprocess
-import sys
 import tracemalloc
 import zipfile
 import zlib
@@ -18,8 +16,6 @@ from typing import get_args
 
 import joblib
 import numpy as np
-import pyarrow
-import pyarrow.parquet
 import pytest
 
 import g1stream
@@ -197,7 +193,7 @@ def test_joblib(tmp_path, motion, compress):
     assert_same(g1stream.load_motion(path), motion)
 
 
-@pytest.mark.parametrize("suffix", ["csv", "npz", "parquet"])
+@pytest.mark.parametrize("suffix", ["csv", "npz"])
 def test_round_trip(tmp_path, motion, suffix):
     path = motion.save(tmp_path / f"motion.{suffix}")
     found = g1stream.load_motion(path, fps=50 if suffix == "csv" else None)
@@ -453,27 +449,7 @@ def test_tensors_are_within_their_storage(tmp_path):
         opened(path)
 
 
-def test_parquet_of_others(tmp_path, motion):
-    """Columns in any order, under other names, with a text and without the root."""
-    columns = {
-        f"{name.removesuffix('_joint')}": q
-        for name, q in zip(reversed(motion.joint_names), motion.joint_pos.T[::-1], strict=True)
-    }
-    table = pyarrow.table({"what": ["walk"] * motion.n_frames, **columns})
-    path = tmp_path / "motion.parquet"
-    pyarrow.parquet.write_table(table, path)
-    found = g1stream.load_motion(path, fps=50)
-    np.testing.assert_array_equal(found.joint_pos, motion.joint_pos)
-    assert not found.root_pos.any()
-    path.write_bytes(path.read_bytes()[:-50])
-    with pytest.raises(MotionError, match="damaged"):
-        opened(path)
-    pyarrow.parquet.write_table(pyarrow.table({"episode": [1, 2]}), path)
-    with pytest.raises(MotionError, match="episode"):
-        opened(path)
-
-
-@pytest.mark.parametrize("suffix", ["npz", "npy", "parquet"])
+@pytest.mark.parametrize("suffix", ["npz", "npy"])
 def test_a_file_that_is_cut_off_is_said_to_be(tmp_path, motion, suffix):
     path = tmp_path / f"motion.{suffix}"
     if suffix == "npy":
@@ -482,41 +458,6 @@ def test_a_file_that_is_cut_off_is_said_to_be(tmp_path, motion, suffix):
         motion.save(path)
     path.write_bytes(path.read_bytes()[:-100])
     with pytest.raises(MotionError, match=rf"^motion.{suffix}: .*damaged or cut off"):
-        opened(path)
-
-
-def test_parquet_columns_of_the_same_joint(tmp_path):
-    path, q = tmp_path / "motion.parquet", np.zeros(9)
-    for other in ("left_knee", "left_knee_joint"):
-        table = pyarrow.Table.from_arrays([q, q], ["left_knee_joint", other])
-        pyarrow.parquet.write_table(table, path)
-        with pytest.raises(MotionError, match="two columns of left_knee_joint"):
-            opened(path)
-
-
-def test_parquet_columns_that_are_left_out_take_no_memory(tmp_path, motion):
-    path = tmp_path / "motion.parquet"
-    columns = dict(zip(motion.joint_names, motion.joint_pos.T, strict=True))
-    texts = pyarrow.array(["a" * 200_000] * motion.n_frames)
-    pyarrow.parquet.write_table(pyarrow.table({"image": texts, **columns}), path)
-    code = (
-        "import sys, numpy, pyarrow, g1stream\n"
-        "motion = g1stream.load_motion(sys.argv[1], fps=50)\n"
-        "print(numpy.abs(motion.joint_pos).sum(), pyarrow.default_memory_pool().max_memory())"
-    )
-    command = [sys.executable, "-c", code, path]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    angles, peak = map(float, done.stdout.split())
-    assert angles == np.abs(motion.joint_pos).sum()
-    assert peak < 5_000_000
-
-
-def test_parquet_that_unpacks_to_more_than_a_motion(tmp_path):
-    path = tmp_path / "zeros.parquet"
-    table = pyarrow.table({name: np.zeros(3_000_000) for name in g1stream.JOINT_NAMES[:24]})
-    pyarrow.parquet.write_table(table, path)
-    assert path.stat().st_size < 2**20
-    with pytest.raises(MotionError, match="too large"):
         opened(path)
 
 

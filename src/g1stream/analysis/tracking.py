@@ -17,6 +17,7 @@ import numpy as np
 from g1stream.analysis.delay import Delay, Delays
 from g1stream.dds.messages import played_joints
 from g1stream.errors import RecordingError
+from g1stream.input_limits import NUMBER
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
 from g1stream.session.streams import Measured, Reference
 from g1stream.session.summary import JointTracking, TrackingSummary
@@ -32,8 +33,6 @@ if TYPE_CHECKING:
 
 __all__ = ["NothingToCompareError", "Tracking", "blocks", "compare", "pooled", "tracking"]
 
-#: Positions, rad, and motion times, s, that are not below this are left out, as is NaN.
-_LARGEST: Final = 1e9
 #: Rows of 29 joints that are computed at once.
 _BLOCK: Final = 2048
 
@@ -167,7 +166,7 @@ def compare(reference: Reference, measured: Measured) -> Tracking | None:
     times = reference.publish_time + reference.clock_offset
     state_times = measured.publish_time + measured.clock_offset
     order, state_order = np.argsort(times, kind="stable"), np.argsort(state_times, kind="stable")
-    sane = _are_sane(reference.q) & (np.abs(reference.motion_time) < _LARGEST)
+    sane = _are_sane(reference.q) & (np.abs(reference.motion_time) < NUMBER)
     order = order[sane[order]]
     if not len(order):
         return None
@@ -226,7 +225,7 @@ def _are_sane(values: Floats) -> NDArray[np.bool_]:
     """(N,) whether all of a row (N, K) are finite and of a sane size."""
     sane = np.empty(len(values), dtype=bool)
     for part in blocks(len(values)):
-        sane[part] = (np.abs(values[part]) < _LARGEST).all(axis=1)
+        sane[part] = (np.abs(values[part]) < NUMBER).all(axis=1)
     return sane
 
 

@@ -7,14 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from g1stream._version import __version__
-from g1stream.dds.ros2 import encode_string
 from g1stream.errors import ConfigError, MotionError
 from g1stream.files import check_not_input, check_suffix, complete_file
 from g1stream.motion.readers import load_motion
 from g1stream.robot.meshes import robot_with_meshes
 from g1stream.robot.model import G1
 from g1stream.robot.visuals import missing_meshes
-from g1stream.session.format import CHANNELS, Channel
+from g1stream.session.format import CHANNELS, Channel, encode_string
 from g1stream.session.info import MotionInfo
 from g1stream.session.timestamps import frame_timestamps
 from g1stream.session.writer import SessionWriter, attach_motion
@@ -136,7 +135,7 @@ def convert(
     """
     options = options or Conversion()
     out = Path(out)
-    check_suffix(out, "a session file; motion files end in .csv, .npz or .parquet", ".mcap")
+    check_suffix(out, "a session file; motion files end in .csv or .npz", ".mcap")
     robot = robot or G1.default()
     motion = _load(motion, robot, fps)
     start, stop = _frame_range(motion, options.frames)

@@ -9,8 +9,7 @@ import time
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
-from g1stream.app.child_process import run_child
-from g1stream.app.ros2 import publishing_for_ros2
+from g1stream.app.child_process import publishing_for_ros2, run_child
 from g1stream.clock import SystemClock
 from g1stream.config import Config
 from g1stream.dds.domain import Participant

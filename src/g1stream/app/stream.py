@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Final
 
 from g1stream.analysis.summary import summarise_run
 from g1stream.app.arming import inspect_for_arming, motion_service, require_arming
-from g1stream.app.child_process import Child, ChildError
+from g1stream.app.child_process import Child, ChildError, publishing_for_ros2
 from g1stream.app.guard import Guard
-from g1stream.app.ros2 import publishing_for_ros2
 from g1stream.clock import SystemClock
 from g1stream.config import SHIPPED, Config, load_config
 from g1stream.control.arm_sdk import settings_for_arm_sdk

@@ -20,8 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["MOTION", "MOTIONS", "MotionFlags"]
 
 MOTION: Final = (
-    "Motion file (CSV, NPZ, Parquet, pickle), session, ROS 2 bag, or the name of a bundled motion: "
-    "demo."
+    "Motion file (CSV, NPZ, pickle), session, ROS 2 bag, or the name of a bundled motion: demo."
 )
 """Help of a flag that names a motion."""
 MOTIONS: Final = f"{MOTION} Several are joined in their order."

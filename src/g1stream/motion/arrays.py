@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, get_args
 import numpy as np
 
 from g1stream.errors import MotionError
+from g1stream.input_limits import UNPACKED
 from g1stream.motion.motion import DEFAULT_FPS, SMALLEST_QUAT, Motion, norm_warnings
-from g1stream.motion.pickles import LARGEST, read_pickle, read_torch
+from g1stream.motion.pickles import read_pickle, read_torch
 from g1stream.motion.readers import Evidence
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.kinematics import forward_kinematics
@@ -69,8 +70,8 @@ _READ: Final = (
     f"with {_any_of(_QUATS)}, or as the first body of {_any_of(_BODY_POSITIONS)} with "
     f"{_any_of(_BODY_QUATS)}; {_any_of(_FPS)}; {_any_of(_NAMES)}."
 )
-#: An array that is converted to 64 bits has no more: 512 MiB.
-_MOST_NUMBERS: Final = LARGEST // 8
+#: Numbers in an array that is converted to 64 bits.
+_NUMBERS: Final = UNPACKED // 8
 #: Motions of a file that an error names.
 _NAMED: Final = 20
 #: A pelvis that leans by more than the first on average, by less than the second if w is at the
@@ -338,9 +339,9 @@ class ArrayFile:
                 f"{name} is no array of numbers with {dimensions} dimensions",
                 "Give it a row for each frame.",
             )
-        if values.size > _MOST_NUMBERS:
+        if values.size > _NUMBERS:
             raise self._error(
-                f"{name} has more than {_MOST_NUMBERS:,} numbers", "Give a part of the motion."
+                f"{name} has more than {_NUMBERS:,} numbers", "Give a part of the motion."
             )
         return values
 
@@ -444,10 +445,6 @@ def read_arrays(data: bytes) -> tuple[str, Any]:
     """
     if data.startswith(b"\x93NUMPY"):
         return "NPY", {"qpos": _npy(data)}
-    if data.startswith(b"PAR1"):
-        from g1stream.motion.parquet import read_parquet
-
-        return "Parquet", read_parquet(data)
     if not data.startswith(b"PK"):
         return "pickle", read_pickle(data)
     members = _zip_members(data)
@@ -461,8 +458,8 @@ def _zip_members(data: bytes) -> dict[str, bytes]:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             members = archive.infolist()
             # zipfile itself reads no more than this size of a member.
-            if sum(member.file_size for member in members) > LARGEST:
-                raise ValueError(f"it is larger than {LARGEST / 2**20:g} MiB unpacked")
+            if sum(member.file_size for member in members) > UNPACKED:
+                raise ValueError(f"it is larger than {UNPACKED / 2**20:g} MiB unpacked")
             plain = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
             if any(member.compress_type not in plain for member in members):
                 raise ValueError("it is compressed in another way than deflate")

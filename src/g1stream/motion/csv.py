@@ -22,10 +22,10 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from g1stream.errors import MotionError
+from g1stream.input_limits import NUMBER
 from g1stream.motion.arrays import names_in_order
 from g1stream.motion.motion import (
     DEFAULT_FPS,
-    LARGEST,
     ROOT_COLUMNS,
     SMALLEST_QUAT,
     Motion,
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from g1stream.motion.readers import MotionFile
     from g1stream.types import Floats
 
-__all__ = ["ROOT_COLUMNS", "CsvFile", "canonical_column"]
+__all__ = ["CsvFile"]
 
 _FRAME: Final = ROOT_COLUMNS[0]
 _POSITION: Final = ROOT_COLUMNS[1:4]
@@ -89,7 +89,7 @@ class CsvFile:
         if not self.has_header and self.n_columns == len(_LAFAN1):
             self.columns = (*_LAFAN1[:7], *names_in_order(file.joint_order or "motor"))
         elif self.has_header and self.n_columns > 1:
-            self.columns = tuple(map(canonical_column, first))
+            self.columns = tuple(map(_canonical_column, first))
         self.n_rows = self._text.count("\n") + 1 - self.has_header
 
     @property
@@ -130,7 +130,7 @@ class CsvFile:
         except ValueError:
             raise self._first_fault() from None
         shape = (self.n_rows, self.n_columns)
-        if values.shape != shape or not (np.abs(values) <= LARGEST).all():
+        if values.shape != shape or not (np.abs(values) <= NUMBER).all():
             raise self._first_fault()
         return values
 
@@ -242,7 +242,7 @@ class CsvFile:
             for column, cell in enumerate(cells):
                 if not _is_number(cell):
                     return self._error(
-                        f"{cell.strip()!r:.60} is not a finite number up to {LARGEST:g}",
+                        f"{cell.strip()!r:.60} is not a finite number up to {NUMBER:g}",
                         "Write a decimal number there, such as -0.25.",
                         line=number,
                         column=column,
@@ -257,8 +257,8 @@ class CsvFile:
             )
             raise self._error(
                 "; ".join(faults),
-                f"Name the columns {','.join(ROOT_COLUMNS[1:])} and the {len(JOINT_NAMES)} joints, "
-                "in any order; or use the 36 columns of LAFAN1 and no header.",
+                f"Name the columns {','.join(ROOT_COLUMNS[1:])} and the {len(JOINT_NAMES)} joints "
+                "in any order, or use the 36 columns of LAFAN1 and no header.",
                 line=1,
             )
 
@@ -292,7 +292,7 @@ class CsvFile:
         )
 
 
-def canonical_column(column: str) -> str:
+def _canonical_column(column: str) -> str:
     """The name of a column as g1stream writes it, where it is another name for the same."""
     lower = column.lower()
     if lower in _OTHER_NAMES:
@@ -306,6 +306,6 @@ def _is_number(cell: str) -> bool:
     if "_" in cell or not cell.isascii():
         return False
     try:
-        return abs(float(cell)) <= LARGEST
+        return abs(float(cell)) <= NUMBER
     except ValueError:
         return False

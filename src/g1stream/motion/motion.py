@@ -14,6 +14,7 @@ import numpy as np
 
 from g1stream.errors import MotionError
 from g1stream.files import check_not_input, complete_file
+from g1stream.input_limits import NUMBER
 from g1stream.motion.blend import COAST, blend_frames
 from g1stream.motion.spline import REACH, Spline
 from g1stream.robot.joints import (
@@ -48,7 +49,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "DEFAULT_FPS",
-    "LARGEST",
     "MOTION_SUFFIXES",
     "ROOT_COLUMNS",
     "SMALLEST_QUAT",
@@ -58,15 +58,13 @@ __all__ = [
     "norm_warnings",
 ]
 
-MOTION_SUFFIXES: Final = (".csv", ".npz", ".parquet")
+MOTION_SUFFIXES: Final = (".csv", ".npz")
 """Of the files that `Motion.save` writes."""
 ROOT_COLUMNS: Final = ("Frame", "X", "Y", "Z", "QX", "QY", "QZ", "QW")
 """The columns of a CSV file before those of the joints."""
 DEFAULT_FPS: Final = 30.0
 """Frames per second of a CSV file, which does not say them, if none are given: those of LAFAN1."""
 
-LARGEST: Final = 1e9
-"""No value of a motion is larger, rad or m, so that nothing computed from them overflows."""
 SMALLEST_QUAT: Final = 1e-6
 """A quaternion whose norm is not above this counts as zero."""
 #: Quaternion norms that differ from 1 by more than this give a warning; by more than the second
@@ -107,7 +105,7 @@ class Motion:
 
     Raises:
         MotionError: the shapes do not fit together, there is only one frame, a value is not finite
-            or beyond `LARGEST`, a quaternion is zero, or `fps` is not a frame rate.
+            or too large, a quaternion is zero, or `fps` is not a frame rate.
     """
 
     name: str
@@ -511,22 +509,20 @@ class Motion:
         return figure
 
     def save(self, path: str | os.PathLike[str], *, force: bool = False) -> Path:
-        """Write a CSV, NPZ or Parquet file that `load_motion` reads back to the last bit.
+        """Write a CSV or NPZ file that `load_motion` reads back to the last bit.
 
         A CSV file has a header and 37 columns: frame number, root position (m), root quaternion
         (xyzw) and the joints (rad). It has no frame rate: give `load_motion` the `fps` of the
-        motion if it is not 30. A Parquet file (extra `export`) has the same columns, and `fps` in
-        its metadata. An NPZ file has the arrays `joint_pos`, `root_pos` and `root_quat_wxyz` of
-        this class, `joint_names` and `fps`.
+        motion if it is not 30. An NPZ file has the arrays `joint_pos`, `root_pos` and
+        `root_quat_wxyz` of this class, `joint_names` and `fps`.
 
         Args:
-            path: ends in .csv, .npz or .parquet.
+            path: ends in .csv or .npz.
             force: replace a file that exists.
 
         Raises:
             MotionError: the path has another ending.
             RecordingError: the file exists, is the one the motion came from, or cannot be written.
-            ConfigError: it is a Parquet file, and pyarrow is not installed.
         """
         path = Path(path)
         suffix = path.suffix.lower()
@@ -539,10 +535,6 @@ class Motion:
         with complete_file(path, force=force) as temporary:
             if suffix == ".csv":
                 temporary.write_text(self._csv(), encoding="utf-8")
-            elif suffix == ".parquet":
-                from g1stream.motion.parquet import write_parquet
-
-                write_parquet(self, temporary)
             else:
                 with temporary.open("wb") as file:
                     np.savez_compressed(
@@ -579,12 +571,12 @@ class Motion:
                 f"The motion {self.name} has {field} of shape {values.shape}.",
                 f"Give it shape {shape}, a row per frame.",
             )
-        valid = np.abs(values) <= LARGEST  # NaN is not
+        valid = np.abs(values) <= NUMBER  # NaN is not
         if not valid.all():
             frame, column = np.argwhere(~valid)[0].tolist()
             raise MotionError(
                 f"The motion {self.name} has {values[frame, column]:g} in {field}, frame {frame}.",
-                f"Give it finite numbers, at most {LARGEST:g}.",
+                f"Give it finite numbers, at most {NUMBER:g}.",
             )
         return values
 

@@ -16,18 +16,18 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from g1stream.input_limits import PICKLE_VALUES, UNPACKED
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from numpy.typing import NDArray
 
-__all__ = ["LARGEST", "read_pickle", "read_torch"]
+__all__ = ["read_pickle", "read_torch"]
 
-LARGEST: Final = 512 * 2**20
-"""Bytes that a file holds, unpacked: hours of a motion."""
 #: How deep arrays are in containers, and the bytes that any value in one takes.
 _DEPTH: Final = 4
-_VALUE: Final = 100
+_VALUE: Final = UNPACKED // PICKLE_VALUES
 #: The types of numbers and texts that arrays may have; texts may be Python objects.
 _DTYPE: Final = re.compile(r"[<>|=]?([biufSU][0-9]{1,5}|O8?)")
 _STORAGES: Final = {
@@ -52,7 +52,7 @@ def read_pickle(data: bytes) -> Any:
     if data[:1] != pickle.PROTO:
         decompressor = zlib.decompressobj(wbits=zlib.MAX_WBITS + 32)  # zlib or gzip
         try:
-            data = decompressor.decompress(data, LARGEST)
+            data = decompressor.decompress(data, UNPACKED)
         except zlib.error as error:
             raise ValueError(f"it cannot be unpacked: {error}") from error
         if decompressor.unconsumed_tail:
@@ -78,7 +78,7 @@ def read_torch(members: Mapping[str, bytes]) -> Any:
 
 
 def _too_large() -> ValueError:
-    return ValueError(f"it is larger than {LARGEST / 2**20:g} MiB unpacked")
+    return ValueError(f"it is larger than {UNPACKED / 2**20:g} MiB unpacked")
 
 
 class _Unpickler(pickle.Unpickler):
@@ -92,7 +92,7 @@ class _Unpickler(pickle.Unpickler):
     def __init__(self, data: bytes, numbers: Mapping[str, bytes] | None = None) -> None:
         self.file = io.BytesIO(data)
         super().__init__(self.file)
-        self._numbers, self._left = numbers or {}, LARGEST
+        self._numbers, self._left = numbers or {}, UNPACKED
 
     def content(self) -> Any:
         try:

@@ -9,14 +9,16 @@ import hashlib
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from importlib import import_module, resources
+from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 from g1stream.errors import MotionError
-from g1stream.files import is_session, is_sqlite, read_file
+from g1stream.files import begins_with, is_session, read_file
+from g1stream.input_limits import MOTION_FILE
 from g1stream.motion.check import MotionReport, check_motion
 from g1stream.motion.motion import Motion, check_fps
+from g1stream.optional import EXTENSIONS, load_object
 from g1stream.types import STREAM_RATE
 
 if TYPE_CHECKING:
@@ -40,8 +42,6 @@ __all__ = [
 BUNDLED_MOTIONS: Final = ("demo",)
 """Names of the motions in this package."""
 
-#: Bytes of a motion file; an hour at 500 Hz has as many.
-_LARGEST: Final = 2**30
 #: How a file begins that Git LFS has left in the place of another.
 _LFS: Final = b"version https://git-lfs"
 #: Files that zlib or gzip has compressed.
@@ -110,7 +110,7 @@ class MotionFile:
         if self.data is not None:
             return self.data
         try:
-            return read_file(self.path, _LARGEST)
+            return read_file(self.path, MOTION_FILE)
         except IsADirectoryError:
             raise MotionError(
                 f"{self.path} is a directory, and no bag or session: it has no metadata.yaml.",
@@ -150,8 +150,7 @@ class MotionFile:
                         f"{self.path.name} is not a file of several motions.",
                         f"Give {self.path} alone.",
                     )
-                module, _, name = one.reader.partition(":")
-                reader: MotionReader = getattr(import_module(module), name)(self)
+                reader: MotionReader = load_object(one.reader)(self)
                 return reader
         if self.content.startswith(_LFS):
             cause, remedy = (
@@ -187,7 +186,13 @@ def _begins(*starts: bytes) -> Callable[[MotionFile], bool]:
 
 
 def _is_recording(file: MotionFile) -> bool:
-    return file.data is None and (is_session(file.path) or is_sqlite(file.path))
+    return file.data is None and is_session(file.path)
+
+
+def _is_bag(file: MotionFile) -> bool:
+    """Whether it is one in SQLite, or compressed as a whole."""
+    starts = (b"SQLite format 3\0", b"\x28\xb5\x2f\xfd")
+    return any(begins_with(file.path, start) for start in starts)
 
 
 def _is_table(file: MotionFile) -> bool:
@@ -198,10 +203,10 @@ def _is_table(file: MotionFile) -> bool:
 
 
 FORMATS: Final = (
-    Format("session or bag", "g1stream.session.motions:open_recording", _is_recording),
+    Format("session or MCAP", "g1stream.session.motions:open_recording", _is_recording),
+    Format("bag of ROS 2", EXTENSIONS["read_bag"], _is_bag),
     Format("NPZ, file of PyTorch", _ARRAYS, _begins(b"PK"), several=True),
     Format("NPY", _ARRAYS, _begins(b"\x93NUMPY")),
-    Format("Parquet", _ARRAYS, _begins(b"PAR1")),
     Format("pickle", _ARRAYS, _begins(b"\x80", *_COMPRESSED), several=True),
     Format("CSV", "g1stream.motion.csv:CsvFile", _is_table),
 )

@@ -10,17 +10,23 @@ import numpy as np
 
 from g1stream.errors import RobotError
 from g1stream.files import read_file
+from g1stream.input_limits import MESHES
 from g1stream.optional import import_extra, not_installed
 from g1stream.robot.model import G1
-from g1stream.robot.visuals import has_meshes
+from g1stream.robot.visuals import has_meshes, mesh_names
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["LARGEST_MESH", "Mesh", "decimate", "read_stl", "real_g1", "robot_with_meshes"]
+__all__ = [
+    "Mesh",
+    "decimate",
+    "read_stl",
+    "real_g1",
+    "robot_with_meshes",
+    "with_shapes",
+]
 
-LARGEST_MESH: Final = 64 * 2**20
-"""A larger file is refused, bytes."""
 
 _PURPOSE: Final = "Meshes need"
 #: Where the package example-robot-data, of the extra `meshes`, has the G1.
@@ -70,6 +76,19 @@ def robot_with_meshes(robot: G1) -> G1:
     return real
 
 
+def with_shapes(robot: G1) -> G1:
+    """The robot whose shapes stand for a robot's: itself where its URDF's meshes are found.
+
+    Else the real G1 with meshes where they are installed, or instead of missing meshes the default
+    robot, if it has links of the same names.
+    """
+    if has_meshes(robot):
+        return robot
+    others = (real_g1(), G1.default() if mesh_names(robot) else None)
+    same = (one for one in others if one and set(one.link_names) == set(robot.link_names))
+    return next(same, robot)
+
+
 def read_stl(path: Path) -> Mesh:
     """The triangles of a binary STL file; corners at the same place become one point.
 
@@ -77,7 +96,7 @@ def read_stl(path: Path) -> Mesh:
         RobotError: it cannot be read, or is no binary STL.
     """
     try:
-        data = read_file(path, LARGEST_MESH)
+        data = read_file(path, MESHES)
     except OSError as error:
         raise RobotError(
             f"The mesh {path} cannot be read: {error.strerror}.", "Make it readable."

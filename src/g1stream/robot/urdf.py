@@ -18,6 +18,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from g1stream.errors import RobotError
+from g1stream.input_limits import NUMBER, URDF_LINKS
 from g1stream.robot.joints import JOINT_NAMES, JOINT_SETS, N_JOINTS, JointSet
 from g1stream.robot.rotations import quat_from_rpy
 from g1stream.text import counted
@@ -35,9 +36,6 @@ _LIMITS: Final = ("lower", "upper", "velocity", "effort")
 #: Of joints that a robot does not have: rad, rad/s and N·m that nothing passes.
 _NO_LIMITS: Final = (-1e3, 1e3, 1e3, 1e3)
 _AXIS_TOLERANCE: Final = 1e-3  # more than rounding to four digits
-#: Of a URDF; a G1 with hands has some 60 links, and no figure of it is near the second.
-_MOST_LINKS: Final = 1000
-_LARGEST: Final = 1e6
 
 
 class _DocumentTypeError(ValueError):
@@ -109,11 +107,11 @@ def numbers(
         values = [float(word) for word in text.split()]
     except ValueError:
         values = []
-    if len(values) != count or not all(abs(value) <= _LARGEST for value in values):
+    if len(values) != count or not all(abs(value) <= NUMBER for value in values):
         tag = "" if element is None else f" in its <{element.tag}>"
         raise RobotError(
             f"{where} has {key}={text!r:.80}{tag}.",
-            f"Give {count} finite number{'s' * (count > 1)}, at most {_LARGEST:g}.",
+            f"Give {count} finite number{'s' * (count > 1)}, at most {NUMBER:g}.",
         )
     return values
 
@@ -204,10 +202,10 @@ def _sort_links(root: ET.Element, source: str) -> tuple[tuple[str, ...], dict[st
     """The links, depth first in the file's order, and the joint above each but the root."""
     links = [link.get("name", "") for link in root.findall("link")]
     joints = root.findall("joint")
-    if max(len(links), len(joints)) > _MOST_LINKS:
+    if max(len(links), len(joints)) > URDF_LINKS:
         raise RobotError(
             f"{source} has {counted(len(links), 'link')} and {counted(len(joints), 'joint')}.",
-            f"Give the URDF of one robot, with {_MOST_LINKS} of each at most.",
+            f"Give the URDF of one robot, with {URDF_LINKS} of each at most.",
         )
     joint_above = {_end(joint, "child"): joint for joint in joints}
     ordered: list[str] = []

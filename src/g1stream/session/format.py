@@ -24,8 +24,7 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
-from g1stream.dds.layout import members
-from g1stream.dds.ros2 import message_text
+from g1stream.dds.layout import CDR_HEADER, members
 from g1stream.types import Ints, Phase
 
 if TYPE_CHECKING:
@@ -39,6 +38,7 @@ __all__ = [
     "TIMING_FIELDS",
     "Channel",
     "MessageBatch",
+    "encode_string",
     "metadata_from_strings",
     "metadata_to_strings",
 ]
@@ -118,8 +118,8 @@ class Channel:
 
 def _description(topic: str, what: str) -> Channel:
     # In ROS's own message, which is what viewers read a URDF from.
-    schema = partial(message_text, "std_msgs/String")
-    return Channel(topic, "std_msgs/msg/String", "ros2msg", "cdr", what, schema, latched=True)
+    name = "std_msgs/msg/String"
+    return Channel(topic, name, "ros2msg", "cdr", what, lambda: b"string data\n", latched=True)
 
 
 def _foxglove(
@@ -246,6 +246,12 @@ _ALL: Final = (
 
 CHANNELS: Final[Mapping[str, Channel]] = MappingProxyType({one.topic: one for one in _ALL})
 """Every channel a session file can have, by its topic."""
+
+
+def encode_string(text: str) -> bytes:
+    """A std_msgs/String in CDR."""
+    data = text.encode() + b"\0"
+    return CDR_HEADER + len(data).to_bytes(4, "little") + data
 
 
 def metadata_to_strings(values: Mapping[str, Any]) -> dict[str, str]:

@@ -12,22 +12,14 @@ from typing import IO, TYPE_CHECKING, Final
 import numpy as np
 from mcap.opcode import Opcode
 
-from g1stream.session.mcap_records import (
-    LARGEST_RECORD,
-    RECORD_HEAD,
-    Record,
-    read_at,
-    records_in,
-)
+from g1stream.input_limits import LATEST_NS
+from g1stream.session.mcap_records import RECORD_HEAD, Record, read_at, records_in
 from g1stream.session.source import Messages, Slices
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["LATEST", "Chunk", "message_offsets", "messages_of"]
-
-LATEST: Final = 2**62
-"""Times are before this, ns since the epoch (in 2116), so that sums of two are 64-bit numbers."""
+__all__ = ["Chunk", "message_offsets", "messages_of"]
 
 
 #: Of a MessageIndex record: the channel, and how many bytes of entries follow.
@@ -61,7 +53,7 @@ class Chunk:
     def add_index(self, file: IO[bytes], record: Record) -> None:
         channel, size = _INDEX.unpack(read_at(file, record.start, _INDEX.size))
         n_entries, rest = divmod(size, _INDEX_ENTRY.itemsize)
-        if rest or size != record.length - _INDEX.size or size > LARGEST_RECORD:
+        if rest or size != record.length - _INDEX.size:
             raise ValueError("the index of a chunk has another length than it says")
         if n_entries:
             self.index[channel] = (record.start + _INDEX.size, n_entries)
@@ -145,6 +137,6 @@ def _messages_at(
     if (wrong | (ends < starts) | (ends > limits)).any():
         raise ValueError("the index of a chunk points to something else than a message")
     times = (np.ascontiguousarray(heads["log_time"]), np.ascontiguousarray(heads["publish_time"]))
-    if any(one.min() < 0 or one.max() >= LATEST for one in times):
+    if any(one.min() < 0 or one.max() >= LATEST_NS for one in times):
         raise ValueError("a message has a time after 2116")
     return Messages(*times, Slices(data, starts, ends))

@@ -21,10 +21,10 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema, Statistics
 
 from g1stream.errors import RecordingError
+from g1stream.input_limits import SESSION_RATIO, UNPACKED
 from g1stream.session.format import METADATA_NAME, metadata_from_strings
 from g1stream.session.mcap_chunks import Chunk, message_offsets, messages_of
 from g1stream.session.mcap_records import (
-    LARGEST_RECORD,
     MAGIC,
     Record,
     content_of,
@@ -53,13 +53,6 @@ R = TypeVar("R")
 _MOST_THREADS: Final = 4
 #: Chunks are decompressed some at a time, of together this many bytes at least.
 _GROUP: Final = 2**18
-
-# Far above what g1stream writes, as LARGEST_RECORD; samples compress to a fifth of their size.
-#: Bytes of all attachments together.
-_LARGEST_ATTACHMENTS: Final = 256 * 2**20
-#: The content of all chunks: bytes in any case, and for each byte of the file.
-_LARGEST_CONTENT: Final = 256 * 2**20
-_LARGEST_RATIO: Final = 100
 
 
 class McapFile:
@@ -93,12 +86,16 @@ class McapFile:
         self._statistics: Statistics | None = None
         with self._open() as file:
             last = None
-            allowed = _LARGEST_CONTENT + _LARGEST_RATIO * os.fstat(file.fileno()).st_size
+            allowed = UNPACKED + SESSION_RATIO * os.fstat(file.fileno()).st_size
             for last in records_of(file):
                 with self.damage_at(last):
                     self._add_record(file, last)
                 if self._content_size > allowed:
-                    raise self._too_large("chunks", self._content_size)
+                    raise RecordingError(
+                        f"The chunks of {self.path} are said to have "
+                        f"{self._content_size / 2**20:.0f} MiB, which no session of its size has.",
+                        "Give a file that g1stream recorded.",
+                    )
             # Of the last chunk of a file cut short, a part of the index may be missing.
             if last and last.opcode in {Opcode.CHUNK, Opcode.MESSAGE_INDEX}:
                 self._chunks[-1].index.clear()
@@ -135,9 +132,6 @@ class McapFile:
         Raises:
             RecordingError: one of them is damaged.
         """
-        size = sum(record.length for record in self._attachments)
-        if size > _LARGEST_ATTACHMENTS:
-            raise self._too_large("attachments", size)
         with self._open() as file:
             for record in self._attachments:
                 with self.damage_at(record):
@@ -220,9 +214,10 @@ class McapFile:
     def _content(self, file: IO[bytes], chunk: Chunk) -> tuple[bytes, bytes]:
         """A chunk and its index as they are in the file, and its records."""
         with self.damage_at(chunk.record):
-            if chunk.record.length > LARGEST_RECORD:
+            size = chunk.end - chunk.record.start
+            if size > UNPACKED:
                 raise ValueError("the record is too large")
-            content = read_at(file, chunk.record.start, chunk.end - chunk.record.start)
+            content = read_at(file, chunk.record.start, size)
             return content, decompressed(memoryview(content)[: chunk.record.length])
 
     @contextmanager
@@ -235,13 +230,6 @@ class McapFile:
                 "decoded.",
                 RECOVER,
             ) from error
-
-    def _too_large(self, what: str, size: int) -> RecordingError:
-        return RecordingError(
-            f"The {what} of {self.path} are said to have {size / 2**20:.0f} MiB, which no session "
-            "of its size has.",
-            "Give a file that g1stream recorded.",
-        )
 
     def _topic(self, channel_id: int) -> str:
         return self._topics.get(channel_id, f"channel {channel_id}")

@@ -16,11 +16,12 @@ from lz4.frame import LZ4FrameDecompressor
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 
+from g1stream.input_limits import UNPACKED
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
 __all__ = [
-    "LARGEST_RECORD",
     "MAGIC",
     "RECORD_HEAD",
     "Record",
@@ -43,13 +44,6 @@ RECORD_HEAD: Final = struct.Struct("<BQ")
 #: their compression is; behind the name are the length of the compressed data and the data.
 _CHUNK: Final = struct.Struct("<QQQII")
 _LENGTH: Final = struct.Struct("<Q")
-
-LARGEST_RECORD: Final = 512 * 2**20
-"""Bytes of a record, and of the content of a chunk.
-
-A few bytes can claim, or decompress to, more than any memory holds. This is far above what g1stream
-writes: a chunk has 32 MiB at most, or one scene with meshes.
-"""
 
 
 class Record(NamedTuple):
@@ -99,7 +93,7 @@ def content_of(file: IO[bytes], record: Record) -> bytes:
     Raises:
         ValueError: they are too many.
     """
-    if record.length > LARGEST_RECORD:
+    if record.length > UNPACKED:
         raise ValueError("the record is too large")
     file.seek(record.start)
     return file.read(record.length)
@@ -122,7 +116,7 @@ def decompressed(content: bytes | memoryview) -> bytes:
     data = content[_CHUNK.size + name_length :]
     (data_length,) = _LENGTH.unpack_from(data)
     data = data[_LENGTH.size :][:data_length]
-    if size > LARGEST_RECORD:
+    if size > UNPACKED:
         raise ValueError("the chunk is too large")
     # Neither decompressor may make more than the chunk says: a frame has a size of its own.
     if compression == b"zstd":

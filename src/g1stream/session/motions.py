@@ -6,7 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from g1stream.errors import MotionError, RecordingError
+from g1stream.files import is_session
 from g1stream.motion.readers import Evidence, MotionFile, MotionReader
+from g1stream.optional import extension
 from g1stream.session.info import MotionInfo
 from g1stream.session.poses import motion_of_poses
 from g1stream.session.records import read_record
@@ -14,40 +16,26 @@ from g1stream.types import Phase
 
 if TYPE_CHECKING:
     from g1stream.motion.motion import Motion
-    from g1stream.session.bag import Bag
+    from g1stream.session.recorded_motion import RecordedMotion
     from g1stream.session.session import Session
     from g1stream.session.streams import Reference
 
-__all__ = ["attached_motion", "open_recording", "reference_motion"]
+__all__ = ["attached_motion", "open_recording", "recorded_motion", "reference_motion"]
 
 
 def open_recording(file: MotionFile) -> MotionReader:
-    """The reader of a session, or of joint states that others recorded.
+    """The reader of a session, or of joint states that others, or `convert`, recorded.
 
     Raises:
-        RecordingError: the recording is damaged.
+        ConfigError: the extra that reads it is not installed.
+        RecordingError: it is damaged.
     """
-    from g1stream.session.bag import Bag
-
-    bag = Bag(file.path)
-    return _OfBag(bag, file.fps) if bag.is_foreign else _OfSession(file)
+    return recorded_motion(file) or _PlayedMotion(file)
 
 
-class _OfBag(NamedTuple):
-    bag: Bag
-    fps: float | None
+class _PlayedMotion(NamedTuple):
+    """The motion of a session."""
 
-    @property
-    def evidence(self) -> Evidence:
-        return Evidence(
-            dict(zip(("file", "joint order", "pelvis"), self.bag.evidence, strict=True))
-        )
-
-    def motion(self) -> Motion:
-        return self.bag.motion(self.fps)
-
-
-class _OfSession(NamedTuple):
     file: MotionFile
     evidence: Evidence = Evidence({"file": "a session; its motion is the recorded reference"})
 
@@ -55,6 +43,35 @@ class _OfSession(NamedTuple):
         from g1stream.session.session import open_session
 
         return open_session(self.file.path).motion(self.file.fps)
+
+
+def recorded_motion(file: MotionFile) -> RecordedMotion | None:
+    """The joint states that others, or `convert`, recorded; None in a session.
+
+    Raises:
+        ConfigError: the extra that reads it is not installed.
+        RecordingError: it is damaged.
+    """
+    from g1stream.session.mcap_reader import McapFile
+    from g1stream.session.parts import parts_of
+    from g1stream.session.recorded_motion import FOXGLOVE, RecordedMotion
+    from g1stream.session.streams import STREAMS, Reference
+
+    parts = parts_of(file.path)
+    in_ros = not is_session(parts[0])  # in SQLite, or compressed as a whole
+    if not in_ros:
+        files = [McapFile(part) for part in parts]
+        types = {topic: kind for one in files for topic, kind in one.types.items()}
+        in_ros = any(kind == "sensor_msgs/msg/JointState" for kind, _ in types.values())
+        # A robot's own topics in a bag with joint states are none of ours.
+        has_joints = in_ros or not FOXGLOVE.joint_states.keys().isdisjoint(types.values())
+        ours = Reference.topic in types or any(one.metadata for one in files)
+        if not types.keys().isdisjoint(STREAMS) and (ours or not has_joints):
+            return None
+        if not in_ros:
+            return RecordedMotion(file, files, FOXGLOVE)
+    recorded: RecordedMotion = extension("read_bag")(file)
+    return recorded
 
 
 def reference_motion(reference: Reference, path: Path, fps: float | None = None) -> Motion:

@@ -28,6 +28,7 @@ from g1stream.files import (
     output_errors,
     read_file,
 )
+from g1stream.input_limits import SETTINGS_FILE
 from g1stream.session.mcap_reader import McapFile
 from g1stream.session.source import SessionSource
 
@@ -51,8 +52,6 @@ __all__ = [
 ]
 
 _METADATA: Final = "metadata.yaml"
-#: Its size in bytes, that of thousands of parts.
-_LARGEST_METADATA: Final = 2**20
 #: Of rosbag2's metadata.yaml: the first with `custom_data`, which every ROS 2 since Humble reads.
 #: `Channel.offered_qos_profiles` is of this version, too.
 _VERSION: Final = 6
@@ -267,7 +266,7 @@ def _read_metadata_yaml(directory: Path) -> dict[str, Any]:
 
     path = directory / _METADATA
     try:
-        text = read_file(path, _LARGEST_METADATA).decode("utf-8")
+        text = read_file(path, SETTINGS_FILE).decode("utf-8")
         about: dict[str, Any] = dict(yaml.safe_load(text)["rosbag2_bagfile_information"])
         # Parts are in the directory itself, wherever the paths lead.
         names = [PurePath(name).name for name in about["relative_file_paths"]]

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from g1stream.errors import RecordingError
-from g1stream.motion.motion import LARGEST, SMALLEST_QUAT, Motion, check_fps
+from g1stream.input_limits import FRAMES, NUMBER
+from g1stream.motion.motion import SMALLEST_QUAT, Motion, check_fps
 from g1stream.robot.joints import N_JOINTS
 from g1stream.robot.rotations import wxyz_from_xyzw, xyzw_from_wxyz
 from g1stream.text import counted
@@ -18,8 +19,6 @@ if TYPE_CHECKING:
 
 __all__ = ["motion_of_poses"]
 
-#: A recorded motion has no more frames, or ten for each of its samples.
-_MOST_FRAMES: Final = 500_000
 #: Times that differ by less are the same, s.
 _SAME_TIME: Final = 1e-6
 
@@ -51,12 +50,12 @@ def motion_of_poses(
     """
     numbers = np.column_stack([times, q, root_pos, root_quat_wxyz])
     norms = np.abs(root_quat_wxyz).max(axis=1)
-    valid = (np.abs(numbers) <= LARGEST).all(axis=1) & (norms > SMALLEST_QUAT)
+    valid = (np.abs(numbers) <= NUMBER).all(axis=1) & (norms > SMALLEST_QUAT)
     if not valid.all():
         raise RecordingError(
             f"The motion of {path} has {counted(int((~valid).sum()), 'sample')} with a value that "
             f"no motion has, the first at {np.argmin(valid)}: one that is not finite or beyond "
-            f"{LARGEST:g}, or a zero quaternion.",
+            f"{NUMBER:g}, or a zero quaternion.",
             "Record the motion again.",
         )
     _, first = np.unique(times.round(6), return_index=True)
@@ -68,7 +67,7 @@ def motion_of_poses(
     rate = round(1.0 / float(np.median(np.diff(times))), 3) if fps is None else fps
     check_fps(rate, path.stem)
     n_frames = int((times[-1] - times[0]) * rate + 1e-6) + 1
-    if n_frames > max(_MOST_FRAMES, 10 * len(times)):
+    if n_frames > max(FRAMES, 10 * len(times)):
         raise RecordingError(
             f"The motion of {path} takes {times[-1] - times[0]:g} s, but has {len(times)} samples.",
             "Record the motion again.",

@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 import numpy as np
 
 from g1stream.dds.messages import Samples
+from g1stream.optional import extension
 from g1stream.robot.model import G1
 from g1stream.session.columns import CONVERTED, Columns, samples
 from g1stream.session.parts import SessionFiles
 from g1stream.session.stream import Stream
 from g1stream.session.streams import Base, Command, LogEvent, Measured, Reference, TorsoImu
-from g1stream.types import Floats, Phase
+from g1stream.types import Camera, Floats, Phase
 
 if TYPE_CHECKING:
     import os
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
     from g1stream.session.metrics import Metrics
     from g1stream.session.source import SessionSource
     from g1stream.session.summary import PhaseInterval, Summary
-    from g1stream.viewers.video import Camera
 
 __all__ = ["LogEvent", "Message", "Session", "open_session"]
 
@@ -348,7 +348,7 @@ class Session:
         The ghost has the reference's joints on the measured pelvis. Time, phase and the RMS error
         of all joints are written into each frame. Without a reference or without a measured state,
         what there is is shown. The robot has the real G1's meshes with the extra `meshes`, else
-        primitive shapes. MP4 needs the extra `render`.
+        primitive shapes. MP4 needs the extra `video`.
 
         Args:
             path: ends in .mp4, .gif, or .png for the frame at `start`.
@@ -366,36 +366,9 @@ class Session:
             RobotError: the session's URDF cannot be used.
             SimError: there is no OpenGL to draw with.
         """
-        from g1stream.viewers.video import render
-
-        return render(
-            self,
-            Path(path),
-            start=start,
-            duration=duration,
-            fps=fps,
-            size=size,
-            camera=camera,
-            force=force,
-        ).path
-
-    def to_rerun(self, path: str | os.PathLike[str], *, force: bool = False) -> Path:
-        """Write a recording for the Rerun viewer, with a layout; needs the extra `rerun`.
-
-        The robot has the real G1's meshes with the extra `meshes`, else primitive shapes.
-
-        Args:
-            path: of the file, .rrd; its directory must exist.
-            force: replace a file that is there.
-
-        Raises:
-            ConfigError: Rerun is not installed.
-            RecordingError: the file cannot be written.
-            RobotError: the session's URDF cannot be used.
-        """
-        from g1stream.viewers.rerun_log import save_session
-
-        return save_session(self, Path(path), force=force)
+        how = {"start": start, "duration": duration, "fps": fps, "size": size, "camera": camera}
+        written: Path = extension("render")(self, Path(path), **how, force=force).path
+        return written
 
     def motion(self, fps: float | None = None) -> Motion:
         """The motion that was played, as the reference has it; or what `convert` made of a motion.
@@ -407,11 +380,11 @@ class Session:
             RecordingError: there is no motion in this session.
             MotionError: `fps` is not a frame rate, or leaves less than two frames.
         """
-        from g1stream.session.bag import Bag
-        from g1stream.session.motions import reference_motion
+        from g1stream.motion.readers import MotionFile
+        from g1stream.session.motions import recorded_motion, reference_motion
 
-        if self.converted:
-            return Bag(self.path).motion(fps)
+        if self.converted and (recorded := recorded_motion(MotionFile(self.path, fps))):
+            return recorded.motion()
         return reference_motion(self.reference, self.path, fps)
 
     def save(self, path: str | os.PathLike[str], *, force: bool = False) -> Path:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeVar
 import numpy as np
 
 from g1stream.errors import RecordingError
+from g1stream.input_limits import LATEST_NS
 from g1stream.text import counted
 from g1stream.types import Floats, Ints
 
@@ -24,8 +25,6 @@ _TIMES: Final = ("log_time", "publish_time")
 
 #: If half of the messages take longer than this, ns, it is the clocks that differ.
 _SLOWEST_WIRE: Final = 20_000_000
-#: Times are moved by no more than this, ns, so that the sum is a 64-bit number.
-_LARGEST_SHIFT: Final = 2**62
 
 Columns = Mapping[str, "NDArray[Any]"]
 StreamT = TypeVar("StreamT", bound="Stream")
@@ -172,7 +171,7 @@ class Stream:
         """(N,) s, publish times on the recorder's clock since a time on it."""
         # Nanoseconds since the epoch need more digits than a float has; the differences do not.
         shift = self.clock_offset - start_ns
-        shift = max(-_LARGEST_SHIFT, min(shift, _LARGEST_SHIFT))
+        shift = max(-LATEST_NS, min(shift, LATEST_NS))
         return _read_only((self.publish_time + shift) / 1e9)
 
     @property

@@ -12,6 +12,7 @@ from google.protobuf.message import DecodeError
 
 from g1stream.dds import messages
 from g1stream.errors import RecordingError
+from g1stream.input_limits import NUMBER
 from g1stream.session.stream import Stream
 from g1stream.session.summary import PhaseInterval
 from g1stream.types import Floats, Phase
@@ -30,9 +31,6 @@ __all__ = [
     "Reference",
     "TorsoImu",
 ]
-
-#: A motion time beyond this, s, which no motion of ours has, is passed over.
-_LONGEST_MOTION: Final = 1e9
 
 
 class Reference(Stream):
@@ -74,7 +72,7 @@ class Reference(Stream):
         On the recorder's clock. Where nothing was played, when the first sample was published.
         """
         self.read("phase", "motion_time")
-        sane = np.abs(self.motion_time) < _LONGEST_MOTION
+        sane = np.abs(self.motion_time) < NUMBER
         playing = np.flatnonzero((self.phase == Phase.PLAY) & sane)
         if not len(playing):
             return super().start_ns

@@ -18,12 +18,11 @@ from g1stream.dds.messages import (
     Samples,
     played_joints,
 )
-from g1stream.dds.ros2 import encode_string
 from g1stream.errors import ConfigError
 from g1stream.robot.joints import JOINT_GROUPS
 from g1stream.robot.meshes import robot_with_meshes
 from g1stream.robot.urdf import with_prefixed_links
-from g1stream.session.format import CHANNELS, TIMING_FIELDS, MessageBatch
+from g1stream.session.format import CHANNELS, TIMING_FIELDS, MessageBatch, encode_string
 from g1stream.types import Floats, Ints
 from g1stream.view.encoders import (
     GHOST_PREFIX,
@@ -50,17 +49,14 @@ if TYPE_CHECKING:
     from g1stream.dds.messages import Batch
     from g1stream.robot.model import G1
 
-__all__ = ["CHANNEL_OF", "GHOST_TINT", "REFERENCE_TINT", "Decimator", "MessagePipeline"]
+__all__ = ["CHANNEL_OF", "Decimator", "MessagePipeline"]
 
 CHANNEL_OF: Final = {c.dds_topic: c.topic for c in CHANNELS.values() if c.dds_topic}
 """The topic in the file that holds a DDS topic's samples byte for byte, by the DDS topic's name."""
 
-GHOST_TINT: Final = (0.1, 0.6, 1.0, 0.3)
-"""Red, green, blue and opacity of the ghost."""
-
-REFERENCE_TINT: Final = (1.0, 0.65, 0.1, 0.3)
-"""The same of the reference at its own root."""
-
+#: Red, green, blue and opacity of the ghost, and of the reference at its own root.
+_GHOST_TINT: Final = (0.1, 0.6, 1.0, 0.3)
+_REFERENCE_TINT: Final = (1.0, 0.65, 0.1, 0.3)
 _PATH_COLOR: Final = (1.0, 0.85, 0.2, 1.0)
 #: How far back the path of the pelvis reaches, s, its points and its lines per second, Hz.
 _PATH_LENGTH, _PATH_POINTS, _PATH_LINES = 10.0, 20.0, 5.0
@@ -158,8 +154,8 @@ class MessagePipeline:
         scene = partial(encode_scene, time_ns, self._shown, drawn=self._meshes)
         payloads = {
             "/measured/scene": scene(MEASURED_PREFIX),
-            "/ghost/scene": scene(GHOST_PREFIX, GHOST_TINT),
-            "/scene": scene(tint=REFERENCE_TINT),
+            "/ghost/scene": scene(GHOST_PREFIX, _GHOST_TINT),
+            "/scene": scene(tint=_REFERENCE_TINT),
             "/measured/robot_description": encode_string(
                 with_prefixed_links(self._robot.xml, MEASURED_PREFIX)
             ),

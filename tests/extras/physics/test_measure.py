@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from g1stream.extras.physics.ground import FRICTION, zero_moment_point
-from g1stream.extras.physics.loads import movement_loads
-from g1stream.extras.physics.measure import motion_physics
+from g1stream.extras.physics.measure import motion_physics, movement_loads
 from g1stream.motion.motion import Motion
 from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory

@@ -238,7 +238,7 @@ def test_a_video_beside_the_session_is_shown(path, tmp_path):
 @pytest.mark.slow
 def test_a_video_is_rendered_into_the_page(play, write_session, tmp_path, monkeypatch):
     av = pytest.importorskip("av")
-    monkeypatch.setattr("g1stream.viewers.video.with_shapes", lambda robot: robot)
+    monkeypatch.setattr("g1stream.extras.video.render.with_shapes", lambda robot: robot)
     path = write_session(*play(phases=((1, 0.1), (2, 0.4), (4, 0.1))))
     text = g1stream.report(path, tmp_path / "report.html", video=True).read_text()
     video = base64.b64decode(re.search(r'data:video/mp4;base64,([^"]+)"', text)[1])

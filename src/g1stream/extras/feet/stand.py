@@ -10,7 +10,8 @@ import numpy as np
 from g1stream.dds.domain import is_local_only
 from g1stream.errors import ConfigError, MotionError, SafetyError
 from g1stream.extras.physics.footing import CannotStandError
-from g1stream.extras.physics.parts import find_instead, stand_part
+from g1stream.extras.physics.instead import find_instead
+from g1stream.extras.physics.stance import stand_part
 from g1stream.motion.limits import Interval
 from g1stream.motion.motion import Motion
 from g1stream.motion.readers import load_motion

@@ -21,7 +21,7 @@ from g1stream._version import __version__
 from g1stream.config import Config
 from g1stream.errors import G1StreamError, MotionError, RecordingError
 from g1stream.extras.library.files import content_hash, local_copy, stem
-from g1stream.extras.library.rows import FORMAT, Command, JointRow, MotionRow, Rows, Status
+from g1stream.extras.library.table import FORMAT, Command, JointRow, MotionRow, Rows, Status
 from g1stream.extras.physics.measure import motion_physics
 from g1stream.motion.check import check_motion
 from g1stream.motion.motion import MOTION_SUFFIXES, Motion
@@ -71,7 +71,7 @@ class LibraryCase:
         config: all settings.
         support: how the pelvis is held; of `simulate`.
         sweep: values of settings in this case, by name; they are in `config` already.
-        format: ending of the files of `convert`: csv, npz, parquet or mcap.
+        format: ending of the files of `convert`: csv, npz or mcap.
         out: the library's directory.
         sessions: `simulate` keeps each session and its report.
     """

@@ -20,9 +20,9 @@ from g1stream.extras.report.figures import figures
 from g1stream.extras.report.physics import physics_section, session_physics
 from g1stream.extras.report.tables import overview, tables
 from g1stream.files import check_not_input, check_suffix, complete_file, read_file
+from g1stream.optional import extension
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.session.session import Session, open_session
-from g1stream.viewers.video import render
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -57,7 +57,7 @@ def report(
     Args:
         sessions: sessions, or their paths.
         path: of the page.
-        video: render each session for the page, see `Session.render`; needs the extra `render`.
+        video: render each session for the page, see `Session.render`; needs the extra `video`.
         force: replace a file that is there.
         progress: called with what takes its time, and the fraction of it that is done, 0 to 1.
 
@@ -223,7 +223,7 @@ def _rendered(session: Session, progress: Callable[[float], None]) -> str:
     with TemporaryDirectory() as directory:
         path = Path(directory) / "session.mp4"
         try:
-            render(session, path, progress=progress)
+            extension("render")(session, path, progress=progress)
         except RecordingError as error:
             return html.missing(error.cause)
         return _picture(path)

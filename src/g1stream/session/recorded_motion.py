@@ -1,52 +1,47 @@
-"""Bags of ROS 2 and MCAP files of others: a motion from their joint states and transforms.
+"""A motion from the joint states and transforms of a recording, whoever made it.
 
-Read are sensor_msgs/JointState with tf2_msgs/TFMessage, in CDR, and Foxglove's JointStates with
-FrameTransforms, in protobuf, from MCAP and from SQLite, one file or a directory of parts.
+Here Foxglove's JointStates and FrameTransforms are read, in protobuf, which `convert` writes, too.
+Extras read others and give them to the same class.
 """
 
 from __future__ import annotations
 
-import sqlite3
 from collections import Counter
-from contextlib import closing
 from functools import cached_property
-from itertools import islice
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
-from urllib.parse import quote
+from typing import TYPE_CHECKING, Final, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
-from g1stream.dds.ros2 import FramePose, JointAngles, decode_joint_state, decode_tf
 from g1stream.errors import MotionError, RecordingError
-from g1stream.files import is_sqlite
-from g1stream.motion.motion import LARGEST, SMALLEST_QUAT
+from g1stream.input_limits import LATEST_NS, NUMBER, UNPACKED
+from g1stream.motion.motion import SMALLEST_QUAT
+from g1stream.motion.readers import Evidence
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.rotations import quat_normalize, wxyz_from_xyzw, xyzw_from_wxyz
-from g1stream.session.mcap_chunks import LATEST
-from g1stream.session.mcap_reader import McapFile
-from g1stream.session.parts import parts_of
 from g1stream.session.poses import motion_of_poses
 from g1stream.session.source import Messages
-from g1stream.session.streams import STREAMS, Reference
 from g1stream.text import counted
 from g1stream.types import Floats, Ints
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from google.protobuf.timestamp_pb2 import Timestamp
 
     from g1stream.motion.motion import Motion
+    from g1stream.motion.readers import MotionFile
 
-__all__ = ["Bag"]
+__all__ = [
+    "FOXGLOVE",
+    "Decoders",
+    "FramePose",
+    "JointAngles",
+    "RecordedMotion",
+    "RecordingFile",
+]
 
 T = TypeVar("T")
 
-#: Bytes of the messages that are read.
-_LARGEST: Final = 512 * 2**20
-#: Messages that are taken from SQLite at once.
-_ROWS: Final = 100
 #: Topics that are taken before others.
 _PREFERRED: Final = ("/reference/joint_states", "/joint_states")
 #: Names of the pelvis's frame.
@@ -56,63 +51,85 @@ _NS_PER_S: Final = 1_000_000_000
 _STAMPS, _PUBLISHED = 0, 1
 
 
-class Bag:
-    """A bag, or an MCAP file, whoever wrote it.
+class JointAngles(NamedTuple):
+    """What a message says of joints: its stamp, ns since the epoch, their names, and rad."""
 
-    Args:
-        path: of a file, or of a directory with metadata.yaml.
+    stamp: int
+    names: tuple[str, ...]
+    position: Sequence[float]
 
-    Raises:
-        RecordingError: there is no such file, or it is damaged.
+
+class FramePose(NamedTuple):
+    """A transform: its stamp, ns since the epoch, the frames, (3) m and (4)."""
+
+    stamp: int
+    parent: str
+    child: str
+    pos: Sequence[float]
+    quat_wxyz: Sequence[float]
+
+
+class RecordingFile(Protocol):
+    """A file of messages, such as `McapFile`.
 
     Attributes:
-        path: as given.
         types: of each topic, the name of its message type and the encoding of its messages.
-        is_foreign: whether it is no session: in SQLite, or with none of a session's topics, or with
-            joint states and nothing that only sessions have, as a robot's own topics in a bag.
+        counts: messages of each topic.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self._files = [
-            _SqliteFile(part) if is_sqlite(part) else McapFile(part) for part in parts_of(path)
-        ]
-        self.types = {topic: kind for file in self._files for topic, kind in file.types.items()}
-        self.counts = sum((file.counts for file in self._files), Counter[str]())
-        in_sqlite = any(isinstance(file, _SqliteFile) for file in self._files)
-        ours = Reference.topic in self.types or any(
-            isinstance(file, McapFile) and file.metadata for file in self._files
-        )
-        has_joints = any(kind in _JOINT_STATES for kind in self.types.values())
-        no_session = self.types.keys().isdisjoint(STREAMS) or (has_joints and not ours)
-        self.is_foreign = in_sqlite or no_session
+    types: dict[str, tuple[str, str]]
+    counts: Counter[str]
+
+    def batches(self, topics: set[str]) -> Iterator[tuple[str, Messages]]:
+        """The messages of some topics, in batches of one topic; those of a topic are in order."""
+
+
+class Decoders(NamedTuple):
+    """What decodes messages, by type and encoding; for anything else they raise a ValueError."""
+
+    joint_states: Mapping[tuple[str, str], Callable[[bytes], JointAngles]]
+    transforms: Mapping[tuple[str, str], Callable[[bytes], Sequence[FramePose]]]
+
+
+class RecordedMotion:
+    """The motion in a recording.
+
+    Args:
+        file: the recording; without `fps` the motion has the rate of its joint states.
+        files: its parts, in order.
+        decoders: of the messages that it may have.
+    """
+
+    def __init__(
+        self, file: MotionFile, files: Sequence[RecordingFile], decoders: Decoders
+    ) -> None:
+        self._path, self._fps, self._files = file.path, file.fps, files
+        self._decode_joints, self._decode_transforms = decoders
+        self._types = {topic: kind for file in files for topic, kind in file.types.items()}
+        self._counts = sum((file.counts for file in files), Counter[str]())
 
     @cached_property
-    def evidence(self) -> tuple[str, ...]:
-        """What the motion is made of, in short texts: the joints, their order, the pelvis."""
+    def evidence(self) -> Evidence:
+        """What the motion is made of: the joints, their order, the pelvis."""
         topic, pose = self._joints_topic, self._pelvis
-        pelvis = "not in the file: upright at the origin"
-        if pose is not None:
-            pelvis = f"{pose.child} in {pose.parent}, {counted(len(pose.pos), 'transform')}"
-        return (
-            f"bag; {counted(self.counts[topic], 'message')} of {self.types[topic][0]} on {topic}",
-            "named by the messages",
-            pelvis,
-        )
+        count, kind = counted(self._counts[topic], "message"), self._types[topic][0]
+        used = {"file": f"bag; {count} of {kind} on {topic}"}
+        used["joint order"] = "named by the messages"
+        if pose is None:
+            return Evidence(used, {"pelvis": "upright at the origin"})
+        poses = counted(len(pose.pos), "transform")
+        return Evidence({**used, "pelvis": f"{pose.child} in {pose.parent}, {poses}"})
 
-    def motion(self, fps: float | None = None) -> Motion:
+    def motion(self) -> Motion:
         """The motion of its joint states, and of the pelvis in its transforms.
 
         Times are the stamps in the messages, or where those of the joint states do not rise or
         those of the transforms are not of the same time, all are those of publishing.
 
-        Args:
-            fps: frames per second; the rate of the joint states if None.
-
         Raises:
             RecordingError: the file is damaged, or has no joint states or several topics of them,
                 or transforms of another time.
-            MotionError: joints are missing, or `fps` is not a frame rate.
+            MotionError: joints are missing.
         """
         clocks, q = self._joints
         pose = self._pelvis
@@ -124,37 +141,38 @@ class Bag:
         if pose is not None:
             if not pose.overlaps(clocks, clock):
                 raise RecordingError(
-                    f"The transforms of {pose.child} in {self.path} are from another time than "
+                    f"The transforms of {pose.child} in {self._path} are from another time than "
                     "its joint states.",
                     "Record both together, or leave the transforms out.",
                 )
             root_pos, quat = pose.at(times, clock)
         seconds = (times - times[0]) / _NS_PER_S
-        return motion_of_poses(seconds, q, root_pos, quat, self.path, fps)
+        return motion_of_poses(seconds, q, root_pos, quat, self._path, self._fps)
 
     @cached_property
     def _joints_topic(self) -> str:
-        found = [topic for topic, kind in self.types.items() if kind in _JOINT_STATES]
+        found = [topic for topic, kind in self._types.items() if kind in self._decode_joints]
         preferred = [topic for topic in _PREFERRED if topic in found] or found
         if len(preferred) == 1 or (preferred and preferred[0] in _PREFERRED):
             return preferred[0]
         if found:
             raise RecordingError(
-                f"{self.path} has several topics of joint states: {', '.join(sorted(found))}.",
+                f"{self._path} has several topics of joint states: {', '.join(sorted(found))}.",
                 f"Give a file with one of them, or with {_PREFERRED[1]}.",
             )
-        kinds = sorted({kind for kind, _ in self.types.values()}) or ["no messages"]
+        kinds = sorted({f"{kind} in {encoding}" for kind, encoding in self._types.values()})
         raise RecordingError(
-            f"{self.path} is a bag without joint states; it has {', '.join(kinds[:8])}"
-            f"{', ...' * (len(kinds) > 8)}.",
-            "Give one with sensor_msgs/msg/JointState or foxglove.JointStates, or a session.",
+            f"{self._path} has no joint states that can be read; it has "
+            f"{', '.join(kinds[:8]) or 'no messages'}{', ...' * (len(kinds) > 8)}.",
+            "Give a bag with sensor_msgs/msg/JointState in cdr or foxglove.JointStates in "
+            "protobuf, or a session.",
         )
 
     @cached_property
     def _joints(self) -> tuple[Ints, Floats]:
         """Times (2, T) int64, ns, and angles (T, 29), rad, of the messages with all joints."""
         topic = self._joints_topic
-        decode = _JOINT_STATES[self.types[topic]]
+        decode = self._decode_joints[self._types[topic]]
         stamps, published, rows, seen = [], [], [], set[str]()
         columns: dict[tuple[str, ...], list[int] | None] = {}
         for messages in self._messages(topic):
@@ -174,18 +192,18 @@ class Bag:
                     published.append(time)
         if not columns:
             raise RecordingError(
-                f"{topic} in {self.path} has no message in a chunk.",
+                f"{topic} in {self._path} has no message in a chunk.",
                 "Write the file with chunks, as `mcap compress` does.",
             )
         missing = [name for name in JOINT_NAMES if name not in seen]
         if missing:
             raise MotionError(
-                f"{topic} in {self.path} lacks the joints {', '.join(missing)}.",
+                f"{topic} in {self._path} lacks the joints {', '.join(missing)}.",
                 "Give a motion of all 29 joints.",
             )
         if len(rows) < 2:
             raise RecordingError(
-                f"{topic} in {self.path} has {counted(len(rows), 'message')} with all 29 joints.",
+                f"{topic} in {self._path} has {counted(len(rows), 'message')} with all 29 joints.",
                 "Give a bag in which each message has all of them.",
             )
         return np.array([stamps, published], np.int64), np.array(rows, dtype=np.float64)
@@ -194,8 +212,10 @@ class Bag:
     def _pelvis(self) -> _Poses | None:
         """The pelvis's poses in the frame above it; None without transforms of it."""
         found: dict[tuple[str, str], list[tuple[FramePose, int]]] = {}
-        for topic in sorted(topic for topic, kind in self.types.items() if kind in _TRANSFORMS):
-            decode = _TRANSFORMS[self.types[topic]]
+        for topic in sorted(
+            topic for topic, kind in self._types.items() if kind in self._decode_transforms
+        ):
+            decode = self._decode_transforms[self._types[topic]]
             for messages in self._messages(topic):
                 for time, data in zip(messages.publish_times.tolist(), messages.data, strict=True):
                     for one in self._decoded(topic, decode, data):
@@ -209,11 +229,11 @@ class Bag:
         clocks = np.array([(one.stamp, time) for one, time in poses], np.int64).T
         pos = np.array([one.pos for one, _ in poses])
         quat = np.array([one.quat_wxyz for one, _ in poses])
-        valid = (np.abs(np.hstack([pos, quat])) <= LARGEST).all(axis=1)
+        valid = (np.abs(np.hstack([pos, quat])) <= NUMBER).all(axis=1)
         if not (valid & (np.abs(quat).max(axis=1) > SMALLEST_QUAT)).all():
             raise RecordingError(
-                f"A transform of {child} in {self.path} has a number that is not finite or beyond "
-                f"{LARGEST:g}, or a zero quaternion.",
+                f"A transform of {child} in {self._path} has a number that is not finite or beyond "
+                f"{NUMBER:g}, or a zero quaternion.",
                 "Record it again.",
             )
         return _Poses(child, parent, clocks, pos, quat)
@@ -223,9 +243,9 @@ class Bag:
         for file in self._files:
             for _, messages in file.batches({topic}):
                 size += sum(map(len, messages.data))
-                if size > _LARGEST:
+                if size > UNPACKED:
                     raise RecordingError(
-                        f"{topic} in {self.path} has more than {_LARGEST / 2**20:g} MiB.",
+                        f"{topic} in {self._path} has more than {UNPACKED / 2**20:g} MiB.",
                         "Give a shorter part of it.",
                     )
                 yield messages
@@ -237,7 +257,7 @@ class Bag:
             return decode(data)
         except (ValueError, DecodeError) as error:
             raise RecordingError(
-                f"A message on {topic} in {self.path} is not a {self.types[topic][0]}.",
+                f"A message on {topic} in {self._path} is not a {self._types[topic][0]}.",
                 "Record it again.",
             ) from error
 
@@ -274,69 +294,14 @@ class _Poses(NamedTuple):
         return pos, wxyz_from_xyzw(Slerp(known, rotations)(wanted).as_quat())
 
 
-class _SqliteFile:
-    """A file of a bag of ROS 2, in SQLite: tables `topics` and `messages`.
-
-    Attributes:
-        types: as of `Bag`.
-        counts: messages of each topic.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self.counts: Counter[str] = Counter()
-        self.types: dict[str, tuple[str, str]] = {}
-        self._ids: dict[str, int] = {}
-        tables = dict(self._rows("SELECT name, type FROM sqlite_master"))
-        if any(tables.get(name) != "table" for name in ("topics", "messages")):
-            raise self._error("it has no tables of topics and messages")
-        topics = self._rows("SELECT id, name, type, serialization_format FROM topics")
-        for number, name, kind, encoding in topics:
-            if not isinstance(number, int):
-                raise self._error("a topic has no number")
-            self.types[str(name)] = str(kind), str(encoding)
-            self._ids[str(name)] = number
-        counts = dict(self._rows("SELECT topic_id, COUNT(*) FROM messages GROUP BY topic_id"))
-        self.counts.update({name: counts.get(number, 0) for name, number in self._ids.items()})
-
-    def batches(self, topics: set[str]) -> Iterator[tuple[str, Messages]]:
-        """The messages of some topics, in the order of their times."""
-        for topic in sorted(topics & self._ids.keys()):
-            query = "SELECT timestamp, data FROM messages WHERE topic_id = ? ORDER BY timestamp, id"
-            rows = self._rows(query, self._ids[topic])
-            while some := list(islice(rows, _ROWS)):
-                times, data = zip(*some, strict=True)
-                if not all(isinstance(time, int) and 0 <= time < LATEST for time in times):
-                    raise self._error("a message has no time")
-                if not all(isinstance(one, bytes) for one in data):
-                    raise self._error("a message has no content")
-                published = np.array(times, dtype=np.int64)
-                yield topic, Messages(published, published, data)
-
-    def _rows(self, query: str, *values: int) -> Iterator[Any]:
-        # Read as it is: without its journal, and without what its schema may run.
-        address = f"file:{quote(str(self._path.absolute()))}?mode=ro&immutable=1"
-        try:
-            with closing(sqlite3.connect(address, uri=True)) as database:
-                database.execute("PRAGMA trusted_schema = OFF")
-                yield from database.execute(query, values)
-        except (sqlite3.Error, OverflowError, ValueError) as error:
-            raise self._error(str(error)) from error
-
-    def _error(self, why: str) -> RecordingError:
-        return RecordingError(
-            f"{self._path} is no bag of ROS 2 in SQLite: {why}.", "Record it again, or as MCAP."
-        )
-
-
 def _nanoseconds(timestamp: Timestamp) -> int:
     time = int(timestamp.ToNanoseconds())
-    if not 0 <= time < LATEST:
+    if not 0 <= time < LATEST_NS:
         raise ValueError("its time is not one of a recording")
     return time
 
 
-def _foxglove_joints(data: bytes) -> JointAngles:
+def _joint_states(data: bytes) -> JointAngles:
     from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 
     message = JointStates.FromString(data)
@@ -345,7 +310,7 @@ def _foxglove_joints(data: bytes) -> JointAngles:
     return JointAngles(_nanoseconds(message.timestamp), names, position)
 
 
-def _foxglove_transforms(data: bytes) -> list[FramePose]:
+def _transforms(data: bytes) -> list[FramePose]:
     from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 
     return [
@@ -360,12 +325,8 @@ def _foxglove_transforms(data: bytes) -> list[FramePose]:
     ]
 
 
-_JOINT_STATES: Final = {
-    ("sensor_msgs/msg/JointState", "cdr"): decode_joint_state,
-    ("foxglove.JointStates", "protobuf"): _foxglove_joints,
-}
-_TRANSFORMS: Final = {
-    ("tf2_msgs/msg/TFMessage", "cdr"): decode_tf,
-    ("foxglove.FrameTransforms", "protobuf"): _foxglove_transforms,
-}
-"""By type and encoding of a topic, what decodes its messages."""
+FOXGLOVE: Final = Decoders(
+    {("foxglove.JointStates", "protobuf"): _joint_states},
+    {("foxglove.FrameTransforms", "protobuf"): _transforms},
+)
+"""Decoders of Foxglove's messages."""

@@ -5,18 +5,22 @@ from __future__ import annotations
 from contextlib import closing
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any, Final, Literal
+from itertools import chain
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from PIL import Image, ImageDraw, ImageFont
 
 from g1stream.dds.messages import played_joints
 from g1stream.errors import ConfigError, RecordingError
+from g1stream.extras.video.scene import PosedRobot, Scene
 from g1stream.files import check_suffix, complete_file
+from g1stream.input_limits import FRAMES
 from g1stream.optional import import_extra
+from g1stream.robot.meshes import with_shapes
 from g1stream.session.streams import Base, Measured, Reference
 from g1stream.types import Floats, Ints, Phase
 from g1stream.view.measured_base import MeasuredBase
-from g1stream.viewers.offscreen import Offscreen, PosedRobot, with_shapes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -26,15 +30,12 @@ if TYPE_CHECKING:
 
     from g1stream.session.session import Session
     from g1stream.session.stream import Stream
+    from g1stream.types import Camera
 
-    Picture = NDArray[np.uint8]
-
-__all__ = ["AZIMUTHS", "Camera", "Poses", "Video", "parse_size", "render"]
-
-Camera = Literal["front", "oblique", "left", "back", "right"]
+__all__ = ["AZIMUTHS", "Poses", "Video", "render"]
 
 AZIMUTHS: Final = {"front": 0.0, "oblique": 35.0, "left": 90.0, "back": 180.0, "right": 270.0}
-"""Where each camera stands, degrees around the robot, 0 in front of it, 90 on its left."""
+"""Where each `Camera` stands, degrees around the robot, 0 in front of it, 90 on its left."""
 
 #: What is shown on is older than this, s, is said to be so.
 _OLD: Final = 0.1
@@ -42,7 +43,6 @@ _OLD: Final = 0.1
 _GHOST: Final = (0.1, 0.6, 1.0, 0.3)
 _BLUE: Final = (0.1, 0.6, 1.0, 1.0)
 _LARGEST_SIDE, _HIGHEST_FPS = 4096, 240.0
-_MOST_FRAMES: Final = 100_000
 
 
 @dataclass(frozen=True)
@@ -79,14 +79,17 @@ def render(
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> Video:
     """See `Session.render`; `progress` is called with what fraction is done."""
-    encode = _encoder(path)
+    suffix = path.suffix.lower()
+    check_suffix(path, "a video", *_WRITERS)
+    if suffix == ".mp4":
+        import_extra("av", "video", "A video in MP4, unlike GIF and PNG, needs")
     width, height = size
     if not (16 <= width <= _LARGEST_SIDE and 16 <= height <= _LARGEST_SIDE):
         raise ConfigError(
             f"A picture cannot have {width} x {height} pixels.",
             f"Give a width and a height from 16 to {_LARGEST_SIDE}.",
         )
-    if path.suffix.lower() == ".mp4" and (width % 2 or height % 2):
+    if suffix == ".mp4" and (width % 2 or height % 2):
         raise ConfigError(
             f"A video cannot have {width} x {height} pixels: H.264 takes even numbers only.",
             f"Use {width + width % 2} x {height + height % 2}.",
@@ -95,41 +98,39 @@ def render(
         raise ConfigError(
             f"A video cannot have {fps:g} frames per second.", f"Give up to {_HIGHEST_FPS:g}."
         )
-    one = path.suffix.lower() == ".png"
-    times = _frame_times(session, start, 0.0 if one else duration, fps)
+    times = _frame_times(session, start, 0.0 if suffix == ".png" else duration, fps)
     poses = Poses(session, times)
     robot = with_shapes(session.robot)
     with (
         complete_file(path, force=force) as temporary,
-        closing(Offscreen(robot, poses.robots, size, AZIMUTHS[camera])) as offscreen,
+        closing(Scene(robot, poses.robots, size, AZIMUTHS[camera])) as scene,
     ):
 
-        def pictures() -> Iterator[Picture]:
+        def pictures() -> Iterator[Image.Image]:
             for frame in range(len(times)):
-                yield offscreen.draw(frame, poses.text(frame))
+                yield _labelled(scene.draw(frame), poses.text(frame))
                 progress((frame + 1) / len(times))
 
-        encode(temporary, pictures(), fps)
+        _WRITERS[suffix](temporary, pictures(), fps)
     return Video(
         path=path,
         frames=len(times),
         start=float(times[0]),
         duration=len(times) / fps,
         shown=poses.shown,
-        meshes=offscreen.meshes,
+        meshes=scene.meshes,
     )
 
 
-def parse_size(text: str) -> tuple[int, int]:
-    """Width and height of a size such as `640x480`.
-
-    Raises:
-        ConfigError: it is none.
-    """
-    width, _, height = text.partition("x")
-    if not (width.isascii() and width.isdigit() and height.isascii() and height.isdigit()):
-        raise ConfigError(f"{text} is not a size.", "Give width and height such as 640x480.")
-    return int(width), int(height)
+def _labelled(pixels: NDArray[np.uint8], text: str) -> Image.Image:
+    """A picture with lines of text in its upper left corner."""
+    picture = Image.fromarray(pixels)
+    size = max(10.0, picture.height / 25)
+    font = ImageFont.load_default(size)
+    place = (size / 2, size / 2)
+    drawing = ImageDraw.Draw(picture)
+    drawing.text(place, text, "white", font, stroke_width=1, stroke_fill="black")
+    return picture
 
 
 def _frame_times(
@@ -155,7 +156,7 @@ def _frame_times(
             f"It lasts from {first:.2f} s to {end:.2f} s on the motion's clock.",
         )
     frames = max(1, int(length * fps))
-    if frames > _MOST_FRAMES:
+    if frames > FRAMES:
         raise RecordingError(
             f"A video of {length:.0f} s would have {frames} frames.",
             "Render a part of the session, with a start and a duration.",
@@ -212,8 +213,8 @@ class Poses:
             errors = (np.stack(at_state, axis=1) - done.q)[:, played]
             self._error = np.sqrt(np.mean(errors**2, axis=1))
 
-    def text(self, frame: int) -> tuple[str, str]:
-        """Names and values of what is written into a frame, a line each."""
+    def text(self, frame: int) -> str:
+        """What is written into a frame, a line for each value."""
         rows = {"time": f"{self._times[frame]:.2f} s"}
         if self._phases:
             rows["phase"] = self._phases[frame]
@@ -223,7 +224,7 @@ class Poses:
             rows["state"] = f"{self._age[frame]:.1f} s old"
         if len(self.robots) == 1:
             rows["shown"] = f"{self.shown} only"
-        return "\n".join(rows), "\n".join(rows.values())
+        return "\n".join(f"{name}  {value}" for name, value in rows.items())
 
 
 def _latest(stream: Stream, times: Floats) -> NDArray[np.intp]:
@@ -250,60 +251,35 @@ def _ns(stream: Stream) -> Ints:
     return np.round(stream.time * 1e9).astype(np.int64)
 
 
-def _encoder(path: Path) -> Callable[[Path, Iterator[Picture], float], None]:
-    """Writes pictures into a file, as the path's suffix says."""
-    encoders = {".mp4": _write_mp4, ".gif": _write_gif, ".png": _write_png}
-    suffix = path.suffix.lower()
-    check_suffix(path, "a video", *encoders)
-    if suffix == ".mp4":
-        _import_av()
-    return encoders[suffix]
+def _write_mp4(path: Path, pictures: Iterator[Image.Image], fps: float) -> None:
+    import av
 
-
-def _write_mp4(path: Path, pictures: Iterator[Picture], fps: float) -> None:
-    av = _import_av()
+    first = next(pictures)
     with av.open(str(path), "w", format="mp4") as container:
         rate = Fraction(fps).limit_denominator(1001)
         options = {"crf": "20", "movflags": "+faststart"}
-        stream = None
-        for picture in pictures:
-            if stream is None:
-                stream = container.add_stream("libx264", rate=rate, options=options)
-                stream.height, stream.width = picture.shape[:2]
-                stream.pix_fmt = "yuv420p"  # what every player shows
-            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")
+        stream = container.add_stream("libx264", rate=rate, options=options)
+        stream.width, stream.height = first.size
+        stream.pix_fmt = "yuv420p"  # what every player shows
+        for picture in chain([first], pictures):
+            frame = av.VideoFrame.from_ndarray(np.asarray(picture), format="rgb24")
             container.mux(stream.encode(frame))
-        container.mux(stream.encode() if stream else [])
+        container.mux(stream.encode())
 
 
-def _write_gif(path: Path, pictures: Iterator[Picture], fps: float) -> None:
-    from PIL import Image
-
-    first = Image.fromarray(next(pictures)).quantize(128)
-    frames = [
-        first,
-        *(
-            Image.fromarray(picture).quantize(palette=first, dither=Image.Dither.NONE)
-            for picture in pictures
-        ),
-    ]
+def _write_gif(path: Path, pictures: Iterator[Image.Image], fps: float) -> None:
+    first = next(pictures).quantize(128)
+    # With the colours of the first picture, files are smaller and nothing flickers.
+    others = [one.quantize(palette=first, dither=Image.Dither.NONE) for one in pictures]
     # GIF counts in hundredths of a second: each frame ends at the one that is nearest.
-    ends = np.round(np.arange(len(frames) + 1) * 100 / fps) * 10
-    first.save(
-        path,
-        format="GIF",
-        save_all=True,
-        append_images=frames[1:],
-        duration=np.diff(ends).astype(int).tolist(),
-        loop=0,
-    )
+    ends = np.round(np.arange(len(others) + 2) * 100 / fps) * 10
+    durations = np.diff(ends).astype(int).tolist()
+    first.save(path, "GIF", save_all=True, append_images=others, duration=durations, loop=0)
 
 
-def _write_png(path: Path, pictures: Iterator[Picture], fps: float) -> None:
-    from PIL import Image
-
-    Image.fromarray(next(pictures)).save(path, format="PNG")
+def _write_png(path: Path, pictures: Iterator[Image.Image], fps: float) -> None:
+    next(pictures).save(path, "PNG")
 
 
-def _import_av() -> Any:
-    return import_extra("av", "render", "A video in MP4, unlike GIF and PNG, needs")
+_WRITERS: Final = {".mp4": _write_mp4, ".gif": _write_gif, ".png": _write_png}
+"""What writes pictures into a file, by its suffix."""

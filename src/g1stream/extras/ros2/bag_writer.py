@@ -7,27 +7,22 @@ where its tools look for them. Every message keeps its log and publish time.
 
 from __future__ import annotations
 
+import struct
 from dataclasses import asdict, dataclass, replace
 from mimetypes import guess_type
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from google.protobuf.message import DecodeError
+from rosbags.serde import SerdeError
+from rosbags.typesys.stores import ros2_humble as ros
 
-from g1stream.dds.ros2 import (
-    Cdr,
-    CdrReader,
-    encode_joint_state,
-    encode_string,
-    encode_tf,
-    message_text,
-)
 from g1stream.errors import RecordingError
+from g1stream.extras.ros2.messages import STORE, encode, joint_state, tf_message, time_message
 from g1stream.files import output_errors
-from g1stream.session.format import CHANNELS, Channel
+from g1stream.session.format import CHANNELS, Channel, encode_string
 from g1stream.session.parts import (
     SessionFiles,
     check_recording_path,
@@ -38,6 +33,7 @@ from g1stream.session.parts import (
     temporary_path,
     write_metadata_yaml,
 )
+from g1stream.session.recorded_motion import FOXGLOVE
 from g1stream.session.writer import SessionWriter
 from g1stream.view.encoders import MEASURED_PREFIX
 
@@ -136,7 +132,7 @@ def _converted(session: Path, topic: str, output: _Output, data: Sequence[bytes]
         return list(data)
     try:
         return [output.convert(one) for one in data]
-    except (DecodeError, ValueError) as error:
+    except (DecodeError, SerdeError, ValueError, struct.error) as error:
         raise RecordingError(
             f"A message of {topic} in {session} is not as g1stream writes it.",
             "Give a session that g1stream recorded.",
@@ -145,43 +141,28 @@ def _converted(session: Path, topic: str, output: _Output, data: Sequence[bytes]
 
 def _joint_state(data: bytes) -> bytes:
     message = JointStates.FromString(data)
-    position, velocity, effort = (
+    columns = (
         [getattr(joint, field) for joint in message.joints]
         if all(joint.HasField(field) for joint in message.joints)
         else []
         for field in ("position", "velocity", "effort")
     )
     names = [joint.name for joint in message.joints]
-    return encode_joint_state(message.timestamp.ToNanoseconds(), names, position, velocity, effort)
-
-
-def _tf_message(data: bytes) -> bytes:
-    transforms = FrameTransforms.FromString(data).transforms
-    positions = [one.translation for one in transforms]
-    rotations = [one.rotation for one in transforms]
-    return encode_tf(
-        [one.timestamp.ToNanoseconds() for one in transforms],
-        [one.parent_frame_id for one in transforms],
-        [one.child_frame_id for one in transforms],
-        [(p.x, p.y, p.z) for p in positions],
-        [(q.w, q.x, q.y, q.z) for q in rotations],
-    )
+    return joint_state(message.timestamp.ToNanoseconds(), names, *columns)
 
 
 def _log(data: bytes) -> bytes:
     message = Log.FromString(data)
-    cdr = Cdr()
-    cdr.time(message.timestamp.ToNanoseconds())
-    cdr.numbers("B", 10 * message.level)  # Foxglove counts the same levels from 1 to 5
-    for text in (message.name, message.message, message.file, ""):
-        cdr.string(text)
-    cdr.numbers("I", message.line)
-    return bytes(cdr.data)
+    time = time_message(message.timestamp.ToNanoseconds())
+    level = 10 * message.level  # Foxglove counts the same levels from 1 to 5
+    texts = message.name, message.message, message.file, ""
+    return encode(ros.rcl_interfaces__msg__Log(time, level, *texts, message.line))
 
 
 def _description(data: bytes) -> bytes:
     """The URDF without the prefix of its links, which RViz has a setting for."""
-    return encode_string(CdrReader(data).string().replace(f'"{MEASURED_PREFIX}', '"'))
+    message: Any = STORE.deserialize_cdr(data, "std_msgs/msg/String")
+    return encode_string(message.data.replace(f'"{MEASURED_PREFIX}', '"'))
 
 
 def _output(source: Channel) -> _Output | None:
@@ -190,25 +171,30 @@ def _output(source: Channel) -> _Output | None:
         return _Output(source)
     if source.schema_name not in _CONVERTERS:
         return None
-    package, name, topic, convert = _CONVERTERS[source.schema_name]
+    name, topic, convert = _CONVERTERS[source.schema_name]
     channel = replace(
         source,
         topic=topic or source.topic,
-        schema_name=f"{package}/msg/{name}",
+        schema_name=name,
         schema_encoding="ros2msg",
         message_encoding="cdr",
-        build_schema=lambda: message_text(f"{package}/{name}"),
+        build_schema=STORE.generate_msgdef(name, ros_version=2)[0].encode,
     )
     return _Output(channel, convert)
 
 
+_transforms = FOXGLOVE.transforms["foxglove.FrameTransforms", "protobuf"]
 _CONVERTERS: Final = {
-    "foxglove.JointStates": ("sensor_msgs", "JointState", None, _joint_state),
-    "foxglove.FrameTransforms": ("tf2_msgs", "TFMessage", "/tf", _tf_message),
-    "foxglove.Log": ("rcl_interfaces", "Log", "/rosout", _log),
+    "foxglove.JointStates": ("sensor_msgs/msg/JointState", None, _joint_state),
+    "foxglove.FrameTransforms": (
+        "tf2_msgs/msg/TFMessage",
+        "/tf",
+        lambda data: tf_message(_transforms(data)),
+    ),
+    "foxglove.Log": ("rcl_interfaces/msg/Log", "/rosout", _log),
 }
-"""By schema of a session's channel: package and name of ROS's message, the topic where ROS's tools
-look for it (None: the session's own), and what makes the message."""
+"""By schema of a session's channel: ROS's message, the topic where ROS's tools look for it (None:
+the session's own), and what makes it."""
 
 _OUTPUTS: Final = {
     topic: output for topic, channel in CHANNELS.items() if (output := _output(channel))

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from g1stream.cli.render import parse_size
 from g1stream.errors import ConfigError, RecordingError, RobotError
+from g1stream.extras.video.render import AZIMUTHS, render
+from g1stream.robot.meshes import with_shapes
 from g1stream.robot.model import G1
 from g1stream.session.session import open_session
-from g1stream.viewers.offscreen import with_shapes
-from g1stream.viewers.video import AZIMUTHS, parse_size, render
 
 SIZE = (96, 96)
 
@@ -22,7 +23,7 @@ SIZE = (96, 96)
 @pytest.fixture(autouse=True)
 def primitives(monkeypatch):
     """Shapes that are drawn fast."""
-    monkeypatch.setattr("g1stream.viewers.video.with_shapes", lambda robot: robot)
+    monkeypatch.setattr("g1stream.extras.video.render.with_shapes", lambda robot: robot)
 
 
 @pytest.fixture
@@ -75,6 +76,7 @@ def test_the_whole_robot_is_in_the_picture(sessions, tmp_path, camera):
 def test_one_of_the_two_is_shown_alone(sessions, tmp_path, kind):
     video, picture = _picture(sessions[kind], tmp_path / "out.png")
     assert video.shown == kind
+    assert (picture[:20, :40].max(axis=-1) < 30).any()  # the outline of the text
     assert picture[30:].std() > 10
 
 
@@ -136,6 +138,13 @@ def test_what_cannot_be_written_leaves_nothing(sessions, tmp_path, name, how, er
     assert (tmp_path / "there.png").read_text() == "mine"
 
 
+def test_without_av_the_extra_is_named(sessions, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "av", None)
+    with pytest.raises(ConfigError, match="needs av") as caught:
+        render(sessions["same"], tmp_path / "out.mp4")
+    assert "'g1stream[video]'" in caught.value.remedy
+
+
 @pytest.mark.slow
 def test_no_opengl_is_an_error(sessions, tmp_path):
     out = tmp_path / "out.png"
@@ -165,7 +174,7 @@ def test_a_robot_without_shapes_is_an_error(sessions, tmp_path, monkeypatch):
         for shape in [*link.findall("visual"), *link.findall("collision")]:
             link.remove(shape)
     bare = G1.from_urdf(ElementTree.tostring(root, encoding="unicode"), "bare.urdf")
-    monkeypatch.setattr("g1stream.viewers.video.with_shapes", lambda robot: bare)
+    monkeypatch.setattr("g1stream.extras.video.render.with_shapes", lambda robot: bare)
     with pytest.raises(RobotError, match="shapes"):
         render(sessions["same"], tmp_path / "out.png", start=1.0, size=SIZE)
 

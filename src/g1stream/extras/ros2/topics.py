@@ -6,12 +6,16 @@ is one more subscriber, best effort, so that neither waits for it.
 
 from __future__ import annotations
 
-from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from cyclonedds.idl.types import sequence
+from rosbags.interfaces import Nodetype
 
-from g1stream.app.child_process import optional_child, run_child
+from g1stream.app.child_process import run_child
+from g1stream.dds import types
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import (
@@ -22,50 +26,74 @@ from g1stream.dds.messages import (
     Reference,
     SportModeState,
 )
-from g1stream.dds.ros2 import (
-    JOINT_STATES,
-    ROBOT_DESCRIPTION,
-    TF,
-    encode_joint_state,
-    encode_string,
-    encode_tf,
-)
+from g1stream.extras.ros2.messages import STORE, joint_state, tf_message
 from g1stream.realtime import lower_priority
 from g1stream.robot.kinematics import local_transforms
 from g1stream.robot.model import G1
+from g1stream.session.format import encode_string
+from g1stream.session.recorded_motion import FramePose
 from g1stream.view.encoders import GHOST_PREFIX, IDENTITY_POSE, WORLD_FRAME, link_frames
 from g1stream.view.measured_base import MeasuredBase
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
     from g1stream.app.child_process import Parent
     from g1stream.config import Config
     from g1stream.dds.endpoints import RawSample
-    from g1stream.dds.ros2 import Ros2Topic
     from g1stream.types import Floats
 
-__all__ = ["publishing_for_ros2"]
+__all__ = ["JOINT_STATES", "ROBOT_DESCRIPTION", "TF", "Ros2Topic"]
 
 
-@contextmanager
-def publishing_for_ros2(
-    config: Config, abandoned: Callable[[], bool] = lambda: False
-) -> Iterator[None]:
-    """Publish for ROS 2 from a process of its own, where `dds.ros_tf` is set.
+@dataclass(frozen=True)
+class Ros2Topic:
+    """A topic of ROS 2 on DDS.
 
-    Args:
-        config: all settings.
-        abandoned: asked while the process starts; True ends the wait for it.
+    There it has the prefix `rt`, and the type of `tf2_msgs/msg/TFMessage` is called
+    `tf2_msgs::msg::dds_::TFMessage_`
+    (https://design.ros2.org/articles/topic_and_service_names.html).
 
-    Raises:
-        ChildError: it cannot. Once it publishes, its failure is only logged.
+    Attributes:
+        name: on DDS.
+        message: its type, such as `std_msgs/msg/String`.
+        depth: how many messages a publisher of ROS keeps for slow subscribers.
+        latched: the last message is kept for subscribers that come later, too.
     """
-    if not config.dds.ros_tf:
-        yield
-        return
-    with optional_child("ros2", config, "nothing is published for ROS 2 any more", abandoned):
-        yield
+
+    name: str
+    message: str
+    depth: int
+    latched: bool = False
+
+    @property
+    def idl_type(self) -> Any:
+        """The cyclonedds class that names the type on DDS."""
+        return _idl_type(self.message)
+
+
+# With the depths of tf2_ros' TransformBroadcaster, joint_state_publisher, robot_state_publisher.
+TF: Final = Ros2Topic("rt/tf", "tf2_msgs/msg/TFMessage", depth=100)
+JOINT_STATES: Final = Ros2Topic("rt/joint_states", "sensor_msgs/msg/JointState", depth=10)
+ROBOT_DESCRIPTION: Final = Ros2Topic(
+    "rt/robot_description", "std_msgs/msg/String", depth=1, latched=True
+)
+
+
+@cache
+def _idl_type(message: str) -> Any:
+    package, _, name = message.split("/")
+    _, fields = STORE.fielddefs[message]
+    return types.idl_struct(
+        f"{package}.msg.dds_.{name}_", **{field: _idl_field(kind) for field, kind in fields}
+    )
+
+
+def _idl_field(description: Any) -> Any:
+    kind, about = description
+    if kind == Nodetype.NAME:
+        return _idl_type(about)
+    if kind == Nodetype.SEQUENCE:
+        return sequence[_idl_field(about[0])]
+    return str if about[0] == "string" else getattr(types, about[0])
 
 
 class _Publisher:
@@ -113,9 +141,7 @@ class _Publisher:
         q, dq, tau = (one.astype(float) for one in (state.q, state.dq, state.tau_est))
         attitude = state.quaternion.astype(float)[np.newaxis]
         self._publish_tf(time_ns, self._frames, q, *self._base.poses(np.array([time_ns]), attitude))
-        names = self._robot.joint_names
-        columns = q.tolist(), dq.tolist(), tau.tolist()
-        self._joint_states.write(encode_joint_state(time_ns, names, *columns))
+        self._joint_states.write(joint_state(time_ns, self._robot.joint_names, q, dq, tau))
 
     def _publish_tf(
         self,
@@ -126,7 +152,8 @@ class _Publisher:
         root_quat_wxyz: Floats,
     ) -> None:
         poses = local_transforms(self._robot, joint_pos[np.newaxis], root_pos, root_quat_wxyz)
-        self._tf.write(encode_tf(time_ns, *frames, poses.pos[0], poses.quat_wxyz[0]))
+        rows = zip(*frames, poses.pos[0].tolist(), poses.quat_wxyz[0].tolist(), strict=True)
+        self._tf.write(tf_message(FramePose(time_ns, *row) for row in rows))
 
 
 def _writer(participant: Participant, topic: Ros2Topic) -> RawWriter:

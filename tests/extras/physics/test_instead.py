@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from g1stream.extras.physics.footing import CannotStandError
-from g1stream.extras.physics.instead import Part
-from g1stream.extras.physics.parts import longest_part, stand_part
-from g1stream.extras.physics.stance import stand
+from g1stream.extras.physics.instead import Part, longest_part
+from g1stream.extras.physics.stance import stand, stand_part
 from g1stream.motion.motion import Motion
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import G1

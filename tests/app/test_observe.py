@@ -7,11 +7,11 @@ import threading
 import numpy as np
 from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 
+from g1stream.app.live import observe
 from g1stream.config import Config
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.messages import LOWSTATE, LowState
-from g1stream.recorder.observer import observe
 
 T0 = 1_700_000_000_000_000_000
 

@@ -17,7 +17,7 @@ from g1stream.dds.messages import Batch
 from g1stream.motion.readers import load_motion
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import G1
-from g1stream.robot.visuals import read_visuals
+from g1stream.robot.shapes import read_visuals
 from g1stream.session.session import open_session
 from g1stream.session.source import MemorySource
 from g1stream.session.streams import STREAMS

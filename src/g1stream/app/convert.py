@@ -10,9 +10,8 @@ from g1stream._version import __version__
 from g1stream.errors import ConfigError, MotionError
 from g1stream.files import check_not_input, check_suffix, complete_file
 from g1stream.motion.readers import load_motion
-from g1stream.robot.meshes import robot_with_meshes
 from g1stream.robot.model import G1
-from g1stream.robot.visuals import missing_meshes
+from g1stream.robot.shapes import missing_meshes, robot_with_meshes
 from g1stream.session.format import CHANNELS, Channel, encode_string
 from g1stream.session.info import MotionInfo
 from g1stream.session.timestamps import frame_timestamps

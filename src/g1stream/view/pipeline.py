@@ -20,7 +20,7 @@ from g1stream.dds.messages import (
 )
 from g1stream.errors import ConfigError
 from g1stream.robot.joints import JOINT_GROUPS
-from g1stream.robot.meshes import robot_with_meshes
+from g1stream.robot.shapes import robot_with_meshes
 from g1stream.robot.urdf import with_prefixed_links
 from g1stream.session.format import CHANNELS, TIMING_FIELDS, MessageBatch, encode_string
 from g1stream.types import Floats, Ints

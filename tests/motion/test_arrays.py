@@ -106,6 +106,16 @@ def test_bodies_of_another_model(tmp_path, motion, isaac_angles):
     assert "g1_29dof_rev_1_0" in opened(path).evidence.used["joint order"]
 
 
+def test_the_pelvis_alone_says_nothing_of_the_order(tmp_path, motion, isaac_angles):
+    path = tmp_path / "motion.npz"
+    pelvis = {name: values[:, :1] for name, values in bodies(motion).items()}
+    np.savez(path, fps=50, joint_pos=isaac_angles, **pelvis)
+    assert_same(g1stream.load_motion(path), motion, tolerance=1e-6)
+    np.savez(path, fps=50, joint_pos=0 * isaac_angles, **pelvis)
+    with pytest.raises(MotionError, match="cannot be told"):
+        g1stream.load_motion(path)
+
+
 def test_order_told_by_limits(tmp_path, motion, isaac_angles):
     path = tmp_path / "motion.npz"
     np.savez(path, q=isaac_angles, fps=50)

@@ -243,7 +243,8 @@ class ArrayFile:
             found = self._bodies(bodies, 3)
             near = {order: _distance(pose, found, root) for order, pose in poses.items()}
             best, other = sorted(orders, key=lambda order: near[order])
-            if near[best][0] <= min(_NEAR, _NEARER * near[other][0]):
+            # The pelvis alone is as near in both.
+            if near[best][0] < min(_NEAR, _NEARER * near[other][0]):
                 return _Order(
                     names_in_order(best),
                     f"{best}: the bodies are {near[best][0]:.1f} mm from the links of "

@@ -32,8 +32,7 @@ from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.model import G1
 from g1stream.robot.rotations import tilt_of
 from g1stream.sim.lockstep import Lockstep
-from g1stream.sim.noise import SensorNoise
-from g1stream.sim.robot import SimulatedRobot
+from g1stream.sim.robot import SensorNoise, SimulatedRobot
 from g1stream.synthetic import squatting, stepping
 from g1stream.types import Floats, Phase
 

@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 
 from g1stream.app.child_process import Child
+from g1stream.app.session import open_session
 from g1stream.config import Config
 from g1stream.dds.messages import Batch
 from g1stream.motion.readers import load_motion
+from g1stream.recorder.recorder import raw_messages
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import G1
 from g1stream.robot.shapes import read_visuals
-from g1stream.session.session import open_session
 from g1stream.session.source import MemorySource
 from g1stream.session.streams import STREAMS
 from g1stream.session.writer import SessionWriter
@@ -119,7 +120,7 @@ def write_standard(path: Path) -> Path:
         times = messages.log_times.tolist(), messages.publish_times.tolist()
         batches[STREAMS[topic].source.name] = Batch(payloads, *times)
     with SessionWriter(path) as writer:
-        made = pipeline.encode(batches)
+        made = [*raw_messages(batches), *pipeline.encode(batches)]
         for one in [*pipeline.file_header(int(made[0].log_times[0])), *made]:
             writer.write_batch(one.topic, one.payloads, one.log_times, one.publish_times)
     return path

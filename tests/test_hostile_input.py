@@ -29,6 +29,7 @@ from hypothesis import strategies as st
 from mcap.writer import CompressionType, Writer
 
 from g1stream.app.convert import convert
+from g1stream.app.session import open_session
 from g1stream.cli.main import main
 from g1stream.config import load_config
 from g1stream.control.gains import read_gains
@@ -40,12 +41,10 @@ from g1stream.motion.motion import Motion
 from g1stream.motion.readers import load_motion
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import DEFAULT_URDF, G1
-from g1stream.session.format import CHANNELS
-from g1stream.session.parts import SessionFiles
+from g1stream.session.format import CHANNELS, encode_log
 from g1stream.session.recorded_motion import FramePose
-from g1stream.session.session import open_session
+from g1stream.session.source import SessionFiles
 from g1stream.types import Phase
-from g1stream.view.encoders import encode_log
 
 #: What numpy complains about would be printed on the terminal.
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning", "error::UserWarning")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from g1stream.session.format import encode_log
 from g1stream.session.writer import SessionWriter
-from g1stream.view.encoders import encode_log
 
 T0 = 1_700_000_000_000_000_000
 STEP = 70_000_000

@@ -1,4 +1,4 @@
-"""Writes docs/api.md, the public API, from the docstrings of the names that g1stream exports.
+"""Writes docs/api.md from the docstrings of the names that g1stream exports, and their stub.
 
 python tools/make_api_docs.py
 """
@@ -16,6 +16,7 @@ from pydantic import BaseModel
 import g1stream
 
 PATH = Path(__file__).parents[1] / "docs" / "api.md"
+STUB = Path(g1stream.__file__).with_suffix(".pyi")
 
 _HEAD = """\
 # Python API
@@ -46,6 +47,18 @@ def api_docs() -> str:
     parts += ["## Tables of Config and parts of Summary\n", *(_class(*one) for one in nested)]
     parts += [f"## Constants\n\n{', '.join(f'`{name}`' for name in constants)}\n"]
     return "\n".join(parts)
+
+
+def stub() -> str:
+    """The text of g1stream/__init__.pyi: where type checkers find each public name."""
+    lines = [
+        f"from g1stream.{module} import {name} as {name}"
+        for name, module in sorted(g1stream._HOME.items(), key=lambda item: (item[1], item[0]))
+    ]
+    version = "from g1stream._version import __version__ as __version__"
+    head = "# Made by `make docs`."
+    own = ("__all__: list[str]", "_HOME: dict[str, str]")
+    return "\n".join([head, *sorted([*lines, version]), "", *own]) + "\n"
 
 
 def _class(name: str, one: type) -> str:
@@ -168,3 +181,4 @@ def _text(one: Any) -> str:
 
 if __name__ == "__main__":
     PATH.write_text(api_docs())
+    STUB.write_text(stub())

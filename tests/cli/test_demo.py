@@ -8,11 +8,11 @@ from types import SimpleNamespace
 
 import pytest
 
+from g1stream.analysis.summary import Summary, Termination
 from g1stream.app import demo as program
 from g1stream.cli.demo import Demo
 from g1stream.errors import RecordingError
 from g1stream.motion.readers import load_motion
-from g1stream.session.summary import Summary, Termination
 
 OF_THE_READER = "Row 7 has a quaternion of length 0.9."
 

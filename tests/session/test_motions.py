@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from g1stream.app.session import open_session
 from g1stream.dds.messages import Reference
 from g1stream.errors import MotionError, RecordingError
 from g1stream.motion.readers import check_motion_file, load_motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import G1
-from g1stream.session.session import open_session
 from g1stream.session.writer import SessionWriter
 from g1stream.types import Phase
 

@@ -21,6 +21,7 @@ from g1stream.events import ConsoleHandler, handled_by
 from g1stream.optional import require_installed
 from g1stream.realtime import lower_priority, quick_thread_switches
 from g1stream.recorder.receiver import Receiver
+from g1stream.recorder.recorder import raw_messages
 from g1stream.robot.model import G1
 from g1stream.session.format import CHANNELS
 from g1stream.view.pipeline import MessagePipeline
@@ -161,7 +162,8 @@ def observe(
                 yield header
                 while not should_stop():
                     time.sleep(settings.batch)
-                    yield pipeline.encode(receiver.drain())
+                    batches = receiver.drain()
+                    yield [*raw_messages(batches), *pipeline.encode(batches)]
         finally:
             receiver.stop()
 

@@ -10,6 +10,7 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Final, get_args
 
 from g1stream._version import __version__
+from g1stream.app.session import Session
 from g1stream.app.sim import make_world
 from g1stream.config import Config, load_config
 from g1stream.control.gains import gains_in_play
@@ -21,10 +22,9 @@ from g1stream.extras.feet.stand import stand_if_asked
 from g1stream.motion.fit import fit_to_robot
 from g1stream.motion.motion import Motion
 from g1stream.motion.readers import load_motion
+from g1stream.recorder.recorder import raw_messages
 from g1stream.robot.model import G1
-from g1stream.session.info import SessionInfo
-from g1stream.session.recorder_summary import RecorderSummary
-from g1stream.session.session import Session
+from g1stream.session.records import RecorderSummary, SessionInfo
 from g1stream.session.source import MemorySource
 from g1stream.session.writer import attach_motion
 from g1stream.sim.lockstep import EPOCH, Lockstep
@@ -121,9 +121,10 @@ def rollout(
             _LOGGER.info("%s", changed)
         loop.run()
     source = MemorySource(f"rollout of {motion.name}")
-    info = SessionInfo.of(config, robot, motion, gains_in_play(config, robot)._asdict())
+    info = SessionInfo.from_config(config, robot, motion, gains_in_play(config, robot)._asdict())
     _write_header(source, config, robot, motion, info)
-    for messages in (*pipeline.file_header(EPOCH), *pipeline.encode(batches)):
+    header, shown = pipeline.file_header(EPOCH), pipeline.encode(batches)
+    for messages in (*header, *raw_messages(batches), *shown):
         source.write_batch(*messages)
     stream = loop.report.summary().model_copy(
         update={"start_s": config.stream.start, "slowed": fitted.slowed}
@@ -132,7 +133,7 @@ def rollout(
         first_ns=EPOCH,
         last_ns=link.stamp() + LATENCY,
         counts=source.topics,
-        measured_tf=pipeline.base.summary(),
+        measured_tf=pipeline.base.summary() if pipeline.base else None,
     ).model_dump(mode="json")
     source.add_metadata(
         {

@@ -9,10 +9,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from g1stream.analysis.summary import summarise_run
+from g1stream.analysis.summarise import summarise_run
+from g1stream.analysis.summary import Summary, Termination
 from g1stream.app.arming import inspect_for_arming, motion_service, require_arming
 from g1stream.app.child_process import Child, ChildError, publishing_for_ros2
 from g1stream.app.guard import Guard
+from g1stream.app.session import open_session
 from g1stream.clock import SystemClock
 from g1stream.config import SHIPPED, Config, load_config
 from g1stream.control.arm_sdk import settings_for_arm_sdk
@@ -24,7 +26,7 @@ from g1stream.dds.domain import DISCOVERY, Participant, is_local_only
 from g1stream.dds.log_handler import dds_log_handler
 from g1stream.dds.messages import COMMANDS, LOWCMD
 from g1stream.doctor.findings import explain_no_robot
-from g1stream.doctor.wire import inspect_participant
+from g1stream.doctor.inspection import inspect_participant
 from g1stream.errors import G1StreamError, SafetyError, WireError
 from g1stream.events import handled_by
 from g1stream.extras.feet.stand import refuse_feet_on_robot, stand_if_asked
@@ -34,12 +36,8 @@ from g1stream.motion.motion import Motion
 from g1stream.motion.readers import load_motion
 from g1stream.realtime import describe, on_time
 from g1stream.robot.model import G1
-from g1stream.session.info import MotionInfo, SessionInfo
 from g1stream.session.parts import check_recording_path
-from g1stream.session.recorder_summary import RecorderSummary
-from g1stream.session.session import open_session
-from g1stream.session.stream_summary import StreamSummary
-from g1stream.session.summary import Summary, Termination
+from g1stream.session.records import MotionInfo, RecorderSummary, SessionInfo, StreamSummary
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -128,7 +126,7 @@ def stream(
         recorder = None
         if session:
             gains = gains_in_play(config, robot)._asdict()
-            info = SessionInfo.of(config, robot, motion, gains)
+            info = SessionInfo.from_config(config, robot, motion, gains)
             recorder = _RecorderChild(session, force, on_wire, info, loop)
         recording = None
         granted: list[Grant] = []
@@ -157,7 +155,7 @@ def stream(
         return open_session(recording.path).summary()
     return summarise_run(
         config,
-        motion=MotionInfo.of(motion),
+        motion=MotionInfo.from_motion(motion),
         termination=Termination(
             reason=report.reason,
             played_s=report.played / 1e9,

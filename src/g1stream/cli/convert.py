@@ -225,9 +225,8 @@ class Convert(MotionFlags):
     def _session_file(
         self, on_progress: Callable[[float], None]
     ) -> tuple[dict[str, Any], str, tuple[str, ...]]:
-        from g1stream.app.convert import Conversion, convert
+        from g1stream.app.convert import Conversion, convert, parse_time
         from g1stream.robot.model import G1
-        from g1stream.session.timestamps import parse_time
 
         options = Conversion(
             base_time_ns=parse_time(self.base_time),

@@ -50,17 +50,19 @@ class Layout(Command):
 
     def run(self) -> int:
         """Write the layout, and return the exit code."""
+        from g1stream.analysis.tracking import worst_joints
         from g1stream.errors import ConfigError
         from g1stream.files import complete_file
-        from g1stream.session.session import open_session
+        from g1stream.session.recording import open_recording
         from g1stream.view.layouts import (
             DEFAULT_JOINTS,
             foxglove_layout,
             plotjuggler_layout,
-            worst_joints,
         )
 
-        joints = worst_joints(open_session(self.session)) if self.session else DEFAULT_JOINTS
+        joints: tuple[str, ...] = DEFAULT_JOINTS
+        if self.session:
+            joints = worst_joints(open_recording(self.session), len(joints)) or joints
         if self.viewer == "plotjuggler":
             content = plotjuggler_layout(joints).encode()
         else:

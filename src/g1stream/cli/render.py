@@ -46,7 +46,7 @@ class Render(Command):
 
     def run(self) -> int:
         """Write the video, and return the exit code."""
-        from g1stream.session.session import open_session
+        from g1stream.app.session import open_session
 
         done = 0.0
 

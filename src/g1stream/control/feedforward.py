@@ -19,7 +19,7 @@ from g1stream.motion.blend import minimum_jerk
 from g1stream.robot.dynamics import InverseDynamics
 from g1stream.robot.joints import N_JOINTS
 from g1stream.robot.model import G1, REVISIONS
-from g1stream.session.stream_summary import FeedForwardChange
+from g1stream.session.records import FeedForwardChange
 from g1stream.types import FeedForwardKind, Floats, Ints, Phase, StreamSupport, Support
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from g1stream.config import StreamConfig
     from g1stream.control.targets import Target
     from g1stream.control.torques import TorqueSource
-    from g1stream.session.stream_summary import BalanceSummary
+    from g1stream.session.records import BalanceSummary
 
 __all__ = ["FeedForward"]
 

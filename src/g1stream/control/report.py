@@ -8,15 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from g1stream.robot.joints import N_JOINTS, by_joint
-from g1stream.session.records import Percentiles
-from g1stream.session.stream_summary import FeedForwardChange, StreamSummary
+from g1stream.session.records import FeedForwardChange, Percentiles, StreamSummary
 from g1stream.types import Ints
 
 if TYPE_CHECKING:
     from g1stream.control.commands import CommandLimits
     from g1stream.control.feedforward import FeedForward
     from g1stream.control.targets import Ramp
-    from g1stream.session.stream_summary import BalanceSummary
+    from g1stream.session.records import BalanceSummary
     from g1stream.types import FeedForwardKind, StreamSupport
 
 __all__ = ["Lateness", "LoopReport"]

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from g1stream.control.state_checks import ImuReading
     from g1stream.control.targets import Target
-    from g1stream.session.stream_summary import BalanceSummary
+    from g1stream.session.records import BalanceSummary
 
 __all__ = ["HeldTorques", "Moment", "Reading", "TorqueSource"]
 

@@ -203,7 +203,7 @@ def _is_table(file: MotionFile) -> bool:
 
 
 FORMATS: Final = (
-    Format("session or MCAP", "g1stream.session.motions:open_recording", _is_recording),
+    Format("session or MCAP", "g1stream.session.motions:open_played", _is_recording),
     Format("bag of ROS 2", EXTENSIONS["read_bag"], _is_bag),
     Format("NPZ, file of PyTorch", _ARRAYS, _begins(b"PK"), several=True),
     Format("NPY", _ARRAYS, _begins(b"\x93NUMPY")),

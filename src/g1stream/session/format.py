@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
@@ -34,10 +34,12 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CHANNELS",
+    "CHANNEL_OF",
     "METADATA_NAME",
     "TIMING_FIELDS",
     "Channel",
     "MessageBatch",
+    "encode_log",
     "encode_string",
     "metadata_from_strings",
     "metadata_to_strings",
@@ -247,11 +249,29 @@ _ALL: Final = (
 CHANNELS: Final[Mapping[str, Channel]] = MappingProxyType({one.topic: one for one in _ALL})
 """Every channel a session file can have, by its topic."""
 
+CHANNEL_OF: Final = {one.dds_topic: one.topic for one in _ALL if one.dds_topic}
+"""The topic in the file that holds a DDS topic's samples byte for byte, by the DDS topic's name."""
+
 
 def encode_string(text: str) -> bytes:
     """A std_msgs/String in CDR."""
     data = text.encode() + b"\0"
     return CDR_HEADER + len(data).to_bytes(4, "little") + data
+
+
+def encode_log(time_ns: int, level: int, name: str, text: str) -> bytes:
+    """A foxglove.Log.
+
+    Args:
+        time_ns: when it happened, ns since the epoch.
+        level: 1 debug, 2 info, 3 warning, 4 error, 5 fatal.
+        name: the program that logs it.
+        text: what happened.
+    """
+    message = Log(level=cast("Log.Level.ValueType", level), name=name, message=text)
+    message.timestamp.FromNanoseconds(time_ns)
+    data: bytes = message.SerializeToString()
+    return data
 
 
 def metadata_to_strings(values: Mapping[str, Any]) -> dict[str, str]:

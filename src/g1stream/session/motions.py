@@ -9,21 +9,22 @@ from g1stream.errors import MotionError, RecordingError
 from g1stream.files import is_session
 from g1stream.motion.readers import Evidence, MotionFile, MotionReader
 from g1stream.optional import extension
-from g1stream.session.info import MotionInfo
-from g1stream.session.poses import motion_of_poses
-from g1stream.session.records import read_record
+from g1stream.session.mcap_reader import McapFile
+from g1stream.session.parts import parts_of
+from g1stream.session.recorded_motion import FOXGLOVE, RecordedMotion, motion_of_poses
+from g1stream.session.recording import open_recording
+from g1stream.session.records import MotionInfo, read_record
+from g1stream.session.streams import STREAMS, Reference
 from g1stream.types import Phase
 
 if TYPE_CHECKING:
     from g1stream.motion.motion import Motion
-    from g1stream.session.recorded_motion import RecordedMotion
-    from g1stream.session.session import Session
-    from g1stream.session.streams import Reference
+    from g1stream.session.recording import Recording
 
-__all__ = ["attached_motion", "open_recording", "recorded_motion", "reference_motion"]
+__all__ = ["attached_motion", "motion_of", "open_played", "recorded_motion"]
 
 
-def open_recording(file: MotionFile) -> MotionReader:
+def open_played(file: MotionFile) -> MotionReader:
     """The reader of a session, or of joint states that others, or `convert`, recorded.
 
     Raises:
@@ -40,9 +41,7 @@ class _PlayedMotion(NamedTuple):
     evidence: Evidence = Evidence({"file": "a session; its motion is the recorded reference"})
 
     def motion(self) -> Motion:
-        from g1stream.session.session import open_session
-
-        return open_session(self.file.path).motion(self.file.fps)
+        return motion_of(open_recording(self.file.path), self.file.fps)
 
 
 def recorded_motion(file: MotionFile) -> RecordedMotion | None:
@@ -52,11 +51,6 @@ def recorded_motion(file: MotionFile) -> RecordedMotion | None:
         ConfigError: the extra that reads it is not installed.
         RecordingError: it is damaged.
     """
-    from g1stream.session.mcap_reader import McapFile
-    from g1stream.session.parts import parts_of
-    from g1stream.session.recorded_motion import FOXGLOVE, RecordedMotion
-    from g1stream.session.streams import STREAMS, Reference
-
     parts = parts_of(file.path)
     in_ros = not is_session(parts[0])  # in SQLite, or compressed as a whole
     if not in_ros:
@@ -74,19 +68,21 @@ def recorded_motion(file: MotionFile) -> RecordedMotion | None:
     return recorded
 
 
-def reference_motion(reference: Reference, path: Path, fps: float | None = None) -> Motion:
-    """The reference in PLAY as a motion.
+def motion_of(session: Recording, fps: float | None = None) -> Motion:
+    """The motion that was played, as the reference has it; or what `convert` made of a motion.
 
     Args:
-        reference: of the session.
-        path: of the session; the motion gets its name.
+        session: a recording.
         fps: frames per second; the rate of the reference if None.
 
     Raises:
-        RecordingError: nothing was played.
+        RecordingError: there is no motion in this session.
         MotionError: `fps` is not a frame rate, or leaves less than two frames.
     """
+    if session.converted and (recorded := recorded_motion(MotionFile(session.path, fps))):
+        return recorded.motion()
     columns = "phase", "motion_time", "q", "root_pos", "root_quat_wxyz"
+    reference, path = session.reference, session.path
     play = reference[reference.read(*columns).phase == Phase.PLAY].read(*columns)
     if len(play) < 2:
         raise RecordingError(
@@ -96,7 +92,7 @@ def reference_motion(reference: Reference, path: Path, fps: float | None = None)
     return motion_of_poses(play.motion_time, play.q, play.root_pos, play.root_quat_wxyz, path, fps)
 
 
-def attached_motion(session: Session) -> Motion | None:
+def attached_motion(session: Recording) -> Motion | None:
     """The whole motion in the attached file, where that is the one which was played.
 
     None where no file is attached, or what was played is something else that was made of it.

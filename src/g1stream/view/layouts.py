@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 from xml.etree import ElementTree
 
-from g1stream.errors import RecordingError
-from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
+from g1stream.robot.joints import JOINT_GROUPS
 from g1stream.robot.model import G1
 from g1stream.text import short_name
 from g1stream.view.encoders import GHOST_PREFIX, MEASURED_PREFIX
@@ -14,17 +13,12 @@ from g1stream.view.encoders import GHOST_PREFIX, MEASURED_PREFIX
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from g1stream.session.session import Session
 
 __all__ = [
     "DEFAULT_JOINTS",
     "foxglove_layout",
     "plotjuggler_layout",
-    "worst_joints",
 ]
-
-#: How many joints are plotted.
-_N_PLOTS: Final = 6
 
 #: Of the reference, of what is measured, and of limits.
 _REFERENCE, _MEASURED, _RED = "#1abfff", "#ffa61a", "#f44336"
@@ -46,20 +40,7 @@ DEFAULT_JOINTS: Final = (
     "right_shoulder_pitch_joint",
     "left_elbow_joint",
 )
-"""What is plotted where no session says which joints matter."""
-
-
-def worst_joints(session: Session) -> tuple[str, ...]:
-    """The six played joints with the greatest RMSE in a session, greatest first.
-
-    `DEFAULT_JOINTS` where there is nothing to compare.
-    """
-    try:
-        tracking = session.tracking()
-    except RecordingError:
-        return DEFAULT_JOINTS
-    worst = sorted(tracking.joints, key=lambda joint: -tracking.rmse[joint])
-    return tuple(JOINT_NAMES[joint] for joint in worst[:_N_PLOTS])
+"""What is plotted where no session says which joints matter; there is room for so many."""
 
 
 def foxglove_layout(joints: Sequence[str], robot: G1 | None = None) -> dict[str, Any]:

@@ -29,8 +29,7 @@ from g1stream.robot.rotations import (
     yaw_of,
 )
 from g1stream.sim.lockstep import Lockstep
-from g1stream.sim.noise import SensorNoise
-from g1stream.sim.robot import SimulatedRobot
+from g1stream.sim.robot import SensorNoise, SimulatedRobot
 from g1stream.sim.world import World
 from g1stream.synthetic import squatting, stepping
 from g1stream.types import Phase

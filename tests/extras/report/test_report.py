@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 import g1stream
+from g1stream.app.session import open_session
 from g1stream.config import Config
 from g1stream.errors import ConfigError, RecordingError
 from g1stream.extras.report.page import numbers, to_csv
 from g1stream.extras.report.tables import Column, table
 from g1stream.robot.joints import JOINT_NAMES
-from g1stream.session.session import open_session
 
 
 class Page(HTMLParser):

@@ -11,13 +11,13 @@ from rosbags.interfaces import QosDurability, QosHistory, QosLiveliness, QosReli
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
+from g1stream.app.session import open_session
 from g1stream.dds.messages import LOWCMD, LOWSTATE, REFERENCE
 from g1stream.errors import RecordingError
 from g1stream.extras.ros2.bag_writer import write_ros2_bag
 from g1stream.robot.model import G1
 from g1stream.robot.urdf import with_prefixed_links
 from g1stream.session.format import encode_string
-from g1stream.session.session import open_session
 from g1stream.view.encoders import JointStatesTemplate, TransformsEncoder
 
 T0, STEP, DELAY = 1_700_000_000_000_000_000, 70_000_000, 123_456

@@ -38,8 +38,8 @@ from g1stream.robot.rotations import (
 )
 
 if TYPE_CHECKING:
+    from g1stream.analysis.metrics import Metrics
     from g1stream.extras.physics.result import MotionPhysics
-    from g1stream.session.metrics import Metrics
     from g1stream.types import StreamSupport
 
 __all__ = ["OUTPUTS", "Content", "LibraryCase", "Task", "contents_of", "rows_of"]
@@ -320,7 +320,7 @@ def _joint_rows(key: str, metrics: Metrics) -> list[JointRow]:
             key=key,
             joint=name,
             rmse=one.rmse_rad,
-            bias=one.mean_rad,
+            bias=one.bias_rad,
             p99=one.p99_rad,
             max=one.max_abs_rad,
             delay=one.delay_s,

@@ -9,27 +9,25 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from g1stream.analysis.delay import interpolated
-from g1stream.analysis.metrics import metrics
-from g1stream.analysis.summary import flat, played
+from g1stream.analysis.metrics import NAMED_METRICS, metrics
+from g1stream.analysis.summarise import flat, played
+from g1stream.analysis.tracking import interpolated
+from g1stream.app.session import Session, open_session
 from g1stream.config import Config
 from g1stream.errors import RecordingError
 from g1stream.extras.report.compare_table import comparison_table
 from g1stream.extras.report.differences import Difference, differences, ranked
 from g1stream.files import check_not_input, check_output_path, check_suffix
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS, matching_joints
-from g1stream.session.info import SessionInfo
-from g1stream.session.metrics import NAMED_METRICS
-from g1stream.session.records import Record, read_record
-from g1stream.session.session import Session, open_session
+from g1stream.session.records import Record, SessionInfo, read_record
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
-    from g1stream.session.metrics import Metrics
-    from g1stream.session.summary import Summary
+    from g1stream.analysis.metrics import Metrics
+    from g1stream.analysis.summary import Summary
     from g1stream.types import Floats
 
 __all__ = ["CONDITION_NAMES", "Comparison", "compare"]

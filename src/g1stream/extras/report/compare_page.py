@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from g1stream.analysis.signals import Line
+from g1stream.app.session import Session, open_session
 from g1stream.extras.report import html
 from g1stream.extras.report.compare_table import compared, significance, verdict
 from g1stream.extras.report.figures import curve
 from g1stream.extras.report.tables import differences
 from g1stream.files import complete_file
 from g1stream.robot.joints import JOINT_NAMES
-from g1stream.session.session import Session, open_session
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -142,7 +142,7 @@ def _drawn(
 
 
 def _curves(time: Floats, values: Floats, most: int) -> list[dict[str, str]]:
-    line = Line.of("", time, values)
+    line = Line.from_samples("", time, values)
     return [curve(line.time, column, most) for column in line.values.T]
 
 

@@ -12,8 +12,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Final, cast
 
-from g1stream.analysis.summary import flat
-from g1stream.analysis.summary_text import session_facts, stream_facts, verdict
+from g1stream.analysis.summarise import flat
+from g1stream.analysis.summary import outcome, session_facts, stream_facts
+from g1stream.app.session import Session, open_session
 from g1stream.errors import ConfigError, RecordingError
 from g1stream.extras.report import html
 from g1stream.extras.report.figures import figures
@@ -22,15 +23,14 @@ from g1stream.extras.report.tables import overview, tables
 from g1stream.files import check_not_input, check_suffix, complete_file, read_file
 from g1stream.optional import extension
 from g1stream.robot.joints import JOINT_NAMES
-from g1stream.session.session import Session, open_session
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from typing import TypeAlias
 
+    from g1stream.analysis.metrics import Metrics
+    from g1stream.analysis.summary import Summary
     from g1stream.extras.physics.result import MotionPhysics
-    from g1stream.session.metrics import Metrics
-    from g1stream.session.summary import Summary
 
     Given: TypeAlias = Session | str | os.PathLike[str]
     Progress: TypeAlias = Callable[[str, float], None]
@@ -118,7 +118,7 @@ def _values(
 ) -> dict[str, Any]:
     return {
         "path": str(session.path),
-        "verdict": verdict(summary),
+        "verdict": outcome(summary),
         "summary": summary.model_dump(mode="json"),
         "metrics": metrics.model_dump(mode="json"),
         "physics": None if isinstance(physics, str) else physics.model_dump(mode="json"),
@@ -192,7 +192,7 @@ def _section(
         {"joint": "", **parts, **more},
         number=number,
         name=html.escaped(session.path.name),
-        verdict=html.escaped(verdict(summary)),
+        verdict=html.escaped(outcome(summary)),
         good="bad" if summary.problems else "good" if summary.tracking else "",
         problems="".join(
             f'<p class="problem">{html.escaped(text)}</p>' for text in summary.problems

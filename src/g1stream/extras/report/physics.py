@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from g1stream.analysis.summary import played
+from g1stream.analysis.summarise import played
 from g1stream.errors import MotionError, RecordingError, RobotError
 from g1stream.extras.physics.measure import motion_physics
 from g1stream.extras.physics.result import reasons
@@ -16,9 +16,9 @@ from g1stream.text import counted, short_name
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from g1stream.analysis.summary import Summary
+    from g1stream.app.session import Session
     from g1stream.extras.physics.result import MotionPhysics
-    from g1stream.session.session import Session
-    from g1stream.session.summary import Summary
 
 __all__ = ["physics_section", "session_physics"]
 

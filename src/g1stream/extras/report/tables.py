@@ -62,7 +62,7 @@ _LIMBS: Final = (
     *_DELAYS,
     *_RATES,
 )
-_JOINTS: Final = (*_ERRORS, Column("bias", "deg", "mean_rad", ".3f", _DEG), *_DELAYS, *_RATES)
+_JOINTS: Final = (*_ERRORS, Column("bias", "deg", "bias_rad", ".3f", _DEG), *_DELAYS, *_RATES)
 _LINKS: Final = (
     Column("MPJPE", "mm", "mpjpe_mm", ".2f"),
     Column("p99", "mm", "p99_mm", ".2f"),

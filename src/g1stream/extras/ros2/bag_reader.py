@@ -14,7 +14,7 @@ from g1stream.errors import RecordingError
 from g1stream.extras.ros2.messages import STORE
 from g1stream.files import begins_with
 from g1stream.input_limits import LATEST_NS
-from g1stream.session.mcap_reader import McapFile
+from g1stream.session.mcap_reader import McapFile, Messages
 from g1stream.session.parts import parts_of
 from g1stream.session.recorded_motion import (
     FOXGLOVE,
@@ -23,7 +23,6 @@ from g1stream.session.recorded_motion import (
     JointAngles,
     RecordedMotion,
 )
-from g1stream.session.source import Messages
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -24,7 +24,6 @@ from g1stream.extras.ros2.messages import STORE, encode, joint_state, tf_message
 from g1stream.files import output_errors
 from g1stream.session.format import CHANNELS, Channel, encode_string
 from g1stream.session.parts import (
-    SessionFiles,
     check_recording_path,
     part_path,
     parts_directory,
@@ -34,6 +33,7 @@ from g1stream.session.parts import (
     write_metadata_yaml,
 )
 from g1stream.session.recorded_motion import FOXGLOVE
+from g1stream.session.source import SessionFiles
 from g1stream.session.writer import SessionWriter
 from g1stream.view.encoders import MEASURED_PREFIX
 

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from g1stream.session.session import Session
-    from g1stream.session.stream import Stream
+    from g1stream.session.recording import Recording
+    from g1stream.session.streams import Stream
     from g1stream.types import Camera
 
 __all__ = ["AZIMUTHS", "Poses", "Video", "render"]
@@ -67,7 +67,7 @@ class Video:
 
 
 def render(
-    session: Session,
+    session: Recording,
     path: Path,
     *,
     start: float | None = None,
@@ -134,7 +134,7 @@ def _labelled(pixels: NDArray[np.uint8], text: str) -> Image.Image:
 
 
 def _frame_times(
-    session: Session, start: float | None, duration: float | None, fps: float
+    session: Recording, start: float | None, duration: float | None, fps: float
 ) -> Floats:
     """When each frame is, s on the motion's clock."""
     kinds = (Reference, Measured)
@@ -177,7 +177,7 @@ class Poses:
         robots: the measured robot with its ghost, or that of the two which is there.
     """
 
-    def __init__(self, session: Session, times: Floats) -> None:
+    def __init__(self, session: Recording, times: Floats) -> None:
         self._times = times
         present = session.topics.get
         reference = session.reference if present(Reference.topic) else None

@@ -1,29 +1,67 @@
-"""Facts about a DDS domain. Only listens: a writer of LowCmd would stop whoever streams."""
+"""Gathers facts about this machine and a DDS domain, and evaluates them; publishes nothing."""
 
 from __future__ import annotations
 
+import fcntl
+import os
+import socket
+import struct
 import time
 from contextlib import suppress
 from dataclasses import replace
+from importlib.metadata import version
+from pathlib import Path
 from statistics import median
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from cyclonedds.core import Policy
 
-from g1stream.dds.domain import MAX_DOMAIN, OBSERVER, Participant, support_announced
+from g1stream.clock import SystemClock, Ticker
+from g1stream.control.report import Lateness
+from g1stream.dds.domain import (
+    MAX_DOMAIN,
+    OBSERVER,
+    InterfaceFlags,
+    Participant,
+    interface_flags,
+    interfaces,
+    support_announced,
+)
 from g1stream.dds.endpoints import RawReader
 from g1stream.dds.messages import LOWSTATE, TOPICS, LowState
 from g1stream.dds.ticks import TickGaps
-from g1stream.doctor.facts import Peer, Qos, StateFacts, WireFacts
+from g1stream.doctor.facts import (
+    Facts,
+    HostFacts,
+    Interface,
+    Peer,
+    Qos,
+    StateFacts,
+    WakeupLatency,
+    WireFacts,
+)
+from g1stream.doctor.findings import evaluate
 from g1stream.errors import WireError
+from g1stream.realtime import on_time
+from g1stream.robot.model import G1
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
+    from g1stream.clock import Clock
+    from g1stream.config import Config, RealtimeConfig
     from g1stream.dds.domain import Endpoint
-    from g1stream.doctor.facts import Interface
+    from g1stream.doctor.facts import Finding, Interface
 
-__all__ = ["inspect_domain", "inspect_participant", "qos_facts"]
+__all__ = [
+    "diagnose",
+    "inspect_domain",
+    "inspect_host",
+    "inspect_participant",
+    "measure_wakeup_latency",
+    "qos_facts",
+    "wakeup_latency",
+]
 
 _POLL_S = 0.001
 #: How long discovery of the participants in another domain may take, s.
@@ -156,3 +194,98 @@ def qos_facts(qos: Any) -> Qos:
         elif policy in _DURABILITIES:
             values["durability"] = _DURABILITIES.index(policy)
     return Qos(**values)
+
+
+_SIOCGIFADDR: Final = 0x8915  # <linux/sockios.h>
+
+
+def inspect_host(config: RealtimeConfig) -> HostFacts:
+    """Gather facts about this machine; requests real-time rights, and gives them back."""
+    with on_time(config.priority, config.cpu) as grants:
+        granted = tuple(grants)
+    buffer = _read("/proc/sys/net/core/rmem_max")
+    return HostFacts(
+        interfaces=tuple(map(_interface, interfaces())),
+        uri=os.environ.get("CYCLONEDDS_URI", ""),
+        cyclonedds=version("cyclonedds"),
+        rmem_max=int(buffer) if buffer else None,
+        clock_source=_read("/sys/devices/system/clocksource/clocksource0/current_clocksource"),
+        grants=granted,
+    )
+
+
+def measure_wakeup_latency(
+    realtime: RealtimeConfig, rate: float, seconds: float = 0.5
+) -> WakeupLatency:
+    """Sleep until absolute deadlines (Hz) with the rights that the loop gets, and do nothing else.
+
+    The priority is one below the loop's: a loop that runs meanwhile, maybe on the same isolated
+    CPU, comes first, and no command of it is delayed.
+    """
+    with on_time(max(0, realtime.priority - 1), realtime.cpu):
+        return wakeup_latency(SystemClock(), round(1e9 / rate), round(seconds * rate))
+
+
+def wakeup_latency(clock: Clock, period: int, deadlines: int) -> WakeupLatency:
+    """Let a clock wake this thread at so many deadlines, `period` ns apart."""
+    ticker = Ticker(clock, period, clock.now() + period)
+    lateness, passed = Lateness(), 0
+    for k, _ in ticker:
+        # The deadline that was slept for, not the one that replaced it.
+        lateness.add(clock.now() - (ticker.start + passed * period))
+        passed = k + 1
+        if passed >= deadlines:
+            break
+    median = round(lateness.percentile_us(50.0) * 1000.0)
+    return WakeupLatency(1e9 / period, passed, ticker.skipped, median, lateness.maximum_ns)
+
+
+def _interface(name: str) -> Interface:
+    flags = interface_flags(name)
+    return Interface(
+        name,
+        up=InterfaceFlags.UP in flags,
+        loopback=InterfaceFlags.LOOPBACK in flags,
+        multicast=InterfaceFlags.MULTICAST in flags,
+        address=_address(name),
+    )
+
+
+def _address(name: str) -> str:
+    """The IPv4 address of an interface, or "" (netdevice(7))."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
+        try:
+            answer = fcntl.ioctl(any_socket, _SIOCGIFADDR, struct.pack("256s", name.encode()))
+        except OSError:
+            return ""
+    return socket.inet_ntoa(answer[20:24])
+
+
+def _read(path: str) -> str:
+    try:
+        return Path(path).read_text().strip()
+    except OSError:
+        return ""
+
+
+def diagnose(config: Config, seconds: float = 1.0) -> list[Finding]:
+    """Check this machine and the domain; each check has a finding, also where all is well.
+
+    Only listens: nothing is published, so that no other program is disturbed.
+
+    Args:
+        config: where to look (`dds`), which robots may be commanded (`safety`), and what the loop
+            requests of the system (`realtime`, and `stream.rate`).
+        seconds: how long to listen for LowState.
+    """
+    domain, interface = config.dds.domain, config.dds.interface
+    host = inspect_host(config.realtime)
+    latency = measure_wakeup_latency(config.realtime, config.stream.rate)
+    wire, join_error = None, ""
+    try:
+        wire = inspect_domain(domain, interface, host.interfaces, seconds)
+    except WireError as error:
+        join_error = error.cause
+    robots = G1.load(config.robot).joint_set.allowed(config.safety.mode_machine)
+    via = config.stream.via
+    return evaluate(Facts(domain, interface, robots, host, wire, join_error, latency, via))

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from g1stream.app.child_process import Child
+from g1stream.child_process import Child
 from g1stream.config import Config
 from g1stream.session.motions import load_motion
 from g1stream.session.session import open_session

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from g1stream.config import Config, load_config
     from g1stream.dds.messages import LowState, Samples
     from g1stream.errors import G1StreamError
-    from g1stream.extras.feet.stand import stand
     from g1stream.extras.library.compute import LibraryCase
     from g1stream.extras.library.rows import JointRow, MotionRow
     from g1stream.extras.library.run import LibraryRun, run_library
@@ -38,6 +37,7 @@ if TYPE_CHECKING:
     from g1stream.extras.physics.measure import motion_physics
     from g1stream.extras.physics.result import MotionPhysics
     from g1stream.extras.physics.stance import Standing
+    from g1stream.extras.physics.stand import stand
     from g1stream.extras.report.compare import Comparison, compare
     from g1stream.extras.report.page import report
     from g1stream.motion.motion import Motion
@@ -160,7 +160,7 @@ _HOME = {
     "rollout": "app.rollout",
     "run_library": "extras.library.run",
     "simulate": "app.sim",
-    "stand": "extras.feet.stand",
+    "stand": "extras.physics.stand",
     "stream": "app.stream",
 }
 

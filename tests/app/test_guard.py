@@ -17,11 +17,10 @@ import pytest
 from cyclonedds.core import DDSException
 from pydantic import ValidationError
 
-from g1stream.app.child_process import ChildError, process_state
-from g1stream.app.guard import Guard, _damp, _settings
 from g1stream.app.stream import stream
+from g1stream.child_process import ChildError, process_state
 from g1stream.config import Config, SimConfig
-from g1stream.control.guard import Heartbeat, Takeover
+from g1stream.control.guard import Guard, Heartbeat, Takeover, _damp, _settings
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.messages import LOWCMD, LowCmd
@@ -190,7 +189,7 @@ def test_the_guard_can_be_left_out_on_loopback_only(interface):
 
 def test_a_guard_that_cannot_join_is_an_error_where_a_robot_may_be(monkeypatch):
     """And a warning on loopback, where the stream goes on without one."""
-    monkeypatch.setattr("g1stream.app.guard.is_local_only", lambda interface: False)
+    monkeypatch.setattr("g1stream.control.guard.is_local_only", lambda interface: False)
     start = time.monotonic()
     with Guard(Config.model_validate({"dds": {"interface": "nowhere0"}})) as guard:
         with pytest.raises(Exception, match="nowhere0"):
@@ -239,7 +238,7 @@ def test_a_guard_that_cannot_be_started(lack, expected, monkeypatch):
         guard = Guard(Config())
     with guard:
         assert guard.wait_until_ready() is None
-    monkeypatch.setattr("g1stream.app.guard.is_local_only", lambda interface: False)
+    monkeypatch.setattr("g1stream.control.guard.is_local_only", lambda interface: False)
     with lack(), pytest.raises(expected) as error:
         Guard(Config())
     assert error.value.remedy

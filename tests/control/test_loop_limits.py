@@ -1,5 +1,7 @@
 """Commands for joints whose target or start pose is outside a limit."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -16,11 +18,11 @@ class Pushing(FeedForward):
     """Commands the same torque for every joint."""
 
     def __init__(self, torque):
-        super().__init__("velocity", limit=np.full(29, 50.0), period=0.002, ramp=0.1)
+        super().__init__("velocity", limit=np.full(29, 50.0), period=0.002)
         self.torque = torque
 
-    def command(self, phase, elapsed, target, imu, age):
-        return super().command(phase, elapsed, target, imu, age).replace(tau=self.torque)
+    def command(self, moment):
+        return replace(super().command(moment), tau=np.full(29, self.torque))
 
 
 @pytest.mark.parametrize("torque", [2.0, -2.0])

@@ -13,7 +13,7 @@ from contextlib import closing, contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any, Final
 
-from g1stream.app.child_process import optional_child, run_child
+from g1stream.child_process import optional_child, run_child
 from g1stream.config import Config
 from g1stream.errors import ConfigError
 from g1stream.events import ConsoleHandler, handled_by
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from foxglove.websocket import ChannelView, Client
 
-    from g1stream.app.child_process import Parent
+    from g1stream.child_process import Parent
     from g1stream.session.format import MessageBatch
 
 __all__ = ["live"]

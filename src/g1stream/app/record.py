@@ -13,8 +13,8 @@ from uuid import uuid4
 
 from g1stream._version import __version__
 from g1stream.analysis.summary import summarise_run
-from g1stream.app.child_process import run_child
 from g1stream.app.ros2 import publishing_for_ros2
+from g1stream.child_process import run_child
 from g1stream.config import Config
 from g1stream.dds.domain import Participant
 from g1stream.dds.messages import COMMANDS, REFERENCE
@@ -33,7 +33,7 @@ from g1stream.view.pipeline import MessagePipeline
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from g1stream.app.child_process import Parent
+    from g1stream.child_process import Parent
     from g1stream.session.recorder_summary import RecorderSummary
     from g1stream.session.summary import Summary
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from g1stream.app.child_process import optional_child, run_child
+from g1stream.child_process import optional_child, run_child
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import (
@@ -39,7 +39,7 @@ from g1stream.view.measured_base import MeasuredBase
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from g1stream.app.child_process import Parent
+    from g1stream.child_process import Parent
     from g1stream.config import Config
     from g1stream.dds.endpoints import RawSample
     from g1stream.dds.ros2 import Ros2Topic

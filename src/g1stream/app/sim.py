@@ -9,8 +9,8 @@ import time
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
-from g1stream.app.child_process import run_child
 from g1stream.app.ros2 import publishing_for_ros2
+from g1stream.child_process import run_child
 from g1stream.clock import SystemClock
 from g1stream.config import Config
 from g1stream.dds.domain import Participant
@@ -25,7 +25,7 @@ from g1stream.sim.world import World
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from g1stream.app.child_process import Parent
+    from g1stream.child_process import Parent
     from g1stream.config import SimConfig
     from g1stream.sim.robot import SimReport
 

@@ -60,12 +60,12 @@ def _never() -> bool:
     return False
 
 
-def _start(name: str, pass_fds: Sequence[int]) -> tuple[Connection, subprocess.Popen[bytes]]:
+def _start(module: str, pass_fds: Sequence[int]) -> tuple[Connection, subprocess.Popen[bytes]]:
     """Start a program; returns our end of the pipe to it, and its process."""
     ours, theirs = Pipe()
     with theirs:
         process = subprocess.Popen(
-            [sys.executable, "-m", f"g1stream.app.{name}", str(theirs.fileno())],
+            [sys.executable, "-m", f"g1stream.{module}", str(theirs.fileno())],
             pass_fds=[theirs.fileno(), *pass_fds],
             stdin=subprocess.DEVNULL,
             stdout=2,  # what a library prints must not get into our --json
@@ -81,8 +81,9 @@ class Child:
     """A program running as a child process.
 
     Args:
-        name: of the module in `g1stream.app` that ends in a call of `run_child`.
+        name: of the module that ends in a call of `run_child`.
         startup_message: what the program is to do; anything that can be pickled.
+        room: package of that module.
         pass_fds: file descriptors that it inherits.
         on_failure: called once, from another thread, with the cause, when it fails, ends before it
             is told to, or does not show that it is alive (`Parent.beat`).
@@ -96,13 +97,14 @@ class Child:
         name: str,
         startup_message: Any,
         *,
+        room: str = "app",
         pass_fds: Sequence[int] = (),
         on_failure: Callable[[str], None] = lambda _: None,
     ) -> None:
         self.name = name
         self._on_failure = on_failure
         try:
-            self._connection, self._process = _start(name, pass_fds)
+            self._connection, self._process = _start(f"{room}.{name}", pass_fds)
         except OSError as error:
             raise ChildError(
                 f"g1stream {name} cannot be started: {error.strerror}.",

@@ -224,6 +224,18 @@ def test_the_observer_finds_a_force_that_is_not_the_weight(model):
     assert force - weight == pytest.approx(push, abs=0.01)
 
 
+def test_a_hanging_robot_is_carried_by_the_force_that_its_imu_shows(model, target, imu):
+    """Not by its weight: the accelerometer has 2 m/s² more than the model expects."""
+    pulled = imu._replace(accelerometer=np.array([0.0, 0.0, 12.0], np.float32))
+    feed = made(model, support="hanging")
+    feed.begin("hanging")
+    for _ in range(500):
+        command(feed, target, pulled)
+    forces = [force for _, _, _, force in model.asked]
+    assert forces[0].tolist() == [0.0, 0.0, 300.0]
+    assert forces[-1][2] > 350.0
+
+
 def test_the_observer_is_bounded(model):
     observer = ForceObserver(model, 0.002)
     imu = ImuReading(np.array([1.0, 0, 0, 0]), np.zeros(3), np.array([1000.0, 0, 10.0]))

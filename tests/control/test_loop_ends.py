@@ -30,6 +30,16 @@ def test_a_stop_damps_from_the_next_command_on(make_loop, link, events, n):
     assert (logging.INFO, f"{stopped} -> DAMP: SIGINT") in events()
 
 
+def test_whether_it_has_damped_is_known_at_every_command(make_loop, link):
+    loop = make_loop()
+    before, seen = loop.damped, []
+    link.on_send = lambda _: seen.append(loop.damped)
+    loop.run()
+    assert before
+    phases = [Phase(int(sent.reference.phase)) for sent in link.sent]
+    assert seen == [phase is Phase.DAMP for phase in phases]
+
+
 def test_the_first_reason_counts_and_damping_cannot_be_cut_short(make_loop, link):
     loop = make_loop()
     link.on_send = lambda i: loop.request_stop(f"stop {i}") if i >= 100 else None

@@ -245,6 +245,14 @@ def test_a_joint_has_moved_since_the_content_changed(begun, robot):
     assert it.publish() == ""
 
 
+def test_without_a_tick_the_clock_says_how_far_a_joint_may_have_moved(begun, robot):
+    it = begun(max_leap=0.5)
+    it.ticking = it.moving = False
+    assert it.publish(times=50) == ""
+    it.state.q[3] += 0.5 + 0.9 * robot.velocity[3] * 0.1
+    assert it.publish() == ""
+
+
 def test_before_the_first_command_a_robot_may_be_replaced(make):
     it = make()
     it.publish(times=3)

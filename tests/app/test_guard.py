@@ -58,11 +58,11 @@ def is_limp(received):
 
 
 def child(pid, program):
-    """The pid of a child process, by its module in g1stream.app."""
+    """The pid of a child process, by its module."""
     for task in Path(f"/proc/{pid}/task").glob("*/children"):
         with suppress(OSError):  # a thread or a process that has just ended
             for own in task.read_text().split():
-                if f"g1stream.app.{program}\0" in Path(f"/proc/{own}/cmdline").read_text():
+                if f".{program}\0" in Path(f"/proc/{own}/cmdline").read_text():
                     return int(own)
     pytest.fail(f"no process {program}")
 

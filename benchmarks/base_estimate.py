@@ -18,9 +18,8 @@ import numpy as np
 import g1stream
 from g1stream.app.session import Session, open_session
 from g1stream.config import Config
-from g1stream.control.state_checks import ImuReading
+from g1stream.control.reading import ImuReading, Reading
 from g1stream.control.targets import Target
-from g1stream.control.torques import Reading
 from g1stream.extras.feet.balance import Balance
 from g1stream.robot.rotations import quat_conj, quat_from_yaw, quat_mul, quat_rotate, yaw_of
 
@@ -37,12 +36,20 @@ def compare(session: Session) -> str:
     newest = np.searchsorted(measured.since(session.start_ns), times, side="right") - 1
     balance = Balance(session.robot, float(np.median(np.diff(times))))
     found = np.empty((len(times), 10))  # position, velocity, attitude
-    n = len(times)
-    parts = (reference.q, reference.dq, reference.ddq, np.zeros((n, 29)), reference.root_pos)
-    root = (reference.root_quat_wxyz, reference.root_lin_vel, reference.root_ang_vel)
-    targets = np.concatenate([*parts, *root, np.zeros((n, 6))], axis=1)
     for k, row in enumerate(newest):
-        target = Target(float(reference.motion_time[k]), targets[k])
+        target = Target(
+            float(reference.motion_time[k]),
+            reference.q[k],
+            reference.dq[k],
+            reference.ddq[k],
+            np.zeros(29),
+            reference.root_pos[k],
+            reference.root_quat_wxyz[k],
+            reference.root_lin_vel[k],
+            reference.root_ang_vel[k],
+            np.zeros(3),
+            np.zeros(3),
+        )
         if k == 0:
             balance.begin(target)
         imu = ImuReading(

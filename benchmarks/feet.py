@@ -18,12 +18,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from g1stream.app.sim import make_world
-from g1stream.config import Config
+from g1stream.config import Config, load_config
 from g1stream.control.feedforward import FeedForward
-from g1stream.control.make_loop import make_loop
-from g1stream.control.state_checks import ImuReading
+from g1stream.control.loop import make_loop
+from g1stream.control.plan import plan
+from g1stream.control.reading import ImuReading, Reading
+from g1stream.control.sources import Moment, load_source
 from g1stream.control.targets import Target
-from g1stream.control.torques import Reading
 from g1stream.extras.feet.balance import Balance
 from g1stream.extras.physics.stance import on_standing_legs, stand
 from g1stream.motion.motion import Motion
@@ -111,7 +112,7 @@ def play(motion: Motion, trouble: Trouble, seed: int) -> Run:
         add_noise(state)
 
     link = Lockstep(SimulatedRobot(world, settings, noise=measure), "free")
-    loop: Any = make_loop(CONFIG, ROBOT, Trajectory(motion), link, link, settle=0)
+    loop: Any = make_loop(plan(motion, CONFIG, simulated=True), link, link, settle=0)
     reason = loop.run().reason
     rmse = float(np.sqrt(squares / max(stood, 1)))
     return Run(stood / 500.0, rmse, reason, pushed / 500.0, *falls)
@@ -186,20 +187,25 @@ def push_table(name: str, motion: Motion, way: tuple[int, int], seeds: range) ->
 def ticks(motion: Motion) -> None:
     """What the torque of a tick takes, beside that of the feed-forward of a hanging robot."""
     trajectory = Trajectory(motion)
-    targets = [Target.of(t, trajectory.sample(t)) for t in np.arange(0.0, motion.duration, 0.01)]
+    times = np.arange(0.0, motion.duration, 0.01)
+    targets = [Target.from_point(at, trajectory.sample(at)) for at in times]
     balance = Balance(ROBOT, 0.002)
     balance.begin(targets[0])
-    settings = CONFIG.stream.model_copy(update={"support": "hanging"})
-    hanging = FeedForward.from_config(settings, ROBOT, 0.002)
+    hung = load_config(over={"stream.support": "hanging"})
+    source = load_source(hung, ROBOT, simulated=True, complete=True)
+    hanging = FeedForward(
+        "dynamics", "hanging", source=source, limit=ROBOT.torque_limit, period=0.002
+    )
     hanging.begin(None)
     taken: dict[str, list[float]] = {"hanging": [], "feet": []}
     still = np.zeros(29, np.float32)
     for target in targets:
         imu = ImuReading(target.root_quat_wxyz, np.zeros(3), np.array([0.0, 0.0, 9.81]))
+        measured = Reading(target.q, still, still, imu)
         begun = time.perf_counter()
-        hanging.command(Phase.PLAY, target.motion_time, target, imu, 0.0)
+        hanging.command(Moment(Phase.PLAY, 1.0, target, measured, 0.0))
         between = time.perf_counter()
-        balance.torque(target, Reading(target.q, still, still, imu), 0.0)
+        balance.torque(target, measured, 0.0)
         balance.watch(target)
         taken["hanging"].append(between - begun)
         taken["feet"].append(time.perf_counter() - between)

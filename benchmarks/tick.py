@@ -19,13 +19,14 @@ import numpy as np
 import sides
 from g1stream.clock import SystemClock
 from g1stream.config import Config
-from g1stream.control.commands import CommandLimits, Composer
+from g1stream.control.command import Composer
 from g1stream.control.feedforward import FeedForward
 from g1stream.control.gains import resolve_gains
-from g1stream.control.safety import Safety
-from g1stream.control.state_checks import ImuReading, Measured
-from g1stream.control.targets import Targets
-from g1stream.control.torques import HeldTorques
+from g1stream.control.limits import CommandLimits
+from g1stream.control.lowstate import LowStateChecks
+from g1stream.control.reading import ImuReading, Reading
+from g1stream.control.sources import HeldTorques, Moment
+from g1stream.control.targets import Targets, Timing
 from g1stream.dds.messages import LowState
 from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
@@ -38,29 +39,36 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 PERIOD = 0.002
+TICK = 2_000_000  # ns
 PAUSE = 0.002
 
 
 def parts() -> dict[str, Callable[[int], object]]:
     """Name -> one part of tick k."""
     robot, config = G1.default(), Config()
-    targets = Targets(Trajectory(load_motion("demo")), start=0.0, play=None, ramp=1.0)
-    safety, limit = Safety(robot, config.safety), np.full(29, 100.0)
+    targets = Targets(Trajectory(load_motion("demo")), start=0.0)
+    timing = Timing(wait=0, ramp=10**9, play=None, hold=0, damp=0)
+    checks, limit = LowStateChecks(robot, config.safety), np.full(29, 100.0)
     composer = Composer(CommandLimits(robot, config.safety), resolve_gains(config.gains), 3.0)
     imu = ImuReading(*(np.array(one) for one in ([1.0, 0, 0, 0], [0.0] * 3, [0.0, 0.0, 9.81])))
-    target = targets.at(Phase.PLAY, 0.0)
+    target = targets.at(Phase.PLAY, 0, timing, targets.first)
+    at_target = LowState()
+    at_target.q[:] = target.q
+    at_target.quaternion[:], at_target.accelerometer[:] = imu.quat_wxyz, imu.accelerometer
+    measured = Reading.from_low_state(at_target, 0)
 
     def torque(support: str) -> Callable[[int], object]:
         source = HeldTorques(InverseDynamics(robot), period=PERIOD)
-        feed = FeedForward("dynamics", source=source, limit=limit, period=PERIOD, ramp=1.0)
+        feed = FeedForward("dynamics", source=source, limit=limit, period=PERIOD)
         feed.begin(support)
-        return lambda k: feed.command(Phase.PLAY, k * PERIOD, target, imu, 0.001)
+        moment = Moment(Phase.PLAY, 1.0, target, measured, 0.001)
+        return lambda _: feed.command(moment)
 
     state = LowState()
     state.mode_machine[()], state.motor_mode = 5, 1
     state.quaternion[:], state.accelerometer[:] = imu.quat_wxyz, imu.accelerometer
 
-    safety.begin()
+    checks.begin()
     published = count()
 
     def publish() -> int:
@@ -73,12 +81,9 @@ def parts() -> dict[str, Callable[[int], object]]:
 
     def check(_: int) -> str:
         now = publish()
-        safety.take(state, 1, now, target.q)
-        return safety.unknown(now, target.q) or safety.verdict()
+        checks.take(state, 1, now, target.q)
+        return checks.unknown(now, target.q) or checks.stop_reason
 
-    at_target = LowState()
-    at_target.q[:] = target.q
-    measured = Measured.of(at_target, 0)
     composer.begin(measured.q, mode_machine=5)
 
     def compose(k: int) -> object:
@@ -89,7 +94,7 @@ def parts() -> dict[str, Callable[[int], object]]:
     return {
         "check the state": check,
         "check its CRC": lambda _: state.crc_matches(),
-        "sample the motion": lambda k: targets.at(Phase.PLAY, k * PERIOD % 10.0),
+        "sample the motion": lambda k: targets.at(Phase.PLAY, k * TICK % 10**10, timing, target),
         "torque, bolted": torque("bolted"),
         "torque, hanging": torque("hanging"),
         "limit, compose and seal": compose,

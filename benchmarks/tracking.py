@@ -36,10 +36,10 @@ from unittest.mock import patch
 import numpy as np
 
 import tracking_peers
-from g1stream.app.child_process import Child
 from g1stream.app.rollout import rollout
 from g1stream.app.session import open_session
 from g1stream.app.stream import stream
+from g1stream.child_process import Child
 from g1stream.config import load_config
 from g1stream.control.feedforward import FeedForward
 from g1stream.motion.readers import load_motion
@@ -128,7 +128,7 @@ def in_lockstep(
     at_frame_rate = {"stream.rate": motion.fps, "stream.preview": 0.0} if nearest else {}
     config = load_config(None, SETTINGS | at_frame_rate | {"sim.self_collision": self_collision})
     trajectory = NearestFrame if nearest else Trajectory
-    with timed_feedforward() as costs, patch("g1stream.app.rollout.Trajectory", trajectory):
+    with timed_feedforward() as costs, patch("g1stream.motion.fit.Trajectory", trajectory):
         session = rollout(
             motion,
             support=support,

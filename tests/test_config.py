@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 from hatchling.builders.wheel import WheelBuilder
 
-from g1stream.app.stream import for_wire
 from g1stream.config import SHIPPED, Config, load_config, settings
-from g1stream.control.state_checks import STATE_TIMEOUT
+from g1stream.control.lowstate import STATE_TIMEOUT
+from g1stream.control.plan import for_wire
 from g1stream.errors import ConfigError
 
 ROOT = Path(__file__).parents[1]

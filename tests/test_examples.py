@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from g1stream.app.child_process import Child
 from g1stream.app.session import open_session
+from g1stream.child_process import Child
 from g1stream.config import Config
 from g1stream.dds.messages import Batch
 from g1stream.motion.readers import load_motion

@@ -35,7 +35,7 @@ _HOME = {
         "config": ("Config", "load_config"),
         "dds.messages": ("LowState", "Samples"),
         "errors": ("G1StreamError",),
-        "extras.feet.stand": ("stand",),
+        "extras.physics.stand": ("stand",),
         "extras.library.compute": ("LibraryCase",),
         "extras.library.run": ("LibraryRun", "run_library"),
         "extras.library.table": ("JointRow", "Library", "MotionRow", "open_library"),

@@ -71,7 +71,7 @@ _ROS = ("demo", "stream", "replay", "sim", "record")
 #: The commands that play on a robot.
 PLAY_FLAG: Final = ("stream", "replay")
 #: The commands that take `--robot`.
-ROBOT_FLAG: Final = (*_ON_ROBOT, "motion", "library")
+ROBOT_FLAG: Final = (*_ON_ROBOT, "motion", "physics", "library")
 #: The commands that take `--live`.
 LIVE_FLAG: Final = ("demo", "stream", "replay", "record", "sim")
 
@@ -162,13 +162,13 @@ class StreamConfig(Table):
     hold: float = setting(1.0, "time at the last frame", "s", ge=0.0)
     damp: float = setting(1.0, "time of damping at the end", "s", ge=0.5, le=10.0)
     start: float = setting(
-        0.0, "where in the motion to start", "s", flag=(*PLAY_FLAG, "motion"), ge=0.0
+        0.0, "where in the motion to start", "s", flag=(*PLAY_FLAG, "physics"), ge=0.0
     )
     duration: float | None = setting(
         None,
         "how much of the motion to play; to its end if unset",
         "s",
-        flag=(*PLAY_FLAG, "demo", "motion"),
+        flag=(*PLAY_FLAG, "demo", "physics"),
         example=10.0,
         gt=0.0,
     )
@@ -183,7 +183,7 @@ class StreamConfig(Table):
         None,
         "the joints that play the motion: limbs (arms, legs, left_arm, waist ...), names or "
         "patterns, separated by commas; all if unset",
-        flag=(*PLAY_FLAG, "demo", "motion"),
+        flag=(*PLAY_FLAG, "demo", "physics"),
         example="arms,waist",
     )
     others: OtherJoints = setting(
@@ -238,6 +238,11 @@ class StreamConfig(Table):
         ge=0.5,
         le=1.05,
     )
+
+    @property
+    def period(self) -> int:
+        """Between commands, ns; whole, because deadlines are."""
+        return round(1e9 / self.rate)
 
     @property
     def played_joints(self) -> str | None:
@@ -499,7 +504,7 @@ class SafetyConfig(Table):
         False,
         "take a URDF's joint limits as they are, also where they are wider than those of the "
         "robots in this package; dangerous",
-        flag=(*PLAY_FLAG, "motion"),
+        flag=(*PLAY_FLAG, "motion", "physics"),
     )
     allow_second_writer: bool = setting(
         False,

@@ -5,7 +5,7 @@ be asserted to the nanosecond:
 
     clock = FakeClock()
     link = FakeLink(clock)
-    loop = make_loop(config, robot, trajectory, link, clock)  # g1stream.control.make_loop
+    loop = make_loop(plan(motion, config), link, clock)  # of g1stream.control
     loop.run()
     assert link.phases()["DAMP"] == 500
 

@@ -10,17 +10,20 @@ import pytest
 from g1stream.app.arming import inspect_for_arming
 from g1stream.app.replay import replay
 from g1stream.app.sim import simulate
-from g1stream.app.stream import for_wire, stream, with_robot_limits
+from g1stream.app.stream import stream
 from g1stream.config import Config, load_config
+from g1stream.control.plan import for_wire, plan, with_robot_limits
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import LOWCMD, LOWSTATE, LowCmd, LowState
 from g1stream.doctor.facts import Level, ok
 from g1stream.errors import SafetyError, WireError
+from g1stream.motion.motion import Motion
 from g1stream.motion.readers import load_motion
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.sim.onboard import MotionService
 
+STILL = Motion.from_arrays(np.zeros((51, 29)), fps=50.0, name="still")
 ELSEWHERE = {"dds": {"domain": 0, "interface": "no-such-interface"}}
 
 
@@ -152,7 +155,7 @@ def test_the_report_is_about_this_robot_and_motion(still_robot, config):
 def test_a_motion_service_that_does_not_answer_is_a_warning(still_robot, config):
     still_robot(serves=False)
     with Participant(config.dds.domain, "lo") as participant:
-        report = inspect_for_arming(participant, config, np.zeros(29))
+        report = inspect_for_arming(participant, plan(STILL, config))
     assert report.motion_service.level is Level.WARNING
 
 
@@ -163,21 +166,21 @@ def test_motor_numbers_that_no_robot_has_confirmed_are_a_warning(
     still_robot()
     config = config.model_copy(update={"robot": robot})
     with Participant(config.dds.domain, "lo") as participant:
-        report = inspect_for_arming(participant, config, np.zeros(29))
+        report = inspect_for_arming(participant, plan(STILL, config))
     assert ("motors" in {one.about for one in report.findings}) == warned
 
 
 def test_the_pose_is_that_of_a_state_whose_crc_is_not_provided(still_robot, config):
     still_robot(crc=bytes(4))
     with Participant(config.dds.domain, "lo") as participant:
-        report = inspect_for_arming(participant, config, np.zeros(29))
+        report = inspect_for_arming(participant, plan(STILL, config))
     assert report.furthest.distance == pytest.approx(-0.1)
 
 
 def test_no_pose_is_taken_from_a_state_with_a_wrong_crc(still_robot, config):
     still_robot(crc=b"\1\2\3\4")
     with Participant(config.dds.domain, "lo") as participant, pytest.raises(WireError):
-        inspect_for_arming(participant, config, np.zeros(29))
+        inspect_for_arming(participant, plan(STILL, config))
 
 
 def test_an_active_mode_is_refused_before_anybody_is_asked(simulation, config):

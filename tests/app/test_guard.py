@@ -17,12 +17,11 @@ import pytest
 from cyclonedds.core import DDSException
 from pydantic import ValidationError
 
-from g1stream.app.child_process import ChildError, process_state
-from g1stream.app.guard import Guard, _damp, _settings
 from g1stream.app.session import open_session
 from g1stream.app.stream import stream
+from g1stream.child_process import ChildError, process_state
 from g1stream.config import Config, SimConfig
-from g1stream.control.guard import Heartbeat, Takeover
+from g1stream.control.guard import Guard, Heartbeat, Takeover, _damp, _settings
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.messages import LOWCMD, LowCmd
@@ -59,11 +58,11 @@ def is_limp(received):
 
 
 def child(pid, program):
-    """The pid of a child process, by its module in g1stream.app."""
+    """The pid of a child process, by its module."""
     for task in Path(f"/proc/{pid}/task").glob("*/children"):
         with suppress(OSError):  # a thread or a process that has just ended
             for own in task.read_text().split():
-                if f"g1stream.app.{program}\0" in Path(f"/proc/{own}/cmdline").read_text():
+                if f".{program}\0" in Path(f"/proc/{own}/cmdline").read_text():
                     return int(own)
     pytest.fail(f"no process {program}")
 
@@ -190,7 +189,7 @@ def test_the_guard_can_be_left_out_on_loopback_only(interface):
 
 def test_a_guard_that_cannot_join_is_an_error_where_a_robot_may_be(monkeypatch):
     """And a warning on loopback, where the stream goes on without one."""
-    monkeypatch.setattr("g1stream.app.guard.is_local_only", lambda interface: False)
+    monkeypatch.setattr("g1stream.control.guard.is_local_only", lambda interface: False)
     start = time.monotonic()
     with Guard(Config.model_validate({"dds": {"interface": "nowhere0"}})) as guard:
         with pytest.raises(Exception, match="nowhere0"):
@@ -239,7 +238,7 @@ def test_a_guard_that_cannot_be_started(lack, expected, monkeypatch):
         guard = Guard(Config())
     with guard:
         assert guard.wait_until_ready() is None
-    monkeypatch.setattr("g1stream.app.guard.is_local_only", lambda interface: False)
+    monkeypatch.setattr("g1stream.control.guard.is_local_only", lambda interface: False)
     with lack(), pytest.raises(expected) as error:
         Guard(Config())
     assert error.value.remedy

@@ -19,11 +19,11 @@ from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
 from websockets.sync.client import connect
 
-from g1stream.app import child_process
+from g1stream import child_process
 from g1stream.app import live as program
-from g1stream.app.child_process import Child, ChildError
 from g1stream.app.record import record
 from g1stream.app.session import open_session
+from g1stream.child_process import Child, ChildError
 from g1stream.cli.command import EXIT_BAD_INPUT
 from g1stream.cli.main import main
 from g1stream.config import Config, RecordConfig

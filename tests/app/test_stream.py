@@ -17,8 +17,8 @@ from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 
 from g1stream.app import stream as program
-from g1stream.app.child_process import Child, ChildError
 from g1stream.app.stream import stream
+from g1stream.child_process import Child, ChildError
 from g1stream.cli.main import main
 from g1stream.config import Config
 from g1stream.dds import types

@@ -12,7 +12,6 @@ import pytest
 
 from g1stream.cli.motion import render
 from g1stream.dds.messages import Reference
-from g1stream.extras.physics.result import MotionPhysics
 from g1stream.motion.limits import JointPeak
 from g1stream.motion.readers import check_motion_file, load_motion
 from g1stream.robot.model import G1
@@ -154,61 +153,3 @@ def test_a_session_is_offered_too(tmp_path, name):
     done = run(tmp_path / name)
     assert done.returncode == 2
     assert "session file" in done.stderr
-
-
-@pytest.mark.slow
-def test_physics_says_with_which_support_a_motion_can_be_played(tmp_path):
-    path = tmp_path / "start.csv"
-    load_motion("demo").frames(0, 12).save(path)
-    plain, done = run(path), run(path, "--physics")
-    values = json.loads(run(path, "--physics", "--json").stdout)
-    assert "physics" not in json.loads(run(path, "--json").stdout)
-    assert (done.returncode, done.stderr) == (0, "")
-    physics = MotionPhysics.model_validate(values["physics"])
-    assert done.stdout == f"{plain.stdout}\n{physics}\n"
-    assert (physics.frames, physics.robot) == (12, "g1_29dof_rev_1_0")
-    assert {verdict.playable for verdict in physics.verdicts.values()} == {"yes"}
-
-
-@pytest.mark.slow
-def test_physics_uses_the_settings(tmp_path):
-    motion, path = load_motion("demo").frames(30, 42), tmp_path / "squat.csv"
-    motion.save(path)
-    config = tmp_path / "config.toml"
-    config.write_text('robot = "g1_29dof"\n[safety]\nmax_tilt = 0.05\n')
-    asked = ["--physics", "--json", "--config", config, "--joints"]
-    values = json.loads(run(path, *asked, "arms,waist").stdout)
-    physics = MotionPhysics.model_validate(values["physics"])
-    assert physics.robot == "g1_29dof"
-    assert physics.verdicts["follow"].playable == "no"
-    assert values["root"]["tilt"] == pytest.approx(physics.tilt_rad)
-    assert physics.verdicts["feet"].changed.startswith("on legs that stand")
-    values = json.loads(run(path, *asked, "left_leg").stdout)
-    assert MotionPhysics.model_validate(values["physics"]).verdicts["feet"].playable == "no"
-
-
-def test_how_a_motion_is_changed_for_the_feet_is_drawn(tmp_path):
-    path = tmp_path / "feet.png"
-    assert run("demo", "--feet-figure", path).returncode == 0
-    assert path.read_bytes().startswith(b"\x89PNG")
-    assert run("demo", "--feet-figure", path).returncode == 2
-    assert run("demo", "--feet-figure", path, "--force").returncode == 0
-    part = run("demo", "--trim", "6.7:8.7", "--feet-figure", tmp_path / "part.png")
-    assert part.returncode == 2
-    assert "lifted" in part.stderr
-    assert sorted(tmp_path.iterdir()) == [path]
-
-
-def test_without_a_motion_there_is_no_physics(tmp_path):
-    done = run(spoiled(tmp_path, "\n9,", "\n9,nan"), "--physics", "--json")
-    assert done.returncode == 2
-    assert "physics" not in json.loads(done.stdout)
-
-
-@pytest.mark.slow
-def test_a_motion_in_degrees_has_no_physics(tmp_path):
-    motion, path = load_motion("demo").frames(0, 12), tmp_path / "degrees.csv"
-    replace(motion, joint_pos=motion.joint_pos * 180).save(path)
-    done = run(path, "--physics", "--json")
-    assert done.returncode == 1
-    assert "physics" not in json.loads(done.stdout)

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from g1stream.cli.progress import ProgressDisplay, RecorderStatus, loop_status, sim_status
-from g1stream.control.loop import LoopReport
-from g1stream.control.next_command import Prepared
-from g1stream.control.phases import PhaseState
+from g1stream.control.command import Prepared
+from g1stream.control.report import LoopReport
+from g1stream.control.schedule import PhaseState
 from g1stream.session.records import RecorderSummary
 from g1stream.sim.robot import SimReport
 from g1stream.types import Phase
@@ -103,7 +103,7 @@ def test_a_closed_terminal_ends_only_the_display():
 @pytest.fixture
 def played():
     """A loop 6 s into 24 s; the left leg is 0.04 rad behind, measured 3 ms before the target."""
-    report = LoopReport(2_000_000, SimpleNamespace())
+    report = LoopReport(2_000_000, *[SimpleNamespace()] * 4)
     report.lateness.add(250_000)
     report.lateness.add(60_000)
     report.skipped = 1

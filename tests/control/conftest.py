@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 
 from g1stream.config import SafetyConfig
-from g1stream.control.commands import CommandLimits, Composer
+from g1stream.control.command import Composer, NextCommand
+from g1stream.control.feedforward import FeedForward
 from g1stream.control.gains import Gains
+from g1stream.control.limits import CommandLimits
 from g1stream.control.loop import StreamLoop
-from g1stream.control.next_command import NextCommand
-from g1stream.control.overruns import Overruns
-from g1stream.control.phases import Timing
-from g1stream.control.safety import Safety
+from g1stream.control.lowstate import LowStateChecks
+from g1stream.control.report import Overruns
 from g1stream.control.schedule import Schedule
-from g1stream.control.targets import Targets
+from g1stream.control.targets import Targets, Timing
 from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.joints import N_JOINTS
@@ -170,23 +170,24 @@ def make_loop(
         **other: Any,
     ) -> StreamLoop:
         safety = safety or SafetyConfig()
-        targets = targets or Targets(trajectory, start=0.0, play=0.5, ramp=0.1)
+        targets = targets or Targets(trajectory, start=0.0)
         # Soft: the robot of the fake link does not move, and no torque limit is to be reached.
         gains = Gains(np.arange(29) / 8.0 + 4.0, np.arange(29) / 100.0 + 0.1)
         schedule = Schedule(targets, timing, 2 * MS)
-        of_commands = ("feedforward", "soft_start")
+        plain = FeedForward("velocity", limit=np.full(29, 50.0), period=0.002)
         commands = NextCommand(
             schedule,
             Composer(CommandLimits(robot, safety), gains, damp_kd=3.0),
+            other.pop("feedforward", plain),
             period=2 * MS,
-            **{name: other.pop(name) for name in of_commands if name in other},
+            soft_start=other.pop("soft_start", 0),
         )
         parts: dict[str, Any] = {
             "link": link,
             "clock": clock,
             "schedule": schedule,
             "commands": commands,
-            "safety": Safety(robot, safety),
+            "checks": LowStateChecks(robot, safety),
             "overruns": Overruns(2 * MS, safety),
             "period": 2 * MS,
         }

@@ -7,11 +7,11 @@ import itertools
 import numpy as np
 import pytest
 
-from g1stream.app.stream import for_wire
 from g1stream.clock import Ticker
 from g1stream.config import load_config
-from g1stream.control.arm_sdk import hand_back_commands
-from g1stream.control.make_loop import make_loop
+from g1stream.control.command import hand_back_commands
+from g1stream.control.loop import make_loop
+from g1stream.control.plan import for_wire, plan
 from g1stream.dds.messages import LowCmd
 from g1stream.errors import ConfigError
 from g1stream.types import Phase
@@ -35,12 +35,12 @@ ENDS = {
 
 
 @pytest.fixture
-def made(link, clock, trajectory, robot):
+def made(link, clock, motion):
     def make(**settings):
         over = {"stream.via": "arm_sdk", "stream.hold": 0.1, "stream.ramp": 0.5}
         over["safety.state_timeout"] = 0.1
         over |= {f"stream.{name}": value for name, value in settings.items()}
-        return make_loop(load_config(over=over), robot, trajectory, link, clock, settle=0)
+        return make_loop(plan(motion, load_config(over=over)), link, clock, settle=0)
 
     return make
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from g1stream.control.command_delay import CommandDelay
-from g1stream.control.state_checks import ImuReading, Measured
+from g1stream.control.reading import ImuReading, Reading
 from g1stream.dds.messages import LowCmd
 from g1stream.robot.joints import TORQUE_LIMIT
 
@@ -38,8 +38,8 @@ def found(
             q[18] = away
             tau = (queue.popleft() - 60.0 * q).clip(-TORQUE_LIMIT, TORQUE_LIMIT)
             tau = (tau + bias + noise * rng.normal(size=29)).astype(np.float32)
-            measured = Measured(q, dq, tau, IMU, 5, round(1e9 * time), b"", True)
-            found.add(time, measured)
+            measured = Reading(q, dq, tau, IMU, received=round(1e9 * time))
+            found.add(measured)
     return found
 
 
@@ -50,7 +50,7 @@ def found(
 def test_commands_that_wait_in_a_queue(delay, rate):
     result = found(delay, rate=rate, noise=0.5, bias=0.5)
     assert result.longest == pytest.approx(delay, abs=0.03)
-    assert result.verdict()
+    assert result.stop_reason()
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.01, 0.05])
@@ -58,7 +58,7 @@ def test_commands_that_wait_in_a_queue(delay, rate):
 def test_commands_that_do_not(delay, noise):
     result = found(delay, noise=noise, bias=1.0)
     assert result.longest == 0.0
-    assert not result.verdict()
+    assert not result.stop_reason()
 
 
 def test_a_motor_at_its_limit_is_not_late():

@@ -1,12 +1,15 @@
 """The LowCmd and the Reference of a tick, and the limits of a command."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from g1stream.config import SafetyConfig
-from g1stream.control.commands import MAX_STEP_TIME, CommandLimits, Composer
+from g1stream.control.command import Composer
 from g1stream.control.gains import Gains
-from g1stream.control.state_checks import Measured
+from g1stream.control.limits import MAX_STEP_TIME, CommandLimits
+from g1stream.control.reading import Reading
 from g1stream.control.targets import Target
 from g1stream.dds.messages import LowCmd, LowState, Reference
 from g1stream.errors import ConfigError, SafetyError
@@ -31,7 +34,9 @@ def composer(robot):
 
 @pytest.fixture
 def target():
-    return Target(1.25, np.linspace(-0.01, 0.01, 135))
+    """Every number of it is another one."""
+    sizes = [29, 29, 29, 29, 3, 4, 3, 3, 3, 3]
+    return Target(1.25, *np.split(np.linspace(-0.01, 0.01, 135), np.cumsum(sizes)[:-1]))
 
 
 def read(command, reference):
@@ -42,7 +47,7 @@ def read(command, reference):
 
 
 def test_command_and_reference_have_their_own_targets(composer, target):
-    commanded = target.replace(q=0.02, dq=0.3, tau=np.arange(29.0))
+    commanded = replace(target, q=np.full(29, 0.02), dq=np.full(29, 0.3), tau=np.arange(29.0))
     command, reference = read(*composer.compose(target, commanded, Phase.PLAY, 7, elapsed=PERIOD))
     assert command.q == pytest.approx(np.full(29, 0.02))
     assert command.dq == pytest.approx(np.full(29, 0.3))
@@ -56,13 +61,15 @@ def test_command_and_reference_have_their_own_targets(composer, target):
     assert command.crc_matches()
     assert (int(reference.tick), int(reference.phase)) == (7, Phase.PLAY)
     assert float(reference.motion_time) == 1.25
-    assert reference.q.tolist() == target.q.astype(np.float32).tolist()
-    assert reference.root_ang_vel.tolist() == target.root_ang_vel.astype(np.float32).tolist()
+    root = ("root_pos", "root_quat_wxyz", "root_lin_vel", "root_ang_vel")
+    for name in ("q", "dq", "ddq", *root):
+        expected = getattr(target, name).astype(np.float32)
+        assert getattr(reference, name).tolist() == expected.tolist(), name
     assert reference.tau.tolist() == list(range(29))
 
 
 def test_a_clamped_joint_is_not_driven_outward(composer, target, robot):
-    commanded = target.replace(q=0.0, dq=1.0, tau=5.0)
+    commanded = replace(target, q=np.zeros(29), dq=np.ones(29), tau=np.full(29, 5.0))
     commanded.q[3] = robot.upper[3] + 1.0
     composer.begin(np.clip(commanded.q, robot.lower, robot.upper), 5)
     command, _ = read(*composer.compose(target, commanded, Phase.PLAY, 0, elapsed=PERIOD))
@@ -80,8 +87,9 @@ def test_damping_has_kp_0(composer, target):
 
 
 def test_a_command_that_is_not_finite_is_refused(composer, target):
+    commanded = replace(target, tau=np.full(29, np.nan))
     with pytest.raises(SafetyError, match="tau = nan"):
-        composer.compose(target, target.replace(tau=np.nan), Phase.PLAY, 0, elapsed=PERIOD)
+        composer.compose(target, commanded, Phase.PLAY, 0, elapsed=PERIOD)
 
 
 def test_targets_within_the_limits_are_left_alone(make_limits, robot):
@@ -218,7 +226,7 @@ def test_a_motion_played_anyway_keeps_its_speed_but_not_its_positions(robot):
 def measured_at(q, dq=0.0):
     state = LowState()
     state.q[:], state.dq[:] = q, dq
-    return Measured.of(state, 0)
+    return Reading.from_low_state(state, 0)
 
 
 def predicted(limited, tau, gains, measured, age):

@@ -8,19 +8,18 @@ import numpy as np
 import pytest
 
 from g1stream.config import SafetyConfig, SimConfig
-from g1stream.control.commands import CommandLimits, Composer
+from g1stream.control.command import Composer, NextCommand
 from g1stream.control.feedforward import FeedForward
 from g1stream.control.gains import Gains
+from g1stream.control.limits import CommandLimits
 from g1stream.control.loop import StreamLoop
-from g1stream.control.next_command import NextCommand
-from g1stream.control.overruns import Overruns
-from g1stream.control.phases import Timing
-from g1stream.control.safety import Safety
+from g1stream.control.lowstate import LowStateChecks
+from g1stream.control.reading import ImuReading, Reading
+from g1stream.control.report import Overruns
 from g1stream.control.schedule import Schedule
-from g1stream.control.state_checks import ImuReading
+from g1stream.control.sources import HeldTorques, Moment
 from g1stream.control.support import ForceObserver
-from g1stream.control.targets import Targets
-from g1stream.control.torques import HeldTorques
+from g1stream.control.targets import Target, Targets, Timing
 from g1stream.dds.messages import LOWSTATE
 from g1stream.motion.blend import minimum_jerk
 from g1stream.motion.readers import load_motion
@@ -65,19 +64,25 @@ def imu():
 
 @pytest.fixture
 def target(trajectory):
-    return Targets(trajectory, start=0.1, play=0.3, ramp=1.0).at(Phase.PLAY, 0.1)
+    return Target.from_point(0.2, trajectory.sample(0.2))
 
 
 def made(model, kind="dynamics", support="bolted", **other):
     limit = np.full(29, 10.0)
     source = HeldTorques(model, period=0.002) if model else None
-    return FeedForward(kind, support, source=source, limit=limit, period=0.002, ramp=1.0, **other)
+    return FeedForward(kind, support, source=source, limit=limit, period=0.002, **other)
+
+
+def command(feed, target, imu, age=NOW, *, phase=Phase.PLAY, ramped=1.0):
+    """What a command carries for a target, with this reading of the IMU."""
+    measured = Reading(target.q, target.dq, target.tau, imu)
+    return feed.command(Moment(phase, ramped, target, measured, age))
 
 
 def test_none_asks_for_positions_only(model, target, imu):
     feed = made(model, "none")
     feed.begin("bolted")
-    asked = feed.command(Phase.PLAY, 0.0, target, imu, NOW)
+    asked = command(feed, target, imu)
     assert not asked.dq.any()
     assert not asked.tau.any()
     assert asked.q.tolist() == target.q.tolist()
@@ -86,14 +91,14 @@ def test_none_asks_for_positions_only(model, target, imu):
 def test_velocity_leaves_the_target_as_it_is(model, target, imu):
     feed = made(model, "velocity")
     feed.begin("bolted")
-    assert feed.command(Phase.PLAY, 0.0, target, imu, NOW) is target
+    assert command(feed, target, imu) is target
     assert not model.asked
 
 
 def test_dynamics_adds_the_torque_of_the_target(model, target, imu):
     feed = made(model)
     feed.begin(None)
-    asked = feed.command(Phase.PLAY, 0.0, target, imu, NOW)
+    asked = command(feed, target, imu)
     assert asked.tau.tolist() == model.tau.tolist()
     assert asked.dq.tolist() == target.dq.tolist()
     ((support, q, base, force),) = model.asked
@@ -106,7 +111,7 @@ def test_dynamics_adds_the_torque_of_the_target(model, target, imu):
 def test_following_takes_the_base_from_the_reference(model, target, imu):
     feed = made(model, support="follow")
     feed.begin(None)
-    feed.command(Phase.PLAY, 0.0, target, imu, NOW)
+    command(feed, target, imu)
     base = model.asked[0][2]
     assert base.lin_acc.tolist() == target.root_lin_acc.tolist()
     assert base.ang_vel.tolist() == target.root_ang_vel.tolist()
@@ -116,7 +121,7 @@ def test_following_takes_the_base_from_the_reference(model, target, imu):
 def test_the_ramp_blends_the_torque_in(model, target, imu, elapsed):
     feed = made(model)
     feed.begin(None)
-    asked = feed.command(Phase.RAMP, elapsed, target, imu, NOW)
+    asked = command(feed, target, imu, phase=Phase.RAMP, ramped=elapsed)
     assert asked.tau == pytest.approx(minimum_jerk(2 * elapsed)[0] * model.tau)
 
 
@@ -125,7 +130,7 @@ def test_torque_is_held_at_its_limit_and_counted(model, target, imu):
     feed.begin(None)
     model.tau[3], model.tau[4] = 11.0, -500.0
     for _ in range(5):
-        asked = feed.command(Phase.PLAY, 0.0, target, imu, NOW)
+        asked = command(feed, target, imu)
     assert asked.tau[3:5].tolist() == [10.0, -10.0]
     assert feed.saturated.nonzero()[0].tolist() == [3, 4]
     assert feed.saturated[3] == 5
@@ -178,16 +183,14 @@ def test_a_bad_imu_fades_the_torque_out_and_is_logged(
 ):
     feed = made(model)
     feed.begin(None)
-    feed.command(Phase.PLAY, 0.0, target, imu, NOW)
-    taus = [
-        feed.command(Phase.PLAY, 0.0, target, faulty(imu, **parts), age).tau[0] for _ in range(60)
-    ]
+    command(feed, target, imu)
+    taus = [command(feed, target, faulty(imu, **parts), age).tau[0] for _ in range(60)]
     assert np.diff([8.0, *taus]).min() >= -8.0 * 0.002 / 0.1 - 1e-9
     assert taus[-1] == 0.0
     (change,) = feed.changes
     assert change.kind == "velocity"
     assert reason in change.reason
-    back = [feed.command(Phase.PLAY, 0.0, target, imu, NOW).tau[0] for _ in range(60)]
+    back = [command(feed, target, imu).tau[0] for _ in range(60)]
     assert back[-1] == 8.0
     assert [one.kind for one in feed.changes] == ["velocity", "dynamics"]
     warnings = [record for record in caplog.records if record.levelno == logging.WARNING]
@@ -198,7 +201,7 @@ def test_a_short_fault_is_not_reported(model, target, imu):
     feed = made(model)
     feed.begin(None)
     for age in [NOW] * 5 + [0.05] * 5 + [NOW] * 60:
-        asked = feed.command(Phase.PLAY, 0.0, target, imu, age)
+        asked = command(feed, target, imu, age)
     assert asked.tau[0] == 8.0
     assert not feed.changes
 
@@ -221,6 +224,18 @@ def test_the_observer_finds_a_force_that_is_not_the_weight(model):
     assert force - weight == pytest.approx(push, abs=0.01)
 
 
+def test_a_hanging_robot_is_carried_by_the_force_that_its_imu_shows(model, target, imu):
+    """Not by its weight: the accelerometer has 2 m/s² more than the model expects."""
+    pulled = imu._replace(accelerometer=np.array([0.0, 0.0, 12.0], np.float32))
+    feed = made(model, support="hanging")
+    feed.begin("hanging")
+    for _ in range(500):
+        command(feed, target, pulled)
+    forces = [force for _, _, _, force in model.asked]
+    assert forces[0].tolist() == [0.0, 0.0, 300.0]
+    assert forces[-1][2] > 350.0
+
+
 def test_the_observer_is_bounded(model):
     observer = ForceObserver(model, 0.002)
     imu = ImuReading(np.array([1.0, 0, 0, 0]), np.zeros(3), np.array([1000.0, 0, 10.0]))
@@ -233,7 +248,7 @@ def test_the_observer_is_bounded(model):
 def test_velocities_are_given_in_the_time_of_the_robot(model, target, imu):
     feed = made(model, time_scale=0.8)
     feed.begin(None)
-    asked = feed.command(Phase.PLAY, 0.0, target, imu, NOW)
+    asked = command(feed, target, imu)
     assert asked.dq == pytest.approx(target.dq / 0.8)
     assert asked.ddq == pytest.approx(target.ddq / 0.64)
     assert asked.q.tolist() == target.q.tolist()
@@ -269,10 +284,9 @@ def play(robot, support, told, seconds=4.0, *, kind="dynamics", announced=True):
         source=HeldTorques(InverseDynamics(robot), period=0.002),
         limit=robot.effort,
         period=0.002,
-        ramp=1.0,
         preview=0.002,
     )
-    targets = Targets(trajectory, start=0.0, play=seconds, ramp=1.0)
+    targets = Targets(trajectory, start=0.0)
     schedule = Schedule(targets, Timing(*ns), 2_000_000)
     gains = Gains(EXAMPLE_KP, EXAMPLE_KD)
     composer = Composer(CommandLimits(robot, SafetyConfig()), gains, damp_kd=3.0)
@@ -280,8 +294,8 @@ def play(robot, support, told, seconds=4.0, *, kind="dynamics", announced=True):
         link,
         link,
         schedule,
-        NextCommand(schedule, composer, period=2_000_000, feedforward=feed),
-        Safety(robot, SafetyConfig(max_tilt=3.0)),
+        NextCommand(schedule, composer, feed, period=2_000_000),
+        LowStateChecks(robot, SafetyConfig(max_tilt=3.0)),
         Overruns(2_000_000, SafetyConfig()),
         period=2_000_000,
     )
@@ -295,7 +309,7 @@ def test_the_right_support_follows_ten_times_as_closely_as_none(robot, caplog, s
     known, loop = play(robot, support, None)
     unknown, _ = play(robot, support, None, kind="velocity")
     assert known < unknown / 10
-    assert loop.report.support == support
+    assert loop.report.feedforward.support == support
     assert not [record for record in caplog.records if record.levelno == logging.WARNING]
 
 
@@ -305,7 +319,7 @@ def test_under_the_robots_own_controller_the_measured_attitude_decides(model, ta
     feed.begin("follow")
     assert feed.kind == "dynamics"
     assert feed.support is None
-    asked = feed.command(Phase.PLAY, 0.0, target, tilted, NOW)
+    asked = command(feed, target, tilted)
     ((support, _, base, _),) = model.asked
     assert support == "bolted"
     assert base.quat_wxyz == pytest.approx([0.8, 0.6, 0, 0])
@@ -313,8 +327,10 @@ def test_under_the_robots_own_controller_the_measured_attitude_decides(model, ta
     rng = np.random.default_rng(1)
     for tick in range(4000):  # a robot that walks contradicts no support
         walking = imu._replace(gyroscope=rng.normal(size=3).astype(np.float32))
-        feed.observe(0.002 * tick, target.q, target.dq, target.tau, walking)
-    assert feed.command(Phase.PLAY, 0.0, target, tilted, NOW).tau.any()
+        received = 2_000_000 * tick
+        measured = Reading(target.q, target.dq, target.tau, walking, received=received)
+        feed.observe(Phase.PLAY, measured)
+    assert command(feed, target, tilted).tau.any()
     assert [level for level, _ in events()] == [logging.INFO]
 
 

@@ -10,8 +10,8 @@ import pytest
 
 from g1stream.config import SafetyConfig
 from g1stream.control.feedforward import FeedForward
+from g1stream.control.sources import HeldTorques
 from g1stream.control.targets import Target, Targets
-from g1stream.control.torques import HeldTorques
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.dynamics import Solution
 from g1stream.types import Phase
@@ -19,6 +19,10 @@ from g1stream.types import Phase
 MS = 1_000_000
 PERIOD = 2 * MS
 SETTLE = 300 * MS
+PUBLISHED = (
+    *("q", "dq", "ddq", "tau"),
+    *("root_pos", "root_quat_wxyz", "root_lin_vel", "root_ang_vel"),
+)
 RAMP, PLAY, HOLD, DAMP = 50, 250, 10, 250  # commands that the phases of `timing` last
 
 
@@ -32,6 +36,7 @@ def test_a_whole_session(make_loop, link, clock, events):
     assert [sent.stamp - sent.time for sent in link.sent] == [clock.stamp() - clock.time] * 560
     link.assert_damped()
     went = ["WAIT -> RAMP", "RAMP -> PLAY", "PLAY -> HOLD", "HOLD -> DAMP", "DAMP -> DONE"]
+    went.insert(0, "feed-forward: velocity")
     assert events() == [(logging.INFO, text) for text in went]
     assert loop.state.phase is Phase.DONE
     assert report is loop.report
@@ -48,9 +53,11 @@ def test_play_is_sampled_exactly_at_its_deadlines(make_loop, link, trajectory):
     make_loop().run()
     played = link.in_phase(Phase.PLAY)
     for i, sent in enumerate(played):
-        target = Target.of(0.0, trajectory.sample(i * PERIOD / 1e9))
+        target = Target.from_point(0.0, trajectory.sample(i * PERIOD / 1e9))
         assert float(sent.reference.motion_time) == i * PERIOD / 1e9
-        assert sent.reference.target.tolist() == target.published.astype(np.float32).tolist()
+        for name in PUBLISHED:
+            due = getattr(target, name).astype(np.float32)
+            assert getattr(sent.reference, name).tolist() == due.tolist()
         assert sent.command.q.tolist() == target.q.astype(np.float32).tolist()
         assert sent.command.dq.tolist() == target.dq.astype(np.float32).tolist()
         assert not sent.command.tau.any()
@@ -80,7 +87,7 @@ def test_a_preview_crosses_into_the_next_phase(make_loop, link, preview):
 
 
 def feedforward(kind, *args, **other):
-    return FeedForward(kind, *args, limit=np.full(29, 50.0), period=0.002, ramp=0.1, **other)
+    return FeedForward(kind, *args, limit=np.full(29, 50.0), period=0.002, **other)
 
 
 class ConstantTorque:
@@ -140,7 +147,7 @@ def test_targets_are_clamped_to_the_limits_and_counted(make_loop, link, robot):
 
 def test_a_looping_motion_plays_until_stopped(make_loop, link, motion, timing):
     looping = Trajectory(motion, loop=True)
-    targets = Targets(looping, start=0.0, play=None, ramp=0.1)
+    targets = Targets(looping, start=0.0)
     loop = make_loop(targets=targets, timing=replace(timing, play=None))
     link.at_send(1000, lambda: loop.request_stop("enough"))
     loop.run()
@@ -159,12 +166,12 @@ def test_lateness_is_from_the_deadline_to_the_write(make_loop, link, clock):
 
 def test_work_is_from_the_write_to_the_end_of_the_tick(make_loop, link, clock, trajectory):
     class Laborious(Targets):
-        def at(self, phase, elapsed):
+        def at(self, *args):
             clock.work(300_000)
-            return super().at(phase, elapsed)
+            return super().at(*args)
 
     link.on_send = lambda _: clock.work(100_000)
-    targets = Laborious(trajectory, start=0.0, play=0.5, ramp=0.1)
+    targets = Laborious(trajectory, start=0.0)
     assert make_loop(targets=targets).run().worst_work == 300_000
 
 
@@ -255,7 +262,7 @@ def no_collector():
 
 @pytest.mark.usefixtures("no_collector")
 def test_memory_does_not_grow_with_the_motion(make_loop, link, clock, motion, timing, monkeypatch):
-    looping = Targets(Trajectory(motion, loop=True), start=0.0, play=None, ramp=0.1)
+    looping = Targets(Trajectory(motion, loop=True), start=0.0)
     loop = make_loop(targets=looping, timing=replace(timing, play=None))
     blocks = []
 

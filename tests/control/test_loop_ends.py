@@ -1,6 +1,7 @@
 """Every way out of the loop: what stops it, what breaks it, and that the robot is damped."""
 
 import logging
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -27,6 +28,16 @@ def test_a_stop_damps_from_the_next_command_on(make_loop, link, events, n):
     link.assert_damped()
     stopped = Phase(int(link.sent[n].reference.phase)).name
     assert (logging.INFO, f"{stopped} -> DAMP: SIGINT") in events()
+
+
+def test_whether_it_has_damped_is_known_at_every_command(make_loop, link):
+    loop = make_loop()
+    before, seen = loop.damped, []
+    link.on_send = lambda _: seen.append(loop.damped)
+    loop.run()
+    assert before
+    phases = [Phase(int(sent.reference.phase)) for sent in link.sent]
+    assert seen == [phase is Phase.DAMP for phase in phases]
 
 
 def test_the_first_reason_counts_and_damping_cannot_be_cut_short(make_loop, link):
@@ -185,7 +196,7 @@ def test_a_wrong_crc_is_dropped_and_its_content_is_not_used(make_loop, link):
     link.on_send = lambda i: {100: corrupt, 105: mend}.get(i, lambda: None)()
     loop = make_loop()
     report = loop.run()
-    assert (report.reason, report.crc_errors) == ("", 5)
+    assert (report.reason, report.checks.crc_errors) == ("", 5)
     assert max(abs(sent.command.q[3]) for sent in link.sent) < 0.2
 
 
@@ -327,11 +338,11 @@ class Failing(Targets):
 
     failed = False
 
-    def at(self, phase, elapsed):
-        self.failed = self.failed or (phase is Phase.PLAY and elapsed >= 0.1)
+    def at(self, phase, elapsed, *others):
+        self.failed = self.failed or (phase is Phase.PLAY and elapsed >= 100 * MS)
         if self.failed:
             raise BrokenError("no target")
-        return super().at(phase, elapsed)
+        return super().at(phase, elapsed, *others)
 
 
 class Invalid(Targets):
@@ -339,15 +350,16 @@ class Invalid(Targets):
 
     values = None
 
-    def at(self, phase, elapsed):
-        target = super().at(phase, elapsed)
-        if phase is Phase.PLAY and elapsed >= 0.1:
-            self._last = target = target.replace(**self.values)
+    def at(self, phase, elapsed, *others):
+        target = super().at(phase, elapsed, *others)
+        if phase is Phase.PLAY and elapsed >= 100 * MS:
+            changed = {name: np.full(29, value) for name, value in self.values.items()}
+            target = replace(target, **changed)
         return target
 
 
 def test_an_error_in_the_targets_damps_and_is_raised_again(make_loop, link, trajectory, events):
-    loop = make_loop(targets=Failing(trajectory, start=0.0, play=0.5, ramp=0.1))
+    loop = make_loop(targets=Failing(trajectory, start=0.0))
     with pytest.raises(BrokenError, match="no target"):
         loop.run()
     assert link.phases() == {"RAMP": RAMP, "PLAY": 50, "DAMP": DAMP}
@@ -360,7 +372,7 @@ def test_an_error_in_the_targets_damps_and_is_raised_again(make_loop, link, traj
 @pytest.mark.parametrize("values", [{"q": np.nan}, {"dq": np.inf}, {"tau": np.nan}, {"dq": -1e300}])
 @pytest.mark.filterwarnings("ignore:overflow")
 def test_invalid_values_are_never_sent(make_loop, link, trajectory, values):
-    targets = Invalid(trajectory, start=0.0, play=0.5, ramp=0.1)
+    targets = Invalid(trajectory, start=0.0)
     targets.values = values
     with pytest.raises(SafetyError, match=f"{next(iter(values))} = "):
         make_loop(targets=targets).run()

@@ -1,10 +1,13 @@
 """Commands for joints whose target or start pose is outside a limit."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from g1stream.config import SafetyConfig
 from g1stream.control.feedforward import FeedForward
+from g1stream.control.limits import CommandLimits
 from g1stream.dds.messages import LowState
 from g1stream.types import Phase
 
@@ -16,11 +19,11 @@ class Pushing(FeedForward):
     """Commands the same torque for every joint."""
 
     def __init__(self, torque):
-        super().__init__("velocity", limit=np.full(29, 50.0), period=0.002, ramp=0.1)
+        super().__init__("velocity", limit=np.full(29, 50.0), period=0.002)
         self.torque = torque
 
-    def command(self, phase, elapsed, target, imu, age):
-        return super().command(phase, elapsed, target, imu, age).replace(tau=self.torque)
+    def command(self, moment):
+        return replace(super().command(moment), tau=np.full(29, self.torque))
 
 
 @pytest.mark.parametrize("torque", [2.0, -2.0])
@@ -56,6 +59,22 @@ def test_a_joint_that_starts_outside_a_limit_is_moved_inside_by_the_ramp(
     assert np.abs(np.diff(knee[:300])).max() < (1.875 * way / 0.1 + 0.4) * PERIOD / 1e9
     played = np.array([sent.command.q[3] for sent in link.in_phase(Phase.PLAY)])
     assert (played >= np.float32(robot.lower[3] + MARGIN)).all()
+
+
+def test_the_torque_is_limited_by_the_age_that_a_state_has_when_its_command_acts(
+    make_loop, link, monkeypatch
+):
+    """Five ticks without a state: the newest gets older by a period with each command."""
+    apply, ages = CommandLimits.apply, []
+
+    def seen(limits, *args, age, **others):
+        ages.append(round(age * 1e9))
+        return apply(limits, *args, age=age, **others)
+
+    monkeypatch.setattr(CommandLimits, "apply", seen)
+    link.on_send = lambda i: setattr(link, "silent", 100 <= i < 105)
+    make_loop().run()
+    assert ages[95:110] == [PERIOD] * 6 + [PERIOD * k for k in range(2, 7)] + [PERIOD] * 4
 
 
 def test_a_state_from_before_the_session_is_discarded(make_loop, bare_link):

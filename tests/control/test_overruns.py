@@ -6,7 +6,7 @@ from itertools import pairwise
 import pytest
 
 from g1stream.config import SafetyConfig
-from g1stream.control.overruns import Overruns
+from g1stream.control.report import Overruns
 from g1stream.errors import SafetyError
 from g1stream.types import Phase
 
@@ -72,12 +72,12 @@ def test_a_stall_has_a_limit():
 def test_missed_ticks_have_a_budget_for_a_second(skips, gap, stops):
     """50 of 500 Hz; what was missed more than a second ago does not count."""
     overruns = Overruns(PERIOD, SafetyConfig(max_missed_ticks=0.1))
-    verdicts = []
+    reasons = []
     for i in range(1, skips + 11):
         overruns.count(i * gap * MS, 5 * i, Phase.PLAY)
-        verdicts.append(overruns.verdict())
-    assert any(verdicts) == stops
-    assert not stops or "missed 55 of 500 ticks" in next(filter(None, verdicts))
+        reasons.append(overruns.stop_reason())
+    assert any(reasons) == stops
+    assert not stops or "missed 55 of 500 ticks" in next(filter(None, reasons))
 
 
 def test_a_loop_that_misses_too_many_ticks_damps(make_loop, link, clock):

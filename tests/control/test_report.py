@@ -72,7 +72,7 @@ def test_sparse_holds_what_was_counted():
 
 
 def test_a_report_of_fewer_than_two_commands_has_no_rate():
-    report = LoopReport(2_000_000, np.zeros(29, dtype=np.int64))
+    report = LoopReport(2_000_000, *[None] * 4)
     assert report.rate is None
     report.commands, report.first_stamp, report.last_stamp = 1, 5, 5
     assert report.rate is None

@@ -7,8 +7,8 @@ import pytest
 
 from g1stream.app.rollout import rollout
 from g1stream.config import load_config
-from g1stream.control.revision import RevisionFit
-from g1stream.control.state_checks import ImuReading
+from g1stream.control.reading import ImuReading, Reading
+from g1stream.control.support import RevisionFit
 from g1stream.robot.dynamics import InverseDynamics
 from g1stream.robot.model import G1, REVISIONS
 
@@ -44,7 +44,8 @@ def fitted(models, revision, support, feedforward):
     states, fit = session.sel("RAMP").measured, RevisionFit(support, models)
     imus = zip(states.imu_quat_wxyz, states.gyroscope, states.accelerometer, strict=True)
     for k, imu in enumerate(imus):
-        fit.add(k * 0.002, states.q[k], states.dq[k], states.tau[k], ImuReading(*imu))
+        joints = states.q[k], states.dq[k], states.tau[k]
+        fit.add(Reading(*joints, ImuReading(*imu), received=2_000_000 * k))
     return fit.position
 
 
@@ -72,5 +73,5 @@ def test_readings_that_are_not_finite_are_left_out(models):
     fit = RevisionFit("bolted", models)
     rest, imu = np.zeros(29), ImuReading(np.full(4, np.nan), np.zeros(3), np.zeros(3))
     for k in range(300):
-        fit.add(k * 0.002, rest, rest, rest, imu)
+        fit.add(Reading(rest, rest, rest, imu, received=2_000_000 * k))
     assert fit.position is None

@@ -1,12 +1,15 @@
-"""When a session ends that was asked to: with a squat, where the robot stands."""
+"""The state machine on exact nanoseconds, and a session that ends on the robot's feet."""
 
 from __future__ import annotations
 
-import pytest
+from dataclasses import replace
 
-from g1stream.control.phases import Inputs, PhaseState, Timing
-from g1stream.control.schedule import Schedule
-from g1stream.control.targets import Targets
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from g1stream.control.schedule import Inputs, PhaseState, Schedule, step
+from g1stream.control.targets import Targets, Timing
 from g1stream.extras.feet.squat import Squat
 from g1stream.extras.physics.stance import stand
 from g1stream.motion.trajectory import Trajectory
@@ -14,10 +17,146 @@ from g1stream.robot.model import G1
 from g1stream.synthetic import squatting
 from g1stream.types import Phase
 
+WAIT, RAMP, PLAY, HOLD, DAMP, DONE = Phase
+TIMING = Timing(wait=1000, ramp=300, play=5000, hold=200, damp=500)
+START = 7_000_000_123
+READY, STOP = Inputs(), Inputs(stop="enough")
+WAITING = Inputs(missing="no LowState")
+
+
+def test_waits_for_what_is_missing():
+    state = PhaseState(WAIT, START)
+    assert step(START + 999, state, WAITING, TIMING) == state
+    assert step(START + 999, state, READY, TIMING) == PhaseState(RAMP, START + 999)
+
+
+def test_waits_for_other_publishers_to_be_discovered():
+    state, timing = PhaseState(WAIT, START), replace(TIMING, settle=100)
+    assert step(START + 99, state, READY, timing) == state
+    assert step(START + 100, state, READY, timing) == PhaseState(RAMP, START + 100)
+
+
+def test_gives_up_waiting_at_the_exact_instant():
+    state = PhaseState(WAIT, START)
+    given_up = step(START + 1000, state, WAITING, TIMING)
+    assert (given_up.phase, given_up.since) == (DONE, START + 1000)
+    assert given_up.reason == "no LowState (waited for stream.wait = 1e-06 s)"
+    assert step(START + 1000, state, READY, TIMING).phase is RAMP
+
+
+@pytest.mark.parametrize(
+    ("phase", "lasts", "following"), [(RAMP, 300, PLAY), (PLAY, 5000, HOLD), (HOLD, 200, DAMP)]
+)
+def test_a_phase_ends_at_its_exact_instant(phase, lasts, following):
+    state = PhaseState(phase, START)
+    assert step(START + lasts - 1, state, Inputs(), TIMING) == state
+    assert step(START + lasts, state, Inputs(), TIMING) == PhaseState(following, START + lasts)
+
+
+@pytest.mark.parametrize(("phase", "lasts", "following"), [(RAMP, 300, PLAY), (PLAY, 5000, HOLD)])
+def test_a_late_tick_shifts_nothing(phase, lasts, following):
+    late = step(START + lasts + 17, PhaseState(phase, START), Inputs(), TIMING)
+    assert late == PhaseState(following, START + lasts)
+    assert late.elapsed(START + lasts + 17) == 17
+
+
+def test_several_phases_pass_in_one_step():
+    state = step(START + 300 + 5000 + 50, PhaseState(RAMP, START), Inputs(), TIMING)
+    assert state == PhaseState(HOLD, START + 300 + 5000)
+    no_hold = replace(TIMING, hold=0)
+    state = step(START + 300 + 5000, PhaseState(RAMP, START), Inputs(), no_hold)
+    assert state == PhaseState(DAMP, START + 300 + 5000)
+
+
+def test_damping_lasts_its_whole_time_however_late_it_begins():
+    now = START + 1_000_000
+    state = step(now, PhaseState(RAMP, START), Inputs(), TIMING)
+    assert state == PhaseState(DAMP, now)
+    assert step(now + 499, state, Inputs(), TIMING) == state
+    assert step(now + 500, state, Inputs(), TIMING) == PhaseState(DONE, now + 500)
+
+
+def test_a_motion_that_loops_plays_until_stopped():
+    loops = replace(TIMING, play=None)
+    state = PhaseState(PLAY, START)
+    assert step(START + 10**18, state, Inputs(), loops) == state
+    assert step(START + 10**18, state, STOP, loops) == PhaseState(DAMP, START + 10**18, "enough")
+
+
+@pytest.mark.parametrize("phase", [RAMP, PLAY, HOLD])
+def test_a_stop_leads_to_damping(phase):
+    assert step(START + 9, PhaseState(phase, START), STOP, TIMING) == PhaseState(
+        DAMP, START + 9, "enough"
+    )
+
+
+def test_a_stop_goes_before_the_end_of_a_phase():
+    assert step(START + 300, PhaseState(RAMP, START), STOP, TIMING).phase is DAMP
+
+
+def test_a_stop_before_the_first_command_needs_no_damping():
+    for inputs in (STOP, replace(STOP, missing="no LowState")):
+        state = step(START + 9, PhaseState(WAIT, START), inputs, TIMING)
+        assert state == PhaseState(DONE, START + 9, "enough")
+
+
+def test_damping_cannot_be_cut_short_and_keeps_its_reason():
+    state = PhaseState(DAMP, START, "tilted")
+    assert step(START + 499, state, STOP, TIMING) == state
+    assert step(START + 500, state, STOP, TIMING) == PhaseState(DONE, START + 500, "tilted")
+
+
+def test_nothing_follows_the_end():
+    done = PhaseState(DONE, START, "enough")
+    for inputs in (Inputs(), READY, STOP):
+        assert step(START + 10**12, done, inputs, TIMING) == done
+
+
+durations = st.integers(0, 10_000)
+timings = st.builds(
+    Timing,
+    wait=durations,
+    ramp=durations,
+    play=st.none() | durations,
+    hold=durations,
+    damp=st.integers(1, 10_000),
+)
+ticks = st.lists(
+    st.tuples(
+        st.integers(1, 20_000),
+        st.builds(
+            Inputs,
+            missing=st.sampled_from(["", "it"]),
+            stop=st.sampled_from(["", "", "", "enough"]),
+        ),
+    ),
+    max_size=40,
+)
+
+
+@given(timings, ticks)
+def test_whatever_happens_damping_comes_between_a_command_and_the_end(timing, ticks):
+    """Phases never go back, and DAMP is seen at a tick of its own for its whole time."""
+    now, state, seen = START, PhaseState(WAIT, START), []
+    for wait, inputs in ticks:
+        now += wait
+        before, state = state, step(now, state, inputs, timing)
+        assert state.phase >= before.phase
+        assert before.since <= state.since <= now
+        seen.append((state.phase, now))
+    commanded = any(RAMP <= phase <= HOLD for phase, _ in seen)
+    damped = [at for phase, at in seen if phase is DAMP]
+    ended = [at for phase, at in seen if phase is DONE]
+    if commanded and ended:
+        assert damped
+        assert ended[0] - damped[0] >= timing.damp
+    assert commanded or not damped
+
+
 ROBOT = G1.default()
 MS = 1_000_000
-TIMING = Timing(
-    wait=0, ramp=500 * MS, play=1000 * MS, hold=500 * MS, damp=100 * MS, squat=2000 * MS
+SQUATTING = Timing(
+    wait=0, ramp=500 * MS, play=1000 * MS, hold=500 * MS, damp=100 * MS, way_down=2000 * MS
 )
 
 
@@ -25,38 +164,37 @@ TIMING = Timing(
 def schedule():
     """RAMP waits, for 0.6 s so far."""
     trajectory = Trajectory(stand(squatting(2.0), ROBOT).motion)
-    targets = Targets(trajectory, start=0.0, play=1.0, ramp=0.5, squat=Squat(ROBOT), hold=0.5)
-    schedule = Schedule(targets, TIMING, 2 * MS)
+    targets = Targets(trajectory, start=0.0, way_down=Squat(ROBOT))
+    schedule = Schedule(targets, SQUATTING, 2 * MS)
     schedule.state = PhaseState(Phase.RAMP, 0)
     schedule.begin_ramp(targets.first.q)
     for now in range(0, 600 * MS, 2 * MS):
-        go(schedule, now)
+        go(schedule, now, targets.first)
     assert schedule.state.phase is Phase.RAMP
     return schedule
 
 
-def go(schedule, now):
+def go(schedule, now, last):
     schedule.wait_in_ramp(now, "the feet")
     schedule.advance(now, Inputs())
-    return schedule.target(now)
+    return schedule.target(now, last)
 
 
 def test_a_robot_on_its_feet_squats_down_from_ramp(schedule):
-    before, phases, height = None, [], schedule.first.root_pos[2]
+    before, phases = schedule.first, []
     for now in range(600 * MS, 4000 * MS, 2 * MS):
-        assert schedule.squat_down(now, "asked", stands=now < 700 * MS)
-        target = go(schedule, now)
+        assert schedule.go_down(now, "asked", before, stands=now < 700 * MS)
+        target = go(schedule, now, before)
         phases.append(schedule.state.phase)
-        if before is not None:
-            assert target.q == pytest.approx(before.q, abs=0.01)
+        assert target.q == pytest.approx(before.q, abs=0.01)
         before = target
     assert list(dict.fromkeys(phases)) == [Phase.RAMP, Phase.HOLD, Phase.DAMP, Phase.DONE]
     assert phases.count(Phase.RAMP) <= 101  # it waits no longer than it takes to end at rest
     assert schedule.state.reason == "asked"
-    assert before.root_pos[2] < height - 0.1
+    assert before.root_pos[2] < schedule.first.root_pos[2] - 0.1
 
 
 def test_one_that_hangs_does_not(schedule):
-    assert not schedule.squat_down(600 * MS, "asked", stands=False)
-    go(schedule, 600 * MS)
+    assert not schedule.go_down(600 * MS, "asked", schedule.first, stands=False)
+    go(schedule, 600 * MS, schedule.first)
     assert schedule.state == PhaseState(Phase.RAMP, 0)

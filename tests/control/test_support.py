@@ -9,9 +9,9 @@ import pytest
 
 from g1stream.app.rollout import rollout
 from g1stream.config import load_config
-from g1stream.control.state_checks import ImuReading
+from g1stream.control.feedforward import TimeScale
+from g1stream.control.reading import ImuReading, Reading
 from g1stream.control.support import SupportCheck
-from g1stream.control.time_scale import TimeScale
 from g1stream.robot.dynamics import InverseDynamics
 from g1stream.robot.model import G1
 
@@ -56,9 +56,10 @@ def judged(check, name):
     with np.load(EXTRACTS / f"{name}.npz") as recorded:
         columns = [recorded[key] for key in ("time", "q", "dq", "quat", "gyro", "accelerometer")]
     for time, q, dq, quat, gyroscope, accelerometer in zip(*columns, strict=True):
-        scale.add(float(time), q, dq)
         imu = ImuReading(quat, gyroscope, accelerometer)
-        check.add(float(time), q, dq, imu, np.zeros(3), scale.value)
+        measured = Reading(q, dq, np.zeros(29), imu, received=round(1e9 * time))
+        scale.add(measured)
+        check.add(measured, np.zeros(3), scale.value)
     return check.wrong
 
 
@@ -77,5 +78,6 @@ def test_a_robot_that_does_not_move_is_not_judged(support):
     for k in range(3000):
         turning = rng.normal(0.0, 0.01, 3)
         imu = ImuReading(np.array([1.0, 0, 0, 0]), turning, np.array([0, 0, 9.81]))
-        check.add(k * 0.002, rest, rng.normal(0.0, 0.01, 29), imu, np.zeros(3))
+        measured = Reading(rest, rng.normal(0.0, 0.01, 29), rest, imu, received=2_000_000 * k)
+        check.add(measured, np.zeros(3))
     assert not check.wrong or support == "hanging"  # which a pose that does not hang level is not

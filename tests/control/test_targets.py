@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from g1stream.control.targets import Target, Targets
-from g1stream.dds.messages import Reference
+from g1stream.control.schedule import PhaseState, Schedule
+from g1stream.control.targets import Target, Targets, Timing
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.types import Phase
@@ -13,9 +13,33 @@ from g1stream.types import Phase
 STEP = 1e-5
 
 
+class Asked:
+    """Targets of phases that last so many s, asked for one after the other."""
+
+    def __init__(self, trajectory, *, start, play, ramp, ramp_speed=np.inf, played=None):
+        targets = Targets(trajectory, start=start, played=played)
+        ramp, play = round(1e9 * ramp), None if play is None else round(1e9 * play)
+        timing = Timing(wait=0, ramp=ramp, play=play, hold=0, damp=0)
+        self._schedule = Schedule(targets, timing, 2_000_000, ramp_speed)
+        self._last = self.first.at_rest()
+
+    @property
+    def first(self):
+        return self._schedule.first
+
+    def begin(self, q):
+        self._schedule.begin_ramp(q)
+        return self._schedule.ramp
+
+    def at(self, phase, elapsed):
+        self._schedule.state = PhaseState(phase, 0)
+        self._last = self._schedule.target(round(1e9 * elapsed), self._last)
+        return self._last
+
+
 @pytest.fixture
 def targets(trajectory):
-    targets = Targets(trajectory, start=0.1, play=0.3, ramp=2.0)
+    targets = Asked(trajectory, start=0.1, play=0.3, ramp=2.0)
     targets.begin(np.linspace(-0.4, 0.4, 29))
     return targets
 
@@ -99,7 +123,7 @@ def test_ramp_does_not_follow_the_array_it_began_from(targets):
 
 
 def test_ramp_without_a_beginning_is_a_mistake_of_ours(trajectory):
-    targets = Targets(trajectory, start=0.0, play=0.3, ramp=2.0)
+    targets = Asked(trajectory, start=0.0, play=0.3, ramp=2.0)
     with pytest.raises(RuntimeError, match="begin"):
         targets.at(Phase.RAMP, 0.0)
 
@@ -150,7 +174,7 @@ def test_damp_keeps_the_last_pose_at_rest(targets, before):
 
 def test_a_looping_motion_goes_on(motion):
     looping = Trajectory(motion, loop=True)
-    targets = Targets(looping, start=0.1, play=None, ramp=2.0)
+    targets = Asked(looping, start=0.1, play=None, ramp=2.0)
     rounds = 7 * looping.period
     assert targets.at(Phase.PLAY, rounds).motion_time == 0.1 + rounds
     assert targets.at(Phase.PLAY, rounds).q == pytest.approx(looping.sample(0.1).joint_pos)
@@ -167,36 +191,18 @@ def test_rest_changes_the_motion_and_not_the_pose(targets):
 def test_what_was_seen_a_tick_ahead_is_not_sampled_again(trajectory, monkeypatch):
     sample, asked = trajectory.sample, []
     monkeypatch.setattr(trajectory, "sample", lambda t: asked.append(t) or sample(t))
-    targets = Targets(trajectory, start=0.0, play=0.3, ramp=2.0)
+    targets = Asked(trajectory, start=0.0, play=0.3, ramp=2.0)
     asked.clear()
     for i in range(1, 100):
-        for elapsed in (i * 0.002, (i + 1) * 0.002):
+        for elapsed in (i / 500, (i + 1) / 500):
             target = targets.at(Phase.PLAY, elapsed)
             assert target.q.tolist() == sample(elapsed).joint_pos.tolist()
-    assert asked == [i * 0.002 for i in range(1, 101)]
+    assert asked == [i / 500 for i in range(1, 101)]
 
 
-@pytest.fixture
-def target():
-    return Target(1.5, np.arange(135.0))
-
-
-def test_the_published_parts_are_those_of_a_reference_in_its_order(target):
-    reference = Reference()
-    reference.target[:] = target.published
-    names = ("q", "dq", "ddq", "tau", "root_pos", "root_quat_wxyz", "root_lin_vel", "root_ang_vel")
-    for name in names:
-        assert getattr(reference, name).tolist() == getattr(target, name).tolist(), name
-
-
-def test_the_parts_cover_the_row_without_overlap(target):
-    rest = np.concatenate([target.root_lin_acc, target.root_ang_acc])
-    assert np.concatenate([target.published, rest]).tolist() == target.values.tolist()
-
-
-def test_a_row_is_a_sample_of_the_motion(trajectory):
+def test_a_target_is_a_sample_of_the_motion(trajectory):
     point = trajectory.sample(0.13)
-    target = Target.of(0.13, point)
+    target = Target.from_point(0.13, point)
     assert target.motion_time == 0.13
     for part, of_point in (
         (target.q, point.joint_pos),
@@ -215,28 +221,18 @@ def test_a_row_is_a_sample_of_the_motion(trajectory):
         target.q[:] = 0.0
 
 
-def test_other_values_leave_the_original_alone(target):
-    other = target.replace(q=np.zeros(29), tau=2.0)
-    assert not other.q.any()
-    assert other.tau.tolist() == [2.0] * 29
-    assert other.motion_time == 1.5
-    assert target.values.tolist() == np.arange(135.0).tolist()
-    with pytest.raises(ValueError, match="shape"):
-        target.replace(q=np.zeros(28))
-
-
 @pytest.mark.parametrize(
     ("distance", "length", "peak"), [(0.1, 2.0, 0.09375), (3.2, 4.0, 1.5), (-3.2, 4.0, 1.5)]
 )
 def test_a_long_way_takes_a_longer_ramp(trajectory, distance, length, peak):
-    targets = Targets(trajectory, start=0.1, play=0.3, ramp=2.0, ramp_speed=1.5)
+    targets = Asked(trajectory, start=0.1, play=0.3, ramp=2.0, ramp_speed=1.5)
     start = targets.first.q.copy()
     start[7] -= distance
     ramp = targets.begin(start)
-    assert ramp.length == pytest.approx(length)
+    assert ramp.length == pytest.approx(1e9 * length)
     assert ramp.peak_speed == pytest.approx(peak)
     assert (ramp.joint, ramp.distance) == (JOINT_NAMES[7], pytest.approx(distance))
-    times = np.linspace(0.0, ramp.length, 4001)
+    times = np.linspace(0.0, length, 4001)
     q = np.array([targets.at(Phase.RAMP, t).q[7] for t in times])
     speed = np.abs(np.diff(q)).max() / times[1]
     assert speed <= peak + np.abs(targets.first.dq[7])
@@ -245,16 +241,16 @@ def test_a_long_way_takes_a_longer_ramp(trajectory, distance, length, peak):
 
 
 def test_the_ramp_gets_shorter_again_when_it_begins_nearer(trajectory):
-    targets = Targets(trajectory, start=0.0, play=None, ramp=1.0, ramp_speed=0.5)
+    targets = Asked(trajectory, start=0.0, play=None, ramp=1.0, ramp_speed=0.5)
     near = targets.first.q
-    assert targets.begin(near + 1.5).length > 3.0
-    assert targets.begin(near).length == 1.0
+    assert targets.begin(near + 1.5).length > 3_000_000_000
+    assert targets.begin(near).length == 1_000_000_000
 
 
 def test_joints_that_are_not_played_keep_the_pose_from_which_the_ramp_starts(trajectory):
     played = np.arange(29) >= 12
-    targets = Targets(trajectory, start=0.1, play=0.3, ramp=2.0, played=played)
-    whole = Targets(trajectory, start=0.1, play=0.3, ramp=2.0)
+    targets = Asked(trajectory, start=0.1, play=0.3, ramp=2.0, played=played)
+    whole = Asked(trajectory, start=0.1, play=0.3, ramp=2.0)
     start = np.linspace(-0.4, 0.4, 29)
     ramp, _ = targets.begin(start), whole.begin(start)
     assert ramp.joint in JOINT_NAMES[12:]
@@ -271,3 +267,17 @@ def test_joints_that_are_not_played_keep_the_pose_from_which_the_ramp_starts(tra
         for part in ("q", "dq", "ddq"):
             assert getattr(target, part)[12:] == pytest.approx(getattr(other, part)[12:])
         assert target.root_pos.tolist() == other.root_pos.tolist()
+
+
+def test_a_question_changes_nothing(trajectory):
+    """Whatever is asked in between, and in whatever order, the answers are the same."""
+    targets = Targets(trajectory, start=0.1)
+    targets.begin(np.linspace(-0.4, 0.4, 29))
+    timing = Timing(wait=0, ramp=2_000_000_000, play=300_000_000, hold=0, damp=0)
+    last = targets.first
+    asked = [(phase, t * 1_000_000) for phase in list(Phase)[1:5] for t in (3, 90, 250)]
+    first = {one: targets.at(*one, timing, last) for one in asked}
+    for one in reversed(asked):
+        again = targets.at(*one, timing, last)
+        for name in ("q", "dq", "ddq", "root_pos", "root_quat_wxyz", "root_lin_vel"):
+            assert getattr(again, name).tolist() == getattr(first[one], name).tolist()

@@ -5,7 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from g1stream.control.time_scale import TimeScale
+from g1stream.control.feedforward import TimeScale
+from g1stream.control.reading import ImuReading, Reading
+
+IMU = ImuReading(*(np.zeros(n) for n in (4, 3, 3)))
+
+
+def reading(time, q, dq):
+    joints = (values.astype(np.float32) for values in (q, dq, np.zeros(29)))
+    return Reading(*joints, IMU, received=round(1e9 * time))
 
 
 def estimate(scale, rate=500.0, seconds=4.0, jitter=0.0, noise=0.0, amplitude=0.4, missing=()):
@@ -21,7 +29,7 @@ def estimate(scale, rate=500.0, seconds=4.0, jitter=0.0, noise=0.0, amplitude=0.
         q = amplitude * np.sin(phase) + 1e-2 * noise * rng.normal(size=29)
         dq = amplitude * frequency * np.cos(phase) + noise * rng.normal(size=29)
         received = sampled + jitter * rng.uniform()
-        estimator.add(received, q.astype(np.float32), dq.astype(np.float32))
+        estimator.add(reading(received, q, dq))
     return estimator
 
 
@@ -61,6 +69,6 @@ def test_a_span_with_a_reading_that_is_not_finite_is_left_out():
     found = estimate(0.9)
     before = found.value
     for k in range(200):
-        q = np.full(29, np.nan if k < 100 else 0.0, np.float32)
-        found.add(4.0 + k / 500, q, np.zeros(29, np.float32))
+        q = np.full(29, np.nan if k < 100 else 0.0)
+        found.add(reading(4.0 + k / 500, q, np.zeros(29)))
     assert found.value == pytest.approx(before, abs=1e-3)

@@ -53,17 +53,17 @@ def test_the_buttons_of_a_low_state():
 def test_a_combination_needs_all_its_buttons():
     operator = Operator(("L2+B", "select"), None)
     for pressed in ((), ("L2",), ("B",), ("start", "A")):
-        assert operator.verdict(bits(*pressed)) == ""
+        assert operator.stop_reason(bits(*pressed)) == ""
         assert operator.missing(bits(*pressed)) == ""
-    assert operator.verdict(bits("L2", "B", "up")).startswith("L2+B was pressed")
-    assert operator.verdict(bits("select")).startswith("select was pressed")
+    assert operator.stop_reason(bits("L2", "B", "up")).startswith("L2+B was pressed")
+    assert operator.stop_reason(bits("select")).startswith("select was pressed")
 
 
 def test_a_dead_man_switch_is_waited_for_and_stops_when_released():
     operator = Operator((), "R1")
     assert "safety.deadman" in operator.missing(bits("L1"))
-    assert operator.missing(bits("R1", "A")) == operator.verdict(bits("R1")) == ""
-    assert operator.verdict(0).startswith("R1 was released")
+    assert operator.missing(bits("R1", "A")) == operator.stop_reason(bits("R1")) == ""
+    assert operator.stop_reason(0).startswith("R1 was released")
 
 
 def test_an_unknown_button_is_refused():

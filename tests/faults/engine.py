@@ -194,11 +194,14 @@ class Session:
 
     def children(self, program: str = "") -> list[int]:
         """The processes of this session's programs, or of one of them, such as `record`."""
-        name, found = f"g1stream.app.{program}", []
+        rooms, found = ("app", "control"), []
+        names = [f"-m\0g1stream.{room}.{program}" for room in rooms]
         for task in Path(f"/proc/{self.process.pid}/task").glob("*/children"):
             with suppress(OSError):  # a thread or a process that has just ended
                 pids = map(int, task.read_text().split())
-                found += [pid for pid in pids if name in Path(f"/proc/{pid}/cmdline").read_text()]
+                for pid in pids:
+                    line = Path(f"/proc/{pid}/cmdline").read_text()
+                    found += [pid] * any(name in line for name in names)
         return found
 
     def recorder(self) -> int:

@@ -11,7 +11,7 @@ import pytest
 
 from g1stream.app.stream import stream
 from g1stream.config import Config
-from g1stream.control.commands import CommandLimits
+from g1stream.control.limits import CommandLimits
 from g1stream.control.loop import StreamLoop
 from g1stream.events import handled_by
 from g1stream.motion.limits import POSITION_TOLERANCE, Interval, measure_limits

@@ -97,6 +97,14 @@ def test_a_followed_base_is_where_the_reference_is(robot, servo):
             assert state.base_lin_vel == pytest.approx(root.lin_vel, abs=0.02)
 
 
+def test_between_references_a_followed_base_turns_as_fast_as_the_last_one(robot, servo, run):
+    world = World(robot, "follow")
+    world.set_reference(root_at(0.0)._replace(lin_vel=np.zeros(3)))
+    run(world, servo(), 0.08)  # of a quarter turn per second
+    quat = world.state().imu.quat_wxyz
+    assert 2.0 * np.arctan2(quat[3], quat[0]) == pytest.approx(np.pi / 2 * 0.08, abs=0.02)
+
+
 @pytest.mark.parametrize("support", ["follow", "free"])
 def test_a_base_stays_where_it_is_until_a_reference_comes(robot, support, servo, run):
     world = World(robot, support)

@@ -15,7 +15,7 @@ from g1stream.analysis.tracking import NothingToCompareError, tracking
 from g1stream.config import Config
 from g1stream.control.command_delay import DELAY_REMEDY
 from g1stream.control.guard import LOG_NAME
-from g1stream.control.state_checks import STATE_TIMEOUT
+from g1stream.control.lowstate import STATE_TIMEOUT
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.session.recording import once
 from g1stream.session.records import (

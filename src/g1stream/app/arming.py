@@ -9,26 +9,25 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from g1stream.control.gains import gains_in_play
-from g1stream.control.state_checks import StateChecks
+from g1stream.control.lowstate import LowStateChecks
 from g1stream.control.targets import Ramp
 from g1stream.dds.domain import is_local_only, network_name, require_interface
 from g1stream.dds.endpoints import RawReader
-from g1stream.dds.messages import LOWSTATE, LowState
+from g1stream.dds.messages import ARM_SDK, LOWSTATE, LowState
 from g1stream.dds.motion_switcher import MotionSwitcherClient
 from g1stream.doctor.facts import Facts, ok, warning
 from g1stream.doctor.findings import evaluate
 from g1stream.doctor.inspection import inspect_host, inspect_participant
 from g1stream.errors import SafetyError, WireError
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
-from g1stream.robot.model import G1
 from g1stream.robot.rotations import tilt_of
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from typing import Any
 
-    from g1stream.config import Config
-    from g1stream.control.state_checks import Measured
+    from g1stream.control.plan import Plan
+    from g1stream.control.reading import Reading
     from g1stream.dds.domain import Participant
     from g1stream.doctor.facts import Finding
     from g1stream.robot.joints import JointSet
@@ -37,8 +36,8 @@ if TYPE_CHECKING:
 __all__ = [
     "ArmingReport",
     "LimbDistance",
+    "confirm_arming",
     "inspect_for_arming",
-    "motion_service",
     "require_arming",
 ]
 
@@ -115,28 +114,51 @@ def require_arming(interface: str, *, armed: bool) -> None:
         )
 
 
-def inspect_for_arming(participant: Participant, config: Config, first: Floats) -> ArmingReport:
+def confirm_arming(
+    participant: Participant, plan: Plan, arm: Callable[[ArmingReport], bool] | None
+) -> None:
+    """Ask before anything is sent, if there is somebody to ask.
+
+    Args:
+        participant: of the robot's domain.
+        plan: what is about to be played.
+        arm: says whether it shall be; None: nobody is asked, as on loopback.
+
+    Raises:
+        SafetyError: the answer is no, or the robot's own controller is in the way or missing.
+        WireError: somebody is asked, and no plausible LowState is received.
+    """
+    if arm is None:
+        if plan.topic is ARM_SDK:
+            _motion_service(participant, plan)
+    elif not arm(inspect_for_arming(participant, plan)):
+        raise SafetyError(
+            f"Arming on {plan.config.dds.interface} was not confirmed; nothing was sent.",
+            "Run it again, and type the name of the interface.",
+        )
+
+
+def inspect_for_arming(participant: Participant, plan: Plan) -> ArmingReport:
     """Look at the robot, its motion service and the network; publishes no command.
 
     Args:
         participant: of the robot's domain.
-        config: the settings in force.
-        first: joint positions (29,) of the first frame to be played, rad.
+        plan: what is about to be played.
 
     Raises:
         SafetyError: a mode of the motion service is active, which would fight our commands, or with
             `stream.via` = arm_sdk none is.
         WireError: no plausible LowState is received.
     """
-    service = motion_service(participant, config)
-    state = _plausible_state(participant, config)
-    distance = first - state.q.astype(np.float64)
-    distance[~G1.load(config.robot).select(config.stream.played_joints)] = 0.0
-    ramp = Ramp.of(distance, config.stream.ramp, config.stream.ramp_speed)
+    config, kind = plan.config, plan.robot.joint_set
+    service = _motion_service(participant, plan)
+    state = _plausible_state(participant, plan)
+    first = plan.trajectory.sample(plan.interval.start).joint_pos
+    distance = np.where(plan.played, first - state.q.astype(np.float64), 0.0)
+    ramp = Ramp.for_distance(distance, round(1e9 * config.stream.ramp), config.stream.ramp_speed)
     where = participant.domain, participant.interface
     wire = inspect_participant(participant, _LISTEN)
     host = inspect_host(config.realtime)
-    kind = G1.load(config.robot).joint_set
     allowed = kind.allowed(config.safety.mode_machine)
     findings = evaluate(Facts(*where, allowed, host, wire, via=config.stream.via))
     if kind.absent:
@@ -145,8 +167,8 @@ def inspect_for_arming(participant: Participant, config: Config, first: Floats) 
         domain=participant.domain,
         interface=network_name(participant.interface),
         tilt=tilt_of(state.imu.quat_wxyz),
-        limbs=_limbs(distance, config),
-        ramp=ramp.length,
+        limbs=_limbs(distance, plan),
+        ramp=ramp.length / 1e9,
         peak_speed=ramp.peak_speed,
         limits=config.safety.model_dump(),
         motion_service=service,
@@ -163,13 +185,13 @@ def _motor_numbering(kind: JointSet) -> Finding:
     )
 
 
-def motion_service(participant: Participant, config: Config) -> Finding:
+def _motion_service(participant: Participant, plan: Plan) -> Finding:
     """Whether the robot's own controller is inactive, or active where it is to move the arms.
 
     Raises:
         SafetyError: it is active and would fight our commands; or it has to be active and is not.
     """
-    arms = config.stream.via == "arm_sdk"
+    arms = plan.topic is ARM_SDK
     about = "motion service"
     try:
         active = MotionSwitcherClient(participant, _SERVICE_TIMEOUT).check().name
@@ -199,9 +221,9 @@ def motion_service(participant: Participant, config: Config) -> Finding:
     return ok(about, "no mode is active")
 
 
-def _plausible_state(participant: Participant, config: Config) -> Measured:
-    robot = G1.load(config.robot, own_limits=config.safety.urdf_limits)
-    checks, state, wait = StateChecks(robot, config.safety), LowState(), config.stream.wait
+def _plausible_state(participant: Participant, plan: Plan) -> Reading:
+    checks, state = LowStateChecks(plan.robot, plan.config.safety), LowState()
+    wait = plan.config.stream.wait
     deadline = time.monotonic() + wait
     with closing(RawReader(participant, LOWSTATE)) as reader:
         while time.monotonic() < deadline:
@@ -220,13 +242,12 @@ def _plausible_state(participant: Participant, config: Config) -> Measured:
     )
 
 
-def _limbs(distance: Floats, config: Config) -> tuple[LimbDistance, ...]:
-    gains = gains_in_play(config, G1.load(config.robot))
+def _limbs(distance: Floats, plan: Plan) -> tuple[LimbDistance, ...]:
     found = []
     for limb, joints in JOINT_GROUPS.items():
         indices = list(joints)
         furthest = max(indices, key=lambda joint: abs(distance[joint]))
-        kp, kd = gains.kp[indices], gains.kd[indices]
+        kp, kd = plan.gains.kp[indices], plan.gains.kd[indices]
         found.append(
             LimbDistance(
                 limb,

@@ -7,8 +7,8 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from g1stream.app.child_process import Child
 from g1stream.app.stream import stream
+from g1stream.child_process import Child
 from g1stream.config import Config
 from g1stream.dds.domain import DISCOVERY, Participant, is_local_only, is_loopback
 from g1stream.dds.messages import LOWSTATE
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from g1stream.control.loop import StreamLoop
     from g1stream.motion.motion import Motion
 
-__all__ = ["FIGURE", "REPORT", "SESSION", "demo"]
+__all__ = ["FIGURE", "SESSION", "check_absent", "demo"]
 
 _LOGGER = logging.getLogger(__name__)
 
-SESSION, FIGURE, REPORT = "session.mcap", "tracking.png", "report.html"
+SESSION, FIGURE = "session.mcap", "tracking.png"
 """Names of the files in the output directory."""
 
 #: So many domains are tried, from the default on.
@@ -46,8 +46,8 @@ def demo(
 
     Args:
         motion: a motion, a motion file, or the name of a bundled motion.
-        out: directory for session.mcap, tracking.png, the figure of `Session.plot`, and
-            report.html, the page of `g1stream.report`; made where it is missing.
+        out: directory for session.mcap and tracking.png, the figure of `Session.plot`; made where
+            it is missing.
         config: all settings; the defaults if left out. Where it sets no domain, the first one from
             1 on in which nobody publishes a robot's topics.
         force: replace files that are there already.
@@ -61,14 +61,13 @@ def demo(
     """
     from g1stream.analysis.plots import draw
     from g1stream.app.session import open_session
-    from g1stream.extras.report.page import report
 
     config = config or Config()
     _check_local_only(config.dds.interface)
-    session_path, figure_path, report_path = (out / name for name in (SESSION, FIGURE, REPORT))
+    session_path, figure_path = out / SESSION, out / FIGURE
     if not force:
         named_anew = config.record.auto_name  # with the time in it
-        _check_absent(*([] if named_anew else [session_path]), figure_path, report_path)
+        check_absent(*([] if named_anew else [session_path]), figure_path)
     _make_directory(out)
     config = _with_free_domain(config)
     # What is published for ROS 2 is published once, for the stream.
@@ -91,7 +90,6 @@ def demo(
         return played
     session = open_session(recorder.path)  # it may have the time in its name
     draw(session, figure_path)
-    report(session, report_path, force=True)
     return session.summary()
 
 
@@ -107,7 +105,12 @@ def _check_local_only(interface: str) -> None:
     )
 
 
-def _check_absent(*paths: Path) -> None:
+def check_absent(*paths: Path) -> None:
+    """Refuse to replace files.
+
+    Raises:
+        RecordingError: one of them is there.
+    """
     for path in paths:
         if path.exists():
             raise RecordingError(

@@ -12,7 +12,7 @@ import time
 from contextlib import closing, contextmanager
 from typing import TYPE_CHECKING, Any, Final
 
-from g1stream.app.child_process import optional_child, run_child
+from g1stream.child_process import optional_child, run_child
 from g1stream.config import Config
 from g1stream.dds.domain import Participant
 from g1stream.dds.messages import TOPICS
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from foxglove.websocket import ChannelView, Client
 
-    from g1stream.app.child_process import Parent
+    from g1stream.child_process import Parent
     from g1stream.session.format import MessageBatch
 
 __all__ = ["live", "observe"]

@@ -13,7 +13,7 @@ from uuid import uuid4
 
 from g1stream._version import __version__
 from g1stream.analysis.summarise import summarise_run
-from g1stream.app.child_process import publishing_for_ros2, run_child
+from g1stream.child_process import publishing_for_ros2, run_child
 from g1stream.config import Config
 from g1stream.dds.domain import Participant
 from g1stream.dds.messages import COMMANDS, REFERENCE
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from g1stream.analysis.summary import Summary
-    from g1stream.app.child_process import Parent
+    from g1stream.child_process import Parent
     from g1stream.session.records import RecorderSummary
 
 __all__ = ["record"]

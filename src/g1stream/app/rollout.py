@@ -13,18 +13,14 @@ from g1stream._version import __version__
 from g1stream.app.session import Session
 from g1stream.app.sim import make_world
 from g1stream.config import Config, load_config
-from g1stream.control.gains import gains_in_play
-from g1stream.control.make_loop import make_loop
+from g1stream.control.loop import make_loop
+from g1stream.control.plan import plan
 from g1stream.dds.log_handler import LogHandler
 from g1stream.dds.messages import LOG, Batch
 from g1stream.errors import ConfigError
-from g1stream.extras.feet.stand import stand_if_asked
-from g1stream.motion.fit import fit_to_robot
 from g1stream.motion.motion import Motion
-from g1stream.motion.readers import load_motion
 from g1stream.recorder.recorder import raw_messages
-from g1stream.robot.model import G1
-from g1stream.session.records import RecorderSummary, SessionInfo
+from g1stream.session.records import RecorderSummary
 from g1stream.session.source import MemorySource
 from g1stream.session.writer import attach_motion
 from g1stream.sim.lockstep import EPOCH, Lockstep
@@ -36,12 +32,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
+    from g1stream.control.plan import Plan
     from g1stream.dds.messages import LowState, Topic
+    from g1stream.motion.motion import Motion
     from g1stream.types import FeedForwardKind, Support
 
 __all__ = ["LATENCY", "rollout"]
-
-_LOGGER = logging.getLogger(__name__)
 
 LATENCY: Final = 100_000
 """Log time minus publish time of every message of a rollout, ns: about that of DDS on loopback."""
@@ -93,9 +89,8 @@ def rollout(
         G1StreamError: a file or a setting is not valid, or the robot cannot be simulated.
     """
     config = _resolve(config or Config(), support, feedforward, seconds, joints)
-    robot = G1.load(config.robot, own_limits=config.safety.urdf_limits)
-    if not isinstance(motion, Motion):
-        motion = load_motion(motion)
+    planned = plan(motion, config, simulated=True)
+    robot = planned.robot
     pipeline = MessagePipeline(robot, config.record)
     simulated = SimulatedRobot(
         make_world(robot, config.sim),
@@ -112,23 +107,16 @@ def rollout(
         batch.log_times.append(stamp + LATENCY)
 
     link = Lockstep(simulated, announced or config.sim.support, on_sample=on_sample)
-    motion, changed = stand_if_asked(motion, robot, config)
-    fitted = fit_to_robot(motion, robot, config, simulated=True)
-    trajectory, motion = fitted.trajectory, fitted.trajectory.motion
-    loop = make_loop(config, robot, trajectory, link, link, settle=0)
+    loop = make_loop(planned, link, link, settle=0)
     with _log_to(lambda data, _: on_sample(LOG, data, link.stamp())):
-        if changed:
-            _LOGGER.info("%s", changed)
+        planned.log_events()
         loop.run()
-    source = MemorySource(f"rollout of {motion.name}")
-    info = SessionInfo.from_config(config, robot, motion, gains_in_play(config, robot)._asdict())
-    _write_header(source, config, robot, motion, info)
+    source = MemorySource(f"rollout of {planned.motion.name}")
+    _write_header(source, planned)
     header, shown = pipeline.file_header(EPOCH), pipeline.encode(batches)
     for messages in (*header, *raw_messages(batches), *shown):
         source.write_batch(*messages)
-    stream = loop.report.summary().model_copy(
-        update={"start_s": config.stream.start, "slowed": fitted.slowed}
-    )
+    stream = loop.report.summary(**planned.summary())
     recorder = RecorderSummary(
         first_ns=EPOCH,
         last_ns=link.stamp() + LATENCY,
@@ -205,10 +193,8 @@ def _log_to(publish: Callable[[bytes, int], object]) -> Iterator[None]:
         logger.removeHandler(sim)
 
 
-def _write_header(
-    source: MemorySource, config: Config, robot: G1, motion: Motion, info: SessionInfo
-) -> None:
-    packages = ("mujoco", "numpy")
+def _write_header(source: MemorySource, planned: Plan) -> None:
+    packages, info = ("mujoco", "numpy"), planned.session_info()
     source.add_metadata(
         {
             "g1stream": __version__,
@@ -218,6 +204,7 @@ def _write_header(
             **info.model_dump(mode="json", exclude_unset=True),
         }
     )
-    source.attach("robot.urdf", "application/xml", robot.urdf.encode(), EPOCH)
-    source.attach("config.json", "application/json", config.model_dump_json().encode(), EPOCH)
+    source.attach("robot.urdf", "application/xml", planned.robot.urdf.encode(), EPOCH)
+    settings = planned.config.model_dump_json().encode()
+    source.attach("config.json", "application/json", settings, EPOCH)
     attach_motion(source, info.motion, EPOCH)

@@ -11,7 +11,7 @@ import warnings
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
-from g1stream.app.child_process import publishing_for_ros2, run_child
+from g1stream.child_process import publishing_for_ros2, run_child
 from g1stream.clock import SystemClock
 from g1stream.config import Config
 from g1stream.dds.domain import Participant
@@ -28,7 +28,7 @@ from g1stream.sim.world import World
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from g1stream.app.child_process import Parent
+    from g1stream.child_process import Parent
     from g1stream.config import SimConfig
     from g1stream.sim.robot import SimReport
     from g1stream.sim.world import World

@@ -1,4 +1,4 @@
-"""Play a motion: the loop on the wire, and a recorder beside it if requested."""
+"""Play a motion: plan, arm, connect, run, report; and a recorder beside it if requested."""
 
 from __future__ import annotations
 
@@ -7,59 +7,47 @@ import time
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from g1stream.analysis.summarise import summarise_run
 from g1stream.analysis.summary import Summary, Termination
-from g1stream.app.arming import inspect_for_arming, motion_service, require_arming
-from g1stream.app.child_process import Child, ChildError, publishing_for_ros2
-from g1stream.app.guard import Guard
+from g1stream.app.arming import confirm_arming, require_arming
 from g1stream.app.session import open_session
+from g1stream.child_process import Child, ChildError, publishing_for_ros2
 from g1stream.clock import SystemClock
-from g1stream.config import SHIPPED, Config, load_config
-from g1stream.control.arm_sdk import settings_for_arm_sdk
-from g1stream.control.gains import gains_in_play
+from g1stream.config import Config
+from g1stream.control.guard import Guard
 from g1stream.control.link import DdsLink
-from g1stream.control.loop import StreamLoop
-from g1stream.control.make_loop import make_loop
-from g1stream.dds.domain import DISCOVERY, Participant, is_local_only
+from g1stream.control.loop import make_loop
+from g1stream.control.plan import plan
+from g1stream.dds.domain import DISCOVERY, Participant
 from g1stream.dds.log_handler import dds_log_handler
-from g1stream.dds.messages import COMMANDS, LOWCMD
+from g1stream.dds.messages import LOWCMD
 from g1stream.doctor.findings import explain_no_robot
 from g1stream.doctor.inspection import inspect_participant
 from g1stream.errors import G1StreamError, SafetyError, WireError
 from g1stream.events import handled_by
-from g1stream.extras.feet.stand import refuse_feet_on_robot, stand_if_asked
 from g1stream.files import timestamped
-from g1stream.motion.fit import fit_to_robot
 from g1stream.motion.motion import Motion
-from g1stream.motion.readers import load_motion
 from g1stream.realtime import describe, on_time
-from g1stream.robot.model import G1
 from g1stream.session.parts import check_recording_path
-from g1stream.session.records import MotionInfo, RecorderSummary, SessionInfo, StreamSummary
+from g1stream.session.records import MotionInfo, RecorderSummary, StreamSummary
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from g1stream.app.arming import ArmingReport
     from g1stream.config import RecordConfig
-    from g1stream.control.loop import LoopReport
+    from g1stream.control.loop import StreamLoop
+    from g1stream.control.plan import Plan
+    from g1stream.control.report import LoopReport
     from g1stream.doctor.facts import Finding
-    from g1stream.motion.fit import Playable
-    from g1stream.motion.limits import Interval
-    from g1stream.motion.trajectory import Trajectory
-    from g1stream.realtime import Grant
+    from g1stream.motion.motion import Motion
 
-__all__ = ["for_wire", "stream", "with_robot_limits"]
+__all__ = ["stream"]
 
 _LOGGER = logging.getLogger(__name__)
 
-#: Age of the last LowState that stops in simulation, s. There, two programs and the physics share
-#: one machine, and silences above a robot's 0.1 s are common on two CPUs; nothing breaks meanwhile:
-#: the torque of the feed-forward fades out after 20 ms, and the position servo holds. Half of the
-#: 1 s after which Unitree's own programs stop.
-_STATE_TIMEOUT_OF_SIMULATOR: Final = 0.5
 #: How long the wire is listened to for a diagnosis when nothing answered, s.
 _LISTEN: Final = 0.2
 
@@ -95,87 +83,73 @@ def stream(
     """
     config = config or Config()
     require_arming(config.dds.interface, armed=arm is not None)
-    refuse_feet_on_robot(config)
-    config = with_robot_limits(config)
-    on_wire = for_wire(config)
-    session = None if record is None else _recording_path(Path(record), config.record, force)
-    robot = G1.load(config.robot, own_limits=config.safety.urdf_limits)
-    if not isinstance(motion, Motion):
-        motion = load_motion(motion)
-    clock = SystemClock()
+    path = None if record is None else _recording_path(Path(record), config.record, force)
+    planned = plan(motion, config)
+    config, clock = planned.config, SystemClock()
     with (
-        Guard(on_wire) as guard,
+        Guard(config) as guard,
         Participant(config.dds.domain, config.dds.interface) as participant,
         ExitStack() as stack,
     ):
         joined = clock.now()
-        # Done now, because it takes as long as the discovery of other publishers.
-        playable = _fit(motion, robot, config)
-        trajectory, interval = playable.trajectory, playable.interval
-        motion = trajectory.motion
-        _arm(participant, on_wire, trajectory, interval, arm)
+        confirm_arming(participant, planned, arm)
         stack.enter_context(publishing_for_ros2(config))  # nothing is published before arming
         if not config.safety.allow_second_writer:
             clock.sleep_until(joined + round(DISCOVERY * 1e9))
-            _refuse_if_commanded(participant, config)
-        link = DdsLink(participant, guard.wait_until_ready(), COMMANDS[config.stream.via])
+            _refuse_if_commanded(participant, planned)
+        link = DdsLink(participant, guard.wait_until_ready(), planned.topic)
         events = dds_log_handler(participant, "stream")
-        loop = make_loop(on_wire, robot, trajectory, link, clock)
+        loop = make_loop(planned, link, clock)
         if on_loop:
             on_loop(loop)
-        recorder = None
-        if session:
-            gains = gains_in_play(config, robot)._asdict()
-            info = SessionInfo.from_config(config, robot, motion, gains)
-            recorder = _RecorderChild(session, force, on_wire, info, loop)
+        recorder = _RecorderChild(path, force, planned, loop) if path else None
         recording = None
-        granted: list[Grant] = []
-        findings: list[Finding] = []
+        about: dict[str, Any] = {}
         try:
             # All events have been published when the recorder is told to finish.
             with handled_by(events):
-                for level, text in playable.events:
-                    _LOGGER.log(level, "%s", text)
+                planned.log_events()
                 with on_time(config.realtime.priority, config.realtime.cpu) as granted:
+                    about["realtime"] = granted
                     _LOGGER.info("real time: %s", describe(granted))
-                    report = _run(loop, guard)
-                findings = _diagnose(config, participant, link, report)
+                    _run(loop, guard)
+                about["findings"] = _diagnose(planned, participant, link, loop.report)
         finally:
-            about = {
-                "start_s": interval.start,
-                "slowed": playable.slowed,
-                "realtime": granted,
-                "findings": findings,
-            }
-            played = loop.report.summary().model_copy(update={**about, **link.counts()})
+            played = loop.report.summary(**planned.summary(), **link.counts(), **about)
             if recorder:
                 recording = recorder.finish(played)
+    return _summarise(planned, loop.report, played, recording)
+
+
+def _summarise(
+    planned: Plan, report: LoopReport, played: StreamSummary, recording: RecorderSummary | None
+) -> Summary:
+    """How it went: from the file, if there is one, else what the loop counted."""
     met = played.commands or played.states_used  # else the file says nothing about a motion
     if met and recording and not recording.stopped and not recording.removed:
         return open_session(recording.path).summary()
     return summarise_run(
-        config,
-        motion=MotionInfo.from_motion(motion),
+        planned.config,
+        motion=MotionInfo.from_motion(planned.motion),
         termination=Termination(
             reason=report.reason,
             played_s=report.played / 1e9,
-            motion_s=motion.duration,
-            start_s=interval.start,
+            motion_s=planned.motion.duration,
+            start_s=planned.interval.start,
         ),
         stream=played,
         recorder=recording,
     )
 
 
-def _run(loop: StreamLoop, guard: Guard) -> LoopReport:
+def _run(loop: StreamLoop, guard: Guard) -> None:
     """Run the loop; an error after the first command has become its reason to end."""
     try:
         with guard.protecting(loop):
-            return loop.run()
+            loop.run()
     except G1StreamError:
         if not loop.report.commands:
             raise
-        return loop.report
 
 
 class _RecorderChild:
@@ -188,13 +162,16 @@ class _RecorderChild:
         ChildError: it cannot record.
     """
 
-    def __init__(
-        self, path: Path, force: bool, config: Config, session: SessionInfo, loop: StreamLoop
-    ) -> None:
+    def __init__(self, path: Path, force: bool, planned: Plan, loop: StreamLoop) -> None:
         self._path, self._loop = path, loop
-        self._required = config.safety.require_record
+        self._required = planned.config.safety.require_record
         self._failure = ""
-        arguments = {"path": path, "config": config, "force": force, "session": session}
+        arguments = {
+            "path": path,
+            "config": planned.config,
+            "force": force,
+            "session": planned.session_info(),
+        }
         self._child = Child("record", arguments, on_failure=self._fail)
         try:
             self._child.wait_until_ready(abandoned=lambda: loop.stop_requests > 0)
@@ -242,9 +219,9 @@ def _recording_path(path: Path, settings: RecordConfig, force: bool) -> Path:
     return path
 
 
-def _refuse_if_commanded(participant: Participant, config: Config) -> None:
+def _refuse_if_commanded(participant: Participant, planned: Plan) -> None:
     """Refuse before we publish commands ourselves, which would stop another g1stream."""
-    topic = COMMANDS[config.stream.via]
+    topic = planned.topic
     others = participant.commanders(topic.name)
     if others:
         raise SafetyError(
@@ -256,77 +233,8 @@ def _refuse_if_commanded(participant: Participant, config: Config) -> None:
         )
 
 
-def _fit(motion: Motion, robot: G1, config: Config) -> Playable:
-    """The motion as it may be played."""
-    motion, changed = stand_if_asked(motion, robot, config)
-    playable = fit_to_robot(motion, robot, config, simulated=is_local_only(config.dds.interface))
-    if changed:
-        playable = playable._replace(events=((logging.INFO, changed), *playable.events))
-    return playable
-
-
-def _arm(
-    participant: Participant,
-    config: Config,
-    trajectory: Trajectory,
-    interval: Interval,
-    arm: Callable[[ArmingReport], bool] | None,
-) -> None:
-    if arm is None:
-        if config.stream.via == "arm_sdk":
-            motion_service(participant, config)
-        return
-    first = trajectory.sample(interval.start).joint_pos
-    if not arm(inspect_for_arming(participant, config, first)):
-        raise SafetyError(
-            f"Arming on {config.dds.interface} was not confirmed; nothing was sent.",
-            "Run it again, and type the name of the interface.",
-        )
-
-
-def with_robot_limits(config: Config) -> Config:
-    """A config in which robot.toml's values stand wherever nothing is set; unchanged on loopback.
-
-    Its domain and interface are not taken over.
-    """
-    if is_local_only(config.dds.interface):
-        return config
-    robot = load_config(SHIPPED / "robot.toml")
-    tables = {}
-    for name in robot.model_fields_set - {"dds"}:
-        given, cautious = getattr(config, name), getattr(robot, name)
-        unset = {
-            key: getattr(cautious, key)
-            for key in cautious.model_fields_set
-            if key not in given.model_fields_set or getattr(given, key) is None
-        }
-        tables[name] = given.model_copy(update=unset)
-    return config.model_copy(update=tables)
-
-
-def for_wire(config: Config) -> Config:
-    """A config whose unset values that depend on the wire are set.
-
-    On loopback there is a simulator, which may be silent for longer than a robot. Anywhere else
-    there may be a robot, for which robot.toml has the values. With `stream.via` = arm_sdk, its
-    topic decides on others.
-
-    Raises:
-        ConfigError: the settings ask for what is not possible with `stream.via` = arm_sdk.
-    """
-    if is_local_only(config.dds.interface):
-        timeout = config.safety.state_timeout or _STATE_TIMEOUT_OF_SIMULATOR
-        safety = config.safety.model_copy(update={"state_timeout": timeout})
-        config = config.model_copy(update={"safety": safety})
-    else:
-        config = with_robot_limits(config)
-    if config.stream.via == "arm_sdk":
-        config = config.model_copy(update={"stream": settings_for_arm_sdk(config.stream)})
-    return config
-
-
 def _diagnose(
-    config: Config, participant: Participant, link: DdsLink, report: LoopReport
+    planned: Plan, participant: Participant, link: DdsLink, report: LoopReport
 ) -> list[Finding]:
     """Why there was no robot to play on; also logged, so that it is in the recording."""
     waited = "stream.wait" in report.reason
@@ -340,8 +248,8 @@ def _diagnose(
     # appeared in the meantime counts as matched.
     state = replace(wire.state, received=wire.state.received or report.states)
     wire = replace(wire, state=state, commands_matched=link.subscribers())
-    topic = COMMANDS[config.stream.via].name
-    findings = explain_no_robot(config.dds.domain, config.dds.interface, wire, topic)
+    where = planned.config.dds
+    findings = explain_no_robot(where.domain, where.interface, wire, planned.topic.name)
     for finding in findings:
         _LOGGER.error("%s", finding.cause)
     return findings

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import sys
-from contextlib import ExitStack
+from contextlib import ExitStack, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from g1stream.cli.command import exit_code, print_summary, print_warning
 from g1stream.cli.flags import flag
 from g1stream.cli.live import LiveCommand
+from g1stream.cli.main import load_command
 from g1stream.cli.motion_flags import MOTION, MotionFlags
 from g1stream.cli.stream import playing
+from g1stream.errors import ConfigError
 
 if TYPE_CHECKING:
     from g1stream.config import Config
@@ -23,7 +25,9 @@ __all__ = ["Demo"]
 
 @dataclass(frozen=True, kw_only=True)
 class Demo(LiveCommand, MotionFlags):
-    """Needs no robot and no other program. Writes session.mcap, tracking.png and report.html.
+    """Needs no robot and no other program. Writes session.mcap and tracking.png.
+
+    With the extra `report` installed it writes report.html, too.
 
     Without a domain, in --domain or the config file, it takes the first of the DDS domains 1 to 8
     in which nobody publishes LowState or LowCmd.
@@ -43,17 +47,20 @@ class Demo(LiveCommand, MotionFlags):
 
     motion: str = flag("demo", MOTION, "MOTION")
     out: Path = flag(
-        Path("demo-out"), "Directory for session.mcap, tracking.png and report.html.", "DIR"
+        Path("demo-out"), "Directory for session.mcap, tracking.png, report.html.", "DIR"
     )
     force: bool = flag(False, "Replace files that exist already.")
     json: bool = flag(False, "Print the summary as JSON on standard output.")
 
     def run(self) -> int:
         """Run it, and return the exit code."""
-        from g1stream.app.demo import FIGURE, REPORT, demo
+        from g1stream.app.demo import FIGURE, check_absent, demo
         from g1stream.robot.model import G1
 
         config = self.resolve()
+        page = self.out / "report.html"
+        if not self.force:
+            check_absent(page)
         motion = self.load([self.motion], G1.load(config.robot))
         for warning in motion.warnings:
             print_warning(warning)
@@ -67,8 +74,21 @@ class Demo(LiveCommand, MotionFlags):
         print_summary(summary, as_json=self.json)
         if summary.tracking:
             print(
-                f"Figure: {self.out / FIGURE}. Report, for a browser: {self.out / REPORT}. "
+                f"Figure: {self.out / FIGURE}. "
                 "The session opens in Foxglove, PlotJuggler and Rerun.",
                 file=sys.stderr,
             )
+            if summary.recorder and summary.recorder.path:
+                _write_page(Path(summary.recorder.path), page)
         return exit_code(summary)
+
+
+def _write_page(session: Path, page: Path) -> None:
+    """Write the page of `g1stream report`; where that is not installed, say how to get it."""
+    try:
+        report: Any = load_command("report")
+    except ConfigError as error:
+        print_warning(f"no {page.name}: {error.cause} {error.remedy}")
+        return
+    with redirect_stdout(sys.stderr):  # where it is written; standard output may be JSON
+        report(sessions=(session,), out=page, force=True).run()

@@ -73,7 +73,11 @@ COMMANDS: Final = {
             "Write the index of a session whose recorder was killed.",
         ),
         "layout": ("cli.layout:Layout", "Write a layout of a viewer that shows sessions."),
-        "motion": ("cli.motion:Inspect", "Check a motion file: frames, joints, limits, physics."),
+        "motion": ("cli.motion:Inspect", "Check a motion file: frames, joints, limits."),
+        "physics": (
+            "extras.physics.physics_cli:Physics",
+            "Say what a motion asks of a robot that is held, or that stands.",
+        ),
         "robot": ("cli.robot:Robot", "Show, release or restore the robot's own controller."),
         "doctor": (
             "cli.doctor:Doctor",

@@ -17,18 +17,12 @@ from g1stream.cli.command import (
 )
 from g1stream.cli.flags import argument, flag
 from g1stream.cli.motion_flags import MOTIONS, MotionFlags
-from g1stream.cli.progress import ProgressDisplay
 from g1stream.errors import MotionError
 from g1stream.text import counted, labelled
 
 if TYPE_CHECKING:
-    from g1stream.config import Config
-    from g1stream.extras.physics.ground import Flags
-    from g1stream.extras.physics.result import MotionPhysics
     from g1stream.motion.check import MotionReport
-    from g1stream.motion.motion import Motion
     from g1stream.motion.readers import Evidence, FileReport
-    from g1stream.robot.model import G1
 
 __all__ = ["Inspect", "render"]
 
@@ -43,33 +37,18 @@ class Inspect(SettingsCommand, MotionFlags):
     `stream` makes the same check. Warnings do not change the exit code. Joint targets between
     frames that the stream would hold at a position limit are a warning: they are safe.
 
-    With --physics it also prints what it would take to play the motion bolted, hanging, with the
-    pelvis led (follow) or on its feet (free): contacts and skating of the feet, self-collision,
-    centre of pressure, tilt and torques, and the frames that forbid it; and whether `stream
-    --support feet` can play it (feet), or what else. That does not change the exit code.
-    --feet-figure draws how the motion is changed for that. Both are about what `stream` would play
-    with the same --joints, --start and --duration; all else here is about the whole motion.
-
     Examples:
       g1stream motion dance.csv
       g1stream motion dance.csv --fps 60 --json
-      g1stream motion dance.csv --physics
-      g1stream motion dance.csv --physics --joints arms,waist --start 10
-      g1stream motion steps.npz --feet-figure steps.png
       g1stream motion wave.csv dance.npz --blend 1 --on-floor
 
     Exit codes:
       0  within the limits
       1  a frame is beyond a position limit, or the spline beyond a speed limit
-      2  bad input: not a motion (what can be read is printed), or no --feet-figure
+      2  bad input: not a motion (what can be read is printed)
     """
 
     motions: tuple[str, ...] = argument(MOTIONS, "MOTION...")
-    physics: bool = flag(False, "What it would take to play it, with each support.")
-    feet_figure: Path | None = flag(
-        None, "Draw how `--support feet` changes the motion: a .png, .svg or .pdf.", "OUT"
-    )
-    force: bool = flag(False, "Replace a figure that is there.")
     json: bool = flag(False, "Print the report as JSON.")
 
     def run(self) -> int:
@@ -98,75 +77,23 @@ class Inspect(SettingsCommand, MotionFlags):
             report = FileReport(Path(motion.name), motion=motion)
         if robot.warning:
             print_warning(robot.warning)
-        physics = asked = None
-        if (self.physics or self.feet_figure) and report.motion and report.motion.in_radians:
-            asked = self._asked(robot, config)
-        if asked and self.physics:
-            physics = self._physics(robot, config.safety.max_tilt, *asked)
         if self.json:
-            print_json(_as_dict(report, physics))
+            print_json(_as_dict(report))
         else:
             text = render(report, config.safety.max_tilt)
             print_lines(text, sys.stderr if report.fault else None)
-            if physics:
-                print_lines(f"\n{physics}")
         if report.fault:
             raise MotionError(report.fault, report.remedy)
-        if asked and self.feet_figure:
-            self._draw_feet(self.feet_figure, robot, *asked)
         return EXIT_OK if report.passed else EXIT_STOPPED
 
-    def _asked(self, robot: G1, config: Config) -> tuple[Motion, range, Flags]:
-        """The motion, and which frames and joints of it `stream` would play."""
-        from g1stream.motion.limits import Interval
 
-        motion = self.load(self.motions, robot)
-        frames = Interval.from_config(config.stream, motion).frames(motion)
-        return motion, frames, robot.select(config.stream.played_joints)
-
-    def _draw_feet(
-        self, path: Path, robot: G1, motion: Motion, frames: range, played: Flags
-    ) -> None:
-        from g1stream.extras.feet.stand import stand_or_explain
-        from g1stream.files import save_figure
-
-        standing = stand_or_explain(motion, robot, frames, played)
-        save_figure(standing.plot, path, force=self.force)
-        how = str(standing) or "as it is"
-        print_lines(f"\n{path}: how it is played on the feet, {how}", sys.stderr)
-
-    def _physics(
-        self, robot: G1, max_tilt: float, motion: Motion, frames: range, played: Flags
-    ) -> MotionPhysics:
-        """What it would take to play the motion."""
-        from g1stream.extras.physics.measure import motion_physics
-
-        done = 0.0
-
-        def progress(fraction: float) -> None:
-            nonlocal done
-            done = fraction
-
-        with ProgressDisplay(lambda: (done, f"physics {100 * done:3.0f} %")):
-            return motion_physics(
-                motion,
-                robot,
-                max_tilt=max_tilt,
-                played=played,
-                frames=frames,
-                suggest=True,
-                progress=progress,
-            )
-
-
-def _as_dict(report: FileReport, physics: MotionPhysics | None) -> dict[str, Any]:
-    """The motion's values; under `file` those of the file, under `physics` what it would take."""
+def _as_dict(report: FileReport) -> dict[str, Any]:
+    """The motion's values; under `file` those of the file."""
     file, motion = {**asdict(report), "path": str(report.path)}, report.motion
     values = file.pop("motion") or {}
     if motion:
         values["n_held"] = motion.streamed.n_held
-    values |= {"within_limits": report.passed, "file": file}
-    return values | ({"physics": physics.model_dump(mode="json")} if physics else {})
+    return values | {"within_limits": report.passed, "file": file}
 
 
 def render(report: FileReport, max_tilt: float) -> str:

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
+    from g1stream.control.command import Prepared
     from g1stream.control.loop import StreamLoop
-    from g1stream.control.next_command import Prepared
     from g1stream.motion.motion import Motion
     from g1stream.recorder.recorder import Recorder
     from g1stream.sim.robot import SimReport

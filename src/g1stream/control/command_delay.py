@@ -12,7 +12,7 @@ from g1stream.dds.messages import LowCmd
 from g1stream.robot.joints import N_JOINTS, TORQUE_LIMIT
 
 if TYPE_CHECKING:
-    from g1stream.control.state_checks import Measured
+    from g1stream.control.reading import Reading
 
 __all__ = ["DELAY_REMEDY", "CommandDelay"]
 
@@ -77,8 +77,9 @@ class CommandDelay:
         self._times[self._n % _KEPT] = time
         self._n += 1
 
-    def add(self, time: float, measured: Measured) -> None:
-        """A LowState was received at a time, s; the first one warns that shows a delay."""
+    def add(self, measured: Reading) -> None:
+        """A LowState was received; the first one warns that shows a delay."""
+        time = measured.received / 1e9
         if time - self._compared < _EVERY - 1e-6 or self._n < _KEPT:
             return
         self._compared = time
@@ -107,7 +108,7 @@ class CommandDelay:
             )
         self.longest = max(self.longest or 0.0, self._seconds)
 
-    def verdict(self) -> str:
+    def stop_reason(self) -> str:
         """Why the robot has to be damped, or ""."""
         if not (self._balanced and self._seconds):
             return ""

@@ -6,31 +6,26 @@ Pure: time and measurements come in as arguments. docs/tracking.md explains the 
 from __future__ import annotations
 
 import logging
+from collections import deque
+from dataclasses import replace
+from statistics import median
 from typing import TYPE_CHECKING, Final, get_args
 
 import numpy as np
 
-from g1stream.control.state_checks import STALE, ImuReading, all_finite, is_unit
-from g1stream.control.time_scale import TimeScale
-from g1stream.control.torques import HeldTorques, Moment, Reading
-from g1stream.errors import ConfigError
-from g1stream.extras.feet.standing_torques import StandingTorques
+from g1stream.control.reading import STALE, all_finite, is_unit
+from g1stream.control.sources import Source
 from g1stream.motion.blend import minimum_jerk
-from g1stream.robot.dynamics import InverseDynamics
 from g1stream.robot.joints import N_JOINTS
-from g1stream.robot.model import G1, REVISIONS
 from g1stream.session.records import FeedForwardChange
 from g1stream.types import FeedForwardKind, Floats, Ints, Phase, StreamSupport, Support
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from g1stream.config import StreamConfig
+    from g1stream.control.reading import ImuReading, Reading
+    from g1stream.control.sources import Moment
     from g1stream.control.targets import Target
-    from g1stream.control.torques import TorqueSource
-    from g1stream.session.records import BalanceSummary
 
-__all__ = ["FeedForward"]
+__all__ = ["FeedForward", "TimeScale"]
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -55,10 +50,9 @@ class FeedForward:
         kind: what commands carry beside q; None: `dynamics` where the bridge announces how it holds
             the robot, `velocity` elsewhere.
         support: how the robot is held; None: as the bridge announces.
-        source: computes torques; needed for `dynamics`.
+        source: computes torques for `dynamics`; None: there are none.
         limit: (29,) N·m, the largest torque in either direction; 0 for joints that get none.
         period: s between commands.
-        ramp: s, length of RAMP; the torque fades in during its first half.
         preview: s by which the target of a command is ahead of its publish time, because it takes
             effect later; None: a period for a bridge that announces its support, otherwise 0.
         time_scale: simulated over real time; None: it is measured.
@@ -67,9 +61,11 @@ class FeedForward:
             legs do.
 
     Attributes:
-        kind, support: as given; after `begin`, as decided.
+        kind, support: as decided when RAMP begins; None before.
+        source: in use; before RAMP begins, and without torques, one that leaves targets as they
+            are.
+        preview: as decided, s; 0 before RAMP begins.
         scale: the measured time scale; None where it is given.
-        ramp: as given; it may be set until RAMP begins.
         saturated: (29,) int64, ticks at which each joint's torque was held at its limit.
         changes: when the torque was switched off and on again, in order.
     """
@@ -79,134 +75,52 @@ class FeedForward:
         kind: FeedForwardKind | None,
         support: StreamSupport | None = None,
         *,
-        source: TorqueSource | None = None,
+        source: Source | None = None,
         limit: Floats,
         period: float,
-        ramp: float,
         preview: float | None = 0.0,
         time_scale: float | None = 1.0,
         onboard: bool = False,
     ) -> None:
-        self.kind = kind
-        self.support = support
+        self.kind: FeedForwardKind | None = None
+        self.support: StreamSupport | None = None
+        self.source = Source()
+        self.preview = 0.0
         self.scale = TimeScale() if time_scale is None else None
         self.saturated: Ints = np.zeros(N_JOINTS, dtype=np.int64)
         self.changes: list[FeedForwardChange] = []
+        self._asked, self._told_support, self._torques = kind, support, source
+        self._told_preview, self._told_scale = preview, time_scale or 1.0
         self._onboard = onboard
-        self._given_preview, self._given_scale = preview, time_scale or 1.0
-        self._source = source
         self._limit = limit
         self._period = period
-        self.ramp = ramp
         self._weight = 1.0  # of the torque, 0 while faded out
         self._fault = ""  # the reported one
         self._tau = np.zeros(N_JOINTS)
-        self._announced = False
-        self._phase = Phase.WAIT
 
-    @property
-    def preview(self) -> float:
-        """How far commands are ahead of the motion, s."""
-        if self._given_preview is not None:
-            return self._given_preview
-        # Our bridge's servo runs at the rate of commands: it reads one half a period after it
-        # arrived on average, and holds it for a whole one. unitree_mujoco's bridges run at another
-        # rate or on the arrival of a command, with measurements that are older by a step.
-        return self._period if self._announced else 0.0
-
-    @property
-    def median_time_scale(self) -> float | None:
-        """Of simulated over real time, where it is measured."""
-        return self.scale.median if self.scale else None
-
-    @property
-    def robot(self) -> str | None:
-        """The name of the model that torques are computed with; None without torques."""
-        return self._source.name if self._source and self.kind == "dynamics" else None
-
-    @property
-    def balance(self) -> BalanceSummary | None:
-        """How near a robot on its feet was to falling; None for one that is held."""
-        return self._source.balance_summary if self._source else None
-
-    @classmethod
-    def from_config(
-        cls,
-        settings: StreamConfig,
-        robot: G1,
-        period: float,
-        *,
-        held: NDArray[np.bool_] | None = None,
-    ) -> FeedForward:
-        """The feed-forward of a config for commands that are `period` seconds apart.
-
-        Joints that are not `held` (29,) get no torque.
-
-        Raises:
-            RobotError: the inverse dynamics of this robot cannot be computed.
-        """
-        kind = settings.feedforward
-        limit = robot.torque_limit if held is None else robot.torque_limit * held
-        other = G1.load(REVISIONS[1]) if robot is G1.default() else None
-        source: TorqueSource | None = None
-        if settings.support == "feet":
-            if kind not in (None, "dynamics"):
-                raise ConfigError(
-                    "support feet needs torques that are computed at every tick.",
-                    "Give --feedforward dynamics, or hold the robot otherwise.",
-                )
-            source = StandingTorques(robot, other, period)
-        elif kind in (None, "dynamics"):
-            source = HeldTorques(
-                InverseDynamics(robot),
-                InverseDynamics(other) if other else None,
-                period=period,
-                complete=bool(limit.all()),
-            )
-        return cls(
-            kind,
-            settings.support,
-            source=source,
-            limit=limit,
-            period=period,
-            ramp=settings.ramp,
-            preview=settings.preview,
-            time_scale=settings.time_scale,
-            onboard=settings.via == "arm_sdk",
-        )
-
-    def ramp_to(self, first: Target) -> None:
-        """RAMP begins, or begins anew, to the first target of PLAY."""
-        if self._source:
-            self._source.ramp_to(first)
-
-    def awaited(self) -> str:
-        """What RAMP waits for, or ""."""
-        return self._source.awaited if self._source and self.kind == "dynamics" else ""
-
-    @property
-    def stands(self) -> bool:
-        """Whether the robot is on its feet in RAMP already."""
-        return bool(self._source and self.kind == "dynamics" and self._source.stands)
-
-    def verdict(self) -> str:
+    def stop_reason(self) -> str:
         """Why the robot has to be damped, or ""."""
-        source = self._source
-        if self.kind != "dynamics" or source is None:
-            return ""
         lost = f"the torque that keeps the robot on its feet has faded out: {self._fault}"
-        return source.fall or (lost if source.needed and self._fault else "")
+        return self.source.fall or (lost if self.source.needed and self._fault else "")
 
     def begin(self, announced: str | None, robot: str | None = None) -> None:
-        """Decide on kind and support, and log the decision.
+        """Decide on kind, support and preview, and log the decision.
 
         Args:
             announced: the support that the bridge announces; None if it does not.
             robot: the name of the robot that it announces; None if it does not.
+
+        Raises:
+            ConfigError: there is no torque for how the bridge holds the robot.
         """
-        self._announced = announced is not None
+        # Our bridge's servo runs at the rate of commands: it reads one half a period after it
+        # arrived on average, and holds it for a whole one. unitree_mujoco's bridges run at another
+        # rate or on the arrival of a command, with measurements that are older by a step.
+        usual = 0.0 if announced is None else self._period
+        self.preview = usual if self._told_preview is None else self._told_preview
+        self.kind, self.support = self._asked, self._told_support
         if self._onboard:
-            self._begin_onboard(robot)
+            self._begin_onboard(announced, robot)
             return
         self.support = self.support or next(
             (known for known in get_args(Support) if known == announced), None
@@ -214,23 +128,26 @@ class FeedForward:
         if self.kind is None:
             # Ground contact is in the model of a robot on its feet only.
             held = self.support not in (None, "free")
-            self.kind = "dynamics" if held and self._source else "velocity"
-        unknown = self.kind == "dynamics" and not (self._source and self.support)
+            self.kind = "dynamics" if held and self._torques else "velocity"
+        unknown = self.kind == "dynamics" and not (self._torques and self.support)
         if unknown:
             self.kind = "velocity"
         text = f"dynamics, support {self.support}" if self.kind == "dynamics" else str(self.kind)
         if unknown:
             text += " only: the support is unknown; give --support"
         _LOGGER.log(logging.WARNING if unknown else logging.INFO, "feed-forward: %s", text)
-        if self.kind == "dynamics" and self._source and self.support:
-            self._source.begin(self.support, announced, robot)
+        if self.kind == "dynamics" and self._torques and self.support:
+            self.source = self._torques
+            self.source.begin(self.support, announced, robot)
 
-    def _begin_onboard(self, robot: str | None) -> None:
+    def _begin_onboard(self, announced: str | None, robot: str | None) -> None:
         """As `begin`, where the robot's own controller carries it: nothing is to be checked."""
         if self.kind is None:
-            self.kind = "dynamics" if self._announced and self._source else "velocity"
-        if self.kind == "dynamics" and self._source:
-            self._source.begin("bolted", "bolted", robot)
+            known = announced is not None
+            self.kind = "dynamics" if known and self._torques else "velocity"
+        if self.kind == "dynamics" and self._torques:
+            self.source = self._torques
+            self.source.begin("bolted", "bolted", robot)
             _LOGGER.info("feed-forward: dynamics, at the measured attitude of the pelvis")
         else:
             _LOGGER.warning(
@@ -239,65 +156,35 @@ class FeedForward:
                 self.kind,
             )
 
-    def observe(
-        self,
-        time: float,
-        q: NDArray[np.floating],
-        dq: NDArray[np.floating],
-        tau: NDArray[np.floating],
-        imu: ImuReading,
-    ) -> None:
-        """Take a new LowState into account.
-
-        Args:
-            time: when it was received, s.
-            q: (29,) measured, rad, motor order.
-            dq: (29,) rad/s.
-            tau: (29,) N·m.
-            imu: of the pelvis.
-        """
-        phase = self._phase
-        if self.scale and phase is not Phase.WAIT:
-            self.scale.add(time, q, dq)
-        if self._source:
-            self._source.observe(phase, time, Reading(q, dq, tau, imu), self.time_scale)
-
     @property
     def time_scale(self) -> float:
         """Simulated over real time, as given or measured."""
-        return self.scale.value if self.scale else self._given_scale
+        return self.scale.value if self.scale else self._told_scale
 
-    def command(
-        self, phase: Phase, elapsed: float, target: Target, imu: ImuReading, age: float
-    ) -> Target:
-        """The target with the dq and tau that its command carries.
+    def observe(self, phase: Phase, measured: Reading) -> None:
+        """Take a new LowState into account; `phase` is that of the newest command."""
+        if self.scale and Phase.WAIT < phase < Phase.DAMP:
+            self.scale.add(measured)
+        self.source.observe(phase, measured, self.time_scale)
 
-        Args:
-            phase: RAMP, PLAY or HOLD.
-            elapsed: s since it began.
-            target: the desired state at the time when the command takes effect.
-            imu: the newest reading.
-            age: s since it was received.
-        """
-        self._phase = phase
+    def command(self, moment: Moment) -> Target:
+        """The target with the dq and tau that its command carries."""
+        target = moment.target
         if self.kind == "none":
-            return target.replace(dq=0.0)
+            return replace(target, dq=np.zeros(N_JOINTS))
         target = target.slowed(self.time_scale)
         if self.kind != "dynamics":
             return target
-        # Within half the ramp: the rest of it corrects the sag under a partial torque.
-        blend = minimum_jerk(2.0 * elapsed / self.ramp)[0] if phase is Phase.RAMP else 1.0
-        if self._source is None:
-            raise RuntimeError("there is no source of torques: call begin() first")
-        fault = self._source.fault or _find_fault(imu, age)
+        fault = self.source.fault or _find_fault(moment.measured.imu, moment.age)
         if not fault:
-            ramped = min(1.0, elapsed / self.ramp) if phase is Phase.RAMP else 1.0
-            target = self._source.command(Moment(phase, ramped, target, imu, age))
+            target = self.source.command(moment._replace(target=target))
             self._tau = target.tau
         self._weight += (-1.0 if fault else 1.0) * self._period / _FADE
         self._weight = min(1.0, max(0.0, self._weight))
         self._log_change(fault, target.motion_time)
-        return target.replace(tau=self._limited(blend * self._weight * self._tau))
+        # Within half the ramp: the rest of it corrects the sag under a partial torque.
+        blend = minimum_jerk(2.0 * moment.ramped)[0]
+        return replace(target, tau=self._limited(blend * self._weight * self._tau))
 
     def _log_change(self, fault: str, motion_time: float) -> None:
         """Report a torque that has faded out or in completely, not a short fault."""
@@ -332,3 +219,74 @@ def _find_fault(imu: ImuReading, age: float) -> str:
     if max(map(abs, imu.gyroscope.tolist())) > _MAX_GYROSCOPE:
         return f"the gyroscope reports more than {_MAX_GYROSCOPE:g} rad/s"
     return ""
+
+
+class TimeScale:
+    """How fast the robot's time passes: a simulator that is short of CPU is slower than the clock.
+
+    Estimates simulated over real time from measured joint positions and velocities.
+
+    In a span of real time a joint moves by d, and its velocity, which is one of simulated time,
+    integrates to x over real time: d = r x. With exponential forgetting over spans,
+
+        r = sum(d . d) / sum(d . x)
+
+    The displacement is the exact one of the two: the times at which velocities are sampled jitter,
+    so that the quotient sum(d . x) / sum(x . x) would be biased.
+
+    Attributes:
+        value: the estimate r, within 0.5 and 1.05; 1 while nothing has moved.
+    """
+
+    _SPAN: Final = 0.1  # s: a simulator that stalls and catches up does both within it
+    #: A span with a longer gap between readings is not used, s. Shorter ones are: a simulator that
+    #: stalls and then catches up must be counted whole.
+    _GAP: Final = 0.2
+    #: Time constant of forgetting, s.
+    _MEMORY: Final = 1.0
+    #: Weight of r = 1 in both sums, rad²: far above the noise of encoders at rest.
+    _PRIOR: Final = 1e-3
+    _LOWEST: Final = 0.5
+    _HIGHEST: Final = 1.05  # no simulator is faster than the clock for long
+    #: Estimates that are kept for the median: an hour of them.
+    _KEPT: Final = 36_000
+
+    def __init__(self) -> None:
+        self.value = 1.0
+        self._estimates: deque[float] = deque(maxlen=self._KEPT)
+        self._squares = self._products = 0.0
+        self._start = self._last = -np.inf
+        self._q = self._dq = self._integral = np.zeros(0)
+
+    def add(self, measured: Reading) -> None:
+        """Add a reading."""
+        time = measured.received / 1e9
+        q, velocity = measured.q.astype(np.float64), measured.dq.astype(np.float64)
+        passed = time - self._last
+        if passed <= 0.0 or passed > self._GAP:
+            self._begin(time, q, velocity)
+            return
+        self._integral += (0.5 * passed) * (self._dq + velocity)
+        self._last, self._dq = time, velocity
+        if time - self._start >= self._SPAN:
+            self._estimate(q, time - self._start)
+
+    @property
+    def median(self) -> float | None:
+        """Of the estimates so far; None before the first one."""
+        return median(self._estimates) if self._estimates else None
+
+    def _begin(self, time: float, q: Floats, dq: Floats) -> None:
+        self._start = self._last = time
+        self._q, self._dq, self._integral = q, dq, np.zeros_like(q)
+
+    def _estimate(self, q: Floats, passed: float) -> None:
+        moved, kept = q - self._q, np.exp(-passed / self._MEMORY)
+        square, product = float(moved @ moved), float(moved @ self._integral)
+        if np.isfinite(square) and np.isfinite(product):
+            self._squares = self._squares * kept + square
+            self._products = self._products * kept + product
+            scale = (self._squares + self._PRIOR) / max(self._products + self._PRIOR, 1e-9)
+            self.value = min(self._HIGHEST, max(self._LOWEST, scale))
+            self._estimates.append(scale)
+        self._begin(self._last, q, self._dq)

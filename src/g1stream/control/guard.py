@@ -1,25 +1,58 @@
-"""What the guard process of a stream knows of it, and when it damps the robot in its place.
+"""The guard of a stream: a process that damps the robot where the stream itself cannot.
 
-The stream writes a heartbeat and a copy of each command into shared memory, the guard what it sends
-instead; docs/safety.md explains the guard. Time comes in as an argument.
+It joins the DDS domain before the first command, watches the stream's heartbeat, and publishes
+LowCmd only after the stream was killed or stopped, hangs or gets no CPU time. It has a session of
+its own and ignores signals, so that what ends the stream does not end it as well.
+
+The stream writes its heartbeat and a copy of each command into shared memory, the guard what it
+sends instead; docs/safety.md explains the guard.
 """
 
 from __future__ import annotations
 
+import logging
 import mmap
 import os
+import signal
 import sys
+import time
+from contextlib import contextmanager, suppress
 from enum import IntEnum
-from typing import TYPE_CHECKING, Final
+from functools import partial
+from itertools import repeat
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
+from cyclonedds.core import DDSException
+
+from g1stream.child_process import Child, ChildError, process_state, run_child
+from g1stream.clock import SystemClock, Ticker
+from g1stream.control.command import hand_back_commands
+from g1stream.dds.domain import OBSERVER, Participant, is_local_only, user_data_of_guard
+from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.layout import Layout
-from g1stream.dds.messages import LowCmd
-from g1stream.errors import SafetyError
+from g1stream.dds.log_handler import dds_log_handler
+from g1stream.dds.messages import COMMANDS, LowCmd
+from g1stream.errors import ConfigError, SafetyError
+from g1stream.events import ConsoleHandler, handled_by
+from g1stream.realtime import allow_all_cpus, on_time
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
-__all__ = ["LOG_NAME", "Heartbeat", "Takeover", "Watch", "damping_command"]
+    from g1stream.child_process import Parent
+    from g1stream.config import Config
+
+__all__ = [
+    "LOG_NAME",
+    "Guard",
+    "Heartbeat",
+    "Takeover",
+    "Watch",
+    "count_subscribers",
+    "damping_command",
+]
+
+_LOGGER = logging.getLogger("g1stream.guard")  # as a child process, this module is __main__
 
 LOG_NAME: Final = "guard"
 """The guard process logs under this name, and only when it damps."""
@@ -32,6 +65,12 @@ _CHECK_PERIOD: Final = 10_000_000
 _COMMAND_SIZE: Final = Layout.of(LowCmd.idl_type).sample_size
 #: The fields of the shared memory, each an int64; the last commands of both follow them.
 _LAST_WRITE, _TAKEOVER, _SUBSCRIBERS, _FIELDS = range(4)
+#: Silence of a running stream that ends it where there may be a robot, s.
+_ROBOT_SILENCE: Final = 0.04
+#: How often subscribers are counted before the first command, ns.
+_DISCOVERY_PERIOD: Final = 20_000_000
+#: How long the process may take to end, s, beside the time of damping.
+_END_TIMEOUT: Final = 2.0
 
 
 class Takeover(IntEnum):
@@ -189,3 +228,255 @@ def damping_command(command: bytes, kd: float) -> bytes:
     damping.kp[:] = damping.dq[:] = damping.tau[:] = 0.0
     damping.kd[:] = kd * (damping.motor_mode == 1)  # nothing to a motor that is not there
     return damping.seal()
+
+
+def count_subscribers(participant: Participant, commands: RawWriter) -> int:
+    """Number of subscribers of LowCmd that a writer is matched with, without observers."""
+    matched = commands.matched
+    if not matched:
+        return 0
+    readers = participant.readers(commands.topic.name)
+    return max(0, matched - sum(reader.user_data == OBSERVER for reader in readers))
+
+
+class GuardedLoop(Protocol):
+    """What the guard asks of a loop.
+
+    Attributes:
+        damped: whether the last command damped; also true before the first one.
+        report: has the number of `commands`.
+    """
+
+    damped: bool
+    report: Any
+
+    def request_stop(self, reason: str) -> None:
+        """End the run through DAMP."""
+
+
+class Guard:
+    """The guard process of this process's stream; a context manager.
+
+    It starts while everything else is prepared. On loopback a stream may begin without it, or go on
+    when it fails.
+
+    Args:
+        config: of the stream, with the settings that depend on the wire.
+
+    Raises:
+        ConfigError: it is disabled, and a robot may be commanded.
+        SafetyError: this system cannot have one, and a robot may be commanded.
+        ChildError: it cannot be started, and a robot may be commanded.
+    """
+
+    def __init__(self, config: Config) -> None:
+        self._optional = is_local_only(config.dds.interface)
+        self._loop: GuardedLoop | None = None
+        self._failure = ""
+        self._child: Child | None = None
+        self._heartbeat: Heartbeat | None = None
+        self._end_timeout = _END_TIMEOUT + config.stream.damp
+        if config.safety.guard:
+            with self._only_warn():
+                self._heartbeat = Heartbeat()
+                memory = self._heartbeat.descriptor
+                self._child = Child(
+                    "guard",
+                    _settings(config, memory)._asdict(),
+                    room="control",
+                    pass_fds=(memory,),
+                    on_failure=self._fail,
+                )
+        elif not self._optional:
+            raise ConfigError(
+                f"safety.guard = false, but a robot may be on {config.dds.interface}.",
+                "Leave it out: without the guard process, a stream that is killed does not damp.",
+            )
+
+    def wait_until_ready(self) -> Heartbeat | None:
+        """Wait until the process watches.
+
+        Returns:
+            The heartbeat, for the link that publishes the commands; None where there is no guard.
+
+        Raises:
+            ChildError: it cannot, and a robot may be commanded.
+        """
+        if self._child:
+            with self._only_warn():
+                self._child.wait_until_ready()
+                return self._heartbeat
+            self._failure = ""  # told: on loopback, the stream begins without it
+        return None
+
+    @contextmanager
+    def protecting(self, loop: GuardedLoop) -> Iterator[None]:
+        """Damp in the place of a loop that runs; afterwards only if it has not damped."""
+        self._loop = loop
+        if self._failure:  # before there was a loop to stop
+            self._fail(self._failure)
+        try:
+            yield
+        finally:
+            self._loop = None
+            if self._heartbeat and loop.damped:
+                self._heartbeat.clear()
+
+    def __enter__(self) -> Guard:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        try:
+            if self._child:
+                self._child.finish(timeout=self._end_timeout)
+        except ChildError as error:
+            _LOGGER.warning("%s", error.cause)
+        finally:
+            if self._heartbeat:
+                self._heartbeat.close()
+
+    @contextmanager
+    def _only_warn(self) -> Iterator[None]:
+        """On loopback, turn an error into a warning."""
+        try:
+            yield
+        except (ChildError, SafetyError) as error:
+            if not self._optional:
+                raise
+            _LOGGER.warning("no guard process: %s", error.cause)
+
+    def _fail(self, cause: str) -> None:
+        self._failure = cause
+        loop = self._loop
+        if loop is None or (self._heartbeat and self._heartbeat.takeover):
+            return
+        _LOGGER.error("no guard process any more: %s", cause)
+        if not (self._optional and loop.report.commands):
+            loop.request_stop(f"no guard process any more: {cause.rstrip('.')}")
+
+
+class _Settings(NamedTuple):
+    """What the process is told.
+
+    Attributes:
+        memory: file descriptor of the heartbeat.
+        stream: pid.
+        domain, interface: of DDS.
+        priority: of SCHED_FIFO; 0: normal scheduling.
+        limit: silence after which a running stream is replaced, ns.
+        period: between two damping commands, ns.
+        damp: for how long, ns.
+        damp_kd: N·m·s/rad.
+        arm_sdk: the stream commands arms and waist through the robot's own controller: these are
+            handed back to it, instead of damped.
+    """
+
+    memory: int
+    stream: int
+    domain: int
+    interface: str
+    priority: int
+    limit: int
+    period: int
+    damp: int
+    damp_kd: float
+    arm_sdk: bool
+
+
+def _settings(config: Config, memory: int) -> _Settings:
+    settings, wire, priority = config.stream, config.dds, config.realtime.priority
+    limit = max(_ROBOT_SILENCE, 2.0 / settings.rate)
+    if is_local_only(wire.interface):
+        limit = config.safety.state_timeout or limit
+    return _Settings(
+        memory=memory,
+        stream=os.getpid(),
+        domain=wire.domain,
+        interface=wire.interface,
+        priority=priority and priority + 1,
+        limit=round(limit * 1e9),
+        period=settings.period,
+        damp=round(settings.damp * 1e9),
+        damp_kd=settings.damp_kd,
+        arm_sdk=settings.via == "arm_sdk",
+    )
+
+
+def _run_child(parent: Parent) -> None:
+    """Watch the stream that started this process, and damp the robot where the stream cannot."""
+    for number in signal.valid_signals() - {signal.SIGKILL, signal.SIGSTOP, signal.SIGCHLD}:
+        with suppress(OSError):  # reserved by the C library
+            signal.signal(number, signal.SIG_IGN)
+    settings = _Settings(**parent.startup_message)
+    heartbeat = Heartbeat(settings.memory)
+    allow_all_cpus()  # what takes the stream's CPU must not take the guard's
+    with Participant(settings.domain, settings.interface) as participant:
+        topic = COMMANDS["arm_sdk" if settings.arm_sdk else "lowcmd"]
+        commands = RawWriter(participant, topic, user_data=user_data_of_guard(settings.stream))
+        events = dds_log_handler(participant, LOG_NAME)
+        with handled_by(events, ConsoleHandler()), on_time(settings.priority):
+            parent.ready()
+            subscribers = partial(count_subscribers, participant, commands)
+            if why := _watch(parent, heartbeat, settings, subscribers):
+                _damp(heartbeat, settings, commands, why)
+
+
+def _watch(
+    parent: Parent, heartbeat: Heartbeat, settings: _Settings, subscribers: Callable[[], int]
+) -> Takeover:
+    """Wait until the stream ends; NONE if there is nothing left to damp."""
+    watch, due = Watch(settings.limit), time.monotonic_ns()
+    while not parent.done.wait(max(0.0, (due - time.monotonic_ns()) / 1e9)):
+        now, last_write = time.monotonic_ns(), heartbeat.last_write
+        if not last_write:
+            heartbeat.subscribers = heartbeat.subscribers or subscribers()
+            due = now + _DISCOVERY_PERIOD
+        elif why := watch.judge(now, due, last_write, partial(_state, settings.stream)):
+            return why
+        else:
+            due = watch.next_look(now)
+        parent.beat()
+    return Takeover.ENDED if heartbeat.last_write else Takeover.NONE
+
+
+def _state(pid: int) -> Takeover:
+    """Why a process sends nothing, by its state."""
+    state = process_state(pid)
+    if state in ("", "Z", "X"):
+        return Takeover.ENDED
+    return Takeover.STOPPED if state in "Tt" else Takeover.NONE
+
+
+def _damp(heartbeat: Heartbeat, settings: _Settings, commands: RawWriter, why: Takeover) -> None:
+    def send(frame: bytes) -> None:
+        heartbeat.replace(frame, why)  # first, so that a stream that goes on sends nothing else
+        with suppress(DDSException):  # the next one may succeed
+            commands.write(frame)
+
+    frames = _frames(heartbeat.command, settings)
+    silence = time.monotonic_ns() - heartbeat.last_write
+    send(next(frames))
+    with suppress(DDSException):
+        commands.announce(user_data_of_guard(settings.stream, publishing=True))
+    _LOGGER.error(
+        "the guard %s: g1stream stream (pid %d) %s, %.0f ms after its last command",
+        "hands arms and waist back" if settings.arm_sdk else "damps",
+        settings.stream,
+        why,
+        silence / 1e6,
+    )
+    clock = SystemClock()
+    for _, frame in zip(Ticker(clock, settings.period, clock.now()), frames, strict=False):
+        send(frame)
+
+
+def _frames(command: bytes, settings: _Settings) -> Iterator[bytes]:
+    """What is published where `command` was the last one."""
+    if settings.arm_sdk:
+        return hand_back_commands(command, settings.period)
+    number = -(-settings.damp // settings.period) + 1
+    return repeat(damping_command(command, settings.damp_kd), number)
+
+
+if __name__ == "__main__":
+    run_child(_run_child)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING, Final, Protocol
 
-from g1stream.control.guard import Takeover
+from g1stream.control.guard import Takeover, count_subscribers
 from g1stream.dds.domain import OBSERVER, robot_announced, support_announced
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.layout import CDR_HEADER, Layout
@@ -17,10 +17,12 @@ if TYPE_CHECKING:
     from g1stream.dds.domain import Participant
     from g1stream.dds.messages import LowState
 
-__all__ = ["DdsLink", "Link", "count_subscribers"]
+__all__ = ["DdsLink", "Link", "OtherPublishers"]
 
 #: LowStates that are queued while the loop is not scheduled: 64 ms at 1 kHz without a loss.
 _STATE_DEPTH: Final = 64
+#: How often the loop looks for other publishers, ns.
+_PERIOD: Final = 100_000_000
 #: Publishers of LowState that were heard in this time publish at once, ns.
 _HEARD: Final = 100_000_000
 
@@ -62,15 +64,6 @@ class Link(Protocol):
 
     def replaced(self) -> str:
         """Why the guard process damps the robot in our place, or ""."""
-
-
-def count_subscribers(participant: Participant, commands: RawWriter) -> int:
-    """Number of subscribers of LowCmd that a writer is matched with, without observers."""
-    matched = commands.matched
-    if not matched:
-        return 0
-    readers = participant.readers(commands.topic.name)
-    return max(0, matched - sum(reader.user_data == OBSERVER for reader in readers))
 
 
 class DdsLink:
@@ -207,3 +200,41 @@ class DdsLink:
             "state_restarts": self._gaps.restarts,
             "commands_dropped": self._commands.dropped,
         }
+
+
+class OtherPublishers:
+    """Looks for other publishers of LowCmd, and for several of LowState.
+
+    Args:
+        link: the wire.
+        allow_second_writer: whether there may be another publisher of commands.
+        topic: of the commands.
+    """
+
+    def __init__(self, link: Link, *, allow_second_writer: bool, topic: Topic = LOWCMD) -> None:
+        self._link, self._topic = link, topic
+        self._allow_second_writer = allow_second_writer
+        self._next_command_check = self._next_state_check = 0
+
+    def stop_reason(self, now: int, *, waiting: bool) -> str:
+        """Who else publishes at `now`, ns, or "".
+
+        Args:
+            now: time, ns.
+            waiting: for the first command; then publishers of LowCmd are looked for at every call.
+        """
+        if now >= self._next_state_check:
+            self._next_state_check = now + _PERIOD
+            if several := self.of_state():
+                return several
+        if self._allow_second_writer or now < self._next_command_check:
+            return ""
+        if not waiting:
+            self._next_command_check = now + _PERIOD
+        others = self._link.other_publishers()
+        return f"another publisher on {self._topic.name}: {', '.join(others)}" if others else ""
+
+    def of_state(self) -> str:
+        """The publishers of LowState, if several publish at once, or ""."""
+        names = self._link.state_publishers()
+        return f"more than one publisher on {LOWSTATE.name}: {', '.join(names)}" if names else ""

@@ -11,12 +11,16 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from g1stream.clock import Ticker
-from g1stream.control.commands import MAX_STEP_TIME
-from g1stream.control.other_publishers import OtherPublishers
-from g1stream.control.overruns import Overruns
-from g1stream.control.phases import Inputs, PhaseState
-from g1stream.control.report import LoopReport
-from g1stream.control.safety import Safety
+from g1stream.control.command import ArmSdkComposer, Composer, NextCommand
+from g1stream.control.command_delay import CommandDelay
+from g1stream.control.feedforward import FeedForward
+from g1stream.control.limits import MAX_STEP_TIME, CommandLimits
+from g1stream.control.link import OtherPublishers
+from g1stream.control.lowstate import LowStateChecks
+from g1stream.control.report import LoopReport, Overruns
+from g1stream.control.schedule import Inputs, PhaseState, Schedule
+from g1stream.control.targets import COAST_NS, Targets, Timing
+from g1stream.dds.domain import SETTLE
 from g1stream.dds.messages import ARM_SDK, LOWCMD, LowState, Topic
 from g1stream.errors import G1StreamError, SafetyError
 from g1stream.text import counted
@@ -24,15 +28,14 @@ from g1stream.types import Phase
 
 if TYPE_CHECKING:
     from g1stream.clock import Clock
-    from g1stream.control.command_delay import CommandDelay
+    from g1stream.control.command import Prepared
     from g1stream.control.link import Link
-    from g1stream.control.next_command import NextCommand, Prepared
-    from g1stream.control.schedule import Schedule
-    from g1stream.control.state_checks import Measured
+    from g1stream.control.plan import Plan
+    from g1stream.control.reading import Reading
     from g1stream.control.targets import Target
     from g1stream.types import Floats
 
-__all__ = ["LoopReport", "StreamLoop"]
+__all__ = ["StreamLoop", "make_loop"]
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -51,7 +54,7 @@ class StreamLoop:
         clock: now, stamp and sleep_until.
         schedule: the phases.
         commands: makes them, of the targets of that schedule.
-        safety: the checks of what is received.
+        checks: of what is received.
         overruns: the ticks that the loop misses.
         period: ns between commands.
         allow_second_writer: play although there is another publisher of LowCmd.
@@ -70,7 +73,7 @@ class StreamLoop:
         clock: Clock,
         schedule: Schedule,
         commands: NextCommand,
-        safety: Safety,
+        checks: LowStateChecks,
         overruns: Overruns,
         *,
         period: int,
@@ -83,21 +86,28 @@ class StreamLoop:
         self._schedule = schedule
         self._commands = commands
         self._feedforward = commands.feedforward
-        self._safety = safety
+        self._checks = checks
         self._overruns = overruns
         self._period = period
         self._others = OtherPublishers(link, allow_second_writer=allow_second_writer, topic=topic)
         self._topic = topic
         self._command_delay = command_delay
         self._low_state = LowState()
-        self._measured: Measured | None = None
+        self._measured: Reading | None = None
         self._skipped_when_measured = 0
         self._requested = ""  # to end the run, when there is time
         self._requested_level = logging.ERROR
         self._stop_reason = ""  # to end it at once
         self.damped = True
         self.stop_requests = 0
-        self.report = LoopReport(period, commands.limits)
+        self.report = LoopReport(
+            period,
+            schedule,
+            commands.composer.limits,
+            commands.feedforward,
+            checks,
+            command_delay,
+        )
 
     @property
     def state(self) -> PhaseState:
@@ -117,7 +127,7 @@ class StreamLoop:
     def request_stop(self, reason: str, level: int = logging.ERROR) -> None:
         """End the run through DAMP; may be called from a signal handler or another thread.
 
-        A robot on its feet squats down before; a second request damps it at once.
+        A robot on its feet goes down before; a second request damps it at once.
 
         Args:
             reason: why, logged when DAMP begins.
@@ -141,16 +151,6 @@ class StreamLoop:
         except BaseException as error:
             self._abort(error)
             raise
-        finally:
-            self.report.reason = self.state.reason
-            self.report.crc_errors = self._safety.crc_errors
-            self.report.ramp = self._commands.ramp
-            if self._command_delay:
-                self.report.command_delay = self._command_delay.longest
-            if self._feedforward:
-                self.report.robot = self._feedforward.robot
-                self.report.balance = self._feedforward.balance
-                self.report.time_scale = self._feedforward.median_time_scale
         return self.report
 
     def _play(self) -> None:
@@ -230,17 +230,15 @@ class StreamLoop:
         publisher = self._link.receive(self._low_state)
         if publisher is None:
             return
-        measured = self._safety.take(self._low_state, publisher, now, self._target_q)
+        measured = self._checks.take(self._low_state, publisher, now, self._target_q)
         if measured is None:
             return
         self.report.states += 1
         self._skipped_when_measured = self.report.skipped
         self._measured = measured
-        if self._feedforward:
-            q, dq, tau = measured.q, measured.dq, measured.tau
-            self._feedforward.observe(now / 1e9, q, dq, tau, measured.imu)
+        self._feedforward.observe(self._commands.phase, measured)
         if self._command_delay:
-            self._command_delay.add(now / 1e9, measured)
+            self._command_delay.add(measured)
 
     @property
     def _target_q(self) -> Floats | None:
@@ -251,12 +249,12 @@ class StreamLoop:
         if self._requested:
             self._end_as_requested(deadline)
         before = self.state
-        if self._feedforward and before.phase is Phase.RAMP:
-            self._schedule.wait_in_ramp(deadline, self._feedforward.awaited())
+        if before.phase is Phase.RAMP:
+            self._schedule.wait_in_ramp(deadline, self._feedforward.source.awaited)
         unknown = self._robot_unknown(now)
         missing = ""
         if before.phase is Phase.WAIT:
-            missing = unknown or self._safety.missing() or self._no_subscriber()
+            missing = unknown or self._checks.missing or self._no_subscriber()
         inputs = Inputs(missing, self._reason_to_stop(now, unknown))
         self._schedule.advance(deadline, inputs)
         if self.state.phase is not before.phase:
@@ -266,9 +264,11 @@ class StreamLoop:
 
     def _end_as_requested(self, deadline: int) -> None:
         """End PLAY or HOLD once there is a way down from there, and a run without one at once."""
-        stands = bool(self._feedforward and self._feedforward.stands)
-        if self.stop_requests > 1 or not self._schedule.squat_down(
-            deadline, self._requested, stands=stands
+        if self.stop_requests > 1 or not self._schedule.go_down(
+            deadline,
+            self._requested,
+            self._commands.last,
+            stands=self._feedforward.source.stands,
         ):
             self._stop_reason = self._stop_reason or self._requested
 
@@ -279,7 +279,7 @@ class StreamLoop:
 
     def _robot_unknown(self, now: int) -> str:
         """Why nothing is known of the robot now, or "" where it is."""
-        fault = self._safety.unknown(now, self._target_q)
+        fault = self._checks.unknown(now, self._target_q)
         skipped = self.report.skipped - self._skipped_when_measured
         if fault and skipped:
             fault += (
@@ -293,14 +293,13 @@ class StreamLoop:
             return self._stop_reason
         if unknown and phase is not Phase.WAIT:
             return self._others.of_state() or unknown
-        wrong = "" if unknown else self._safety.verdict()
-        if self._feedforward:
-            wrong = wrong or self._feedforward.verdict()
+        wrong = "" if unknown else self._checks.stop_reason
+        wrong = wrong or self._feedforward.stop_reason()
         if self._command_delay:
-            wrong = wrong or self._command_delay.verdict()
-        if wrong := wrong or self._overruns.verdict():
+            wrong = wrong or self._command_delay.stop_reason()
+        if wrong := wrong or self._overruns.stop_reason():
             return wrong
-        other = self._others.verdict(now, waiting=phase is Phase.WAIT)
+        other = self._others.stop_reason(now, waiting=phase is Phase.WAIT)
         if other and phase is Phase.WAIT:
             raise SafetyError(
                 f"There is {other}; nothing was sent.",
@@ -314,12 +313,10 @@ class StreamLoop:
         if before.phase is Phase.PLAY:
             self.report.played = self.state.since - before.since
         if phase is Phase.RAMP and measured is not None:
-            self._safety.begin()
+            self._checks.begin()
             self._commands.begin(measured, self._link.support(), self._link.model())
-            if self._feedforward:
-                self.report.begin(self._feedforward)
         elif phase is Phase.DAMP:
-            self._commands.damp()
+            self._commands.composer.damp()
         change = f"{before.phase.name} -> {phase.name}"
         reason = self.state.reason if before.phase < Phase.DAMP else ""
         level = logging.INFO
@@ -331,7 +328,7 @@ class StreamLoop:
 
     def _prepare(self, deadline: int) -> None:
         self._commands.prepare(deadline, self._clock.now(), self._measured)
-        self._stop_reason = self._stop_reason or self._commands.limits.fault
+        self._stop_reason = self._stop_reason or self._commands.composer.limits.fault
 
     def _abort(self, error: BaseException) -> None:
         """The loop itself has failed: damp at the last valid target, whatever its state was."""
@@ -354,7 +351,7 @@ class StreamLoop:
 
     def _damp(self, target: Target, deadline: int) -> None:
         """Damp for as long as configured, and only then raise what failed meanwhile."""
-        self._commands.damp()  # the loop may have failed between DAMP and its gains
+        self._commands.composer.damp()  # the loop may have failed between DAMP and its gains
         failure: BaseException | None = None
         for _ in range(-(-self._schedule.damp // self._period)):
             try:
@@ -367,3 +364,68 @@ class StreamLoop:
                 deadline += self._period
         if failure:
             raise failure
+
+
+def make_loop(
+    plan: Plan, link: Link, clock: Clock, *, settle: int = round(SETTLE * 1e9)
+) -> StreamLoop:
+    """The loop that plays what is planned, not yet running.
+
+    Args:
+        plan: what is played, on what, and how.
+        link: the wire.
+        clock: now, stamp and sleep_until.
+        settle: how long other publishers are waited for before the first command, ns.
+
+    Raises:
+        ConfigError: the margin to the limits leaves no range for a joint, or a setting names no
+            button of the remote.
+    """
+    config, settings, robot, source = plan.config, plan.config.stream, plan.robot, plan.source
+    period = settings.period
+    limits = CommandLimits(robot, config.safety, settings.beyond_limits)
+    composer = Composer(limits, plan.gains, settings.damp_kd, plan.played, robot.present)
+    if plan.topic is ARM_SDK:
+        composer = ArmSdkComposer(limits, plan.gains, plan.played, plan.held, period)
+    timing = Timing.from_config(settings, plan.interval.length, settle + period)
+    if way_down := source.way_down:
+        hold = max(timing.hold, COAST_NS)
+        timing = replace(timing, hold=hold, way_down=round(1e9 * way_down.length))
+    targets = Targets(
+        plan.trajectory,
+        start=plan.interval.start,
+        # A source with a way down has changed the motion of the others.
+        played=None if way_down else plan.played,
+        lift=source.lift,
+        way_down=way_down,
+    )
+    schedule = Schedule(targets, timing, period, settings.ramp_speed)
+    feedforward = FeedForward(
+        settings.feedforward,
+        settings.support,
+        source=source,
+        limit=robot.torque_limit * plan.held,
+        period=period / 1e9,
+        preview=settings.preview,
+        time_scale=settings.time_scale,
+        onboard=settings.via == "arm_sdk",
+    )
+    delay = None if plan.topic is ARM_SDK else CommandDelay(balanced=source.needed)
+    return StreamLoop(
+        link,
+        clock,
+        schedule,
+        NextCommand(
+            schedule,
+            composer,
+            feedforward,
+            period=period,
+            soft_start=round(settings.soft_start * 1e9),
+        ),
+        LowStateChecks(robot, config.safety, period, plan.held),
+        Overruns(period, config.safety),
+        period=period,
+        allow_second_writer=config.safety.allow_second_writer,
+        topic=plan.topic,
+        command_delay=delay,
+    )

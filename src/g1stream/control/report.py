@@ -1,24 +1,35 @@
-"""The counters of a run."""
+"""The counters of a run, and the ticks that its loop misses."""
 
 from __future__ import annotations
 
+import logging
+from collections import deque
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from g1stream.robot.joints import N_JOINTS, by_joint
-from g1stream.session.records import FeedForwardChange, Percentiles, StreamSummary
-from g1stream.types import Ints
+from g1stream.control.lowstate import state_timeout
+from g1stream.robot.joints import by_joint
+from g1stream.session.records import Percentiles, StreamSummary
+from g1stream.types import Ints, Phase
 
 if TYPE_CHECKING:
-    from g1stream.control.commands import CommandLimits
+    from g1stream.config import SafetyConfig
+    from g1stream.control.command_delay import CommandDelay
     from g1stream.control.feedforward import FeedForward
-    from g1stream.control.targets import Ramp
-    from g1stream.session.records import BalanceSummary
-    from g1stream.types import FeedForwardKind, StreamSupport
+    from g1stream.control.limits import CommandLimits
+    from g1stream.control.lowstate import LowStateChecks
+    from g1stream.control.schedule import Schedule
 
-__all__ = ["Lateness", "LoopReport"]
+__all__ = ["Lateness", "LoopReport", "Overruns"]
+
+_LOGGER = logging.getLogger(__name__)
+
+#: Missed ticks are counted over this time, and logged this often, ns.
+_SECOND: Final = 1_000_000_000
+#: A servo holds its last target for that long without harm, ns; a longer overrun is a warning.
+_LONG_OVERRUN: Final = 20_000_000
 
 
 class Lateness:
@@ -58,27 +69,19 @@ class Lateness:
 
 @dataclass
 class LoopReport:
-    """The counters of a run, whatever ended it.
+    """What happened in a run, whatever ended it: the loop's counters, and parts that know more.
 
     Attributes:
         period: ns between deadlines.
+        schedule: has the way to the first frame, and why the run ended early.
         limits: of the commands; they count what they have changed.
-        saturated: (29,) ticks at which each joint's feed-forward torque was held at its limit.
-        reason: why it ended early; empty when the motion was played to its end.
-        feedforward, support: of the commands, and how the robot was taken to be held; None until
-            RAMP begins.
-        feedforward_changes: when the torque was switched off and on again, in order.
-        preview: how far commands are ahead of the reference, s; None until RAMP begins.
-        balance: of a robot on its feet.
-        robot: name of the model that torques were computed with.
-        time_scale: median of simulated over real time, as measured.
-        command_delay: longest time that commands waited in a queue of the robot's end, s; 0: none,
-            None: unknown.
+        feedforward: what commands carried beside the position.
+        checks: count the LowStates that were dropped.
+        command_delay: longest time that commands waited in a queue of the robot's end; None: not
+            looked for.
         commands: LowCmds written.
         states: LowStates received, of those that were the newest at a tick.
-        crc_errors: of these, how many were dropped because of a wrong CRC.
         first_stamp, last_stamp: publish times of the first and last LowCmd, ns since the epoch.
-        ramp: the way to the first frame; None until it begins.
         played: length of PLAY, ns; 0 until it ends.
         delay: by which the motion ended later because of stalls, ns.
         skipped: ticks left out because they were a whole period late or more.
@@ -87,35 +90,25 @@ class LoopReport:
     """
 
     period: int
+    schedule: Schedule
     limits: CommandLimits
-    saturated: Ints = field(default_factory=lambda: np.zeros(N_JOINTS, np.int64))
-    reason: str = ""
-    feedforward: FeedForwardKind | None = None
-    support: StreamSupport | None = None
-    feedforward_changes: list[FeedForwardChange] = field(default_factory=list)
-    preview: float | None = None
-    balance: BalanceSummary | None = None
-    robot: str | None = None
-    time_scale: float | None = None
-    command_delay: float | None = None
+    feedforward: FeedForward
+    checks: LowStateChecks
+    command_delay: CommandDelay | None = None
     commands: int = 0
     states: int = 0
-    crc_errors: int = 0
     first_stamp: int = 0
     last_stamp: int = 0
-    ramp: Ramp | None = None
     played: int = 0
     delay: int = 0
     skipped: int = 0
     worst_work: int = 0
     lateness: Lateness = field(default_factory=Lateness)
 
-    def begin(self, feedforward: FeedForward) -> None:
-        """Take what a feed-forward has decided on, and its counters."""
-        self.feedforward = feedforward.kind
-        self.support = feedforward.support
-        self.preview = feedforward.preview
-        self.saturated, self.feedforward_changes = feedforward.saturated, feedforward.changes
+    @property
+    def reason(self) -> str:
+        """Why the run ended early; empty while it goes on, and where the motion ended it."""
+        return self.schedule.state.reason
 
     @property
     def rate(self) -> float | None:
@@ -123,9 +116,9 @@ class LoopReport:
         span = self.last_stamp - self.first_stamp
         return (self.commands - 1) * 1e9 / span if span > 0 else None
 
-    def summary(self) -> StreamSummary:
-        """The counters as a record for people and files."""
-        late = self.lateness
+    def summary(self, **about: Any) -> StreamSummary:
+        """The counters as a record for people and files; `about` has fields of others."""
+        late, ramp, feed = self.lateness, self.schedule.ramp, self.feedforward
         percentiles = None
         if late.n:
             p50, p99, p99_9 = map(late.percentile_us, (50.0, 99.0, 99.9))
@@ -138,23 +131,76 @@ class LoopReport:
             lateness_us=percentiles,
             skipped_ticks=self.skipped,
             worst_work_us=self.worst_work / 1e3,
-            ramp_s=self.ramp.length if self.ramp else None,
-            ramp_speed_rad_s=self.ramp.peak_speed if self.ramp else None,
-            ramp_joint=self.ramp.joint if self.ramp else None,
+            ramp_s=ramp.length / 1e9 if ramp else None,
+            ramp_speed_rad_s=ramp.peak_speed if ramp else None,
+            ramp_joint=ramp.joint if ramp else None,
             delay_s=self.delay / 1e9,
             clamped_ticks=by_joint(self.limits.clamped.tolist()),
             speed_limited_ticks=by_joint(self.limits.speed_limited.tolist()),
             torque_limited_ticks=by_joint(self.limits.torque_limited.tolist()),
-            saturated_ticks=by_joint(self.saturated.tolist()),
-            feedforward=self.feedforward,
-            support=self.support,
-            preview_s=self.preview,
-            feedforward_changes=self.feedforward_changes,
-            balance=self.balance,
-            robot=self.robot,
-            time_scale=self.time_scale,
-            command_delay_s=self.command_delay,
+            saturated_ticks=by_joint(feed.saturated.tolist()),
+            feedforward=feed.kind,
+            support=feed.support,
+            preview_s=feed.preview if feed.kind else None,
+            feedforward_changes=feed.changes,
+            balance=feed.source.summary,
+            robot=feed.source.name,
+            time_scale=feed.scale.median if feed.scale else None,
+            command_delay_s=self.command_delay.longest if self.command_delay else None,
             states_used=self.states,
-            states_wrong_crc=self.crc_errors,
+            states_wrong_crc=self.checks.crc_errors,
             lateness_histogram_us=late.sparse(),
+            **about,
+        )
+
+
+class Overruns:
+    """Counts ticks that were skipped because they were a whole period late or more.
+
+    Args:
+        period: ns between ticks.
+        config: the thresholds.
+    """
+
+    def __init__(self, period: int, config: SafetyConfig) -> None:
+        self._ticks_per_second = _SECOND / period
+        self._share = config.max_missed_ticks
+        self._timeout, self._timeout_words = state_timeout(config)
+        self._recent: deque[tuple[int, int]] = deque()
+        self._skipped = 0
+        self._longest = self._logged = self._next_log = 0
+
+    def count(self, now: int, skipped: int, phase: Phase) -> None:
+        """Take the number of ticks skipped so far, at `now`, ns, and log those that are new.
+
+        They are logged at once, then at most once a second; in DONE, all of them.
+        """
+        if new := skipped - self._skipped:
+            self._skipped = skipped
+            self._recent.append((now, new))
+        while self._recent and now - self._recent[0][0] >= _SECOND:
+            self._recent.popleft()
+        if skipped == self._logged or (now < self._next_log and phase is not Phase.DONE):
+            return
+        new, self._logged, self._next_log = skipped - self._logged, skipped, now + _SECOND
+        level = logging.WARNING if self._longest >= _LONG_OVERRUN else logging.INFO
+        self._longest = 0
+        _LOGGER.log(level, "overrun: ticks skipped: %d, %d in total", new, skipped)
+
+    def stalled(self, gap: int) -> str:
+        """Why the session must end after deadlines were missed for `gap` ns, or ""."""
+        self._longest = max(self._longest, gap)
+        if gap / 1e9 <= self._timeout:
+            return ""
+        return f"the loop stalled for {gap / 1e9:.3f} s on this machine ({self._timeout_words})"
+
+    def stop_reason(self) -> str:
+        """Why the session must end because of the ticks missed in the last second, or ""."""
+        missed = sum(new for _, new in self._recent)
+        if missed <= self._share * self._ticks_per_second:
+            return ""
+        return (
+            f"the loop missed {missed} of {self._ticks_per_second:.0f} ticks within a second on "
+            f"this machine (limit safety.max_missed_ticks = {self._share:g} of them); a "
+            "lower stream.rate needs less CPU time"
         )

@@ -1,22 +1,30 @@
-"""Where a session is, and the target of any of its times; pure."""
+"""The phases of a session, and its target at any time; pure.
+
+    WAIT ──> RAMP ──> PLAY ──> HOLD ──> DAMP ──> DONE
+      │        └────────┴────────┴───────^         ^
+      └────────────────────────────────────────────┘  (before the first command)
+
+Whatever ends a session after its first command, an error, a signal or a watchdog, passes through
+DAMP. Time comes in as an argument, in integer nanoseconds of one monotonic clock.
+"""
 
 from __future__ import annotations
 
 import logging
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from math import inf
 from typing import TYPE_CHECKING, Final
 
-from g1stream.control.phases import Inputs, PhaseState, Timing, step
-from g1stream.motion.blend import COAST, minimum_jerk
+from g1stream.control.targets import COAST_NS, Ramp, Timing
 from g1stream.types import Phase
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from g1stream.control.targets import Ramp, Target, Targets
+    from g1stream.control.targets import Target, Targets
 
-__all__ = ["Schedule"]
+__all__ = ["Inputs", "PhaseState", "Schedule", "step"]
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -26,24 +34,94 @@ _TOLD_AGAIN: Final = 3_000_000_000
 _FOREVER: Final = 1 << 62
 
 
+@dataclass(frozen=True)
+class Inputs:
+    """What the state machine is told at a tick.
+
+    Attributes:
+        missing: what the first command still waits for; empty if nothing.
+        stop: why the session must end now; empty if it may continue.
+    """
+
+    missing: str = ""
+    stop: str = ""
+
+
+@dataclass(frozen=True)
+class PhaseState:
+    """The phase, when it began (ns), and why the session ends early ("" if it does not)."""
+
+    phase: Phase
+    since: int
+    reason: str = ""
+
+    def elapsed(self, now: int) -> int:
+        """Time since the phase began, ns."""
+        return now - self.since
+
+
+def step(now: int, state: PhaseState, inputs: Inputs, timing: Timing) -> PhaseState:
+    """The state at `now`.
+
+    A phase with a fixed length ends exactly then, and the next one begins there, so that a late
+    tick shifts nothing. Several short phases may pass in one step, but DAMP begins at `now`: it
+    lasts its full time however late the tick is.
+    """
+    if inputs.stop and state.phase < Phase.DAMP:
+        after = Phase.DONE if state.phase is Phase.WAIT else Phase.DAMP
+        return PhaseState(after, now, inputs.stop)
+    if state.phase is Phase.WAIT:
+        return _leave_wait(now, state, inputs, timing)
+    while (end := _end_of(state, timing)) is not None and now >= end:
+        following = Phase(state.phase + 1)
+        state = replace(state, phase=following, since=now if following is Phase.DAMP else end)
+    return state
+
+
+def _leave_wait(now: int, state: PhaseState, inputs: Inputs, timing: Timing) -> PhaseState:
+    elapsed = state.elapsed(now)
+    if not inputs.missing and elapsed >= timing.settle:
+        return PhaseState(Phase.RAMP, now)
+    if inputs.missing and elapsed >= timing.wait:
+        waited = f"waited for stream.wait = {timing.wait / 1e9:g} s"
+        return PhaseState(Phase.DONE, now, f"{inputs.missing} ({waited})")
+    return state
+
+
+def _end_of(state: PhaseState, timing: Timing) -> int | None:
+    length = {
+        Phase.RAMP: timing.ramp + timing.awaited,
+        Phase.PLAY: timing.play,
+        Phase.HOLD: timing.hold + timing.way_down,
+        Phase.DAMP: timing.damp,
+    }.get(state.phase)
+    return None if length is None else state.since + length
+
+
 class Schedule:
     """The phase of a session, its lengths, and its targets. All times are ns of one clock.
 
     Args:
         targets: the target of each phase.
-        timing: length of each phase.
+        timing: length of each phase; of RAMP, the shortest.
         period: between commands.
+        ramp_speed: highest speed of a joint on the way to the first frame, rad/s.
 
     Attributes:
         state: the current phase. It may be set.
+        ramp: the way to the first frame; None until RAMP begins.
     """
 
-    def __init__(self, targets: Targets, timing: Timing, period: int) -> None:
+    def __init__(
+        self, targets: Targets, timing: Timing, period: int, ramp_speed: float = inf
+    ) -> None:
         self._targets = targets
         self._timing = timing
         self._period = period
+        self._least_ramp, self._ramp_speed = timing.ramp, ramp_speed
         self._told = -_TOLD_AGAIN  # when in RAMP it was said that it waits
         self.state = PhaseState(Phase.WAIT, 0)
+        self.ramp: Ramp | None = None
 
     @property
     def first(self) -> Target:
@@ -63,56 +141,61 @@ class Schedule:
         """The phase ends later by `gap`."""
         self.state = replace(self.state, since=self.state.since + gap)
 
-    def begin_ramp(self, q: NDArray[np.floating]) -> Ramp:
+    def begin_ramp(self, q: NDArray[np.floating]) -> None:
         """RAMP begins at the measured pose `q` (29,), rad."""
-        ramp = self._targets.begin(q)
-        self._timing = replace(self._timing, ramp=round(ramp.length * 1e9))
+        distance = self._targets.begin(q)
+        self.ramp = Ramp.for_distance(distance, self._least_ramp, self._ramp_speed)
+        self._timing = replace(self._timing, ramp=self.ramp.length, awaited=0)
         self._told = -_TOLD_AGAIN
-        return ramp
 
     def wait_in_ramp(self, now: int, awaited: str) -> None:
         """Let RAMP end, at rest, no earlier than what is `awaited` has come; "" if nothing is."""
         elapsed = self.state.elapsed(now)
-        end = elapsed + self._period + round(COAST * 1e9)
-        if not awaited or self.state.reason or end <= self._timing.ramp:
+        longer = elapsed + self._period + COAST_NS - self._timing.ramp
+        if not awaited or self.state.reason or longer <= self._timing.awaited:
             return
         if elapsed >= self._told + _TOLD_AGAIN:
             self._told = elapsed
             _LOGGER.info("RAMP waits: %s", awaited)
-        self._timing = replace(self._timing, ramp=end)
-        self._targets.ramp_end = end / 1e9
+        self._timing = replace(self._timing, awaited=longer)
 
-    def squat_down(self, now: int, reason: str, *, stands: bool) -> bool:
-        """End with a squat, now or as soon as both feet stand; False if the robot cannot squat.
+    def go_down(self, now: int, reason: str, last: Target, *, stands: bool) -> bool:
+        """End with the way down, now or as soon as it is possible; False if there is none.
 
-        To be called at every tick until the end. From RAMP a robot can if it `stands`: RAMP waits
-        no longer, and PLAY has no length.
+        To be called at every tick until the end. From RAMP a robot can go down if it `stands`: RAMP
+        waits no longer, and PLAY has no length.
+
+        Args:
+            now: the time.
+            reason: why the session ends.
+            last: the newest target.
+            stands: whether the robot is on its feet in RAMP already.
         """
-        state = self.state
+        state, way_down = self.state, self._targets.way_down
         phases = (Phase.RAMP, Phase.PLAY, Phase.HOLD) if stands else (Phase.PLAY, Phase.HOLD)
-        if not self._targets.squats or state.phase not in phases:
+        if way_down is None or state.phase not in phases:
             return bool(state.reason)
-        if not state.reason and self._targets.may_end():
+        if not state.reason and way_down.possible(last):
             play, elapsed = self._timing.play or 0, state.elapsed(now)
             if state.phase is not Phase.HOLD:
                 play, elapsed = elapsed if state.phase is Phase.PLAY else 0, 0
-            hold = min(self._timing.hold, max(elapsed, round(COAST * 1e9)))
-            self._targets.end(play / 1e9, hold / 1e9)
+            hold = min(self._timing.hold, max(elapsed, COAST_NS))
             self._timing = replace(self._timing, play=play, hold=hold)
             self.state = replace(state, reason=reason)
         return True
 
     def ramped(self, now: int) -> float:
-        """Progress of the ramp to the motion's first frame, 0 to 1."""
+        """Share of the time of the way to the first frame that has passed, 0 to 1."""
         if self.state.phase is not Phase.RAMP:
             return 1.0
-        return minimum_jerk(self.state.elapsed(now) / self._timing.ramp)[0]
+        return min(1.0, self.state.elapsed(now) / self._timing.ramp)
 
-    def target(self, now: int) -> Target:
-        """The target at a time in the current phase."""
-        return self._targets.at(self.state.phase, self.state.elapsed(now) / 1e9)
+    def target(self, now: int, last: Target) -> Target:
+        """The target at a time in the current phase; `last` is the one before it."""
+        return self._targets.at(self.state.phase, self.state.elapsed(now), self._timing, last)
 
-    def target_ahead(self, then: int) -> Target:
+    def target_ahead(self, then: int, last: Target) -> Target:
         """The target at a later time, in the phase of that time, if the session continues."""
-        state = step(then, self.state, Inputs(), replace(self._timing, hold=_FOREVER))
-        return self._targets.at(state.phase, state.elapsed(then) / 1e9)
+        endless = replace(self._timing, way_down=_FOREVER)
+        state = step(then, self.state, Inputs(), endless)
+        return self._targets.at(state.phase, state.elapsed(then), self._timing, last)

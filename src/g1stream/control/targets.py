@@ -1,10 +1,10 @@
-"""From the phase and the motion to what is asked of each joint and the root; pure."""
+"""What is asked of each joint and the root in each phase, at any time; pure."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from math import inf
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 import numpy as np
 
@@ -14,46 +14,34 @@ from g1stream.robot.rotations import quat_from_axis_angle, quat_mul
 from g1stream.types import Floats, Phase
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
-    from g1stream.extras.feet.squat import Squat
+    from g1stream.config import StreamConfig
     from g1stream.motion.spline import TrajectoryPoint
     from g1stream.motion.trajectory import Trajectory
 
-__all__ = ["LOWERED", "Ramp", "Target", "Targets"]
+__all__ = ["COAST_NS", "LOWERED", "Ramp", "Target", "Targets", "Timing", "WayDown"]
 
 LOWERED: Final = 0.9
 """Share of RAMP in which a lifted pelvis is lowered."""
 
-_N: Final = N_JOINTS
+COAST_NS: Final = round(COAST * 1e9)
+"""In this time, ns, a velocity is built up at the end of RAMP, and dies away in HOLD."""
+
+_NO_MOTION: Final = np.zeros(3)
 _NO_TORQUE: Final = np.zeros(N_JOINTS)
-
-
-class _Part:
-    """Named access to a range of a target's values."""
-
-    def __init__(self, start: int, length: int) -> None:
-        self._where = slice(start, start + length)
-
-    def __get__(self, target: Any, _: type | None = None) -> Floats:
-        part: Floats = target.values[self._where]
-        return part
-
-
-#: Parts of `Target.values` that have the units of a velocity, and of an acceleration.
-_VELOCITIES: Final = (slice(_N, 2 * _N), slice(4 * _N + 7, 4 * _N + 13))
-_ACCELERATIONS: Final = (slice(2 * _N, 3 * _N), slice(4 * _N + 13, 4 * _N + 19))
+for _zeros in (_NO_MOTION, _NO_TORQUE):
+    _zeros.setflags(write=False)  # all targets at rest share them
 
 
 @dataclass(frozen=True)
 class Target:
-    """The desired state of joints and root at one instant, as one array with named parts.
-
-    One array, so that the loop copies it into a message in one step.
+    """The desired state of joints and root at one instant; its arrays are not written to.
 
     Attributes:
         motion_time: s since the motion's first frame.
-        values: (135,) the parts below in order; the fields of the Reference message come first.
         q, dq, ddq, tau: (29,) rad, rad/s, rad/s^2, N·m, motor order.
         root_pos: (3,) m, world.
         root_quat_wxyz: (4,) pelvis to world.
@@ -62,104 +50,154 @@ class Target:
         root_lin_acc: (3,) m/s^2, world, without gravity; not published.
         root_ang_acc: (3,) rad/s^2, pelvis frame, the time derivative of `root_ang_vel`; not
             published.
-        published: (129,) all parts before those two.
     """
 
     motion_time: float
-    values: Floats
+    q: Floats
+    dq: Floats
+    ddq: Floats
+    tau: Floats
+    root_pos: Floats
+    root_quat_wxyz: Floats
+    root_lin_vel: Floats
+    root_ang_vel: Floats
+    root_lin_acc: Floats
+    root_ang_acc: Floats
 
-    q = _Part(0, _N)
-    dq = _Part(_N, _N)
-    ddq = _Part(2 * _N, _N)
-    tau = _Part(3 * _N, _N)
-    root_pos = _Part(4 * _N, 3)
-    root_quat_wxyz = _Part(4 * _N + 3, 4)
-    root_lin_vel = _Part(4 * _N + 7, 3)
-    root_ang_vel = _Part(4 * _N + 10, 3)
-    root_lin_acc = _Part(4 * _N + 13, 3)
-    root_ang_acc = _Part(4 * _N + 16, 3)
-    published = _Part(0, 4 * _N + 13)
-
-    @property
-    def q_dq(self) -> Floats:
-        """(2, 29) q and dq."""
-        return self.values[: 2 * _N].reshape(2, _N)
-
-    @staticmethod
-    def of(time: float, point: TrajectoryPoint) -> Target:
+    @classmethod
+    def from_point(cls, time: float, point: TrajectoryPoint) -> Target:
         """The target at motion time `time`, s, from a sample of the trajectory; zero torque."""
-        values = np.concatenate(
-            (
-                point.joint_pos,
-                point.joint_vel,
-                point.joint_acc,
-                _NO_TORQUE,
-                point.root_pos,
-                point.root_quat_wxyz,
-                point.root_lin_vel,
-                point.root_ang_vel,
-                point.root_lin_acc,
-                point.root_ang_acc,
-            )
+        for array in point:
+            array.setflags(write=False)  # one target is shared by several callers
+        return cls(
+            time,
+            point.joint_pos,
+            point.joint_vel,
+            point.joint_acc,
+            _NO_TORQUE,
+            point.root_pos,
+            point.root_quat_wxyz,
+            point.root_lin_vel,
+            point.root_ang_vel,
+            point.root_lin_acc,
+            point.root_ang_acc,
         )
-        values.setflags(write=False)  # one target is shared by several callers
-        return Target(time, values)
-
-    def replace(self, **parts: Floats | float) -> Target:
-        """A copy with other values in the named parts."""
-        other = Target(self.motion_time, self.values.copy())
-        for name, values in parts.items():
-            getattr(other, name)[:] = values
-        return other
 
     def slowed(self, scale: float) -> Target:
         """The target in a time that passes `scale` times as fast; the same object if that is 1."""
         if scale == 1.0:
             return self
-        values = self.values.copy()
-        for part in _VELOCITIES:
-            values[part] *= 1.0 / scale
-        for part in _ACCELERATIONS:
-            values[part] *= 1.0 / scale**2
-        return Target(self.motion_time, values)
+        per_s, per_s2 = 1.0 / scale, 1.0 / scale**2
+        return replace(
+            self,
+            dq=per_s * self.dq,
+            ddq=per_s2 * self.ddq,
+            root_lin_vel=per_s * self.root_lin_vel,
+            root_ang_vel=per_s * self.root_ang_vel,
+            root_lin_acc=per_s2 * self.root_lin_acc,
+            root_ang_acc=per_s2 * self.root_ang_acc,
+        )
 
     def at_rest(self) -> Target:
         """A copy with the same pose and zero velocity, acceleration and torque."""
-        moving = ("root_lin_vel", "root_ang_vel", "root_lin_acc", "root_ang_acc")
-        return self.replace(dq=0.0, ddq=0.0, tau=0.0, **dict.fromkeys(moving, 0.0))
+        return replace(
+            self,
+            dq=_NO_TORQUE,
+            ddq=_NO_TORQUE,
+            tau=_NO_TORQUE,
+            root_lin_vel=_NO_MOTION,
+            root_ang_vel=_NO_MOTION,
+            root_lin_acc=_NO_MOTION,
+            root_ang_acc=_NO_MOTION,
+        )
 
 
 class Ramp(NamedTuple):
     """The way from the measured pose to the first frame.
 
     Attributes:
-        length: s.
+        length: ns.
         joint: the one with the longest way.
         distance: of that joint, rad, signed.
     """
 
-    length: float
+    length: int
     joint: str
     distance: float
 
     @property
     def peak_speed(self) -> float:
         """Highest speed of that joint, rad/s; its speed at the first frame comes on top."""
-        return MINIMUM_JERK_PEAK * abs(self.distance) / self.length
+        return MINIMUM_JERK_PEAK * abs(self.distance) / (self.length / 1e9)
 
     @classmethod
-    def of(cls, distance: Floats, least: float, speed: float) -> Ramp:
-        """The shortest ramp of at least `least` seconds in which no joint passes `speed`, rad/s.
+    def for_distance(cls, distance: Floats, least: int, speed: float) -> Ramp:
+        """The shortest ramp of at least `least` ns in which no joint passes `speed`, rad/s.
 
         Args:
             distance: (29,) from the measured pose to the first frame, rad.
-            least: s.
+            least: ns.
             speed: rad/s.
         """
         joint = int(np.abs(distance).argmax())
         furthest = float(distance[joint])
-        length = max(least, MINIMUM_JERK_PEAK * abs(furthest) / speed)
+        length = max(least, round(1e9 * MINIMUM_JERK_PEAK * abs(furthest) / speed))
         return cls(length, JOINT_NAMES[joint], furthest)
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Length of each phase, ns.
+
+    Attributes:
+        wait: WAIT ends the session after this time.
+        ramp: of the way to the first frame.
+        play: of PLAY; None: until stopped.
+        hold, damp: of these phases.
+        settle: WAIT lasts at least this long, so that other publishers of LowCmd are discovered.
+        awaited: RAMP lasts longer by this: it rests at the first frame until `COAST_NS` before its
+            end.
+        way_down: HOLD lasts longer by this, in which a robot on its feet goes down.
+    """
+
+    wait: int
+    ramp: int
+    play: int | None
+    hold: int
+    damp: int
+    settle: int = 0
+    awaited: int = 0
+    way_down: int = 0
+
+    @classmethod
+    def from_config(cls, settings: StreamConfig, play: float | None, settle: int) -> Timing:
+        """The timing of a config; `play` in s, `settle` in ns."""
+        wait, ramp, hold, damp = (
+            round(1e9 * seconds)
+            for seconds in (settings.wait, settings.ramp, settings.hold, settings.damp)
+        )
+        return cls(wait, ramp, None if play is None else round(1e9 * play), hold, damp, settle)
+
+
+class WayDown(Protocol):
+    """How a robot that is on its feet goes down before it is damped.
+
+    Attributes:
+        length: s.
+    """
+
+    length: float
+
+    def possible(self, target: Target) -> bool:
+        """Whether it can begin at a target."""
+
+    def plan(self, standing: Target) -> Callable[[float, Floats], Target]:
+        """The way down from a target at rest.
+
+        Returns:
+            A function: from s since the way down began, and the joints (29,) of the target before
+            that, rad, to the target.
+        """
 
 
 class Targets:
@@ -171,20 +209,15 @@ class Targets:
     Args:
         trajectory: the motion.
         start: motion time at which PLAY begins, s.
-        play: how much of the motion is played, s; None: until stopped.
-        ramp: shortest length of RAMP, s.
-        ramp_speed: highest speed of a joint on the way to the first frame, rad/s.
         played: (29,) which joints play the motion, all if None; the others keep the pose from which
             RAMP starts.
         lift: m by which the pelvis is higher when RAMP begins: a simulator that holds it there
             lowers the robot onto its feet with it.
-        squat: the way down, for a robot that is on its feet.
-        hold: s of HOLD before that way down.
+        way_down: with which HOLD ends; None: it only rests.
 
     Attributes:
         first: the target at `start`.
-        ramp_end: when RAMP ends, s after it began. It may be set to later than `begin` sets it:
-            RAMP then rests at the first frame until `COAST` before that.
+        way_down: as given.
     """
 
     def __init__(
@@ -192,107 +225,92 @@ class Targets:
         trajectory: Trajectory,
         *,
         start: float,
-        play: float | None,
-        ramp: float,
-        ramp_speed: float = inf,
         played: NDArray[np.bool_] | None = None,
         lift: float = 0.0,
-        squat: Squat | None = None,
-        hold: float = 0.0,
+        way_down: WayDown | None = None,
     ) -> None:
         self._trajectory = trajectory
         self._start = start
-        self._play = play
-        self._least_ramp = self._ramp = self.ramp_end = ramp
-        self._ramp_speed = ramp_speed
         self._played = None if played is None or played.all() else played
         self._lift = np.array([0.0, 0.0, lift])
-        self._squat, self._hold = squat, max(hold, COAST)
-        self._down = False
+        self.way_down = way_down
         self._from: Floats | None = None
-        self.first = Target.of(start, trajectory.sample(start))
-        self._last = self.first.at_rest()
-        self._sampled = self.first
+        self.first = Target.from_point(start, trajectory.sample(start))
+        # With a preview of one period, each time is asked for twice in a row.
+        self._playing = lru_cache(maxsize=1)(self._sample)
+        self._planned = lru_cache(maxsize=1)(self._plan_way_down)
 
-    def begin(self, q: NDArray[np.floating]) -> Ramp:
-        """Set the measured pose (29,) from which RAMP starts, rad, and return the ramp."""
+    def begin(self, q: NDArray[np.floating]) -> Floats:
+        """Set the measured pose (29,) from which RAMP starts, rad; gives the way to `first`."""
         self._from = np.asarray(q, dtype=np.float64).copy()
-        self.first = self._sampled = self._of_played(self.first)
-        ramp = Ramp.of(self.first.q - self._from, self._least_ramp, self._ramp_speed)
-        self._ramp = self.ramp_end = ramp.length
-        return ramp
+        self.first = self._of_played(self.first)
+        self._playing.cache_clear()
+        return self.first.q - self._from
 
-    def at(self, phase: Phase, elapsed: float) -> Target:
-        """The target `elapsed` seconds into a phase.
+    def at(self, phase: Phase, elapsed: int, timing: Timing, last: Target) -> Target:
+        """The target `elapsed` ns into a phase.
 
         Args:
             phase: RAMP, PLAY, HOLD or DAMP.
-            elapsed: s since the phase began.
+            elapsed: ns since the phase began.
+            timing: length of each phase.
+            last: the target before this one, which DAMP keeps, and the way down goes on from.
         """
         if phase is Phase.PLAY:
-            self._last = self._playing(elapsed)
-        elif phase is Phase.RAMP:
-            self._last = self._ramping(elapsed)
-        elif phase is Phase.HOLD:
-            self._last = self._holding(elapsed)
-        else:
-            self._last = self._last.at_rest()
-        return self._last
+            return self._playing(self._time(elapsed, timing))
+        if phase is Phase.RAMP:
+            return self._ramping(elapsed, timing)
+        if phase is Phase.HOLD:
+            return self._holding(elapsed, timing, last)
+        return last.at_rest()
 
-    @property
-    def squats(self) -> bool:
-        """Whether HOLD ends in a squat."""
-        return self._squat is not None
+    def _time(self, elapsed: int, timing: Timing) -> float:
+        """The motion time `elapsed` ns into PLAY, s."""
+        return self._start + (elapsed if timing.play is None else min(elapsed, timing.play)) / 1e9
 
-    def may_end(self) -> bool:
-        """Whether the newest target is one to squat down from: both feet stand."""
-        return self._squat is not None and self._squat.possible(self._last)
-
-    def end(self, play: float, hold: float) -> None:
-        """PLAY has ended, or ends, after `play` s, and the way down begins `hold` s later."""
-        self._play, self._hold = play, max(hold, COAST)
-
-    def _holding(self, elapsed: float) -> Target:
-        if self._squat is None or elapsed < self._hold:
-            return _coasting(self._playing(self._play or 0.0), *coast(elapsed, COAST))
-        if not self._down:
-            self._down = True
-            self._squat.begin(self._playing(self._play or 0.0).at_rest())
-        return self._squat.at(elapsed - self._hold)
-
-    def _playing(self, elapsed: float) -> Target:
-        time = self._start + (elapsed if self._play is None else min(elapsed, self._play))
-        # With a preview of one period, each time is asked for twice in a row.
-        if time != self._sampled.motion_time:
-            self._sampled = self._of_played(Target.of(time, self._trajectory.sample(time)))
-        return self._sampled
+    def _sample(self, time: float) -> Target:
+        return self._of_played(Target.from_point(time, self._trajectory.sample(time)))
 
     def _of_played(self, target: Target) -> Target:
         """The target with the joints that are not played at rest where RAMP starts."""
         played = self._played
         if played is None or self._from is None:
             return target
-        return target.replace(
+        return replace(
+            target,
             q=np.where(played, target.q, self._from),
             dq=np.where(played, target.dq, 0.0),
             ddq=np.where(played, target.ddq, 0.0),
         )
 
-    def _ramping(self, elapsed: float) -> Target:
+    def _ramping(self, elapsed: int, timing: Timing) -> Target:
         if self._from is None:
             raise RuntimeError("RAMP has no start pose: call begin() first")
-        left = max(0.0, self.ramp_end - elapsed)
-        way, rate, acceleration = coast(left, min(COAST, self._ramp))  # braking in reverse
+        left, length = max(0, timing.ramp + timing.awaited - elapsed) / 1e9, timing.ramp / 1e9
+        way, rate, acceleration = coast(left, min(COAST, length))  # braking in reverse
         goal = _coasting(self.first, -way, rate, -acceleration)
-        progress, speed, change = minimum_jerk(elapsed / self._ramp)
+        passed = elapsed / timing.ramp
+        progress, speed, change = minimum_jerk(passed)
         distance = self.first.q - self._from
-        lifted = 1.0 - minimum_jerk(elapsed / (LOWERED * self._ramp))[0]
-        return goal.replace(
+        lifted = 1.0 - minimum_jerk(passed / LOWERED)[0]
+        return replace(
+            goal,
             root_pos=goal.root_pos + lifted * self._lift,
             q=self._from + progress * distance - way * self.first.dq,
-            dq=goal.dq + speed / self._ramp * distance,
-            ddq=goal.ddq + change / self._ramp**2 * distance,
+            dq=goal.dq + speed / length * distance,
+            ddq=goal.ddq + change / length**2 * distance,
         )
+
+    def _holding(self, elapsed: int, timing: Timing, last: Target) -> Target:
+        end = self._time(timing.play or 0, timing)
+        if self.way_down is None or elapsed < timing.hold:
+            return _coasting(self._playing(end), *coast(elapsed / 1e9, COAST))
+        return self._planned(end)((elapsed - timing.hold) / 1e9, last.q)
+
+    def _plan_way_down(self, time: float) -> Callable[[float, Floats], Target]:
+        if self.way_down is None:
+            raise RuntimeError("there is no way down")
+        return self.way_down.plan(self._playing(time).at_rest())
 
 
 def _coasting(target: Target, way: float, rate: float, acceleration: float) -> Target:
@@ -300,7 +318,8 @@ def _coasting(target: Target, way: float, rate: float, acceleration: float) -> T
     turn, quat = target.root_ang_vel, target.root_quat_wxyz
     if way and (angle := float(np.linalg.norm(turn))):
         quat = quat_mul(quat, quat_from_axis_angle(turn / angle, np.asarray(way * angle)))
-    return target.replace(
+    return replace(
+        target,
         q=target.q + way * target.dq,
         dq=rate * target.dq,
         ddq=acceleration * target.dq,

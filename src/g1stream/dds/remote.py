@@ -117,7 +117,7 @@ class Operator:
             return f"{self._deadman} is not held on the remote (safety.deadman)"
         return self._stop(buttons)
 
-    def verdict(self, buttons: int) -> str:
+    def stop_reason(self, buttons: int) -> str:
         """Why the session must end, or "", once the robot is commanded."""
         if stop := self._stop(buttons):
             return stop

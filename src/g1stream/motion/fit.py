@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from g1stream.motion.motion import Motion
     from g1stream.robot.model import G1
 
-__all__ = ["Playable", "fit_to_robot"]
+__all__ = ["Fit", "fit_to_robot", "require_radians"]
 
 #: Joints that an error names.
 _NAMED: Final = 3
@@ -27,7 +27,7 @@ _NAMED: Final = 3
 _ATTEMPTS: Final = 5
 
 
-class Playable(NamedTuple):
+class Fit(NamedTuple):
     """A motion that may be played.
 
     Attributes:
@@ -43,7 +43,7 @@ class Playable(NamedTuple):
     events: tuple[tuple[int, str], ...] = ()
 
 
-def fit_to_robot(motion: Motion, robot: G1, config: Config, *, simulated: bool) -> Playable:
+def fit_to_robot(motion: Motion, robot: G1, config: Config, *, simulated: bool) -> Fit:
     """The motion as it may be played with these settings.
 
     With `stream.beyond_limits` = `scale-time`, a motion that is too fast is slowed evenly, as a
@@ -67,32 +67,39 @@ def fit_to_robot(motion: Motion, robot: G1, config: Config, *, simulated: bool) 
             f"stream.beyond_limits = anyway on {config.dds.interface}: there may be a robot.",
             "Use --scale-time or --clamp, or the loopback interface lo.",
         )
-    playable, report = _check(motion, robot, config, 1.0)
-    if not report.in_radians:
-        raise MotionError(
-            f"{motion.name} is not in radians: it looks as if {report.suspicion}.",
-            "Convert the joint angles to radians.",
-        )
+    fit, report = _check(motion, robot, config, 1.0)
+    require_radians(report)
     for _ in range(_ATTEMPTS * (beyond == "scale-time")):
         if report.frames_beyond or report.within_limits:
             break
         # The whole motion decides, so that each part of it is slowed alike.
-        whole = _of_played(playable.trajectory.motion, robot, config)
+        whole = _of_played(fit.trajectory.motion, robot, config)
         whole_report = check_motion(whole, robot, rate=config.stream.rate)
         fastest = max(
             (report.streamed.speeds[0], whole_report.streamed.speeds[0]),
             key=lambda s: s.value / s.limit,
         )
-        factor = ceil(1000.0 * playable.slowed * fastest.value / fastest.limit) / 1000.0
-        playable, report = _check(motion, robot, config, factor)
+        factor = ceil(1000.0 * fit.slowed * fastest.value / fastest.limit) / 1000.0
+        fit, report = _check(motion, robot, config, factor)
     if beyond not in ("clamp", "anyway") and not report.within_limits:
         raise _refused(report, slowing=beyond == "scale-time")
-    return playable
+    return fit
 
 
-def _check(
-    motion: Motion, robot: G1, config: Config, slowed: float
-) -> tuple[Playable, MotionReport]:
+def require_radians(report: MotionReport) -> None:
+    """Refuse a motion by its check.
+
+    Raises:
+        MotionError: the joint angles cannot be radians.
+    """
+    if not report.in_radians:
+        raise MotionError(
+            f"{report.name} is not in radians: it looks as if {report.suspicion}.",
+            "Convert the joint angles to radians.",
+        )
+
+
+def _check(motion: Motion, robot: G1, config: Config, slowed: float) -> tuple[Fit, MotionReport]:
     events: list[tuple[int, str]] = []
     if robot.warning:
         events.append((logging.WARNING, robot.warning))
@@ -114,7 +121,7 @@ def _check(
         trajectory=trajectory if checked is motion else Trajectory(checked, loop=trajectory.loop),
         interval=interval,
     )
-    return Playable(trajectory, interval, slowed, (*events, *report.streamed.events)), report
+    return Fit(trajectory, interval, slowed, (*events, *report.streamed.events)), report
 
 
 def _of_played(motion: Motion, robot: G1, config: Config) -> Motion:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from g1stream.control.state_checks import ImuReading
+from g1stream.control.reading import ImuReading, Reading
 from g1stream.control.targets import Target
-from g1stream.control.torques import Reading
 from g1stream.extras.feet.squat import Squat
 from g1stream.extras.physics.stance import stand
 from g1stream.motion.readers import load_motion
@@ -29,7 +30,9 @@ ANKLES = [JOINT_NAMES.index(f"{side}_ankle_pitch_joint") for side in ("left", "r
 
 @pytest.fixture(scope="module")
 def first():
-    return Target.of(0.0, Trajectory(stand(squatting(2.0), ROBOT).motion).sample(0.0)).at_rest()
+    return Target.from_point(
+        0.0, Trajectory(stand(squatting(2.0), ROBOT).motion).sample(0.0)
+    ).at_rest()
 
 
 @pytest.fixture
@@ -66,7 +69,7 @@ def test_at_rest_the_floor_carries_the_weight_evenly(balance, first):
 
 
 def test_a_target_that_is_lifted_before_the_feet_stand_pulls_nowhere(balance, first):
-    lifted = first.replace(root_pos=first.root_pos + np.array([0.0, 0.0, 0.4]))
+    lifted = replace(first, root_pos=first.root_pos + np.array([0.0, 0.0, 0.4]))
     low = balance.torque(first, reading(first), 0.0, planted=False)
     balance.begin(first)
     high = balance.torque(lifted, reading(first), 0.0, planted=False)
@@ -118,10 +121,10 @@ def test_feet_that_carry_nothing_are_given_up(balance, first):
 @pytest.mark.parametrize(("share", "falls"), [(0.9, False), (1.1, True)])
 def test_legs_that_give_way_are_given_up(balance, first, share, falls):
     """The pelvis sinks by about 0.1 m, upright, above soles that stay and carry it."""
-    squat = Squat(ROBOT)
-    squat.begin(first)
-    way_down = map(squat.at, PERIOD * np.arange(1000))
-    sunk = next(at for at in way_down if first.root_pos[2] - at.root_pos[2] > share * 0.1).at_rest()
+    target_at, sunk, k = Squat(ROBOT).plan(first), first, 0
+    while first.root_pos[2] - sunk.root_pos[2] <= share * 0.1:
+        sunk, k = target_at(k * PERIOD, sunk.q), k + 1
+    sunk = sunk.at_rest()
     tau = balance.torque(sunk, reading(sunk), 0.0, share=1.0)
     for _ in range(60):
         balance.torque(sunk, reading(sunk, tau), 0.0)
@@ -140,7 +143,7 @@ def test_the_worst_tilt_height_and_load_are_kept(balance, first):
     assert 0.03 < before.capture_margin_m < 0.1  # the soles are 0.1 m behind and before the mass
     quat = quat_mul(quat_from_rpy(np.array([0.0, 0.1, 0.0])), first.root_quat_wxyz)
     higher = first.root_pos + np.array([0.0, 0.0, 0.03])
-    balance.watch(first.replace(root_quat_wxyz=quat, root_pos=higher))
+    balance.watch(replace(first, root_quat_wxyz=quat, root_pos=higher))
     balance.watch(first)
     worst = balance.summary
     assert worst.tilt_rad == pytest.approx(0.1, abs=1e-3)
@@ -166,10 +169,10 @@ def test_the_worst_tilt_height_and_load_are_kept(balance, first):
 def test_a_foot_that_slipped_is_off_by_as_much(balance, first):
     q = first.q.copy()
     q[[JOINT_NAMES.index("left_hip_pitch_joint"), ANKLES[0]]] += -0.06, 0.06
-    slipped = reading(first)._replace(q=q)
+    slipped = replace(reading(first), q=q)
     tau = settle(balance, first, 0.5)
     for _ in range(round(6.0 / PERIOD)):
-        tau = balance.torque(first, slipped._replace(tau=tau), 0.0)
+        tau = balance.torque(first, replace(slipped, tau=tau), 0.0)
         balance.watch(first)
     pose = first.root_pos[np.newaxis], first.root_quat_wxyz[np.newaxis]
     foot = ROBOT.link_index("left_ankle_roll_link")
@@ -183,7 +186,7 @@ def test_a_foot_that_slipped_is_off_by_as_much(balance, first):
 def demo():
     """Its right foot stands at 7.5 s, and is up by 9 cm at 8.67 s."""
     trajectory = Trajectory(stand(load_motion("demo"), ROBOT).motion)
-    return [Target.of(time, trajectory.sample(time)) for time in (7.5, 8.67)]
+    return [Target.from_point(time, trajectory.sample(time)) for time in (7.5, 8.67)]
 
 
 def test_a_lifted_foot_counts_where_it_stood(balance, demo):
@@ -201,10 +204,10 @@ def test_the_pelvis_is_found_over_feet_that_have_stepped_elsewhere():
     turning = stepping([(0.1, 0.05, 0.5), (0.1, 0.05, 0.5)])
     trajectory = Trajectory(stand(turning, ROBOT).motion)
     balance = Balance(ROBOT, PERIOD)
-    balance.begin(Target.of(0.0, trajectory.sample(0.0)).at_rest())
+    balance.begin(Target.from_point(0.0, trajectory.sample(0.0)).at_rest())
     planted = balance._stood.copy()
     for time in np.arange(0.0, trajectory.duration, PERIOD):
-        at = Target.of(time, trajectory.sample(time))
+        at = Target.from_point(time, trajectory.sample(time))
         acc = at.root_lin_acc + np.array([0.0, 0.0, 9.81])
         up = quat_rotate_inverse(at.root_quat_wxyz, acc)
         measured = Reading(at.q, at.dq, at.tau, ImuReading(at.root_quat_wxyz, at.root_ang_vel, up))
@@ -266,7 +269,7 @@ def test_arms_that_swing_round_do_not_make_it_hop(balance, first, turn):
     """Friction turns the pelvis, and is greater where the soles push harder than is wanted."""
     settle(balance, first, 0.5)
     acc = {"root_ang_acc": [0.0, 0.0, turn], "root_lin_acc": [0.0, 0.0, -5.0]}
-    swung = first.replace(**{name: np.array(value) for name, value in acc.items()})
+    swung = replace(first, **{name: np.array(value) for name, value in acc.items()})
     balance.torque(swung, reading(first), 0.0)
     assert balance.wrench[[2, 8]].sum() / WEIGHT == pytest.approx(1.0 - 5.0 / 9.81, abs=0.1)
     assert np.sign(balance.wrench[[5, 11]].sum()) == np.sign(turn)

@@ -10,15 +10,13 @@ import pytest
 
 import g1stream
 from g1stream.app.rollout import rollout
-from g1stream.app.stream import with_robot_limits
 from g1stream.config import Config, SimConfig
-from g1stream.control.feedforward import FeedForward
-from g1stream.control.make_loop import make_loop
+from g1stream.control.loop import make_loop
+from g1stream.control.plan import plan, with_robot_limits
+from g1stream.control.sources import load_source
 from g1stream.errors import ConfigError, MotionError, SafetyError
-from g1stream.extras.feet.stand import refuse_feet_on_robot, stand_if_asked
-from g1stream.extras.physics.stance import stand
+from g1stream.extras.feet.source import StandingTorques
 from g1stream.motion.readers import load_motion
-from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import G1, REVISIONS
 from g1stream.robot.rotations import (
@@ -41,6 +39,11 @@ SHORT = {"ramp": 1.5, "hold": 0.2, "damp": 0.5}
 
 def config(noise=0.0, **stream):
     return Config.model_validate({"sim": {"noise": noise}, "stream": SHORT | stream})
+
+
+def source(**stream):
+    """What keeps a robot on its feet with these settings."""
+    return StandingTorques(config(support="feet", **stream), G1.default())
 
 
 @pytest.fixture(scope="module")
@@ -107,11 +110,11 @@ def test_what_a_remedy_gives_can_be_played(asked, ends):
     pos[330:, JOINT_NAMES.index("left_shoulder_roll_joint")] += 2.0
     hopping = replace(demo, root_pos=root, joint_pos=pos)
     with pytest.raises(MotionError) as raised:
-        stand_if_asked(hopping, G1.default(), config(support="feet", **asked))
+        source(**asked).change(hopping)
     ways = list(flags_in(raised.value.remedy))
     assert len(ways) == 2
     for given in ways:
-        stand_if_asked(hopping, G1.default(), config(support="feet", **asked | given))
+        source(**asked | given).change(hopping)
     own, upper = ways
     assert own["start"] + own["duration"] == pytest.approx(ends, abs=0.07)
     assert (upper["joints"], upper["start"]) == ("arms,waist", asked.get("start", 0.0))
@@ -198,13 +201,13 @@ def test_off_loopback_the_torques_have_to_be_asked_for_as_the_remedy_says():
     def made(**stream):
         given = {"support": "feet", "experimental_feet": True} | stream
         off_loopback = Config.model_validate({"dds": {"interface": "eth0"}, "stream": given})
-        settings = with_robot_limits(off_loopback).stream
-        return FeedForward.from_config(settings, G1.default(), 0.002)
+        settings = with_robot_limits(off_loopback)
+        return load_source(settings, G1.default(), simulated=False, complete=True)
 
     with pytest.raises(ConfigError) as refused:
         made()
     assert "--feedforward dynamics" in refused.value.remedy
-    assert made(feedforward="dynamics").kind == "dynamics"
+    assert isinstance(made(feedforward="dynamics"), StandingTorques)
 
 
 def test_where_there_may_be_a_robot_it_has_to_be_allowed():
@@ -213,11 +216,14 @@ def test_where_there_may_be_a_robot_it_has_to_be_allowed():
             {"dds": {"interface": "eth0"}, "stream": {"support": "feet"} | stream}
         )
 
+    def load(settings, *, simulated):
+        return load_source(settings, G1.default(), simulated=simulated, complete=True)
+
     with pytest.raises(SafetyError, match="eth0"):
-        refuse_feet_on_robot(asked())
-    refuse_feet_on_robot(asked(experimental_feet=True))
-    refuse_feet_on_robot(asked(support="hanging"))
-    refuse_feet_on_robot(config(support="feet"))
+        load(asked(), simulated=False)
+    load(asked(experimental_feet=True), simulated=False)
+    load(asked(support="hanging"), simulated=False)
+    load(config(support="feet"), simulated=True)
 
 
 @pytest.mark.slow
@@ -232,12 +238,10 @@ def test_it_ends_in_a_squat(session):
 
 def play(world, motion, announced, on_state, **stream):
     """The loop of a motion on a world, in lockstep; `on_state` gets it and every LowState."""
-    robot = G1.default()
     settings = Config.model_validate({"stream": SHORT | {"support": "feet"} | stream})
     simulated = SimulatedRobot(world, SimConfig(), noise=lambda state: on_state(loop, state))
     link = Lockstep(simulated, announced)
-    trajectory = Trajectory(stand(motion, robot).motion)
-    loop = make_loop(settings, robot, trajectory, link, link, settle=0)
+    loop = make_loop(plan(motion, settings, simulated=True), link, link, settle=0)
     loop.run()
     return loop
 
@@ -281,15 +285,14 @@ def test_a_robot_that_hangs_is_lowered_onto_its_feet_and_stands():
 
     loop = play(world, squatting(1.0), None, lower)
     assert loop.report.reason == ""
-    assert loop.report.robot == name
+    assert loop.report.summary().robot == name
     assert waited[0] > 1.0  # it hung in the air
     assert len(heights) == 500
     assert min(heights) > 0.68
 
 
 def test_legs_play_without_the_arms():
-    asked = config(support="feet", joints="legs", start=0.5)
-    motion, _ = stand_if_asked(squatting(1.0), G1.default(), asked)
+    motion, _ = source(joints="legs", start=0.5).change(squatting(1.0))
     assert np.ptp(motion.joint_pos[:, 12:], axis=0).max() == 0.0
     assert np.ptp(motion.joint_pos[:, :12], axis=0).max() > 0.05
 
@@ -334,5 +337,5 @@ def test_a_push_is_stood_or_the_fall_is_seen_before_the_pelvis_tilts(push, stand
     loop = play(world, squatting(2.5), "free", shove)
     assert (loop.report.reason == "") == stands
     assert stands or "capture point" in loop.report.reason
-    assert (loop.report.balance.capture_margin_m > -0.01) == stands
+    assert (loop.report.summary().balance.capture_margin_m > -0.01) == stands
     assert max(tilts) < 0.2

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from g1stream.control.targets import Target
-from g1stream.extras.feet.squat import SQUAT_TIME, Squat
+from g1stream.extras.feet.squat import Squat
 from g1stream.extras.feet.standing import BodyState, StandingDynamics
 from g1stream.extras.physics.stance import stand
 from g1stream.motion.readers import load_motion
@@ -26,14 +26,16 @@ def state_of(target):
 @pytest.fixture(scope="module")
 def standing():
     trajectory = Trajectory(stand(squatting(2.0), ROBOT).motion)
-    return Target.of(1.0, trajectory.sample(1.0)).at_rest()
+    return Target.from_point(1.0, trajectory.sample(1.0)).at_rest()
 
 
 @pytest.fixture(scope="module")
 def way(standing):
     squat = Squat(ROBOT)
-    squat.begin(standing)
-    return [squat.at(k * PERIOD) for k in range(round(SQUAT_TIME / PERIOD) + 1)]
+    target_at, targets = squat.plan(standing), [standing]
+    for k in range(round(squat.length / PERIOD) + 1):
+        targets.append(target_at(k * PERIOD, targets[-1].q))
+    return targets[1:]
 
 
 def test_it_begins_where_the_robot_stands_and_the_soles_stay_there(way, standing):
@@ -71,13 +73,14 @@ def test_speeds_and_accelerations_are_the_derivatives_of_the_angles(way):
 def test_a_robot_that_is_lower_already_does_not_rise(way):
     squat = Squat(ROBOT)
     lower = way[-1]
-    squat.begin(lower)
-    assert squat.at(SQUAT_TIME).root_pos[2] == pytest.approx(lower.root_pos[2], abs=1e-3)
+    assert squat.plan(lower)(squat.length, lower.q).root_pos[2] == pytest.approx(
+        lower.root_pos[2], abs=1e-3
+    )
 
 
 def test_there_is_no_way_down_while_a_foot_is_lifted():
     """The demo lifts its right foot at 8.6 s, for 0.4 s."""
     trajectory = Trajectory(stand(load_motion("demo"), ROBOT).motion)
     squat = Squat(ROBOT)
-    possible = [squat.possible(Target.of(t, trajectory.sample(t))) for t in (8.4, 8.7, 9.2)]
+    possible = [squat.possible(Target.from_point(t, trajectory.sample(t))) for t in (8.4, 8.7, 9.2)]
     assert possible == [True, False, True]

@@ -21,10 +21,10 @@ from cyclonedds.topic import Topic
 from rosbags.typesys import Stores, get_typestore
 from yourdfpy import URDF
 
-from g1stream.app.child_process import publishing_for_ros2
 from g1stream.app.demo import demo
 from g1stream.app.record import record
 from g1stream.app.sim import simulate
+from g1stream.child_process import publishing_for_ros2
 from g1stream.config import Config
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawWriter

@@ -9,6 +9,7 @@ and arms follow the reference by their servos. docs/feet.md has the formulas.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -33,8 +34,8 @@ from g1stream.session.records import BalanceSummary
 from g1stream.types import Floats
 
 if TYPE_CHECKING:
+    from g1stream.control.reading import Reading
     from g1stream.control.targets import Target
-    from g1stream.control.torques import Reading
     from g1stream.extras.feet.standing import Movement, Terms
     from g1stream.robot.model import G1
 
@@ -181,7 +182,7 @@ class Balance:
             self._other = np.array([0.0, 0.0, (1.0 - share) * self._dynamics.weight])
         if not planted:
             base.begin(*self._planted)
-            target = target.replace(root_pos=self._root_pos)  # the target's may be lifted
+            target = replace(target, root_pos=self._root_pos)  # the target's may be lifted
         reference = self._reference(target)
         lifted = reference.soles[:, 2] > self._planted[0][:, 2] + OFF_FLOOR
         self._stands = tuple(~lifted) if planted else (True, True)

@@ -15,7 +15,7 @@ from g1stream.robot.dynamics import GRAVITY
 from g1stream.robot.rotations import quat_from_yaw, quat_mul, quat_rotate, wrap_angle
 
 if TYPE_CHECKING:
-    from g1stream.control.state_checks import ImuReading
+    from g1stream.control.reading import ImuReading
     from g1stream.extras.feet.standing import Terms
     from g1stream.types import Floats
 

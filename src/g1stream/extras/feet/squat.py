@@ -7,6 +7,7 @@ joints of the legs follow by inverse kinematics; waist and arms do not move.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -17,13 +18,13 @@ from g1stream.robot.joints import N_JOINTS
 from g1stream.robot.soles import OFF_FLOOR, bent_legs
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from g1stream.control.targets import Target
     from g1stream.robot.model import G1
+    from g1stream.types import Floats
 
-__all__ = ["SQUAT_TIME", "Squat"]
-
-SQUAT_TIME: Final = 2.0
-"""How long the way down takes, s."""
+__all__ = ["Squat"]
 
 #: By how much the legs are bent in the squat, see `bent_legs`, rad.
 _BENT: Final = 0.85
@@ -34,58 +35,57 @@ _SHIFTS: Final = 3
 
 
 class Squat:
-    """Targets on the way down.
+    """Targets on the way down: a `g1stream.control.targets.WayDown`.
 
     Args:
         robot: the G1.
+
+    Attributes:
+        length: of the way down, s.
 
     Raises:
         RobotError: the soles of this robot are not known.
     """
 
     def __init__(self, robot: G1) -> None:
+        self.length = 2.0
         self._dynamics = StandingDynamics(robot)
         upright = np.array([1.0, 0.0, 0.0, 0.0])
         squatting = BodyState(upright, np.zeros(3), bent_legs(_BENT), np.zeros(N_JOINTS))
         self._height = -float(self._dynamics.soles(squatting)[0][:, 2].mean())
-        self._from: Target | None = None
-        self._way = np.zeros(3)
-        self._q = np.zeros(N_JOINTS)
 
     def possible(self, target: Target) -> bool:
         """Whether both feet stand in a target."""
         heights = self._dynamics.soles(_state_at_rest(target))[0][:, 2]
         return float(np.ptp(heights)) < OFF_FLOOR
 
-    def begin(self, standing: Target) -> None:
-        """Plan the way down from a target at rest."""
-        dynamics, still = self._dynamics, np.zeros(3)
+    def plan(self, standing: Target) -> Callable[[float, Floats], Target]:
+        """The way down from a target at rest: by the time since it began, s, and joints near it."""
+        dynamics, still, length = self._dynamics, np.zeros(3), self.length
         state = _state_at_rest(standing)
-        soles, self._turns = dynamics.sole_poses(state)
-        self._soles = soles + standing.root_pos
-        middle = self._soles.mean(axis=0)
+        soles, turns = dynamics.sole_poses(state)
+        soles = soles + standing.root_pos
+        middle = soles.mean(axis=0)
         goal = standing.root_pos.copy()
         goal[2] = min(goal[2], middle[2] + self._height)
         for _ in range(_SHIFTS):
             for _ in range(_STEPS):
-                q = dynamics.towards(state, self._soles - goal, self._turns)
-                state = state._replace(q=q)
+                state = state._replace(q=dynamics.towards(state, soles - goal, turns))
             centre = dynamics.movement(state, goal, still, (still, still, state.dq)).pos
             goal[:2] += (middle - centre)[:2]
-        self._from, self._way, self._q = standing, goal - standing.root_pos, standing.q
+        start, way = _state_at_rest(standing), goal - standing.root_pos
 
-    def at(self, elapsed: float) -> Target:
-        """The target at a time since the way down began, s; near to the one before."""
-        start, dynamics = self._from, self._dynamics
-        if start is None:
-            raise RuntimeError("there is nowhere to squat down from: call begin() first")
-        progress, rate, change = minimum_jerk(elapsed / SQUAT_TIME)
-        pos = start.root_pos + progress * self._way
-        vel, acc = rate / SQUAT_TIME * self._way, change / SQUAT_TIME**2 * self._way
-        state = _state_at_rest(start)._replace(q=self._q)
-        self._q = q = dynamics.towards(state, self._soles - pos, self._turns)
-        dq, ddq = dynamics.joint_motion(state._replace(q=q), vel, acc)
-        return start.replace(q=q, dq=dq, ddq=ddq, root_pos=pos, root_lin_vel=vel, root_lin_acc=acc)
+        def target(elapsed: float, near: Floats) -> Target:
+            progress, rate, change = minimum_jerk(elapsed / length)
+            pos = standing.root_pos + progress * way
+            vel, acc = rate / length * way, change / length**2 * way
+            q = dynamics.towards(start._replace(q=near), soles - pos, turns)
+            dq, ddq = dynamics.joint_motion(start._replace(q=q), vel, acc)
+            return replace(
+                standing, q=q, dq=dq, ddq=ddq, root_pos=pos, root_lin_vel=vel, root_lin_acc=acc
+            )
+
+        return target
 
 
 def _state_at_rest(target: Target) -> BodyState:

@@ -49,7 +49,7 @@ _IN_PIPE_S: Final = 30.0
 class Library(SettingsCommand):
     """Checks, simulates or converts all motion files in directories, copies of a file once.
 
-    check: what `g1stream motion --physics` says. simulate: plays each motion on a simulated robot,
+    check: what `g1stream physics` says. simulate: plays each motion on a simulated robot,
     faster than real time, once for each support and each value of a sweep. convert: writes motion
     files, or MCAP files for viewers.
 

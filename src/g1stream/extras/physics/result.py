@@ -202,7 +202,7 @@ class TorquePeak(Record, frozen=True):
 class MotionPhysics(Record, frozen=True):
     """What it would take to play a motion.
 
-    `str()` of it is the text that `g1stream motion --physics` prints.
+    `str()` of it is the text that `g1stream physics` prints.
 
     Attributes:
         motion: its name.

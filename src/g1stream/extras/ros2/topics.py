@@ -14,7 +14,7 @@ import numpy as np
 from cyclonedds.idl.types import sequence
 from rosbags.interfaces import Nodetype
 
-from g1stream.app.child_process import run_child
+from g1stream.child_process import run_child
 from g1stream.dds import types
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawReader, RawWriter
@@ -36,7 +36,7 @@ from g1stream.view.encoders import GHOST_PREFIX, IDENTITY_POSE, WORLD_FRAME, lin
 from g1stream.view.measured_base import MeasuredBase
 
 if TYPE_CHECKING:
-    from g1stream.app.child_process import Parent
+    from g1stream.child_process import Parent
     from g1stream.config import Config
     from g1stream.dds.endpoints import RawSample
     from g1stream.types import Floats

@@ -1,19 +1,22 @@
-"""Whether a LowState is to be believed; pure.
+"""What is measured of the robot, and every reason in it not to begin, or to end; pure.
 
-docs/safety.md explains every threshold.
+A LowState is looked at in this order: whether it is to be believed (here), what the operator asks
+for with the remote (`dds.remote`), whether it is of the right robot (here), and whether that robot
+is all right (`monitor`). docs/safety.md explains every threshold.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from g1stream.control.monitor import RobotMonitor
+from g1stream.control.reading import Reading, all_finite, is_unit
+from g1stream.dds.remote import Operator
 from g1stream.robot.joints import JointSet
-from g1stream.robot.rotations import UNIT_TOLERANCE
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -23,23 +26,10 @@ if TYPE_CHECKING:
     from g1stream.robot.model import G1
     from g1stream.types import Floats
 
-__all__ = [
-    "STALE",
-    "STATE_TIMEOUT",
-    "ImuReading",
-    "Measured",
-    "StateChecks",
-    "all_finite",
-    "is_unit",
-    "state_timeout",
-]
+__all__ = ["STATE_TIMEOUT", "LowStateChecks", "state_timeout"]
 
 STATE_TIMEOUT: Final = 0.1
 """Age of the last LowState that stops, s, where `safety.state_timeout` is unset: of a robot."""
-
-STALE: Final = 0.02
-"""No torque is computed from a LowState older than this, s: ten states at 500 Hz, in which a fast
-joint moves by 0.5 rad."""
 
 #: How far beyond its limits a joint may be where RAMP starts, rad: the play of an end stop.
 _START_TOLERANCE: Final = 0.1
@@ -49,88 +39,46 @@ _LONGEST_BURST: Final = 200
 _CRC_WINDOW: Final = 1_000_000_000
 
 
-class ImuReading(NamedTuple):
-    """A reading of the IMU in the pelvis.
-
-    Attributes:
-        quat_wxyz: (4,) pelvis to world.
-        gyroscope: (3,) rad/s, pelvis frame.
-        accelerometer: (3,) m/s², pelvis frame, gravity included: upward 9.81 at rest.
-    """
-
-    quat_wxyz: NDArray[np.floating]
-    gyroscope: NDArray[np.floating]
-    accelerometer: NDArray[np.floating]
-
-
-@dataclass(frozen=True)
-class Measured:
-    """A LowState as far as the loop uses it; a copy.
-
-    Attributes:
-        q, dq, tau: (29,) rad, rad/s, N·m, motor order.
-        imu: in the pelvis.
-        mode_machine: robot type.
-        received: time of reception, ns of the loop's monotonic clock.
-        content: the numbers above as bytes.
-        finite: none of them is NaN or infinite.
-    """
-
-    q: NDArray[np.float32]
-    dq: NDArray[np.float32]
-    tau: NDArray[np.float32]
-    imu: ImuReading
-    mode_machine: int
-    received: int
-    content: bytes
-    finite: bool
-
-    @classmethod
-    def of(cls, state: LowState, received: int) -> Measured:
-        """Of a LowState that was received at `received`, ns."""
-        values = state.readings()
-        return cls(
-            values[:29],
-            values[29:58],
-            values[58:87],
-            ImuReading(values[87:91], values[91:94], values[94:97]),
-            int(state.mode_machine),
-            received,
-            values.tobytes(),
-            bool(np.isfinite(values).all()),
-        )
-
-
-def all_finite(values: NDArray[np.floating]) -> bool:
-    """Whether no number of a short array is NaN or infinite: either one makes the sum so."""
-    return math.isfinite(sum(values.tolist()))
-
-
-def is_unit(quat_wxyz: NDArray[np.floating]) -> bool:
-    """Whether a measured quaternion (4,) has a norm close to 1; False if it contains NaN."""
-    return abs(math.hypot(*quat_wxyz.tolist()) - 1.0) <= UNIT_TOLERANCE
-
-
 def state_timeout(config: SafetyConfig) -> tuple[float, str]:
     """The age of the last LowState that stops, s, and the words that name this limit."""
     limit = config.state_timeout or STATE_TIMEOUT
     return limit, f"limit safety.state_timeout = {limit:g} s"
 
 
-class StateChecks:
-    """Takes LowStates as they arrive, and says whether the robot is known from them.
+class LowStateChecks:
+    """Takes LowStates as they arrive, and says what in them keeps a session from going on.
 
     What a bridge provides is learnt from what it sends: a CRC that is not 0 has to be right, and
     after a right one a 0 is wrong as well; a tick that has advanced has to go on.
 
+    Args:
+        robot: its limits.
+        config: the thresholds.
+        period: between two looks at LowState, ns.
+        held: (29,) which joints have a position servo; all if None.
+
     Attributes:
         measured: the newest LowState with a right CRC; None before the first.
         crc_errors: LowStates that were dropped because of their CRC.
+        missing: what the operator has to do before the first command, or "".
+        stop_reason: why the session must end by the newest LowState, whose robot is known, or "".
+
+    Raises:
+        ConfigError: a setting names no button of the remote.
     """
 
-    def __init__(self, robot: G1, config: SafetyConfig) -> None:
-        self.measured: Measured | None = None
+    def __init__(
+        self,
+        robot: G1,
+        config: SafetyConfig,
+        period: int = 0,
+        held: NDArray[np.bool_] | None = None,
+    ) -> None:
+        self.measured: Reading | None = None
         self.crc_errors = 0
+        self.missing = self.stop_reason = ""
+        self._monitor = RobotMonitor(robot, config, period, held)
+        self._operator = Operator(config.stop_buttons, config.deadman)
         self._config = config
         self._robot = robot
         self._allowed = robot.joint_set.allowed(config.mode_machine)
@@ -162,7 +110,7 @@ class StateChecks:
 
     def take(
         self, state: LowState, publisher: int, now: int, target: Floats | None = None
-    ) -> Measured | None:
+    ) -> Reading | None:
         """Check a LowState that was received at `now`, ns; None if it is dropped.
 
         Args:
@@ -171,6 +119,25 @@ class StateChecks:
             now: ns, monotonic.
             target: (29,) rad, the joint targets now; None before the first command.
         """
+        measured = self._read(state, publisher, now, target)
+        if measured is None:
+            return None
+        buttons = state.buttons
+        self.missing = self._operator.missing(buttons)
+        if self.unknown(now, target):
+            self.stop_reason = ""
+            return measured
+        self.stop_reason = (
+            (self._operator.stop_reason(buttons) if self._begun else "")
+            or self._wrong_robot()
+            or self._monitor.stop_reason(state, measured, now, target)
+        )
+        return measured
+
+    def _read(
+        self, state: LowState, publisher: int, now: int, target: Floats | None
+    ) -> Reading | None:
+        """Copy a LowState, and find out whether it is to be believed."""
         if publisher != self._publisher:
             if self._begun:
                 self._other_robot = (
@@ -184,7 +151,7 @@ class StateChecks:
             self.crc_errors += 1
             self._wrong_crcs.append(now)
             return None
-        measured, before = Measured.of(state, now), self.measured
+        measured, before = Reading.from_low_state(state, now), self.measured
         self._check_tick(int(state.tick), now)
         if before is None or measured.content != before.content:
             self._fault = self._implausible(measured)
@@ -220,7 +187,7 @@ class StateChecks:
             self._other_robot or self._fault or self._crcs_wrong(now) or self._frozen(now, target)
         )
 
-    def wrong_robot(self) -> str:
+    def _wrong_robot(self) -> str:
         """Why this robot may not be commanded, or ""."""
         if self.measured is None or (mode := self.measured.mode_machine) in self._allowed:
             return ""
@@ -260,7 +227,7 @@ class StateChecks:
                 )
         self._tick, self._tick_since = tick, now
 
-    def _implausible(self, measured: Measured) -> str:
+    def _implausible(self, measured: Reading) -> str:
         """Why these numbers cannot be those of this robot, or ""."""
         if not measured.finite:
             return f"LowState contains a {self._not_finite(measured)} that is NaN or infinite"
@@ -277,7 +244,7 @@ class StateChecks:
             )
         return ""
 
-    def _not_finite(self, measured: Measured) -> str:
+    def _not_finite(self, measured: Reading) -> str:
         """What is not finite, and of which joint."""
         joints = {"position": measured.q, "velocity": measured.dq, "torque": measured.tau}
         for what, values in joints.items():
@@ -286,7 +253,7 @@ class StateChecks:
         imu = zip(("quaternion", "gyroscope", "accelerometer"), measured.imu, strict=True)
         return "reading of the " + ", ".join(name for name, one in imu if not all_finite(one))
 
-    def _leap(self, before: Measured, measured: Measured, tick: int) -> str:
+    def _leap(self, before: Reading, measured: Reading, tick: int) -> str:
         """Why no joint can have moved so since the content changed last, or ""."""
         step = np.abs(measured.q - before.q)
         if step.max() <= self._config.max_leap:  # nearly always

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from g1stream.config import SafetyConfig
-from g1stream.control.state_checks import Measured, StateChecks, is_unit
+from g1stream.control.lowstate import LowStateChecks
+from g1stream.control.reading import Reading, is_unit
 from g1stream.dds.messages import LowState
+from g1stream.errors import ConfigError
 from g1stream.robot.model import G1
 
 MS = 1_000_000
@@ -16,7 +18,7 @@ class Robot:
     """LowStates of a robot at rest, one every 2 ms, into checks."""
 
     def __init__(self, robot, **settings):
-        self.checks = StateChecks(robot, SafetyConfig(**settings))
+        self.checks = LowStateChecks(robot, SafetyConfig(**settings))
         self.state = LowState()
         self.state.quaternion[:] = (1, 0, 0, 0)
         self.state.mode_machine[()] = 5
@@ -64,7 +66,7 @@ def test_what_is_measured_is_a_copy(make):
     it = make()
     it.state.q[:], it.state.dq[:], it.state.tau_est[:] = 1.0, 2.0, 3.0
     it.state.accelerometer[:] = (0, 0, 9.81)
-    measured = Measured.of(it.state, NOW)
+    measured = Reading.from_low_state(it.state, NOW)
     it.state.payload[:] = 0
     assert measured.q.tolist() == [1.0] * 29
     assert measured.dq.tolist() == [2.0] * 29
@@ -243,6 +245,14 @@ def test_a_joint_has_moved_since_the_content_changed(begun, robot):
     assert it.publish() == ""
 
 
+def test_without_a_tick_the_clock_says_how_far_a_joint_may_have_moved(begun, robot):
+    it = begun(max_leap=0.5)
+    it.ticking = it.moving = False
+    assert it.publish(times=50) == ""
+    it.state.q[3] += 0.5 + 0.9 * robot.velocity[3] * 0.1
+    assert it.publish() == ""
+
+
 def test_before_the_first_command_a_robot_may_be_replaced(make):
     it = make()
     it.publish(times=3)
@@ -281,7 +291,7 @@ def test_mode_machine(make, machine, allowed):
     it = make()
     it.state.mode_machine[()] = machine
     assert it.publish() == ""
-    reason = it.checks.wrong_robot()
+    reason = it.checks.stop_reason
     assert (reason == "") is allowed
     assert allowed or f"mode_machine {machine}" in reason
 
@@ -297,9 +307,48 @@ def test_the_fault_of_one_publisher_is_found_with_the_next_one_too(make):
 
 @pytest.mark.parametrize(("machine", "allowed"), [(4, True), (0, True), (5, False), (6, False)])
 def test_mode_machine_must_be_that_of_the_robot_with_fewer_joints(machine, allowed):
-    checks = StateChecks(G1.load("g1_23dof"), SafetyConfig())
+    checks = LowStateChecks(G1.load("g1_23dof"), SafetyConfig())
     state = LowState()
     state.quaternion[:] = 1.0, 0.0, 0.0, 0.0
     state.mode_machine[()] = machine
     checks.take(state, 1, 1)
-    assert (checks.wrong_robot() == "") is allowed
+    assert (checks.stop_reason == "") is allowed
+
+
+@pytest.fixture
+def calm():
+    state = LowState()
+    state.quaternion[0] = 1.0
+    state.mode_machine[()] = 5
+    return state
+
+
+def test_all_is_well(make, calm):
+    checks = make().checks
+    assert checks.take(calm, 1, NOW).received == NOW
+    assert checks.unknown(NOW) == checks.missing == checks.stop_reason == ""
+
+
+def test_what_is_not_believed_is_not_judged(make, calm):
+    checks = make().checks
+    calm.dq[3] = 1000.0
+    calm.q[3] = np.nan
+    checks.take(calm, 1, NOW)
+    assert "NaN" in checks.unknown(NOW)
+    assert checks.stop_reason == ""
+
+
+def test_the_remote_counts_from_the_first_command_on(make, calm):
+    checks = make(deadman="R1").checks
+    calm.wireless_remote[2:4] = (0x20, 0x02)
+    checks.take(calm, 1, NOW)
+    assert "safety.deadman" in checks.missing
+    assert checks.stop_reason == ""
+    checks.begin()
+    checks.take(calm, 1, NOW)
+    assert checks.stop_reason.startswith("L2+B was pressed")
+
+
+def test_an_unknown_button_is_refused(make):
+    with pytest.raises(ConfigError, match=r"safety\.stop_buttons"):
+        make(stop_buttons=["L3"])

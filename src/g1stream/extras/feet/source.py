@@ -1,19 +1,23 @@
-"""The torque of a robot that is to stand: hanging until its feet carry it, then balancing; pure.
+"""The source of torques for a robot on its own feet: it hangs until they carry it, then balances.
 
 docs/feet.md explains how the feet take the weight.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar, Final
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from g1stream.control.sources import HeldTorques, Source, other_revision
 from g1stream.control.targets import LOWERED
-from g1stream.control.torques import HeldTorques
-from g1stream.errors import ConfigError
+from g1stream.errors import ConfigError, SafetyError
 from g1stream.extras.feet.balance import Balance
+from g1stream.extras.feet.squat import Squat
+from g1stream.extras.physics.stand import stand_or_explain
 from g1stream.motion.blend import minimum_jerk
+from g1stream.motion.limits import Interval
 from g1stream.robot.dynamics import InverseDynamics
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.rotations import quat_rotate_inverse
@@ -21,11 +25,11 @@ from g1stream.robot.soles import SIDES
 from g1stream.types import Phase
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from g1stream.control.state_checks import ImuReading
+    from g1stream.config import Config
+    from g1stream.control.reading import ImuReading, Reading
+    from g1stream.control.sources import Moment
     from g1stream.control.targets import Target
-    from g1stream.control.torques import Moment, Reading
+    from g1stream.motion.motion import Motion
     from g1stream.robot.model import G1
     from g1stream.session.records import BalanceSummary
     from g1stream.types import Floats, StreamSupport
@@ -42,6 +46,8 @@ _CARRIED: Final = 0.9, 1.0
 _SQUATS: Final = 0.5
 #: Time constant of the measured share, s.
 _LOAD: Final = 0.1
+#: More than a leg is shorter in the lowest squat than stretched, m.
+_LIFT: Final = 0.4
 _UP: Final = np.array([0.0, 0.0, 1.0])
 #: The joints that turn a sole about y and about x, (2, 2).
 _ANKLES: Final = np.array(
@@ -52,38 +58,49 @@ _ANKLES: Final = np.array(
 )
 
 
-class StandingTorques:
+class StandingTorques(Source):
     """The torque of a hanging robot, and of one on its feet once they carry it.
 
     The bridge of g1stream holds the pelvis until PLAY begins and lowers the robot in RAMP: there
     the feet take the weight at the end of RAMP. Elsewhere the robot is taken to hang from a band at
     its torso, and the measured load on the feet decides; RAMP waits until they carry it.
 
+    At the end of HOLD the robot squats down, in which it can be damped. The part of a motion that
+    is not played need not be able to stand: it becomes a pause.
+
     Args:
+        config: the settings in force.
         robot: the G1.
-        alternative: another revision of it, see `HeldTorques`.
-        period: s between commands.
+        simulated: nothing but a simulator is reached.
+        complete: every joint gets its torque; here that is checked from the settings.
 
     Raises:
-        ConfigError: the solver is not installed.
+        ConfigError: the solver is not installed, or a robot cannot be kept on its feet with these
+            settings.
+        SafetyError: there may be a robot, and stream.experimental_feet is not set.
         RobotError: the soles of a robot are not known.
     """
 
-    needed: ClassVar = True
+    needed = True
+    lift = _LIFT
 
-    def __init__(self, robot: G1, alternative: G1 | None, period: float) -> None:
-        robots: Sequence[G1] = [robot] if alternative is None else [robot, alternative]
+    def __init__(
+        self, config: Config, robot: G1, *, simulated: bool = True, complete: bool = True
+    ) -> None:
+        _require_standing(config, simulated=simulated)
+        self._config, self._robot = config, robot
+        other, period = other_revision(robot), config.stream.period / 1e9
+        robots = [one for one in (robot, other) if one]
+        self.way_down = Squat(robot)
         self._balances = {one.name: Balance(one, period) for one in robots}
         self._hanging = HeldTorques(*(InverseDynamics(one) for one in robots), period=period)
         self._period = period
         self._lowered_by_bridge = False
-        self._reading: Reading | None = None
         self._landed = False
         self._load = self._carried_for = 0.0
 
     @property
     def name(self) -> str:
-        """Of the robot's model."""
         return self._hanging.name
 
     @property
@@ -93,22 +110,19 @@ class StandingTorques:
 
     @property
     def fault(self) -> str:
-        """Why there is no torque that keeps the robot on its feet, or ""."""
         return self.balance.fault
 
     @property
     def fall(self) -> str:
-        """Why the robot cannot be kept on its feet, or ""."""
         return self.balance.fall
 
     @property
-    def balance_summary(self) -> BalanceSummary | None:
+    def summary(self) -> BalanceSummary | None:
         """How near the robot was to falling; None before PLAY."""
         return self.balance.summary
 
     @property
     def awaited(self) -> str:
-        """What RAMP waits for, or ""."""
         if self._lowered_by_bridge or self._carried_for > _CARRIED[1]:
             return ""
         return (
@@ -121,8 +135,17 @@ class StandingTorques:
         """Whether the feet carry half of the weight, which nothing but a band shares."""
         return not self._lowered_by_bridge and self._load > _SQUATS
 
+    def change(self, motion: Motion) -> tuple[Motion, str]:
+        settings, robot = self._config.stream, self._robot
+        asked = Interval.from_config(settings, motion).frames(motion)
+        standing = stand_or_explain(motion, robot, asked, robot.select(settings.played_joints))
+        how = str(standing)
+        if not how:
+            return standing.motion, ""
+        changed = replace(standing.motion, operations=(*motion.operations, how))
+        return changed, f"{motion.name} is played {how}"
+
     def begin(self, support: StreamSupport, announced: str | None, robot: str | None) -> None:
-        """RAMP begins; `TorqueSource` has the arguments."""
         if announced not in (None, "free"):
             raise ConfigError(
                 f"The simulator holds the robot ({announced}); it does not stand on its feet.",
@@ -132,43 +155,38 @@ class StandingTorques:
         self._hanging.begin("hanging", "hanging", robot)
 
     def ramp_to(self, first: Target) -> None:
-        """RAMP begins, or begins anew, to the first target of PLAY."""
         for balance in self._balances.values():
             balance.begin(first)
         self._landed, self._load, self._carried_for = False, 0.0, 0.0
 
-    def observe(self, phase: Phase, time: float, reading: Reading, scale: float) -> None:
-        """Take a LowState into account; `TorqueSource` has the arguments."""
-        self._reading = reading
+    def observe(self, phase: Phase, measured: Reading, scale: float) -> None:
         if not self._lowered_by_bridge:
-            self._hanging.observe(phase, time, reading, scale)
+            self._hanging.observe(phase, measured, scale)
 
     def command(self, moment: Moment) -> Target:
-        """The target with the torque of its command; that of the servos comes on top."""
-        phase, ramped, target, imu, age = moment
-        balance, reading = self.balance, self._reading
-        if reading is None:
-            raise RuntimeError("nothing was measured")
+        phase, ramped, target, measured, age = moment
+        balance, imu = self.balance, measured.imu
         if phase is not Phase.RAMP:
-            tau = balance.torque(target, reading, age)
+            tau = balance.torque(target, measured, age)
             balance.watch(target)
-            return target.replace(tau=tau)
+            return replace(target, tau=tau)
         if self._lowered_by_bridge:
             share = minimum_jerk((ramped - LOWERED) / (1.0 - LOWERED))[0]
-            tau = balance.torque(target, reading, age, share=share, planted=False)
-            return target.replace(tau=tau)
+            tau = balance.torque(target, measured, age, share=share, planted=False)
+            return replace(target, tau=tau)
         hanging = self._hanging.command(moment)
         if ramped < 1.0:  # legs that move would look loaded
-            return hanging.replace(q=target.q + _levelled(target, imu))
+            return replace(hanging, q=target.q + _levelled(target, imu))
         loaded = None if self._landed or self._load > _HANGS else 0.0
-        standing = balance.torque(target, reading, age, share=loaded, planted=self._landed)
+        standing = balance.torque(target, measured, age, share=loaded, planted=self._landed)
         self._load += (min(1.0, balance.carried) - self._load) * self._period / _LOAD
         self._landed = self._load > (_LIFTS if self._landed else _LANDS)
         if self._carried_for <= _CARRIED[1]:  # then RAMP ends, also where the load dips again
             carried = self._load > _CARRIED[0]
             self._carried_for = self._carried_for + self._period if carried else 0.0
         stands = minimum_jerk((self._load - _HANGS) / (_STANDS - _HANGS))[0]
-        return target.replace(
+        return replace(
+            target,
             q=target.q + (1.0 - stands) * _levelled(target, imu),
             tau=hanging.tau + stands * (standing - hanging.tau),
         )
@@ -185,3 +203,24 @@ def _levelled(target: Target, imu: ImuReading) -> Floats:
     change[_ANKLES[:, 0]] = -tilt[1]
     change[_ANKLES[:, 1]] = -tilt[0]
     return change
+
+
+def _require_standing(config: Config, *, simulated: bool) -> None:
+    """Refuse settings with which a robot cannot be kept on its feet, or might not be."""
+    settings = config.stream
+    if not (simulated or settings.experimental_feet):
+        raise SafetyError(
+            f"--support feet on {config.dds.interface}: it has been tried in simulators only, and "
+            "a robot that it lets fall breaks.",
+            "Use --support hanging, or the loopback interface; --experimental-feet allows it.",
+        )
+    if settings.feedforward not in (None, "dynamics"):
+        raise ConfigError(
+            "support feet needs torques that are computed at every tick.",
+            "Give --feedforward dynamics, or hold the robot otherwise.",
+        )
+    if settings.loop or settings.via != "lowcmd" or settings.others != "hold":
+        raise ConfigError(
+            "support feet needs all 29 joints, on rt/lowcmd, and a motion that does not repeat.",
+            "Leave out --via, --others and --loop, or hold the robot otherwise.",
+        )

@@ -1,4 +1,4 @@
-"""The command of a tick: what is asked of the joints, kept within the robot's limits, as a LowCmd.
+"""The limits of a command: of position, then of speed, then of torque; pure.
 
 docs/safety.md explains every limit.
 """
@@ -9,24 +9,21 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from g1stream.control.state_checks import STALE, all_finite
-from g1stream.dds.messages import LowCmd, Reference, played_bits
+from g1stream.control.reading import STALE, all_finite
 from g1stream.errors import ConfigError, SafetyError
 from g1stream.motion.limits import POSITION_TOLERANCE
 from g1stream.robot.joints import N_JOINTS
-from g1stream.types import Floats, Phase
+from g1stream.types import Floats
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from g1stream.config import SafetyConfig
-    from g1stream.control.gains import Gains
-    from g1stream.control.state_checks import Measured
-    from g1stream.control.targets import Target
+    from g1stream.control.reading import Reading
     from g1stream.robot.model import G1
     from g1stream.types import BeyondLimits
 
-__all__ = ["MAX_STEP_TIME", "CommandLimits", "Composer"]
+__all__ = ["MAX_STEP_TIME", "CommandLimits"]
 
 MAX_STEP_TIME: Final = 0.02
 """A joint target may move in one step by what its joint can do in this time, s.
@@ -102,7 +99,7 @@ class CommandLimits:
         elapsed: float,
         ramped: float = 1.0,
         gains: Floats | None = None,
-        measured: Measured | None = None,
+        measured: Reading | None = None,
         age: float = 0.0,
     ) -> tuple[Floats, Floats]:
         """The nearest command within the limits of position, then of speed, then of torque.
@@ -218,7 +215,7 @@ class CommandLimits:
         return limited
 
     def _limit_torque(
-        self, asked: Floats, tau: Floats, gains: Floats, measured: Measured, age: float
+        self, asked: Floats, tau: Floats, gains: Floats, measured: Reading, age: float
     ) -> Floats:
         """Targets (2, 29) with a torque that the motors have; the same object if these have it.
 
@@ -246,114 +243,3 @@ class CommandLimits:
         lower, upper = np.minimum(asked[0], self._lower), np.maximum(asked[0], self._upper)
         eased[0] = np.clip(eased[0], lower, upper)
         return eased
-
-
-class Composer:
-    """Makes the LowCmd and the Reference of a tick.
-
-    Args:
-        limits: of a command.
-        gains: kp and kd in every phase but DAMP.
-        damp_kd: kd in DAMP, N·m·s/rad.
-        played: (29,) which joints play the motion, all if None; told in the Reference.
-        commanded: (29,) which motors get commands, all if None; the slots of the others are all 0.
-
-    Attributes:
-        limits: as given; it counts what it has changed.
-    """
-
-    def __init__(
-        self,
-        limits: CommandLimits,
-        gains: Gains,
-        damp_kd: float,
-        played: NDArray[np.bool_] | None = None,
-        commanded: NDArray[np.bool_] | None = None,
-    ) -> None:
-        self.limits = limits
-        self._gains = gains
-        self._damp_kd = damp_kd
-        self._servo: Floats = np.stack(gains)
-        self._wire = np.zeros((3, N_JOINTS), np.float32)
-        self._command, self._reference = LowCmd(), Reference()
-        everything = np.ones(N_JOINTS, np.bool_)
-        self._reference.played[()] = played_bits(everything if played is None else played)
-        self._commanded = everything if commanded is None else commanded
-        self._silent = np.flatnonzero(~self._commanded)
-
-    def sent(self) -> None:
-        """The last command has been sent."""
-        self.limits.sent()
-
-    def begin(self, q: NDArray[np.floating], mode_machine: int) -> None:
-        """Enable the motors of a robot at the measured pose `q` (29,), rad."""
-        self.limits.begin(q)
-        command = self._command
-        command.motor_mode = self._commanded.astype(np.uint8)
-        command.mode_pr[()] = 0  # the other mode changes the meaning of ankle and waist joints
-        command.mode_machine[()] = mode_machine
-        command.kp[:], command.kd[:] = self._gains
-        command.q[:] = q
-
-    def damp(self) -> None:
-        """Ask for no position, only for damping, from now on: the last target stays in place."""
-        command = self._command
-        command.kp[:] = command.dq[:] = command.tau[:] = 0.0
-        command.kd[:] = self._damp_kd * self._commanded
-
-    def compose(
-        self,
-        due: Target,
-        commanded: Target,
-        phase: Phase,
-        tick: int,
-        *,
-        elapsed: float,
-        ramped: float = 1.0,
-        measured: Measured | None = None,
-        age: float = 0.0,
-    ) -> tuple[bytes, bytes]:
-        """A sealed LowCmd and its Reference, as they go onto the wire.
-
-        Args:
-            due: the target at their publish time; published as Reference.
-            commanded: the target of the LowCmd, which takes effect later; its torque is published
-                in the Reference too.
-            phase: of the session.
-            tick: number of the Reference.
-            elapsed: time since the command before, s.
-            ramped: progress of the ramp, 0 to 1.
-            measured: the newest LowState; None: the torque is not limited.
-            age: of that when the command takes effect, s.
-
-        Raises:
-            SafetyError: a value of the command is not finite.
-        """
-        command, reference = self._command, self._reference
-        if phase is not Phase.DAMP:  # what `damp` has set
-            self._wire[:2], self._wire[2] = commanded.q_dq, commanded.tau
-            self.limits.require_finite(self._wire)
-            q_dq, tau = self.limits.apply(
-                commanded.q_dq,
-                commanded.tau,
-                elapsed=elapsed,
-                ramped=ramped,
-                gains=self._servo,
-                measured=measured,
-                age=age,
-            )
-            (command.q[:], command.dq[:]), command.tau[:] = q_dq, tau
-        reference.tick[()] = tick
-        reference.phase[()] = phase
-        reference.motion_time[()] = due.motion_time
-        # Rounded as the LowCmd is: more digits mean nothing, and do not compress.
-        reference.target[:] = due.published.astype(np.float32)
-        reference.tau[:] = commanded.tau.astype(np.float32)
-        return self._seal(phase), reference.tobytes()
-
-    def _seal(self, phase: Phase) -> bytes:
-        command = self._command
-        if len(self._silent):
-            for values in (command.q, command.dq, command.tau, command.kp, command.kd):
-                values[self._silent] = 0.0
-        return command.seal()

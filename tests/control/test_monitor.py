@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from g1stream.config import SafetyConfig
-from g1stream.control.robot_monitor import RobotMonitor
-from g1stream.control.state_checks import Measured
+from g1stream.control.monitor import RobotMonitor
+from g1stream.control.reading import Reading
 from g1stream.dds.messages import LowState
 from g1stream.motion.readers import load_motion
 from g1stream.robot.joints import JOINT_NAMES, TORQUE_LIMIT
@@ -28,15 +28,15 @@ class Watched:
         self.measuring = True
 
     def after(self, seconds, motion=lambda t: None):
-        """The verdict of a time with what is set now, and how long it took, s."""
+        """The stop_reason of a time with what is set now, and how long it took, s."""
         step = self.period / 1e9
         for i in range(round(seconds / step)):
             self.now += self.period
             if self.measuring:
                 self.state.gyroscope[0] += 0.001
             motion(i * step)
-            measured = Measured.of(self.state, self.now)
-            if reason := self.monitor.verdict(self.state, measured, self.now, self.target):
+            measured = Reading.from_low_state(self.state, self.now)
+            if reason := self.monitor.stop_reason(self.state, measured, self.now, self.target):
                 return reason, (i + 1) * step
         return "", seconds
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from g1stream.config import SafetyConfig
-    from g1stream.control.state_checks import Measured
+    from g1stream.control.reading import Reading
     from g1stream.dds.messages import LowState
     from g1stream.robot.model import G1
 
@@ -122,8 +122,8 @@ class RobotMonitor:
         self._changed = self._next = 0
         self._time = self._last = self._next_jam = 0  # of the robot
 
-    def verdict(
-        self, state: LowState, measured: Measured, now: int, target: Floats | None = None
+    def stop_reason(
+        self, state: LowState, measured: Reading, now: int, target: Floats | None = None
     ) -> str:
         """Why the session must end, or "".
 
@@ -156,13 +156,13 @@ class RobotMonitor:
             or self._jammed(measured, target, time)
         )
 
-    def _tilted(self, measured: Measured) -> str:
+    def _tilted(self, measured: Reading) -> str:
         tilt, limit = tilt_of(measured.imu.quat_wxyz), self._config.max_tilt
         if tilt <= limit:
             return ""
         return f"the pelvis tilt is {tilt:.2f} rad (limit safety.max_tilt = {limit:g} rad)"
 
-    def _too_fast(self, measured: Measured) -> str:
+    def _too_fast(self, measured: Reading) -> str:
         limit, dq = self._config.max_joint_speed, measured.dq
         if max(dq.max(), -dq.min()) <= limit:
             return ""
@@ -222,7 +222,7 @@ class RobotMonitor:
             f"(settings safety.motor_fault_mask, safety.motor_fault_time)"
         )
 
-    def _overloaded(self, measured: Measured, now: int) -> str:
+    def _overloaded(self, measured: Reading, now: int) -> str:
         torque = np.abs(measured.tau)
         joint = self._high_torque.beyond(now, torque > self._torque)
         if joint is None:
@@ -234,7 +234,7 @@ class RobotMonitor:
             f"safety.max_torque = {config.max_torque:g} of its own)"
         )
 
-    def _off_track(self, measured: Measured, target: Floats, passed: float) -> str:
+    def _off_track(self, measured: Reading, target: Floats, passed: float) -> str:
         config = self._config
         share = min(1.0, passed / config.tracking_time)
         self._error += (np.abs(target - measured.q) - self._error) * share
@@ -248,7 +248,7 @@ class RobotMonitor:
             f"{config.max_tracking_error:g} rad)"
         )
 
-    def _jammed(self, measured: Measured, target: Floats, now: int) -> str:
+    def _jammed(self, measured: Reading, target: Floats, now: int) -> str:
         if now < self._next_jam:
             return ""
         self._next_jam = now + _JAM_PERIOD

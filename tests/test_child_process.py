@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
-from g1stream.app.child_process import Child, ChildError
+from g1stream.child_process import Child, ChildError
 from g1stream.config import Config
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawWriter
@@ -88,7 +88,7 @@ def test_a_recorder_whose_parent_is_killed_closes_its_file(domain_id, tmp_path):
     code = f"""
         import time
         from g1stream.config import Config
-        from g1stream.app.child_process import Child
+        from g1stream.child_process import Child
         config = Config.model_validate({{"dds": {{"domain": {domain_id}}}}})
         child = Child("record", {{"path": {str(path)!r}, "config": config}})
         child.wait_until_ready()

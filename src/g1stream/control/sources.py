@@ -1,94 +1,121 @@
-"""Where the torque of a command comes from: the interface, and the torques of a robot that is held.
+"""Sources of a command's torque or target: the interface, the table, and that of a held robot.
 
-Pure. The torques of a robot on its feet are in `g1stream.extras.feet.standing_torques`.
+A source that is an extra has a row in `SOURCES`, and is imported only where a setting asks for it.
+Pure but for that.
 """
 
 from __future__ import annotations
 
 import logging
-from typing import TYPE_CHECKING, ClassVar, Final, NamedTuple, Protocol
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from g1stream.control.revision import RevisionFit
-from g1stream.control.support import ForceObserver, SupportCheck
+from g1stream.control.support import ForceObserver, RevisionFit, SupportCheck
+from g1stream.optional import import_extra
 from g1stream.robot.dynamics import BaseMotion, InverseDynamics
+from g1stream.robot.model import G1, REVISIONS
 from g1stream.types import Phase, StreamSupport, Support
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from g1stream.control.state_checks import ImuReading
-    from g1stream.control.targets import Target
+    from g1stream.config import Config
+    from g1stream.control.gains import Gains
+    from g1stream.control.reading import Reading
+    from g1stream.control.targets import Target, WayDown
+    from g1stream.motion.motion import Motion
     from g1stream.session.records import BalanceSummary
 
-__all__ = ["HeldTorques", "Moment", "Reading", "TorqueSource"]
+__all__ = ["SOURCES", "HeldTorques", "Moment", "Source", "load_source"]
 
 _LOGGER = logging.getLogger(__name__)
+
+SOURCES: Final = {"feet": "g1stream.extras.feet.source:StandingTorques"}
+"""By `stream.support`: module and class of a source that is an extra. To add one, add a row.
+
+The class takes what `load_source` takes."""
 
 #: The revision of the robot is decided on when this share of RAMP has passed.
 _DECISION: Final = 0.8
 
 
-class Reading(NamedTuple):
-    """What a LowState has of the joints, (29,) in motor order, and of the pelvis."""
-
-    q: NDArray[np.floating]  # rad
-    dq: NDArray[np.floating]  # rad/s
-    tau: NDArray[np.floating]  # N·m
-    imu: ImuReading
-
-
 class Moment(NamedTuple):
-    """When a torque is asked for, and for what.
+    """When a command is asked for, and for what.
 
     Attributes:
         phase: RAMP, PLAY or HOLD.
-        ramped: time since RAMP began over its length; 1 after it.
+        ramped: share of the time of the way to the first frame that has passed; 1 after it.
         target: the desired state when the command takes effect.
-        imu: the newest reading of it.
+        measured: the newest LowState.
         age: s since that was received.
     """
 
     phase: Phase
     ramped: float
     target: Target
-    imu: ImuReading
+    measured: Reading
     age: float
 
 
-class TorqueSource(Protocol):
-    """Computes the torque of each command.
+class Source:
+    """Adds torque to the target of each command, or replaces it; this one leaves it as it is.
+
+    A source is made before anything is sent, for one run, and raises where it cannot do what the
+    settings ask. `change` is called once, then `begin` once, then in each tick `observe` for the
+    newest LowState and `command` for the command of the next tick. All of it runs in the loop's
+    thread: `command` may compute anew at a rate of its own, and repeat itself in between. What it
+    returns is kept within the limits, and the Reference shows the target that it was given.
 
     Attributes:
-        name: of the robot's model.
+        gains: that the targets of this source need; None: those of the config.
         needed: the robot falls without this torque, so that the run ends where it has faded out.
-        fault: why this torque is wrong, so that it has to fade out; "" while it is right.
-        fall: why the robot has to be damped at once; "" while it need not.
-        awaited: what RAMP waits for; "" where it need not wait.
-        stands: the robot is on its feet in RAMP already, so that it can squat down.
-        balance_summary: how near a robot on its feet was to falling; None for one that is held.
+        lift: m by which the pelvis is higher when RAMP begins.
+        way_down: with which HOLD ends; None: it only rests.
     """
 
-    needed: ClassVar[bool]
+    gains: Gains | None = None
+    needed: bool = False
+    lift: float = 0.0
+    way_down: WayDown | None = None
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str | None:
+        """Of the robot's model; None without one."""
+        return None
 
     @property
-    def fault(self) -> str: ...
+    def fault(self) -> str:
+        """Why this torque is wrong, so that it has to fade out; "" while it is right."""
+        return ""
 
     @property
-    def fall(self) -> str: ...
+    def fall(self) -> str:
+        """Why the robot has to be damped at once; "" while it need not."""
+        return ""
 
     @property
-    def awaited(self) -> str: ...
+    def awaited(self) -> str:
+        """What RAMP waits for; "" where it need not wait."""
+        return ""
 
     @property
-    def stands(self) -> bool: ...
+    def stands(self) -> bool:
+        """Whether the robot is on its feet in RAMP already, so that it can go down from there."""
+        return False
 
     @property
-    def balance_summary(self) -> BalanceSummary | None: ...
+    def summary(self) -> BalanceSummary | None:
+        """How near a robot on its feet was to falling; None for one that is held."""
+        return None
+
+    def change(self, motion: Motion) -> tuple[Motion, str]:
+        """The motion as it can be played, before its limits are checked, and what was changed.
+
+        Raises:
+            ConfigError: the settings ask for a part that is not within the motion.
+            MotionError: it cannot be played.
+        """
+        return motion, ""
 
     def begin(self, support: StreamSupport, announced: str | None, robot: str | None) -> None:
         """RAMP begins.
@@ -105,17 +132,52 @@ class TorqueSource(Protocol):
     def ramp_to(self, first: Target) -> None:
         """RAMP begins, or begins anew, to the first target of PLAY."""
 
-    def observe(self, phase: Phase, time: float, reading: Reading, scale: float) -> None:
-        """Take a LowState into account that was received at `time`, s.
-
-        `scale` is simulated over real time.
-        """
+    def observe(self, phase: Phase, measured: Reading, scale: float) -> None:
+        """Take a LowState into account; `scale` is simulated over real time."""
 
     def command(self, moment: Moment) -> Target:
-        """The target with the torque of its command; that of the servos comes on top."""
+        """The target of a command, with its torque; that of the servos comes on top."""
+        return moment.target
 
 
-class HeldTorques:
+def load_source(config: Config, robot: G1, *, simulated: bool, complete: bool) -> Source:
+    """The source that a config asks for.
+
+    Args:
+        config: the settings in force.
+        robot: the robot.
+        simulated: nothing but a simulator is reached.
+        complete: every joint gets its torque.
+
+    Raises:
+        ConfigError: it is not installed, or the settings do not go with it.
+        SafetyError: it may not be used on a robot.
+        RobotError: there are no dynamics of this robot.
+    """
+    settings = config.stream
+    if place := SOURCES.get(settings.support or ""):
+        module, _, kind = place.partition(":")
+        extra = module.split(".")[-2]
+        found = import_extra(module, extra, f"Support {settings.support} needs")
+        source: Source = getattr(found, kind)(config, robot, simulated=simulated, complete=complete)
+        return source
+    if settings.feedforward not in (None, "dynamics"):
+        return Source()
+    other = other_revision(robot)
+    return HeldTorques(
+        InverseDynamics(robot),
+        InverseDynamics(other) if other else None,
+        period=settings.period / 1e9,
+        complete=complete,
+    )
+
+
+def other_revision(robot: G1) -> G1 | None:
+    """The G1 of another revision, where a robot may be either; None where it is known."""
+    return G1.load(REVISIONS[1]) if robot is G1.default() else None
+
+
+class HeldTorques(Source):
     """The inverse dynamics of the reference for a robot that is held in a known way.
 
     Args:
@@ -125,12 +187,6 @@ class HeldTorques:
         period: s between commands.
         complete: every joint gets its torque; otherwise the revisions cannot be told apart.
     """
-
-    needed: ClassVar = False
-    fall: Final = ""
-    awaited: Final = ""
-    stands: Final = False
-    balance_summary: Final = None
 
     def __init__(
         self,
@@ -152,7 +208,6 @@ class HeldTorques:
 
     @property
     def name(self) -> str:
-        """Of the robot's model."""
         return self._dynamics.name
 
     @property
@@ -165,7 +220,6 @@ class HeldTorques:
         )
 
     def begin(self, support: StreamSupport, announced: str | None, robot: str | None) -> None:
-        """RAMP begins; `TorqueSource` has the arguments."""
         if support == "feet":
             raise ValueError("nothing holds a robot on its feet")
         self._support, self._trusted = support, support == announced
@@ -190,23 +244,17 @@ class HeldTorques:
         if self._support == "hanging":
             self._observer = ForceObserver(dynamics, self._period)
 
-    def ramp_to(self, first: Target) -> None:
-        """The torque does not depend on where RAMP leads."""
-
-    def observe(self, phase: Phase, time: float, reading: Reading, scale: float) -> None:
-        """Take a LowState into account; `TorqueSource` has the arguments."""
-        q, dq, tau, imu = reading
+    def observe(self, phase: Phase, measured: Reading, scale: float) -> None:
         if self._fit and phase is Phase.RAMP:
-            self._fit.add(time, q, dq, tau, imu, scale)
+            self._fit.add(measured, scale)
         elif self._check and phase is Phase.PLAY:
-            self._check.add(time, q, dq, imu, self._expected_rate, scale)
+            self._check.add(measured, self._expected_rate, scale)
 
     def command(self, moment: Moment) -> Target:
-        """The target with the torque of its command; that of the servos comes on top."""
         if self._fit and (moment.phase is not Phase.RAMP or moment.ramped > _DECISION):
             self._decide(self._fit.position)
             self._fit = None
-        target, imu, dynamics = moment.target, moment.imu, self._dynamics
+        target, imu, dynamics = moment.target, moment.measured.imu, self._dynamics
         self._expected_rate = target.root_ang_vel
         if self._support == "follow":
             base = BaseMotion(
@@ -218,7 +266,7 @@ class HeldTorques:
         solution = dynamics.solve(self._support, target.q, target.dq, target.ddq, base, force=force)
         if self._observer:
             self._observer.expect(dynamics.specific_force(solution, base))
-        return target.replace(tau=solution.tau)
+        return replace(target, tau=solution.tau)
 
     def _decide(self, position: float | None) -> None:
         """Continue with the model that the measured torques are nearer to."""

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from g1stream.control.state_checks import ImuReading
+from g1stream.config import load_config
+from g1stream.control.reading import ImuReading, Reading
+from g1stream.control.sources import HeldTorques, Moment
 from g1stream.control.targets import Target
-from g1stream.control.torques import HeldTorques, Moment, Reading
 from g1stream.errors import ConfigError
 from g1stream.extras.physics.stance import stand
 from g1stream.motion.trajectory import Trajectory
@@ -19,7 +22,7 @@ from g1stream.synthetic import squatting
 from g1stream.types import Phase
 
 pytest.importorskip("daqp")
-from g1stream.extras.feet.standing_torques import StandingTorques
+from g1stream.extras.feet.source import StandingTorques
 
 ROBOT = G1.default()
 PERIOD = 0.002
@@ -31,12 +34,14 @@ LEFT, RIGHT = (
 
 @pytest.fixture(scope="module")
 def first():
-    return Target.of(0.0, Trajectory(stand(squatting(1.0), ROBOT).motion).sample(0.0)).at_rest()
+    return Target.from_point(
+        0.0, Trajectory(stand(squatting(1.0), ROBOT).motion).sample(0.0)
+    ).at_rest()
 
 
 @pytest.fixture
 def torques(first):
-    torques = StandingTorques(ROBOT, None, PERIOD)
+    torques = StandingTorques(load_config(over={"stream.support": "feet"}), ROBOT)
     torques.begin("feet", None, None)
     torques.ramp_to(first)
     return torques
@@ -46,15 +51,15 @@ def commanded(torques, first, tau, *, rpy=(0.0, 0.0, 0.0), ramped=1.0, phase=Pha
     """The command for a robot that is still in the pose of the target, with these torques."""
     quat = quat_mul(quat_from_rpy(np.array(rpy)), first.root_quat_wxyz)
     imu = ImuReading(quat, np.zeros(3), np.array([0.0, 0.0, 9.81]))
-    torques.observe(phase, 0.0, Reading(first.q, np.zeros(29), tau, imu), 1.0)
-    return torques.command(Moment(phase, ramped, first, imu, 0.0))
+    measured = Reading(first.q, np.zeros(29), tau, imu)
+    torques.observe(phase, measured, 1.0)
+    return torques.command(Moment(phase, ramped, first, measured, 0.0))
 
 
 def hanging_torque(first):
     held = HeldTorques(InverseDynamics(ROBOT), period=PERIOD)
     held.begin("hanging", "hanging", None)
-    imu = ImuReading(first.root_quat_wxyz, np.zeros(3), np.array([0.0, 0.0, 9.81]))
-    return held.command(Moment(Phase.RAMP, 0.5, first, imu, 0.0)).tau
+    return held.command(Moment(Phase.RAMP, 0.5, first, reading_at_rest(first), 0.0)).tau
 
 
 @pytest.mark.parametrize("ramped", [0.5, 1.0])
@@ -72,10 +77,11 @@ def test_ankles_take_the_tilt_back_whatever_the_heading_of_the_imu(torques, firs
         pitch = quat_mul(
             quat_from_rpy(np.array([0.0, 0.0, heading])), quat_from_rpy(np.array([0.05, 0.1, 0.0]))
         )
-        tilted = first.replace(root_quat_wxyz=np.array([1.0, 0.0, 0.0, 0.0]))
+        tilted = replace(first, root_quat_wxyz=np.array([1.0, 0.0, 0.0, 0.0]))
         imu = ImuReading(pitch, np.zeros(3), np.array([0.0, 0.0, 9.81]))
-        torques.observe(Phase.RAMP, 0.0, Reading(first.q, np.zeros(29), np.zeros(29), imu), 1.0)
-        change = torques.command(Moment(Phase.RAMP, 0.5, tilted, imu, 0.0)).q - first.q
+        measured = Reading(first.q, np.zeros(29), np.zeros(29), imu)
+        torques.observe(Phase.RAMP, measured, 1.0)
+        change = torques.command(Moment(Phase.RAMP, 0.5, tilted, measured, 0.0)).q - first.q
         for ankle in (LEFT, RIGHT):
             assert change[ankle] == pytest.approx([-0.1, -0.05], abs=2e-3)
         assert np.count_nonzero(change) == 4
@@ -108,6 +114,6 @@ def reading_at_rest(first):
 
 
 def test_a_robot_that_a_simulator_holds_does_not_stand():
-    torques = StandingTorques(ROBOT, None, PERIOD)
+    torques = StandingTorques(load_config(over={"stream.support": "feet"}), ROBOT)
     with pytest.raises(ConfigError, match="bolted"):
         torques.begin("feet", "bolted", None)

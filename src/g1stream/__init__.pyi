@@ -22,7 +22,6 @@ from g1stream.config import load_config as load_config
 from g1stream.dds.messages import LowState as LowState
 from g1stream.dds.messages import Samples as Samples
 from g1stream.errors import G1StreamError as G1StreamError
-from g1stream.extras.feet.stand import stand as stand
 from g1stream.extras.library.compute import LibraryCase as LibraryCase
 from g1stream.extras.library.run import LibraryRun as LibraryRun
 from g1stream.extras.library.run import run_library as run_library
@@ -33,6 +32,7 @@ from g1stream.extras.library.table import open_library as open_library
 from g1stream.extras.physics.measure import motion_physics as motion_physics
 from g1stream.extras.physics.result import MotionPhysics as MotionPhysics
 from g1stream.extras.physics.stance import Standing as Standing
+from g1stream.extras.physics.stand import stand as stand
 from g1stream.extras.report.compare import Comparison as Comparison
 from g1stream.extras.report.compare import compare as compare
 from g1stream.extras.report.page import report as report

@@ -237,7 +237,7 @@ def recorder_of(stream: subprocess.Popen[str]) -> int:
     """The pid of a stream's recorder."""
     for task in Path(f"/proc/{stream.pid}/task").iterdir():
         for pid in (task / "children").read_text().split():
-            if "programs.record" in Path(f"/proc/{pid}/cmdline").read_text():
+            if "app.record" in Path(f"/proc/{pid}/cmdline").read_text():
                 return int(pid)
     pytest.fail("no recorder")
 

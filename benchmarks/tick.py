@@ -27,11 +27,11 @@ from g1stream.control.state_checks import ImuReading, Measured
 from g1stream.control.targets import Targets
 from g1stream.control.torques import HeldTorques
 from g1stream.dds.messages import LowState
+from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.realtime import on_time
 from g1stream.robot.dynamics import InverseDynamics
 from g1stream.robot.model import G1
-from g1stream.session.motions import load_motion
 from g1stream.types import Phase
 
 if TYPE_CHECKING:

@@ -42,15 +42,15 @@ from g1stream.app.session import open_session
 from g1stream.app.stream import stream
 from g1stream.config import load_config
 from g1stream.control.feedforward import FeedForward
+from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.joints import JOINT_NAMES
-from g1stream.session.motions import load_motion
 
 if TYPE_CHECKING:
     from g1stream.app.session import Session
     from g1stream.dds.messages import LowState
     from g1stream.motion.motion import Motion
-    from g1stream.motion.trajectory import TrajectoryPoint
+    from g1stream.motion.spline import TrajectoryPoint
     from g1stream.types import FeedForwardKind, Floats, Support
 
 CLIP = Path(__file__).parents[2] / "shared" / "lafan1" / "joints_labeled.csv"

@@ -15,11 +15,11 @@ from g1stream.app.child_process import Child
 from g1stream.app.session import open_session
 from g1stream.config import Config
 from g1stream.dds.messages import Batch
+from g1stream.motion.readers import load_motion
 from g1stream.recorder.recorder import raw_messages
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import G1
-from g1stream.robot.visuals import read_visuals
-from g1stream.session.motions import load_motion
+from g1stream.robot.shapes import read_visuals
 from g1stream.session.source import MemorySource
 from g1stream.session.streams import STREAMS
 from g1stream.session.writer import SessionWriter

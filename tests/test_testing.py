@@ -7,9 +7,9 @@ import pytest
 
 from g1stream.config import Config, SimConfig
 from g1stream.control.make_loop import make_loop
+from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.model import G1
-from g1stream.session.motions import load_motion
 from g1stream.sim.robot import SimulatedRobot
 from g1stream.sim.world import World
 from g1stream.testing import FakeClock, FakeLink, Lockstep

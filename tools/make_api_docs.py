@@ -69,7 +69,9 @@ def _class(name: str, one: type) -> str:
     text = f"### {name}\n\n{_code(name, one) if shown else ''}{_text(one)}"
     if record:
         text += _fields(one)
-    for key, member in vars(one).items():
+    # Of a base that is not shown itself, the members are.
+    bases = () if record else [base for base in one.__mro__[1:] if _is_hidden(base)]
+    for key, member in (pair for base in (one, *bases) for pair in vars(base).items()):
         function = getattr(member, "fget", None) or getattr(member, "func", None)
         if key.startswith("_") or key == "model_config":
             continue
@@ -79,6 +81,10 @@ def _class(name: str, one: type) -> str:
             function = getattr(member, "__func__", member)
             text += f"\n**`{name}.{key}`**\n\n{_code(key, function)}{_text(function)}"
     return text
+
+
+def _is_hidden(base: type) -> bool:
+    return base.__module__.startswith("g1stream.") and base.__name__ not in g1stream.__all__
 
 
 def _nested(classes: list[tuple[str, type]]) -> dict[str, type]:

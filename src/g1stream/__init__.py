@@ -45,10 +45,11 @@ _HOME = {
         "extras.report.compare": ("Comparison", "compare"),
         "extras.report.page": ("report",),
         "motion.motion": ("Motion",),
-        "motion.trajectory": ("Trajectory", "TrajectoryPoint"),
+        "motion.readers": ("load_motion",),
+        "motion.spline": ("TrajectoryPoint",),
+        "motion.trajectory": ("Trajectory",),
         "robot.joints": ("JOINT_NAMES",),
         "robot.model": ("G1",),
-        "session.motions": ("load_motion",),
         "session.recording": ("Message",),
         "session.records": ("PhaseInterval",),
         "session.streams": (

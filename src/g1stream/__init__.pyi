@@ -37,11 +37,11 @@ from g1stream.extras.report.compare import Comparison as Comparison
 from g1stream.extras.report.compare import compare as compare
 from g1stream.extras.report.page import report as report
 from g1stream.motion.motion import Motion as Motion
+from g1stream.motion.readers import load_motion as load_motion
+from g1stream.motion.spline import TrajectoryPoint as TrajectoryPoint
 from g1stream.motion.trajectory import Trajectory as Trajectory
-from g1stream.motion.trajectory import TrajectoryPoint as TrajectoryPoint
 from g1stream.robot.joints import JOINT_NAMES as JOINT_NAMES
 from g1stream.robot.model import G1 as G1
-from g1stream.session.motions import load_motion as load_motion
 from g1stream.session.recording import Message as Message
 from g1stream.session.records import PhaseInterval as PhaseInterval
 from g1stream.session.streams import Base as Base

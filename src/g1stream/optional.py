@@ -8,7 +8,14 @@ from typing import Any, Final
 
 from g1stream.errors import ConfigError
 
-__all__ = ["EXTENSIONS", "extension", "import_extra", "not_installed", "require_installed"]
+__all__ = [
+    "EXTENSIONS",
+    "extension",
+    "import_extra",
+    "load_object",
+    "not_installed",
+    "require_installed",
+]
 
 EXTENSIONS: Final = {
     "read_bag": "g1stream.extras.ros2.bag_reader:open_bag",
@@ -27,10 +34,21 @@ def extension(name: str) -> Any:
     Raises:
         ConfigError: a package that the extra needs is not installed.
     """
-    module, _, function = EXTENSIONS[name].partition(":")
+    return load_object(EXTENSIONS[name])
+
+
+def load_object(where: str) -> Any:
+    """What is in a module: `module:name`.
+
+    Raises:
+        ConfigError: a package that the extra needs is not installed.
+    """
+    module, _, name = where.partition(":")
     try:
-        return getattr(import_module(module), function)
+        return getattr(import_module(module), name)
     except ModuleNotFoundError as error:
+        if not module.startswith("g1stream.extras."):
+            raise
         package, extra = error.name or "", module.split(".")[2]
         raise not_installed(package, extra, f"The extra `{extra}` needs") from error
 

@@ -17,8 +17,8 @@ from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import LOWCMD, LOWSTATE, LowCmd, LowState
 from g1stream.doctor.facts import Level, ok
 from g1stream.errors import SafetyError, WireError
+from g1stream.motion.readers import load_motion
 from g1stream.robot.joints import JOINT_NAMES
-from g1stream.session.motions import load_motion
 from g1stream.sim.onboard import MotionService
 
 ELSEWHERE = {"dds": {"domain": 0, "interface": "no-such-interface"}}

@@ -13,7 +13,7 @@ from g1stream.cli.motion import Inspect
 from g1stream.cli.stream import Stream
 from g1stream.errors import ConfigError, MotionError, RecordingError
 from g1stream.motion.motion import Motion
-from g1stream.session.motions import load_motion
+from g1stream.motion.readers import load_motion
 from g1stream.session.records import MotionInfo
 
 COMMANDS = {"stream": Stream, "motion": Inspect, "convert": Convert, "demo": Demo}

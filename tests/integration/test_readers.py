@@ -17,11 +17,11 @@ import numpy as np
 import pytest
 
 from g1stream.app.convert import Conversion, convert
+from g1stream.motion.readers import load_motion
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.kinematics import local_transforms
 from g1stream.robot.model import G1
-from g1stream.robot.visuals import read_visuals
-from g1stream.session.motions import load_motion
+from g1stream.robot.shapes import read_visuals
 
 HERE = Path(__file__).parent / "npm_readers"
 T0 = 1_772_366_400_123_456_789

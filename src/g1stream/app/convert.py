@@ -14,11 +14,10 @@ import numpy as np
 from g1stream._version import __version__
 from g1stream.errors import ConfigError, MotionError
 from g1stream.files import check_not_input, check_suffix, complete_file
-from g1stream.robot.meshes import robot_with_meshes
+from g1stream.motion.readers import load_motion
 from g1stream.robot.model import G1
-from g1stream.robot.visuals import missing_meshes
+from g1stream.robot.shapes import missing_meshes, robot_with_meshes
 from g1stream.session.format import CHANNELS, Channel, encode_string
-from g1stream.session.motions import load_motion
 from g1stream.session.records import MotionInfo
 from g1stream.session.writer import SessionWriter, attach_motion
 from g1stream.view.encoders import (
@@ -225,15 +224,13 @@ def _poses(motion: Motion, options: Conversion, start: int, stop: int) -> Iterat
         pose = (motion.joint_pos[rows], motion.root_pos[rows], motion.root_quat_wxyz[rows])
         parts = [(times, *pose)]
     else:
-        from g1stream.motion.trajectory import resample  # brings scipy
-
         parts = (
             (
                 frame_timestamps(base, numbers, rate),
                 *(point.joint_pos, point.root_pos, point.root_quat_wxyz),
                 *(point.joint_vel, point.joint_acc),
             )
-            for numbers, point in resample(motion, rate, start, stop)
+            for numbers, point in motion.samples(rate, start, stop)
         )
     for part in parts:
         for first in range(0, len(part[0]), _CHUNK):

@@ -21,9 +21,9 @@ from g1stream.errors import ConfigError
 from g1stream.extras.feet.stand import stand_if_asked
 from g1stream.motion.fit import fit_to_robot
 from g1stream.motion.motion import Motion
+from g1stream.motion.readers import load_motion
 from g1stream.recorder.recorder import raw_messages
 from g1stream.robot.model import G1
-from g1stream.session.motions import load_motion
 from g1stream.session.records import RecorderSummary, SessionInfo
 from g1stream.session.source import MemorySource
 from g1stream.session.writer import attach_motion

@@ -33,10 +33,9 @@ from g1stream.extras.feet.stand import refuse_feet_on_robot, stand_if_asked
 from g1stream.files import timestamped
 from g1stream.motion.fit import fit_to_robot
 from g1stream.motion.motion import Motion
-from g1stream.motion.trajectory import Trajectory
+from g1stream.motion.readers import load_motion
 from g1stream.realtime import describe, on_time
 from g1stream.robot.model import G1
-from g1stream.session.motions import load_motion
 from g1stream.session.parts import check_recording_path
 from g1stream.session.records import MotionInfo, RecorderSummary, SessionInfo, StreamSummary
 

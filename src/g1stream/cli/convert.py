@@ -129,7 +129,7 @@ class Convert(MotionFlags):
                 "The argument MOTION or FILE is missing.",
                 "Add it; `g1stream convert --help` says what it is.",
             )
-        from g1stream.motion.save import MOTION_SUFFIXES
+        from g1stream.motion.motion import MOTION_SUFFIXES
 
         check_not_input(self.out, *map(Path, self.motions))
         if self.ros2:
@@ -165,7 +165,7 @@ class Convert(MotionFlags):
             )
 
     def _motion_file(self) -> int:
-        from g1stream.motion.csv import DEFAULT_FPS
+        from g1stream.motion.motion import DEFAULT_FPS
 
         motion = self.load(self.motions)
         first, behind = _frames(self.frames)

@@ -71,7 +71,7 @@ class MotionFlags(Command):
             RecordingError: a session is damaged, or no motion was played in it.
             RobotError: the robot's soles, which --on-floor needs, are not known.
         """
-        from g1stream.session.motions import load_motion
+        from g1stream.motion.readers import load_motion
 
         read = [load_motion(one, fps=self.fps, joint_order=self.joint_order) for one in motions]
         return self.join(read, robot)

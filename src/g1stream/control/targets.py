@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from g1stream.extras.feet.squat import Squat
-    from g1stream.motion.trajectory import Trajectory, TrajectoryPoint
+    from g1stream.motion.spline import TrajectoryPoint
+    from g1stream.motion.trajectory import Trajectory
 
 __all__ = ["LOWERED", "Ramp", "Target", "Targets"]
 

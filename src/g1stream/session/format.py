@@ -22,7 +22,6 @@ from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
-from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
 from g1stream.dds.layout import CDR_HEADER, members
 from g1stream.types import Ints, Phase
@@ -145,18 +144,9 @@ def _dds(topic: str, dds_topic: str, name: str, description: str) -> Channel:
 
 def _protobuf_schema(message_class: type[Message]) -> bytes:
     """A serialised FileDescriptorSet of a message and all that it imports, the imported first."""
-    files: dict[str, Any] = {}
+    from mcap_protobuf.schema import build_file_descriptor_set  # with the writer of mcap: 30 ms
 
-    def collect(file: Any) -> None:
-        for imported in file.dependencies:
-            collect(imported)
-        files[file.name] = file
-
-    collect(message_class.DESCRIPTOR.file)
-    collected = FileDescriptorSet()
-    for file in files.values():
-        file.CopyToProto(collected.file.add())
-    schema: bytes = collected.SerializeToString()
+    schema: bytes = build_file_descriptor_set(message_class).SerializeToString()
     return schema
 
 

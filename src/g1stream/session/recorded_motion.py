@@ -16,6 +16,7 @@ import numpy as np
 from g1stream.errors import MotionError, RecordingError
 from g1stream.input_limits import FRAMES, LATEST_NS, NUMBER, UNPACKED
 from g1stream.motion.motion import SMALLEST_QUAT, Motion, check_fps
+from g1stream.motion.readers import Evidence
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.rotations import quat_normalize, wxyz_from_xyzw, xyzw_from_wxyz
 from g1stream.text import counted
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
     from google.protobuf.timestamp_pb2 import Timestamp
 
+    from g1stream.motion.readers import MotionFile
     from g1stream.session.mcap_reader import Messages
 
 __all__ = [
@@ -101,44 +103,42 @@ class RecordedMotion:
     """The motion in a recording.
 
     Args:
-        path: of the recording.
+        file: the recording; without `fps` the motion has the rate of its joint states.
         files: its parts, in order.
         decoders: of the messages that it may have.
     """
 
-    def __init__(self, path: Path, files: Sequence[RecordingFile], decoders: Decoders) -> None:
-        self._path, self._files = path, files
+    def __init__(
+        self, file: MotionFile, files: Sequence[RecordingFile], decoders: Decoders
+    ) -> None:
+        self._path, self._fps, self._files = file.path, file.fps, files
         self._decode_joints, self._decode_transforms = decoders
         self._types = {topic: kind for file in files for topic, kind in file.types.items()}
         self._unread = sum(file.unread for file in files)
         self._counts = sum((file.counts for file in files), Counter[str]())
 
     @cached_property
-    def evidence(self) -> tuple[str, ...]:
-        """What the motion is made of, in short texts: the joints, their order, the pelvis."""
+    def evidence(self) -> Evidence:
+        """What the motion is made of: the joints, their order, the pelvis."""
         topic, pose = self._joints_topic, self._pelvis
-        pelvis = "not in the file: upright at the origin"
-        if pose is not None:
-            pelvis = f"{pose.child} in {pose.parent}, {counted(len(pose.pos), 'transform')}"
-        return (
-            f"bag; {counted(self._counts[topic], 'message')} of {self._types[topic][0]} on {topic}",
-            "named by the messages",
-            pelvis,
-        )
+        count, kind = counted(self._counts[topic], "message"), self._types[topic][0]
+        used = {"file": f"bag; {count} of {kind} on {topic}"}
+        used["joint order"] = "named by the messages"
+        if pose is None:
+            return Evidence(used, {"pelvis": "upright at the origin"})
+        poses = counted(len(pose.pos), "transform")
+        return Evidence({**used, "pelvis": f"{pose.child} in {pose.parent}, {poses}"})
 
-    def motion(self, fps: float | None = None) -> Motion:
+    def motion(self) -> Motion:
         """The motion of its joint states, and of the pelvis in its transforms.
 
         Times are the stamps in the messages, or where those of the joint states do not rise or
         those of the transforms are not of the same time, all are those of publishing.
 
-        Args:
-            fps: frames per second; the rate of the joint states if None.
-
         Raises:
             RecordingError: the file is damaged, or has no joint states or several topics of them,
                 or transforms of another time.
-            MotionError: joints are missing, or `fps` is not a frame rate.
+            MotionError: joints are missing.
         """
         clocks, q = self._joints
         pose = self._pelvis
@@ -156,7 +156,7 @@ class RecordedMotion:
                 )
             root_pos, quat = pose.at(times, clock)
         seconds = (times - times[0]) / _NS_PER_S
-        motion = motion_of_poses(seconds, q, root_pos, quat, self._path, fps)
+        motion = motion_of_poses(seconds, q, root_pos, quat, self._path, self._fps)
         if not self._unread:
             return motion
         lost = f"the last {counted(self._unread, 'byte')} of {self._path} are no whole record"

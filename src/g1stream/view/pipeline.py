@@ -15,7 +15,7 @@ from g1stream.config import RecordConfig
 from g1stream.dds.messages import LOWSTATE, REFERENCE, SPORTMODESTATE, Samples, played_joints
 from g1stream.errors import ConfigError
 from g1stream.robot.joints import JOINT_GROUPS
-from g1stream.robot.meshes import robot_with_meshes
+from g1stream.robot.shapes import robot_with_meshes
 from g1stream.robot.urdf import with_prefixed_links
 from g1stream.session.format import TIMING_FIELDS, MessageBatch, encode_string
 from g1stream.session.streams import MAX_GAP_NS, neighbours

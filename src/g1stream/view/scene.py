@@ -13,8 +13,7 @@ from foxglove_schemas_protobuf.TriangleListPrimitive_pb2 import TriangleListPrim
 from g1stream.errors import RobotError
 from g1stream.files import read_file
 from g1stream.input_limits import MESHES
-from g1stream.robot.meshes import decimate, read_stl
-from g1stream.robot.visuals import find_mesh, read_visuals
+from g1stream.robot.shapes import decimate, find_mesh, read_stl, read_visuals
 from g1stream.types import Floats, Ints
 from g1stream.view.encoders import WORLD_FRAME
 
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
     from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
 
     from g1stream.robot.model import G1
-    from g1stream.robot.visuals import Visual
+    from g1stream.robot.shapes import Visual
 
 __all__ = [
     "PathEncoder",

@@ -17,6 +17,7 @@ from g1stream.control.make_loop import make_loop
 from g1stream.errors import ConfigError, MotionError, SafetyError
 from g1stream.extras.feet.stand import refuse_feet_on_robot, stand_if_asked
 from g1stream.extras.physics.stance import stand
+from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import G1, REVISIONS
@@ -27,7 +28,6 @@ from g1stream.robot.rotations import (
     tilt_of,
     yaw_of,
 )
-from g1stream.session.motions import load_motion
 from g1stream.sim.lockstep import Lockstep
 from g1stream.sim.robot import SensorNoise, SimulatedRobot
 from g1stream.sim.world import World

@@ -11,8 +11,7 @@ from g1stream.app.session import Session
 from g1stream.cli.main import main
 from g1stream.config import Config
 from g1stream.errors import RecordingError
-from g1stream.extras.report.compare_table import verdict
-from g1stream.extras.report.differences import differences, ranked
+from g1stream.extras.report.compare import differences, ranked, verdict
 from g1stream.session.source import MemorySource
 from g1stream.session.writer import SessionWriter
 from g1stream.synthetic import SyntheticSession

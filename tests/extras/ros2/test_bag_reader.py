@@ -18,7 +18,7 @@ from g1stream.cli.main import main
 from g1stream.errors import ConfigError, MotionError, RecordingError
 from g1stream.extras.ros2.bag_reader import DECODERS, open_bag
 from g1stream.extras.ros2.messages import joint_state as in_cdr
-from g1stream.session.motions import check_motion_file, load_motion
+from g1stream.motion.readers import MotionFile, check_motion_file, load_motion
 
 ROS = get_typestore(Stores.ROS2_HUMBLE)
 START = 1_700_000_000_000_000_000
@@ -109,9 +109,8 @@ def test_a_bag_of_ros(tmp_path, motion, joints, transforms, storage):
         np.testing.assert_array_equal(found.root_pos, motion.root_pos)
         np.testing.assert_allclose(found.root_quat_wxyz, motion.root_quat_wxyz, atol=1e-15)
     report = check_motion_file(directory, g1stream.G1.default())
-    assert report.kind == "bag"
-    assert "/joint_states" in report.evidence[0]
-    assert "pelvis in odom" in report.evidence[2]
+    assert "/joint_states" in report.evidence.used["file"]
+    assert "pelvis in odom" in report.evidence.used["pelvis"]
 
 
 @pytest.mark.parametrize(
@@ -136,8 +135,8 @@ def test_a_file_without_its_end_is_read_to_the_cut(tmp_path, motion, joints):
     )
     (path,) = directory.glob("*.mcap")
     path.write_bytes(path.read_bytes()[:1_500_000])
-    found = open_bag(path)
-    assert 500 < int(found.evidence[0].split()[1].replace(",", "")) < 10_000
+    found = open_bag(MotionFile(path))
+    assert 500 < int(found.evidence.used["file"].split()[1].replace(",", "")) < 10_000
 
 
 def test_without_rosbags_the_extra_is_named(tmp_path, joints, monkeypatch):
@@ -356,4 +355,4 @@ def test_sqlite_files_that_are_no_bags(tmp_path):
         load_motion(path)
     path.write_bytes(path.read_bytes()[:1000])
     with pytest.raises(RecordingError, match="cannot be read as a bag of ROS 2"):
-        open_bag(path)
+        open_bag(MotionFile(path))

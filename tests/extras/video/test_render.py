@@ -14,8 +14,8 @@ from g1stream.app.session import open_session
 from g1stream.cli.render import parse_size
 from g1stream.errors import ConfigError, RecordingError, RobotError
 from g1stream.extras.video.render import AZIMUTHS, render
-from g1stream.robot.meshes import with_shapes
 from g1stream.robot.model import G1
+from g1stream.robot.shapes import with_shapes
 
 SIZE = (96, 96)
 

@@ -24,8 +24,8 @@ from g1stream.extras.library.files import content_hash, local_copy, stem
 from g1stream.extras.library.table import FORMAT, Command, JointRow, MotionRow, Rows, Status
 from g1stream.extras.physics.measure import motion_physics
 from g1stream.motion.check import check_motion
-from g1stream.motion.motion import Motion
-from g1stream.motion.save import MOTION_SUFFIXES
+from g1stream.motion.motion import MOTION_SUFFIXES, Motion
+from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.kinematics import forward_kinematics
@@ -36,7 +36,6 @@ from g1stream.robot.rotations import (
     quat_rotate_inverse,
     yaw_of,
 )
-from g1stream.session.motions import load_motion
 
 if TYPE_CHECKING:
     from g1stream.analysis.metrics import Metrics

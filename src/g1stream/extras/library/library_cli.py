@@ -257,7 +257,7 @@ def _results(rows: list[dict[str, Any]]) -> list[str]:
 
 def _problems(run: LibraryRun, rows: list[dict[str, Any]]) -> list[str]:
     """What failed, and why; some of each kind. And what a file that was written lacks."""
-    from g1stream.motion.csv import DEFAULT_FPS
+    from g1stream.motion.motion import DEFAULT_FPS
 
     failed = [row for row in rows if row["status"] != "ok"]
     kinds = ", ".join(f"{n} {kind}" for kind, n in Counter(r["status"] for r in failed).items())

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
+    from g1stream.motion.readers import MotionFile
     from g1stream.session.recorded_motion import RecordingFile
 
 __all__ = ["DECODERS", "open_bag"]
@@ -36,17 +37,17 @@ __all__ = ["DECODERS", "open_bag"]
 _ROWS: Final = 100
 
 
-def open_bag(path: Path) -> RecordedMotion:
+def open_bag(file: MotionFile) -> RecordedMotion:
     """A bag: an MCAP or SQLite file, or a directory with metadata.yaml.
 
     Raises:
         RecordingError: there is no such bag, or it is damaged.
     """
-    parts = parts_of(path)
+    parts = parts_of(file.path)
     # The reader of sessions, unlike rosbags', reads what was written before a recorder was killed.
     in_mcap = begins_with(parts[0], b"\x89MCAP")
-    files: list[RecordingFile] = [*map(McapFile, parts)] if in_mcap else [_Bag(path)]
-    return RecordedMotion(path, files, DECODERS)
+    files: list[RecordingFile] = [*map(McapFile, parts)] if in_mcap else [_Bag(file.path)]
+    return RecordedMotion(file, files, DECODERS)
 
 
 class _Bag:

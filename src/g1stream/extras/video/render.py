@@ -17,7 +17,7 @@ from g1stream.extras.video.scene import PosedRobot, Scene
 from g1stream.files import check_suffix, complete_file
 from g1stream.input_limits import FRAMES
 from g1stream.optional import import_extra
-from g1stream.robot.meshes import with_shapes
+from g1stream.robot.shapes import with_shapes
 from g1stream.session.streams import Base, Measured, Reference
 from g1stream.types import Floats, Ints, Phase
 from g1stream.view.measured_base import MeasuredBase

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from g1stream.errors import RobotError, SimError
+from g1stream.robot.dynamics import mujoco_spec
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.kinematics import pose_blocks
-from g1stream.robot.mujoco_spec import mujoco_spec
-from g1stream.robot.visuals import find_mesh, has_meshes, read_visuals
+from g1stream.robot.shapes import find_mesh, has_meshes, read_visuals
 from g1stream.sim.model import add_floor_and_light
 from g1stream.types import Floats
 

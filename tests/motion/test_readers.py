@@ -1,4 +1,4 @@
-"""Motion files are found by path or by the name of a bundled motion."""
+"""Motion files are found by path or by the name of a bundled motion, and read by their format."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import os
 import pytest
 
 from g1stream.errors import MotionError
-from g1stream.motion.files import BUNDLED_MOTIONS, open_motion_file
+from g1stream.motion.readers import BUNDLED_MOTIONS, FORMATS, load_motion
 
 
 @pytest.mark.parametrize("name", BUNDLED_MOTIONS)
 def test_bundled_motions_by_name(name):
-    motion = open_motion_file(name).motion()
+    motion = load_motion(name)
     assert motion.name == name
     assert motion.source.name == f"{name}.csv"
     assert motion.warnings == ()
@@ -20,7 +20,7 @@ def test_bundled_motions_by_name(name):
 
 def test_a_missing_file_is_named_with_the_choices(tmp_path):
     with pytest.raises(MotionError) as caught:
-        open_motion_file(tmp_path / "walk.csv")
+        load_motion(tmp_path / "walk.csv")
     assert str(tmp_path / "walk.csv") in caught.value.cause
     assert all(choice in caught.value.remedy for choice in ("motion file", "session file", "demo"))
 
@@ -35,15 +35,35 @@ def test_paths_that_are_not_readable_files(tmp_path, kind):
     else:
         os.mkfifo(path)
     with pytest.raises(MotionError, match=r"odd\.csv"):
-        open_motion_file(path)
+        load_motion(path)
 
 
 @pytest.mark.parametrize("name", [f"{'a' * 300}:b", "a\0:b", ":", "a:"])
 def test_names_that_no_file_can_have(name):
     with pytest.raises(MotionError):
-        open_motion_file(name)
+        load_motion(name)
 
 
 def test_a_directory_is_told_from_a_bag(tmp_path):
     with pytest.raises(MotionError, match=r"metadata\.yaml"):
-        open_motion_file(tmp_path)
+        load_motion(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"HIERARCHY\nROOT Hips\n", b"\x89HDF\r\n\x1a\n", b'{"fps": 30}', b"<?xml?>", b"\xff\xfe"],
+)
+def test_what_is_in_no_format_is_told_the_formats(tmp_path, content):
+    path = tmp_path / "motion"
+    path.write_bytes(content)
+    with pytest.raises(MotionError, match="in no format that is read") as caught:
+        load_motion(path)
+    assert all(one.name in caught.value.remedy for one in FORMATS)
+
+
+@pytest.mark.parametrize("name", ["motion.csv", "motion.npz"])
+def test_a_pointer_of_git_lfs_is_not_the_file(tmp_path, name):
+    path = tmp_path / name
+    path.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n")
+    with pytest.raises(MotionError, match="Git LFS"):
+        load_motion(path)

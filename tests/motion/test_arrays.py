@@ -20,10 +20,8 @@ import pytest
 
 import g1stream
 from g1stream.errors import MotionError, RecordingError
-from g1stream.motion.array_file import ArrayFile
-from g1stream.motion.files import open_motion_file
-from g1stream.motion.joint_order import names_in_order
-from g1stream.motion.torch_file import read_torch
+from g1stream.motion.arrays import names_in_order, read_arrays
+from g1stream.motion.readers import find_motion
 from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1
 from g1stream.robot.rotations import xyzw_from_wxyz
@@ -70,6 +68,10 @@ def bodies(motion, robot="g1_29dof"):
     }
 
 
+def opened(path):
+    return find_motion(path).open()
+
+
 def assert_same(found, motion, *, tolerance=0.0, root=True):
     assert found.fps == motion.fps
     np.testing.assert_array_equal(found.joint_pos, motion.joint_pos)
@@ -91,25 +93,36 @@ def test_order_told_by_bodies(tmp_path, motion, isaac_angles, order):
     angles = motion.joint_pos if order == "motor" else isaac_angles
     path = tmp_path / "motion.npz"
     np.savez(path, fps=[50], joint_pos=angles, joint_vel=0 * angles, **bodies(motion))
-    file = open_motion_file(path)
-    assert isinstance(file, ArrayFile)
-    assert file.columns == names_in_order(order)
-    assert "g1_29dof" in file.evidence[1]
+    file = opened(path)
+    assert file.evidence.used["joint order"].startswith(f"{order}: the bodies are 0.0 mm")
+    assert "g1_29dof" in file.evidence.used["joint order"]
+    assert file.evidence.not_used == ("joint_vel",)
     assert_same(file.motion(), motion, tolerance=1e-6)
 
 
 def test_bodies_of_another_model(tmp_path, motion, isaac_angles):
     path = tmp_path / "motion.npz"
     np.savez(path, fps=50, joint_pos=isaac_angles, **bodies(motion, "g1_29dof_rev_1_0"))
-    assert "g1_29dof_rev_1_0" in open_motion_file(path).evidence[1]
+    assert "g1_29dof_rev_1_0" in opened(path).evidence.used["joint order"]
+
+
+def test_the_pelvis_alone_says_nothing_of_the_order(tmp_path, motion, isaac_angles):
+    path = tmp_path / "motion.npz"
+    pelvis = {name: values[:, :1] for name, values in bodies(motion).items()}
+    np.savez(path, fps=50, joint_pos=isaac_angles, **pelvis)
+    assert_same(g1stream.load_motion(path), motion, tolerance=1e-6)
+    np.savez(path, fps=50, joint_pos=0 * isaac_angles, **pelvis)
+    with pytest.raises(MotionError, match="cannot be told"):
+        g1stream.load_motion(path)
 
 
 def test_order_told_by_limits(tmp_path, motion, isaac_angles):
     path = tmp_path / "motion.npz"
     np.savez(path, q=isaac_angles, fps=50)
-    file = open_motion_file(path)
-    assert file.columns == names_in_order("isaaclab")
-    assert file.quats is None
+    file = opened(path)
+    assert file.evidence.used["joint order"].startswith("isaaclab")
+    assert file.evidence.quat_norms is None
+    assert file.evidence.assumed.keys() == {"pelvis"}
     found = file.motion()
     assert_same(found, motion, root=False)
     assert not found.root_pos.any()
@@ -147,8 +160,8 @@ def test_named_joints_behind_the_pelvis(tmp_path, motion, isaac_angles):
     pose = np.hstack([motion.root_pos, motion.root_quat_wxyz, isaac_angles])
     names = np.array(names_in_order("isaaclab"), dtype=object)
     np.savez(path, fps=50.0, joint_pos=pose, joint_names=names, **bodies(motion))
-    file = open_motion_file(path)
-    assert file.has_header
+    file = opened(path)
+    assert file.evidence.used["joint order"] == "named by the file"
     assert_same(file.motion(), motion)
 
 
@@ -244,7 +257,7 @@ def test_pickle_runs_nothing(tmp_path):
     mark, path = tmp_path / "mark", tmp_path / "motion.pkl"
     path.write_bytes(pickle.dumps({"dof": Command(mark)}))
     with pytest.raises(MotionError, match="system"):
-        open_motion_file(path)
+        opened(path)
     assert not mark.exists()
 
 
@@ -279,7 +292,7 @@ def with_root(pos, quat):
         ({"dof": np.zeros((9, 2)), "dof_names": ["left_knee", "right_knee"]}, "lacks"),
         ({"a": {}, "b": {}}, "2 motions.*: a, b"),
         ([1, 2, 3], "no arrays"),
-        ({"dof": shared_lists()}, "values"),
+        ({"dof": shared_lists()}, "512 MiB"),
         ({"dof": {1, 2}}, "dof"),
     ],
 )
@@ -338,7 +351,7 @@ def test_hostile_pickles(tmp_path, content):
     tracemalloc.start()
     try:
         with pytest.raises(MotionError):
-            open_motion_file(path)
+            opened(path)
         assert tracemalloc.get_traced_memory()[1] < 2**30
     finally:
         tracemalloc.stop()
@@ -361,17 +374,18 @@ def test_order_told_by_limits_is_a_warning(tmp_path, motion):
 
 def test_a_file_of_pytorch(motion):
     """Written by PyTorch 2.13, with the arrays of ProtoMotions: frames 60 to 63 of the demo."""
-    file = open_motion_file(DATA / "protomotions.pt")
-    assert isinstance(file, ArrayFile)
-    assert "ProtoMotions" in file.evidence[0]
-    assert file.columns == g1stream.JOINT_NAMES
+    file = opened(DATA / "protomotions.pt")
+    used = "file of PyTorch with dof_pos, rigid_body_pos, rigid_body_rot, fps"
+    assert set(file.evidence.used["file"].split(", ")) == set(used.split(", "))
+    assert file.evidence.used["joint order"].startswith("motor")
     found = file.motion()
     assert found.fps == 50.0
     np.testing.assert_array_equal(found.joint_pos, motion.joint_pos[60:64].astype(np.float32))
     half = 0.3 * np.arange(4) / 50.0
     expected = np.stack([np.cos(half), 0 * half, 0 * half, np.sin(half)], axis=1)
     np.testing.assert_allclose(found.root_quat_wxyz, expected, rtol=0, atol=1e-6)
-    tensors = read_torch((DATA / "protomotions.pt").read_bytes())
+    kind, tensors = read_arrays((DATA / "protomotions.pt").read_bytes())
+    assert kind == "file of PyTorch"
     np.testing.assert_array_equal(tensors["transposed"], np.arange(6.0).reshape(2, 3).T)
     assert tensors["contacts"].dtype == np.bool_
     assert tensors["fps_tensor"] == 50.0
@@ -428,7 +442,7 @@ def pickled(arrays):
 
 def test_tensors_are_within_their_storage(tmp_path):
     path = torch_file(tmp_path / "a.pt", pickled({"q": Tensor(0, (2, 2), (2, 1))}))
-    assert read_torch(path.read_bytes())["q"].shape == (2, 2)
+    assert read_arrays(path.read_bytes())[1]["q"].shape == (2, 2)
     for arguments in (
         (1, (2, 2), (2, 1)),
         (0, (3, 2), (2, 1)),
@@ -439,10 +453,10 @@ def test_tensors_are_within_their_storage(tmp_path):
     ):
         path = torch_file(tmp_path / "a.pt", pickled({"q": Tensor(*arguments)}))
         with pytest.raises(MotionError, match="tensor"):
-            open_motion_file(path)
+            opened(path)
     torch_file(path, pickled({"q": Tensor(0, (2, 2), (2, 1))}), b"abc")
     with pytest.raises(MotionError):
-        open_motion_file(path)
+        opened(path)
 
 
 @pytest.mark.parametrize("suffix", ["npz", "npy"])
@@ -454,7 +468,7 @@ def test_a_file_that_is_cut_off_is_said_to_be(tmp_path, motion, suffix):
         motion.save(path)
     path.write_bytes(path.read_bytes()[:-100])
     with pytest.raises(MotionError, match=rf"^motion.{suffix}: .*damaged or cut off"):
-        open_motion_file(path)
+        opened(path)
 
 
 def test_one_array(tmp_path, motion):
@@ -468,25 +482,3 @@ def test_bodies_under_other_names(tmp_path, motion):
     arrays = {"body_positions": poses["body_pos_w"], "body_rotations": poses["body_quat_w"]}
     np.savez(path, fps=50, dof_positions=motion.joint_pos, dof_names=motion.joint_names, **arrays)
     assert_same(g1stream.load_motion(path), motion, tolerance=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("content", "kind"),
-    [
-        (b"HIERARCHY\nROOT Hips\n", "BVH"),
-        (b"Kaydara FBX Binary  \0", "FBX"),
-        (b"\x89HDF\r\n\x1a\n", "HDF5"),
-        (b"PAR1", "Parquet"),
-        (b"#ROSBAG V2.0\n", "ROS 1"),
-        (b'{"fps": 30}', "JSON"),
-        (b'<?xml version="1.0"?>', "XML"),
-        (b"\x89PNG\r\n\x1a\n", "PNG"),
-    ],
-)
-def test_files_that_are_known_but_not_read(tmp_path, content, kind):
-    path = tmp_path / "motion"
-    path.write_bytes(content)
-    with pytest.raises(MotionError) as caught:
-        open_motion_file(path)
-    assert kind in caught.value.cause
-    assert "CSV" in caught.value.remedy

@@ -205,8 +205,8 @@ class RecordedMotion:
                     published.append(time)
         if not columns:
             raise RecordingError(
-                f"{topic} in {self._path} has no message in a chunk.",
-                "Write the file with chunks, as `mcap compress` does.",
+                f"{topic} in {self._path} has no messages.",
+                "Record while its publisher runs.",
             )
         missing = [name for name in JOINT_NAMES if name not in seen]
         if missing:

@@ -16,12 +16,12 @@ import argparse
 import numpy as np
 
 import g1stream
+from g1stream.app.session import Session, open_session
 from g1stream.config import Config
 from g1stream.control.reading import ImuReading, Reading
 from g1stream.control.targets import Target
 from g1stream.extras.feet.balance import Balance
 from g1stream.robot.rotations import quat_conj, quat_from_yaw, quat_mul, quat_rotate, yaw_of
-from g1stream.session.session import Session, open_session
 
 _SETTLED = 1.0  # s
 

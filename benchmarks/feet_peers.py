@@ -30,7 +30,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from feet import FALLEN, striding, swaying
-from g1stream.session.session import Session, open_session
+from g1stream.app.session import Session, open_session
 from g1stream.synthetic import squatting
 from g1stream.types import Phase
 from tracking_peers import PEERS, SIMULATORS, missing, running

@@ -20,8 +20,8 @@ from mcap.reader import make_reader
 from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
 
+from g1stream.app.session import open_session
 from g1stream.errors import RecordingError
-from g1stream.session.session import open_session
 
 TICKS = os.sysconf("SC_CLK_TCK")
 

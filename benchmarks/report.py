@@ -34,8 +34,8 @@ def read(path: Path, what: str) -> dict[str, float]:
     """Make the `summary`, the `metrics` or the `report` of a session, or `iterate` over it."""
     from mcap.reader import make_reader
 
+    from g1stream.app.session import open_session
     from g1stream.extras.report.page import report
-    from g1stream.session.session import open_session
 
     with path.open("rb") as file:  # so that the disk is not what is measured
         while file.read(2**20):

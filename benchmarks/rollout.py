@@ -6,7 +6,7 @@ CPU time for each second that is simulated, in ms, the median of the rounds. The
 `mj_step` alone: the same model, settings and number of steps, from the same state, the motors off.
 Parts are timed around the calls that do the work, 0.1 us a call included: the physics (`World.step`
 and `World.state`), the feed-forward (`FeedForward.command` and `observe`), what is recorded
-(`MessagePipeline.encode`, with the channels raw as in `g1stream library simulate`), and the rest:
+(copying the samples, with the channels raw as in `g1stream library simulate`), and the rest:
 the loop, its safety, targets, messages and their checksums.
 """
 
@@ -26,13 +26,13 @@ from g1stream.app.sim import make_world
 from g1stream.config import load_config
 from g1stream.control.feedforward import FeedForward
 from g1stream.robot.model import G1
+from g1stream.session.source import MemorySource
 from g1stream.sim.world import World
-from g1stream.view.pipeline import MessagePipeline
 
 PARTS = {
     "physics": ((World, "step"), (World, "state")),
     "feed-forward": ((FeedForward, "command"), (FeedForward, "observe")),
-    "recording": ((MessagePipeline, "encode"),),
+    "recording": ((MemorySource, "write_batch"),),
 }
 
 

@@ -29,7 +29,7 @@ TOPIC = "/lowstate"
 
 def lengthen(source: Path, target: Path, minutes: float) -> None:
     """Write a session of so many minutes by repeating the messages of another."""
-    from g1stream.session.session import open_session
+    from g1stream.app.session import open_session
     from g1stream.session.writer import SessionWriter
 
     session = open_session(source)
@@ -57,7 +57,7 @@ def lengthen(source: Path, target: Path, minutes: float) -> None:
 
 def ours(path: Path) -> dict[str, float]:
     """Open a session and take the joint angles as an array."""
-    from g1stream.session.session import open_session
+    from g1stream.app.session import open_session
 
     begun = time.perf_counter()
     session = open_session(path)

@@ -25,7 +25,7 @@ import numpy as np
 
 from feet import NONE, ROBOT, play
 from g1stream.extras.physics.stance import stand
-from g1stream.session.motions import load_motion
+from g1stream.motion.readers import load_motion
 from g1stream.synthetic import squatting
 
 if TYPE_CHECKING:

@@ -28,11 +28,11 @@ from g1stream.control.reading import ImuReading, Reading
 from g1stream.control.sources import HeldTorques, Moment
 from g1stream.control.targets import Targets, Timing
 from g1stream.dds.messages import LowState
+from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.realtime import on_time
 from g1stream.robot.dynamics import InverseDynamics
 from g1stream.robot.model import G1
-from g1stream.session.motions import load_motion
 from g1stream.types import Phase
 
 if TYPE_CHECKING:

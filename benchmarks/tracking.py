@@ -37,20 +37,20 @@ import numpy as np
 
 import tracking_peers
 from g1stream.app.rollout import rollout
+from g1stream.app.session import open_session
 from g1stream.app.stream import stream
 from g1stream.child_process import Child
 from g1stream.config import load_config
 from g1stream.control.feedforward import FeedForward
+from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.joints import JOINT_NAMES
-from g1stream.session.motions import load_motion
-from g1stream.session.session import open_session
 
 if TYPE_CHECKING:
+    from g1stream.app.session import Session
     from g1stream.dds.messages import LowState
     from g1stream.motion.motion import Motion
-    from g1stream.motion.trajectory import TrajectoryPoint
-    from g1stream.session.session import Session
+    from g1stream.motion.spline import TrajectoryPoint
     from g1stream.types import FeedForwardKind, Floats, Support
 
 CLIP = Path(__file__).parents[2] / "shared" / "lafan1" / "joints_labeled.csv"
@@ -182,8 +182,8 @@ def arms(motion: Motion, seconds: float, domain: int) -> None:
         finally:
             sim.kill()
         if found:
-            limbs = (f"{limb} {value:.4f}" for limb, value in found.rmse_by_limb_rad.items())
-            print(f"{kind:10} {found.rmse_rad:.4f}   {', '.join(limbs)}")
+            limbs = (f"{limb} {one.rmse_rad:.4f}" for limb, one in found.limbs.items())
+            print(f"{kind:10} {found.all_joints.rmse_rad:.4f}   {', '.join(limbs)}")
 
 
 def draw(sessions: dict[str, Session], path: Path) -> None:

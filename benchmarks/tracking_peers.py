@@ -33,8 +33,8 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from g1stream.app.session import open_session
 from g1stream.errors import G1StreamError
-from g1stream.session.session import open_session
 
 PEERS: Final = Path(os.environ.get("PEERS") or Path(tempfile.gettempdir(), "peers"))
 SIMULATORS: Final = {"C++": "cppsim", "Python": "pysim"}

@@ -4,16 +4,27 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections import defaultdict
+from itertools import product
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from g1stream.app.session import open_session
 from g1stream.child_process import Child
 from g1stream.config import Config
-from g1stream.session.motions import load_motion
-from g1stream.session.session import open_session
+from g1stream.dds.messages import Batch
+from g1stream.motion.readers import load_motion
+from g1stream.recorder.recorder import raw_messages
+from g1stream.robot.joints import JOINT_NAMES
+from g1stream.robot.model import G1
+from g1stream.robot.shapes import read_visuals
+from g1stream.session.source import MemorySource
+from g1stream.session.streams import STREAMS
 from g1stream.session.writer import SessionWriter
 from g1stream.synthetic import SyntheticSession
+from g1stream.view.pipeline import MessagePipeline
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
@@ -97,3 +108,55 @@ def test_steps_are_made_and_played(tmp_path):
     assert printed.startswith("can be played")
     assert "RMSE" in printed
     assert load_motion(tmp_path / "steps.npz").duration == pytest.approx(6.4)
+
+
+def write_standard(path: Path) -> Path:
+    """A session with the channels that viewers show, of a robot that is 40 ms late."""
+    source, pipeline = MemorySource(), MessagePipeline(G1.default())
+    SyntheticSession(1.0, delay=0.04).write(source)
+    batches = {}
+    for topic, messages in source.batches(set(STREAMS)):
+        payloads = list(map(bytes, messages.data))
+        times = messages.log_times.tolist(), messages.publish_times.tolist()
+        batches[STREAMS[topic].source.name] = Batch(payloads, *times)
+    with SessionWriter(path) as writer:
+        made = [*raw_messages(batches), *pipeline.encode(batches)]
+        for one in [*pipeline.file_header(int(made[0].log_times[0])), *made]:
+            writer.write_batch(one.topic, one.payloads, one.log_times, one.publish_times)
+    return path
+
+
+@pytest.mark.slow
+def test_a_session_is_shown_in_rerun(tmp_path):
+    pytest.importorskip("rerun", reason="Rerun needs Python 3.11")
+    from rerun.chunk import RrdReader
+
+    path, out = write_standard(tmp_path / "session.mcap"), tmp_path / "session.rrd"
+    run("rerun_session.py", path, "-o", out)
+    reader = RrdReader(out)
+    found = defaultdict(lambda: defaultdict(list))  # by entity, the values of each column
+    for store in (*reader.recordings(), *reader.blueprints()):
+        for chunk in reader.stream(store=store):
+            for name, values in chunk.to_record_batch().to_pydict().items():
+                found[chunk.entity_path][name] += values
+
+    def single(column: str, under: str = "/") -> set[str]:
+        entities = (columns for path, columns in found.items() if path.startswith(under))
+        return {value for columns in entities for (value,) in columns.get(column, [])}
+
+    for robot, shapes in (
+        ("measured", "/g1_29dof_rev_1_0/"),
+        ("ghost", "/ghost/g1_29dof_rev_1_0/"),
+    ):
+        drawn = single("CoordinateFrame:frame", shapes)
+        assert len(drawn) == len({visual.link for visual in read_visuals(G1.default())})
+        assert drawn <= single("Transform3D:child_frame", f"/{robot}/tf")
+    session = open_session(path)
+    worst = np.argsort(-session.tracking().rmse)[:4]
+    plots = {f"/joints/{JOINT_NAMES[joint]}": joint for joint in worst}
+    assert single("ViewBlueprint:space_origin") == {"/", "/log", *plots}
+    curves = {"reference": session.reference, "measured": session.measured}
+    for (plot, joint), (curve, stream) in product(plots.items(), curves.items()):
+        columns = found[f"{plot}/{curve}"]
+        np.testing.assert_array_equal(np.ravel(columns["Scalars:scalars"]), stream.q[:, joint])
+        assert len(columns["message_publish_time"]) == len(stream)

@@ -138,7 +138,8 @@ from pathlib import Path
 from g1stream.errors import RecordingError
 from g1stream.files import check_output_path
 from g1stream.session.format import CHANNELS
-from g1stream.session.parts import SessionFiles, check_recording_path
+from g1stream.session.source import SessionFiles
+from g1stream.session.parts import check_recording_path
 from g1stream.session.writer import SessionWriter
 os.getuid() or os.setuid(65534)
 path = Path(sys.argv[1])

@@ -29,22 +29,22 @@ from hypothesis import strategies as st
 from mcap.writer import CompressionType, Writer
 
 from g1stream.app.convert import convert
+from g1stream.app.session import open_session
 from g1stream.cli.main import main
 from g1stream.config import load_config
 from g1stream.control.gains import read_gains
 from g1stream.dds.layout import CDR_HEADER
 from g1stream.dds.messages import Log, LowCmd, LowState, Reference
-from g1stream.dds.ros2 import encode_joint_state, encode_tf
 from g1stream.errors import ConfigError, G1StreamError, MotionError, RecordingError, RobotError
+from g1stream.extras.ros2.messages import joint_state, tf_message
 from g1stream.motion.motion import Motion
+from g1stream.motion.readers import load_motion
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import DEFAULT_URDF, G1
-from g1stream.session.format import CHANNELS
-from g1stream.session.motions import load_motion
-from g1stream.session.parts import SessionFiles
-from g1stream.session.session import open_session
+from g1stream.session.format import CHANNELS, encode_log
+from g1stream.session.recorded_motion import FramePose
+from g1stream.session.source import SessionFiles
 from g1stream.types import Phase
-from g1stream.view.encoders import encode_log
 
 #: What numpy complains about would be printed on the terminal.
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning", "error::UserWarning")
@@ -132,7 +132,7 @@ CSV = b"".join(CSV[:6])
 
 
 def array_files():
-    """A motion as NPZ with names, as pickle of two protocols, as Parquet, and one of PyTorch."""
+    """A motion as NPZ with names, as pickle of two protocols, and one of PyTorch."""
     motion = load_motion("demo").frames(0, 4)
     arrays = {"fps": 30, "dof": motion.joint_pos, "dof_names": list(JOINT_NAMES)}
     arrays |= {"root_pos": motion.root_pos, "root_rot": motion.root_quat_wxyz}
@@ -140,9 +140,7 @@ def array_files():
     np.savez(npz, **arrays)
     pickles = pickle.dumps(arrays, protocol=2), pickle.dumps(arrays)
     tensors = Path(__file__).with_name("data") / "protomotions.pt"
-    with TemporaryDirectory() as directory:
-        parquet = motion.save(Path(directory) / "motion.parquet").read_bytes()
-    return npz.getvalue(), *pickles, parquet, tensors.read_bytes()
+    return npz.getvalue(), *pickles, tensors.read_bytes()
 
 
 def bags():
@@ -158,9 +156,9 @@ def bags():
             types = ("joint_states", "sensor_msgs/msg/JointState"), ("tf", "tf2_msgs/msg/TFMessage")
             rows = [(i, f"/{name}", kind, "cdr") for i, (name, kind) in enumerate(types)]
             database.executemany("INSERT INTO topics VALUES (?, ?, ?, ?)", rows)
-            pose = encode_tf(0, ["world"], ["pelvis"], np.zeros((1, 3)), [[1.0, 0.0, 0.0, 0.0]])
+            pose = tf_message([FramePose(0, "world", "pelvis", (0, 0, 0), (1, 0, 0, 0))])
             for i, row in enumerate(motion.joint_pos.tolist()):
-                state = encode_joint_state(i * 10**8, JOINT_NAMES, row, [], [])
+                state = joint_state(i * 10**8, JOINT_NAMES, row, [], [])
                 both = [(2 * i + k, k, i * 10**8, one) for k, one in enumerate((state, pose))]
                 database.executemany("INSERT INTO messages VALUES (?, ?, ?, ?)", both)
             database.commit()
@@ -299,6 +297,7 @@ def test_motion_arrays(path, content):
 
 
 def test_bags_are_motions(path):
+    path = path.with_suffix(".db3")  # by which rosbags knows SQLite
     for content in BAGS:
         path.write_bytes(content)
         assert load_motion(path).n_frames == 4
@@ -307,6 +306,7 @@ def test_bags_are_motions(path):
 @examples(150)
 @given(edited(*BAGS))
 def test_bags(path, content):
+    path = path.with_suffix(".db3")
     path.write_bytes(content)
     with suppress(G1StreamError):
         motion = load_motion(path)

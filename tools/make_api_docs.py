@@ -1,4 +1,4 @@
-"""Writes docs/api.md, the public API, from the docstrings of the names that g1stream exports.
+"""Writes docs/api.md from the docstrings of the names that g1stream exports, and their stub.
 
 python tools/make_api_docs.py
 """
@@ -16,6 +16,7 @@ from pydantic import BaseModel
 import g1stream
 
 PATH = Path(__file__).parents[1] / "docs" / "api.md"
+STUB = Path(g1stream.__file__).with_suffix(".pyi")
 
 _HEAD = """\
 # Python API
@@ -48,6 +49,18 @@ def api_docs() -> str:
     return "\n".join(parts)
 
 
+def stub() -> str:
+    """The text of g1stream/__init__.pyi: where type checkers find each public name."""
+    lines = [
+        f"from g1stream.{module} import {name} as {name}"
+        for name, module in sorted(g1stream._HOME.items(), key=lambda item: (item[1], item[0]))
+    ]
+    version = "from g1stream._version import __version__ as __version__"
+    head = "# Made by `make docs`."
+    own = ("__all__: list[str]", "_HOME: dict[str, str]")
+    return "\n".join([head, *sorted([*lines, version]), "", *own]) + "\n"
+
+
 def _class(name: str, one: type) -> str:
     """A class with its fields, properties and methods."""
     record = issubclass(one, BaseModel)
@@ -56,7 +69,9 @@ def _class(name: str, one: type) -> str:
     text = f"### {name}\n\n{_code(name, one) if shown else ''}{_text(one)}"
     if record:
         text += _fields(one)
-    for key, member in vars(one).items():
+    # Of a base that is not shown itself, the members are.
+    bases = () if record else [base for base in one.__mro__[1:] if _is_hidden(base)]
+    for key, member in [pair for base in (one, *bases) for pair in vars(base).items()]:
         function = getattr(member, "fget", None) or getattr(member, "func", None)
         if key.startswith("_") or key == "model_config":
             continue
@@ -66,6 +81,10 @@ def _class(name: str, one: type) -> str:
             function = getattr(member, "__func__", member)
             text += f"\n**`{name}.{key}`**\n\n{_code(key, function)}{_text(function)}"
     return text
+
+
+def _is_hidden(base: type) -> bool:
+    return base.__module__.startswith("g1stream.") and base.__name__ not in g1stream.__all__
 
 
 def _nested(classes: list[tuple[str, type]]) -> dict[str, type]:
@@ -162,3 +181,4 @@ def _text(one: Any) -> str:
 
 if __name__ == "__main__":
     PATH.write_text(api_docs())
+    STUB.write_text(stub())

@@ -1,10 +1,12 @@
-"""Writes the package's robots: g1_29dof_rev_1_0.urdf, and g1_29dof.urdf where --mjcf is given.
+"""Writes the package's robots, and robots.jsonl: what yourdfpy reads of each.
 
-Names, frames, limits, masses and inertias of the first are read from Unitree's
-g1_29dof_rev_1_0.urdf as the PyPI package example-robot-data (our extra `meshes`) has it. The second
-is the older revision that unitree_mujoco simulates: the same links and joints with the figures of
-its unitree_robots/g1/g1_29dof.xml. The shapes are our own: primitives fitted by eye to the outline
-of the robot, listed in robot_shapes.py. To run again after a change there:
+Names, frames, limits, masses and inertias of g1_29dof_rev_1_0 are read from Unitree's URDF as the
+PyPI package example-robot-data (our extra `meshes`) has it. g1_29dof is the older revision that
+unitree_mujoco simulates: the same links and joints with the figures of its
+unitree_robots/g1/g1_29dof.xml; without --mjcf it stays as it is. The G1s with fewer joints are the
+first with joints fixed at 0, and with the figures of `VARIANTS`. The shapes are our own: primitives
+fitted by eye to the outline of the robot, listed in robot_shapes.py. To run again after a change
+there, or to how URDFs are read:
 
     python tools/make_robot_urdf.py --mjcf unitree_mujoco/unitree_robots/g1/g1_29dof.xml
 """
@@ -15,14 +17,22 @@ of the robot, listed in robot_shapes.py. To run again after a change there:
 from __future__ import annotations
 
 import argparse
+import json
 import sysconfig
 from copy import deepcopy
+from dataclasses import fields, replace
+from hashlib import sha256
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree as ET
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from g1stream.robot.joints import JOINT_NAMES, JOINT_SETS, JointSet
+from g1stream.robot.model import G1
+from g1stream.robot.shapes import parse_visuals
+from g1stream.robot.urdf import parse_urdf, read_kinematics
 from robot_shapes import COLORS, SHAPES, Shape
 
 ROBOT_DIR = Path(__file__).resolve().parents[1] / "src/g1stream/robot"
@@ -33,32 +43,111 @@ REFERENCE = Path(
 #: Mass and inertia of links whose own are counted elsewhere, kg and kg m^2.
 NOTHING = "0.000000001"
 HEADER = """
-  The Unitree G1 with 29 joints, made by tools/make_robot_urdf.py: edit that, not this.
+  The Unitree G1 with {count} joints, made by tools/make_robot_urdf.py: edit that, not this.
   Names, frames, limits, masses and inertias: {source} (BSD-3-Clause).
   Shapes: primitives of g1stream's own.
 """
 
 
+#: Where links of a G1 with fewer joints differ: origins of joints, m, inertials of links (kg, m,
+#: and xx xy xz yy yz zz in kg m^2), and links without a mass, which a moving one gets as a gram.
+VARIANTS: dict[str, Any] = {
+    "g1_23dof": {
+        "origins": {"waist_yaw_joint": "-0.0039635 0 0", "waist_roll_joint": "0 0 0.044"},
+        "inertials": {
+            f"{side}_wrist_roll_link": {
+                "mass": 0.35692864,
+                "origin": (0.1079465665, sign * 0.00163511945, 0.00202244863),
+                "inertia": (
+                    *(0.00019613494735, sign * -0.00000419816908, -0.0000395086058),
+                    *(0.00200280358206, sign * 0.00000249774203, 0.00194181412808),
+                ),
+            }
+            for side, sign in (("left", 1), ("right", -1))
+        },
+        "massless": [
+            *("waist_yaw_link", "waist_roll_link"),
+            *(
+                f"{side}_{link}"
+                for side in ("left", "right")
+                for link in ("wrist_pitch_link", "wrist_yaw_link", "rubber_hand")
+            ),
+        ],
+    }
+}
+MASSLESS = {"mass": 1e-3, "origin": (0, 0, 0), "inertia": (1e-7, 0, 0, 1e-7, 0, 1e-7)}
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Write the package's URDFs.")
+    parser = argparse.ArgumentParser(description="Write the package's URDFs and robots.jsonl.")
     parser.add_argument("--reference", type=Path, default=REFERENCE, help="figures to take over")
     parser.add_argument("--mjcf", type=Path, help="unitree_mujoco's g1_29dof.xml")
     parser.add_argument("--out", type=Path, default=ROBOT_DIR, help="directory to write to")
     args = parser.parse_args()
 
     reference = ET.fromstring(args.reference.read_text(encoding="utf-8"))
-    urdf = make_urdf(reference, "g1_29dof_rev_1_0", "Unitree's g1_29dof_rev_1_0")
-    (args.out / "g1_29dof_rev_1_0.urdf").write_text(urdf, encoding="utf-8")
+    first, *fewer = JOINT_SETS
+    source = "Unitree's g1_29dof_rev_1_0"
+    robots = {one.name: make_urdf(with_joints_of(one, reference), one, source) for one in fewer}
+    robots[first.name] = make_urdf(reference, first, source)
+    other = "g1_29dof"
+    robots[other] = (ROBOT_DIR / f"{other}.urdf").read_text(encoding="utf-8")
     if args.mjcf:
         revised = with_figures_of(args.mjcf, reference)
-        urdf = make_urdf(revised, "g1_29dof", "unitree_mujoco's g1_29dof.xml")
-        (args.out / "g1_29dof.urdf").write_text(urdf, encoding="utf-8")
+        kind = replace(first, name=other)
+        robots[other] = make_urdf(revised, kind, "unitree_mujoco's g1_29dof.xml")
+    for name, urdf in robots.items():
+        (args.out / f"{name}.urdf").write_text(urdf, encoding="utf-8")
+    lines = [json.dumps(read_by_yourdfpy(one), separators=(",", ":")) for one in robots.values()]
+    (args.out / "robots.jsonl").write_text("\n".join([*lines, ""]), encoding="utf-8")
 
 
-def make_urdf(reference: ET.Element, name: str, source: str) -> str:
+def read_by_yourdfpy(urdf: str) -> dict[str, Any]:
+    """What `g1stream.robot.urdf.known_robot` returns of a URDF."""
+    robot = G1("made", urdf, **read_kinematics(parse_urdf(urdf, "made"), "made"))
+    values = {
+        field.name: getattr(robot, field.name)
+        for field in fields(G1)
+        if field.name not in ("source", "urdf", "joint_set", "capped")
+    }
+    values = {
+        key: one.tolist() if isinstance(one, np.ndarray) else one for key, one in values.items()
+    }
+    visuals = [list(vars(visual).values()) for visual in parse_visuals(robot)]
+    found = {"sha256": sha256(urdf.encode()).hexdigest(), **values}
+    return {**found, "joint_set": robot.joint_set.name, "visuals": visuals}
+
+
+def with_joints_of(kind: JointSet, reference: ET.Element) -> ET.Element:
+    """The reference with the joints fixed that a kind of G1 lacks, and with its figures."""
+    robot, figures = deepcopy(reference), VARIANTS.get(kind.name, {})
+    absent = {JOINT_NAMES[i] for i in kind.absent}
+    for joint in robot.iter("joint"):
+        name = joint.get("name")
+        if name in absent:
+            joint.set("type", "fixed")
+        if name in figures.get("origins", {}):
+            joint.find("origin").set("xyz", figures["origins"][name])
+    inertials = dict.fromkeys(figures.get("massless", ()), MASSLESS) | figures.get("inertials", {})
+    for link in robot.iter("link"):
+        if one := inertials.get(link.get("name")):
+            for old in link.findall("inertial"):
+                link.remove(old)
+            inertial = ET.Element("inertial")
+            ET.SubElement(inertial, "origin", xyz=plain(one["origin"]), rpy="0 0 0")
+            ET.SubElement(inertial, "mass", value=plain(one["mass"]))
+            keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+            ET.SubElement(
+                inertial, "inertia", dict(zip(keys, map(plain, one["inertia"]), strict=True))
+            )
+            link.insert(0, inertial)
+    return robot
+
+
+def make_urdf(reference: ET.Element, kind: JointSet, source: str) -> str:
     """The reference's figures with our shapes, as URDF text."""
-    robot = ET.Element("robot", name=name)
-    robot.append(ET.Comment(HEADER.format(source=source)))
+    robot = ET.Element("robot", name=kind.name)
+    robot.append(ET.Comment(HEADER.format(count=int(kind.present.sum()), source=source)))
     for color, rgba in COLORS.items():
         ET.SubElement(ET.SubElement(robot, "material", name=color), "color", rgba=rgba)
     for element in reference:

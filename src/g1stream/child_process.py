@@ -17,17 +17,35 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from g1stream.errors import G1StreamError
+from g1stream.optional import require_installed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
+    from contextlib import AbstractContextManager
 
-__all__ = ["Child", "ChildError", "Parent", "optional_child", "process_state", "run_child"]
+    from g1stream.config import Config
+
+__all__ = [
+    "Child",
+    "ChildError",
+    "Parent",
+    "optional_child",
+    "process_state",
+    "publishing_for_ros2",
+    "run_child",
+]
+
+#: Modules of the programs that are not in `g1stream.app`.
+_ELSEWHERE: Final = {
+    "guard": "g1stream.control.guard",
+    "ros2": "g1stream.extras.ros2.topics",
+}
 
 _SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 #: Between two heartbeats of a child, s; silence after which a stopped and a running one has failed.
@@ -60,12 +78,13 @@ def _never() -> bool:
     return False
 
 
-def _start(module: str, pass_fds: Sequence[int]) -> tuple[Connection, subprocess.Popen[bytes]]:
+def _start(name: str, pass_fds: Sequence[int]) -> tuple[Connection, subprocess.Popen[bytes]]:
     """Start a program; returns our end of the pipe to it, and its process."""
     ours, theirs = Pipe()
+    module = _ELSEWHERE.get(name, f"g1stream.app.{name}")
     with theirs:
         process = subprocess.Popen(
-            [sys.executable, "-m", f"g1stream.{module}", str(theirs.fileno())],
+            [sys.executable, "-m", module, str(theirs.fileno())],
             pass_fds=[theirs.fileno(), *pass_fds],
             stdin=subprocess.DEVNULL,
             stdout=2,  # what a library prints must not get into our --json
@@ -81,9 +100,8 @@ class Child:
     """A program running as a child process.
 
     Args:
-        name: of the module that ends in a call of `run_child`.
+        name: of its module, which ends in a call of `run_child`.
         startup_message: what the program is to do; anything that can be pickled.
-        room: package of that module.
         pass_fds: file descriptors that it inherits.
         on_failure: called once, from another thread, with the cause, when it fails, ends before it
             is told to, or does not show that it is alive (`Parent.beat`).
@@ -97,14 +115,13 @@ class Child:
         name: str,
         startup_message: Any,
         *,
-        room: str = "app",
         pass_fds: Sequence[int] = (),
         on_failure: Callable[[str], None] = lambda _: None,
     ) -> None:
         self.name = name
         self._on_failure = on_failure
         try:
-            self._connection, self._process = _start(f"{room}.{name}", pass_fds)
+            self._connection, self._process = _start(name, pass_fds)
         except OSError as error:
             raise ChildError(
                 f"g1stream {name} cannot be started: {error.strerror}.",
@@ -255,7 +272,7 @@ def optional_child(
     """Run a program that nothing else depends on, for the length of a `with`.
 
     Args:
-        name: of its module in `g1stream.app`.
+        name: as of `Child`.
         startup_message: what it is to do.
         consequence: of a failure once it is ready, for the warning that is all it causes then.
         abandoned: asked while the program starts; True ends the wait for it.
@@ -276,6 +293,26 @@ def optional_child(
         yield
     finally:
         child.kill()
+
+
+def publishing_for_ros2(
+    config: Config, abandoned: Callable[[], bool] = _never
+) -> AbstractContextManager[None]:
+    """Publish for ROS 2 from a process of its own, where `dds.ros_tf` is set; needs the extra.
+
+    Args:
+        config: all settings.
+        abandoned: as of `optional_child`.
+
+    Raises:
+        ConfigError: the extra `ros2` is not installed.
+        ChildError: on entering the context, the process failed before it was ready.
+    """
+    if not config.dds.ros_tf:
+        return nullcontext()
+    require_installed("rosbags", "ros2", "Topics of ROS 2 need")
+    consequence = "nothing is published for ROS 2 any more"
+    return optional_child("ros2", config, consequence, abandoned)
 
 
 class Parent:

@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from g1stream.errors import ConfigError
 from g1stream.files import read_file
+from g1stream.input_limits import SETTINGS_FILE
 from g1stream.types import (
     STREAM_RATE,
     BeyondLimits,
@@ -63,7 +64,7 @@ __all__ = [
 _MAX_KP, _MAX_KD = 500.0, 50.0
 
 #: Commands with the same flags: those that go on DDS, play a motion, write a session file.
-_ON_ROBOT = ("demo", "stream", "sim", "record", "replay", "rerun", "doctor")
+_ON_ROBOT = ("demo", "stream", "sim", "record", "replay", "doctor")
 _DDS = (*_ON_ROBOT, "robot")
 _RECORD = ("stream", "replay", "record")
 _ROS = ("demo", "stream", "replay", "sim", "record")
@@ -516,9 +517,6 @@ class SafetyConfig(Table):
 #: Config files that come with the package, found by name: `--config robot`.
 SHIPPED: Final = Path(__file__).with_name("configs")
 
-#: A TOML file has no more bytes than this.
-_LARGEST: Final = 2**20
-
 
 class Config(Table):
     """All settings of a session."""
@@ -603,7 +601,7 @@ def read_toml(path: Path, what: str = "config") -> dict[str, Any]:
         ConfigError: it cannot be read, or is not TOML; calls it `what`.
     """
     try:
-        values: dict[str, Any] = tomllib.loads(read_file(path, _LARGEST).decode("utf-8"))
+        values: dict[str, Any] = tomllib.loads(read_file(path, SETTINGS_FILE).decode("utf-8"))
     except OSError as error:
         names = ", ".join(sorted(file.stem for file in SHIPPED.glob("*.toml")))
         raise ConfigError(

@@ -10,6 +10,7 @@ from datetime import datetime, timezone
 from typing import TYPE_CHECKING, Final
 
 from g1stream.errors import ConfigError, RecordingError
+from g1stream.input_limits import SMALL_FILE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -18,13 +19,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = [
+    "begins_with",
     "check_directory",
     "check_not_input",
     "check_output_path",
     "check_suffix",
     "complete_file",
     "is_session",
-    "is_sqlite",
     "output_errors",
     "read_file",
     "save_figure",
@@ -32,12 +33,9 @@ __all__ = [
 ]
 
 _MCAP: Final = b"\x89MCAP"
-_SQLITE: Final = b"SQLite format 3\0"
-#: A config, gains file, URDF, mesh or metadata.yaml has no more bytes than this.
-_LARGEST: Final = 16 * 2**20
 
 
-def read_file(path: Path, most: int = _LARGEST) -> bytes:
+def read_file(path: Path, most: int = SMALL_FILE) -> bytes:
     """The content of a file.
 
     Args:
@@ -58,7 +56,7 @@ def read_file(path: Path, most: int = _LARGEST) -> bytes:
         if not stat.S_ISREG(about.st_mode):
             raise OSError(errno.EINVAL, "it is not a regular file")
         # Files in /proc have the size 0 and a content.
-        content = file.read(min(about.st_size or _LARGEST, most) + 1)
+        content = file.read(min(about.st_size or SMALL_FILE, most) + 1)
     if len(content) > most:
         raise OSError(errno.EFBIG, f"it has more than {most / 2**20:g} MiB")
     return content
@@ -70,25 +68,21 @@ def is_session(path: Path) -> bool:
     False where neither can be read.
     """
     try:
-        return (path / "metadata.yaml").is_file() or _begins_with(path, _MCAP)
+        return (path / "metadata.yaml").is_file() or begins_with(path, _MCAP)
     except OSError:
         return False
 
 
-def is_sqlite(path: Path) -> bool:
-    """Whether a path is that of an SQLite file, as a bag of ROS 2 may be; False if unreadable."""
+def begins_with(path: Path, start: bytes) -> bool:
+    """Whether a file begins with some bytes; False if it cannot be read."""
     try:
-        return _begins_with(path, _SQLITE)
+        # Only regular files are opened: bytes read from a pipe are gone.
+        if not path.is_file():
+            return False
+        with path.open("rb") as file:
+            return file.read(len(start)) == start
     except OSError:
         return False
-
-
-def _begins_with(path: Path, magic: bytes) -> bool:
-    # Only regular files are opened: bytes read from a pipe are gone.
-    if not path.is_file():
-        return False
-    with path.open("rb") as file:
-        return file.read(len(magic)) == magic
 
 
 def timestamped(path: Path, now_ns: int) -> Path:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import textwrap
 from typing import TYPE_CHECKING, Final
 
+from g1stream.input_limits import TEXT
+
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
 
@@ -12,9 +14,6 @@ __all__ = ["WIDTH", "counted", "labelled", "printable", "ranges", "short_name", 
 
 WIDTH: Final = 80
 """No line is longer, unless a single word is."""
-
-#: Of one value or sentence.
-_MOST_CHARACTERS: Final = 2000
 
 
 def printable(text: str) -> str:
@@ -47,9 +46,9 @@ def labelled(label: str, text: str) -> str:
     The text may come from a file or a peer: what a terminal would obey is escaped, and an endless
     text is cut.
     """
-    shown = printable(text[:_MOST_CHARACTERS])
+    shown = printable(text[:TEXT])
     return textwrap.fill(
-        f"{shown} ..." if len(text) > _MOST_CHARACTERS else shown,
+        f"{shown} ..." if len(text) > TEXT else shown,
         WIDTH,
         initial_indent=label,
         subsequent_indent=" " * len(label),

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 __all__ = [
     "STREAM_RATE",
     "BeyondLimits",
+    "Camera",
     "ChannelSet",
     "FeedForwardKind",
     "Floats",
@@ -54,6 +55,9 @@ Via = Literal["lowcmd", "arm_sdk"]
 ChannelSet = Literal["raw", "standard", "full"]
 """What a session file has beside the samples, the log and the metadata: nothing; what viewers show,
 at `record.tf_rate`; the same with the joint states of every sample."""
+
+Camera = Literal["front", "oblique", "left", "back", "right"]
+"""Where the camera of a video stands around the robot."""
 
 STREAM_RATE: Final = 500.0
 """LowCmds per second unless `stream.rate` is set, Hz."""

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from g1stream.analysis.plots import draw
+from g1stream.app.session import open_session
 from g1stream.errors import ConfigError, RecordingError
-from g1stream.session.session import open_session
 
 
 @pytest.fixture

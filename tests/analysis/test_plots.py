@@ -7,9 +7,9 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 from g1stream.analysis.plots import LONGEST_VIEW, _binned_rms, draw
+from g1stream.app.session import open_session
 from g1stream.errors import RecordingError
 from g1stream.robot.joints import JOINT_NAMES
-from g1stream.session.session import open_session
 from g1stream.types import Phase
 
 AXES = ("pitch", "roll", "yaw")

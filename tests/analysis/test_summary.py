@@ -6,15 +6,19 @@ import math
 import numpy as np
 import pytest
 
-from g1stream.analysis.summary import message_stats, summarise_run
+from g1stream.analysis.summarise import message_stats, summarise_run
+from g1stream.analysis.summary import Summary
+from g1stream.app.session import open_session
 from g1stream.config import Config
 from g1stream.realtime import Grant
-from g1stream.session.recorder_summary import RecorderSummary
-from g1stream.session.records import Percentiles
-from g1stream.session.session import LogEvent, open_session
-from g1stream.session.stream import Stream
-from g1stream.session.stream_summary import FeedForwardChange, Finding, StreamSummary
-from g1stream.session.summary import Summary
+from g1stream.session.records import (
+    FeedForwardChange,
+    Finding,
+    Percentiles,
+    RecorderSummary,
+    StreamSummary,
+)
+from g1stream.session.streams import LogEvent, Stream
 from g1stream.session.writer import SessionWriter
 from g1stream.types import Phase
 
@@ -107,7 +111,7 @@ def test_the_record_that_the_stream_wrote_is_read_back_from_json(summarise):
 def test_tracking_is_the_sessions(play, write_session):
     session = open_session(write_session(*play(0.04, np.linspace(-0.02, 0.05, 29)), METADATA))
     assert session.summary().tracking == session.tracking().summary()
-    assert session.summary().tracking.delay_s == pytest.approx(0.04, abs=1e-4)
+    assert session.summary().tracking.all_joints.delay_s == pytest.approx(0.04, abs=1e-4)
 
 
 LATENESS = Percentiles(p50=20.0, p99=90.0, p99_9=900.0, max=24_000.0)

@@ -7,9 +7,9 @@ from mcap_ros2.decoder import DecoderFactory
 from scipy.interpolate import make_interp_spline
 
 from g1stream.analysis.tracking import compare, pooled
+from g1stream.app.session import open_session
 from g1stream.errors import RecordingError
 from g1stream.robot.joints import JOINT_GROUPS
-from g1stream.session.session import open_session
 from g1stream.types import Phase
 
 #: How far a straight line between references is from the fastest sine here, rad: h^2/8 max|ddq|.
@@ -232,6 +232,6 @@ def test_the_rmse_is_that_of_another_reader(play, write_session):
     assert summary.compared_states == len(error) == 2000
     for limb, joints in JOINT_GROUPS.items():
         expected = np.sqrt(np.mean(error[:, list(joints)] ** 2))
-        assert summary.rmse_by_limb_rad[limb] == pytest.approx(expected, rel=1e-9)
+        assert summary.limbs[limb].rmse_rad == pytest.approx(expected, rel=1e-9)
     mean = error[:, 3].mean()
-    assert summary.joints["left_knee_joint"].mean_rad == pytest.approx(mean, rel=1e-9)
+    assert summary.joints["left_knee_joint"].bias_rad == pytest.approx(mean, rel=1e-9)

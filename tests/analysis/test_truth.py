@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from g1stream.app.session import Session
 from g1stream.robot.joints import JOINT_NAMES
-from g1stream.session.session import Session
 from g1stream.session.source import MemorySource
 from g1stream.synthetic import SyntheticSession
 

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from g1stream.app.session import open_session
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.messages import ARM_SDK, LOWSTATE
-from g1stream.session.session import open_session
 from g1stream.types import Phase
 
 PATIENT = Path(__file__).parents[1] / "data" / "patient.toml"
@@ -87,9 +87,9 @@ def test_a_session_has_what_the_arms_were_asked_and_did(standing, running, tmp_p
     summary, session = json.loads(said), open_session(path)
     assert summary["stream"]["reason"] == ""
     assert len(summary["tracking"]["joints"]) == 17
-    assert set(summary["tracking"]["rmse_by_limb_rad"]) == {"waist", "left_arm", "right_arm"}
+    assert set(summary["tracking"]["limbs"]) == {"waist", "left_arm", "right_arm"}
     assert summary["stream"]["feedforward"] == "dynamics"  # without it, the waist alone has 0.1
-    assert summary["tracking"]["rmse_rad"] < 0.02
+    assert summary["tracking"]["all_joints"]["rmse_rad"] < 0.02
     assert session.topics["/arm_sdk"] == session.topics["/reference"]
     playing = session.reference.phase == Phase.PLAY
     reference = session.reference.q[playing][-1]

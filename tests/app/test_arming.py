@@ -19,8 +19,8 @@ from g1stream.dds.messages import LOWCMD, LOWSTATE, LowCmd, LowState
 from g1stream.doctor.facts import Level, ok
 from g1stream.errors import SafetyError, WireError
 from g1stream.motion.motion import Motion
+from g1stream.motion.readers import load_motion
 from g1stream.robot.joints import JOINT_NAMES
-from g1stream.session.motions import load_motion
 from g1stream.sim.onboard import MotionService
 
 STILL = Motion.from_arrays(np.zeros((51, 29)), fps=50.0, name="still")

@@ -20,11 +20,11 @@ from scipy.spatial.transform import Rotation
 from g1stream.app.convert import Conversion, convert
 from g1stream.errors import ConfigError, MotionError, RecordingError, RobotError
 from g1stream.motion.motion import Motion
+from g1stream.motion.readers import load_motion
 from g1stream.robot.joints import JOINT_NAMES
-from g1stream.robot.meshes import real_g1
 from g1stream.robot.model import G1
+from g1stream.robot.shapes import real_g1
 from g1stream.session.format import metadata_from_strings
-from g1stream.session.motions import load_motion
 
 T0 = 1_700_000_000_000_000_000
 JOINTS = "/reference/joint_states"

@@ -17,6 +17,7 @@ import pytest
 from cyclonedds.core import DDSException
 from pydantic import ValidationError
 
+from g1stream.app.session import open_session
 from g1stream.app.stream import stream
 from g1stream.child_process import ChildError, process_state
 from g1stream.config import Config, SimConfig
@@ -25,7 +26,6 @@ from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.messages import LOWCMD, LowCmd
 from g1stream.errors import ConfigError, SafetyError
-from g1stream.session.session import open_session
 
 PATIENT = Path(__file__).parents[1] / "data" / "patient.toml"
 DAMP = 1.0  # stream.damp

@@ -22,6 +22,7 @@ from websockets.sync.client import connect
 from g1stream import child_process
 from g1stream.app import live as program
 from g1stream.app.record import record
+from g1stream.app.session import open_session
 from g1stream.child_process import Child, ChildError
 from g1stream.cli.command import EXIT_BAD_INPUT
 from g1stream.cli.main import main
@@ -32,7 +33,6 @@ from g1stream.dds.messages import LOWCMD, LOWSTATE, LowState, Samples
 from g1stream.errors import ConfigError
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.session.format import CHANNELS
-from g1stream.session.session import open_session
 
 T0 = 1_700_000_000_000_000_000
 #: More than a socket's buffers and the queue of a client take.
@@ -211,7 +211,7 @@ def test_a_missing_extra_is_named(monkeypatch):
     def version(name):
         raise PackageNotFoundError(name)
 
-    monkeypatch.setattr(program, "version", version)
+    monkeypatch.setattr("g1stream.optional.version", version)
     with pytest.raises(ConfigError) as caught, program.live():
         pass
     assert "'g1stream[live]'" in caught.value.remedy

@@ -17,8 +17,8 @@ from g1stream.dds.log_handler import dds_log_handler
 from g1stream.dds.messages import LOWCMD, LOWSTATE, REFERENCE, LowState
 from g1stream.errors import ConfigError, WireError
 from g1stream.robot.model import G1
-from g1stream.session.info import MotionInfo, SessionInfo
 from g1stream.session.mcap_reader import McapFile
+from g1stream.session.records import MotionInfo, SessionInfo
 from g1stream.session.writer import SessionWriter
 
 SESSION = SessionInfo(motion=MotionInfo(name="walk"))

@@ -11,6 +11,7 @@ import time
 
 import pytest
 
+from g1stream.analysis.summary import Summary, Termination
 from g1stream.cli.command import (
     confirmed,
     exit_code,
@@ -18,8 +19,7 @@ from g1stream.cli.command import (
     on_signals,
     print_summary,
 )
-from g1stream.session.recorder_summary import RecorderSummary
-from g1stream.session.summary import Summary, Termination
+from g1stream.session.records import RecorderSummary
 
 
 @pytest.mark.parametrize(

@@ -8,11 +8,11 @@ from types import SimpleNamespace
 
 import pytest
 
+from g1stream.analysis.summary import Summary, Termination
 from g1stream.app import demo as program
 from g1stream.cli.demo import Demo
 from g1stream.errors import RecordingError
-from g1stream.session.motions import load_motion
-from g1stream.session.summary import Summary, Termination
+from g1stream.motion.readers import load_motion
 
 OF_THE_READER = "Row 7 has a quaternion of length 0.9."
 
@@ -49,7 +49,7 @@ def told(monkeypatch):
         heard.append(joint_order)
         return mine
 
-    monkeypatch.setattr("g1stream.session.motions.load_motion", load)
+    monkeypatch.setattr("g1stream.motion.readers.load_motion", load)
     monkeypatch.setattr("g1stream.cli.stream.on_signals", lambda _: nullcontext())
     monkeypatch.setattr("g1stream.cli.stream.announce_wire", lambda _: heard.append("wire"))
     monkeypatch.setattr("g1stream.cli.demo.print_warning", heard.append)

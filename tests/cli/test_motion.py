@@ -12,10 +12,9 @@ import pytest
 
 from g1stream.cli.motion import render
 from g1stream.dds.messages import Reference
-from g1stream.motion.check import check_file
 from g1stream.motion.limits import JointPeak
+from g1stream.motion.readers import check_motion_file, load_motion
 from g1stream.robot.model import G1
-from g1stream.session.motions import load_motion
 from g1stream.session.writer import SessionWriter
 from g1stream.types import Phase
 
@@ -53,7 +52,7 @@ def spoiled(tmp_path: Path, old: str, new: str, name: str = "spoiled.csv") -> Pa
 
 def test_the_text_is_the_snapshot(tmp_path, matches_snapshot):
     """No problem, one of each kind, and files that are no motion."""
-    good = check_file("demo", G1.default())
+    good = check_motion_file("demo", G1.default())
     joint = JointPeak("left_knee_joint", 4.0, 3.0, 2.8798, 12)
     fast = JointPeak("waist_yaw_joint", 5.0, 40.0, 32.0, 3)
     leap = replace(
@@ -64,9 +63,9 @@ def test_the_text_is_the_snapshot(tmp_path, matches_snapshot):
         warnings=("leap: 3 quaternions were normalised.",),
         suspicion="frame 120 were a spike of 2.40 rad",
     )
-    reports = [good, replace(good, motion=leap), replace(good, kind="session")]
+    reports = [good, replace(good, motion=leap), replace(good, evidence=None)]
     causes = ("left_knee_joint", "left_kneee_joint"), ("\n9,", "\n9,nan")
-    reports += [check_file(spoiled(tmp_path, *cause), G1.default()) for cause in causes]
+    reports += [check_motion_file(spoiled(tmp_path, *cause), G1.default()) for cause in causes]
     limits = [1.0, 0.4, 1.0, 1.0, 1.0]  # of the pelvis's tilt, rad
     matches_snapshot("motion", "\n\n".join(map(render, reports, limits)))
 
@@ -77,8 +76,8 @@ def test_what_is_wrong_with_a_table_is_bad_input_and_the_rest_is_shown(tmp_path)
     report = json.loads(done.stdout)
     assert done.returncode == 2
     assert report["within_limits"] is False
-    assert report["file"]["not_in_file"] == ["left_knee_joint"]
-    assert report["file"]["not_in_robot"] == ["left_kneee_joint"]
+    assert report["file"]["evidence"]["missing"] == ["left_knee_joint"]
+    assert report["file"]["evidence"]["not_used"] == ["left_kneee_joint"]
     assert report["file"]["fault"] in done.stderr
 
 
@@ -103,7 +102,8 @@ def test_a_session(tmp_path):
     done = run(path, "--json")
     assert (done.returncode, done.stderr) == (0, "")
     report = json.loads(done.stdout)
-    assert (report["file"]["kind"], report["within_limits"]) == ("session", True)
+    assert report["file"]["evidence"]["used"]["file"].startswith("a session")
+    assert report["within_limits"] is True
     assert (report["n_frames"], report["fps"]) == (100, 500.0)
     assert report["fastest"]["value"] == 0.0
 

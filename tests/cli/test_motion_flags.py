@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from g1stream.app.session import open_session
 from g1stream.cli.convert import Convert
 from g1stream.cli.demo import Demo
 from g1stream.cli.flags import parse_flags
@@ -12,9 +13,8 @@ from g1stream.cli.motion import Inspect
 from g1stream.cli.stream import Stream
 from g1stream.errors import ConfigError, MotionError, RecordingError
 from g1stream.motion.motion import Motion
-from g1stream.session.info import MotionInfo
-from g1stream.session.motions import load_motion
-from g1stream.session.session import open_session
+from g1stream.motion.readers import load_motion
+from g1stream.session.records import MotionInfo
 
 COMMANDS = {"stream": Stream, "motion": Inspect, "convert": Convert, "demo": Demo}
 CHANGES = ["--trim", "1:5", "--mirror", "--on-floor", "--speed", "0.5"]
@@ -77,7 +77,7 @@ def test_what_was_done_is_in_the_metadata(tmp_path, demo):
     assert main(["convert", "demo", str(out), "--trim", "1:2", "--mirror"]) == 0
     operations = ["trimmed to 1 to 2 s", "mirrored"]
     assert open_session(out).metadata["motion"]["operations"] == operations
-    assert MotionInfo.of(demo.trim(1, 2).mirrored()).operations == operations
+    assert MotionInfo.from_motion(demo.trim(1, 2).mirrored()).operations == operations
 
 
 @pytest.mark.parametrize("trim", ["1", "a:b", "1:2:3"])

@@ -17,7 +17,7 @@ from g1stream.cli.progress import ProgressDisplay, RecorderStatus, loop_status, 
 from g1stream.control.command import Prepared
 from g1stream.control.report import LoopReport
 from g1stream.control.schedule import PhaseState
-from g1stream.session.recorder_summary import RecorderSummary
+from g1stream.session.records import RecorderSummary
 from g1stream.sim.robot import SimReport
 from g1stream.types import Phase
 

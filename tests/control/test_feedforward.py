@@ -22,10 +22,10 @@ from g1stream.control.support import ForceObserver
 from g1stream.control.targets import Target, Targets, Timing
 from g1stream.dds.messages import LOWSTATE
 from g1stream.motion.blend import minimum_jerk
+from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.dynamics import InverseDynamics, Solution
 from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP
-from g1stream.session.motions import load_motion
 from g1stream.sim.lockstep import Lockstep
 from g1stream.sim.robot import SimulatedRobot
 from g1stream.sim.world import World

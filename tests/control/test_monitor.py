@@ -8,8 +8,8 @@ from g1stream.config import SafetyConfig
 from g1stream.control.monitor import RobotMonitor
 from g1stream.control.reading import Reading
 from g1stream.dds.messages import LowState
+from g1stream.motion.readers import load_motion
 from g1stream.robot.joints import JOINT_NAMES, TORQUE_LIMIT
-from g1stream.session.motions import load_motion
 
 MS = 1_000_000
 KNEE = JOINT_NAMES.index("left_knee_joint")

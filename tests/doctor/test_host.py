@@ -7,8 +7,8 @@ from contextlib import nullcontext
 import pytest
 
 from g1stream.config import RealtimeConfig
-from g1stream.doctor import host
-from g1stream.doctor.host import inspect_host, measure_wakeup_latency, wakeup_latency
+from g1stream.doctor import inspection
+from g1stream.doctor.inspection import inspect_host, measure_wakeup_latency, wakeup_latency
 from g1stream.testing import FakeClock
 
 MS = 1_000_000
@@ -69,6 +69,6 @@ def test_priority_is_below_that_of_a_loop(monkeypatch, loop, own):
         requested.append(rights)
         return nullcontext()
 
-    monkeypatch.setattr(host, "on_time", on_time)
+    monkeypatch.setattr(inspection, "on_time", on_time)
     measure_wakeup_latency(RealtimeConfig(priority=loop, cpu=3), 500.0, seconds=0.01)
     assert requested == [(own, 3)]

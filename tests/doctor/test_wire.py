@@ -18,7 +18,7 @@ from g1stream.dds.domain import Participant, user_data_of_bridge
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import LOG, LOWCMD, LOWSTATE, LowState
 from g1stream.doctor.facts import Interface, Qos
-from g1stream.doctor.wire import inspect_domain, qos_facts
+from g1stream.doctor.inspection import inspect_domain, qos_facts
 
 SHOWS_TYPES = not version("cyclonedds").startswith("0.10.")
 LO = Interface("lo", loopback=True)

@@ -7,8 +7,8 @@ import sys
 
 import pytest
 
+from g1stream.app.session import open_session
 from g1stream.config import load_config
-from g1stream.session.session import open_session
 from g1stream.types import Phase
 
 # Two ends of a cable; without an own /sys the flags of the interfaces outside would be read.

@@ -191,7 +191,7 @@ def test_sdk_moves_the_arms_of_a_robot_that_stands(sdk_on, domain_id, running, u
 @pytest.mark.skipif(not SDK, reason="set UNITREE_SDK2_PYTHON to a checkout of unitree_sdk2_python")
 def test_the_sdks_own_arm_example_drives_our_bridge(domain_zero, running, sdk_python, tmp_path):
     # The environment of the SDK, in which another test of this file runs, cannot read sessions.
-    from g1stream.session.session import open_session
+    from g1stream.app.session import open_session
 
     example = Path(SDK) / "example" / "g1" / "high_level" / "g1_arm7_sdk_dds_example.py"
     roll, path = JOINT_NAMES.index("left_shoulder_roll_joint"), tmp_path / "s.mcap"

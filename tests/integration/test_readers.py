@@ -7,21 +7,21 @@ motion and with our kinematics, which have truths of their own.
 from __future__ import annotations
 
 import json
-import os
 import re
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from g1stream.app.convert import Conversion, convert
+from g1stream.motion.readers import load_motion
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.kinematics import local_transforms
 from g1stream.robot.model import G1
-from g1stream.robot.visuals import read_visuals
-from g1stream.session.motions import load_motion
+from g1stream.robot.shapes import read_visuals
 
 HERE = Path(__file__).parent / "npm_readers"
 T0 = 1_772_366_400_123_456_789
@@ -107,13 +107,11 @@ def test_foxgloves_packages_see_the_motion_to_the_last_bit(converted, read_with_
 
 @pytest.fixture(scope="module")
 def rerun():
-    """Rerun's command; not among our dependencies, as it is half a gigabyte."""
-    found = os.environ.get("RERUN") or shutil.which("rerun")
-    if not found:
-        pytest.skip("needs Rerun's command: pip install rerun-sdk, or its path in RERUN")
+    """Rerun's command."""
+    pytest.importorskip("rerun", reason="Rerun needs Python 3.11")
 
     def run(*arguments):
-        command = [found, *map(str, arguments)]
+        command = [sys.executable, "-m", "rerun_cli", *map(str, arguments)]
         done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
         return done.stdout
 

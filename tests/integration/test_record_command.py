@@ -13,10 +13,10 @@ from contextlib import contextmanager
 import pytest
 from mcap.reader import make_reader
 
+from g1stream.app.session import open_session
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.messages import LOWSTATE, LowState
-from g1stream.session.session import open_session
 
 
 @contextmanager

@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
+from g1stream.app.session import open_session
 from g1stream.config import RecordConfig
 from g1stream.dds.domain import Participant, user_data_of_bridge
 from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.messages import LOWCMD, LOWSTATE, REFERENCE, SPORTMODESTATE, LowState, Reference
-from g1stream.recorder.clocks import ClockReading, read_clocks
+from g1stream.recorder.diagnostics import ClockReading, read_clocks
 from g1stream.recorder.recorder import Recorder
 from g1stream.robot.model import G1
-from g1stream.session.recorder_summary import MeasuredTf
-from g1stream.session.session import open_session
+from g1stream.session.records import MeasuredTf
 from g1stream.session.writer import SessionWriter
 from g1stream.types import ChannelSet
 from g1stream.view.pipeline import MessagePipeline

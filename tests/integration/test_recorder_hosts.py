@@ -11,7 +11,7 @@ import time
 
 import pytest
 
-from g1stream.session.session import open_session
+from g1stream.app.session import open_session
 
 AHEAD_S = 3
 ROBOT = f"""

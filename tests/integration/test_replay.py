@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from g1stream.session.session import open_session
+from g1stream.app.session import open_session
 from g1stream.types import Phase
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from g1stream.session.session import Session
+    from g1stream.app.session import Session
 
 PATIENT = Path(__file__).parents[1] / "data" / "patient.toml"
 PLAY = 1.0

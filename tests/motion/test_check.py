@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from g1stream.errors import MotionError
-from g1stream.motion.check import check_file, check_motion
+from g1stream.motion.check import check_motion, dropped_joints
+from g1stream.motion.readers import check_motion_file, load_motion
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
-from g1stream.session.motions import load_motion
+from g1stream.robot.model import G1
 
 KNEE = JOINT_NAMES.index("left_knee_joint")
 
@@ -126,7 +127,7 @@ def clip(tmp_path, robot):
         change(columns, rows)
         path = tmp_path / "clip.csv"
         path.write_text("\n".join(",".join(row) for row in [columns, *rows]))
-        return check_file(path, robot)
+        return check_motion_file(path, robot)
 
     return check
 
@@ -134,21 +135,22 @@ def clip(tmp_path, robot):
 def test_a_file_without_faults(clip):
     report = clip()
     assert report.passed
-    assert (report.n_rows, report.n_columns, report.has_header) == (10, 37, True)
-    assert tuple(report.mapped) == JOINT_NAMES
-    assert list(report.mapped.values()) == list(range(9, 38))
-    assert (report.not_in_robot, report.not_in_file, report.fault) == ((), (), "")
+    assert report.evidence.used == {
+        "file": "CSV, 10 rows, 37 columns, named by a header; 29 joints found"
+    }
+    assert report.evidence.assumed == {"frame rate": "30 fps"}
+    assert (report.evidence.not_used, report.evidence.missing, report.fault) == ((), (), "")
     assert report.motion.duration == pytest.approx(9 / 30)
-    assert report.quat_norms == pytest.approx((1.0, 1.0), abs=1e-5)
+    assert report.evidence.quat_norms == pytest.approx((1.0, 1.0), abs=1e-5)
 
 
 def test_a_bundled_motion_by_its_name(robot):
-    assert check_file("demo", robot).passed
+    assert check_motion_file("demo", robot).passed
 
 
 def test_the_frame_rate_is_as_given(robot):
-    motion = check_file("demo", robot, fps=15.0).motion
-    assert motion.duration == pytest.approx(2 * check_file("demo", robot).motion.duration)
+    motion = check_motion_file("demo", robot, fps=15.0).motion
+    assert motion.duration == pytest.approx(2 * check_motion_file("demo", robot).motion.duration)
 
 
 def test_unknown_and_missing_joints(clip):
@@ -157,22 +159,22 @@ def test_unknown_and_missing_joints(clip):
 
     report = clip(rename)
     assert not report.passed
-    assert report.not_in_robot == ("left_kneee_joint",)
-    assert report.not_in_file == ("left_knee_joint",)
-    assert len(report.mapped) == 28
+    assert report.evidence.not_used == ("left_kneee_joint",)
+    assert report.evidence.missing == ("left_knee_joint",)
+    assert "28 joints found" in report.evidence.used["file"]
     assert "left_kneee_joint" in report.fault
     assert report.motion is None
-    assert report.quat_norms is not None
+    assert report.evidence.quat_norms is not None
 
 
 def test_a_file_without_a_header(tmp_path, robot):
     lines = Path(load_motion("demo").source).read_text().splitlines()[1:]
     path = tmp_path / "lafan.csv"
     path.write_text("\n".join(line.split(",", 1)[1] for line in lines))
-    report = check_file(path, robot)
+    report = check_motion_file(path, robot)
     assert report.passed
-    assert not report.has_header
-    assert report.mapped[JOINT_NAMES[0]] == 8
+    assert "no header, columns as in LAFAN1" in report.evidence.used["file"]
+    assert report.evidence.assumed == {"frame rate": "30 fps", "joint order": "motor"}
 
 
 def test_no_quaternions(clip):
@@ -180,7 +182,7 @@ def test_no_quaternions(clip):
         columns[columns.index("QW")] = "W"
 
     report = clip(rename)
-    assert report.quat_norms is None
+    assert report.evidence.quat_norms is None
     assert "QW" in report.fault
 
 
@@ -190,7 +192,7 @@ def test_quaternions_that_are_not_unit_are_a_warning(clip):
             rows[3][columns.index(name)] = str(2.24 * float(rows[3][columns.index(name)]))
 
     report = clip(scale)
-    assert report.quat_norms[1] == pytest.approx(2.24, abs=1e-4)
+    assert report.evidence.quat_norms[1] == pytest.approx(2.24, abs=1e-4)
     (warning,) = report.motion.warnings
     assert "frame 3, line 5" in warning
     assert report.passed
@@ -232,18 +234,17 @@ def test_with_a_bad_row_the_rest_is_reported(clip, change, fault):
     report = clip(change)
     assert fault in report.fault
     assert report.remedy
-    assert (report.n_rows, report.n_columns, report.has_header) == (10, 37, True)
-    assert tuple(report.mapped) == JOINT_NAMES
-    assert (report.motion, report.quat_norms) == (None, None)
+    assert "10 rows, 37 columns, named by a header; 29 joints" in report.evidence.used["file"]
+    assert (report.motion, report.evidence.quat_norms) == (None, None)
     assert not report.passed
 
 
 def test_columns_without_names(tmp_path, robot):
     path = tmp_path / "narrow.csv"
     path.write_text("1,2,3\n4,5,6\n")
-    report = check_file(path, robot)
-    assert (report.n_rows, report.n_columns, report.has_header) == (2, 3, False)
-    assert (report.mapped, report.not_in_robot, report.not_in_file) == ({}, (), ())
+    report = check_motion_file(path, robot)
+    assert "2 rows, 3 columns, no header; 0 joints" in report.evidence.used["file"]
+    assert (report.evidence.not_used, report.evidence.missing) == ((), ())
     assert "3 columns" in report.fault
 
 
@@ -253,7 +254,7 @@ def test_no_columns_at_all(clip):
         rows[:] = [[";".join(row)] for row in rows]
 
     report = clip(join)
-    assert (report.n_rows, report.n_columns, report.mapped) == (10, 1, {})
+    assert "10 rows, 1 column, named by a header; 0 joints" in report.evidence.used["file"]
     assert "1 column" in report.fault
 
 
@@ -271,9 +272,58 @@ def test_files_without_a_report(tmp_path, robot, content, message):
     if content is not None:
         path.write_bytes(content)
     with pytest.raises(MotionError, match=message):
-        check_file(path, robot)
+        check_motion_file(path, robot)
 
 
 def test_frame_rate_zero_is_an_error(robot):
     with pytest.raises(MotionError, match="frames per second"):
-        check_file("demo", robot, fps=0.0)
+        check_motion_file("demo", robot, fps=0.0)
+
+
+# --- joints that a robot lacks ---
+
+LACKED = (
+    *("waist_roll_joint", "waist_pitch_joint", "left_wrist_pitch_joint", "left_wrist_yaw_joint"),
+    *("right_wrist_pitch_joint", "right_wrist_yaw_joint"),
+)  # by a G1 with 23 joints
+
+
+@pytest.fixture(scope="module")
+def rest():
+    demo = load_motion("demo")
+    return replace(demo, joint_pos=np.zeros_like(demo.joint_pos))
+
+
+def bent(motion, joint, angle):
+    q = motion.joint_pos.copy()
+    q[1:, JOINT_NAMES.index(joint)] = angle
+    return replace(motion, joint_pos=q)
+
+
+def test_a_robot_with_all_joints_drops_none():
+    assert dropped_joints(load_motion("demo"), G1.default()) is None
+
+
+def test_joints_that_do_not_move_are_named_and_not_missed(rest):
+    found = dropped_joints(bent(rest, "left_knee_joint", 1.0), G1.load("g1_23dof"))
+    assert found.joints == LACKED
+    assert found.moved == ()
+    assert set(found.errors_mm.values()) == {(0.0, 0.0)}
+
+
+def test_the_head_is_as_far_off_as_its_lever_says(rest):
+    found = dropped_joints(bent(rest, "waist_pitch_joint", 0.2), G1.load("g1_23dof"))
+    assert found.joints == LACKED
+    assert found.moved == ("waist_pitch_joint",)
+    mean, most = found.errors_mm["head"]
+    lever = np.hypot(0.0002835, 0.41618)  # of the lidar, from the axis of the waist's pitch
+    assert most == pytest.approx(2e3 * lever * np.sin(0.1), rel=1e-6)
+    assert mean < most  # the first frame is upright
+    assert found.errors_mm["left hand"][1] > 10.0
+
+
+def test_a_wrist_moves_its_own_hand_only(rest):
+    found = dropped_joints(bent(rest, "right_wrist_yaw_joint", 0.5), G1.load("g1_23dof"))
+    assert found.moved == ("right_wrist_yaw_joint",)
+    assert found.errors_mm["head"] == found.errors_mm["left hand"] == (0.0, 0.0)
+    assert 0.0 < found.errors_mm["right hand"][0] < 100.0

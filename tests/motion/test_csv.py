@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from g1stream.errors import MotionError
 from g1stream.motion.csv import CsvFile
+from g1stream.motion.readers import MotionFile, load_motion
 from g1stream.robot.joints import JOINT_NAMES
-from g1stream.session.motions import load_motion
 
 COLUMNS = ("Frame", "X", "Y", "Z", "QX", "QY", "QZ", "QW", *JOINT_NAMES)
 KNEE = COLUMNS.index("left_knee_joint")
@@ -234,8 +234,9 @@ def test_any_cell_is_read_or_refused(load, line, column, cell):
 
 @pytest.mark.parametrize("fault", ["x", ""])
 def test_the_layout_is_known_where_the_numbers_are_not(fault):
-    file = CsvFile(Path("clip.csv"), changed(3, 5, fault).encode())
+    file = CsvFile(MotionFile(Path("clip.csv"), data=changed(3, 5, fault).encode()))
     assert (file.has_header, file.n_rows, file.n_columns) == (True, 5, 37)
     assert file.columns == COLUMNS
     with pytest.raises(MotionError, match="line 3, column 5"):
-        _ = file.quats
+        file.motion()
+    assert file.evidence.quat_norms is None

@@ -9,11 +9,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from g1stream.motion.check import check_motion
+from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.hulls import SelfCollision
 from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1
-from g1stream.session.motions import load_motion
 
 TOOL = Path(__file__).parents[2] / "tools" / "make_demo_motion.py"
 #: Under the ankle roll frame of a G1 there are 35 mm of foot.

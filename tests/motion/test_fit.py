@@ -9,9 +9,9 @@ from g1stream.config import load_config
 from g1stream.errors import ConfigError, G1StreamError, MotionError, SafetyError
 from g1stream.motion.fit import fit_to_robot
 from g1stream.motion.motion import Motion
+from g1stream.motion.readers import load_motion
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import G1, VARIANTS
-from g1stream.session.motions import load_motion
 
 ROBOT = G1.default()
 KNEE = JOINT_NAMES.index("left_knee_joint")

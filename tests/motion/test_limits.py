@@ -15,9 +15,9 @@ from g1stream.control.limits import CommandLimits
 from g1stream.control.loop import StreamLoop
 from g1stream.events import handled_by
 from g1stream.motion.limits import POSITION_TOLERANCE, Interval, measure_limits
+from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.joints import JOINT_NAMES
-from g1stream.session.motions import load_motion
 
 KNEE, WAIST = JOINT_NAMES.index("left_knee_joint"), JOINT_NAMES.index("waist_yaw_joint")
 ELBOW = JOINT_NAMES.index("left_elbow_joint")

@@ -1,18 +1,23 @@
-"""Motions made from arrays, cut, resampled, saved and drawn."""
+"""Motions made from arrays and of other motions, cut, resampled, saved and drawn."""
 
 from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
 from g1stream.errors import G1StreamError, MotionError, RecordingError
-from g1stream.motion.motion import Motion
+from g1stream.motion.motion import Motion, height_of_floor
+from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
-from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
-from g1stream.session.motions import load_motion
+from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, MIRROR_SIGN, MIRRORED_JOINT
+from g1stream.robot.kinematics import forward_kinematics
+from g1stream.robot.model import G1, REVISIONS
+from g1stream.robot.rotations import yaw_of
 
 KNEE = JOINT_NAMES.index("left_knee_joint")
 
@@ -189,7 +194,214 @@ def test_a_plot_of_an_unknown_joint(wild_motion):
 
 def test_importing_the_room_is_cheap():
     code = (
-        "import sys, g1stream.motion.files, g1stream.motion.check; sys.exit(any(m in sys.modules "
+        "import sys, g1stream.motion.readers, g1stream.motion.csv; sys.exit(any(m in sys.modules "
         "for m in ('scipy', 'mujoco', 'matplotlib', 'cyclonedds', 'pydantic')))"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+# --- motions made of motions ---
+
+
+@pytest.fixture(scope="module")
+def demo():
+    return load_motion("demo")
+
+
+@pytest.fixture
+def walk(make_motion):
+    """Two seconds at 0.5 m/s and 0.8 rad/s of the knee, to the left."""
+    t = np.arange(61)[:, None] / 30.0
+    joints = np.zeros((61, 29))
+    joints[:, KNEE] = 0.3 + 0.8 * t[:, 0]
+    half = np.pi / 4
+    quat = np.tile([np.cos(half), 0.0, 0.0, np.sin(half)], (61, 1))
+    return make_motion(joints, [0.0, 0.0, 0.8] + t * [0.0, 0.5, 0.0], quat)
+
+
+def test_trim_takes_the_frames_of_that_time(demo):
+    part = demo.trim(1.0, 5.0)
+    assert part.duration == 4.0
+    np.testing.assert_array_equal(part.joint_pos, demo.joint_pos[30:151])
+    assert demo.trim(2.0).n_frames == demo.n_frames - 60
+    assert part.operations == ("trimmed to 1 to 5 s",)
+    assert part.content_sha256 == demo.frames(30, 151).content_sha256 != demo.content_sha256
+
+
+@pytest.mark.parametrize(("start", "end"), [(-1, 2), (5, 5), (5, 1), (0, 1e3), (np.nan, 1)])
+def test_parts_that_there_are_not(demo, start, end):
+    with pytest.raises(MotionError, match="has no part"):
+        demo.trim(start, end)
+
+
+def other_side(link):
+    sides = {"left": "right", "right": "left"}
+    side, _, rest = link.partition("_")
+    return f"{sides.get(side, side)}_{rest}" if rest else link
+
+
+@pytest.mark.parametrize("revision", REVISIONS)
+def test_mirrored_bodies_are_the_mirror_image(revision, wild_motion):
+    robot = G1.load(revision)
+    before, after = (
+        forward_kinematics(robot, one.joint_pos, one.root_pos, one.root_quat_wxyz).pos
+        for one in (wild_motion, wild_motion.mirrored())
+    )
+    links = [0, *np.flatnonzero(robot.joint_of_link >= 0)]
+    assert len(links) == 30
+    others = [robot.link_names.index(other_side(robot.link_names[link])) for link in links]
+    np.testing.assert_allclose(after[:, links], [1, -1, 1] * before[:, others], rtol=0, atol=1e-4)
+
+
+def test_a_mirrored_motion_keeps_the_limits_and_mirrored_twice_is_itself(demo):
+    robot = G1.default()
+    lower, upper = robot.lower[MIRRORED_JOINT], robot.upper[MIRRORED_JOINT]
+    limits = np.where(MIRROR_SIGN > 0, lower, -upper)
+    np.testing.assert_allclose(limits, robot.lower, rtol=0, atol=1e-9)
+    twice = demo.mirrored().mirrored()
+    assert twice.content_sha256 == demo.content_sha256
+    assert demo.mirrored().content_sha256 != demo.content_sha256
+
+
+def test_speed_changes_the_frame_rate_alone(demo):
+    slow = demo.at_speed(0.5)
+    assert slow.duration == 2 * demo.duration
+    np.testing.assert_array_equal(slow.joint_pos, demo.joint_pos)
+    with pytest.raises(MotionError):
+        demo.at_speed(0.0)
+
+
+def test_the_next_motion_goes_on_where_the_last_one_ends(demo, walk):
+    both = walk.then(demo, blend=0.5)
+    first, start = walk.n_frames, walk.n_frames + 14
+    assert both.n_frames == start + demo.n_frames
+    assert both.parts == (walk, demo)
+    assert both.then(walk.mirrored()).parts[:2] == (walk, demo)
+    np.testing.assert_array_equal(both.joint_pos[:first], walk.joint_pos)
+    np.testing.assert_array_equal(both.joint_pos[start:], demo.joint_pos)
+    np.testing.assert_array_equal(both.root_pos[start:, 2], demo.root_pos[:, 2])
+    yaw = yaw_of(both.root_quat_wxyz[[first - 1, start]])
+    assert yaw[1] == pytest.approx(yaw[0], abs=1e-9)
+    # It walks out of the last step at the mean of 0.5 m/s and no speed.
+    ahead = both.root_pos[start, :2] - walk.root_pos[-1, :2]
+    np.testing.assert_allclose(ahead, [0.0, 0.125], rtol=0, atol=2e-3)
+
+
+def test_a_walk_goes_on_through_the_blend_as_it_was(walk):
+    both = walk.then(walk, blend=0.5)
+    velocity = np.diff(both.root_pos, axis=0) * 30.0
+    np.testing.assert_allclose(velocity, np.tile([0.0, 0.5, 0.0], (len(velocity), 1)), atol=1e-9)
+
+
+def test_a_blend_is_smooth_to_the_second_derivative(wild_motion):
+    """Its velocity, at ten thousand times a second, has no steps at its ends."""
+    both = wild_motion.then(wild_motion, blend=0.5)
+    last = wild_motion.duration
+    for seam in (last, last + 0.5):
+        times = seam + np.arange(-50, 51) * 1e-4
+        point = Trajectory(both).sample_many(times)
+        for velocity, acceleration in (
+            (point.joint_vel, point.joint_acc),
+            (point.root_lin_vel, point.root_lin_acc),
+            (point.root_ang_vel, point.root_ang_acc),
+        ):
+            np.testing.assert_allclose(
+                np.diff(velocity, axis=0) / 1e-4,
+                (acceleration[1:] + acceleration[:-1]) / 2,
+                rtol=0,
+                atol=1e-3 * np.abs(acceleration).max(),
+            )
+            steps = np.abs(np.diff(acceleration, axis=0)).max()
+            assert steps < 0.1 * np.abs(acceleration).max()
+
+
+def test_other_frame_rates_and_no_blend(demo):
+    both = demo.then(demo.resample(60.0), blend=0.0)
+    assert both.fps == 60.0
+    assert both.duration == pytest.approx(2 * demo.duration + 1 / 60)
+    with pytest.raises(MotionError, match="blend"):
+        demo.then(demo, blend=-0.1)
+
+
+def test_again_and_again(demo):
+    thrice = demo.looped(3, blend=1.0)
+    assert thrice.duration == pytest.approx(3 * demo.duration + 2.0)
+    assert (thrice.name, thrice.sha256) == (demo.name, demo.sha256)
+    assert demo.looped(1).n_frames == demo.n_frames
+    for n in (0, 10**6):
+        with pytest.raises(MotionError, match="repeated"):
+            demo.looped(n)
+
+
+def test_each_repetition_goes_on_from_the_one_before(demo):
+    """As one after the other: of a motion that walks and turns, and of one that rests."""
+    t = np.arange(40) / 20.0
+    path = np.stack([t, 0.2 * t**2, 0.7 + 0.1 * np.sin(t)], axis=1)
+    quat = np.stack([np.cos(0.7 * t), 0.05 * np.sin(t), 0.0 * t, np.sin(0.7 * t)], axis=1)
+    turning = Motion.from_arrays(demo.joint_pos[:40], path, quat, fps=20)
+    for motion, blend in ((turning, 0.5), (turning, 0.0), (demo.frames(0, 40), 1.0)):
+        expected = motion
+        for _ in range(4):
+            expected = expected.then(motion, blend=blend)
+        found = motion.looped(5, blend=blend)
+        np.testing.assert_allclose(found.joint_pos, expected.joint_pos, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(found.root_pos, expected.root_pos, rtol=0, atol=1e-9)
+        same = np.sum(found.root_quat_wxyz * expected.root_quat_wxyz, axis=1)
+        np.testing.assert_allclose(np.abs(same), 1.0, rtol=0, atol=1e-12)
+        assert (np.sum(found.root_quat_wxyz[1:] * found.root_quat_wxyz[:-1], axis=1) > 0).all()
+
+
+def test_what_was_done_is_said(demo):
+    both = demo.trim(1, 5).mirrored().then(demo.at_speed(2), blend=0.5)
+    assert both.name == "demo+demo"
+    assert (both.source, both.sha256) == (None, None)
+    assert both.operations == (
+        "trimmed to 1 to 5 s",
+        "mirrored",
+        "then demo (at 2 times its speed) after a blend of 0.5 s",
+    )
+
+
+def test_a_fixed_root_stays_as_in_the_first_frame(walk):
+    fixed = walk.fixed_root()
+    assert (fixed.root_pos == walk.root_pos[0]).all()
+    assert (fixed.root_quat_wxyz == walk.root_quat_wxyz[0]).all()
+    np.testing.assert_array_equal(fixed.joint_pos, walk.joint_pos)
+
+
+@pytest.mark.parametrize("by", [-0.3, 0.05])
+def test_feet_are_put_on_the_floor(demo, by):
+    stands = height_of_floor(demo, G1.default())
+    assert stands == pytest.approx(0.0, abs=1e-3)
+    moved = replace(demo, root_pos=demo.root_pos + np.array([0.0, 0.0, by]))
+    assert height_of_floor(moved, G1.default()) == pytest.approx(stands + by, abs=1e-9)
+    put = moved.on_floor()
+    np.testing.assert_allclose(put.root_pos, demo.root_pos - [0.0, 0.0, stands], atol=1e-9)
+    assert len(put.operations) == 1
+
+
+def test_feet_are_put_on_the_floor_by_the_robot_that_is_given(demo):
+    urdf = ElementTree.fromstring(G1.default().urdf)
+    for side in ("left", "right"):
+        origin = urdf.find(f"joint[@name='{side}_ankle_pitch_joint']/origin")
+        x, y, z = map(float, origin.get("xyz").split())
+        origin.set("xyz", f"{x} {y} {z - 0.02}")
+    tall = G1.from_urdf(ElementTree.tostring(urdf, encoding="unicode"), "tall")
+    put = demo.on_floor(tall)
+    assert height_of_floor(put, tall) == pytest.approx(0.0, abs=1e-9)
+    assert abs(height_of_floor(put, G1.default())) > 0.01
+
+
+def test_frames_and_another_rate_are_named(demo):
+    assert demo.frames(0, demo.n_frames).operations == ()
+    assert demo.frames(3, 40).resample(50).operations == (
+        "cut to frames 3 to 40",
+        "resampled to 50 fps",
+    )
+
+
+def test_a_motion_in_the_air_is_not_put_on_the_floor(make_motion):
+    falling = make_motion(np.zeros((10, 1)), np.arange(10)[:, None] * [0.0, 0.0, -0.1])
+    assert height_of_floor(falling, G1.default()) is None
+    with pytest.raises(MotionError, match="no foot stands"):
+        falling.on_floor()

@@ -12,8 +12,9 @@ from scipy.spatial.transform import Rotation, RotationSpline
 
 from g1stream.errors import MotionError
 from g1stream.motion.motion import Motion
-from g1stream.motion.trajectory import BLOCK, Trajectory, resample
-from g1stream.session.motions import load_motion
+from g1stream.motion.readers import load_motion
+from g1stream.motion.spline import BLOCK
+from g1stream.motion.trajectory import Trajectory
 
 
 def frame_times(motion):
@@ -231,7 +232,7 @@ def test_parts_are_those_of_splines_through_all_frames(n_frames):
 
 
 def collected(motion, rate, start=0, stop=None):
-    pieces = list(resample(motion, rate, start, motion.n_frames if stop is None else stop))
+    pieces = list(motion.samples(rate, start, motion.n_frames if stop is None else stop))
     numbers = np.concatenate([list(n) for n, _ in pieces])
     return numbers, [np.concatenate(parts) for parts in zip(*(p for _, p in pieces), strict=True)]
 
@@ -293,7 +294,7 @@ def test_the_last_sample_still_moves():
 )
 def test_no_sample_is_an_error(rate, part, message):
     with pytest.raises(MotionError, match=message):
-        list(resample(made(50), rate, *part))
+        list(made(50).samples(rate, *part))
 
 
 def test_joints_keep_the_bounds_of_their_segments(wild_motion):

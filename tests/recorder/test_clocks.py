@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from g1stream.recorder.clocks import ClockReading, DelayEstimator, StepDetector, read_clocks
+from g1stream.recorder.diagnostics import ClockReading, DelayEstimator, StepDetector, read_clocks
 
 T0 = 1_700_000_000_000_000_000
 MS = 1_000_000

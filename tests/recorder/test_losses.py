@@ -7,7 +7,7 @@ import socket
 import pytest
 
 from g1stream.dds.messages import LOWCMD, LOWSTATE, REFERENCE, Batch, LowState, Reference
-from g1stream.recorder.losses import Losses, MissingCommands, dropped_datagrams
+from g1stream.recorder.diagnostics import Losses, MissingCommands, dropped_datagrams
 
 
 def batch(message, ticks, writer=1):

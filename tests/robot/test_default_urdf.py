@@ -11,7 +11,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from g1stream.robot.model import G1
+from g1stream.robot.model import G1, REVISIONS, VARIANTS
+from g1stream.robot.shapes import parse_visuals, read_visuals
+from g1stream.robot.urdf import read_kinematics
 
 TOOL = Path(__file__).parents[2] / "tools/make_robot_urdf.py"
 FEET = ("left_ankle_roll_link", "right_ankle_roll_link")
@@ -46,11 +48,36 @@ def test_shapes_are_primitives(robot):
     assert kinds == {"box", "cylinder", "sphere"}
 
 
-def test_the_tool_generates_the_committed_file(reference_urdf, robot, tmp_path):
+def test_the_tool_generates_the_committed_files(reference_urdf, robot, tmp_path):
     reference = reference_urdf("g1_29dof_rev_1_0.urdf")
     command = [sys.executable, str(TOOL), "--reference", str(reference), "--out", str(tmp_path)]
     subprocess.run(command, check=True)
-    assert (tmp_path / "g1_29dof_rev_1_0.urdf").read_text(encoding="utf-8") == robot.urdf
+    made = {path.name: path.read_text(encoding="utf-8") for path in tmp_path.iterdir()}
+    assert made.keys() == {f"{name}.urdf" for name in (*REVISIONS, *VARIANTS)} | {"robots.jsonl"}
+    known = made.pop("robots.jsonl").splitlines()
+    assert made == {
+        name: (TOOL.parents[1] / "src/g1stream/robot" / name).read_text() for name in made
+    }
+    assert len(known) == len(made)
+
+
+@pytest.mark.parametrize("name", [*REVISIONS, *VARIANTS])
+def test_what_is_known_of_a_robot_is_what_yourdfpy_reads(name):
+    robot = G1.load(name)
+    read = read_kinematics(robot.xml, name)
+    for field, value in read.items():
+        found = getattr(robot, field)
+        if isinstance(value, np.ndarray):
+            assert found.dtype == value.dtype
+            np.testing.assert_allclose(found, value, rtol=0, atol=1e-15)
+        else:
+            assert found == value
+    assert len(read) == 13
+    assert [one.mesh for one in read_visuals(robot)] == [one.mesh for one in parse_visuals(robot)]
+    for one, other in zip(read_visuals(robot), parse_visuals(robot), strict=True):
+        assert (one.link, one.kind, one.coloured) == (other.link, other.kind, other.coloured)
+        for key in ("pos", "quat_wxyz", "size", "rgba"):
+            assert getattr(one, key) == pytest.approx(getattr(other, key), abs=1e-15)
 
 
 def test_the_other_revision_weighs_what_unitree_mujocos_weighs(compile_mujoco):

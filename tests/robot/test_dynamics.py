@@ -11,15 +11,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from g1stream.errors import RobotError
+from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot import dynamics as module
 from g1stream.robot.dynamics import BaseMotion, InverseDynamics, friction_torque
 from g1stream.robot.joints import ARMATURE, DAMPING, FRICTION, JOINT_NAMES, N_JOINTS
 from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1
-from g1stream.session.motions import load_motion
-from g1stream.sim.supports import Hanging
-from g1stream.sim.world import MotorCommand, World
+from g1stream.sim.world import Hanging, MotorCommand, World
 
 GRAVITY = np.array([0.0, 0.0, 9.81])
 UPRIGHT = BaseMotion(np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3))

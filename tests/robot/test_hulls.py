@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 import trimesh
 
+from g1stream.robot.dynamics import mujoco_spec
 from g1stream.robot.hulls import Hull, SelfCollision, add_hulls, never_collide, read_hulls
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1, REVISIONS
-from g1stream.robot.mujoco_spec import mujoco_spec
 
 LAFAN = Path(__file__).parents[3] / "shared" / "lafan1" / "joints_labeled.csv"
 PEERS = Path(os.environ.get("PEERS") or Path(tempfile.gettempdir(), "peers"))

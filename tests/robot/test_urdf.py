@@ -8,8 +8,8 @@ import pytest
 
 from g1stream.errors import RobotError
 from g1stream.robot.model import G1
+from g1stream.robot.shapes import read_visuals
 from g1stream.robot.urdf import with_prefixed_links
-from g1stream.robot.visuals import read_visuals
 
 KNEE = 'name="left_knee_joint" type="revolute"'
 KNEE_PARENT = '<parent link="left_hip_yaw_link" />\n    <child link="left_knee_link" />'
@@ -56,9 +56,9 @@ EDITS = {
     "a short axis": ('<axis xyz="1 0 0"', '<axis xyz="1"', "xyz='1' in its <axis>", "3 finite"),
     "an axis that is no number": ('<axis xyz="1 0 0"', '<axis xyz="nan 0 0"',
                                   "xyz='nan 0 0' in its <axis>", "3 finite"),
-    "no limit": (KNEE_LIMIT, "", "'left_knee_joint' has lower=''", "1 finite"),
+    "no limit": (KNEE_LIMIT, "", "'left_knee_joint' has no limit lower, upper, vel", "<limit>"),
     "half a limit": (KNEE_LIMIT, '<limit lower="-0.08" upper="2.8" effort="139"/>',
-                     "velocity=''", "1 finite"),
+                     "has no limit velocity", "<limit>"),
     "an endless limit": (KNEE_LIMIT, KNEE_LIMIT.replace("2.8798", "inf"), "upper='inf'",
                          "1 finite"),
     "limits the wrong way round": (KNEE_LIMIT, KNEE_LIMIT.replace("-0.087267", "3"),

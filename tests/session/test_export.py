@@ -5,10 +5,10 @@ import sys
 import numpy as np
 import pytest
 
+from g1stream.app.session import open_session
 from g1stream.dds.messages import LOWCMD, LOWSTATE, REFERENCE, SECONDARY_IMU, SPORTMODESTATE
 from g1stream.errors import ConfigError, RecordingError
 from g1stream.robot.joints import JOINT_NAMES
-from g1stream.session.session import open_session
 from g1stream.session.streams import STREAMS
 
 pandas = pytest.importorskip("pandas", reason="the extra `export` is not installed")

@@ -10,10 +10,10 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 
+from g1stream.app.session import open_session
 from g1stream.dds.messages import LOWCMD, LOWSTATE
 from g1stream.errors import RecordingError
 from g1stream.session.mcap_reader import McapFile
-from g1stream.session.session import open_session
 
 T0 = 1_700_000_000_000_000_000
 TOPICS = ("/a", "/b", "/never")

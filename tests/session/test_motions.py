@@ -4,14 +4,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from g1stream.app.session import open_session
 from g1stream.dds.messages import Reference
 from g1stream.errors import MotionError, RecordingError
-from g1stream.motion.check import check_file
+from g1stream.motion.readers import check_motion_file, load_motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import G1
-from g1stream.session.motions import check_motion_file, load_motion
-from g1stream.session.session import open_session
 from g1stream.session.writer import SessionWriter
 from g1stream.types import Phase
 
@@ -42,7 +41,8 @@ def write(tmp_path):
 def test_a_session_is_checked_as_the_motion_that_was_played(write):
     path = write()
     report = check_motion_file(path, ROBOT)
-    assert (report.path, report.kind, report.fault) == (path, "session", "")
+    assert (report.path, report.fault) == (path, "")
+    assert report.evidence.used["file"].startswith("a session")
     assert (report.motion.n_frames, report.motion.fps) == (100, 500.0)
     assert report.motion.streamed.speeds[0].joint == "left_knee_joint"
     assert report.motion.streamed.speeds[0].value == pytest.approx(0.5)
@@ -64,10 +64,6 @@ def test_a_session_in_which_nothing_was_played_is_an_error(write):
     for read in (lambda path: check_motion_file(path, ROBOT), load_motion):
         with pytest.raises(RecordingError, match="No motion was played"):
             read(path)
-
-
-def test_motion_files_are_checked_too(tmp_path):
-    assert check_motion_file("demo", ROBOT) == check_file("demo", ROBOT)
 
 
 def test_a_path_that_is_neither(tmp_path):

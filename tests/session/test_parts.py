@@ -9,12 +9,13 @@ import pytest
 import yaml
 from mcap.reader import make_reader
 
+from g1stream.app.session import open_session
 from g1stream.dds.layout import CDR_HEADER, Layout
 from g1stream.dds.messages import LOWCMD, LOWSTATE
 from g1stream.errors import RecordingError
 from g1stream.session.format import metadata_from_strings
-from g1stream.session.parts import SessionFiles, check_recording_path, remove_recording
-from g1stream.session.session import open_session
+from g1stream.session.parts import check_recording_path, remove_recording
+from g1stream.session.source import SessionFiles
 from g1stream.session.writer import SessionWriter
 
 T0 = 1_700_000_000_000_000_000

@@ -11,10 +11,10 @@ import pytest
 import yaml
 from mcap.reader import make_reader
 
+from g1stream.app.session import open_session
 from g1stream.dds.messages import LOWCMD, LOWSTATE
 from g1stream.errors import RecordingError
 from g1stream.session.repair import repair_session
-from g1stream.session.session import open_session
 
 TOPICS = {"/lowcmd": LOWCMD, "/lowstate": LOWSTATE}
 

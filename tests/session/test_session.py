@@ -7,6 +7,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
+from g1stream.app.session import open_session
 from g1stream.dds.layout import members
 from g1stream.dds.messages import (
     ARM_SDK,
@@ -17,8 +18,7 @@ from g1stream.dds.messages import (
     SPORTMODESTATE,
 )
 from g1stream.errors import RecordingError
-from g1stream.session.session import LogEvent, open_session
-from g1stream.session.streams import STREAMS
+from g1stream.session.streams import STREAMS, LogEvent
 from g1stream.session.writer import SessionWriter
 
 T0 = 1_700_000_000_000_000_000

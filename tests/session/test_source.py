@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from g1stream.app.session import Session
 from g1stream.dds.messages import LOWCMD, LOWSTATE
-from g1stream.session.session import Session
 from g1stream.session.source import MemorySource
 
 T0 = 1_700_000_000_000_000_000

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from g1stream.errors import RecordingError
-from g1stream.session.stream import Stream
-from g1stream.session.streams import LogEvent, Measured, Reference
+from g1stream.session.format import encode_log
+from g1stream.session.streams import LogEvent, Measured, Reference, Stream
 from g1stream.types import Phase
-from g1stream.view.encoders import encode_log
 
 T0 = 1_700_000_000_000_000_000
 N = 5

@@ -5,12 +5,17 @@ import math
 
 import pytest
 
+from g1stream.analysis.summary import Summary, Termination
 from g1stream.realtime import Grant
-from g1stream.session.info import SessionInfo
-from g1stream.session.recorder_summary import RecorderSummary
-from g1stream.session.records import Percentiles, read_record
-from g1stream.session.stream_summary import FeedForwardChange, StreamSummary
-from g1stream.session.summary import PhaseInterval, Summary, Termination
+from g1stream.session.records import (
+    FeedForwardChange,
+    Percentiles,
+    PhaseInterval,
+    RecorderSummary,
+    SessionInfo,
+    StreamSummary,
+    read_record,
+)
 from g1stream.types import Phase
 
 STREAM = StreamSummary(

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from g1stream.app.convert import frame_timestamps, parse_time
 from g1stream.errors import ConfigError
-from g1stream.session.timestamps import frame_timestamps, parse_time
 
 T0 = 1_700_000_000_000_000_000
 

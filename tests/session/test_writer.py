@@ -19,8 +19,8 @@ from mcap_ros2.decoder import DecoderFactory as Ros2Decoders
 from g1stream.errors import RecordingError
 from g1stream.session import writer as writer_module
 from g1stream.session.format import CHANNELS, metadata_from_strings
-from g1stream.session.info import MotionInfo
-from g1stream.session.parts import SessionFiles
+from g1stream.session.records import MotionInfo
+from g1stream.session.source import SessionFiles
 from g1stream.session.writer import SessionWriter, attach_motion
 from g1stream.view.encoders import JointStatesTemplate
 

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from g1stream.robot.rotations import quat_rotate
-from g1stream.sim.supports import Root
-from g1stream.sim.world import World
+from g1stream.sim.world import Root, World
 
 GRAVITY = 9.81
 

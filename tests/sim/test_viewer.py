@@ -8,9 +8,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from g1stream.app.sim import follow, open_viewer
 from g1stream.errors import SimError
 from g1stream.robot.model import G1
-from g1stream.sim.viewer import follow, open_viewer
 from g1stream.sim.world import World
 
 

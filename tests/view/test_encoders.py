@@ -16,12 +16,12 @@ from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
 from g1stream.robot.model import G1
+from g1stream.session.format import encode_log
 from g1stream.view.encoders import (
     MEASURED_PREFIX,
     FrameTransformsTemplate,
     JointStatesTemplate,
     TransformsEncoder,
-    encode_log,
 )
 
 T0 = 1_700_000_000_000_000_000

@@ -13,6 +13,7 @@ from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoderFactory
 from mcap_ros2.decoder import DecoderFactory as Ros2DecoderFactory
 
 import g1stream
+from g1stream.analysis.tracking import worst_joints
 from g1stream.config import Config
 from g1stream.robot.joints import JOINT_NAMES, TORQUE_LIMIT
 from g1stream.robot.model import G1
@@ -20,7 +21,6 @@ from g1stream.view.layouts import (
     DEFAULT_JOINTS,
     foxglove_layout,
     plotjuggler_layout,
-    worst_joints,
 )
 
 PATH = re.compile(r'(/[\w/]+)\.(?:joints\[:\]\{name=="(\w+)"\}\.)?(\w+)')
@@ -71,7 +71,7 @@ def names_in(tree: Any) -> set[str]:
 
 
 def test_every_series_is_in_the_messages(session, decoded):
-    layout = foxglove_layout(worst_joints(session))
+    layout = foxglove_layout(worst_joints(session, 6))
     limits = []
     for value in series(layout):
         match = PATH.fullmatch(value)
@@ -89,7 +89,7 @@ def test_every_series_is_in_the_messages(session, decoded):
     robot = G1.default()
     expected = {
         sign * robot.torque_limit[JOINT_NAMES.index(joint)]
-        for joint in worst_joints(session)
+        for joint in worst_joints(session, 6)
         for sign in (1, -1)
     }
     assert set(limits) == expected
@@ -116,14 +116,14 @@ def test_every_panel_is_placed_and_every_scene_is_a_topic(decoded):
 
 def test_the_worst_joints_come_first(session):
     rmse = session.tracking().rmse
-    worst = [JOINT_NAMES.index(name) for name in worst_joints(session)]
+    worst = [JOINT_NAMES.index(name) for name in worst_joints(session, 6)]
     assert len(worst) == 6
     assert rmse[worst[0]] == rmse.max()
     assert (rmse >= rmse[worst[-1]]).sum() == 6
 
 
-def test_where_there_is_nothing_to_compare_the_default_joints_are_plotted(session):
-    assert worst_joints(session.sel(phase="RAMP")) == DEFAULT_JOINTS
+def test_where_there_is_nothing_to_compare_no_joint_is_the_worst(session):
+    assert worst_joints(session.sel(phase="RAMP"), 6) == ()
 
 
 def test_plotjugglers_curves_are_named_by_joint():

@@ -12,6 +12,7 @@ from foxglove_schemas_protobuf.Log_pb2 import Log as LogLine
 
 from g1stream.config import RecordConfig
 from g1stream.dds.messages import LOG, LOWSTATE, REFERENCE, Batch, Log, LowState, Reference
+from g1stream.recorder.recorder import raw_messages
 from g1stream.robot.joints import JOINT_GROUPS
 from g1stream.robot.model import G1
 from g1stream.view.pipeline import Decimator, MessagePipeline
@@ -46,13 +47,11 @@ TIMES = [T0 + 2_000_000 * i for i in range(50)]
 JOINT_STATES = {f"/{name}/joint_states" for name in ("reference", "measured", "tracking_error")}
 
 
-def test_batches_become_raw_and_derived_messages():
+def test_batches_become_what_viewers_show():
     pipeline = make_pipeline("full")
     times, batches = TIMES, batches_of(TIMES)
     made = {messages.topic: messages for messages in pipeline.encode(batches)}
     assert {topic: len(messages.payloads) for topic, messages in made.items()} == {
-        "/reference": 50,
-        "/lowstate": 50,
         "/reference/joint_states": 50,
         "/measured/joint_states": 50,
         "/tf": 10,
@@ -61,11 +60,9 @@ def test_batches_become_raw_and_derived_messages():
         "/measured/path": 1,
         "/timing/commands": 2,
         "/timing/states": 2,
-        "/log": 1,
         "/tracking_error/joint_states": 50,
         "/tracking_error/limbs": 10,
     }
-    assert list(made["/lowstate"].payloads) == batches[LOWSTATE.name].data
     for messages in made.values():
         assert set(messages.log_times - messages.publish_times) == {50_000}
     error = JointStates.FromString(bytes(made["/tracking_error/joint_states"].payloads[7]))
@@ -88,8 +85,6 @@ def test_batches_become_raw_and_derived_messages():
     assert {joint.name: joint.position for joint in limbs.joints} == dict.fromkeys(
         JOINT_GROUPS, 0.25
     )
-    line = LogLine.FromString(made["/log"].payloads[0])
-    assert (line.level, line.name, line.message) == (3, "stream", "late")
     assert pipeline.encode({}) == []
 
 
@@ -107,16 +102,21 @@ def test_standard_has_the_same_with_joint_states_as_often_as_transforms():
         assert list(map(bytes, standard.payloads)) == list(map(bytes, full.payloads))[kept]
 
 
-def test_raw_has_samples_and_log_only_and_aligns_the_yaw_all_the_same():
-    raw, full = map(make_pipeline, ("raw", "full"))
+def test_raw_makes_nothing_for_viewers():
+    pipeline = make_pipeline("raw")
+    assert pipeline.encode(batches_of(TIMES)) == pipeline.file_header(T0) == []
+    assert pipeline.base is None
+
+
+def test_samples_are_copied_byte_for_byte_and_log_lines_become_messages():
     batches = batches_of(TIMES)
-    made = {messages.topic: messages for messages in raw.encode(batches)}
+    made = {messages.topic: messages for messages in raw_messages(batches)}
     assert made.keys() == {"/reference", "/lowstate", "/log"}
-    assert list(made["/reference"].payloads) == batches[REFERENCE.name].data
-    assert raw.file_header(T0) == []
-    full.encode(batches)
-    assert raw.base.summary() == full.base.summary()
-    assert raw.base.yaw_offset is not None
+    for topic, name in (("/reference", REFERENCE.name), ("/lowstate", LOWSTATE.name)):
+        assert list(made[topic].payloads) == batches[name].data
+        assert set(made[topic].log_times - made[topic].publish_times) == {50_000}
+    line = LogLine.FromString(made["/log"].payloads[0])
+    assert (line.level, line.name, line.message) == (3, "stream", "late")
 
 
 def test_timing_has_the_longest_interval_and_latency_of_each_span():

@@ -10,12 +10,10 @@ from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
 
 from g1stream.config import RecordConfig
-from g1stream.dds.ros2 import encode_string
 from g1stream.errors import ConfigError, RobotError
-from g1stream.robot.meshes import read_stl, real_g1
 from g1stream.robot.model import G1
-from g1stream.robot.visuals import find_mesh, read_visuals
-from g1stream.session.format import CHANNELS
+from g1stream.robot.shapes import find_mesh, read_stl, read_visuals, real_g1
+from g1stream.session.format import CHANNELS, encode_string
 from g1stream.session.writer import SessionWriter
 from g1stream.view.encoders import GHOST_PREFIX
 from g1stream.view.pipeline import MessagePipeline

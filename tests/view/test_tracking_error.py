@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from g1stream.view.tracking_error import Track, TrackingError
+from g1stream.view.pipeline import Track, TrackingError
 
 T0 = 1_700_000_000_000_000_000
 MS = 1_000_000

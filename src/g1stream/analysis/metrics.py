@@ -1,4 +1,7 @@
-"""The metrics of a session, from its samples; docs/metrics.md defines them."""
+"""The metrics of a session, from its samples; docs/metrics.md defines each, with its formula.
+
+Units are part of the names; None stands for what is not known.
+"""
 
 from __future__ import annotations
 
@@ -7,36 +10,68 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from g1stream.analysis.body_space import body_metrics
-from g1stream.analysis.frames import FPS, MEASURED_COLUMNS, REFERENCE_COLUMNS, frames
-from g1stream.analysis.summary import played
-from g1stream.analysis.timing import timing_metrics
-from g1stream.analysis.torque import torque_metrics
-from g1stream.analysis.tracking import NothingToCompareError, blocks, pooled, rms
+from g1stream.analysis.body import (
+    FPS,
+    MEASURED_COLUMNS,
+    REFERENCE_COLUMNS,
+    BodyMetrics,
+    body_metrics,
+    frames,
+)
+from g1stream.analysis.summarise import percentiles, played, summarise
+from g1stream.analysis.summary import TO_ITS_END, MessageStats
+from g1stream.analysis.torque import TorqueMetrics, commanded_torque, torque_metrics
+from g1stream.analysis.tracking import (
+    NothingToCompareError,
+    TrackingSummary,
+    blocks,
+    pooled,
+    rms,
+    tracking,
+)
 from g1stream.errors import RobotError
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
-from g1stream.session.metrics import (
-    JointMetrics,
-    LimbMetrics,
-    Metrics,
-    SuccessMetrics,
-    TrackingMetrics,
-)
-from g1stream.session.streams import Base, Command, Measured, Reference, TorsoImu
-from g1stream.session.summary import TO_ITS_END
+from g1stream.session.records import Int, Percentiles, Record
+from g1stream.session.streams import ArmCommand, Base, Command, Measured, Reference, TorsoImu
 from g1stream.types import Floats
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from g1stream.analysis.delay import Delay
-    from g1stream.analysis.frames import Frames
-    from g1stream.analysis.tracking import Tracking
-    from g1stream.session.metrics import BodyMetrics
-    from g1stream.session.session import Session
-    from g1stream.session.summary import Summary
+    from g1stream.analysis.body import Frames
+    from g1stream.analysis.summary import Summary
+    from g1stream.analysis.tracking import ErrorStats, Tracking
+    from g1stream.session.recording import Recording
 
-__all__ = ["metrics"]
+__all__ = [
+    "NAMED_METRICS",
+    "Metrics",
+    "SuccessMetrics",
+    "TimingMetrics",
+    "metrics",
+    "timing_metrics",
+]
+
+NAMED_METRICS: Final = {
+    "rmse": ("rad", "tracking.all_joints.rmse_rad"),
+    "mae": ("rad", "tracking.all_joints.mae_rad"),
+    "p99": ("rad", "tracking.all_joints.p99_rad"),
+    "max": ("rad", "tracking.all_joints.max_abs_rad"),
+    "bias": ("rad", "tracking.all_joints.bias_rad"),
+    "delay": ("s", "tracking.all_joints.delay_s"),
+    "velocity_rmse": ("rad/s", "tracking.all_joints.velocity_rmse_rad_s"),
+    "mpjpe": ("mm", "body.pelvis_frame.mpjpe_mm"),
+    "mpjpe_root": ("mm", "body.root_relative.mpjpe_mm"),
+    "mpjpe_world": ("mm", "body.world.mpjpe_mm"),
+    "torque_rms": ("N·m", "torque.rms_nm"),
+    "torque_use": ("", "torque.use"),
+    "saturated": ("", "torque.saturated"),
+    "power": ("W", "torque.power_w"),
+    "rate": ("Hz", "timing.rate_hz"),
+    "lateness_p99": ("us", "timing.lateness_us.p99"),
+    "state_age_p99": ("us", "timing.state_age_us.p99"),
+}
+"""Metrics of a whole session by the name that a condition has for them: unit and place."""
 
 #: Supports with which the pelvis moves as the robot does, or as the motion does.
 _MOVES: Final = {"follow", "free", "feet"}
@@ -47,7 +82,85 @@ _MOST_HEIGHT_ERROR: Final = 250.0
 _MOST_GRAVITY_DIFFERENCE: Final = 0.8
 
 
-def metrics(session: Session, joints: tuple[int, ...] | None = None) -> Metrics:
+class TimingMetrics(Record):
+    """How punctual everything was, in the whole session.
+
+    Attributes:
+        rate_hz, nominal_rate_hz: LowCmds per second, achieved and asked for.
+        interval_us: between the publish times of LowCmds.
+        lateness_us: of each write against its deadline; None where the stream told nothing.
+        lateness_histogram_us: lower edge of a 1 us bin -> ticks, likewise.
+        skipped_ticks: left out because they were a whole period late or more, likewise.
+        state_age_us: of the newest LowState at each LowCmd, between the publish times.
+        topics: rate, gaps and wire latency of each topic of DDS.
+    """
+
+    rate_hz: float | None = None
+    nominal_rate_hz: float | None = None
+    interval_us: Percentiles | None = None
+    lateness_us: Percentiles | None = None
+    lateness_histogram_us: dict[Int, Int] | None = None
+    skipped_ticks: Int | None = None
+    state_age_us: Percentiles | None = None
+    topics: dict[str, MessageStats]
+
+
+class SuccessMetrics(Record):
+    """Whether the motion was played to its end and followed.
+
+    Attributes:
+        completed: whether the stream played what it was asked to; None where that is not known.
+        progress: share of what was asked that was played, 0 to 1.
+        links: what the links' distance is measured by: `world` where nothing holds the pelvis,
+            `root_relative` or `pelvis_frame` else.
+        max_link_error_mm: the greatest of the frames' mean distances of all links.
+        success: completed, and that distance at most 500 mm in every frame, as PHC, OmniH2O and
+            ASAP ask; None where one of the two is not known.
+        success_strict: the same with BeyondMimic's limits on heights of pelvis, hands and feet
+            (250 mm) and the pelvis's tilt (0.8) in place of that distance; None where something
+            holds the pelvis.
+    """
+
+    completed: bool | None = None
+    progress: float | None = None
+    links: str | None = None
+    max_link_error_mm: float | None = None
+    success: bool | None = None
+    success_strict: bool | None = None
+
+
+class Metrics(Record):
+    """How well a session went, in numbers.
+
+    Attributes:
+        success: whether the motion was played to its end and followed.
+        tracking: of the joints.
+        body: of the links, in space.
+        torque: of the motors.
+        timing: of commands, states and the wire.
+        missing: which of these is None -> why, a sentence.
+    """
+
+    success: SuccessMetrics
+    tracking: TrackingSummary | None
+    body: BodyMetrics | None
+    torque: TorqueMetrics | None
+    timing: TimingMetrics
+    missing: dict[str, str]
+
+    def named(self) -> dict[str, float | None]:
+        """The `NAMED_METRICS` of this session; None where one is not known."""
+        return {name: self._at(path) for name, (_, path) in NAMED_METRICS.items()}
+
+    def _at(self, path: str) -> float | None:
+        found: Any = self
+        for name in path.split("."):
+            found = found and getattr(found, name)
+        value: float | None = found
+        return value
+
+
+def metrics(session: Recording, joints: tuple[int, ...] | None = None) -> Metrics:
     """The metrics of a session, whatever it holds.
 
     Args:
@@ -58,22 +171,22 @@ def metrics(session: Session, joints: tuple[int, ...] | None = None) -> Metrics:
         RecordingError: the file is damaged.
     """
     _read(session)
-    summary = session.summary()
+    summary = summarise(session)
     missing: dict[str, str] = {}
-    tracking = None
+    found = None
     if played(summary.phases) > 1:
         missing["tracking"] = "Several motions were played, so that there is no one reference."
     else:
         try:
-            tracking = session.tracking()
-            tracking = tracking if joints is None else replace(tracking, joints=joints)
+            found = tracking(session)
+            found = found if joints is None else replace(found, joints=joints)
         except NothingToCompareError as error:
             missing["tracking"] = error.cause
-    sampled = frames(session, tracking) if tracking else None
+    sampled = frames(session, found) if found else None
     body = torque = robot = None
     try:
         robot = session.robot
-        body = body_metrics(robot, sampled, tracking.joints) if tracking and sampled else None
+        body = body_metrics(robot, sampled, found.joints) if found and sampled else None
     except RobotError as error:
         missing["body"] = error.cause
     if not session.topics.get(Measured.topic):
@@ -84,16 +197,16 @@ def metrics(session: Session, joints: tuple[int, ...] | None = None) -> Metrics:
         torque = torque_metrics(
             session,
             robot.torque_limit,
-            tracking.states if tracking else None,
-            tracking.joints if tracking else None,
+            found.states if found else None,
+            found.joints if found else None,
         )
         if torque is None:
             missing["torque"] = "The robot reports no torques: all are 0 or not finite."
     if body is None and robot:
         missing["body"] = missing.get("tracking", "PLAY is too short.")
     return Metrics(
-        success=_success(summary, tracking, body),
-        tracking=tracking and _tracking_metrics(tracking, sampled),
+        success=_success(summary, found, body),
+        tracking=found and _tracking(found, sampled),
         body=body,
         torque=torque,
         timing=timing_metrics(session, summary),
@@ -101,7 +214,7 @@ def metrics(session: Session, joints: tuple[int, ...] | None = None) -> Metrics:
     )
 
 
-def _read(session: Session) -> None:
+def _read(session: Recording) -> None:
     """Read the columns that are needed in one pass, and with another what is made of commands."""
     session.read(
         {
@@ -113,73 +226,37 @@ def _read(session: Session) -> None:
     )
     # Before anything else takes memory: the commands take much until their torque is known.
     if session.topics.get(Command.topic) and session.topics.get(Measured.topic):
-        session.commanded_torque()
+        commanded_torque(session)
 
 
-def _tracking_metrics(tracking: Tracking, sampled: Frames | None) -> TrackingMetrics:
+def _tracking(tracking: Tracking, sampled: Frames | None) -> TrackingSummary:
+    """All figures of `ErrorStats`, of all joints, of limbs and of each joint."""
+    found = tracking.summary()
     # As precise as the positions were recorded, and joint by joint in memory.
     size = np.empty(tracking.reference.shape[::-1], np.float32)
     for part in blocks(len(tracking.time)):
         size[:, part] = np.abs(tracking.reference[part] - tracking.measured[part]).T
-    columns: dict[str, Floats] = {
-        "rmse_rad": tracking.rmse,
-        "mae_rad": size.mean(axis=1, dtype=np.float64),
-        "p99_rad": np.array([np.percentile(one, 99.0) for one in size]),
-        "mean_rad": tracking.mean,
-        "max_abs_rad": tracking.max_abs,
-        "max_abs_at_s": tracking.max_abs_at,
-    }
+    mae = size.mean(axis=1, dtype=np.float64)
     velocity, acceleration = _velocity_errors(sampled) if sampled else (None, None)
-    if velocity is not None:
-        columns["velocity_rmse_rad_s"] = velocity
-    if acceleration is not None:
-        columns["acceleration_rmse_rad_s2"] = acceleration
-    joints = {
-        name: JointMetrics(
-            **{key: float(values[i]) for key, values in columns.items()},
-            **_delay(tracking.delays.of([i])),
-        )
-        for i, name in enumerate(JOINT_NAMES)
-        if i in tracking.joints
-    }
 
-    def limb(members: Sequence[int], delay: Delay | None) -> LimbMetrics:
-        of = {name: values[list(members)] for name, values in columns.items()}
-        worst, largest = int(of["rmse_rad"].argmax()), int(of["max_abs_rad"].argmax())
-        rates = {key: pooled(of[key]) for key in of if key.startswith(("velocity", "acceleration"))}
-        return LimbMetrics(
-            rmse_rad=pooled(of["rmse_rad"]),
-            mae_rad=float(of["mae_rad"].mean()),
-            p99_rad=float(np.percentile(size[list(members)], 99.0, overwrite_input=True)),
-            max_abs_rad=float(of["max_abs_rad"][largest]),
-            max_abs_at_s=float(of["max_abs_at_s"][largest]),
-            worst_joint=JOINT_NAMES[members[worst]],
-            bias_rad=pooled(of["mean_rad"]),
-            **rates,
-            **_delay(delay),
-        )
+    def fill(stats: ErrorStats, joints: Sequence[int]) -> None:
+        chosen = list(joints)
+        stats.mae_rad = float(mae[chosen].mean())
+        stats.p99_rad = float(np.percentile(size[chosen], 99.0, overwrite_input=True))
+        if velocity is not None:
+            stats.velocity_rmse_rad_s = pooled(velocity[chosen])
+        if acceleration is not None:
+            stats.acceleration_rmse_rad_s2 = pooled(acceleration[chosen])
+        if delay := tracking.delays.of(joints):
+            stats.delay_s, stats.delay_ci95_s = delay.seconds, delay.ci95
+            stats.correlation = delay.correlation
 
-    return TrackingMetrics(
-        compared_states=len(tracking.time),
-        excluded_states=tracking.excluded,
-        compared_s=tracking.duration,
-        all_joints=limb(tracking.joints, tracking.delay),
-        limbs={
-            name: limb(members, tracking.delays.of(members))
-            for name, members in tracking.limbs.items()
-        },
-        joints=joints,
-    )
-
-
-def _delay(delay: Delay | None) -> dict[str, Any]:
-    if delay is None:
-        return {}
-    return {
-        "delay_s": delay.seconds,
-        "delay_ci95_s": delay.ci95,
-        "correlation": delay.correlation,
-    }
+    fill(found.all_joints, tracking.joints)
+    for limb, joints in tracking.limbs.items():
+        fill(found.limbs[limb], joints)
+    for joint in tracking.joints:
+        fill(found.joints[JOINT_NAMES[joint]], [joint])
+    return found
 
 
 def _velocity_errors(sampled: Frames) -> tuple[Floats | None, Floats | None]:
@@ -236,3 +313,32 @@ def _completed(summary: Summary, tracking: Tracking | None) -> tuple[bool | None
     if completed is None:  # nobody told, but the last frame of it was seen
         completed = done >= asked - TO_ITS_END or None
     return completed, min(1.0, max(0.0, done / asked)) if done < asked - TO_ITS_END else 1.0
+
+
+def timing_metrics(session: Recording, summary: Summary) -> TimingMetrics:
+    """The metrics, from the summary and the publish times of our commands and of states."""
+    # With --via arm_sdk, those on /lowcmd are the robot's own controller's.
+    ours = ArmCommand if session.topics.get(ArmCommand.topic) else Command
+    stream, command = summary.stream, summary.topics.get(ours.topic)
+    late = None if summary.simulated else stream  # a simulation waits for the loop
+    found = TimingMetrics(
+        rate_hz=command and command.rate_hz,
+        nominal_rate_hz=stream and stream.nominal_rate_hz,
+        lateness_us=late and late.lateness_us,
+        lateness_histogram_us=late and late.lateness_histogram_us,
+        skipped_ticks=stream and stream.skipped_ticks,
+        topics={t: stats for t, stats in summary.topics.items() if stats.gaps is not None},
+    )
+    if command is None or not command.rate_hz:
+        return found
+    sent = session.stream(ours)
+    commands = np.sort(sent.publish_time) + sent.clock_offset
+    found.interval_us = percentiles(np.diff(commands) / 1e3)
+    if "/lowstate" in found.topics:
+        states = np.sort(session.measured.publish_time) + session.measured.clock_offset
+        newest = np.searchsorted(states, commands, side="right") - 1
+        # Where the recorder was killed, states may be missing that commands in the file had seen.
+        known = (newest >= 0) & (session.complete | (commands <= states[-1]))
+        if known.any():
+            found.state_age_us = percentiles((commands[known] - states[newest[known]]) / 1e3)
+    return found

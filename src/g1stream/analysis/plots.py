@@ -1,4 +1,4 @@
-"""The figure of a session: reference and measured joint positions, and the tracking error."""
+"""The figures of a session: an overview with the tracking error, and panels of some joints."""
 
 from __future__ import annotations
 
@@ -11,24 +11,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from g1stream.analysis.joint_plots import plot_joints
-from g1stream.analysis.plot_style import (
-    COLOURS,
-    DARK,
-    GROUP_OF,
-    MUTED,
-    STYLE,
-    set_times,
-    shade_phases,
-)
-from g1stream.analysis.signals import chosen_quantities
-from g1stream.analysis.tracking import NothingToCompareError
+from g1stream.analysis.signals import chosen_quantities, min_max, signal
+from g1stream.analysis.tracking import NothingToCompareError, tracking
 from g1stream.errors import RecordingError
 from g1stream.files import save_figure
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
-from g1stream.session.info import MotionInfo
-from g1stream.session.records import read_record
-from g1stream.session.stream_summary import StreamSummary
+from g1stream.session.records import MotionInfo, StreamSummary, read_record
 from g1stream.session.streams import Measured, Reference
 from g1stream.text import counted
 from g1stream.types import Floats, Phase
@@ -39,11 +27,36 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from g1stream.analysis.signals import Quantity, Signal
     from g1stream.analysis.tracking import Tracking
-    from g1stream.session.session import Session
-    from g1stream.session.summary import PhaseInterval
+    from g1stream.session.recording import Recording
+    from g1stream.session.records import PhaseInterval
 
-__all__ = ["LONGEST_VIEW", "draw", "plot"]
+__all__ = ["COLOURS", "LONGEST_VIEW", "SHADES", "draw", "plot"]
+
+_DARK, _MUTED, _PALE = "#1a1a1a", "#5f6670", "#d5d9de"
+COLOURS: Final = dict(
+    zip(JOINT_GROUPS, ("#0072b2", "#56b4e9", "#009e73", "#d55e00", "#cc79a7"), strict=True)
+)
+_GROUP_OF: Final = {joint: group for group, joints in JOINT_GROUPS.items() for joint in joints}
+SHADES: Final = {Phase.RAMP: "#eef1f5", Phase.HOLD: "#eef1f5", Phase.DAMP: "#f8e9e7"}
+_STYLE: Final[Mapping[str, Any]] = {
+    "font.size": 9,
+    "axes.edgecolor": _PALE,
+    "axes.labelcolor": _MUTED,
+    "axes.titlecolor": _DARK,
+    "axes.titlelocation": "left",
+    "axes.titlesize": 10,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#e9ecef",
+    "grid.linewidth": 0.7,
+    "xtick.color": _MUTED,
+    "ytick.color": _MUTED,
+    "legend.frameon": False,
+}
 
 LONGEST_VIEW: Final = 20.0
 """A longer session shows its joints for so long only, around the greatest error, s."""
@@ -64,7 +77,16 @@ _REFERENCE: Final[Mapping[str, Any]] = {
     "label": "reference",
     "linewidth": 1.1,
     "linestyle": (0, (4, 2)),
-    "color": DARK,
+    "color": _DARK,
+}
+#: Of a panel, and what the figure needs above the panels for its title, inches.
+_PANEL_WIDTH, _PANEL_HEIGHT, _HEAD = 7.0, 1.7, 0.5
+_MOST_POINTS: Final = 4000
+_ASKED: Final[dict[str, Any]] = {
+    "color": _DARK,
+    "linewidth": 1.0,
+    "linestyle": (0, (4, 2)),
+    "zorder": 3,
 }
 
 
@@ -89,11 +111,11 @@ class _Data:
     view: tuple[float, float]
 
     @classmethod
-    def of(cls, session: Session) -> _Data:
+    def from_session(cls, session: Recording) -> _Data:
         try:
-            tracking = session.tracking()
+            followed = tracking(session)
         except NothingToCompareError:
-            tracking = None
+            followed = None
         reference, measured = session.reference.read("phase", "q"), session.measured.read("q")
         damping = (reference.phase == Phase.DAMP)[:, np.newaxis]
         phases = session.phases
@@ -103,13 +125,13 @@ class _Data:
             state_times=measured.time,
             measured=np.degrees(measured.q),
             phases=phases,
-            tracking=tracking,
-            view=_view(phases[0].start_s, phases[-1].end_s, tracking),
+            tracking=followed,
+            view=_view(phases[0].start_s, phases[-1].end_s, followed),
         )
 
 
 def draw(
-    session: Session,
+    session: Recording,
     path: str | Path,
     joints: Sequence[str] | str | None = None,
     what: Sequence[str] | None = None,
@@ -126,12 +148,12 @@ def draw(
     """
     from matplotlib import style
 
-    with style.context(["default", dict(STYLE)]):
+    with style.context(["default", dict(_STYLE)]):
         save_figure(lambda: plot(session, joints, what), Path(path), force=force)
 
 
 def plot(
-    session: Session, joints: Sequence[str] | str | None = None, what: Sequence[str] | None = None
+    session: Recording, joints: Sequence[str] | str | None = None, what: Sequence[str] | None = None
 ) -> Figure:
     """See `Session.plot`."""
     chosen = None if joints is None else _indices(joints)
@@ -139,18 +161,18 @@ def plot(
     if overview and what is None and all(map(session.topics.get, _COMPARED)):
         return _overview(session, chosen)
     all_joints = range(N_JOINTS)
-    return plot_joints(session, chosen or all_joints, chosen_quantities(what or ("q",)))
+    return _plot_joints(session, chosen or all_joints, chosen_quantities(what or ("q",)))
 
 
-def _overview(session: Session, joints: list[int] | None) -> Figure:
+def _overview(session: Recording, joints: list[int] | None) -> Figure:
     """The joints, or those that move most, the error over time and each joint's RMSE."""
     from matplotlib import style
     from matplotlib.figure import Figure
 
-    data = _Data.of(session)
+    data = _Data.from_session(session)
     shown, worst = _joints_to_show(data) if joints is None else (joints, None)
     # Without the user's own style, in which the layout might not hold.
-    with style.context(["default", dict(STYLE)]):
+    with style.context(["default", dict(_STYLE)]):
         figure = Figure(figsize=_INCHES, dpi=_DPI)
         _draw_head(figure, data, session)
         _draw_panels(figure, data, shown, worst)
@@ -215,7 +237,7 @@ def _binned_rms(times: Floats, errors: Floats) -> tuple[Floats, Floats]:
     return (edges[:-1] + edges[1:]) / 2.0, np.sqrt(mean_squares)
 
 
-def _draw_head(figure: Figure, data: _Data, session: Session) -> None:
+def _draw_head(figure: Figure, data: _Data, session: Recording) -> None:
     from matplotlib.lines import Line2D
 
     motion, _ = read_record(MotionInfo, session.metadata.get("motion"))
@@ -225,8 +247,8 @@ def _draw_head(figure: Figure, data: _Data, session: Session) -> None:
     facts = [session.path.name, *_facts(data.tracking)]
     if stream and stream.reason:
         facts.append(f"ended early: {textwrap.shorten(stream.reason, 55, placeholder=' ...')}")
-    figure.text(0.015, 0.937, "   ·   ".join(facts), color=MUTED, fontsize=11)
-    lines = [Line2D([], [], color=MUTED, **_MEASURED), Line2D([], [], **_REFERENCE)]
+    figure.text(0.015, 0.937, "   ·   ".join(facts), color=_MUTED, fontsize=11)
+    lines = [Line2D([], [], color=_MUTED, **_MEASURED), Line2D([], [], **_REFERENCE)]
     figure.legend(
         handles=lines, loc="upper right", bbox_to_anchor=(0.992, 0.972), ncols=2, fontsize=11
     )
@@ -267,25 +289,25 @@ def _draw_joint(axes: Axes, data: _Data, joint: int) -> None:
     first, last = data.view
     seen = (data.state_times >= first) & (data.state_times <= last)
     asked = (data.times >= first) & (data.times <= last)
-    colour = COLOURS[GROUP_OF[joint]]
+    colour = COLOURS[_GROUP_OF[joint]]
     axes.plot(data.state_times[seen], data.measured[seen, joint], color=colour, **_MEASURED)
     axes.plot(data.times[asked], data.reference[asked, joint], **_REFERENCE)
     if data.tracking:
         rmse, largest = np.degrees((data.tracking.rmse[joint], data.tracking.max_abs[joint]))
-        axes.set_title(f"RMSE {rmse:.2f}°, max {largest:.1f}°", loc="right", color=MUTED)
+        axes.set_title(f"RMSE {rmse:.2f}°, max {largest:.1f}°", loc="right", color=_MUTED)
     axes.set_ylabel("angle, deg")
     axes.margins(y=0.1)
-    shade_phases(axes, data.phases)
-    set_times(axes, first, last)
+    _shade_phases(axes, data.phases)
+    _set_times(axes, first, last)
 
 
 def _draw_error(axes: Axes, data: _Data) -> None:
     first, last = data.phases[0].start_s, data.phases[-1].end_s
     axes.set_title("RMS error of each limb", weight="bold")
     axes.set_ylabel("deg")
-    shade_phases(axes, data.phases)
+    _shade_phases(axes, data.phases)
     _name_phases(axes, data)
-    set_times(axes, first, last)
+    _set_times(axes, first, last)
     if data.tracking is None:
         return
     error = np.degrees(data.tracking.error)
@@ -294,7 +316,7 @@ def _draw_error(axes: Axes, data: _Data) -> None:
         axes.plot(times, rms, color=COLOURS[group], linewidth=1.6, label=group.replace("_", " "))
     axes.set_ylim(0.0, 1.12 * axes.get_ylim()[1])
     if data.view != (first, last):
-        axes.axvspan(*data.view, ymax=0.03, color=DARK, label="shown above")
+        axes.axvspan(*data.view, ymax=0.03, color=_DARK, label="shown above")
     axes.legend(loc="lower right", bbox_to_anchor=(1.01, 0.97), ncols=len(JOINT_GROUPS) + 1)
 
 
@@ -338,4 +360,69 @@ def _annotate(
 ) -> None:
     how = {"fontsize": 8, **how}
     offset = (0, points_above)
-    axes.annotate(text, place, offset, textcoords="offset points", ha="center", color=MUTED, **how)
+    axes.annotate(text, place, offset, textcoords="offset points", ha="center", color=_MUTED, **how)
+
+
+def _plot_joints(session: Recording, joints: Sequence[int], what: Sequence[Quantity]) -> Figure:
+    """A row for each joint and a column for each quantity, over time, with the phases shaded.
+
+    Args:
+        session: any; what it lacks is not drawn.
+        joints: indices, motor order.
+        what: quantities.
+
+    Raises:
+        RecordingError: the session has nothing of these quantities.
+    """
+    from matplotlib import style
+    from matplotlib.figure import Figure
+
+    signals = [signal(session, quantity) for quantity in what]
+    if not any(one.lines for one in signals):
+        raise RecordingError(
+            f"{session.path} has nothing to plot of {', '.join(one.title for one in signals)}.",
+            "Record while a robot, or a simulator, publishes its state and a motion is streamed.",
+        )
+    ends = [line.time[[0, -1]] for one in signals for line in one.lines]
+    first, last = min(float(one[0]) for one in ends), max(float(one[1]) for one in ends)
+    phases = session.phases
+    with style.context(["default", dict(_STYLE)]):
+        size = (_PANEL_WIDTH * len(signals), _PANEL_HEIGHT * len(joints) + _HEAD)
+        figure = Figure(figsize=size, dpi=_DPI, layout="constrained")
+        figure.suptitle(session.path.name, color=_MUTED)
+        panels = figure.subplots(len(joints), len(signals), squeeze=False, sharex=True)
+        for row, joint in zip(panels, joints, strict=True):
+            for axes, one in zip(row, signals, strict=True):
+                _draw_panel(axes, one, joint)
+                _shade_phases(axes, phases)
+        for axes, one in zip(panels[0], signals, strict=True):
+            if one.lines:
+                axes.legend(loc="lower right", bbox_to_anchor=(1.01, 0.97), ncols=2)
+        for axes in panels[-1]:
+            _set_times(axes, first, last)
+    return figure
+
+
+def _draw_panel(axes: Axes, drawn: Signal, joint: int) -> None:
+    axes.set_title(JOINT_NAMES[joint].removesuffix("_joint"), weight="bold")
+    axes.set_ylabel(drawn.label)
+    for line in drawn.lines:
+        values = line.values[:, joint]
+        shown = min_max(values, _MOST_POINTS)
+        solid: dict[str, Any] = {"color": COLOURS[_GROUP_OF[joint]], "linewidth": 1.6}
+        how = _ASKED if line is not drawn.lines[-1] else solid
+        axes.plot(line.time[shown], values[shown], label=line.name, **how)
+
+
+def _shade_phases(axes: Axes, phases: Sequence[PhaseInterval]) -> None:
+    """Shade the phases in which nothing is played."""
+    for one in phases:
+        if one.phase in SHADES:
+            axes.axvspan(one.start_s, one.end_s, color=SHADES[one.phase], linewidth=0)
+
+
+def _set_times(axes: Axes, first: float, last: float) -> None:
+    """Name and limit the time axis, s."""
+    axes.set_xlim(first, last)
+    axes.set_xlabel("time since the motion began, s")
+    axes.locator_params(axis="x", nbins=10, steps=(1, 2, 5, 10))

@@ -7,15 +7,17 @@ from typing import TYPE_CHECKING, Final, Literal, NamedTuple, get_args
 
 import numpy as np
 
-from g1stream.analysis.tracking import NothingToCompareError, blocks
+from g1stream.analysis.torque import commanded_torque
+from g1stream.analysis.tracking import NothingToCompareError, blocks, tracking
 from g1stream.errors import ConfigError
+from g1stream.session.motions import motion_of
 from g1stream.session.streams import Command, Measured, Reference
 from g1stream.types import Floats, Ints, Phase
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from g1stream.session.session import Session
+    from g1stream.session.recording import Recording
 
 __all__ = ["QUANTITIES", "Line", "Quantity", "Signal", "chosen_quantities", "min_max", "signal"]
 
@@ -43,7 +45,7 @@ class Line(NamedTuple):
     values: Floats
 
     @classmethod
-    def of(cls, name: str, time: Floats, values: Floats) -> Line:
+    def from_samples(cls, name: str, time: Floats, values: Floats) -> Line:
         """In the order of time, interrupted where the samples have a gap."""
         if (np.diff(time) < 0.0).any():
             order = np.argsort(time, kind="stable")
@@ -73,13 +75,13 @@ class Signal:
         return f"{self.title}, {self.unit}"
 
 
-def signal(session: Session, quantity: Quantity) -> Signal:
+def signal(session: Recording, quantity: Quantity) -> Signal:
     """A quantity of the joints of a session; without lines where nothing of it was recorded.
 
     Positions, velocities and errors are in degrees. The torque asked for is that of
     `Session.commanded_torque`.
     """
-    makers: dict[Quantity, Callable[[Session], Signal]] = {
+    makers: dict[Quantity, Callable[[Recording], Signal]] = {
         "q": lambda one: Signal("position", "deg", _asked_and_measured(one, "q")),
         "dq": lambda one: Signal("velocity", "deg/s", _asked_and_measured(one, "dq")),
         "tau": lambda one: Signal("torque", "N·m", _torques(one)),
@@ -129,33 +131,35 @@ def min_max(values: Floats, most: int) -> Ints:
     return indices
 
 
-def _asked_and_measured(session: Session, column: Literal["q", "dq"]) -> tuple[Line, ...]:
+def _asked_and_measured(session: Recording, column: Literal["q", "dq"]) -> tuple[Line, ...]:
     lines = []
     if session.topics.get(Reference.topic):
         reference = session.reference.read("phase", column)
         asked = _degrees(getattr(reference, column))
         asked[reference.phase == Phase.DAMP] = np.nan  # where nothing is asked for but damping
-        lines.append(Line.of("reference", reference.time, asked))
+        lines.append(Line.from_samples("reference", reference.time, asked))
     elif session.topics.get(Command.topic):
         command = session.command.read(column)
-        lines.append(Line.of("command", command.time, _degrees(getattr(command, column))))
+        lines.append(Line.from_samples("command", command.time, _degrees(getattr(command, column))))
     elif column == "q" and session.converted:
-        motion = session.motion()
+        motion = motion_of(session)
         time = np.arange(motion.n_frames) / motion.fps
-        lines.append(Line.of("motion", time, _degrees(motion.joint_pos)))
+        lines.append(Line.from_samples("motion", time, _degrees(motion.joint_pos)))
     if session.topics.get(Measured.topic):
         measured = session.measured.read(column)
-        lines.append(Line.of("measured", measured.time, _degrees(getattr(measured, column))))
+        lines.append(
+            Line.from_samples("measured", measured.time, _degrees(getattr(measured, column)))
+        )
     return tuple(lines)
 
 
-def _errors(session: Session) -> tuple[Line, ...]:
+def _errors(session: Recording) -> tuple[Line, ...]:
     try:
-        tracking = session.tracking()
+        found = tracking(session)
     except NothingToCompareError:
         return ()
-    error = _degrees(tracking.reference, tracking.measured)
-    return (Line.of("reference - measured", tracking.time, error),)
+    error = _degrees(found.reference, found.measured)
+    return (Line.from_samples("reference - measured", found.time, error),)
 
 
 def _degrees(values: Floats, less: Floats | None = None) -> Floats:
@@ -166,11 +170,11 @@ def _degrees(values: Floats, less: Floats | None = None) -> Floats:
     return degrees
 
 
-def _torques(session: Session) -> tuple[Line, ...]:
+def _torques(session: Recording) -> tuple[Line, ...]:
     lines = []
     if session.topics.get(Measured.topic):
         measured = session.measured.read("q", "dq", "tau")
         if session.topics.get(Command.topic):
-            lines.append(Line.of("commanded", measured.time, session.commanded_torque()))
-        lines.append(Line.of("estimated", measured.time, measured.tau))
+            lines.append(Line.from_samples("commanded", measured.time, commanded_torque(session)))
+        lines.append(Line.from_samples("estimated", measured.time, measured.tau))
     return tuple(lines)

@@ -1,357 +1,508 @@
-"""The summary of a session, from its file or from the programs that made it, and its problems."""
+"""The summary of a session: what `stream`, `record`, `demo` and `info` print, and `--json` dumps.
+
+Field names are those of the JSON; units are part of them. None stands for what is not known.
+"""
 
 from __future__ import annotations
 
-import re
-import socket
+import math
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-import numpy as np
+from pydantic import computed_field
 
-from g1stream._version import __version__
-from g1stream.analysis.summary_text import most
-from g1stream.analysis.tracking import NothingToCompareError
-from g1stream.config import Config
-from g1stream.control.command_delay import DELAY_REMEDY
-from g1stream.control.guard import LOG_NAME
-from g1stream.control.lowstate import STATE_TIMEOUT
-from g1stream.robot.joints import JOINT_NAMES
-from g1stream.session.info import SessionInfo
-from g1stream.session.recorder_summary import RecorderSummary
-from g1stream.session.records import Percentiles, read_record
-from g1stream.session.stream_summary import StreamSummary
-from g1stream.session.streams import STREAMS, Reference
-from g1stream.session.summary import MessageStats, Summary, Termination
-from g1stream.text import counted
-from g1stream.types import Floats, Phase
+from g1stream.analysis.tracking import TrackingSummary
+from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
+from g1stream.session.records import (
+    Int,
+    MotionInfo,
+    Percentiles,
+    PhaseInterval,
+    PhaseName,
+    Record,
+    RecorderSummary,
+    StreamSummary,
+)
+from g1stream.text import counted, labelled, short_name, table
+from g1stream.types import Phase
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterable, Mapping, Sequence
 
-    from g1stream.session.info import MotionInfo
-    from g1stream.session.session import Session
-    from g1stream.session.stream import Stream
-    from g1stream.session.summary import PhaseInterval
+    from g1stream.session.records import BalanceSummary, FeedForwardChange
 
 __all__ = [
-    "FEEDFORWARD",
-    "find_problems",
-    "flat",
-    "message_stats",
-    "percentiles",
-    "played",
-    "summarise",
-    "summarise_run",
+    "TO_ITS_END",
+    "MessageStats",
+    "Summary",
+    "Termination",
+    "most",
+    "outcome",
+    "session_facts",
+    "stream_facts",
 ]
 
-FEEDFORWARD: Final = "feed-forward: "
-"""What the stream logs of its feed-forward begins with this."""
+TO_ITS_END: Final = 0.1
+"""Played to within this of the end that was asked for, s, a motion was played to its end."""
 
-# What a robot does not notice is in the figures and is no problem.
-#: A publish interval of more than so many medians is a gap.
-_GAP: Final = 3.0
-#: A command this late, s, or this share of commands left out.
-_LONG_OVERRUN: Final = 0.02
-_MOST_SKIPPED: Final = 0.01
-#: Simulated over real time. At 0.8 the joints accelerate 1.6 times as hard as in the motion.
-_SLOW_SIMULATOR: Final = 0.8
-#: A recording that goes on for so long, ns, after the last reference has not merely ended first.
-_SILENCE: Final = 500_000_000
+_LABEL: Final = 14
+_MOST_JOINTS: Final = 3
+_MOST_PROBLEMS: Final = 10
+#: A time scale this far from 1 is shown.
+_SLOW: Final = 0.02
+#: How it ended, where nobody told.
+_UNTOLD: Final = "not recorded"
 
 
-def summarise(session: Session) -> Summary:
-    """The summary of a recorded session.
+class Termination(Record):
+    """How a session ended.
 
-    Raises:
-        RecordingError: the file is damaged.
+    Attributes:
+        reason: why the stream ended early; empty when it ended as asked, None where that is not
+            known.
+        undamped_in: the phase in which the stream process ended without DAMP; None where it did
+            not.
+        guard: what the guard process logged when it damped the robot; None where it did not.
+        played_s: how long PLAY lasted.
+        motion_s: how long the motion is.
+        start_s: where in the motion PLAY was to begin.
     """
-    info, problems = read_record(SessionInfo, session.metadata)
-    info = info or SessionInfo()
-    stream, wrong = read_record(StreamSummary, session.metadata.get("stream"), "stream")
-    problems += wrong
-    recorder, wrong = read_record(RecorderSummary, session.metadata.get("recorder"), "recorder")
-    problems += wrong
-    try:
-        tracking = session.tracking().summary()
-    except NothingToCompareError:
-        tracking = None
-    streams = {
-        topic: samples
-        for topic, kind in STREAMS.items()
-        if session.topics.get(topic) and len(samples := session.stream(kind))
-    }
-    lost = recorder.lost if recorder else {}
-    topics = {
-        topic: message_stats(streams[topic], lost.get(topic))
-        if topic in streams
-        else MessageStats(count=n)
-        for topic, n in sorted(session.topics.items())
-        if n
-    }
-    simulated = (info.log_clock or "").startswith("simulated")
-    if simulated:  # the latency of its times is a number that the rollout was given
-        for stats in topics.values():
-            stats.latency_us = None
-    missing = {JOINT_NAMES.index(name) for name in info.absent if name in JOINT_NAMES}
-    gains = [
-        (name, [value for i, value in enumerate(values) if i not in missing])
-        for name, values in (info.gains or {}).items()
-    ]
-    summary = Summary(
-        joints=info.joints or (list(tracking.joints) if tracking else None),
-        absent=info.absent,
-        files_bytes={str(path): path.stat().st_size for path in session.paths},
-        complete=session.complete,
-        first_ns=min((int(one.log_time.min()) for one in streams.values()), default=None),
-        last_ns=max((int(one.log_time.max()) for one in streams.values()), default=None),
-        simulated=simulated,
-        host=info.host,
-        domain=info.domain,
-        interface=info.interface,
-        versions={**({"g1stream": info.g1stream} if info.g1stream else {}), **info.versions},
-        motion=info.motion,
-        settings=None if info.config is None else _changed_settings(info.config),
-        gains={name: (min(values), max(values)) for name, values in gains if values} or None,
-        phases=session.phases,
-        termination=_termination(session, info, stream, recorder, streams),
-        stream=stream,
-        feedforward_log=[
-            event.text.removeprefix(FEEDFORWARD)
-            for event in session.log
-            if event.text.startswith(FEEDFORWARD)
-        ],
-        recorder=recorder,
-        # The error over several motions is that of none.
-        tracking=tracking if played(session.phases) <= 1 else None,
-        topics=topics,
-        attachments_bytes={name: len(data) for name, data in session.attachments.items()},
-    )
-    summary.problems = [
-        *find_problems(summary),
-        *_file_problems(session),
-        *_warnings(session),
-        *problems,
-    ]
-    return summary
+
+    reason: str | None = None
+    undamped_in: PhaseName | None = None
+    guard: str | None = None
+    played_s: float | None = None
+    motion_s: float | None = None
+    start_s: float = 0.0
 
 
-def message_stats(stream: Stream, lost: int | None = None) -> MessageStats:
-    """The rate, gaps and latency of a topic.
+class MessageStats(Record):
+    """The messages of a topic; for those that the recorder derives, only their number.
 
-    Args:
-        stream: with one message at least.
+    Attributes:
+        count: messages in the file.
         lost: samples known to be lost.
+        rate_hz: messages per second from the first to the last publish time.
+        gaps: publish intervals of more than 3 medians.
+        longest_interval_s: between two publish times.
+        latency_us: log time - publish time; where the two clocks differ, that is in it. None where
+            both are a simulation's.
+        clock_offset_s: what must be added to publish times to be on the recorder's clock; 0 where
+            the clocks agree as far as can be seen.
     """
-    times_ns = np.sort(stream.publish_time)
-    intervals = np.diff(times_ns) / 1e9
-    span = float(times_ns[-1] - times_ns[0]) / 1e9
-    return MessageStats(
-        count=len(times_ns),
-        lost=lost,
-        rate_hz=len(intervals) / span if span > 0 else None,
-        gaps=int(np.sum(intervals > _GAP * np.median(intervals))) if len(intervals) else 0,
-        longest_interval_s=float(intervals.max()) if len(intervals) else None,
-        latency_us=percentiles((stream.log_time - stream.publish_time) / 1e3),
-        clock_offset_s=stream.clock_offset / 1e9,
+
+    count: Int
+    lost: Int | None = None
+    rate_hz: float | None = None
+    gaps: Int | None = None
+    longest_interval_s: float | None = None
+    latency_us: Percentiles | None = None
+    clock_offset_s: float | None = None
+
+
+class Summary(Record):
+    """What is in a session and how well it went.
+
+    Attributes:
+        files_bytes: path of each file -> size, oldest first.
+        complete: whether all files are there and were closed properly.
+        first_ns, last_ns: log times of the first and the last message, since the epoch.
+        simulated: whether its times are a simulation's, as in a rollout, and not of any clock.
+        host, domain, interface: where it was recorded, or streamed.
+        versions: of g1stream and the packages that it used.
+        motion: what was played.
+        settings: those that are not the defaults, keyed like `stream.rate`.
+        gains: lowest and highest kp in N·m/rad and kd in N·m·s/rad.
+        joints: names of those that played the motion; None where that is not known.
+        absent: names of those that the robot does not have.
+        phases: in order.
+        termination: how it ended.
+        feedforward_log: what was logged of feed-forward, also by a stream that was killed.
+        recorder: what the recorder counted.
+        tracking: how closely the robot followed.
+        topics: the messages of each topic.
+        attachments_bytes: name -> size.
+        problems: what is wrong, a sentence each, the most important first.
+        stream: what the stream counted.
+    """
+
+    files_bytes: dict[str, Int] = {}
+    complete: bool | None = None
+    first_ns: Int | None = None
+    last_ns: Int | None = None
+    simulated: bool = False
+    host: str | None = None
+    domain: Int | None = None
+    interface: str | None = None
+    versions: dict[str, str] = {}
+    motion: MotionInfo | None = None
+    settings: dict[str, Any] | None = None
+    gains: dict[str, tuple[float, float]] | None = None
+    joints: list[str] | None = None
+    absent: list[str] = []
+    phases: list[PhaseInterval] = []
+    termination: Termination = Termination()
+    feedforward_log: list[str] = []
+    recorder: RecorderSummary | None = None
+    tracking: TrackingSummary | None = None
+    topics: dict[str, MessageStats] = {}
+    attachments_bytes: dict[str, Int] = {}
+    problems: list[str] = []
+    stream: StreamSummary | None = None
+
+    @computed_field  # type: ignore[prop-decorator]
+    @property
+    def duration_s(self) -> float | None:
+        """From the first message to the last, s."""
+        if self.first_ns is None or self.last_ns is None:
+            return None
+        return (self.last_ns - self.first_ns) / 1e9
+
+    def __str__(self) -> str:
+        """The summary as text of `WIDTH` columns, with sections for what there is."""
+        log = self.feedforward_log  # all that a stream that was killed has left
+        stream = stream_facts(self.stream) if self.stream else [("feed-forward", "; ".join(log))]
+        sections = (
+            _lines(session_facts(self)),
+            _tracking_lines(self.tracking, self.stream) if self.tracking else [],
+            _lines(stream),
+            _message_lines(self),
+            _lines([("problems", text) for text in _problems(self.problems)]),
+        )
+        return "\n\n".join("\n".join(lines) for lines in sections if lines)
+
+
+def outcome(summary: Summary) -> str:
+    """How it went, in one sentence."""
+    tracking, ended = summary.tracking, _ended(summary.termination)
+    parts = [f"ended {ended}".replace(f"ended {_UNTOLD}", "its end was not recorded")]
+    if tracking:
+        name, worst = max(tracking.joints.items(), key=lambda one: one[1].max_abs_rad)
+        parts.append(
+            f"the joints followed with an RMSE of "
+            f"{math.degrees(tracking.all_joints.rmse_rad):.2f} deg, at worst "
+            f"{math.degrees(worst.max_abs_rad):.1f} deg ({name.removesuffix('_joint')} at "
+            f"{worst.max_abs_at_s:.1f} s)"
+        )
+    elif summary.recorder or summary.stream or summary.first_ns is not None:
+        parts.append("tracking error: not recorded")
+    else:  # what `convert` makes of one
+        parts.append("a motion that was not played")
+    n = len(summary.problems)
+    parts.append(counted(n, "problem") if n else "no problems found")
+    text = "; ".join(parts if ended else parts[1:])
+    return f"{text[0].upper()}{text[1:]}."
+
+
+def most(ticks: Mapping[str, int]) -> str:
+    """The first joints with their ticks, and how many others there are."""
+    named = ", ".join(f"{joint} {n}" for joint, n in list(ticks.items())[:_MOST_JOINTS])
+    rest = len(ticks) - _MOST_JOINTS
+    return f"{named} and {counted(rest, 'more joint')}" if rest > 0 else named
+
+
+def session_facts(summary: Summary) -> list[tuple[str, str]]:
+    """What ran, when, where and with which settings: labels and texts."""
+    motion, recorder, stream = summary.motion, summary.recorder, summary.stream
+    ramp = ""
+    if stream and stream.ramp_s is not None and stream.ramp_speed_rad_s is not None:
+        ramp = f" (to {stream.ramp_speed_rad_s:.2f} rad/s)"
+    phases = [
+        f"{one.phase.name} {one.duration_s:.2f} s" + ramp * (one.phase is Phase.RAMP)
+        for one in summary.phases
+    ]
+    if ramp and stream and not phases:
+        phases = [f"RAMP {stream.ramp_s:.2f} s{ramp}"]
+    settings = []
+    if summary.settings is not None:
+        settings = [f"{key} = {value}" for key, value in summary.settings.items()] or ["defaults"]
+        settings += [f"{k} {low:g} to {high:g}" for k, (low, high) in (summary.gains or {}).items()]
+    offsets = [
+        f"{topic} {-delay.clock_offset_estimate_ns / 1e6:+.2f} ms ({', '.join(delay.hosts)})"
+        for topic, delay in (recorder.delays if recorder else {}).items()
+        if delay.clock_offset_estimate_ns is not None
+    ]
+    attached = [f"{name} ({_size(n)})" for name, n in summary.attachments_bytes.items()]
+    return _filled(
+        ("session", _files(summary) if summary.files_bytes or recorder else ""),
+        ("recorded", _recorded(summary) if summary.first_ns is not None else ""),
+        ("motion", _motion(motion) if motion else ""),
+        ("joined of", "; ".join(map(_part, motion.parts)) if motion else ""),
+        ("joints", _joints(summary)),
+        ("phases", ", ".join(phases)),
+        ("ended", _ended(summary.termination)),
+        ("settings", "; ".join(settings)),
+        ("clock offsets", ", ".join(offsets)),
+        ("not published", ", ".join(recorder.absent) if recorder else ""),
+        ("attached", ", ".join(attached)),
     )
 
 
-def percentiles(values: Floats) -> Percentiles:
-    """Of one value at least."""
-    p50, p99, p99_9, longest = np.percentile(values, (50, 99, 99.9, 100)).tolist()
-    return Percentiles(p50=p50, p99=p99, p99_9=p99_9, max=longest)
-
-
-def summarise_run(
-    config: Config,
-    *,
-    motion: MotionInfo | None = None,
-    termination: Termination | None = None,
-    stream: StreamSummary | None = None,
-    recorder: RecorderSummary | None = None,
-) -> Summary:
-    """The summary of a run, from what its programs counted; no file is read."""
-    recorded = recorder or RecorderSummary()
-    paths = [Path(path) for path in recorded.paths]
-    summary = Summary(
-        files_bytes={str(path): path.stat().st_size for path in paths if path.is_file()},
-        first_ns=recorded.first_ns,
-        last_ns=recorded.last_ns,
-        host=socket.gethostname(),
-        domain=config.dds.domain,
-        interface=config.dds.interface,
-        versions={"g1stream": __version__},
-        motion=motion,
-        settings=_changed_settings(config.model_dump(mode="json")),
-        termination=termination or Termination(),
-        stream=stream,
-        recorder=recorder,
-        topics={
-            topic: MessageStats(count=n, lost=recorded.lost.get(topic))
-            for topic, n in recorded.counts.items()
-        },
+def stream_facts(stream: StreamSummary) -> list[tuple[str, str]]:
+    """What the stream counted: labels and texts."""
+    skipped, late = stream.skipped_ticks, stream.lateness_us
+    commands = "none sent" if stream.commands == 0 else ""
+    if stream.commands:
+        commands = (
+            f"{stream.commands}"
+            + (f" at {stream.rate_hz:.2f} Hz" if stream.rate_hz is not None else "")
+            + (f" (nominal {stream.nominal_rate_hz:g})" if stream.nominal_rate_hz else "")
+            + (f", {counted(skipped, 'tick')} skipped" if skipped is not None else "")
+        )
+    lateness = states = time = slowed = ""
+    if late:
+        lateness = f"p50 {late.p50:.0f} us, p99 {late.p99:.0f}, p99.9 {late.p99_9:.0f}, max "
+        of = " (of the commands sent, without skipped ticks)" if skipped else ""
+        lateness += f"{late.max:.0f}{of}"
+    if stream.states_received is not None:
+        lost = "" if stream.states_lost is None else f", {stream.states_lost} lost"
+        states = f"{stream.states_received} received{lost}"
+    if stream.time_scale is not None and abs(stream.time_scale - 1.0) > _SLOW:
+        time = f"the simulator ran at {stream.time_scale:.2f} of real time"
+    if stream.slowed not in (None, 1.0):
+        slowed = f"{stream.slowed:g} times, to fit the joints' speeds"
+    held = (
+        ("clamped", "joint targets at their limits", stream.clamped_ticks),
+        ("too fast", "joint targets held back to the joint's speed", stream.speed_limited_ticks),
+        ("too strong", "joint targets eased to the motor's torque", stream.torque_limited_ticks),
+        ("saturated", "feed-forward torques at their limits", stream.saturated_ticks),
     )
-    summary.problems = list(find_problems(summary))
-    return summary
+    granted = [f"{g.what} {g.detail if g.granted else 'not granted'}" for g in stream.realtime]
+    delay = stream.delay_s
+    return _filled(
+        ("commands", commands),
+        ("lateness", lateness),
+        ("states", states),
+        ("feed-forward", _feedforward(stream)),
+        ("balance", _balance(stream.balance) if stream.balance else ""),
+        ("time", time),
+        ("slowed", slowed),
+        ("stalls", f"of the loop delayed the motion by {delay:.3f} s" if delay else ""),
+        *((label, f"{what}, ticks: {most(ticks)}" if ticks else "") for label, what, ticks in held),
+        ("real time", ", ".join(granted)),
+    )
 
 
-def find_problems(summary: Summary) -> Iterator[str]:
-    """What is wrong, by the figures of the summary; a sentence each, the most important first."""
-    undamped, stream, recorder = summary.termination.undamped_in, summary.stream, summary.recorder
-    if undamped is not None:
-        yield f"The stream process ended in {undamped.name} without DAMP: the robot was not damped."
-    if guard := summary.termination.guard:
-        yield f"{guard[0].upper()}{guard[1:]}."
-    if stream:
-        yield from _stream_problems(stream)
-    if recorder:
-        if summary.first_ns is None and not recorder.stopped:
-            yield "Nothing was received."
-        yield from _recorder_problems(recorder)
-    gaps = {
-        t: s for t, s in summary.topics.items() if (s.longest_interval_s or 0.0) >= STATE_TIMEOUT
-    }
-    if gaps:
-        longest = max(stats.longest_interval_s or 0.0 for stats in gaps.values()) * 1e3
-        numbers = ", ".join(f"{topic} {stats.gaps}" for topic, stats in gaps.items())
-        yield f"Gaps between publish times: {numbers}; the longest {longest:.1f} ms."
-    for topic, stats in summary.topics.items():
-        if stats.clock_offset_s:
-            yield (
-                f"The publish times of {topic} are {-stats.clock_offset_s:+.3f} s off the "
-                "recorder's clock."
+def _filled(*facts: tuple[str, str]) -> list[tuple[str, str]]:
+    return [(label, text) for label, text in facts if text]
+
+
+def _lines(facts: Iterable[tuple[str, str]]) -> list[str]:
+    """Facts, each label once where several in a row have it."""
+    lines, before = [], ""
+    for label, text in _filled(*facts):
+        lines.append(labelled(("" if label == before else label).ljust(_LABEL), text))
+        before = label
+    return lines
+
+
+def _files(summary: Summary) -> str:
+    recorder = summary.recorder
+    paths = [*summary.files_bytes] or (recorder.paths if recorder else []) or ["not saved"]
+    more = f" to {Path(paths[-1]).name}, {len(paths)} files" if len(paths) > 1 else ""
+    size = f", {_size(sum(summary.files_bytes.values()))}" if summary.files_bytes else ""
+    removed = ", removed: nothing was received" if recorder and recorder.removed else ""
+    return f"{paths[0]}{more}{size}{removed}"
+
+
+def _recorded(summary: Summary) -> str:
+    begin = datetime.fromtimestamp((summary.first_ns or 0) / 1e9, timezone.utc)
+    parts = ["in simulated time" if summary.simulated else f"{begin:%Y-%m-%d %H:%M:%S} UTC"]
+    parts.append(f"{summary.duration_s or 0.0:.2f} s")
+    parts += [f"on {summary.host}"] if summary.host else []
+    parts += [f"domain {summary.domain} on {summary.interface}"] if summary.interface else []
+    version = summary.versions.get("g1stream")
+    return ", ".join(parts + ([f"by g1stream {version}"] if version else []))
+
+
+def _motion(motion: MotionInfo) -> str:
+    parts = [motion.name or "unknown"]
+    parts += [counted(motion.frames, "frame")] if motion.frames else []
+    parts += [f"{motion.fps:g} fps"] if motion.fps else []
+    parts += [f"{motion.duration_s:.2f} s"] if motion.duration_s is not None else []
+    if motion.sha256 or motion.content_sha256:  # joined motions come from no one file
+        of = "" if motion.sha256 else "of its frames "
+        parts.append(f"sha256 {of}{(motion.sha256 or motion.content_sha256 or '')[:12]}")
+    return ", ".join([*parts, *motion.operations])
+
+
+def _part(motion: MotionInfo) -> str:
+    """One of the motions that were joined."""
+    about = [motion.name or "unknown"]
+    about += [f"{motion.duration_s:.2f} s"] if motion.duration_s is not None else []
+    about += [f"sha256 {motion.sha256[:12]}"] if motion.sha256 else []
+    return ", ".join([*about, *motion.operations])
+
+
+def _joints(summary: Summary) -> str:
+    """Which joints played the motion, limbs that did as a whole by their name; empty if all did."""
+    if not summary.joints or not (summary.absent or len(summary.joints) < N_JOINTS):
+        return ""
+    played, missing, named = {*summary.joints}, {*summary.absent}, []
+    for limb, joints in JOINT_GROUPS.items():
+        names = {JOINT_NAMES[i] for i in joints}
+        short = sorted(name.removesuffix("_joint") for name in names & played)
+        named += [short_name(limb)] if played & names >= names - missing else short
+    settings = summary.settings or {}
+    rest = "only damp" if settings.get("stream.others") == "free" else "hold their pose"
+    if settings.get("stream.via") == "arm_sdk":
+        rest = "are the robot's own controller's"
+    if settings.get("stream.support") == "feet":
+        rest = "stand still"
+    total = N_JOINTS - len(missing)
+    others = f"; the others {rest}" if len(played) < total else ""
+    lacks = ", ".join(name.removesuffix("_joint") for name in summary.absent)
+    has = f"; the robot lacks {lacks}" if lacks else ""
+    return f"{len(played)} of {total} play: {', '.join(named)}{others}{has}"
+
+
+def _ended(termination: Termination) -> str:
+    """How it ended and how much was played; empty where neither is known."""
+    start, played, motion = termination.start_s, termination.played_s, termination.motion_s
+    rest = None if motion is None else motion - start
+    whole = played is None or rest is None or abs(rest - played) < TO_ITS_END
+    if termination.undamped_in is not None:
+        how = f"in {termination.undamped_in.name}: {termination.reason}"
+    elif termination.reason:
+        how = f"early: {termination.reason}"
+    elif termination.reason is not None:
+        how = "at the motion's end" if whole else "as asked"
+    elif played is not None:
+        how = _UNTOLD
+    else:
+        return ""
+    if played is None or rest is None or (whole and not start):
+        return how
+    if whole:
+        return f"{how}; played from {start:.1f} s to its end"
+    if played > rest:
+        return f"{how}; played {played:.1f} s of the motion of {motion:.1f} s, looped"
+    return f"{how}; played {played:.1f} of {motion:.1f} s" + (
+        f" from {start:.1f} s" if start else ""
+    )
+
+
+def _tracking_lines(tracking: TrackingSummary, stream: StreamSummary | None) -> list[str]:
+    rows = [("limb", "RMSE rad", "RMSE deg", "max deg", "at s", "worst joint by RMSE", "deg")]
+    for limb, error in {**tracking.limbs, "all joints": tracking.all_joints}.items():
+        worst = error.worst_joint or ""
+        rows.append(
+            (
+                short_name(limb),
+                f"{error.rmse_rad:.4f}",
+                f"{math.degrees(error.rmse_rad):.3f}",
+                f"{math.degrees(error.max_abs_rad):.2f}",
+                f"{error.max_abs_at_s:.2f}",
+                worst.removesuffix("_joint"),
+                f"{math.degrees(tracking.joints[worst].rmse_rad):.3f}",
             )
-
-
-def _stream_problems(stream: StreamSummary) -> Iterator[str]:
-    if stream.reason:
-        yield f"The stream ended early: {stream.reason}."
-    for finding in stream.findings:
-        yield f"{finding.cause.rstrip('.')}. {finding.remedy}".strip()
-    late = stream.lateness_us.max if stream.lateness_us else 0.0
-    if stream.skipped_ticks and (
-        late >= _LONG_OVERRUN * 1e6 or stream.skipped_ticks > _MOST_SKIPPED * (stream.commands or 0)
-    ):
-        yield f"{counted(stream.skipped_ticks, 'tick')} skipped by the stream."
-    if stream.time_scale is not None and stream.time_scale < _SLOW_SIMULATOR:
-        yield (
-            f"The simulator ran at {stream.time_scale:.2f} of real time, in which the robot had to "
-            f"move {1.0 / stream.time_scale:.1f} times as fast as the motion: it needs more CPU."
         )
-    if stream.command_delay_s:
-        yield (
-            f"The motors followed commands that were up to {stream.command_delay_s:.2f} s old: "
-            f"{DELAY_REMEDY}."
-        )
-    if stream.saturated_ticks:
-        ticks = most(stream.saturated_ticks)
-        yield f"Feed-forward torques clamped at their limits, ticks: {ticks}."
-
-
-def _recorder_problems(recorder: RecorderSummary) -> Iterator[str]:
-    if recorder.stopped:
-        yield f"The recording stopped early: {recorder.stopped}"
-    for topic, names in recorder.publishers.items():
-        yield f"Several programs published on {topic} at the same time: {', '.join(names)}."
-    for topic, n in recorder.lost.items():
-        if n:
-            yield f"{counted(n, 'sample')} lost on {topic}."
-    for topic, n in recorder.malformed.items():
-        if n:
-            yield f"{counted(n, 'malformed sample')} on {topic}."
-    if n := recorder.dropped_datagrams:
-        yield f"{counted(n, 'datagram')} dropped by the kernel: its receive buffer was full."
-    for step in recorder.clock_steps:
-        yield f"CLOCK_REALTIME of the recorder was set by {step.step_ns / 1e9:+.3f} s."
-
-
-def played(phases: list[PhaseInterval]) -> int:
-    """How many motions were played, or one how many times."""
-    return sum(one.phase is Phase.PLAY for one in phases)
-
-
-def _file_problems(session: Session) -> Iterator[str]:
-    if (times := played(session.phases)) > 1:
-        yield (
-            f"{times} motions were played in this session, each with a PLAY of its own, so that "
-            "tracking has no one reference to compare with. Record each into a file of its own."
-        )
-    for number, reason in session.absent_parts.items():
-        yield f"Part {number} is absent: {reason}"
-    if not (session.complete or session.absent_parts):
-        yield (
-            "The recorder did not close the file: it ends with its last complete chunk, and how "
-            "many samples were lost is not known."
-        )
-
-
-def _warnings(session: Session) -> list[str]:
-    """The warnings in /log; of those that differ in their numbers only, the last."""
-    alike: dict[str, list[str]] = {}
-    for event in session.log:
-        if event.level in {"WARNING", "ERROR", "FATAL"} and event.name != LOG_NAME:
-            text = f"{event.name}: {event.text}"
-            alike.setdefault(re.sub(r"\d+", "#", text), []).append(text)
+    excluded = f"; {tracking.excluded_states} in gaps of the reference left out"
+    compared = (
+        f"{counted(tracking.compared_states, 'state')} over {tracking.compared_s:.2f} s of PLAY"
+        + (excluded if tracking.excluded_states else "")
+    )
+    delay = _delay(tracking, stream.preview_s if stream else None)
     return [
-        texts[0] if len(texts) == 1 else f"{texts[-1]} (the last of {len(texts)})"
-        for texts in alike.values()
+        *table(rows, left=(0, 5)),
+        "",
+        *_lines([("delay", delay), ("compared", compared)]),
     ]
 
 
-def _termination(
-    session: Session,
-    info: SessionInfo,
-    stream: StreamSummary | None,
-    recorder: RecorderSummary | None,
-    streams: Mapping[str, Stream],
-) -> Termination:
-    phases = session.phases
-    settings = (info.config or {}).get("stream")
-    start = settings.get("start") if isinstance(settings, dict) else None
-    guard = next((event.text for event in session.log if event.name == LOG_NAME), None)
-    undamped = None if guard else _undamped_in(phases, info, stream, recorder, streams)
-    reason = guard if undamped is None else "the stream process ended without DAMP"
-    values = {
-        "reason": stream.reason if stream else reason,
-        "undamped_in": undamped,
-        "guard": guard,
-        "played_s": sum(p.duration_s for p in phases if p.phase is Phase.PLAY)
-        if phases and played(phases) <= 1
-        else None,
-        "motion_s": info.motion.duration_s if info.motion else None,
-        "start_s": start or 0.0,
+def _delay(tracking: TrackingSummary, preview: float | None) -> str:
+    delay = tracking.all_joints.delay_s
+    if delay is None:
+        return "not determined: too little moves, or no delay explains the error"
+    side = "behind" if delay >= 0 else "ahead of"
+    # Commands are ahead of the reference, so that the robot, which is behind them, is not.
+    behind = (
+        f", {(delay + preview) * 1e3:.1f} ms behind its commands, which are sent "
+        f"{preview * 1e3:.1f} ms ahead (stream.preview)"
+        if preview
+        else ""
+    )
+    return (
+        f"the robot is {abs(delay) * 1e3:.1f} ms {side} the reference{behind}; RMSE "
+        f"without the delay {tracking.rmse_without_delay_rad:.4f} rad, and without each joint's "
+        f"mean error {tracking.rmse_without_delay_and_mean_rad:.4f} rad"
+    )
+
+
+def _balance(balance: BalanceSummary) -> str:
+    margin = 1e3 * balance.capture_margin_m
+    unsolved = balance.unsolved_ticks
+    return (
+        f"capture point at worst {abs(margin):.0f} mm {'inside' if margin >= 0 else 'outside of'} "
+        f"the soles; pelvis off by up to {balance.tilt_rad:.3f} rad in tilt, "
+        f"{1e3 * balance.height_error_m:.0f} mm in height; feet off by up to "
+        f"{1e3 * balance.feet_error_m:.0f} mm, with at least {100 * balance.carried:.0f} % of the "
+        f"weight on them; {counted(balance.lifts, 'lift')}"
+        + (f"; {counted(unsolved, 'tick')} without a solution" if unsolved else "")
+    )
+
+
+def _feedforward(stream: StreamSummary) -> str:
+    if not stream.feedforward:
+        return ""
+    text = f"{stream.feedforward}"
+    robot = f"robot {stream.robot}" if stream.robot else None
+    about = ", ".join(filter(None, (stream.support, robot)))
+    if about and stream.feedforward == "dynamics":
+        text += f" ({about})"
+    if not stream.feedforward_changes:
+        return text
+    first, *more = stream.feedforward_changes
+    text += f" until {_change(first)}" + (f": {first.reason}" if first.reason else "")
+    if more:
+        text += f"; {counted(len(more), 'more change')}, the last at {_change(more[-1])}"
+    return text
+
+
+def _change(change: FeedForwardChange) -> str:
+    return f"{change.motion_time_s:.1f} s of the motion, then {change.kind}"
+
+
+def _message_lines(summary: Summary) -> list[str]:
+    """A row for each topic of DDS; the number of the others and of their messages."""
+    topics = {
+        topic: stats
+        for topic, stats in summary.topics.items()
+        if stats.rate_hz is not None or stats.lost is not None
     }
-    return read_record(Termination, values)[0] or Termination()
+    others = [stats.count for topic, stats in summary.topics.items() if topic not in topics]
+    rows: list[Sequence[str]] = [
+        ("topic", "count", "lost", "Hz", "gaps", "longest ms", "p50 us", "p99 us", "max us")
+    ]
+    rows += [(topic, *_row(stats)) for topic, stats in topics.items()]
+    lines = table(rows, left=(0,)) if topics else []
+    if any(stats.latency_us for stats in topics.values()):
+        lines += ["", "gaps: publish intervals over 3 medians; us: latency, log - publish time"]
+    # A recorder writes the robot's description by itself.
+    if others and not (summary.recorder and summary.first_ns is None):
+        text = f"{len(others)}, with {counted(sum(others), 'message')}"
+        lines += _lines([("other topics", text)])
+    return lines
 
 
-def _undamped_in(
-    phases: list[PhaseInterval],
-    info: SessionInfo,
-    stream: StreamSummary | None,
-    recorder: RecorderSummary | None,
-    streams: Mapping[str, Stream],
-) -> Phase | None:
-    """The last phase, if the references ended in it and not because the recording did."""
-    if not phases or phases[-1].phase >= Phase.DAMP or stream:
-        return None
-    # A stream's own recorder ends after it, and is told how it went.
-    outlived = info.config is not None and recorder is not None and not recorder.stopped
-    end = max(int(stream.log_time[-1]) for stream in streams.values())
-    silence = end - int(streams[Reference.topic].log_time[-1])
-    return phases[-1].phase if outlived or silence > _SILENCE else None
+def _row(stats: MessageStats) -> list[str]:
+    longest, us = stats.longest_interval_s, stats.latency_us
+    return [
+        str(stats.count),
+        "" if stats.lost is None else str(stats.lost),
+        "" if stats.rate_hz is None else f"{stats.rate_hz:.1f}",
+        "" if stats.gaps is None else str(stats.gaps),
+        "" if longest is None else f"{longest * 1e3:.1f}",
+        *([f"{value:.0f}" for value in (us.p50, us.p99, us.max)] if us else [""] * 3),
+    ]
 
 
-def _changed_settings(config: Mapping[str, Any]) -> dict[str, Any]:
-    """By key, such as `stream.rate`, what is not this version's default."""
-    defaults = flat(Config().model_dump(mode="json"))
-    return {key: value for key, value in flat(config).items() if value != defaults.get(key)}
+def _problems(problems: Sequence[str]) -> list[str]:
+    shown = list(problems[:_MOST_PROBLEMS]) or ["no problems found"]
+    rest = len(problems) - _MOST_PROBLEMS
+    return shown + ([f"and {rest} more; --json lists all"] if rest > 0 else [])
 
 
-def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """The values in nested tables by key, such as `stream.rate`."""
-    found: dict[str, Any] = {}
-    for key, value in values.items():
-        name = f"{prefix}{key}"
-        found |= flat(value, f"{name}.") if isinstance(value, dict) else {name: value}
-    return found
+def _size(n_bytes: int) -> str:
+    return f"{n_bytes / 1e6:.1f} MB" if n_bytes >= 1e5 else f"{n_bytes / 1e3:.1f} kB"

@@ -8,20 +8,20 @@ import numpy as np
 
 from g1stream.analysis.tracking import blocks, rms
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
-from g1stream.session.metrics import JointTorque, TorqueMetrics
-from g1stream.session.streams import Command
+from g1stream.session.recording import once
+from g1stream.session.records import Record
+from g1stream.session.streams import MAX_GAP_NS, Command
 from g1stream.types import Floats
-from g1stream.view.tracking_error import MAX_GAP_NS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from g1stream.session.session import Session
-    from g1stream.session.stream import Stream
+    from g1stream.session.recording import Recording
+    from g1stream.session.streams import Stream
 
-__all__ = ["commanded_torque", "torque_metrics"]
+__all__ = ["JointTorque", "TorqueMetrics", "commanded_torque", "torque_metrics"]
 
 _COMMANDED: Final = ("q", "dq", "tau", "kp", "kd")
 """The columns of a command that make its torque."""
@@ -30,8 +30,64 @@ _COMMANDED: Final = ("q", "dq", "tau", "kp", "kd")
 _SATURATED: Final = 0.99
 
 
+class JointTorque(Record):
+    """The torque of a joint, as its motor estimates it.
+
+    Attributes:
+        limit_nm: the smaller of the motor's limit and the URDF's effort.
+        rms_nm: root mean square.
+        p99_nm, max_nm: of its absolute value.
+        use: p99_nm / limit_nm.
+        saturated: share of the states at 99 % of the limit or more.
+        commanded_rmse_nm: root mean square of commanded - estimated; None without commands.
+        commanded_beyond: share of the states at which more than the limit was commanded.
+        work_j: integral of |tau dq|; None where no velocities are reported.
+        net_work_j: integral of tau dq: what the motor gave less what it took.
+    """
+
+    limit_nm: float
+    rms_nm: float
+    p99_nm: float
+    max_nm: float
+    use: float
+    saturated: float
+    commanded_rmse_nm: float | None = None
+    commanded_beyond: float | None = None
+    work_j: float | None = None
+    net_work_j: float | None = None
+
+
+class TorqueMetrics(Record):
+    """The torque of the motors: in PLAY, or in the whole session where nothing was played.
+
+    Attributes:
+        in_play: whether it is that of PLAY.
+        duration_s: gaps left out.
+        rms_nm: of all joints together.
+        use: the highest of a joint.
+        most_used: that joint.
+        saturated: share of the states at which at least one joint is at its limit.
+        commanded_rmse_nm: of all joints together.
+        work_j, net_work_j: of all joints together.
+        power_w: work_j per second.
+        joints: by name.
+    """
+
+    in_play: bool
+    duration_s: float
+    rms_nm: float
+    use: float
+    most_used: str
+    saturated: float
+    commanded_rmse_nm: float | None = None
+    work_j: float | None = None
+    net_work_j: float | None = None
+    power_w: float | None = None
+    joints: dict[str, JointTorque]
+
+
 def torque_metrics(
-    session: Session,
+    session: Recording,
     limits: Floats,
     states: NDArray[np.intp] | None,
     joints: Sequence[int] | None = None,
@@ -52,7 +108,7 @@ def torque_metrics(
     chosen, times = chosen[order], times[order]
     if not measured.tau[chosen].any():
         return None
-    commanded = session.commanded_torque() if session.topics.get(Command.topic) else None
+    commanded = commanded_torque(session) if session.topics.get(Command.topic) else None
     seconds = np.diff(times) / 1e9
     seconds[seconds * 1e9 > MAX_GAP_NS] = 0.0
     counted = list(range(N_JOINTS) if joints is None else joints)
@@ -117,10 +173,12 @@ def torque_metrics(
     )
 
 
-def commanded_torque(session: Session) -> Floats:
-    """(M, 29) N·m that the newest command asks of each state: `Session.commanded_torque`.
+@once
+def commanded_torque(session: Recording) -> Floats:
+    """(M, 29) N·m, float32, that the newest command asks of each of the M LowStates.
 
-    It is tau + kp (q - measured) + kd (dq - measured), in the precision of the commands.
+    It is tau + kp (q - measured) + kd (dq - measured), and nan where the command is more than
+    100 ms old, or command or state is not finite.
 
     Args:
         session: with commands and states.

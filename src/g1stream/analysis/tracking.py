@@ -4,42 +4,134 @@ A LowState shows what commands published before it have done; how long before it
 was measured, it does not tell. So a tracking delay is all that lies between the publish time of a
 reference and that of the state that shows it: DDS, the servo, and the time between measuring and
 publishing.
+
+The delay is found by cross-correlation of joint positions. For each joint and each of a row of
+delays, the measured position is correlated with that of the reference so long ago. The delay is the
+one that leaves the least unexplained, to a fraction of the row's step by a parabola through it and
+its neighbours. Scale and mean of a joint do not matter: one that moves less than asked, or hangs
+lower, is not late.
+
+The interval of confidence is that of least squares whose residuals are correlated: each second
+counts as one observation, so that a disturbance that lasts is not taken for many (K.-Y. Liang and
+S. Zeger, "Longitudinal data analysis using generalized linear models", Biometrika, 1986).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from g1stream.analysis.delay import Delay, Delays
 from g1stream.dds.messages import played_joints
 from g1stream.errors import RecordingError
+from g1stream.input_limits import NUMBER
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
-from g1stream.session.streams import Measured, Reference
-from g1stream.session.summary import JointTracking, TrackingSummary
+from g1stream.session.recording import once
+from g1stream.session.records import Int, Record
+from g1stream.session.streams import MAX_GAP_NS, Measured, Reference, neighbours
 from g1stream.types import Floats, Phase
-from g1stream.view.tracking_error import MAX_GAP_NS, neighbours
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
-    from g1stream.session.session import Session
+    from g1stream.session.recording import Recording
 
-__all__ = ["NothingToCompareError", "Tracking", "blocks", "compare", "pooled", "tracking"]
+__all__ = [
+    "Delay",
+    "ErrorStats",
+    "NothingToCompareError",
+    "Tracking",
+    "TrackingSummary",
+    "blocks",
+    "compare",
+    "interpolated",
+    "pooled",
+    "rms",
+    "tracking",
+    "worst_joints",
+]
 
-#: Positions, rad, and motion times, s, that are not below this are left out, as is NaN.
-_LARGEST: Final = 1e9
 #: Rows of 29 joints that are computed at once.
 _BLOCK: Final = 2048
+
+#: Delays that are searched, in steps: from -0.02 to 0.2 s; positive: the robot is behind.
+_STEP: Final = 0.005
+_LAGS: Final = np.arange(-4, 41)
+#: Every second of the times that are a step apart is compared, or so few that there are no more.
+_STRIDE: Final = 2
+_MOST_TIMES: Final = 20_000
+#: A joint takes part if reference and measurement span more than this, rad.
+_MOVES: Final = 0.05
+#: An observation, s, and how few give no interval of confidence.
+_OBSERVATION: Final = 1.0
+_FEWEST_OBSERVATIONS: Final = 5
 
 
 class NothingToCompareError(RecordingError):
     """A session has no state in PLAY, or no reference."""
+
+
+class ErrorStats(Record):
+    """The tracking error, reference - measured, of a joint or of several joints together.
+
+    `Session.summary` leaves None what takes long to compute; `Session.metrics` has it.
+
+    Attributes:
+        rmse_rad: root mean square.
+        bias_rad: mean, such as the sag under gravity; of several joints the root mean square of
+            their means.
+        max_abs_rad: the greatest error, either way.
+        max_abs_at_s: when that was, since the motion's first frame.
+        worst_joint: the joint of the greatest RMSE, of several.
+        mae_rad: mean absolute error.
+        p99_rad: 99th percentile of the absolute error.
+        delay_s: by which the joints are behind the reference; None where too little moves.
+        delay_ci95_s: half the width of the delay's 95 % interval of confidence.
+        correlation: 0 to 1, of the measurement with the reference that much earlier.
+        velocity_rmse_rad_s: of the joints' velocity; None where the robot reports none.
+        acceleration_rmse_rad_s2: of the joints' acceleration, likewise.
+    """
+
+    rmse_rad: float
+    bias_rad: float
+    max_abs_rad: float
+    max_abs_at_s: float
+    worst_joint: str | None = None
+    mae_rad: float | None = None
+    p99_rad: float | None = None
+    delay_s: float | None = None
+    delay_ci95_s: float | None = None
+    correlation: float | None = None
+    velocity_rmse_rad_s: float | None = None
+    acceleration_rmse_rad_s2: float | None = None
+
+
+class TrackingSummary(Record):
+    """How closely the joints followed the reference in PLAY.
+
+    Attributes:
+        compared_states: LowStates that were compared with the reference.
+        excluded_states: LowStates in PLAY that lie in a gap of the reference, or are not finite.
+        compared_s: length of PLAY, gaps left out.
+        rmse_without_delay_rad: RMSE of all joints with the reference `delay_s` later.
+        rmse_without_delay_and_mean_rad: the same without each joint's mean error.
+        all_joints: those that played, together.
+        limbs: by name.
+        joints: by name.
+    """
+
+    compared_states: Int
+    excluded_states: Int
+    compared_s: float
+    rmse_without_delay_rad: float | None = None
+    rmse_without_delay_and_mean_rad: float | None = None
+    all_joints: ErrorStats
+    limbs: dict[str, ErrorStats]
+    joints: dict[str, ErrorStats]
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,28 +208,33 @@ class Tracking:
     def summary(self) -> TrackingSummary:
         """The figures, without the arrays."""
         delay = self.delay
-        figures = zip(self.rmse, self.mean, self.max_abs, self.max_abs_at, strict=True)
-        return TrackingSummary(
-            rmse_rad=self.overall,
-            rmse_by_limb_rad=self.rmse_by_limb,
-            worst_joint=self.worst_joint,
+        found = TrackingSummary(
             compared_states=len(self.time),
             excluded_states=self.excluded,
             compared_s=self.duration,
-            delay_s=delay and delay.seconds,
             rmse_without_delay_rad=delay and pooled(delay.rmse),
             rmse_without_delay_and_mean_rad=delay and pooled(delay.std),
-            joints={
-                name: JointTracking(rmse_rad=rmse, mean_rad=mean, max_abs_rad=most, max_abs_at_s=at)
-                for joint, (name, (rmse, mean, most, at)) in enumerate(
-                    zip(JOINT_NAMES, figures, strict=True)
-                )
-                if joint in self.joints
-            },
+            all_joints=self._stats(self.joints),
+            limbs={limb: self._stats(joints) for limb, joints in self.limbs.items()},
+            joints={JOINT_NAMES[joint]: self._stats([joint], alone=True) for joint in self.joints},
+        )
+        found.all_joints.delay_s = delay and delay.seconds
+        return found
+
+    def _stats(self, joints: Sequence[int], *, alone: bool = False) -> ErrorStats:
+        rmse, largest = self.rmse[list(joints)], self.max_abs[list(joints)]
+        most = joints[int(largest.argmax())]
+        return ErrorStats(
+            rmse_rad=pooled(rmse),
+            bias_rad=float(self.mean[most]) if alone else pooled(self.mean[list(joints)]),
+            max_abs_rad=float(self.max_abs[most]),
+            max_abs_at_s=float(self.max_abs_at[most]),
+            worst_joint=None if alone else JOINT_NAMES[joints[int(rmse.argmax())]],
         )
 
 
-def tracking(session: Session) -> Tracking:
+@once
+def tracking(session: Recording) -> Tracking:
     """How closely the robot of a session followed its reference in PLAY.
 
     Raises:
@@ -157,6 +254,16 @@ def tracking(session: Session) -> Tracking:
     )
 
 
+def worst_joints(session: Recording, most: int) -> tuple[str, ...]:
+    """The played joints with the greatest RMSE, greatest first; none without a comparison."""
+    try:
+        found = tracking(session)
+    except NothingToCompareError:
+        return ()
+    worst = sorted(found.joints, key=lambda joint: -found.rmse[joint])
+    return tuple(JOINT_NAMES[joint] for joint in worst[:most])
+
+
 def compare(reference: Reference, measured: Measured) -> Tracking | None:
     """Compare each LowState in PLAY with the reference at its publish time; None without one.
 
@@ -167,7 +274,7 @@ def compare(reference: Reference, measured: Measured) -> Tracking | None:
     times = reference.publish_time + reference.clock_offset
     state_times = measured.publish_time + measured.clock_offset
     order, state_order = np.argsort(times, kind="stable"), np.argsort(state_times, kind="stable")
-    sane = _are_sane(reference.q) & (np.abs(reference.motion_time) < _LARGEST)
+    sane = _are_sane(reference.q) & (np.abs(reference.motion_time) < NUMBER)
     order = order[sane[order]]
     if not len(order):
         return None
@@ -226,7 +333,7 @@ def _are_sane(values: Floats) -> NDArray[np.bool_]:
     """(N,) whether all of a row (N, K) are finite and of a sane size."""
     sane = np.empty(len(values), dtype=bool)
     for part in blocks(len(values)):
-        sane[part] = (np.abs(values[part]) < _LARGEST).all(axis=1)
+        sane[part] = (np.abs(values[part]) < NUMBER).all(axis=1)
     return sane
 
 
@@ -239,3 +346,123 @@ def rms(errors: Floats) -> Floats:
     """Root mean square over the first axis."""
     found: Floats = np.sqrt(np.mean(np.square(errors), axis=0))
     return found
+
+
+class Delay(NamedTuple):
+    """By how much the robot is behind the reference, and how well it follows apart from that.
+
+    Attributes:
+        seconds: positive where the robot is behind.
+        ci95: half the width of the 95 % interval of confidence, s; None where less than five
+            seconds were compared.
+        correlation: 0 to 1, of the measurement with the reference `seconds` ago.
+        rmse: (J,) rad, of the reference `seconds` ago - measured.
+        std: (J,) rad, the same without each joint's mean error.
+    """
+
+    seconds: float
+    ci95: float | None
+    correlation: float
+    rmse: Floats
+    std: Floats
+
+
+class Delays:
+    """Finds the delay of any joints together.
+
+    Args:
+        times: (R,) s, rising, of the reference in every phase: a robot that is late shows what was
+            asked before the motion.
+        q: (R, J) rad, the reference.
+        state_times: (N,) s, rising, of the states that are compared.
+        measured: (N, J) rad.
+    """
+
+    def __init__(self, times: Floats, q: Floats, state_times: Floats, measured: Floats) -> None:
+        first = max(state_times[0], times[0] + _LAGS[-1] * _STEP)
+        last = min(state_times[-1], times[-1] + _LAGS[0] * _STEP)
+        steps = int((last - first) / _STEP + 1e-9)  # negative where too little was recorded
+        at = first + _STEP * np.arange(0, steps + 1, max(_STRIDE, -(-steps // _MOST_TIMES)))
+        after = np.searchsorted(state_times, at).clip(1, max(1, len(state_times) - 1))
+        self._at = at[np.diff(state_times, append=np.inf)[after - 1] <= MAX_GAP_NS / 1e9]
+        self._rows = np.round((self._at - first) / _STEP).astype(np.intp)
+        self._moving = np.zeros(q.shape[1], dtype=bool)
+        if not len(self._at):
+            return
+        # Of the reference the grid begins so much earlier that there is a row for each delay.
+        grid = first + _STEP * np.arange(-_LAGS[-1], steps + 1 - _LAGS[0])
+        self._q = interpolated(grid, times, q)
+        self._measured = interpolated(self._at, state_times, measured)
+        middle = self._q.mean(axis=0)  # so that sums of squares keep their digits
+        self._q -= middle
+        self._measured -= middle
+        self._total = self._measured.var(axis=0)
+        self._mean = self._measured.mean(axis=0)
+        self._moving = np.minimum(np.ptp(self._q, axis=0), np.ptp(self._measured, axis=0)) > _MOVES
+        every = list(range(q.shape[1]))
+        self._unexplained = np.array([self._regress(lag, every)[1] for lag in _LAGS.tolist()])
+
+    def of(self, joints: Sequence[int]) -> Delay | None:
+        """The delay of some joints together; None where none moves or no delay fits best."""
+        moving = [joint for joint in joints if self._moving[joint]]
+        if not moving:
+            return None
+        costs = self._unexplained[:, moving].sum(axis=1)
+        best = int(costs.argmin())
+        if not 0 < best < len(costs) - 1:
+            return None
+        left, middle, right = costs[best - 1 : best + 2]
+        curvature = left - 2.0 * middle + right
+        fraction = 0.5 * (left - right) / curvature if curvature > 0.0 else 0.0
+        shift = float(_LAGS[best] + fraction)
+        error = self._reference(shift, list(joints)) - self._measured[:, list(joints)]
+        explained = 1.0 - middle / self._total[moving].sum()
+        return Delay(
+            seconds=shift * _STEP,
+            ci95=self._ci95(shift, moving),
+            correlation=float(np.sqrt(np.clip(explained, 0.0, 1.0))),
+            rmse=np.sqrt(np.mean(np.square(error), axis=0)),
+            std=error.std(axis=0),
+        )
+
+    def _reference(self, shift: float, joints: list[int]) -> Floats:
+        """(T, J) the reference of some joints so many steps before each time."""
+        whole = int(np.floor(shift))
+        rows, weight = self._rows + _LAGS[-1] - whole, shift - whole
+        columns = self._q if len(joints) == self._q.shape[1] else self._q[:, joints]
+        q: Floats = columns[rows]
+        return q + weight * (columns[rows - 1] - q) if weight else q
+
+    def _regress(self, shift: float, joints: list[int]) -> tuple[Floats, Floats]:
+        """Of some joints (J,) the factor on the reference, and the variance left unexplained."""
+        q, mean = self._reference(shift, joints), self._mean[joints]
+        measured = self._measured if len(joints) == len(self._mean) else self._measured[:, joints]
+        of_q = q.mean(axis=0)
+        variance = np.einsum("tj,tj->j", q, q) / len(q) - np.square(of_q)
+        covariance = np.einsum("tj,tj->j", q, measured) / len(q) - of_q * mean
+        factor: Floats = covariance.clip(0.0) / np.maximum(variance, np.finfo(float).tiny)
+        unexplained: Floats = self._total[joints] - factor * covariance
+        return factor, unexplained
+
+    def _ci95(self, shift: float, joints: list[int]) -> float | None:
+        from scipy.special import stdtrit
+
+        of = ((self._at - self._at[0]) / _OBSERVATION).astype(np.intp)
+        starts = np.flatnonzero(np.diff(of, prepend=-1))
+        if len(starts) < _FEWEST_OBSERVATIONS:
+            return None
+        factor = self._regress(shift, joints)[0]
+        expected = factor * self._reference(shift, joints)
+        slope = self._reference(shift - 0.5, joints) - self._reference(shift + 0.5, joints)
+        slope *= factor / _STEP
+        error = self._measured[:, joints] - expected
+        error -= error.mean(axis=0)
+        scores = np.add.reduceat((error * slope).sum(axis=1), starts)
+        information = np.square(slope).sum()
+        spread = np.sqrt(np.square(scores).sum() * len(starts) / (len(starts) - 1.0))
+        return float(stdtrit(len(starts) - 1.0, 0.975) * spread / information)
+
+
+def interpolated(at: Floats, times: Floats, values: Floats) -> Floats:
+    """(T, J) values (R, J) of increasing times (R,) at other times (T,), linearly."""
+    return np.column_stack([np.interp(at, times, column) for column in values.T])

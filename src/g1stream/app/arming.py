@@ -17,8 +17,7 @@ from g1stream.dds.messages import ARM_SDK, LOWSTATE, LowState
 from g1stream.dds.motion_switcher import MotionSwitcherClient
 from g1stream.doctor.facts import Facts, ok, warning
 from g1stream.doctor.findings import evaluate
-from g1stream.doctor.host import inspect_host
-from g1stream.doctor.wire import inspect_participant
+from g1stream.doctor.inspection import inspect_host, inspect_participant
 from g1stream.errors import SafetyError, WireError
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
 from g1stream.robot.rotations import tilt_of

@@ -17,9 +17,9 @@ from g1stream.errors import ConfigError, RecordingError, WireError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from g1stream.analysis.summary import Summary
     from g1stream.control.loop import StreamLoop
     from g1stream.motion.motion import Motion
-    from g1stream.session.summary import Summary
 
 __all__ = ["FIGURE", "SESSION", "check_absent", "demo"]
 
@@ -60,7 +60,7 @@ def demo(
         G1StreamError: another setting or the wire does not allow it.
     """
     from g1stream.analysis.plots import draw
-    from g1stream.session.session import open_session
+    from g1stream.app.session import open_session
 
     config = config or Config()
     _check_local_only(config.dds.interface)

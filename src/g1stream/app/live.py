@@ -10,27 +10,31 @@ from __future__ import annotations
 import logging
 import time
 from contextlib import closing, contextmanager
-from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any, Final
 
 from g1stream.child_process import optional_child, run_child
 from g1stream.config import Config
+from g1stream.dds.domain import Participant
+from g1stream.dds.messages import TOPICS
 from g1stream.errors import ConfigError
 from g1stream.events import ConsoleHandler, handled_by
-from g1stream.optional import not_installed
-from g1stream.realtime import lower_priority
-from g1stream.recorder.observer import observe
+from g1stream.optional import require_installed
+from g1stream.realtime import lower_priority, quick_thread_switches
+from g1stream.recorder.receiver import Receiver
+from g1stream.recorder.recorder import raw_messages
+from g1stream.robot.model import G1
 from g1stream.session.format import CHANNELS
+from g1stream.view.pipeline import MessagePipeline
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Generator, Iterator
 
     from foxglove.websocket import ChannelView, Client
 
     from g1stream.child_process import Parent
     from g1stream.session.format import MessageBatch
 
-__all__ = ["live"]
+__all__ = ["live", "observe"]
 
 #: Programs on other hosts cannot connect.
 _HOST: Final = "127.0.0.1"
@@ -57,16 +61,9 @@ def live(config: Config | None = None) -> Iterator[str]:
         ChildError: the port is in use, or a setting or the wire does not allow it.
     """
     config = config or Config()
-    _require_sdk()
+    require_installed("foxglove-sdk", "live", "A live view needs")
     with optional_child("live", config, "the live view ended"):
         yield f"ws://localhost:{config.live_port}"
-
-
-def _require_sdk() -> None:
-    try:
-        version("foxglove-sdk")  # to import it would load it into the process of the loop
-    except PackageNotFoundError:
-        raise not_installed("foxglove-sdk", "live", "A live view needs") from None
 
 
 class _Server:
@@ -130,6 +127,45 @@ class _Server:
 
     def on_unsubscribe(self, _: Client, view: ChannelView) -> None:
         """Called by the SDK."""
+
+
+def observe(
+    config: Config, should_stop: Callable[[], bool]
+) -> Generator[list[MessageBatch], None, None]:
+    """Yield the messages that a recorder on this domain would write, until told to stop.
+
+    Scenes and URDF come first, when samples are already being received; a viewer that joins later
+    needs them too, and `record.channels` raw counts as standard. After that comes a list every
+    `record.batch`, which may be empty. What the caller does with one may take its time: samples are
+    received in a thread of their own.
+
+    Args:
+        config: all settings.
+        should_stop: asked before each list.
+
+    Raises:
+        RobotError: the URDF has a shape that cannot be read.
+        ConfigError: a link of the robot has the name of the world's frame.
+        WireError: DDS does not allow it.
+        RecordingError: samples cannot be received any more.
+    """
+    settings = config.record
+    if settings.channels == "raw":  # to keep a file small; viewers would show nothing
+        settings = settings.model_copy(update={"channels": "standard"})
+    pipeline = MessagePipeline(G1.load(config.robot), settings)
+    header = pipeline.file_header(time.time_ns())
+    with Participant(config.dds.domain, config.dds.interface) as participant:
+        receiver = Receiver(participant, TOPICS)
+        receiver.start()
+        try:
+            with quick_thread_switches():  # else log times would be late while messages are made
+                yield header
+                while not should_stop():
+                    time.sleep(settings.batch)
+                    batches = receiver.drain()
+                    yield [*raw_messages(batches), *pipeline.encode(batches)]
+        finally:
+            receiver.stop()
 
 
 def _run_child(parent: Parent) -> None:

@@ -7,19 +7,19 @@ from math import isfinite
 from typing import TYPE_CHECKING
 
 from g1stream.app.arming import require_arming
+from g1stream.app.session import Session, open_session
 from g1stream.app.stream import stream
 from g1stream.config import Config
 from g1stream.errors import ConfigError
-from g1stream.session.session import Session, open_session
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
+    from g1stream.analysis.summary import Summary
     from g1stream.app.arming import ArmingReport
     from g1stream.control.loop import StreamLoop
     from g1stream.motion.motion import Motion
-    from g1stream.session.summary import Summary
 
 __all__ = ["replay"]
 

@@ -10,6 +10,7 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Final, get_args
 
 from g1stream._version import __version__
+from g1stream.app.session import Session
 from g1stream.app.sim import make_world
 from g1stream.config import Config, load_config
 from g1stream.control.loop import make_loop
@@ -17,8 +18,8 @@ from g1stream.control.plan import plan
 from g1stream.dds.log_handler import LogHandler
 from g1stream.dds.messages import LOG, Batch
 from g1stream.errors import ConfigError
-from g1stream.session.recorder_summary import RecorderSummary
-from g1stream.session.session import Session
+from g1stream.recorder.recorder import raw_messages
+from g1stream.session.records import RecorderSummary
 from g1stream.session.source import MemorySource
 from g1stream.session.writer import attach_motion
 from g1stream.sim.lockstep import EPOCH, Lockstep
@@ -111,14 +112,15 @@ def rollout(
         loop.run()
     source = MemorySource(f"rollout of {planned.motion.name}")
     _write_header(source, planned)
-    for messages in (*pipeline.file_header(EPOCH), *pipeline.encode(batches)):
+    header, shown = pipeline.file_header(EPOCH), pipeline.encode(batches)
+    for messages in (*header, *raw_messages(batches), *shown):
         source.write_batch(*messages)
     stream = loop.report.summary(**planned.summary())
     recorder = RecorderSummary(
         first_ns=EPOCH,
         last_ns=link.stamp() + LATENCY,
         counts=source.topics,
-        measured_tf=pipeline.base.summary(),
+        measured_tf=pipeline.base.summary() if pipeline.base else None,
     ).model_dump(mode="json")
     source.add_metadata(
         {

@@ -5,20 +5,23 @@ from __future__ import annotations
 import logging
 import math
 import os
+import sys
 import time
+import warnings
 from contextlib import ExitStack
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from g1stream.app.ros2 import publishing_for_ros2
-from g1stream.child_process import run_child
+from g1stream.child_process import publishing_for_ros2, run_child
 from g1stream.clock import SystemClock
 from g1stream.config import Config
 from g1stream.dds.domain import Participant
 from g1stream.dds.log_handler import dds_log_handler
+from g1stream.errors import SimError
 from g1stream.events import ConsoleHandler, handled_by
 from g1stream.realtime import describe, on_time
 from g1stream.robot.model import G1
 from g1stream.sim.bridge import Bridge
+from g1stream.sim.model import BASE_BODY
 from g1stream.sim.robot import SimulatedRobot
 from g1stream.sim.world import World
 
@@ -28,8 +31,9 @@ if TYPE_CHECKING:
     from g1stream.child_process import Parent
     from g1stream.config import SimConfig
     from g1stream.sim.robot import SimReport
+    from g1stream.sim.world import World
 
-__all__ = ["make_world", "physics_timestep", "simulate"]
+__all__ = ["follow", "make_world", "open_viewer", "physics_timestep", "simulate"]
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -122,7 +126,6 @@ def physics_timestep(rate: float) -> float:
 
 
 def _viewer(world: World, stack: ExitStack) -> Callable[[], bool]:
-    from g1stream.sim.viewer import open_viewer
 
     window = stack.enter_context(open_viewer(world))
 
@@ -135,3 +138,57 @@ def _viewer(world: World, stack: ExitStack) -> Callable[[], bool]:
 
 if __name__ == "__main__":
     run_child(_run_child)
+
+
+_REMEDY = "Run it on a desktop, or without the viewer."
+
+
+def open_viewer(world: World) -> Any:
+    """Open a window that follows the robot and return MuJoCo's handle of it, a context manager.
+
+    The window shows the world at the last `sync()`, which copies it and should be called some 50
+    times a second, from the thread that steps. `is_running()` is False once the user has closed
+    the window; `close()` closes it.
+
+    Raises:
+        SimError: there is no display, or no OpenGL on it.
+    """
+    _check_display()
+    from mujoco import viewer
+
+    try:
+        window = viewer.launch_passive(
+            world.model, world.data, show_left_ui=False, show_right_ui=False
+        )
+    except RuntimeError as error:  # macOS wants the program to be run by mjpython
+        raise SimError(f"MuJoCo's viewer cannot be opened: {error}.", _REMEDY) from error
+    with window.lock():
+        follow(world, window.cam)
+    return window
+
+
+def follow(world: World, camera: Any) -> None:
+    """Let a `mujoco.MjvCamera` follow the robot, from the front, with all of it in view."""
+    import mujoco
+
+    camera.type = mujoco.mjtCamera.mjCAMERA_TRACKING
+    camera.trackbodyid = BASE_BODY
+    camera.lookat[:] = world.data.subtree_com[BASE_BODY]
+    camera.distance, camera.azimuth, camera.elevation = 3.0, 145.0, -10.0
+
+
+def _check_display() -> None:
+    """Try a hidden window first: without a display, MuJoCo's viewer would wait for ever."""
+    if sys.platform == "darwin":
+        return
+    import glfw
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", glfw.GLFWError)
+        shown = glfw.init()
+        if shown:
+            glfw.window_hint(glfw.VISIBLE, glfw.FALSE)
+            shown = bool(glfw.create_window(64, 64, "", None, None))
+        glfw.terminate()
+    if not shown:
+        raise SimError("MuJoCo's viewer needs a display with OpenGL, and none was found.", _REMEDY)

@@ -9,10 +9,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from g1stream.analysis.summary import summarise_run
+from g1stream.analysis.summarise import summarise_run
+from g1stream.analysis.summary import Termination
 from g1stream.app.arming import confirm_arming, require_arming
-from g1stream.app.ros2 import publishing_for_ros2
-from g1stream.child_process import Child, ChildError
+from g1stream.app.session import open_session
+from g1stream.child_process import Child, ChildError, publishing_for_ros2
 from g1stream.clock import SystemClock
 from g1stream.config import Config
 from g1stream.control.guard import Guard
@@ -23,20 +24,18 @@ from g1stream.dds.domain import DISCOVERY, Participant
 from g1stream.dds.log_handler import dds_log_handler
 from g1stream.dds.messages import LOWCMD
 from g1stream.doctor.findings import explain_no_robot
-from g1stream.doctor.wire import inspect_participant
+from g1stream.doctor.inspection import inspect_participant
 from g1stream.errors import G1StreamError, SafetyError, WireError
 from g1stream.events import handled_by
 from g1stream.files import timestamped
 from g1stream.realtime import describe, on_time
-from g1stream.session.info import MotionInfo
 from g1stream.session.parts import check_recording_path
-from g1stream.session.recorder_summary import RecorderSummary
-from g1stream.session.session import open_session
-from g1stream.session.summary import Termination
+from g1stream.session.records import MotionInfo, RecorderSummary
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from g1stream.analysis.summary import Summary
     from g1stream.app.arming import ArmingReport
     from g1stream.config import RecordConfig
     from g1stream.control.loop import StreamLoop
@@ -44,8 +43,7 @@ if TYPE_CHECKING:
     from g1stream.control.report import LoopReport
     from g1stream.doctor.facts import Finding
     from g1stream.motion.motion import Motion
-    from g1stream.session.stream_summary import StreamSummary
-    from g1stream.session.summary import Summary
+    from g1stream.session.records import StreamSummary
 
 __all__ = ["stream"]
 
@@ -133,7 +131,7 @@ def _summarise(
         return open_session(recording.path).summary()
     return summarise_run(
         planned.config,
-        motion=MotionInfo.of(planned.motion),
+        motion=MotionInfo.from_motion(planned.motion),
         termination=Termination(
             reason=report.reason,
             played_s=report.played / 1e9,

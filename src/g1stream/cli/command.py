@@ -16,8 +16,8 @@ from g1stream.text import printable
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from g1stream.analysis.summary import Summary
     from g1stream.config import Config
-    from g1stream.session.summary import Summary
 
 __all__ = [
     "EXIT_BAD_INPUT",

@@ -22,6 +22,7 @@ from g1stream.cli.motion_flags import MOTIONS, MotionFlags
 from g1stream.cli.progress import ProgressDisplay
 from g1stream.errors import ConfigError
 from g1stream.files import check_not_input, is_session
+from g1stream.optional import extension
 from g1stream.text import counted
 
 if TYPE_CHECKING:
@@ -53,7 +54,7 @@ class Convert(MotionFlags):
     Log and publish time of every message are the base time + frame / fps, to the nearest
     nanosecond. With the default base time the same input always gives the same bytes.
 
-    An output that ends in .csv, .npz or .parquet is a motion file again.
+    An output that ends in .csv or .npz is a motion file again.
 
     With --ros2 a session becomes a ROS 2 bag: a directory with metadata.yaml and an MCAP file that
     has messages of ROS only.
@@ -72,7 +73,7 @@ class Convert(MotionFlags):
     """
 
     files: tuple[str, ...] = argument(
-        f"{MOTIONS} The last one is the file to write, .mcap, .csv, .npz or .parquet; with --ros2 "
+        f"{MOTIONS} The last one is the file to write, .mcap, .csv or .npz; with --ros2 "
         "the directory.",
         "MOTION... FILE",
     )
@@ -128,7 +129,7 @@ class Convert(MotionFlags):
                 "The argument MOTION or FILE is missing.",
                 "Add it; `g1stream convert --help` says what it is.",
             )
-        from g1stream.motion.save import MOTION_SUFFIXES
+        from g1stream.motion.motion import MOTION_SUFFIXES
 
         check_not_input(self.out, *map(Path, self.motions))
         if self.ros2:
@@ -164,7 +165,7 @@ class Convert(MotionFlags):
             )
 
     def _motion_file(self) -> int:
-        from g1stream.motion.csv import DEFAULT_FPS
+        from g1stream.motion.motion import DEFAULT_FPS
 
         motion = self.load(self.motions)
         first, behind = _frames(self.frames)
@@ -206,9 +207,7 @@ class Convert(MotionFlags):
     def _ros2_bag(
         self, on_progress: Callable[[float], None]
     ) -> tuple[dict[str, Any], str, tuple[str, ...]]:
-        from g1stream.session.ros2 import write_ros2_bag
-
-        report = write_ros2_bag(
+        report = extension("write_bag")(
             Path(self.motions[0]),
             self.out,
             force=self.force,
@@ -226,9 +225,8 @@ class Convert(MotionFlags):
     def _session_file(
         self, on_progress: Callable[[float], None]
     ) -> tuple[dict[str, Any], str, tuple[str, ...]]:
-        from g1stream.app.convert import Conversion, convert
+        from g1stream.app.convert import Conversion, convert, parse_time
         from g1stream.robot.model import G1
-        from g1stream.session.timestamps import parse_time
 
         options = Conversion(
             base_time_ns=parse_time(self.base_time),

@@ -38,7 +38,7 @@ class Doctor(SettingsCommand):
 
     def run(self) -> int:
         """Diagnose, and return the exit code."""
-        from g1stream.app.doctor import diagnose
+        from g1stream.doctor.inspection import diagnose
 
         findings = diagnose(self.resolve(), self.seconds)
         if self.json:

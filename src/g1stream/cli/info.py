@@ -29,7 +29,7 @@ class Info(Command):
 
     def run(self) -> int:
         """Print the summary, and return the exit code."""
-        from g1stream.session.session import open_session
+        from g1stream.app.session import open_session
 
         print_summary(open_session(self.file).summary(), as_json=self.json)
         return EXIT_OK

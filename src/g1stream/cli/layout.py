@@ -16,10 +16,6 @@ __all__ = ["Layout"]
 _VIEWERS: Final = {
     "foxglove": ("g1stream-foxglove.json", "Layouts menu > Import from file."),
     "lichtblick": ("g1stream-lichtblick.json", "Layouts menu > Import from file."),
-    "rerun": (
-        "g1stream-rerun.rbl",
-        "Open it in the viewer beside a recording: rerun SESSION.rrd g1stream-rerun.rbl",
-    ),
     "plotjuggler": (
         "g1stream-plotjuggler.xml",
         "Load a session converted with `g1stream convert SESSION OUT --ros2`, then File > Load "
@@ -43,8 +39,8 @@ class Layout(Command):
       2  bad input: not a session file, a file that cannot be written
     """
 
-    viewer: Literal["foxglove", "lichtblick", "plotjuggler", "rerun"] = argument(
-        "The viewer: foxglove, lichtblick, plotjuggler or rerun.", "VIEWER"
+    viewer: Literal["foxglove", "lichtblick", "plotjuggler"] = argument(
+        "The viewer: foxglove, lichtblick or plotjuggler.", "VIEWER"
     )
     session: Path | None = flag(
         None, "A session file, to choose the joints by.", "SESSION", positional=True
@@ -54,22 +50,21 @@ class Layout(Command):
 
     def run(self) -> int:
         """Write the layout, and return the exit code."""
+        from g1stream.analysis.tracking import worst_joints
         from g1stream.errors import ConfigError
         from g1stream.files import complete_file
-        from g1stream.session.session import open_session
+        from g1stream.session.recording import open_recording
         from g1stream.view.layouts import (
             DEFAULT_JOINTS,
             foxglove_layout,
             plotjuggler_layout,
-            worst_joints,
         )
-        from g1stream.viewers.rerun_layout import rerun_layout_file
 
-        joints = worst_joints(open_session(self.session)) if self.session else DEFAULT_JOINTS
+        joints: tuple[str, ...] = DEFAULT_JOINTS
+        if self.session:
+            joints = worst_joints(open_recording(self.session), len(joints)) or joints
         if self.viewer == "plotjuggler":
             content = plotjuggler_layout(joints).encode()
-        elif self.viewer == "rerun":
-            content = rerun_layout_file(joints)
         else:
             content = json.dumps(foxglove_layout(joints), indent=1).encode() + b"\n"
         name, how = _VIEWERS[self.viewer]

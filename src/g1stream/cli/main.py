@@ -68,7 +68,6 @@ COMMANDS: Final = {
             "cli.render:Render",
             "Make a video of a session: the robot, and its reference as a ghost.",
         ),
-        "rerun": ("cli.rerun:Rerun", "Show a session, or what is on DDS, in the Rerun viewer."),
         "repair": (
             "cli.repair:Repair",
             "Write the index of a session whose recorder was killed.",

@@ -21,7 +21,8 @@ from g1stream.errors import MotionError
 from g1stream.text import counted, labelled
 
 if TYPE_CHECKING:
-    from g1stream.motion.check import FileReport, MotionReport
+    from g1stream.motion.check import MotionReport
+    from g1stream.motion.readers import Evidence, FileReport
 
 __all__ = ["Inspect", "render"]
 
@@ -52,9 +53,9 @@ class Inspect(SettingsCommand, MotionFlags):
 
     def run(self) -> int:
         """Print the report, and return the exit code."""
-        from g1stream.motion.check import FileReport, check_motion
+        from g1stream.motion.check import check_motion
+        from g1stream.motion.readers import FileReport, check_motion_file
         from g1stream.robot.model import G1
-        from g1stream.session.motions import check_motion_file
 
         config = self.resolve()
         robot = G1.load(config.robot, own_limits=config.safety.urdf_limits)
@@ -73,7 +74,7 @@ class Inspect(SettingsCommand, MotionFlags):
             motion = check_motion(
                 self.load(self.motions, robot), robot, rate=rate, position_margin=margin
             )
-            report = FileReport(Path(motion.name), kind="motions", motion=motion)
+            report = FileReport(Path(motion.name), motion=motion)
         if robot.warning:
             print_warning(robot.warning)
         if self.json:
@@ -107,36 +108,20 @@ def render(report: FileReport, max_tilt: float) -> str:
     lines = [name]
     if motion and motion.suspicion:  # first: it explains the figures below
         lines.append(_line("problem", f"It looks as if {motion.suspicion}."))
-    lines += _content(report)
+    lines += _evidence_lines(report.evidence) if report.evidence else []
     if motion:
         lines += [*_motion_lines(motion), *_result_lines(motion, max_tilt)]
     return "\n".join(lines)
 
 
-def _content(report: FileReport) -> list[str]:
-    """The lines about the file."""
-    if report.kind == "session":
-        return [_line("file", "a session; its motion is the recorded reference")]
-    if report.kind == "motions":
-        return []
-    if report.kind in ("arrays", "bag"):
-        labels = ("file", "joint order", "pelvis", "frame rate")
-        lines = [_line(*pair) for pair in zip(labels, report.evidence, strict=False)]
-        return [*lines, *_joint_lines(report)]
-    header = "named by a header" if report.has_header else "no header"
-    if report.mapped and not report.has_header:
-        header += ", columns as in LAFAN1"
-    size = f"{counted(report.n_rows, 'row')}, {counted(report.n_columns, 'column')}, {header}"
-    lines = [_line("file", f"{size}; {counted(len(report.mapped), 'joint')} found")]
-    return [*lines, *_joint_lines(report)]
-
-
-def _joint_lines(report: FileReport) -> list[str]:
-    """The lines about joints and quaternions of a file."""
-    lines = [_line("not in the URDF", name) for name in report.not_in_robot]
-    lines += [_line("not in the file", name) for name in report.not_in_file]
-    if report.quat_norms:
-        lowest, highest = report.quat_norms
+def _evidence_lines(evidence: Evidence) -> list[str]:
+    """What a file has and what it was taken for."""
+    lines = [_line(subject, text) for subject, text in evidence.used.items()]
+    lines += [_line(subject, f"{text}, assumed") for subject, text in evidence.assumed.items()]
+    lines += [_line("not used", name) for name in evidence.not_used]
+    lines += [_line("not in the file", name) for name in evidence.missing]
+    if evidence.quat_norms:
+        lowest, highest = evidence.quat_norms
         lines.append(_line("quaternion norm", f"{lowest:.6f} to {highest:.6f}"))
     return lines
 

@@ -20,8 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["MOTION", "MOTIONS", "MotionFlags"]
 
 MOTION: Final = (
-    "Motion file (CSV, NPZ, Parquet, pickle), session, ROS 2 bag, or the name of a bundled motion: "
-    "demo."
+    "Motion file (CSV, NPZ, pickle), session, ROS 2 bag, or the name of a bundled motion: demo."
 )
 """Help of a flag that names a motion."""
 MOTIONS: Final = f"{MOTION} Several are joined in their order."
@@ -72,7 +71,7 @@ class MotionFlags(Command):
             RecordingError: a session is damaged, or no motion was played in it.
             RobotError: the robot's soles, which --on-floor needs, are not known.
         """
-        from g1stream.session.motions import load_motion
+        from g1stream.motion.readers import load_motion
 
         read = [load_motion(one, fps=self.fps, joint_order=self.joint_order) for one in motions]
         return self.join(read, robot)

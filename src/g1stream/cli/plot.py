@@ -38,7 +38,7 @@ class Plot(Command):
     def run(self) -> int:
         """Write the figure, and return the exit code."""
         from g1stream.analysis.plots import draw
-        from g1stream.session.session import open_session
+        from g1stream.app.session import open_session
 
         what = None if self.what is None else self.what.split(",")
         draw(open_session(self.session), self.out, self.joints, what, force=self.force)

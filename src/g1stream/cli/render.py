@@ -5,21 +5,23 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 from g1stream.cli.command import EXIT_OK, Command
 from g1stream.cli.flags import argument, flag
 from g1stream.cli.progress import ProgressDisplay
+from g1stream.errors import ConfigError
+from g1stream.optional import extension
 from g1stream.text import counted
+from g1stream.types import Camera
 
-__all__ = ["Render"]
+__all__ = ["Render", "parse_size"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Render(Command):
     """The ghost has the reference's joints on the measured pelvis; time, phase and RMS error of all
     joints are written into each frame. Needs EGL or OSMesa, but no display and no GPU. The real
-    G1's meshes are used with the extra `meshes`; MP4 needs the extra `render`.
+    G1's meshes are used with the extra `meshes`; MP4 needs the extra `video`.
 
     Examples:
       g1stream render session.mcap session.mp4
@@ -39,15 +41,12 @@ class Render(Command):
     duration: float | None = flag(None, "Length.", "S", shown="to the end", gt=0)
     fps: float = flag(25.0, "Frames per second.", "HZ", gt=0)
     size: str = flag("640x480", "Width and height, pixels.", "WxH")
-    camera: Literal["front", "oblique", "left", "back", "right"] = flag(
-        "oblique", "Where the camera stands around the robot.", shown="oblique"
-    )
+    camera: Camera = flag("oblique", "Where the camera stands around the robot.", shown="oblique")
     force: bool = flag(False, "Replace a file that is there.")
 
     def run(self) -> int:
         """Write the video, and return the exit code."""
-        from g1stream.session.session import open_session
-        from g1stream.viewers.video import parse_size, render
+        from g1stream.app.session import open_session
 
         done = 0.0
 
@@ -57,7 +56,7 @@ class Render(Command):
 
         started = time.monotonic()
         with ProgressDisplay(lambda: (done, f"{100 * done:3.0f} %")):
-            video = render(
+            video = extension("render")(
                 open_session(self.session),
                 self.out,
                 start=self.start,
@@ -74,3 +73,15 @@ class Render(Command):
             f"{video.shown}, {'meshes' if video.meshes else 'primitive shapes'}, in {took:.1f} s"
         )
         return EXIT_OK
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """Width and height of a size such as `640x480`.
+
+    Raises:
+        ConfigError: it is none.
+    """
+    width, _, height = text.partition("x")
+    if not (width.isascii() and width.isdigit() and height.isascii() and height.isdigit()):
+        raise ConfigError(f"{text} is not a size.", "Give width and height such as 640x480.")
+    return int(width), int(height)

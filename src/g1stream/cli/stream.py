@@ -27,10 +27,10 @@ from g1stream.events import ConsoleHandler, handled_by
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from g1stream.analysis.summary import Summary
     from g1stream.config import Config
     from g1stream.control.loop import StreamLoop
     from g1stream.motion.motion import Motion
-    from g1stream.session.summary import Summary
 
 __all__ = ["PlayCommand", "Replay", "Stream", "playing"]
 

@@ -16,7 +16,7 @@ from g1stream.control.reading import STALE, all_finite, is_unit
 from g1stream.control.sources import Source
 from g1stream.motion.blend import minimum_jerk
 from g1stream.robot.joints import N_JOINTS
-from g1stream.session.stream_summary import FeedForwardChange
+from g1stream.session.records import FeedForwardChange
 from g1stream.types import FeedForwardKind, Floats, Ints, Phase, StreamSupport, Support
 
 if TYPE_CHECKING:

@@ -17,10 +17,10 @@ from g1stream.dds.messages import COMMANDS
 from g1stream.errors import ConfigError
 from g1stream.motion.fit import fit_to_robot
 from g1stream.motion.motion import Motion
+from g1stream.motion.readers import load_motion
 from g1stream.robot.joints import select_joints
 from g1stream.robot.model import G1
-from g1stream.session.info import SessionInfo
-from g1stream.session.motions import load_motion
+from g1stream.session.records import SessionInfo
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -86,7 +86,7 @@ class Plan:
 
     def session_info(self) -> SessionInfo:
         """What a session file says of it before its first sample."""
-        return SessionInfo.of(self.config, self.robot, self.motion, self.gains._asdict())
+        return SessionInfo.from_config(self.config, self.robot, self.motion, self.gains._asdict())
 
     def log_events(self) -> None:
         """Log what is to be known about the motion."""

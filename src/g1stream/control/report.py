@@ -11,8 +11,7 @@ import numpy as np
 
 from g1stream.control.lowstate import state_timeout
 from g1stream.robot.joints import by_joint
-from g1stream.session.records import Percentiles
-from g1stream.session.stream_summary import StreamSummary
+from g1stream.session.records import Percentiles, StreamSummary
 from g1stream.types import Ints, Phase
 
 if TYPE_CHECKING:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from g1stream.control.reading import Reading
     from g1stream.control.targets import Target, WayDown
     from g1stream.motion.motion import Motion
-    from g1stream.session.stream_summary import BalanceSummary
+    from g1stream.session.records import BalanceSummary
 
 __all__ = ["SOURCES", "HeldTorques", "Moment", "Source", "load_source"]
 

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from g1stream.config import StreamConfig
-    from g1stream.motion.trajectory import Trajectory, TrajectoryPoint
+    from g1stream.motion.spline import TrajectoryPoint
+    from g1stream.motion.trajectory import Trajectory
 
 __all__ = ["COAST_NS", "LOWERED", "Ramp", "Target", "Targets", "Timing", "WayDown"]
 

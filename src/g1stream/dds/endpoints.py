@@ -10,7 +10,7 @@ bytes untouched in both directions.
 import ctypes
 from collections.abc import Sequence
 from functools import cache
-from typing import Any
+from typing import Any, Protocol
 
 from cyclonedds.core import DDSException, Policy, Qos
 from cyclonedds.internal import DDS, c_call, dds_c_t
@@ -20,10 +20,22 @@ from cyclonedds.topic import Topic as CycloneTopic
 
 from g1stream.dds.domain import Participant
 from g1stream.dds.layout import Layout
-from g1stream.dds.messages import Topic
-from g1stream.dds.ros2 import Ros2Topic
 
-__all__ = ["RawReader", "RawSample", "RawWriter"]
+__all__ = ["AnyTopic", "RawReader", "RawSample", "RawWriter"]
+
+
+class AnyTopic(Protocol):
+    """A topic of `g1stream.dds.messages`, or of others.
+
+    Attributes:
+        name: on the wire.
+        idl_type: the cyclonedds class that names its type there.
+    """
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def idl_type(self) -> Any: ...
 
 
 class RawSample:
@@ -103,7 +115,7 @@ _STATUSES = _Statuses(0)
 def _create(
     kind: type[DataWriter[Any]] | type[DataReader[Any]],
     participant: Participant,
-    topic: Topic | Ros2Topic,
+    topic: AnyTopic,
     user_data: bytes,
     *policies: Any,
 ) -> Any:
@@ -129,7 +141,7 @@ class RawWriter:
     def __init__(
         self,
         participant: Participant,
-        topic: Topic | Ros2Topic,
+        topic: AnyTopic,
         depth: int = 1,
         *,
         latched: bool = False,
@@ -195,7 +207,7 @@ class RawReader:
     def __init__(
         self,
         participant: Participant,
-        topic: Topic,
+        topic: AnyTopic,
         depth: int = 1,
         *,
         ignore_own: bool = False,

@@ -11,7 +11,7 @@ from enum import IntEnum
 from pydantic import ConfigDict, Field, field_serializer
 
 from g1stream.realtime import Grant
-from g1stream.session import stream_summary
+from g1stream.session import records
 from g1stream.types import Via
 
 __all__ = [
@@ -39,7 +39,7 @@ class Level(IntEnum):
     PROBLEM = 2  # prevents a session
 
 
-class Finding(stream_summary.Finding):
+class Finding(records.Finding):
     """The result of one check; its level is a lower-case name in JSON."""
 
     model_config = ConfigDict(frozen=True)

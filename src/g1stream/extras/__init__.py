@@ -1,1 +1,1 @@
-"""What most users do without: each folder is a pip extra of the same name."""
+"""What g1stream does with packages that not everybody needs; the core imports none of it."""

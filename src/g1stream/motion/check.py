@@ -1,45 +1,36 @@
-"""The report about a motion, and about the file it is in."""
+"""What a motion is like, and what it asks of a robot: the report of `g1stream motion`."""
 
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Final, Literal
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from g1stream.errors import MotionError, RobotError
-from g1stream.motion.csv import CsvFile
-from g1stream.motion.dropped import Dropped, dropped_joints
-from g1stream.motion.files import open_motion_file
+from g1stream.errors import RobotError
 from g1stream.motion.limits import JointPeak, LimitReport, frame_peaks, measure_limits
-from g1stream.motion.motion import check_fps
-from g1stream.motion.operations import height_of_floor
+from g1stream.motion.motion import height_of_floor
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
+from g1stream.robot.kinematics import forward_kinematics
+from g1stream.robot.model import G1
 from g1stream.robot.rotations import tilt_of
 from g1stream.types import STREAM_RATE
 
 if TYPE_CHECKING:
-    import os
-    from collections.abc import Callable
-
-    from g1stream.motion.array_file import ArrayFile
     from g1stream.motion.limits import Interval
     from g1stream.motion.motion import Motion
-    from g1stream.robot.model import G1
-    from g1stream.types import Floats, JointOrder
+    from g1stream.types import Floats
 
 __all__ = [
-    "FileReport",
+    "Dropped",
     "JointStep",
     "MotionReport",
     "RootTravel",
-    "check_file",
     "check_motion",
+    "dropped_joints",
 ]
-
 
 #: Twice around: no joint of a G1 gets so far, but an angle in degrees soon does, rad.
 _LARGEST_ANGLE: Final = 4.0 * np.pi
@@ -47,6 +38,14 @@ _LARGEST_ANGLE: Final = 4.0 * np.pi
 _LARGEST_DEGREES: Final = 720.0
 #: A step from one frame to the next that is no movement of a joint, rad; a LAFAN1 dance has 1.08.
 _LARGE_STEP: Final = 0.5
+#: Of the G1 with all joints: what it touches and looks with. The lidar is in the head.
+_LINKS: Final = {
+    "left hand": "left_rubber_hand",
+    "right hand": "right_rubber_hand",
+    "head": "mid360_link",
+}
+#: Frames that are looked at for them are no more than this.
+_MOST_FRAMES: Final = 2000
 
 
 @dataclass(frozen=True)
@@ -68,6 +67,35 @@ class RootTravel:
     highest: float
     tilt: float  # of the pelvis from upright, at most, rad
     tilt_frame: int
+
+
+@dataclass(frozen=True)
+class Dropped:
+    """Joints of a motion that a robot does not have.
+
+    Attributes:
+        robot: its name.
+        joints: their names.
+        moved: those of them that are not 0 throughout the motion, and are missed.
+        errors_mm: of each hand and the head the mean and the greatest distance, mm, from where the
+            motion has it in the pelvis's frame.
+    """
+
+    robot: str
+    joints: tuple[str, ...]
+    moved: tuple[str, ...]
+    errors_mm: dict[str, tuple[float, float]]
+
+    def __str__(self) -> str:
+        lacks = f"{self.robot} lacks {_short(self.joints)}, which stay at 0"
+        if not self.moved:
+            return f"{lacks}, as in the motion"
+        errors = ", ".join(
+            f"{part} {mean:.0f} mm on average, {most:.0f} at most"
+            for part, (mean, most) in self.errors_mm.items()
+        )
+        which = "all" if self.moved == self.joints else _short(self.moved)
+        return f"{lacks}; the motion moves {which} of them: {errors} from the motion's"
 
 
 @dataclass(frozen=True)
@@ -100,83 +128,29 @@ class MotionReport:
         return not self.frames_beyond and not self.streamed.too_fast
 
 
-@dataclass(frozen=True)
-class FileReport:
-    """What is in a motion file, or in a session, of which only `motion` is known.
-
-    Columns are counted from 1, in the order of the file.
-    """
-
-    path: Path
-    kind: Literal["table", "arrays", "bag", "session", "motions"] = "table"  # motions: several
-    n_rows: int = 0  # below the header
-    n_columns: int = 0  # of the first line
-    has_header: bool = False
-    mapped: dict[str, int] = field(default_factory=dict)  # joint of the robot -> column
-    not_in_robot: tuple[str, ...] = ()  # columns
-    not_in_file: tuple[str, ...] = ()
-    evidence: tuple[str, ...] = ()  # what arrays were taken for, and why
-    quat_norms: tuple[float, float] | None = None  # lowest and highest; None: not readable
-    motion: MotionReport | None = None  # None: the file is not a motion
-    fault: str = ""  # why it is not, in a sentence
-    remedy: str = ""
-
-    @property
-    def passed(self) -> bool:
-        """Whether this is a motion of the robot, within its limits. Warnings do not count."""
-        return bool(self.motion and self.motion.within_limits)
+def _short(joints: tuple[str, ...]) -> str:
+    return ", ".join(name.removesuffix("_joint") for name in joints)
 
 
-def check_file(
-    path_or_name: str | os.PathLike[str],
-    robot: G1,
-    *,
-    fps: float | None = None,
-    joint_order: JointOrder | None = None,
-    change: Callable[[Motion], Motion] = lambda motion: motion,
-    rate: float = STREAM_RATE,
-    position_margin: float = 0.0,
-) -> FileReport:
-    """Check a motion file, or a bundled motion by its name; `rate` and so on as `check_motion`.
-
-    What `change` makes of its motion is checked.
-
-    Raises:
-        MotionError: no report is possible: there is no such file, it cannot be read, is empty or is
-            not text; or `fps` is not a frame rate. A fault in the content is part of the report.
-    """
-    file = open_motion_file(path_or_name, joint_order)
-    if fps is not None:
-        check_fps(fps, file.path.stem)
-    report = FileReport(file.path)
-    try:
-        report = _content(file)
-        motion = check_motion(
-            change(file.motion(fps)), robot, rate=rate, position_margin=position_margin
-        )
-        return replace(report, motion=motion)
-    except MotionError as error:
-        return replace(report, fault=error.cause, remedy=error.remedy)
-
-
-def _content(file: CsvFile | ArrayFile) -> FileReport:
-    """What is in a file, without its motion.
-
-    Raises:
-        MotionError: not even that can be told.
-    """
-    named = enumerate(file.columns, start=1)
-    return FileReport(
-        path=file.path,
-        kind="table" if isinstance(file, CsvFile) else "arrays",
-        n_rows=file.n_rows,
-        n_columns=file.n_columns,
-        has_header=file.has_header,
-        mapped={name: column for column, name in named if name in JOINT_NAMES},
-        not_in_robot=tuple(file.unknown),
-        not_in_file=tuple(file.missing if file.columns else ()),
-        evidence=() if isinstance(file, CsvFile) else file.evidence,
-        quat_norms=_norms(file),
+def dropped_joints(motion: Motion, robot: G1) -> Dropped | None:
+    """What the robot leaves out of a motion; None where it has all joints."""
+    absent = ~robot.present
+    if not absent.any():
+        return None
+    q = motion.joint_pos[:: max(1, -(-motion.n_frames // _MOST_FRAMES))]
+    moved = absent & (motion.joint_pos != 0.0).any(axis=0)
+    full, base = G1.default(), (np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
+    links = [full.link_index(link) for link in _LINKS.values()]
+    asked, done = (
+        forward_kinematics(full, one, *base).pos[:, links] for one in (q, q * robot.present)
+    )
+    distance = np.linalg.norm(asked - done, axis=-1) * 1e3
+    errors = zip(_LINKS, distance.mean(axis=0).tolist(), distance.max(axis=0).tolist(), strict=True)
+    return Dropped(
+        robot.joint_set.name,
+        tuple(JOINT_NAMES[i] for i in np.flatnonzero(absent)),
+        tuple(JOINT_NAMES[i] for i in np.flatnonzero(moved)),
+        {part: (mean, most) for part, mean, most in errors},
     )
 
 
@@ -276,13 +250,6 @@ def _root_travel(motion: Motion) -> RootTravel:
 def _floor(motion: Motion, robot: G1) -> float | None:
     with suppress(RobotError):  # feet that it does not know
         return height_of_floor(motion, robot)
-    return None
-
-
-def _norms(file: CsvFile | ArrayFile) -> tuple[float, float] | None:
-    with suppress(MotionError):  # a fault of the table, which the report has already
-        if (quat := file.quats) is not None:
-            return _range(np.linalg.norm(quat, axis=1))
     return None
 
 

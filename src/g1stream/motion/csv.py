@@ -15,33 +15,38 @@ searched cell by cell for the first one.
 
 from __future__ import annotations
 
-import hashlib
+from contextlib import suppress
 from functools import cached_property
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from g1stream.errors import MotionError
-from g1stream.motion.joint_order import names_in_order
-from g1stream.motion.motion import LARGEST, SMALLEST_QUAT, Motion, norm_warnings
+from g1stream.input_limits import NUMBER
+from g1stream.motion.arrays import names_in_order
+from g1stream.motion.motion import (
+    DEFAULT_FPS,
+    ROOT_COLUMNS,
+    SMALLEST_QUAT,
+    Motion,
+    norm_warnings,
+)
+from g1stream.motion.readers import Evidence
 from g1stream.robot.joints import JOINT_NAMES
-from g1stream.robot.rotations import wxyz_from_xyzw, xyzw_from_wxyz
+from g1stream.robot.rotations import wxyz_from_xyzw
 from g1stream.text import counted
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from pathlib import Path
 
-    from g1stream.types import Floats, JointOrder
+    from g1stream.motion.readers import MotionFile
+    from g1stream.types import Floats
 
-__all__ = ["DEFAULT_FPS", "ROOT_COLUMNS", "CsvFile", "canonical_column", "to_csv"]
+__all__ = ["CsvFile"]
 
-DEFAULT_FPS: Final = 30.0
-"""Frames per second of LAFAN1, assumed for both layouts if none is given."""
-
-_FRAME: Final = "Frame"
-_POSITION: Final = ("X", "Y", "Z")
-_QUAT_XYZW: Final = ("QX", "QY", "QZ", "QW")
+_FRAME: Final = ROOT_COLUMNS[0]
+_POSITION: Final = ROOT_COLUMNS[1:4]
+_QUAT_XYZW: Final = ROOT_COLUMNS[4:]
 #: Names that other tools give to the columns of the root.
 _OTHER_NAMES: Final = {
     prefix + axis.lower()[-1]: axis
@@ -52,8 +57,6 @@ _OTHER_NAMES: Final = {
     for axis in axes
     for prefix in prefixes
 } | {"frame": _FRAME}
-ROOT_COLUMNS: Final = (_FRAME, *_POSITION, *_QUAT_XYZW)
-"""The columns of the Foxglove layout before those of the joints."""
 _LAFAN1: Final = (*_POSITION, *_QUAT_XYZW, *JOINT_NAMES)
 
 
@@ -61,18 +64,14 @@ class CsvFile:
     """A CSV motion file: its layout, and on request its numbers.
 
     Args:
-        path: where it is, for messages.
-        content: its bytes, UTF-8. A byte order mark, any line ends, spaces around cells and blank
-            lines at the end are accepted.
-        joint_order: of the joints where no header names them; motor order if None.
+        file: UTF-8. A byte order mark, any line ends, spaces around cells and blank lines at the
+            end are accepted.
 
     Raises:
         MotionError: it is empty or not text. Anything else wrong in it is an error only when
             `values` or `motion` is asked for.
 
     Attributes:
-        path: as given.
-        sha256: of the content, in hex.
         has_header: whether the first line names the columns.
         columns: their names in the order of the file; those of LAFAN1 where 36 columns have no
             header, none where the names are unknown.
@@ -80,19 +79,40 @@ class CsvFile:
         n_rows: lines below the header.
     """
 
-    def __init__(self, path: Path, content: bytes, joint_order: JointOrder | None = None) -> None:
-        self.path = path
-        self.sha256 = hashlib.sha256(content).hexdigest()
-        self._text = self._decode(content)
+    def __init__(self, file: MotionFile) -> None:
+        self._file = file
+        self._text = self._decode(file.content)
         first = [cell.strip() for cell in self._text.split("\n", 1)[0].split(",")]
         self.n_columns = len(first)
         self.has_header = not any(map(_is_number, first))
         self.columns: tuple[str, ...] = ()
         if not self.has_header and self.n_columns == len(_LAFAN1):
-            self.columns = (*_LAFAN1[:7], *names_in_order(joint_order or "motor"))
+            self.columns = (*_LAFAN1[:7], *names_in_order(file.joint_order or "motor"))
         elif self.has_header and self.n_columns > 1:
-            self.columns = tuple(map(canonical_column, first))
+            self.columns = tuple(map(_canonical_column, first))
         self.n_rows = self._text.count("\n") + 1 - self.has_header
+
+    @property
+    def evidence(self) -> Evidence:
+        """What the table has, whether or not it is a motion."""
+        named = "named by a header" if self.has_header else "no header"
+        if self.columns and not self.has_header:
+            named += ", columns as in LAFAN1"
+        size = f"{counted(self.n_rows, 'row')}, {counted(self.n_columns, 'column')}, {named}"
+        n_joints = len(set(JOINT_NAMES).intersection(self.columns))
+        used = {"file": f"CSV, {size}; {counted(n_joints, 'joint')} found"}
+        assumed = {}
+        if self._file.fps is None:
+            assumed["frame rate"] = f"{DEFAULT_FPS:g} fps"
+        if self.columns and not self.has_header and self._file.joint_order is None:
+            assumed["joint order"] = "motor"
+        norms = None
+        with suppress(MotionError):  # a fault that `motion` raises
+            if set(_QUAT_XYZW) <= set(self.columns):
+                length = np.linalg.norm(self._take(_QUAT_XYZW), axis=1)
+                norms = float(length.min()), float(length.max())
+        missing = tuple(self._missing if self.columns else ())
+        return Evidence(used, assumed, tuple(self._unknown), missing, norms)
 
     @cached_property
     def values(self) -> Floats:
@@ -110,19 +130,12 @@ class CsvFile:
         except ValueError:
             raise self._first_fault() from None
         shape = (self.n_rows, self.n_columns)
-        if values.shape != shape or not (np.abs(values) <= LARGEST).all():
+        if values.shape != shape or not (np.abs(values) <= NUMBER).all():
             raise self._first_fault()
         return values
 
-    @property
-    def quats(self) -> Floats | None:
-        """Root orientations (n_rows, 4), xyzw as in the file; None without such columns."""
-        if not set(_QUAT_XYZW) <= set(self.columns):
-            return None
-        return self._take(_QUAT_XYZW)
-
-    def motion(self, fps: float | None = None) -> Motion:
-        """The motion in the file, its joints in motor order; at `DEFAULT_FPS` if `fps` is None.
+    def motion(self) -> Motion:
+        """The motion in the file, its joints in motor order.
 
         Raises:
             MotionError: a column or a value is missing, unknown or wrong; names line and column.
@@ -132,13 +145,13 @@ class CsvFile:
         self._check_frame_numbers()
         quat = self._take(_QUAT_XYZW)
         return Motion(
-            name=self.path.stem,
-            fps=DEFAULT_FPS if fps is None else fps,
+            name=self._file.path.stem,
+            fps=DEFAULT_FPS if self._file.fps is None else self._file.fps,
             joint_pos=self._take(JOINT_NAMES),
             root_pos=self._take(_POSITION),
             root_quat_wxyz=wxyz_from_xyzw(quat),
-            source=self.path,
-            sha256=self.sha256,
+            source=self._file.path,
+            sha256=self._file.sha256,
             warnings=self._check_norms(np.linalg.norm(quat, axis=1)),
         )
 
@@ -146,13 +159,13 @@ class CsvFile:
         return self.values.take([self.columns.index(name) for name in columns], axis=1)
 
     @property
-    def missing(self) -> list[str]:
+    def _missing(self) -> list[str]:
         """Columns of the layout that the file lacks."""
         wanted = (*ROOT_COLUMNS, *JOINT_NAMES) if self.has_header else _LAFAN1
         return [name for name in wanted if name not in (*self.columns, _FRAME)]
 
     @property
-    def unknown(self) -> list[str]:
+    def _unknown(self) -> list[str]:
         """Columns of the file that neither belong to the layout nor are joints."""
         known = (*ROOT_COLUMNS, *JOINT_NAMES)
         return [name for name in self.columns if name and name not in known]
@@ -161,7 +174,7 @@ class CsvFile:
         self, cause: str, remedy: str, *, line: int | None = None, column: int | None = None
     ) -> MotionError:
         """The error at a line, counted from 1, and a column, counted from 0."""
-        where = self.path.name
+        where = self._file.path.name
         if line is not None:
             where += f", line {line}"
         if column is not None:
@@ -229,7 +242,7 @@ class CsvFile:
             for column, cell in enumerate(cells):
                 if not _is_number(cell):
                     return self._error(
-                        f"{cell.strip()!r:.60} is not a finite number up to {LARGEST:g}",
+                        f"{cell.strip()!r:.60} is not a finite number up to {NUMBER:g}",
                         "Write a decimal number there, such as -0.25.",
                         line=number,
                         column=column,
@@ -237,13 +250,15 @@ class CsvFile:
         return self._error("numpy cannot read it as numbers", "Give a plain CSV file.")
 
     def _check_columns(self) -> None:
-        if self.missing or self.unknown:
-            faults = [f"missing columns: {', '.join(self.missing)}"] if self.missing else []
-            faults += [f"columns that are no joint: {', '.join(self.unknown)}"] * bool(self.unknown)
+        if self._missing or self._unknown:
+            faults = [f"missing columns: {', '.join(self._missing)}"] if self._missing else []
+            faults += [f"columns that are no joint: {', '.join(self._unknown)}"] * bool(
+                self._unknown
+            )
             raise self._error(
                 "; ".join(faults),
-                f"Name the columns {','.join(ROOT_COLUMNS[1:])} and the {len(JOINT_NAMES)} joints, "
-                "in any order; or use the 36 columns of LAFAN1 and no header.",
+                f"Name the columns {','.join(ROOT_COLUMNS[1:])} and the {len(JOINT_NAMES)} joints "
+                "in any order, or use the 36 columns of LAFAN1 and no header.",
                 line=1,
             )
 
@@ -273,20 +288,11 @@ class CsvFile:
                 column=self.columns.index("QX"),
             )
         return norm_warnings(
-            norms, self.path.name, lambda frame: f"frame {frame}, line {self._line(frame)}"
+            norms, self._file.path.name, lambda frame: f"frame {frame}, line {self._line(frame)}"
         )
 
 
-def to_csv(motion: Motion) -> str:
-    """The Foxglove layout of a motion, every number with all its digits."""
-    table = [motion.root_pos, xyzw_from_wxyz(motion.root_quat_wxyz), motion.joint_pos]
-    rows = np.concatenate(table, axis=1).tolist()
-    lines = [",".join((*ROOT_COLUMNS, *motion.joint_names))]
-    lines += [f"{frame}," + ",".join(map(repr, row)) for frame, row in enumerate(rows)]
-    return "\n".join(lines) + "\n"
-
-
-def canonical_column(column: str) -> str:
+def _canonical_column(column: str) -> str:
     """The name of a column as g1stream writes it, where it is another name for the same."""
     lower = column.lower()
     if lower in _OTHER_NAMES:
@@ -300,6 +306,6 @@ def _is_number(cell: str) -> bool:
     if "_" in cell or not cell.isascii():
         return False
     try:
-        return abs(float(cell)) <= LARGEST
+        return abs(float(cell)) <= NUMBER
     except ValueError:
         return False

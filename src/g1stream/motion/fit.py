@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from g1stream.errors import ConfigError, MotionError, SafetyError
-from g1stream.motion.check import MotionReport, check_motion
-from g1stream.motion.dropped import dropped_joints
+from g1stream.motion.check import MotionReport, check_motion, dropped_joints
 from g1stream.motion.limits import Interval
 from g1stream.motion.trajectory import Trajectory
 

@@ -3,38 +3,68 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from functools import cached_property
 from hashlib import sha256
+from math import ceil, floor
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, Final
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import numpy as np
 
 from g1stream.errors import MotionError
-from g1stream.robot.joints import JOINT_NAMES
-from g1stream.robot.rotations import sign_continuous
+from g1stream.files import check_not_input, complete_file
+from g1stream.input_limits import NUMBER
+from g1stream.motion.blend import COAST, blend_frames
+from g1stream.motion.spline import REACH, Spline
+from g1stream.robot.joints import (
+    JOINT_GROUPS,
+    JOINT_NAMES,
+    MIRROR_SIGN,
+    MIRRORED_JOINT,
+    N_JOINTS,
+)
+from g1stream.robot.kinematics import BLOCK
+from g1stream.robot.model import G1
+from g1stream.robot.rotations import (
+    quat_from_yaw,
+    quat_mul,
+    quat_rotate,
+    sign_continuous,
+    xyzw_from_wxyz,
+    yaw_of,
+)
+from g1stream.robot.soles import Soles
 from g1stream.text import counted
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from matplotlib.figure import Figure
     from numpy.typing import ArrayLike, NDArray
 
-    from g1stream.robot.model import G1
+    from g1stream.motion.spline import TrajectoryPoint
     from g1stream.types import Floats
 
 __all__ = [
-    "LARGEST",
+    "DEFAULT_FPS",
+    "MOTION_SUFFIXES",
+    "ROOT_COLUMNS",
     "SMALLEST_QUAT",
     "Motion",
     "check_fps",
+    "height_of_floor",
     "norm_warnings",
 ]
 
-LARGEST: Final = 1e9
-"""No value of a motion is larger, rad or m, so that nothing computed from them overflows."""
+MOTION_SUFFIXES: Final = (".csv", ".npz")
+"""Of the files that `Motion.save` writes."""
+ROOT_COLUMNS: Final = ("Frame", "X", "Y", "Z", "QX", "QY", "QZ", "QW")
+"""The columns of a CSV file before those of the joints."""
+DEFAULT_FPS: Final = 30.0
+"""Frames per second of a CSV file, which does not say them, if none are given: those of LAFAN1."""
+
 SMALLEST_QUAT: Final = 1e-6
 """A quaternion whose norm is not above this counts as zero."""
 #: Quaternion norms that differ from 1 by more than this give a warning; by more than the second
@@ -43,6 +73,16 @@ _NORM_TOLERANCE: Final = 1e-3
 _NORM_ROUNDING: Final = 0.1
 #: Frames per second of a motion, lowest and highest.
 _FPS: Final = (1e-3, 1e6)
+#: A blend is no longer than this, s.
+_LONGEST_BLEND: Final = 60.0
+#: A motion that is repeated has no more frames: ten hours at 30 fps.
+_MOST_FRAMES: Final = 1_000_000
+#: A sole that is slower than this stands, m/s.
+_STANDS: Final = 0.25
+#: The reflection across the plane between left and right, of a point and of a turn: the vector part
+#: of a quaternion is a pseudovector.
+_MIRROR: Final = np.array([1.0, -1.0, 1.0])
+_MIRROR_QUAT: Final = np.array([1.0, -1.0, 1.0, -1.0])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -65,7 +105,7 @@ class Motion:
 
     Raises:
         MotionError: the shapes do not fit together, there is only one frame, a value is not finite
-            or beyond `LARGEST`, a quaternion is zero, or `fps` is not a frame rate.
+            or too large, a quaternion is zero, or `fps` is not a frame rate.
     """
 
     name: str
@@ -171,7 +211,7 @@ class Motion:
     def content_sha256(self) -> str:
         """SHA-256 of frame rate, joint angles and root poses, in hex: which motion this is.
 
-        Other than `sha256` it tells parts of a file apart, and there is one without a file.
+        Unlike `sha256`, it exists for motions without a file and differs between parts of one file.
         """
         digest = sha256(repr(self.fps).encode())
         for values in (self.joint_pos, self.root_pos, self.root_quat_wxyz):
@@ -202,6 +242,51 @@ class Motion:
             root_quat_wxyz=self.root_quat_wxyz[numbers],
         )
 
+    def samples(
+        self, rate: float, start: int, stop: int
+    ) -> Iterator[tuple[range, TrajectoryPoint]]:
+        """Sample the spline through the frames at the times i / rate, a piece at a time.
+
+        Args:
+            rate: samples per second, Hz.
+            start: the first frame of the part to sample.
+            stop: one after its last frame.
+
+        Yields:
+            Sample numbers i, in order, and the samples, a row each. A part of a motion has the
+            numbers and samples that it has in the whole.
+
+        Raises:
+            MotionError: there is no sample in this part of the motion, or the rate is not above 0.
+        """
+        if not (np.isfinite(rate) and rate > 0):
+            raise MotionError(
+                f"The motion {self.name} cannot be sampled at {rate} Hz.",
+                "Give a rate above 0, such as 100.",
+            )
+        samples_per_frame = Fraction(repr(float(rate))) / Fraction(repr(self.fps))
+        last = stop - 1
+        end = floor(last * samples_per_frame) + 1
+        if ceil(start * samples_per_frame) >= end:
+            raise MotionError(
+                f"At {rate:g} Hz there is no sample between the frames {start} and {last} of "
+                f"{self.name}.",
+                "Give a higher rate, or more frames.",
+            )
+        for first in range(start, last, BLOCK):
+            behind = min(first + BLOCK, last)
+            upper = end if behind == last else ceil(behind * samples_per_frame)
+            numbers = range(ceil(first * samples_per_frame), upper)
+            if not numbers:
+                continue
+            lowest = max(0, first - REACH)
+            part = slice(lowest, behind + REACH + 1)
+            frames = self.joint_pos[part], self.root_pos[part], self.root_quat_wxyz[part]
+            spline = Spline(self.fps, *frames)
+            times = np.arange(numbers.start, numbers.stop) / rate - lowest / self.fps
+            # Rounding must not put the last sample behind the end, where the spline rests.
+            yield numbers, spline.sample_many(np.minimum(times, spline.duration))
+
     def resample(self, fps: float) -> Motion:
         """The motion at another frame rate: the spline of `Trajectory` at the times i / fps.
 
@@ -210,9 +295,14 @@ class Motion:
         Raises:
             MotionError: `fps` is not positive, or leaves fewer than two frames.
         """
-        from g1stream.motion.operations import resampled
-
-        return resampled(self, fps)
+        points = [point for _, point in self.samples(fps, 0, self.n_frames)]
+        return self._changed(
+            f"resampled to {fps:g} fps",
+            fps=fps,
+            joint_pos=np.concatenate([point.joint_pos for point in points]),
+            root_pos=np.concatenate([point.root_pos for point in points]),
+            root_quat_wxyz=np.concatenate([point.root_quat_wxyz for point in points]),
+        )
 
     def trim(self, start: float = 0.0, end: float | None = None) -> Motion:
         """The part between two times, s, to the nearest frame; to the last frame if `end` is None.
@@ -220,19 +310,31 @@ class Motion:
         Raises:
             MotionError: these are not two frames or more of this motion.
         """
-        from g1stream.motion.operations import trimmed
-
-        return trimmed(self, start, end)
+        last = self.duration if end is None else end
+        margin = 0.5 / self.fps
+        if not (-margin < start and last < self.duration + margin and last - start > margin):
+            raise MotionError(
+                f"{self.name} has no part from {start:g} to {last:g} s; it takes "
+                f"{self.duration:.2f} s.",
+                f"Give a start and an end from 0 to {self.duration:.2f} s, two frames or more "
+                "apart.",
+            )
+        first, behind = round(start * self.fps), round(last * self.fps) + 1
+        part = self.frames(max(first, 0), min(behind, self.n_frames))
+        done = f"trimmed to {start:g} to {last:g} s"
+        return replace(part, operations=(*self.operations, done))
 
     def mirrored(self) -> Motion:
         """The mirror image across the world's x-z plane: left is right.
 
-        Which joint mirrors which, and with which sign, follows from the axes in the URDF. Bodies
-        are where the mirror image puts them, to the 0.1 mm to which the URDF is symmetric.
+        Bodies are where the mirror image puts them, to the 0.1 mm to which the URDF is symmetric.
         """
-        from g1stream.motion.operations import mirrored
-
-        return mirrored(self)
+        return self._changed(
+            "mirrored",
+            joint_pos=MIRROR_SIGN * self.joint_pos[:, MIRRORED_JOINT],
+            root_pos=_MIRROR * self.root_pos,
+            root_quat_wxyz=_MIRROR_QUAT * self.root_quat_wxyz,
+        )
 
     def at_speed(self, factor: float) -> Motion:
         """The same frames, `factor` times as many per second.
@@ -240,15 +342,20 @@ class Motion:
         Raises:
             MotionError: the factor is not positive.
         """
-        from g1stream.motion.operations import at_speed
-
-        return at_speed(self, factor)
+        if not (np.isfinite(factor) and factor > 0):
+            raise MotionError(
+                f"{self.name} cannot be played at {factor:g} times its speed.",
+                "Give a factor above 0, such as 0.5.",
+            )
+        return self._changed(f"at {factor:g} times its speed", fps=self.fps * factor)
 
     def fixed_root(self) -> Motion:
         """The motion with the pelvis where it is, and as it is turned, in the first frame."""
-        from g1stream.motion.operations import fixed_root
-
-        return fixed_root(self)
+        return self._changed(
+            "pelvis fixed as in the first frame",
+            root_pos=np.broadcast_to(self.root_pos[0], self.root_pos.shape),
+            root_quat_wxyz=np.broadcast_to(self.root_quat_wxyz[0], self.root_quat_wxyz.shape),
+        )
 
     def on_floor(self, robot: G1 | None = None) -> Motion:
         """The motion raised or lowered as a whole until the feet that stand are on the floor.
@@ -263,10 +370,17 @@ class Motion:
             MotionError: no foot stands in it.
             RobotError: the robot's soles are not known.
         """
-        from g1stream.motion.operations import on_floor
-        from g1stream.robot.model import G1
-
-        return on_floor(self, robot or G1.default())
+        height = height_of_floor(self, robot or G1.default())
+        if height is None:
+            raise MotionError(
+                f"{self.name} cannot be put on the floor: no foot stands in it.",
+                "Leave it where it is.",
+            )
+        way = "raised" if height < 0 else "lowered"
+        return self._changed(
+            f"{way} by {abs(height) * 1e3:.1f} mm, onto the floor",
+            root_pos=self.root_pos - [0.0, 0.0, height],
+        )
 
     def then(self, other: Motion, blend: float = 0.5) -> Motion:
         """The motion, a blend, and another motion.
@@ -286,9 +400,42 @@ class Motion:
         Raises:
             MotionError: the blend is negative or longer than a minute.
         """
-        from g1stream.motion.operations import joined
-
-        return joined(self, other, blend)
+        if not 0.0 <= blend <= _LONGEST_BLEND:
+            raise MotionError(
+                f"A blend of {blend:g} s is not possible.", f"Give 0 to {_LONGEST_BLEND:g} s."
+            )
+        about = f"then {other.name}"
+        about += f" ({', '.join(other.operations)})" if other.operations else ""
+        fps = max(self.fps, other.fps)
+        first, second = (one if one.fps == fps else one.resample(fps) for one in (self, other))
+        n_steps = max(1, round(blend * fps))
+        second = _continued(first, second, n_steps / fps)
+        linear, quat = [first._linear], [first.root_quat_wxyz]
+        if n_steps > 1:
+            coasting = np.full(N_JOINTS + 3, COAST)
+            coasting[N_JOINTS : N_JOINTS + 2] = n_steps / fps  # over the ground it keeps on going
+            path, turned = blend_frames(
+                (first._linear[-2:], second._linear[:2]),
+                (first.root_quat_wxyz[-2:], second.root_quat_wxyz[:2]),
+                fps,
+                n_steps,
+                coasting,
+            )
+            linear.append(path)
+            quat.append(turned)
+        rows = np.concatenate([*linear, second._linear])
+        return self._changed(
+            f"{about} after a blend of {blend:g} s",
+            name=f"{self.name}+{other.name}",
+            fps=fps,
+            joint_pos=rows[:, :N_JOINTS],
+            root_pos=rows[:, N_JOINTS:],
+            root_quat_wxyz=np.concatenate([*quat, second.root_quat_wxyz]),
+            source=None,
+            sha256=None,
+            warnings=tuple(dict.fromkeys(self.warnings + other.warnings)),
+            parts=(*(self.parts or (self,)), *(other.parts or (other,))),
+        )
 
     def looped(self, n: int, blend: float = 0.5) -> Motion:
         """The motion `n` times, one after the other as by `then`.
@@ -296,9 +443,30 @@ class Motion:
         Raises:
             MotionError: `n` is less than 1, that is too long, or the blend is not possible.
         """
-        from g1stream.motion.operations import looped
-
-        return looped(self, n, blend)
+        if n < 1 or n * (self.n_frames + blend * self.fps) > _MOST_FRAMES:
+            raise MotionError(
+                f"{self.name} cannot be repeated {n} times.",
+                f"Give a number from 1 on with which it has {_MOST_FRAMES} frames at most.",
+            )
+        if n == 1:
+            return self
+        # Each repetition is the same blend and motion again, from where the one before has led.
+        twice = self.then(self, blend)
+        blended = twice.frames(self.n_frames, twice.n_frames)
+        first, last = self.root_quat_wxyz[[0, -1]]
+        angle = yaw_of(last) - yaw_of(first)
+        led = quat_rotate(quat_from_yaw(angle), self.root_pos[0])
+        step = twice.root_pos[-self.n_frames] - led
+        turns = quat_from_yaw(angle * np.arange(n - 1))[:, np.newaxis]
+        steps = quat_rotate(turns, step)
+        pos = quat_rotate(turns, blended.root_pos) + np.cumsum(steps, axis=0) - steps
+        quat = quat_mul(turns, blended.root_quat_wxyz)
+        return self._changed(
+            f"{n} times with blends of {blend:g} s",
+            joint_pos=np.concatenate([self.joint_pos, np.tile(blended.joint_pos, (n - 1, 1))]),
+            root_pos=np.concatenate([self.root_pos, pos.reshape(-1, 3)]),
+            root_quat_wxyz=np.concatenate([self.root_quat_wxyz, quat.reshape(-1, 4)]),
+        )
 
     def plot(self, joints: Sequence[str] | None = None) -> Figure:
         """Draw joint angles over time.
@@ -313,33 +481,88 @@ class Motion:
         Raises:
             MotionError: the motion does not have one of the joints.
         """
-        from g1stream.motion.figure import draw_motion
+        from matplotlib.figure import Figure
 
-        return draw_motion(self, joints)
+        unknown = [joint for joint in joints or () if joint not in JOINT_NAMES]
+        if unknown:
+            raise MotionError(
+                f"The motion {self.name} has no joint {', '.join(unknown)}.",
+                f"Its joints are {', '.join(JOINT_NAMES)}.",
+            )
+        panels = {
+            limb.replace("_", " "): [JOINT_NAMES[i] for i in motors]
+            for limb, motors in JOINT_GROUPS.items()
+        }
+        if joints is not None:
+            panels = {"": list(joints)}
+        figure = Figure(figsize=(9.0, 1.0 + 2.4 * len(panels)), layout="constrained")
+        figure.suptitle(self.name)
+        times = np.arange(self.n_frames) / self.fps
+        axes = figure.subplots(len(panels), sharex=True, squeeze=False)[:, 0]
+        for axis, (limb, names) in zip(axes, panels.items(), strict=True):
+            for joint in names:
+                axis.plot(times, self.joint_pos[:, JOINT_NAMES.index(joint)], label=joint)
+            axis.set(title=limb, ylabel="angle (rad)")
+            axis.grid(alpha=0.3)
+            axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize="small")
+        axes[-1].set_xlabel("time (s)")
+        return figure
 
     def save(self, path: str | os.PathLike[str], *, force: bool = False) -> Path:
-        """Write a CSV, NPZ or Parquet file that `load_motion` reads back to the last bit.
+        """Write a CSV or NPZ file that `load_motion` reads back to the last bit.
 
         A CSV file has a header and 37 columns: frame number, root position (m), root quaternion
         (xyzw) and the joints (rad). It has no frame rate: give `load_motion` the `fps` of the
-        motion if it is not 30. A Parquet file (extra `export`) has the same columns, and `fps` in
-        its metadata. An NPZ file has the arrays `joint_pos`, `root_pos` and `root_quat_wxyz` of
-        this class, `joint_names` and `fps`.
+        motion if it is not 30. An NPZ file has the arrays `joint_pos`, `root_pos` and
+        `root_quat_wxyz` of this class, `joint_names` and `fps`.
 
         Args:
-            path: ends in .csv, .npz or .parquet.
+            path: ends in .csv or .npz.
             force: replace a file that exists.
 
         Raises:
             MotionError: the path has another ending.
             RecordingError: the file exists, is the one the motion came from, or cannot be written.
-            ConfigError: it is a Parquet file, and pyarrow is not installed.
         """
-        from g1stream.motion.save import save_motion
-
         path = Path(path)
-        save_motion(self, path, force=force)
+        suffix = path.suffix.lower()
+        if suffix not in MOTION_SUFFIXES:
+            raise MotionError(
+                f"A motion cannot be saved as {path.name}.",
+                f"Give a file name that ends in {', '.join(MOTION_SUFFIXES)}.",
+            )
+        check_not_input(path, self.source)
+        with complete_file(path, force=force) as temporary:
+            if suffix == ".csv":
+                temporary.write_text(self._csv(), encoding="utf-8")
+            else:
+                with temporary.open("wb") as file:
+                    np.savez_compressed(
+                        file,
+                        fps=self.fps,
+                        joint_names=np.array(self.joint_names),
+                        joint_pos=self.joint_pos,
+                        root_pos=self.root_pos,
+                        root_quat_wxyz=self.root_quat_wxyz,
+                    )
         return path
+
+    def _csv(self) -> str:
+        """The Foxglove layout, every number with all its digits."""
+        table = [self.root_pos, xyzw_from_wxyz(self.root_quat_wxyz), self.joint_pos]
+        rows = np.concatenate(table, axis=1).tolist()
+        lines = [",".join((*ROOT_COLUMNS, *self.joint_names))]
+        lines += [f"{frame}," + ",".join(map(repr, row)) for frame, row in enumerate(rows)]
+        return "\n".join(lines) + "\n"
+
+    def _changed(self, what: str, **fields: Any) -> Motion:
+        """The motion with other fields; `what` says what was done."""
+        return replace(self, operations=(*self.operations, what), **fields)
+
+    @property
+    def _linear(self) -> Floats:
+        """(T, 32) joint angles, rad, and root position, m."""
+        return np.concatenate([self.joint_pos, self.root_pos], axis=1)
 
     def _array(self, field: str, shape: tuple[int, int]) -> Floats:
         values = np.array(getattr(self, field), dtype=np.float64, order="C")
@@ -348,14 +571,30 @@ class Motion:
                 f"The motion {self.name} has {field} of shape {values.shape}.",
                 f"Give it shape {shape}, a row per frame.",
             )
-        valid = np.abs(values) <= LARGEST  # NaN is not
+        valid = np.abs(values) <= NUMBER  # NaN is not
         if not valid.all():
             frame, column = np.argwhere(~valid)[0].tolist()
             raise MotionError(
                 f"The motion {self.name} has {values[frame, column]:g} in {field}, frame {frame}.",
-                f"Give it finite numbers, at most {LARGEST:g}.",
+                f"Give it finite numbers, at most {NUMBER:g}.",
             )
         return values
+
+
+def height_of_floor(motion: Motion, robot: G1) -> float | None:
+    """How high the floor is on which the feet of a motion stand, m; None where none stands.
+
+    See `Motion.on_floor`: a foot that was retargeted slides a little.
+
+    Raises:
+        RobotError: the robot's soles are not known.
+    """
+    corners = Soles(robot).path(motion.joint_pos, motion.root_pos, motion.root_quat_wxyz)
+    speed = np.linalg.norm(np.gradient(corners, axis=0), axis=-1) * motion.fps
+    lowest = corners[..., 2].argmin(axis=1)[:, np.newaxis]
+    slow = np.take_along_axis(speed, lowest, axis=1) < _STANDS
+    heights = np.take_along_axis(corners[..., 2], lowest, axis=1)[slow]
+    return float(np.median(heights)) if heights.size else None
 
 
 def check_fps(fps: float, name: str) -> None:
@@ -397,3 +636,20 @@ def _check_joint_names(name: str, joint_names: Sequence[str]) -> None:
             f"{', '.join(wrong) or 'none'}.",
             "Name each of the joints in g1stream.JOINT_NAMES once.",
         )
+
+
+def _continued(first: Motion, second: Motion, seconds: float) -> Motion:
+    """The second motion moved and turned over the ground to where the first one leads.
+
+    Its heading is that in which the first one ends. Its place is where the pelvis gets to within
+    the time between them at the mean of its velocities on either side; where it rests on both
+    sides, that is where the first one ends.
+    """
+    turn = yaw_of(first.root_quat_wxyz[-1]) - yaw_of(second.root_quat_wxyz[0])
+    turned = quat_from_yaw(turn)
+    path = quat_rotate(turned, second.root_pos - second.root_pos[0])
+    last, before = first.root_pos[-1], first.root_pos[-2]
+    travel = (last - before + path[1] - path[0]) / 2.0 * first.fps * seconds
+    path[:, :2] += last[:2] + travel[:2]
+    path[:, 2] = second.root_pos[:, 2]
+    return replace(second, root_pos=path, root_quat_wxyz=quat_mul(turned, second.root_quat_wxyz))

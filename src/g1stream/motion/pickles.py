@@ -1,87 +1,148 @@
-"""Arrays in plain containers from pickles, without running anything or trusting a claimed size."""
+"""Arrays in plain containers from pickles and files of PyTorch; nothing in them is run.
+
+Numbers, texts, lists, tuples, dicts, arrays and tensors are read. What these are made with has
+stand-ins here, and anything else is refused by its name. numpy's own functions are not called: they
+would allocate whatever a file claims.
+"""
 
 from __future__ import annotations
 
 import io
 import pickle
 import re
-import struct
-import sys
 import zlib
 from math import prod
-from typing import TYPE_CHECKING, Any, ClassVar, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from g1stream.input_limits import PICKLE_VALUES, UNPACKED
+
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
 
     from numpy.typing import NDArray
 
-__all__ = ["LARGEST", "ArrayStandIn", "Unpickler", "is_pickle", "read_pickle"]
+__all__ = ["read_pickle", "read_torch"]
 
-LARGEST: Final = 512 * 2**20
-"""All arrays of a file together have no more bytes than this: hours of a motion."""
-#: The most numbers and texts that are not in an array, and how deep they may be in containers.
-_MOST_VALUES: Final = 5_000_000
+#: How deep arrays are in containers, and the bytes that any value in one takes.
 _DEPTH: Final = 4
-#: Characters of the texts in an array of Python objects, each as long as the longest.
-_LONGEST_TEXTS: Final = 1_000_000
-#: Calls what is on the stack.
-_REDUCE: Final[Any] = pickle._Unpickler.dispatch[pickle.REDUCE[0]]
+_VALUE: Final = UNPACKED // PICKLE_VALUES
 #: The types of numbers and texts that arrays may have; texts may be Python objects.
 _DTYPE: Final = re.compile(r"[<>|=]?([biufSU][0-9]{1,5}|O8?)")
-
-
-def is_pickle(data: bytes) -> bool:
-    """Whether content begins as that of a pickle, plain or compressed, does.
-
-    A pickle of protocol 0 or 1 looks like text; none of those who write motions use them.
-    """
-    return data[:1] == pickle.PROTO or _is_compressed(data)
+_STORAGES: Final = {
+    "DoubleStorage": "<f8",
+    "FloatStorage": "<f4",
+    "HalfStorage": "<f2",
+    "LongStorage": "<i8",
+    "IntStorage": "<i4",
+    "ShortStorage": "<i2",
+    "CharStorage": "i1",
+    "ByteStorage": "u1",
+    "BoolStorage": "?",
+}
 
 
 def read_pickle(data: bytes) -> Any:
-    """What is in a pickle, or in a file of joblib, if it is arrays in plain containers.
-
-    Numbers, texts, lists, tuples, dicts and arrays of numbers or texts are read; anything else is
-    refused by its name. numpy's own functions are not called either: they would allocate whatever
-    the file claims.
-
-    Args:
-        data: content of the file; compressed with zlib or gzip, or not.
+    """What is in a pickle or a file of joblib, plain or compressed with zlib or gzip.
 
     Raises:
         ValueError: there is something else in it, or it is damaged or larger than 512 MiB unpacked.
     """
-    if _is_compressed(data):
-        data = _decompressed(data)
-    try:
-        return Unpickler(io.BytesIO(data)).load()
-    except ValueError:
-        raise
-    except Exception as error:  # a damaged pickle raises whatever its last operation raises
-        raise ValueError(f"it is a damaged pickle: {error!r:.80}") from error
+    if data[:1] != pickle.PROTO:
+        decompressor = zlib.decompressobj(wbits=zlib.MAX_WBITS + 32)  # zlib or gzip
+        try:
+            data = decompressor.decompress(data, UNPACKED)
+        except zlib.error as error:
+            raise ValueError(f"it cannot be unpacked: {error}") from error
+        if decompressor.unconsumed_tail:
+            raise _too_large()
+    return _Unpickler(data).content()
 
 
-def _is_compressed(data: bytes) -> bool:
-    return data[:2] in (b"\x78\x01", b"\x78\x5e", b"\x78\x9c", b"\x78\xda", b"\x1f\x8b")
+def read_torch(members: Mapping[str, bytes]) -> Any:
+    """What is in a file of `torch.save`, tensors as arrays. PyTorch is not needed.
+
+    Args:
+        members: the files in its ZIP, by name: a pickle, `data.pkl`, and numbers for each storage.
+
+    Raises:
+        ValueError: as `read_pickle`.
+    """
+    name = next(name for name in members if name.endswith("/data.pkl"))
+    place = name.removesuffix("data.pkl")
+    if members.get(f"{place}byteorder", b"little") != b"little":
+        raise ValueError("its tensors are big-endian")
+    numbers = {key.removeprefix(f"{place}data/"): data for key, data in members.items()}
+    return _Unpickler(members[name], numbers).content()
 
 
-def _decompressed(data: bytes) -> bytes:
-    decompressor = zlib.decompressobj(wbits=zlib.MAX_WBITS + 32)  # zlib or gzip
-    try:
-        content = decompressor.decompress(data, LARGEST)
-    except zlib.error as error:
-        raise ValueError(f"it cannot be unpacked: {error}") from error
-    if decompressor.unconsumed_tail:
-        raise ValueError(f"it is larger than {LARGEST / 2**20:g} MiB unpacked")
-    return content
+def _too_large() -> ValueError:
+    return ValueError(f"it is larger than {UNPACKED / 2**20:g} MiB unpacked")
 
 
-class _Dtype:
-    """Stands for numpy.dtype in a pickle."""
+class _Unpickler(pickle.Unpickler):
+    """Finds the stand-ins alone.
 
+    Args:
+        data: of the pickle.
+        numbers: those of each storage of PyTorch, by its key.
+    """
+
+    def __init__(self, data: bytes, numbers: Mapping[str, bytes] | None = None) -> None:
+        self.file = io.BytesIO(data)
+        super().__init__(self.file)
+        self._numbers, self._left = numbers or {}, UNPACKED
+
+    def content(self) -> Any:
+        try:
+            return self._plain(self.load())
+        except ValueError:
+            raise
+        except Exception as error:  # a damaged pickle raises whatever its last operation raises
+            raise ValueError(f"it is a damaged pickle: {error!r:.80}") from error
+
+    def find_class(self, module: str, name: str) -> Any:
+        stand_in = _STAND_INS.get((module.replace("._core.", ".core."), name))
+        if module == "torch" and name in _STORAGES:
+            stand_in = _Storage
+        if stand_in is None:
+            raise ValueError(f"it is a pickle with a {module}.{name}, which is not read")
+        # A class of its own for each, as a pickle may set attributes of what it finds.
+        return type(name, (stand_in,), {"source": self})
+
+    def persistent_load(self, pid: Any) -> NDArray[Any]:
+        """A storage."""
+        _, kind, key, *_ = pid
+        return np.frombuffer(self._numbers[key], _STORAGES[kind.__name__])
+
+    def charge(self, size: int) -> None:
+        """Count bytes that are made: a small pickle may ask for the same ones again and again."""
+        self._left -= size
+        if self._left < 0:
+            raise _too_large()
+
+    def _plain(self, value: Any, depth: int = 0) -> Any:
+        """Arrays in the place of what stands for them, down to lists in a dict of dicts."""
+        self.charge(_VALUE)
+        if isinstance(value, _Array):
+            return value.values
+        if depth < _DEPTH and isinstance(value, dict):
+            return {str(name): self._plain(one, depth + 1) for name, one in value.items()}
+        if depth < _DEPTH and isinstance(value, (list, tuple)):
+            return [self._plain(one, depth + 1) for one in value]
+        return value if isinstance(value, (bool, int, float, str)) else None
+
+
+class _StandIn:
+    """Stands for a class or a function that a pickle names; `source` is the unpickler."""
+
+    source: _Unpickler
+
+    def __init__(self, *_: Any) -> None: ...
+
+
+class _Dtype(_StandIn):
     def __init__(self, name: str = "", *_: Any) -> None:
         if not isinstance(name, str) or not _DTYPE.fullmatch(name):
             raise ValueError(f"it has an array of the type {name!r:.40}")
@@ -92,174 +153,88 @@ class _Dtype:
             self.numpy = self.numpy.newbyteorder(state[1])
 
 
-class ArrayStandIn:
-    """Stands for an array in a pickle, until its content is known.
+class _Array(_StandIn):
+    """An array, empty until its content is known; a list where it has texts as Python objects."""
 
-    Attributes:
-        values: the array; empty until its state is set.
-    """
-
-    values: NDArray[Any] = np.empty(0)
-
-    def __init__(self, *_: Any) -> None: ...
+    values: Any = np.empty(0)
 
     def __setstate__(self, state: Any) -> None:
         _, shape, dtype, column_major, content = state
-        self.values = _shaped(content, dtype, shape, "F" if column_major else "C")
+        self._fill(content, dtype, shape, "F" if column_major else "C")
+
+    def _fill(self, content: Any, dtype: _Dtype, shape: Any, order: Any) -> None:
+        if not dtype.numpy.hasobject:
+            values = np.frombuffer(content, dtype.numpy)
+            self.values = values.reshape(tuple(shape), order="F" if order == "F" else "C")
+        elif isinstance(content, list) and all(isinstance(one, str) for one in content):
+            self.values = content
+        else:
+            raise ValueError("it has an array of Python objects")
 
 
-class _JoblibArray:
-    """Stands for an array that joblib has written behind the description of it."""
+class _ArrayOfBuffer(_Array):
+    def __init__(self, content: Any, dtype: _Dtype, shape: Any, order: Any) -> None:
+        self._fill(content, dtype, shape, order)
 
-    def __init__(self, *_: Any) -> None: ...
+
+class _JoblibArray(_Array):
+    """An array that joblib has written behind the description of it."""
 
     def __setstate__(self, state: Any) -> None:
-        self._shape, self._dtype, self._order = state["shape"], state["dtype"], state["order"]
-        self._padded = state.get("numpy_array_alignment_bytes") is not None
-
-    def read(self, file: io.BytesIO) -> NDArray[Any]:
-        if self._padded:
+        shape, dtype, file = state["shape"], state["dtype"], self.source.file
+        if state.get("numpy_array_alignment_bytes") is not None:
             file.read(file.read(1)[0])
-        size = prod(int(n) for n in self._shape) * self._dtype.numpy.itemsize
-        content = file.read(size) if size <= LARGEST else b""
-        return _shaped(content, self._dtype, self._shape, self._order)
+        content = file.read(prod(int(n) for n in shape) * dtype.numpy.itemsize)
+        self._fill(content, dtype, shape, state["order"])
 
 
-def _shaped(content: Any, dtype: _Dtype, shape: Any, order: Any) -> NDArray[Any]:
-    if dtype.numpy.hasobject:
-        if not isinstance(content, list) or not all(isinstance(one, str) for one in content):
-            raise ValueError("it has an array of Python objects")
-        if len(content) * max(map(len, content), default=0) > _LONGEST_TEXTS:
-            raise ValueError("it has an array of long texts")
-        values = np.array(content)
-    else:
-        values = np.frombuffer(content, dtype.numpy)
-    return values.reshape(tuple(shape), order="F" if order == "F" else "C")
+class _Tensor(_Array):
+    """Numbers of a storage from an offset on; strides are in numbers."""
+
+    def __init__(
+        self, storage: NDArray[Any], offset: int, shape: Any, strides: Any, *_: Any
+    ) -> None:
+        shape, strides = tuple(map(int, shape)), tuple(map(int, strides))
+        last = offset + sum((n - 1) * step for n, step in zip(shape, strides, strict=True))
+        if offset < 0 or min((*shape, *strides, 0)) < 0 or (prod(shape) and last >= len(storage)):
+            raise ValueError("it has a tensor beyond its storage")
+        if prod(shape) > max(len(storage), 1):  # steps of zero repeat numbers without end
+            raise ValueError("it has a tensor that is larger than its storage")
+        steps = [stride * storage.itemsize for stride in strides]
+        self.values = np.lib.stride_tricks.as_strided(storage[offset:], shape, steps)
 
 
-def _array_of_buffer(content: Any, dtype: _Dtype, shape: Any, order: Any) -> ArrayStandIn:
-    array = ArrayStandIn()
-    array.values = _shaped(content, dtype, shape, order)
-    return array
+class _Storage(_StandIn):
+    """The type of a storage of PyTorch."""
 
 
-def _encoded(text: str, _encoding: str) -> bytes:
+class _Scalar(_StandIn):
+    def __new__(cls, dtype: _Dtype, content: bytes) -> Any:
+        cls.source.charge(dtype.numpy.itemsize)
+        return np.frombuffer(content, dtype.numpy, count=1)[0].item()
+
+
+class _Encoded(_StandIn):
     """Bytes as protocol 2 writes them."""
-    return text.encode("latin1")
+
+    def __new__(cls, text: str, _encoding: str) -> Any:
+        cls.source.charge(len(text))
+        return text.encode("latin1")
 
 
-def _scalar(dtype: _Dtype, content: Any) -> Any:
-    return _shaped(content, dtype, (), "C").item()
+class _Dict(_StandIn):
+    def __new__(cls) -> Any:
+        return {}
 
 
-class Unpickler(pickle._Unpickler):
-    """The unpickler in Python with a choice of operations, names of ours, and joblib's arrays."""
-
-    #: Numbers, texts, bytes, containers, and what arrays are made with.
-    dispatch: ClassVar[dict[int, Any]] = {
-        operation[0]: pickle._Unpickler.dispatch[operation[0]]
-        for operation in (
-            *(pickle.PROTO, pickle.FRAME, pickle.STOP, pickle.MARK, pickle.POP),
-            *(pickle.MEMOIZE, pickle.BINPUT, pickle.LONG_BINPUT),
-            *(pickle.BINGET, pickle.LONG_BINGET),
-            *(pickle.NONE, pickle.NEWTRUE, pickle.NEWFALSE, pickle.BINFLOAT),
-            *(pickle.BININT, pickle.BININT1, pickle.BININT2, pickle.LONG1, pickle.LONG4),
-            *(pickle.SHORT_BINUNICODE, pickle.BINUNICODE, pickle.BINUNICODE8),
-            *(pickle.SHORT_BINBYTES, pickle.BINBYTES, pickle.BINBYTES8),
-            *(pickle.EMPTY_LIST, pickle.APPEND, pickle.APPENDS),
-            *(pickle.EMPTY_DICT, pickle.SETITEM, pickle.SETITEMS),
-            *(pickle.EMPTY_TUPLE, pickle.TUPLE),
-            *(pickle.TUPLE1, pickle.TUPLE2, pickle.TUPLE3),
-            *(pickle.GLOBAL, pickle.STACK_GLOBAL, pickle.REDUCE, pickle.NEWOBJ),
-        )
-    }
-    stack: list[Any]
-    read: Callable[[int], bytes]
-    append: Callable[[Any], None]
-
-    known: ClassVar[Mapping[tuple[str, str], Callable[..., Any]]] = {
-        ("numpy", "ndarray"): ArrayStandIn,
-        ("numpy", "dtype"): _Dtype,
-        ("joblib.numpy_pickle", "NumpyArrayWrapper"): _JoblibArray,
-        ("collections", "OrderedDict"): dict,
-        ("_codecs", "encode"): _encoded,
-        **{
-            (f"numpy.{core}.{module}", name): stand_in
-            for core in ("core", "_core")
-            for module, name, stand_in in (
-                ("multiarray", "_reconstruct", ArrayStandIn),
-                ("multiarray", "scalar", _scalar),
-                ("numeric", "_frombuffer", _array_of_buffer),
-            )
-        },
-    }
-
-    def __init__(self, file: io.BytesIO) -> None:
-        super().__init__(file)
-        self._file = file
-        self._left = LARGEST
-
-    def find_class(self, module: str, name: str) -> Any:
-        known = self.known.get((module, name))
-        if known is None:
-            raise ValueError(f"it is a pickle with a {module}.{name}, which is not read")
-        return known
-
-    def load(self) -> Any:
-        return _Plain().of(super().load())
-
-    def _count(self, made: Any) -> None:
-        """Count the memory of what a call has made: it may copy what is in the file only once."""
-        if not isinstance(made, ArrayStandIn):
-            self._left -= sys.getsizeof(made)
-        elif made.values.dtype.kind == "U":  # arrays of numbers are views
-            self._left -= made.values.nbytes
-        if self._left < 0:
-            raise ValueError(f"it is larger than {LARGEST / 2**20:g} MiB unpacked")
-
-    def _reduce(self) -> None:
-        _REDUCE(self)
-        self._count(self.stack[-1])
-
-    dispatch[pickle.REDUCE[0]] = _reduce
-
-    def _bytearray(self) -> None:
-        # The standard one allocates the claimed size before it reads.
-        (size,) = struct.unpack("<Q", self.read(8))
-        self.append(self.read(size))
-
-    dispatch[pickle.BYTEARRAY8[0]] = _bytearray
-
-    def _build(self) -> None:
-        stand_in = self.stack[-2]
-        if not isinstance(stand_in, (ArrayStandIn, _Dtype, _JoblibArray)):
-            raise ValueError(f"it is a pickle that changes a {type(stand_in).__name__}")
-        stand_in.__setstate__(self.stack.pop())
-        self._count(stand_in)
-        if isinstance(stand_in, _JoblibArray):
-            array = self.stack[-1] = ArrayStandIn()
-            array.values = stand_in.read(self._file)
-
-    dispatch[pickle.BUILD[0]] = _build
-
-
-class _Plain:
-    """Puts arrays in the place of what stands for them, down to lists in a dict of dicts.
-
-    References to one list count each time, so that no small file becomes a large one.
-    """
-
-    def __init__(self) -> None:
-        self._left = _MOST_VALUES
-
-    def of(self, value: Any, depth: int = 0) -> Any:
-        self._left -= 1
-        if self._left < 0:
-            raise ValueError(f"it is a pickle of more than {_MOST_VALUES:,} single values")
-        if isinstance(value, ArrayStandIn):
-            return value.values
-        if depth < _DEPTH and isinstance(value, dict):
-            return {str(name): self.of(one, depth + 1) for name, one in value.items()}
-        if depth < _DEPTH and isinstance(value, (list, tuple)):
-            return [self.of(one, depth + 1) for one in value]
-        return value if isinstance(value, (bool, int, float, str)) else None
+_STAND_INS: Final[Mapping[tuple[str, str], type[_StandIn]]] = {
+    ("numpy", "ndarray"): _Array,
+    ("numpy", "dtype"): _Dtype,
+    ("numpy.core.multiarray", "_reconstruct"): _Array,
+    ("numpy.core.multiarray", "scalar"): _Scalar,
+    ("numpy.core.numeric", "_frombuffer"): _ArrayOfBuffer,
+    ("joblib.numpy_pickle", "NumpyArrayWrapper"): _JoblibArray,
+    ("collections", "OrderedDict"): _Dict,
+    ("_codecs", "encode"): _Encoded,
+    ("torch._utils", "_rebuild_tensor_v2"): _Tensor,
+}

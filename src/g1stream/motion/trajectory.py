@@ -1,92 +1,23 @@
-"""A motion as a smooth function of time, and a motion at another frame rate.
-
-Joints and root position are natural cubic splines through the frames; the root's orientation is
-scipy's `RotationSpline`, whose rotation vector from each frame to the next is a cubic in time.
-Position, velocity and acceleration are continuous (C2).
-
-Natural boundary conditions: of all curves through the frames this one has the least curvature, and
-it starts and ends without acceleration. Its end velocities are those of the first and last frames,
-neither extrapolated (not-a-knot) nor forced to zero (clamped): a motion that starts at rest stays
-at rest, and a clip cut out of a movement starts with the velocity of that movement.
-
-All coefficients are in one array, so that a sample is one small matrix product.
-"""
+"""A motion as a smooth function of time."""
 
 from __future__ import annotations
 
 from copy import copy
-from fractions import Fraction
-from functools import reduce
-from math import ceil, factorial, floor
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING
 
-import numpy as np
-
-from g1stream.errors import MotionError
-from g1stream.motion.blend import seam_frames
-from g1stream.robot.joints import N_JOINTS
-from g1stream.robot.kinematics import BLOCK
-from g1stream.robot.rotations import xyzw_from_wxyz
+from g1stream.motion.spline import Spline
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from numpy.typing import ArrayLike, NDArray
-
     from g1stream.motion.motion import Motion
-    from g1stream.types import Floats
 
-__all__ = ["Trajectory", "TrajectoryPoint", "resample"]
-
-#: Frames on either side that a part of a spline is fitted through as well: the influence of a frame
-#: falls by a factor of 3.7 per frame, and beyond 32 nothing is left of it in float64.
-_REACH: Final = 32
-
-# The exponential map of rotations and its derivatives need functions such as (1 - cos a) / a**2.
-# As power series in a**2 they have no special case at 0; the angle between two frames is at most
-# half a turn, or a little more within, for which 15 terms are exact in float64.
-_TERMS: Final = range(15)
-_VERSINE: Final = tuple((-1) ** k / factorial(2 * k + 2) for k in _TERMS)  # (1 - cos a) / a**2
-_SINE_GAP: Final = tuple((-1) ** k / factorial(2 * k + 3) for k in _TERMS)  # (a - sin a) / a**3
-_VERSINE_RATE: Final = tuple(k * c for k, c in enumerate(_VERSINE))[1:]  # its d / d(a**2)
-_SINE_GAP_RATE: Final = tuple(k * c for k, c in enumerate(_SINE_GAP))[1:]
-_HALF_COS: Final = tuple((-0.25) ** k / factorial(2 * k) for k in _TERMS)  # cos(a / 2)
-_HALF_SINC: Final = tuple((-0.25) ** k / factorial(2 * k + 1) / 2 for k in _TERMS)  # sin(a/2) / a
+__all__ = ["Trajectory"]
 
 
-class TrajectoryPoint(NamedTuple):
-    """The reference at one time, or at N times: then every array has N rows.
-
-    Attributes:
-        joint_pos: (J,) rad, in the order of the motion's joint names.
-        joint_vel: (J,) rad/s.
-        joint_acc: (J,) rad/s^2.
-        root_pos: (3,) pelvis in the world frame, m.
-        root_lin_vel: (3,) in the world frame, m/s.
-        root_lin_acc: (3,) in the world frame, m/s^2, without gravity.
-        root_quat_wxyz: (4,) pelvis in the world frame, unit. Its sign is continuous, except where a
-            loop starts again that has turned the root once around.
-        root_ang_vel: (3,) in the pelvis frame (as a gyroscope measures it), rad/s.
-        root_ang_acc: (3,) time derivative of `root_ang_vel`, in the pelvis frame, rad/s^2.
-    """
-
-    joint_pos: Floats
-    joint_vel: Floats
-    joint_acc: Floats
-    root_pos: Floats
-    root_lin_vel: Floats
-    root_lin_acc: Floats
-    root_quat_wxyz: Floats
-    root_ang_vel: Floats
-    root_ang_acc: Floats
-
-
-class Trajectory:
+class Trajectory(Spline):
     """A motion that can be sampled at any time, in seconds from frame 0.
 
-    Before the first frame and after the last it rests: the position of that frame, no velocity, no
-    acceleration. With `loop` it repeats without end: after the last frame a seam (see
-    `blend.seam_frames`) leads back to frame 0, also C2.
+    Before the first frame and after the last it rests. With `loop` it repeats without end: a seam
+    leads from the last frame back to frame 0.
 
     Args:
         motion: the frames to go through.
@@ -94,30 +25,14 @@ class Trajectory:
 
     Attributes:
         motion: as given.
-        loop: as given.
         duration: s, from frame 0 to the last frame.
-        period: s, from frame 0 to the next frame 0 of a loop: `duration` and the seam; without a
-            loop the same as `duration`.
+        period: s, from frame 0 to the next frame 0 of a loop.
     """
 
     def __init__(self, motion: Motion, *, loop: bool = False) -> None:
+        frames = motion.joint_pos, motion.root_pos, motion.root_quat_wxyz
+        super().__init__(motion.fps, *frames, loop=loop)
         self.motion = motion
-        self.loop = loop
-        self.duration = motion.duration
-        linear = np.hstack([motion.joint_pos, motion.root_pos])
-        quat = np.asarray(motion.root_quat_wxyz)
-        n_wrap = 0
-        if loop:
-            n_wrap = _REACH
-            linear, quat = seam_frames(linear, quat, motion.fps)
-            around = np.arange(-n_wrap, len(linear) + n_wrap + 1) % len(linear)
-            linear, quat = linear[around], quat[around]
-        coefficients = _in_parts(_fit, motion.fps, linear, quat)
-        own = slice(n_wrap, len(coefficients) - n_wrap)
-        self._coefficients = np.ascontiguousarray(coefficients[own])
-        self._quats = np.ascontiguousarray(quat[:-1][own])
-        self._n_segments = len(self._coefficients)
-        self.period = self._n_segments / motion.fps
 
     def moved(self, motion: Motion) -> Trajectory:
         """That of a motion that differs in joints and root positions only; it does not repeat."""
@@ -125,231 +40,5 @@ class Trajectory:
             return Trajectory(motion)
         other = copy(self)
         other.motion = motion
-        linear = np.hstack([motion.joint_pos, motion.root_pos])
-        fitted = _in_parts(_fit_linear, motion.fps, linear)
-        other._coefficients = np.concatenate([fitted, self._coefficients[..., -3:]], axis=-1)
+        other._refit(motion.joint_pos, motion.root_pos)
         return other
-
-    def sample(self, t: float) -> TrajectoryPoint:
-        """The reference at time `t`, s. Takes some 20 us, for use in a control loop."""
-        inside = t >= 0 if self.loop else 0 <= t <= self.period
-        t = t % self.period if self.loop and inside else min(max(t, 0.0), self.period)
-        k = min(int(t * self.motion.fps), self._n_segments - 1)
-        s = t - k / self.motion.fps
-        moving = 1.0 if inside else 0.0
-        basis = np.array(
-            (
-                (s * s * s, s * s, s, 1.0),
-                (3.0 * s * s * moving, 2.0 * s * moving, moving, 0.0),
-                (6.0 * s * moving, 2.0 * moving, 0.0, 0.0),
-            )
-        )
-        value = basis @ self._coefficients[k]
-        rotation = _rotation_state(self._quats[k].tolist(), *value[:, -3:].tolist())
-        return self._point(value, *map(np.array, rotation))
-
-    def sample_many(self, times: ArrayLike) -> TrajectoryPoint:
-        """The reference at times (N,), s: each array of the result has a row per time."""
-        inside, k, s = self._segments(times)
-        basis = np.zeros((len(s), 3, 4))
-        basis[:, 0] = np.stack([s * s * s, s * s, s, np.ones_like(s)], axis=-1)
-        basis[:, 1, :3] = np.stack([3.0 * s * s, 2.0 * s, np.ones_like(s)], axis=-1)
-        basis[:, 2, :2] = np.stack([6.0 * s, np.full_like(s, 2.0)], axis=-1)
-        basis[~inside, 1:] = 0.0
-        value = np.moveaxis(basis @ self._coefficients[k], 0, 1)
-        rotation = _rotation_state(self._quats[k].T, *np.moveaxis(value[..., -3:], -1, 1))
-        return self._point(value, *(np.stack(part, axis=-1) for part in rotation))
-
-    def sample_joints(self, times: ArrayLike) -> tuple[Floats, Floats]:
-        """Joint positions, rad, and velocities, rad/s, at times (N,), s: (N, 29) each.
-
-        Those of `sample_many` in half the time.
-        """
-        inside, k, s = self._segments(times)
-        basis = np.zeros((len(s), 2, 4))
-        basis[:, 0, 0], basis[:, 0, 1], basis[:, 0, 2], basis[:, 0, 3] = s * s * s, s * s, s, 1.0
-        basis[:, 1, 0], basis[:, 1, 1], basis[:, 1, 2] = 3.0 * s * s, 2.0 * s, 1.0
-        basis[~inside, 1] = 0.0
-        value = basis @ self._coefficients[k, :, :N_JOINTS]
-        return value[:, 0], value[:, 1]
-
-    def segments_at(self, times: ArrayLike) -> NDArray[np.intp]:
-        """Of times (N,), s, the segment of the spline, from one frame to the next."""
-        return self._segments(times)[1]
-
-    def joint_bounds(self) -> Iterator[tuple[Floats, Floats, Floats]]:
-        """What joints keep within segments of the spline, in order, `BLOCK` of them at a time.
-
-        A cubic is in the convex hull of its control points as a Bézier curve, and so is its
-        velocity. The spline may be further within.
-
-        Yields:
-            Lowest and highest positions, rad, and highest speeds, rad/s, (N, 29) each.
-        """
-        h = 1.0 / self.motion.fps
-        for first in range(0, self._n_segments, BLOCK):
-            of_joints = self._coefficients[first : first + BLOCK, :, :N_JOINTS]
-            cubic, square, slope, start = of_joints.transpose(1, 0, 2)
-            rise, bend = h / 3.0 * slope, h * h / 3.0 * square
-            end = start + 3.0 * (rise + bend) + h**3 * cubic
-            points = start, start + rise, start + 2.0 * rise + bend, end
-            faster = slope + h * square
-            speeds = slope, faster, faster + h * (square + 3.0 * h * cubic)
-            yield (
-                reduce(np.minimum, points),
-                reduce(np.maximum, points),
-                reduce(np.maximum, map(np.abs, speeds)),
-            )
-
-    def _segments(self, times: ArrayLike) -> tuple[NDArray[np.bool_], NDArray[np.intp], Floats]:
-        """Of times (N,): whether the trajectory moves then, the segment, and s since it began."""
-        t = np.asarray(times, dtype=np.float64)
-        inside = t >= 0 if self.loop else (t >= 0) & (t <= self.period)
-        t = np.where(inside & self.loop, t % self.period, np.clip(t, 0.0, self.period))
-        k = np.minimum((t * self.motion.fps).astype(np.intp), self._n_segments - 1)
-        return inside, k, t - k / self.motion.fps
-
-    def _point(self, value: Floats, *rotation: Floats) -> TrajectoryPoint:
-        joints, root = value[..., :N_JOINTS], value[..., N_JOINTS:-3]
-        # By index, because unpacking an array takes 1 us more, of every tick.
-        return TrajectoryPoint(
-            joints[0], joints[1], joints[2], root[0], root[1], root[2], *rotation
-        )
-
-
-def resample(
-    motion: Motion, rate: float, start: int, stop: int
-) -> Iterator[tuple[range, TrajectoryPoint]]:
-    """Sample the spline through a motion's frames at the times i / rate, a piece at a time.
-
-    Args:
-        motion: what to sample; frame k is at the time k / fps.
-        rate: samples per second, Hz.
-        start: the first frame of the part to sample.
-        stop: one after its last frame.
-
-    Yields:
-        Sample numbers i, in order, and the samples, a row each. A part of a motion has the numbers
-        and samples that it has in the whole.
-
-    Raises:
-        MotionError: there is no sample in this part of the motion, or the rate is not above 0.
-    """
-    if not (np.isfinite(rate) and rate > 0):
-        raise MotionError(
-            f"The motion {motion.name} cannot be sampled at {rate} Hz.",
-            "Give a rate above 0, such as 100.",
-        )
-    samples_per_frame = Fraction(repr(float(rate))) / Fraction(repr(float(motion.fps)))
-    last = stop - 1
-    end = floor(last * samples_per_frame) + 1
-    if ceil(start * samples_per_frame) >= end:
-        raise MotionError(
-            f"At {rate:g} Hz there is no sample between the frames {start} and {last} of "
-            f"{motion.name}.",
-            "Give a higher rate, or more frames.",
-        )
-    for first in range(start, last, BLOCK):
-        behind = min(first + BLOCK, last)
-        upper = end if behind == last else ceil(behind * samples_per_frame)
-        numbers = range(ceil(first * samples_per_frame), upper)
-        if not numbers:
-            continue
-        lowest = max(0, first - _REACH)
-        trajectory = Trajectory(motion.frames(lowest, min(motion.n_frames, behind + _REACH + 1)))
-        times = np.arange(numbers.start, numbers.stop) / rate - lowest / motion.fps
-        # Rounding must not put the last sample behind the end, where the trajectory rests.
-        yield numbers, trajectory.sample_many(np.minimum(times, trajectory.duration))
-
-
-def _in_parts(fit: Callable[..., Floats], fps: float, *frames: Floats) -> Floats:
-    """Cubics between frames, coefficients (T - 1, 4, D), the highest power first.
-
-    Args:
-        fit: makes these of some frames, (4, T - 1, D); many at once are too large for the caches
-            of a processor.
-        fps: frames per second.
-        frames: arrays (T, ...) that `fit` is called with.
-    """
-    parts = []
-    for first in range(0, len(frames[0]) - 1, BLOCK):
-        lowest = max(0, first - _REACH)
-        fitted = fit(fps, *(values[lowest : first + BLOCK + _REACH + 1] for values in frames))
-        parts.append(np.moveaxis(fitted, 0, 1)[first - lowest :][:BLOCK])
-    return np.concatenate(parts)
-
-
-def _fit(fps: float, linear: Floats, quat: Floats) -> Floats:
-    """Cubics between frames: linear (T, D), quat wxyz (T, 4) -> coefficients (4, T - 1, D + 3).
-
-    The last three columns are the rotation vector from the first frame of the segment, in the axes
-    of that frame.
-    """
-    from scipy.spatial.transform import Rotation, RotationSpline
-
-    times = np.arange(len(linear)) / fps
-    rotations = Rotation.from_quat(xyzw_from_wxyz(quat))
-    rotation_vectors = RotationSpline(times, rotations).interpolator.c
-    return np.concatenate([_fit_linear(fps, linear), rotation_vectors], axis=-1)
-
-
-def _fit_linear(fps: float, linear: Floats) -> Floats:
-    """The natural cubics through (T, D): coefficients (4, T - 1, D)."""
-    from scipy.interpolate import CubicSpline
-
-    powers_first: Floats = CubicSpline(np.arange(len(linear)) / fps, linear, bc_type="natural").c
-    return powers_first
-
-
-def _rotation_state(base: Any, r: Any, rate: Any, accel: Any) -> tuple[Any, Any, Any]:
-    """Orientation base * exp(r), and its angular velocity and acceleration in its own axes.
-
-    Each argument is a sequence of components, floats or arrays (N,): base as a quaternion wxyz, the
-    rotation vector r and its first two time derivatives. With x for the cross product,
-    A = (1 - cos a) / a^2 and B = (a - sin a) / a^3 of a = |r|, the angular velocity is
-    r' - A r x r' + B r x (r x r') (the right Jacobian of SO(3), as in Sola et al., "A micro Lie
-    theory", eq. 143); the acceleration is its time derivative.
-    """
-    angle2 = _dot(r, r)
-    a, b = _series(_VERSINE, angle2), _series(_SINE_GAP, angle2)
-    growth = 2.0 * _dot(r, rate)
-    a_dot, b_dot = growth * _series(_VERSINE_RATE, angle2), growth * _series(_SINE_GAP_RATE, angle2)
-    c1 = _cross(r, rate)
-    c2 = _cross(r, c1)
-    d1 = _cross(r, accel)
-    d2 = _cross(r, d1)
-    e2 = _cross(rate, c1)
-    ang_vel = tuple(rate[i] - a * c1[i] + b * c2[i] for i in range(3))
-    ang_acc = tuple(
-        accel[i] - a * d1[i] + b * d2[i] - a_dot * c1[i] + b_dot * c2[i] + b * e2[i]
-        for i in range(3)
-    )
-    w, half = _series(_HALF_COS, angle2), _series(_HALF_SINC, angle2)
-    x, y, z = half * r[0], half * r[1], half * r[2]
-    bw, bx, by, bz = base
-    quat = (
-        bw * w - bx * x - by * y - bz * z,
-        bw * x + bx * w + by * z - bz * y,
-        bw * y - bx * z + by * w + bz * x,
-        bw * z + bx * y - by * x + bz * w,
-    )
-    return quat, ang_vel, ang_acc
-
-
-def _series(coefficients: tuple[float, ...], x: Any) -> Any:
-    total = coefficients[-1]
-    for coefficient in coefficients[-2::-1]:
-        total = total * x + coefficient
-    return total
-
-
-def _dot(u: Any, v: Any) -> Any:
-    return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
-
-
-def _cross(u: Any, v: Any) -> tuple[Any, Any, Any]:
-    return (
-        u[1] * v[2] - u[2] * v[1],
-        u[2] * v[0] - u[0] * v[2],
-        u[0] * v[1] - u[1] * v[0],
-    )

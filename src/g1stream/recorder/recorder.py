@@ -14,28 +14,32 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from g1stream.dds.domain import GUARD_PROGRAM, support_announced
-from g1stream.dds.messages import ARM_SDK, LOWCMD, LOWSTATE, TOPICS
+from g1stream.dds.messages import ARM_SDK, LOG, LOWCMD, LOWSTATE, TOPICS, Log
 from g1stream.errors import RecordingError
 from g1stream.events import severity
 from g1stream.realtime import quick_thread_switches
-from g1stream.recorder.clocks import DelayEstimator, StepDetector, read_clocks
-from g1stream.recorder.losses import Losses, dropped_datagrams
+from g1stream.recorder.diagnostics import (
+    DelayEstimator,
+    Losses,
+    StepDetector,
+    dropped_datagrams,
+    read_clocks,
+)
 from g1stream.recorder.receiver import Receiver
-from g1stream.session.recorder_summary import ClockStep, RecorderSummary, TopicDelay
+from g1stream.session.format import CHANNEL_OF, MessageBatch, encode_log
+from g1stream.session.records import ClockStep, RecorderSummary, TopicDelay
 from g1stream.text import counted
-from g1stream.view.encoders import encode_log
-from g1stream.view.pipeline import CHANNEL_OF
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator, Mapping
 
     from g1stream.dds.domain import Participant
     from g1stream.dds.messages import Batch
-    from g1stream.recorder.clocks import ClockReading
+    from g1stream.recorder.diagnostics import ClockReading
     from g1stream.session.writer import SessionWriter
     from g1stream.view.pipeline import MessagePipeline
 
-__all__ = ["Recorder"]
+__all__ = ["Recorder", "raw_messages"]
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -47,6 +51,25 @@ _DROPS_PERIOD: Final = 1.0
 _SINGLE: Final = frozenset({LOWSTATE.name, LOWCMD.name, ARM_SDK.name})
 #: How long to go on after the end, for samples still in transit, s.
 _LINGER: Final = 0.3
+
+
+def raw_messages(batches: Mapping[str, Batch]) -> Iterator[MessageBatch]:
+    """What every recording has of wire samples: they themselves, byte for byte, and the log lines.
+
+    Args:
+        batches: by DDS topic name, each oldest first and not empty.
+    """
+    log = Log()
+    for name, batch in batches.items():
+        times = np.array(batch.log_times), np.array(batch.publish_times)
+        if name in CHANNEL_OF:
+            yield MessageBatch(CHANNEL_OF[name], batch.data, *times)
+        elif name == LOG.name:
+            lines = []
+            for data, published in zip(batch.data, batch.publish_times, strict=True):
+                log.load(data)
+                lines.append(encode_log(published, int(log.level), log.name, log.text))
+            yield MessageBatch("/log", lines, *times)
 
 
 class Publishers(NamedTuple):
@@ -63,7 +86,7 @@ class Publishers(NamedTuple):
     support: str | None
 
     @classmethod
-    def of(cls, participant: Participant, topic: str) -> Publishers:
+    def from_participant(cls, participant: Participant, topic: str) -> Publishers:
         """The present publishers of a DDS topic."""
         writers = participant.writers(topic)
         hosts = {writer.host for writer in writers if writer.host}
@@ -85,7 +108,7 @@ class Recorder:
     Args:
         participant: in the domain.
         writer: the session file.
-        pipeline: makes the file's messages.
+        pipeline: makes what viewers show of the samples.
         batch: how often samples are written, s.
         clocks: reads this machine's clocks.
     """
@@ -114,6 +137,7 @@ class Recorder:
         self._late_hosts: set[tuple[str, ...]] = set()
         self._by_recency: dict[str, list[int]] = defaultdict(list)  # writers, the newest last
         self._drops_due = 0.0
+        self._aligned = False
         self.report = RecorderSummary()
 
     def matched(self) -> dict[str, int]:
@@ -176,11 +200,9 @@ class Recorder:
                 self._losses.add(name, batch)
                 self._check_publishers(name, batch)
                 self._check_delay(name, batch)
-        aligned = self._pipeline.base.yaw_offset is not None
-        for messages in self._pipeline.encode(batches):
+        for messages in (*raw_messages(batches), *self._pipeline.encode(batches)):
             self._writer.write_batch(*messages)
-        if not aligned and self._pipeline.base.yaw_offset is not None:
-            self._note_alignment()
+        self._check_alignment()
         self._check_losses()
         self._check_clock()
         self._write_events()
@@ -200,7 +222,7 @@ class Recorder:
         delay.observe(np.array(batch.log_times), np.array(batch.publish_times))
         if name in self._publishers or not delay.seconds:
             return
-        self._publishers[name] = Publishers.of(self._participant, name)
+        self._publishers[name] = Publishers.from_participant(self._participant, name)
         median, hosts = delay.median() or 0, tuple(self._publishers[name].hosts)
         told = hosts and hosts in self._late_hosts  # its other topics are as late
         if abs(median) > _MAX_DELAY_NS and not told:
@@ -226,7 +248,7 @@ class Recorder:
                 again = True
             writers.append(writer)
         # A guard damps the robot beside a stream that has not ended yet.
-        names = Publishers.of(self._participant, name).names if again else []
+        names = Publishers.from_participant(self._participant, name).names if again else []
         names = [one for one in names if not one.startswith(GUARD_PROGRAM)]
         if len(names) > 1:
             self.report.publishers[CHANNEL_OF[name]] = names
@@ -255,8 +277,11 @@ class Recorder:
                 step / 1e9,
             )
 
-    def _note_alignment(self) -> None:
+    def _check_alignment(self) -> None:
         base = self._pipeline.base
+        if base is None or base.yaw_offset is None or self._aligned:
+            return
+        self._aligned = True
         self._writer.add_metadata({"measured_tf": base.summary().model_dump()})
         _LOGGER.info(
             "the measured yaw is aligned with the reference by %+.3f rad; position from %s",
@@ -270,7 +295,7 @@ class Recorder:
         expected = [topic for name, topic in CHANNEL_OF.items() if name != ARM_SDK.name]
         report.absent = [topic for topic in expected if topic not in report.counts]
         for name in self._delays.keys() - self._publishers.keys():
-            self._publishers[name] = Publishers.of(self._participant, name)
+            self._publishers[name] = Publishers.from_participant(self._participant, name)
         self._losses.finish()
         self._update_losses()
         report.lost = {
@@ -282,7 +307,8 @@ class Recorder:
         if self._steps.first is not None:
             report.realtime_minus_monotonic_ns = (self._steps.first, self._steps.last)
         report.clock_steps = [ClockStep(at_ns=at, step_ns=step) for at, step in self._steps.steps]
-        report.measured_tf = self._pipeline.base.summary()
+        base = self._pipeline.base
+        report.measured_tf = base.summary() if base else None
         report.path = str(self._writer.path)
         report.paths = [str(path) for path in self._writer.paths]
         for name, delay in self._delays.items():

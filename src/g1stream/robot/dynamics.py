@@ -1,4 +1,4 @@
-"""Inverse dynamics: the joint torques of a movement, for each way to hold the robot.
+"""The robot's MuJoCo model, and its inverse dynamics for each way to hold the robot.
 
 A robot whose base floats obeys, with a = (base's acceleration, joints' acceleration),
 
@@ -21,14 +21,15 @@ constant velocity. docs/tracking.md has the derivation.
 
 from __future__ import annotations
 
+from copy import deepcopy
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from xml.etree import ElementTree as ET
 
 import numpy as np
 
 from g1stream.errors import RobotError
-from g1stream.robot.joints import DAMPING, FRICTION, JOINT_NAMES, N_JOINTS
-from g1stream.robot.mujoco_spec import mujoco_spec
+from g1stream.robot.joints import ARMATURE, DAMPING, FRICTION, JOINT_NAMES, N_JOINTS
 from g1stream.robot.rotations import quat_rotate, quat_rotate_inverse
 from g1stream.robot.urdf import KEPT_ROBOTS
 from g1stream.types import Floats
@@ -47,6 +48,7 @@ __all__ = [
     "Solution",
     "compiled_dynamics",
     "friction_torque",
+    "mujoco_spec",
 ]
 
 _BASE: Final = 6
@@ -252,6 +254,55 @@ class InverseDynamics:
             force = self.mass * self._up
         carried: Floats = force @ self._jacobian
         return carried
+
+
+def mujoco_spec(robot: G1, *, floating: bool, shapes: bool) -> Any:
+    """A `mujoco.MjSpec` of the robot's URDF, with the motors' inertia and dry friction.
+
+    Every link is a body with the link's name, and the base is the first body of the world. Meshes
+    are left out; the joints of fingers are fixed at zero.
+
+    The caller sets the motors' viscous damping in `dof_damping` of the compiled model: in a spec it
+    is a number in MuJoCo 3 and a polynomial in 4, in the model an array in both.
+
+    Args:
+        robot: has the URDF.
+        floating: give the base a free joint; otherwise it is part of the world.
+        shapes: keep the primitive shapes, each with a name.
+
+    Raises:
+        ValueError: MuJoCo does not accept the URDF.
+    """
+    import mujoco
+
+    spec = mujoco.MjSpec.from_string(_simplified(robot, shapes))
+    if floating:
+        spec.worldbody.first_body().add_freejoint()
+    for motor in np.flatnonzero(robot.present):
+        joint = spec.joint(JOINT_NAMES[motor])
+        joint.armature = ARMATURE[motor]
+        joint.frictionloss = FRICTION[motor]
+        joint.actfrclimited = False  # the URDF's effort; the motors have limits of their own
+    return spec
+
+
+@lru_cache(maxsize=KEPT_ROBOTS)
+def _simplified(robot: G1, shapes: bool) -> str:
+    """The URDF without meshes, finger joints and, unless wanted, shapes."""
+    root = deepcopy(robot.xml)
+    for settings in root.findall("mujoco"):
+        root.remove(settings)
+    settings = ET.SubElement(root, "mujoco")
+    ET.SubElement(settings, "compiler", discardvisual="false", fusestatic="false")
+    for link in root.iter("link"):
+        for number, shape in enumerate([*link.iterfind("visual"), *link.iterfind("collision")]):
+            if not shapes or shape.find("geometry/mesh") is not None:
+                link.remove(shape)
+            shape.set("name", f"{link.get('name')}_{number}")
+    for joint in root.iter("joint"):
+        if joint.get("name") in robot.ignored_joints:
+            joint.set("type", "fixed")
+    return ET.tostring(root, encoding="unicode")
 
 
 @lru_cache(maxsize=KEPT_ROBOTS)

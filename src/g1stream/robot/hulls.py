@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from g1stream.robot.dynamics import mujoco_spec
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import REVISIONS
-from g1stream.robot.mujoco_spec import mujoco_spec
 from g1stream.robot.urdf import KEPT_ROBOTS
 
 if TYPE_CHECKING:

@@ -6,13 +6,11 @@ fewer joints keep the order, and leave out motors: `JOINT_SETS`.
 
 from __future__ import annotations
 
-import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from difflib import get_close_matches
 from fnmatch import fnmatchcase
-from importlib import resources
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
 
@@ -37,6 +35,8 @@ __all__ = [
     "JOINT_NAMES",
     "JOINT_SETS",
     "LEGS",
+    "MIRRORED_JOINT",
+    "MIRROR_SIGN",
     "N_JOINTS",
     "TORQUE_LIMIT",
     "JointSet",
@@ -81,6 +81,21 @@ JOINT_GROUPS: Final[Mapping[str, tuple[int, ...]]] = MappingProxyType(
 
 LEGS: Final = len(JOINT_GROUPS["left_leg"]) + len(JOINT_GROUPS["right_leg"])
 """The joints of the legs come first."""
+
+_OTHER_SIDE: Final = {"left": "right", "right": "left"}
+MIRRORED_JOINT: Final = np.array(
+    [
+        JOINT_NAMES.index(f"{_OTHER_SIDE.get(side, side)}_{joint}")
+        for side, _, joint in (name.partition("_") for name in JOINT_NAMES)
+    ]
+)
+"""(29,) the joint on the other side, or the same one in the middle."""
+
+MIRROR_SIGN: Final = np.array(
+    [-1.0 if "_roll_" in name or "_yaw_" in name else 1.0 for name in JOINT_NAMES]
+)
+"""(29,) a mirrored pose has the angles `MIRROR_SIGN * joint_pos[..., MIRRORED_JOINT]`: an axis is a
+pseudovector, so that turns about x and z change their sign and those about y do not."""
 
 
 def matching_joints(pattern: str, where: str) -> list[int]:
@@ -129,15 +144,11 @@ class JointSet:
         mode_machine: what its LowState says.
         absent: motor indices of the joints that it does not have. On the wire their motors have
             mode 0, and everything else 0.
-        figures: where its links differ from those of the 29-joint G1: origins of joints (m, as in a
-            URDF), inertials of links (kg, m, and xx xy xz yy yz zz in kg m^2), and links without a
-            mass, which a moving one gets as a gram.
     """
 
     name: str
     mode_machine: int
     absent: tuple[int, ...]
-    figures: Mapping[str, Any] = field(default_factory=dict, compare=False, repr=False)
 
     @property
     def present(self) -> NDArray[np.bool_]:
@@ -158,18 +169,23 @@ class JointSet:
         """The kind of G1 whose LowState has this mode_machine; None where there is none."""
         return next((one for one in JOINT_SETS if one.mode_machine == mode_machine), None)
 
-    @classmethod
-    def _read(cls) -> tuple[JointSet, ...]:
-        text = resources.files(__package__).joinpath("joint_sets.json").read_text(encoding="utf-8")
-        found = []
-        for one in json.loads(text):
-            joints = {j for pattern in one["absent"] for j in matching_joints(pattern, one["name"])}
-            figures = {key: one[key] for key in ("origins", "inertials", "massless") if key in one}
-            found.append(cls(one["name"], one["mode_machine"], tuple(sorted(joints)), figures))
-        return tuple(found)
+
+def _absent(*patterns: str) -> tuple[int, ...]:
+    return tuple(sorted(j for one in patterns for j in matching_joints(one, "JOINT_SETS")))
 
 
-JOINT_SETS: Final = JointSet._read()
+JOINT_SETS: Final = (
+    JointSet("g1_29dof_rev_1_0", 5, ()),
+    JointSet(
+        "g1_23dof",
+        4,
+        _absent(
+            *("waist_roll_joint", "waist_pitch_joint", "*_wrist_pitch_joint", "*_wrist_yaw_joint")
+        ),
+    ),
+    JointSet("g1_29dof_lock_waist", 6, _absent("waist_roll_joint", "waist_pitch_joint")),
+    JointSet("g1_dual_arm", 9, _absent("legs", "waist")),
+)
 """The kinds of G1, that with all 29 joints first."""
 
 

@@ -5,24 +5,21 @@ Arrays have 29 joints, in motor order, whichever of them a robot has: `G1.presen
 
 from __future__ import annotations
 
-from copy import deepcopy
 from dataclasses import dataclass, fields, replace
 from difflib import get_close_matches
 from functools import cache, cached_property
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
-from xml.etree import ElementTree
+from typing import TYPE_CHECKING, ClassVar, Final
 
 import numpy as np
 
 from g1stream.errors import ConfigError, RobotError
 from g1stream.files import read_file
 from g1stream.robot.joints import JOINT_NAMES, JOINT_SETS, TORQUE_LIMIT, JointSet, select_joints
-from g1stream.robot.urdf import parse_urdf, read_kinematics
+from g1stream.robot.urdf import parse_urdf, read_urdf
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
     from xml.etree.ElementTree import Element
 
     from numpy.typing import NDArray
@@ -34,13 +31,10 @@ __all__ = ["DEFAULT_URDF", "G1", "REVISIONS", "VARIANTS"]
 REVISIONS: Final = ("g1_29dof_rev_1_0", "g1_29dof")
 """The robots in this package, the default one first; unitree_mujoco simulates the other one."""
 
-VARIANTS: Final = {one.name: one for one in JOINT_SETS if one.absent}
+VARIANTS: Final = tuple(one.name for one in JOINT_SETS if one.absent)
 """G1s with fewer joints, by name: the default one with the absent joints fixed at 0."""
 
 DEFAULT_URDF = resources.files(__package__) / f"{REVISIONS[0]}.urdf"
-
-#: A link that has no mass of its own; MuJoCo wants some of every link that moves.
-_MASSLESS: Final = {"mass": 1e-3, "origin": (0, 0, 0), "inertia": (1e-7, 0, 0, 1e-7, 0, 1e-7)}
 
 #: Limits in URDFs are rounded, rad, rad/s, N·m.
 _ROUNDING: Final = 1e-3
@@ -83,7 +77,6 @@ class G1:
     origin_pos: Floats
     origin_quat_wxyz: Floats
     axis: Floats
-    joint_names: tuple[str, ...]
     lower: Floats
     upper: Floats
     velocity: Floats
@@ -91,6 +84,7 @@ class G1:
     ignored_joints: tuple[str, ...]
     joint_set: JointSet = JOINT_SETS[0]
     capped: tuple[str, ...] = ()
+    joint_names: ClassVar = JOINT_NAMES
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -147,28 +141,9 @@ class G1:
 
     @classmethod
     @cache
-    def _revision(cls, name: str) -> G1:
+    def _builtin(cls, name: str) -> G1:
         urdf = resources.files(__package__) / f"{name}.urdf"
         return cls.from_urdf(urdf.read_text(encoding="utf-8"), name)
-
-    @classmethod
-    @cache
-    def _variant(cls, name: str) -> G1:
-        root, kind = deepcopy(cls.default().xml), VARIANTS[name]
-        root.set("name", name)
-        origins = kind.figures.get("origins", {})
-        for joint in root.findall("joint"):
-            joint_name = joint.get("name", "")
-            if joint_name in {JOINT_NAMES[i] for i in kind.absent}:
-                joint.set("type", "fixed")
-            if joint_name in origins and (origin := joint.find("origin")) is not None:
-                origin.set("xyz", origins[joint_name])
-        inertials = dict.fromkeys(kind.figures.get("massless", ()), _MASSLESS)
-        inertials |= kind.figures.get("inertials", {})
-        for link in root.findall("link"):
-            if figures := inertials.get(link.get("name", "")):
-                _set_inertial(link, figures)
-        return cls.from_urdf(ElementTree.tostring(root, encoding="unicode"), name)
 
     @classmethod
     def load(cls, path: str | Path | None = None, *, own_limits: bool = False) -> G1:
@@ -187,10 +162,8 @@ class G1:
         """
         if path is None:
             return cls.default()
-        if str(path) in REVISIONS and not Path(path).exists():
-            return cls._revision(str(path))
-        if str(path) in VARIANTS and not Path(path).exists():
-            return cls._variant(str(path))
+        if str(path) in (*REVISIONS, *VARIANTS) and not Path(path).exists():
+            return cls._builtin(str(path))
         try:
             urdf = read_file(Path(path)).decode("utf-8")
         except OSError as error:
@@ -207,7 +180,7 @@ class G1:
         return robot if own_limits else robot._within_builtin()
 
     def _within_builtin(self) -> G1:
-        builtin = [self._revision(name) for name in REVISIONS]
+        builtin = [self._builtin(name) for name in REVISIONS]
         limits = {
             "lower": np.maximum(self.lower, np.min([robot.lower for robot in builtin], axis=0)),
             "upper": np.minimum(self.upper, np.max([robot.upper for robot in builtin], axis=0)),
@@ -230,8 +203,7 @@ class G1:
         Raises:
             RobotError: it does not describe a G1.
         """
-        kinematics = read_kinematics(parse_urdf(urdf, source), source)
-        return cls(source=source, urdf=urdf, **kinematics)
+        return cls(source, urdf, **read_urdf(urdf, source))
 
     @property
     def xml(self) -> Element:
@@ -266,16 +238,3 @@ class G1:
         for link, parent in enumerate(self.parent[1:], start=1):
             depth[link] = depth[parent] + 1
         return tuple(np.flatnonzero(depth == level) for level in range(1, int(depth.max()) + 1))
-
-
-def _set_inertial(link: Element, figures: Mapping[str, Any]) -> None:
-    """Give a link of a URDF these figures, see `JointSet.figures`."""
-    for old in link.findall("inertial"):
-        link.remove(old)
-    inertial = ElementTree.SubElement(link, "inertial")
-    xyz = " ".join(map(str, figures["origin"]))
-    ElementTree.SubElement(inertial, "origin", xyz=xyz, rpy="0 0 0")
-    ElementTree.SubElement(inertial, "mass", value=str(figures["mass"]))
-    names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-    values = dict(zip(names, map(str, figures["inertia"]), strict=True))
-    ElementTree.SubElement(inertial, "inertia", values)

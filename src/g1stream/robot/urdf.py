@@ -1,31 +1,46 @@
-"""Reads the kinematics of a G1 from a URDF, or says why that is not possible.
+"""Reads a URDF, or says why it is not that of a G1.
 
-A URDF has two readers. This one parses the XML once with ElementTree; the shapes (visuals.py) and
-the text for MuJoCo (mujoco_spec.py) are made from the same elements. The other is MuJoCo, which
-reads masses and inertias, in programs that simulate or compute torques.
-
-yourdfpy, which takes a second to import and does not check what it reads, is the independent reader
-that the tests compare this one with. MuJoCo alone is slow to import, and fails on missing meshes.
+yourdfpy reads the elements; it checks little, so that the numbers are checked before, and after it
+what makes a G1: one tree of links, 29 motors by name, unit axes and limits. What it has read of the
+URDFs in this package is in robots.jsonl, by the SHA-256 of their text, as importing it takes 0.6 s.
+MuJoCo reads the same text in programs that simulate or compute torques, with its masses.
 """
 
 from __future__ import annotations
 
+import io
+import json
 from copy import deepcopy
 from functools import lru_cache
+from hashlib import sha256
+from importlib import resources
 from typing import TYPE_CHECKING, Any, Final
 from xml.etree import ElementTree as ET
 
 import numpy as np
 
 from g1stream.errors import RobotError
+from g1stream.input_limits import NUMBER, URDF_LINKS
 from g1stream.robot.joints import JOINT_NAMES, JOINT_SETS, N_JOINTS, JointSet
-from g1stream.robot.rotations import quat_from_rpy
+from g1stream.robot.rotations import wxyz_from_xyzw
 from g1stream.text import counted
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
-__all__ = ["KEPT_ROBOTS", "numbers", "parse_urdf", "read_kinematics", "with_prefixed_links"]
+    from g1stream.types import Floats
+
+__all__ = [
+    "KEPT_ROBOTS",
+    "check_numbers",
+    "known_robot",
+    "parse_urdf",
+    "parse_with_yourdfpy",
+    "poses_of",
+    "read_kinematics",
+    "read_urdf",
+    "with_prefixed_links",
+]
 
 KEPT_ROBOTS: Final = 8
 """What is made from a URDF is kept for so many: each session brings one, and a process may read
@@ -35,20 +50,12 @@ _LIMITS: Final = ("lower", "upper", "velocity", "effort")
 #: Of joints that a robot does not have: rad, rad/s and N·m that nothing passes.
 _NO_LIMITS: Final = (-1e3, 1e3, 1e3, 1e3)
 _AXIS_TOLERANCE: Final = 1e-3  # more than rounding to four digits
-#: Of a URDF; a G1 with hands has some 60 links, and no figure of it is near the second.
-_MOST_LINKS: Final = 1000
-_LARGEST: Final = 1e6
-
-
-class _DocumentTypeError(ValueError):
-    """A document type declaration, which may define entities."""
-
-
-class _TreeBuilder(ET.TreeBuilder):
-    """Refuses entities: nested ones fill the memory, external ones name other files."""
-
-    def doctype(self, name: str, pubid: str | None, system: str | None) -> None:
-        raise _DocumentTypeError
+#: How many numbers an attribute has.
+_COUNTS: Final = {
+    **dict.fromkeys(("xyz", "rpy", "size", "scale"), 3),
+    **dict.fromkeys((*_LIMITS, "radius", "length"), 1),
+    "rgba": 4,
+}
 
 
 @lru_cache(maxsize=KEPT_ROBOTS)
@@ -58,13 +65,13 @@ def parse_urdf(text: str, source: str) -> ET.Element:
     Raises:
         RobotError: it is not XML, or not a URDF.
     """
-    try:
-        root: ET.Element = ET.fromstring(text, ET.XMLParser(target=_TreeBuilder()))
-    except _DocumentTypeError as error:
+    if "<!DOCTYPE" in text:  # nested entities fill the memory, external ones name other files
         raise RobotError(
             f"{source} has a document type declaration (<!DOCTYPE).",
             "Remove it: a URDF needs none, and the entities it may define are not supported.",
-        ) from error
+        )
+    try:
+        root = ET.fromstring(text)
     except ET.ParseError as error:
         line, column = error.position
         raise RobotError(
@@ -96,26 +103,92 @@ def with_prefixed_links(root: ET.Element, prefix: str) -> str:
     return ET.tostring(root, encoding="unicode")
 
 
-def numbers(
-    element: ET.Element | None, key: str, count: int, where: str, default: str = ""
-) -> list[float]:
-    """The numbers in an attribute of an element, or those of `default` where it is missing.
+@lru_cache(maxsize=KEPT_ROBOTS)
+def known_robot(text: str) -> dict[str, Any] | None:
+    """What tools/make_robot_urdf.py has read of a URDF in this package; None of another one.
+
+    It has the fields of `read_kinematics`, as JSON values, and under `visuals` those of each
+    `Visual`.
+    """
+    lines = resources.files(__package__).joinpath("robots.jsonl").read_text(encoding="utf-8")
+    start = f'{{"sha256":"{sha256(text.encode()).hexdigest()}"'
+    line = next((one for one in lines.splitlines() if one.startswith(start)), "null")
+    known: dict[str, Any] | None = json.loads(line)
+    return known
+
+
+def read_urdf(text: str, source: str) -> dict[str, Any]:
+    """The fields of `G1` from `name` on; see `read_kinematics`."""
+    known = known_robot(text)
+    if known is None:
+        return read_kinematics(parse_urdf(text, source), source)
+    others = {
+        "name": known["name"],
+        "link_names": tuple(known["link_names"]),
+        "ignored_joints": tuple(known["ignored_joints"]),
+        "joint_set": next(one for one in JOINT_SETS if one.name == known["joint_set"]),
+    }
+    numbers = known.keys() - others.keys() - {"sha256", "visuals"}
+    return {key: np.array(known[key]) for key in numbers} | others
+
+
+def check_numbers(element: ET.Element, where: str) -> None:
+    """Check the numbers in the attributes of an element and of all below it.
+
+    Args:
+        element: of a URDF.
+        where: it is, for the error.
 
     Raises:
-        RobotError: they are not `count` numbers of a sane size; says where.
+        RobotError: some are not as many numbers of a sane size as the attribute has.
     """
-    text = default if element is None else element.get(key, default)
+    for part in element.iter():
+        for key, text in part.items():
+            count = _COUNTS.get(key, 0)
+            try:
+                numbers = [float(word) for word in text.split()] if count else []
+            except ValueError:
+                numbers = []
+            if len(numbers) != count or not all(abs(number) <= NUMBER for number in numbers):
+                raise RobotError(
+                    f"{where} has {key}={text!r:.80} in its <{part.tag}>.",
+                    f"Give {count} finite number{'s' * (count > 1)}, at most {NUMBER:g}.",
+                )
+
+
+def parse_with_yourdfpy(elements: Iterable[ET.Element], name: str, source: str) -> Any:
+    """The `yourdfpy.Robot` of some elements of a URDF.
+
+    Args:
+        elements: links, joints and materials, whose numbers are checked.
+        name: of the robot.
+        source: name of the URDF for errors.
+
+    Raises:
+        RobotError: it cannot read them.
+    """
+    import yourdfpy
+
+    root = ET.Element("robot", name=name)
+    root.extend(elements)
+    file = io.BytesIO(ET.tostring(root))
     try:
-        values = [float(word) for word in text.split()]
-    except ValueError:
-        values = []
-    if len(values) != count or not all(abs(value) <= _LARGEST for value in values):
-        tag = "" if element is None else f" in its <{element.tag}>"
+        return yourdfpy.URDF.load(file, build_scene_graph=False, load_meshes=False).robot
+    except Exception as error:  # what a missing attribute makes, or lxml
         raise RobotError(
-            f"{where} has {key}={text!r:.80}{tag}.",
-            f"Give {count} finite number{'s' * (count > 1)}, at most {_LARGEST:g}.",
-        )
-    return values
+            f"{source} cannot be read as a URDF: {error!r:.100}.", "Correct the URDF."
+        ) from error
+
+
+def poses_of(origins: Iterable[Any]) -> tuple[Floats, Floats]:
+    """Positions (N, 3) and quaternions wxyz (N, 4), w not negative, of yourdfpy's origins."""
+    from scipy.spatial.transform import Rotation
+
+    matrices = np.array([np.eye(4) if one is None else one for one in origins]).reshape(-1, 4, 4)
+    if not len(matrices):
+        return np.zeros((0, 3)), np.zeros((0, 4))
+    quat = wxyz_from_xyzw(Rotation.from_matrix(matrices[:, :3, :3]).as_quat())
+    return matrices[:, :3, 3].copy(), np.where(quat[:, :1] < 0, -quat, quat)
 
 
 def read_kinematics(root: ET.Element, source: str) -> dict[str, Any]:
@@ -128,95 +201,103 @@ def read_kinematics(root: ET.Element, source: str) -> dict[str, Any]:
     Raises:
         RobotError: the links are not one tree, or the joints are not a G1's.
     """
-    joints = {joint.get("name", ""): joint for joint in root.findall("joint")}
+    robot = parse_with_yourdfpy(_skeleton(root, source), root.get("name", ""), source)
+    joints = {joint.name: joint for joint in robot.joints}
     joint_set = _joint_set(joints, source)
-    present = {JOINT_NAMES[i] for i in range(N_JOINTS) if i not in joint_set.absent}
-    link_names, joint_above = _sort_links(root, source)
+    present = {JOINT_NAMES[i] for i in np.flatnonzero(joint_set.present)}
+    link_names, joint_above = _sort_links([link.name for link in robot.links], robot.joints, source)
+    above = [joint_above[name] for name in link_names[1:]]
     n_links = len(link_names)
     parent, joint_of_link = np.full(n_links, -1), np.full(n_links, -1)
-    xyz, rpy, axis = np.zeros((3, n_links, 3))
-    for link, link_name in enumerate(link_names[1:], start=1):
-        joint = joint_above[link_name]
-        name = joint.get("name", "")
-        where = f"{source}: the joint {name!r}"
-        parent[link] = link_names.index(_end(joint, "parent"))
-        xyz[link] = numbers(joint.find("origin"), "xyz", 3, where, "0 0 0")
-        rpy[link] = numbers(joint.find("origin"), "rpy", 3, where, "0 0 0")
-        if name in present:
-            joint_of_link[link] = JOINT_NAMES.index(name)
-            axis[link] = _unit_axis(joint, where)
+    axis = np.zeros((n_links, 3))
+    for link, joint in enumerate(above, start=1):
+        parent[link] = link_names.index(joint.parent)
+        if joint.name in present:
+            joint_of_link[link] = JOINT_NAMES.index(joint.name)
+            axis[link] = _unit_axis(joint, source)
+    pos, quat = poses_of([None, *(joint.origin for joint in above)])
     limits = [
-        _limits(joints[name], f"{source}: the joint {name!r}") if name in present else _NO_LIMITS
-        for name in JOINT_NAMES
+        _limits(joints[name], source) if name in present else _NO_LIMITS for name in JOINT_NAMES
     ]
     lower, upper, velocity, effort = np.transpose(limits).copy()
     return {
-        "name": root.get("name", ""),
+        "name": robot.name,
         "link_names": link_names,
         "parent": parent,
         "joint_of_link": joint_of_link,
-        "origin_pos": xyz.copy(),
-        "origin_quat_wxyz": quat_from_rpy(rpy),
-        "axis": axis.copy(),
-        "joint_names": JOINT_NAMES,
+        "origin_pos": pos,
+        "origin_quat_wxyz": quat,
+        "axis": axis,
         "lower": lower,
         "upper": upper,
         "velocity": velocity,
         "effort": effort,
         "ignored_joints": tuple(
-            name
-            for name, joint in joints.items()
-            if joint.get("type") != "fixed" and name not in JOINT_NAMES
+            joint.name
+            for joint in robot.joints
+            if joint.type != "fixed" and joint.name not in JOINT_NAMES
         ),
         "joint_set": joint_set,
     }
 
 
-def _joint_set(joints: Mapping[str, ET.Element], source: str) -> JointSet:
+def _skeleton(root: ET.Element, source: str) -> list[ET.Element]:
+    """The links without their content, and the joints with what is read of them."""
+    links, joints = root.findall("link"), root.findall("joint")
+    if max(len(links), len(joints)) > URDF_LINKS:
+        raise RobotError(
+            f"{source} has {counted(len(links), 'link')} and {counted(len(joints), 'joint')}.",
+            f"Give the URDF of one robot, with {URDF_LINKS} of each at most.",
+        )
+    elements = [ET.Element("link", name=link.get("name", "")) for link in links]
+    for joint in joints:
+        name, kind = joint.get("name", ""), joint.get("type", "")
+        kept = ET.Element("joint", name=name, type=kind)
+        for tag in ("parent", "child"):
+            end = joint.find(tag)
+            ET.SubElement(kept, tag, link="" if end is None else end.get("link", ""))
+        tags = ("origin", "axis", "limit") if name in JOINT_NAMES else ("origin",)
+        kept.extend(part for part in map(joint.find, tags) if part is not None)
+        check_numbers(kept, f"{source}: the joint {name!r}")
+        elements.append(kept)
+    return elements
+
+
+def _joint_set(joints: Mapping[str, Any], source: str) -> JointSet:
     """The kind of G1 that has the joints that turn; all others stay where they are at zero."""
-    types = {name: joint.get("type") for name, joint in joints.items()}
-    missing = [name for name in JOINT_NAMES if types.get(name) != "revolute"]
+    missing = [
+        name for name in JOINT_NAMES if name not in joints or joints[name].type != "revolute"
+    ]
     absent = tuple(map(JOINT_NAMES.index, missing))
     found = next((one for one in JOINT_SETS if one.absent == absent), None)
     if found is None:
         raise RobotError(
-            f"{source} lacks {len(missing)} of the G1's {len(JOINT_NAMES)} revolute joints: "
+            f"{source} lacks {len(missing)} of the G1's {N_JOINTS} revolute joints: "
             f"{', '.join(missing)}.",
             "Use the URDF of a G1 with 29 joints, such as g1_29dof_rev_1_0.urdf, or of "
             f"{', '.join(one.name for one in JOINT_SETS if one.absent)} with exactly its joints.",
         )
-    for name, kind in types.items():
-        if kind in ("floating", "planar"):
+    for name, joint in joints.items():
+        if joint.type in ("floating", "planar"):
             raise RobotError(
-                f"{source}: the joint {name!r} is {kind}.",
+                f"{source}: the joint {name!r} is {joint.type}.",
                 "Remove it and the link above it: the root link moves freely without it.",
             )
     return found
 
 
-def _end(joint: ET.Element, tag: str) -> str:
-    """The parent or child link of a joint."""
-    end = joint.find(tag)
-    return "" if end is None else end.get("link", "")
-
-
-def _sort_links(root: ET.Element, source: str) -> tuple[tuple[str, ...], dict[str, ET.Element]]:
+def _sort_links(
+    links: list[str], joints: list[Any], source: str
+) -> tuple[tuple[str, ...], dict[str, Any]]:
     """The links, depth first in the file's order, and the joint above each but the root."""
-    links = [link.get("name", "") for link in root.findall("link")]
-    joints = root.findall("joint")
-    if max(len(links), len(joints)) > _MOST_LINKS:
-        raise RobotError(
-            f"{source} has {counted(len(links), 'link')} and {counted(len(joints), 'joint')}.",
-            f"Give the URDF of one robot, with {_MOST_LINKS} of each at most.",
-        )
-    joint_above = {_end(joint, "child"): joint for joint in joints}
+    joint_above = {joint.child: joint for joint in joints}
     ordered: list[str] = []
     waiting = [link for link in links if link not in joint_above][:1]
     while waiting and len(ordered) <= len(links):
         ordered.append(waiting.pop())
-        below = [_end(joint, "child") for joint in joints if _end(joint, "parent") == ordered[-1]]
+        below = [joint.child for joint in joints if joint.parent == ordered[-1]]
         waiting.extend(reversed(below))
-    named = {*links, *joint_above, *(_end(joint, "parent") for joint in joints)}
+    named = {*links, *joint_above, *(joint.parent for joint in joints)}
     wrong = [one for one in sorted(named) if not ordered.count(one) == links.count(one) == 1]
     if wrong:
         raise RobotError(
@@ -226,24 +307,30 @@ def _sort_links(root: ET.Element, source: str) -> tuple[tuple[str, ...], dict[st
     return tuple(ordered), joint_above
 
 
-def _unit_axis(joint: ET.Element, where: str) -> Any:
-    axis = np.array(numbers(joint.find("axis"), "xyz", 3, where, "1 0 0"))
-    length = float(np.linalg.norm(axis))
+def _unit_axis(joint: Any, source: str) -> Floats:
+    length = float(np.linalg.norm(joint.axis))
     if abs(length - 1) > _AXIS_TOLERANCE:
         raise RobotError(
-            f"{where} has the axis {axis}, not a unit vector.", "Scale it to length 1."
+            f"{source}: the joint {joint.name!r} has the axis {joint.axis}, not a unit vector.",
+            "Scale it to length 1.",
         )
-    return axis / length
+    axis: Floats = joint.axis / length
+    return axis
 
 
-def _limits(joint: ET.Element, where: str) -> list[float]:
-    lower, upper, velocity, effort = limits = [
-        numbers(joint.find("limit"), key, 1, where)[0] for key in _LIMITS
-    ]
+def _limits(joint: Any, source: str) -> list[float]:
+    where = f"{source}: the joint {joint.name!r}"
+    limits: dict[str, Any] = {key: getattr(joint.limit, key, None) for key in _LIMITS}
+    if missing := [key for key, value in limits.items() if value is None]:
+        raise RobotError(
+            f"{where} has no limit {', '.join(missing)}.",
+            f"Give it a <limit> with {', '.join(_LIMITS)}.",
+        )
+    lower, upper, velocity, effort = values = list(limits.values())
     if lower >= upper or velocity <= 0 or effort <= 0:
         raise RobotError(
             f"{where} cannot move: lower {lower}, upper {upper}, velocity {velocity}, "
             f"effort {effort}.",
             "Make lower less than upper, velocity and effort positive.",
         )
-    return limits
+    return values

@@ -3,46 +3,43 @@
 The library's readers need the index at the end of the file, or make an object for each message.
 This one needs neither: it skips from record to record to find the chunks, stops at the first record
 that is not whole, and decompresses only the chunks that have messages of a wanted topic.
+
+The layout is that of the MCAP specification, https://mcap.dev/spec.
 """
 
 from __future__ import annotations
 
 import os
 import stat
+import struct
 from collections import Counter, deque
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Final, TypeVar
+from typing import IO, TYPE_CHECKING, Any, Final, NamedTuple, TypeVar, overload
 
+import fastcrc
+import numpy as np
+import zstandard
+from lz4.frame import LZ4FrameDecompressor
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema, Statistics
 
 from g1stream.errors import RecordingError
+from g1stream.input_limits import LATEST_NS, SESSION_RATIO, UNPACKED
 from g1stream.session.format import METADATA_NAME, metadata_from_strings
-from g1stream.session.mcap_chunks import Chunk, message_offsets, messages_of
-from g1stream.session.mcap_records import (
-    LARGEST_RECORD,
-    MAGIC,
-    Record,
-    content_of,
-    content_size,
-    decompressed,
-    read_at,
-    records_in,
-    records_of,
-    stream_of,
-)
-from g1stream.session.source import Messages
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
     from concurrent.futures import Future
 
+    from numpy.typing import NDArray
 
-__all__ = ["RECOVER", "McapFile"]
+__all__ = ["RECOVER", "McapFile", "Messages", "Slices"]
 
 RECOVER: Final = "Recover the rest with a tool such as `pymcap-cli recover`."
 """The remedy for a damaged file."""
@@ -54,12 +51,284 @@ _MOST_THREADS: Final = 4
 #: Chunks are decompressed some at a time, of together this many bytes at least.
 _GROUP: Final = 2**18
 
-# Far above what g1stream writes, as LARGEST_RECORD; samples compress to a fifth of their size.
-#: Bytes of all attachments together.
-_LARGEST_ATTACHMENTS: Final = 256 * 2**20
-#: The content of all chunks: bytes in any case, and for each byte of the file.
-_LARGEST_CONTENT: Final = 256 * 2**20
-_LARGEST_RATIO: Final = 100
+
+MAGIC: Final = b"\x89MCAP0\r\n"
+"""The first and the last bytes of a file."""
+
+RECORD_HEAD: Final = struct.Struct("<BQ")
+"""Opcode and length of a record; the length counts the bytes that follow."""
+
+#: Of a chunk record: its times, size and checksum of the records in it, and how long the name of
+#: their compression is; behind the name are the length of the compressed data and the data.
+_CHUNK: Final = struct.Struct("<QQQII")
+_LENGTH: Final = struct.Struct("<Q")
+
+
+class Messages(NamedTuple):
+    """Messages of one topic, in the order in which they were written.
+
+    Attributes:
+        log_times: (N,) int64, when each was received, ns since the epoch.
+        publish_times: (N,) int64, when each was published, ns since the epoch.
+        data: the N messages, in the encoding of their channel.
+    """
+
+    log_times: NDArray[np.int64]
+    publish_times: NDArray[np.int64]
+    data: Sequence[bytes]
+
+
+class Slices(Sequence[bytes]):
+    """Messages as slices of the chunk that they are in, made when they are asked for.
+
+    Args:
+        chunk: decompressed.
+        starts, ends: (N,) where in it each message is.
+    """
+
+    def __init__(
+        self, chunk: bytes | memoryview, starts: NDArray[np.int64], ends: NDArray[np.int64]
+    ) -> None:
+        self._chunk, self._starts, self._ends = chunk, starts, ends
+
+    def __len__(self) -> int:
+        return len(self._starts)
+
+    @overload
+    def __getitem__(self, index: int) -> bytes: ...
+    @overload
+    def __getitem__(self, index: slice) -> Slices: ...
+    def __getitem__(self, index: int | slice) -> bytes | Slices:
+        if isinstance(index, slice):
+            return Slices(self._chunk, self._starts[index], self._ends[index])
+        return bytes(self._chunk[self._starts[index] : self._ends[index]])
+
+    def __iter__(self) -> Iterator[bytes]:
+        bounds = zip(self._starts.tolist(), self._ends.tolist(), strict=True)
+        return (bytes(self._chunk[start:end]) for start, end in bounds)
+
+    def rows(self) -> NDArray[np.uint8] | None:
+        """(N, size) a view of messages of one size at even distances; None where they are not."""
+        sizes = self._ends - self._starts
+        step = int(self._starts[1] - self._starts[0]) if len(self) > 1 else len(self._chunk)
+        even = (np.diff(self._starts) == step).all() and (sizes == sizes[:1]).all()
+        if not len(self) or not even or step < sizes[0]:
+            return None
+        found: NDArray[np.uint8] = np.ndarray(
+            (len(self), int(sizes[0])), np.uint8, self._chunk, int(self._starts[0]), (step, 1)
+        )
+        return found
+
+
+class RecordSpan(NamedTuple):
+    """Where the content of a record is, in bytes from the start of the file or chunk."""
+
+    opcode: int
+    start: int
+    length: int
+
+
+def records_of(file: IO[bytes]) -> Iterator[RecordSpan]:
+    """The whole records of a file, up to its footer or to where it was cut."""
+    size = file.seek(0, 2)
+    start = len(MAGIC)
+    while start + RECORD_HEAD.size <= size:
+        opcode, length = RECORD_HEAD.unpack(read_at(file, start, RECORD_HEAD.size))
+        start += RECORD_HEAD.size
+        # A power cut may leave a tail of zeros, and there is no record of that kind.
+        if not opcode or start + length > size:
+            return
+        yield RecordSpan(opcode, start, length)
+        if opcode == Opcode.FOOTER:
+            return
+        start += length
+
+
+def records_in(data: bytes | memoryview) -> Iterator[RecordSpan]:
+    """The records in a decompressed chunk."""
+    start = 0
+    while start < len(data):
+        opcode, length = RECORD_HEAD.unpack_from(data, start)
+        start += RECORD_HEAD.size
+        if not opcode or start + length > len(data):
+            raise ValueError("a chunk has something else than whole records")
+        yield RecordSpan(opcode, start, length)
+        start += length
+
+
+def read_at(file: IO[bytes], start: int, size: int) -> bytes:
+    """Some bytes of a file, past its buffer, which would be refilled at each skip."""
+    return os.pread(file.fileno(), size, start)
+
+
+def content_of(file: IO[bytes], record: RecordSpan) -> bytes:
+    """The bytes of a record.
+
+    Raises:
+        ValueError: they are too many.
+    """
+    if record.length > UNPACKED:
+        raise ValueError("the record is too large")
+    file.seek(record.start)
+    return file.read(record.length)
+
+
+def stream_of(file: IO[bytes], record: RecordSpan) -> ReadDataStream:
+    """The bytes of a record, as the classes of `mcap.records` read them."""
+    return ReadDataStream(BytesIO(content_of(file, record)))
+
+
+def content_size(file: IO[bytes], chunk: RecordSpan) -> int:
+    """Bytes of the records in a chunk, as it says."""
+    return int(_CHUNK.unpack(read_at(file, chunk.start, _CHUNK.size))[2])
+
+
+def decompressed(content: bytes | memoryview) -> bytes:
+    """The records in a chunk, from the content of its own record."""
+    _, _, size, crc, name_length = _CHUNK.unpack_from(content)
+    compression = bytes(content[_CHUNK.size :][:name_length])
+    data = content[_CHUNK.size + name_length :]
+    (data_length,) = _LENGTH.unpack_from(data)
+    data = data[_LENGTH.size :][:data_length]
+    if size > UNPACKED:
+        raise ValueError("the chunk is too large")
+    # Neither decompressor may make more than the chunk says: a frame has a size of its own.
+    if compression == b"zstd":
+        if zstandard.frame_content_size(data) not in (size, -1):
+            raise ValueError("a chunk has another size than it says")
+        records = zstandard.decompress(data, max_output_size=size)
+    elif compression == b"lz4":
+        records = LZ4FrameDecompressor().decompress(data, max_length=size)
+    elif not compression:
+        records = bytes(data)
+    else:
+        raise ValueError("the compression of a chunk is not known")
+    if len(records) != size:
+        raise ValueError("a chunk has another size than it says")
+    # zlib's crc32, which the library uses, takes half as long as the decompression.
+    if crc and fastcrc.crc32.iso_hdlc(records) != crc:
+        raise ValueError("the checksum of a chunk does not match")
+    return records
+
+
+#: Of a MessageIndex record: the channel, and how many bytes of entries follow.
+_INDEX: Final = struct.Struct("<HI")
+_INDEX_ENTRY: Final = np.dtype([("log_time", "<i8"), ("offset", "<i8")])
+#: A Message record without its data.
+_MESSAGE: Final = np.dtype(
+    [
+        ("opcode", "u1"),
+        ("length", "<i8"),
+        ("channel", "<u2"),
+        ("sequence", "<u4"),
+        ("log_time", "<i8"),
+        ("publish_time", "<i8"),
+    ]
+)
+
+
+@dataclass
+class Chunk:
+    """A chunk and the MessageIndex records behind it; without an index it has to be searched.
+
+    Attributes:
+        record: the chunk.
+        index: by channel, where the entries of its index are and how many.
+    """
+
+    record: RecordSpan
+    index: dict[int, tuple[int, int]] = field(default_factory=dict)
+
+    def add_index(self, file: IO[bytes], record: RecordSpan) -> None:
+        channel, size = _INDEX.unpack(read_at(file, record.start, _INDEX.size))
+        n_entries, rest = divmod(size, _INDEX_ENTRY.itemsize)
+        if rest or size != record.length - _INDEX.size:
+            raise ValueError("the index of a chunk has another length than it says")
+        if n_entries:
+            self.index[channel] = (record.start + _INDEX.size, n_entries)
+
+    @property
+    def end(self) -> int:
+        """Where in the file its last index ends; the end of its own record without an index."""
+        ends = (start + n * _INDEX_ENTRY.itemsize for start, n in self.index.values())
+        return max(ends, default=self.record.start + self.record.length)
+
+    def offsets(
+        self, content: bytes, records: bytes, channels: set[int]
+    ) -> dict[int, NDArray[np.int64]]:
+        """By channel, (N,) where in the decompressed chunk its messages are, ascending.
+
+        Args:
+            content: of the file, from the start of the record to `end`.
+            records: the decompressed chunk.
+            channels: those that are wanted.
+
+        Raises:
+            ValueError: the index points outside of the chunk.
+        """
+        if not self.index:
+            return {c: found for c, found in message_offsets(records).items() if c in channels}
+        found = {}
+        for channel in sorted(channels & self.index.keys()):
+            start, n_entries = self.index[channel]
+            entries = np.frombuffer(content, _INDEX_ENTRY, n_entries, start - self.record.start)
+            offsets = np.sort(entries["offset"])
+            if offsets[0] < 0 or offsets[-1] + _MESSAGE.itemsize > len(records):
+                raise ValueError("the index of a chunk points outside of it")
+            found[channel] = offsets
+        return found
+
+
+def message_offsets(data: bytes | memoryview) -> dict[int, NDArray[np.int64]]:
+    """By channel, (N,) where in a decompressed chunk its messages are, without an index."""
+    found: dict[int, list[int]] = {}
+    for record in records_in(data):
+        if record.opcode == Opcode.MESSAGE:
+            channel = int.from_bytes(data[record.start : record.start + 2], "little")
+            found.setdefault(channel, []).append(record.start - RECORD_HEAD.size)
+    return {channel: np.array(offsets, dtype=np.int64) for channel, offsets in found.items()}
+
+
+def messages_of(
+    records: list[bytes], offsets: list[dict[int, NDArray[np.int64]]]
+) -> dict[int, Messages]:
+    """By channel, the messages of some decompressed chunks, from where they are in each."""
+    data: bytes | memoryview = records[0]
+    if len(records) > 1:
+        # Unlike joined bytes, without the interpreter's lock: other threads do not wait for it.
+        data = np.concatenate([np.frombuffer(one, np.uint8) for one in records]).data
+    ends = np.cumsum([len(one) for one in records])
+    starts = np.concatenate([[0], ends[:-1]])
+    found = {}
+    for channel in offsets[0]:
+        in_chunks = [one[channel] for one in offsets]
+        where = np.concatenate([at + start for at, start in zip(in_chunks, starts, strict=True)])
+        limits = np.repeat(ends, [len(at) for at in in_chunks])
+        found[channel] = _messages_at(data, where, limits, channel)
+    return found
+
+
+def _messages_at(
+    data: bytes | memoryview, offsets: NDArray[np.int64], limits: NDArray[np.int64], channel: int
+) -> Messages:
+    """The messages of a channel, from where their records are (N,), and where their chunks end."""
+    size, head = len(data), _MESSAGE.itemsize
+    steps = offsets[1:] - offsets[:-1]
+    step = int(steps[0]) if len(steps) else head
+    if step > 0 and (steps == step).all():  # samples of DDS are of one size
+        heads = np.ndarray(len(offsets), _MESSAGE, data, int(offsets[0]), (step,))
+    else:
+        octets = np.frombuffer(data, np.uint8)
+        heads = octets[offsets[:, np.newaxis] + np.arange(head)].view(_MESSAGE)[:, 0]
+    lengths = np.ascontiguousarray(heads["length"])
+    starts, ends = offsets + head, offsets + (RECORD_HEAD.size + lengths.clip(0, size))
+    wrong = (heads["opcode"] != Opcode.MESSAGE) | (heads["channel"] != channel)
+    if (wrong | (ends < starts) | (ends > limits)).any():
+        raise ValueError("the index of a chunk points to something else than a message")
+    times = (np.ascontiguousarray(heads["log_time"]), np.ascontiguousarray(heads["publish_time"]))
+    if any(one.min() < 0 or one.max() >= LATEST_NS for one in times):
+        raise ValueError("a message has a time after 2116")
+    return Messages(*times, Slices(data, starts, ends))
 
 
 class McapFile:
@@ -88,17 +357,21 @@ class McapFile:
         self._topics: dict[int, str] = {}
         self._schemas: dict[int, str] = {}
         self._chunks: list[Chunk] = []
-        self._attachments: list[Record] = []
+        self._attachments: list[RecordSpan] = []
         self._content_size = 0
         self._statistics: Statistics | None = None
         with self._open() as file:
             last = None
-            allowed = _LARGEST_CONTENT + _LARGEST_RATIO * os.fstat(file.fileno()).st_size
+            allowed = UNPACKED + SESSION_RATIO * os.fstat(file.fileno()).st_size
             for last in records_of(file):
                 with self.damage_at(last):
                     self._add_record(file, last)
                 if self._content_size > allowed:
-                    raise self._too_large("chunks", self._content_size)
+                    raise RecordingError(
+                        f"The chunks of {self.path} are said to have "
+                        f"{self._content_size / 2**20:.0f} MiB, which no session of its size has.",
+                        "Give a file that g1stream recorded.",
+                    )
             # Of the last chunk of a file cut short, a part of the index may be missing.
             if last and last.opcode in {Opcode.CHUNK, Opcode.MESSAGE_INDEX}:
                 self._chunks[-1].index.clear()
@@ -135,9 +408,6 @@ class McapFile:
         Raises:
             RecordingError: one of them is damaged.
         """
-        size = sum(record.length for record in self._attachments)
-        if size > _LARGEST_ATTACHMENTS:
-            raise self._too_large("attachments", size)
         with self._open() as file:
             for record in self._attachments:
                 with self.damage_at(record):
@@ -163,7 +433,7 @@ class McapFile:
             raise RecordingError(f"{self.path} {what}.", "Give a file that g1stream recorded.")
         return file
 
-    def _add_record(self, file: IO[bytes], record: Record) -> None:
+    def _add_record(self, file: IO[bytes], record: RecordSpan) -> None:
         if record.opcode == Opcode.CHUNK:
             self._content_size += content_size(file, record)
             self._chunks.append(Chunk(record))
@@ -220,13 +490,14 @@ class McapFile:
     def _content(self, file: IO[bytes], chunk: Chunk) -> tuple[bytes, bytes]:
         """A chunk and its index as they are in the file, and its records."""
         with self.damage_at(chunk.record):
-            if chunk.record.length > LARGEST_RECORD:
+            size = chunk.end - chunk.record.start
+            if size > UNPACKED:
                 raise ValueError("the record is too large")
-            content = read_at(file, chunk.record.start, chunk.end - chunk.record.start)
+            content = read_at(file, chunk.record.start, size)
             return content, decompressed(memoryview(content)[: chunk.record.length])
 
     @contextmanager
-    def damage_at(self, record: Record) -> Iterator[None]:
+    def damage_at(self, record: RecordSpan) -> Iterator[None]:
         try:
             yield
         except Exception as error:  # every field and each compression has an error of its own
@@ -235,13 +506,6 @@ class McapFile:
                 "decoded.",
                 RECOVER,
             ) from error
-
-    def _too_large(self, what: str, size: int) -> RecordingError:
-        return RecordingError(
-            f"The {what} of {self.path} are said to have {size / 2**20:.0f} MiB, which no session "
-            "of its size has.",
-            "Give a file that g1stream recorded.",
-        )
 
     def _topic(self, channel_id: int) -> str:
         return self._topics.get(channel_id, f"channel {channel_id}")

@@ -1,149 +1,88 @@
-"""Motions from motion files, from bags, and from sessions, to play again what was played."""
+"""Motions from sessions and bags, to play again what was played."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from g1stream.errors import MotionError, RecordingError
-from g1stream.files import is_session, is_sqlite
-from g1stream.motion.files import motion_file, open_motion_file
-from g1stream.motion.motion import Motion, check_fps
-from g1stream.session.info import MotionInfo
-from g1stream.session.poses import motion_of_poses
-from g1stream.session.records import read_record
-from g1stream.types import STREAM_RATE, Phase
+from g1stream.files import is_session
+from g1stream.motion.readers import Evidence, MotionFile, MotionReader
+from g1stream.optional import extension
+from g1stream.session.mcap_reader import McapFile
+from g1stream.session.parts import parts_of
+from g1stream.session.recorded_motion import FOXGLOVE, RecordedMotion, motion_of_poses
+from g1stream.session.recording import open_recording
+from g1stream.session.records import MotionInfo, read_record
+from g1stream.session.streams import STREAMS, Reference
+from g1stream.types import Phase
 
 if TYPE_CHECKING:
-    import os
-    from collections.abc import Callable
+    from g1stream.motion.motion import Motion
+    from g1stream.session.recording import Recording
 
-    from g1stream.motion.check import FileReport
-    from g1stream.robot.model import G1
-    from g1stream.session.bag import Bag
-    from g1stream.session.session import Session
-    from g1stream.session.streams import Reference
-    from g1stream.types import JointOrder
-
-__all__ = [
-    "attached_motion",
-    "check_motion_file",
-    "load_motion",
-    "reference_motion",
-]
+__all__ = ["attached_motion", "motion_of", "open_played", "recorded_motion"]
 
 
-def load_motion(
-    path_or_name: str | os.PathLike[str],
-    *,
-    fps: float | None = None,
-    joint_order: JointOrder | None = None,
-) -> Motion:
-    """Read a motion file, a session, a bag, or a bundled motion by its name (`demo`).
-
-    Args:
-        path_or_name: a file of one of the formats in docs/formats.md, followed by `:NAME` for a
-            motion in a file of several; a session file, whose motion
-            is the reference that was played; a bag with joint states; or the name of a bundled
-            motion.
-        fps: frames per second; what the file says if None, or 30 where it does not, as a CSV file
-            cannot. A session is sampled at it, at the rate of its reference if None.
-        joint_order: of the joints where a file does not name them. If None, a CSV file without a
-            header is taken to be in motor order, and for arrays joint limits and bodies decide.
-
-    Returns:
-        The motion, its joints in motor order whatever the order in the file, its quaternions unit.
-        Those that were off by more than 1e-3 give a warning in `Motion.warnings`.
+def open_played(file: MotionFile) -> MotionReader:
+    """The reader of a session, or of joint states that others, or `convert`, recorded.
 
     Raises:
-        MotionError: there is no such file, or something in it is wrong; names line and column.
-        RecordingError: the session is damaged, or no motion was played in it.
+        ConfigError: the extra that reads it is not installed.
+        RecordingError: it is damaged.
     """
-    path = Path(path_or_name)
-    if bag := _foreign_bag(path):
-        return bag.motion(fps)
-    if is_session(path):
-        from g1stream.session.session import open_session
-
-        return open_session(path).motion(fps)
-    file = open_motion_file(path_or_name, joint_order)
-    if fps is not None:
-        check_fps(fps, file.path.stem)
-    return file.motion(fps)
+    return recorded_motion(file) or _PlayedMotion(file)
 
 
-def _foreign_bag(path: Path) -> Bag | None:
-    """The bag at a path; None where there is a session, or a motion file."""
-    if not (is_sqlite(path) or is_session(path)):
-        return None
-    from g1stream.session.bag import Bag
+class _PlayedMotion(NamedTuple):
+    """The motion of a session."""
 
-    bag = Bag(path)
-    return bag if bag.is_foreign else None
+    file: MotionFile
+    evidence: Evidence = Evidence({"file": "a session; its motion is the recorded reference"})
+
+    def motion(self) -> Motion:
+        return motion_of(open_recording(self.file.path), self.file.fps)
 
 
-def check_motion_file(
-    path_or_name: str | os.PathLike[str],
-    robot: G1,
-    *,
-    fps: float | None = None,
-    joint_order: JointOrder | None = None,
-    change: Callable[[Motion], Motion] = lambda motion: motion,
-    rate: float = STREAM_RATE,
-    position_margin: float = 0.0,
-) -> FileReport:
-    """Check what `load_motion` reads, without raising for a fault in it.
-
-    Args:
-        path_or_name: as for `load_motion`.
-        robot: whose limits.
-        fps: as for `load_motion`.
-        joint_order: as for `load_motion`.
-        change: what it makes of the motion is checked.
-        rate: joint targets per second when it is streamed, Hz.
-        position_margin: rad, kept from position limits when it is streamed.
+def recorded_motion(file: MotionFile) -> RecordedMotion | None:
+    """The joint states that others, or `convert`, recorded; None in a session.
 
     Raises:
-        MotionError: there is no such file, it is empty or not text; or `fps` is not a frame rate.
-        RecordingError: the session is damaged, or no motion was played in it.
+        ConfigError: the extra that reads it is not installed.
+        RecordingError: it is damaged.
     """
-    from g1stream.motion.check import FileReport, check_file, check_motion
-
-    path = Path(path_or_name)
-    if bag := _foreign_bag(path):
-        motion = check_motion(
-            change(bag.motion(fps)), robot, rate=rate, position_margin=position_margin
-        )
-        return FileReport(path, kind="bag", evidence=bag.evidence, motion=motion)
-    if not is_session(path):
-        return check_file(
-            path_or_name,
-            robot,
-            fps=fps,
-            joint_order=joint_order,
-            change=change,
-            rate=rate,
-            position_margin=position_margin,
-        )
-    motion = check_motion(
-        change(load_motion(path, fps=fps)), robot, rate=rate, position_margin=position_margin
-    )
-    return FileReport(path, kind="session", motion=motion)
+    parts = parts_of(file.path)
+    in_ros = not is_session(parts[0])  # in SQLite, or compressed as a whole
+    if not in_ros:
+        files = [McapFile(part) for part in parts]
+        types = {topic: kind for one in files for topic, kind in one.types.items()}
+        in_ros = any(kind == "sensor_msgs/msg/JointState" for kind, _ in types.values())
+        # A robot's own topics in a bag with joint states are none of ours.
+        has_joints = in_ros or not FOXGLOVE.joint_states.keys().isdisjoint(types.values())
+        ours = Reference.topic in types or any(one.metadata for one in files)
+        if not types.keys().isdisjoint(STREAMS) and (ours or not has_joints):
+            return None
+        if not in_ros:
+            return RecordedMotion(file, files, FOXGLOVE)
+    recorded: RecordedMotion = extension("read_bag")(file)
+    return recorded
 
 
-def reference_motion(reference: Reference, path: Path, fps: float | None = None) -> Motion:
-    """The reference in PLAY as a motion.
+def motion_of(session: Recording, fps: float | None = None) -> Motion:
+    """The motion that was played, as the reference has it; or what `convert` made of a motion.
 
     Args:
-        reference: of the session.
-        path: of the session; the motion gets its name.
+        session: a recording.
         fps: frames per second; the rate of the reference if None.
 
     Raises:
-        RecordingError: nothing was played.
+        RecordingError: there is no motion in this session.
         MotionError: `fps` is not a frame rate, or leaves less than two frames.
     """
+    if session.converted and (recorded := recorded_motion(MotionFile(session.path, fps))):
+        return recorded.motion()
     columns = "phase", "motion_time", "q", "root_pos", "root_quat_wxyz"
+    reference, path = session.reference, session.path
     play = reference[reference.read(*columns).phase == Phase.PLAY].read(*columns)
     if len(play) < 2:
         raise RecordingError(
@@ -153,7 +92,7 @@ def reference_motion(reference: Reference, path: Path, fps: float | None = None)
     return motion_of_poses(play.motion_time, play.q, play.root_pos, play.root_quat_wxyz, path, fps)
 
 
-def attached_motion(session: Session) -> Motion | None:
+def attached_motion(session: Recording) -> Motion | None:
     """The whole motion in the attached file, where that is the one which was played.
 
     None where no file is attached, or what was played is something else that was made of it.
@@ -164,8 +103,8 @@ def attached_motion(session: Session) -> Motion | None:
     path = Path(info.source)
     member = None if info.name == path.stem else info.name  # of a file of several
     try:
-        file = motion_file(path, session.attachments[path.name], member=member)
-        motion = file.motion(info.fps)
+        data = session.attachments[path.name]
+        motion = MotionFile(path, info.fps, member=member, data=data).open().motion()
     except (KeyError, MotionError):
         return None
     return motion if motion.content_sha256 == info.content_sha256 else None

@@ -1,4 +1,4 @@
-"""A session on disk: one file, or a directory of parts as rosbag2 writes them.
+"""Where a recording is on disk: one file, or a directory of parts as rosbag2 writes them.
 
     session/
       metadata.yaml
@@ -28,18 +28,15 @@ from g1stream.files import (
     output_errors,
     read_file,
 )
-from g1stream.session.mcap_reader import McapFile
-from g1stream.session.source import SessionSource
+from g1stream.input_limits import SETTINGS_FILE
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from g1stream.session.format import Channel
-    from g1stream.session.source import Messages
 
 __all__ = [
     "Part",
-    "SessionFiles",
     "check_recording_path",
     "part_path",
     "parts_directory",
@@ -51,8 +48,6 @@ __all__ = [
 ]
 
 _METADATA: Final = "metadata.yaml"
-#: Its size in bytes, that of thousands of parts.
-_LARGEST_METADATA: Final = 2**20
 #: Of rosbag2's metadata.yaml: the first with `custom_data`, which every ROS 2 since Humble reads.
 #: `Channel.offered_qos_profiles` is of this version, too.
 _VERSION: Final = 6
@@ -71,43 +66,6 @@ class Part(NamedTuple):
     counts: Mapping[str, int]
     first_log_time: int | None
     last_log_time: int | None
-
-
-class SessionFiles(SessionSource):
-    """The files of a session, read as one.
-
-    Args:
-        path: an MCAP file, or the directory of a split recording.
-
-    Raises:
-        RecordingError: the path is not a session, or nothing in it can be read.
-    """
-
-    def __init__(self, path: Path) -> None:
-        super().__init__(path)
-        self._files: list[McapFile] = []
-        errors: dict[int, RecordingError] = {}
-        for number, part in enumerate(parts_of(path)):
-            try:
-                self._files.append(McapFile(part))
-            except RecordingError as error:  # noqa: PERF203
-                errors[number] = error
-        if not self._files:
-            raise errors[0]
-        self.absent_parts = {number: error.cause for number, error in errors.items()}
-        self.paths = [file.path for file in self._files]
-        self.complete = not self.absent_parts and all(file.complete for file in self._files)
-        self.topics = dict(sum((file.counts for file in self._files), Counter[str]()))
-        self.metadata = {k: v for file in self._files for k, v in file.metadata.items()}
-
-    def batches(self, topics: set[str]) -> Iterator[tuple[str, Messages]]:
-        """The messages of some topics, one batch per topic and chunk, in the order of the files."""
-        for file in self._files:
-            yield from file.batches(topics)
-
-    def attachments(self) -> dict[str, bytes]:
-        """The attached files by name."""
-        return {one.name: one.data for file in self._files for one in file.attachments()}
 
 
 def parts_of(path: Path) -> list[Path]:
@@ -267,7 +225,7 @@ def _read_metadata_yaml(directory: Path) -> dict[str, Any]:
 
     path = directory / _METADATA
     try:
-        text = read_file(path, _LARGEST_METADATA).decode("utf-8")
+        text = read_file(path, SETTINGS_FILE).decode("utf-8")
         about: dict[str, Any] = dict(yaml.safe_load(text)["rosbag2_bagfile_information"])
         # Parts are in the directory itself, wherever the paths lead.
         names = [PurePath(name).name for name in about["relative_file_paths"]]

@@ -37,10 +37,10 @@ from mcap.records import (
 from g1stream.errors import RecordingError
 from g1stream.files import complete_file
 from g1stream.session.format import CHANNELS
-from g1stream.session.mcap_reader import McapFile
-from g1stream.session.mcap_records import (
+from g1stream.session.mcap_reader import (
     MAGIC,
     RECORD_HEAD,
+    McapFile,
     content_of,
     decompressed,
     records_in,
@@ -52,7 +52,7 @@ from g1stream.session.parts import Part, parts_of, write_metadata_yaml
 if TYPE_CHECKING:
     from mcap.records import McapRecord
 
-    from g1stream.session.mcap_records import Record
+    from g1stream.session.mcap_reader import RecordSpan
 
 __all__ = ["Repair", "repair_session"]
 
@@ -173,7 +173,7 @@ class _Copy:
                     self._add(record, content_of(file, record))
         self._finish()
 
-    def _add(self, record: Record, content: bytes) -> None:
+    def _add(self, record: RecordSpan, content: bytes) -> None:
         place = self._output.tell()
         self._output.write(RECORD_HEAD.pack(record.opcode, record.length))
         self._output.write(content)

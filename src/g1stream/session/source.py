@@ -1,7 +1,7 @@
-"""Where a `Session` reads from: files on disk, or messages collected in memory.
+"""What a `Recording` is read from: files on disk, or messages collected in memory.
 
-`Session` needs nothing but a `SessionSource`. `SessionFiles` reads one from disk; `MemorySource`
-below serves what was written into it, so that a run in lockstep gives a Session without a file:
+`SessionFiles` reads from disk; `MemorySource` serves what was written into it, so that a run in
+lockstep gives a session without a file:
 
     source = MemorySource("rollout")
     source.add_metadata({"motion": {"name": "walk"}})
@@ -12,76 +12,23 @@ below serves what was written into it, so that a run in lockstep gives a Session
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, overload
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from g1stream.errors import RecordingError
 from g1stream.session.format import metadata_from_strings, metadata_to_strings
+from g1stream.session.mcap_reader import McapFile, Messages
+from g1stream.session.parts import parts_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping, Sequence
 
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["MemorySource", "Messages", "SessionSource", "Slices"]
-
-
-class Messages(NamedTuple):
-    """Messages of one topic, in the order in which they were written.
-
-    Attributes:
-        log_times: (N,) int64, when each was received, ns since the epoch.
-        publish_times: (N,) int64, when each was published, ns since the epoch.
-        data: the N messages, in the encoding of their channel.
-    """
-
-    log_times: NDArray[np.int64]
-    publish_times: NDArray[np.int64]
-    data: Sequence[bytes]
-
-
-class Slices(Sequence[bytes]):
-    """Messages as slices of the chunk that they are in, made when they are asked for.
-
-    Args:
-        chunk: decompressed.
-        starts, ends: (N,) where in it each message is.
-    """
-
-    def __init__(
-        self, chunk: bytes | memoryview, starts: NDArray[np.int64], ends: NDArray[np.int64]
-    ) -> None:
-        self._chunk, self._starts, self._ends = chunk, starts, ends
-
-    def __len__(self) -> int:
-        return len(self._starts)
-
-    @overload
-    def __getitem__(self, index: int) -> bytes: ...
-    @overload
-    def __getitem__(self, index: slice) -> Slices: ...
-    def __getitem__(self, index: int | slice) -> bytes | Slices:
-        if isinstance(index, slice):
-            return Slices(self._chunk, self._starts[index], self._ends[index])
-        return bytes(self._chunk[self._starts[index] : self._ends[index]])
-
-    def __iter__(self) -> Iterator[bytes]:
-        bounds = zip(self._starts.tolist(), self._ends.tolist(), strict=True)
-        return (bytes(self._chunk[start:end]) for start, end in bounds)
-
-    def rows(self) -> NDArray[np.uint8] | None:
-        """(N, size) a view of messages of one size at even distances; None where they are not."""
-        sizes = self._ends - self._starts
-        step = int(self._starts[1] - self._starts[0]) if len(self) > 1 else len(self._chunk)
-        even = (np.diff(self._starts) == step).all() and (sizes == sizes[:1]).all()
-        if not len(self) or not even or step < sizes[0]:
-            return None
-        found: NDArray[np.uint8] = np.ndarray(
-            (len(self), int(sizes[0])), np.uint8, self._chunk, int(self._starts[0]), (step, 1)
-        )
-        return found
+__all__ = ["MemorySource", "SessionFiles", "SessionSource"]
 
 
 class SessionSource(ABC):
@@ -120,6 +67,43 @@ class SessionSource(ABC):
         Raises:
             RecordingError: the file is damaged.
         """
+
+
+class SessionFiles(SessionSource):
+    """The files of a session, read as one.
+
+    Args:
+        path: an MCAP file, or the directory of a split recording.
+
+    Raises:
+        RecordingError: the path is not a session, or nothing in it can be read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self._files: list[McapFile] = []
+        errors: dict[int, RecordingError] = {}
+        for number, part in enumerate(parts_of(path)):
+            try:
+                self._files.append(McapFile(part))
+            except RecordingError as error:  # noqa: PERF203
+                errors[number] = error
+        if not self._files:
+            raise errors[0]
+        self.absent_parts = {number: error.cause for number, error in errors.items()}
+        self.paths = [file.path for file in self._files]
+        self.complete = not self.absent_parts and all(file.complete for file in self._files)
+        self.topics = dict(sum((file.counts for file in self._files), Counter[str]()))
+        self.metadata = {k: v for file in self._files for k, v in file.metadata.items()}
+
+    def batches(self, topics: set[str]) -> Iterator[tuple[str, Messages]]:
+        """The messages of some topics, one batch per topic and chunk, in the order of the files."""
+        for file in self._files:
+            yield from file.batches(topics)
+
+    def attachments(self) -> dict[str, bytes]:
+        """The attached files by name."""
+        return {one.name: one.data for file in self._files for one in file.attachments()}
 
 
 class MemorySource(SessionSource):

@@ -35,8 +35,8 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from g1stream.session.format import Channel
-    from g1stream.session.info import MotionInfo
     from g1stream.session.mcap_writer import Compression
+    from g1stream.session.records import MotionInfo
     from g1stream.session.source import MemorySource
 
 __all__ = ["LARGEST_MOTION", "SessionWriter", "attach_motion"]

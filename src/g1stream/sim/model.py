@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from g1stream.errors import SimError
+from g1stream.robot.dynamics import mujoco_spec
 from g1stream.robot.hulls import add_hulls, never_collide, read_hulls
 from g1stream.robot.joints import DAMPING, JOINT_NAMES, TORQUE_LIMIT
-from g1stream.robot.mujoco_spec import mujoco_spec
 
 if TYPE_CHECKING:
     from g1stream.robot.model import G1

@@ -1,4 +1,4 @@
-"""Poses, joint states and log lines as Foxglove's protobuf messages, a batch at once.
+"""Poses and joint states as Foxglove's protobuf messages, a batch at once.
 
 Messages of one channel differ only in their numbers. So one message is serialised by the official
 class with placeholders for the numbers; a batch is encoded by copying these bytes and writing the
@@ -13,12 +13,11 @@ from __future__ import annotations
 
 import re
 import struct
-from typing import TYPE_CHECKING, Any, Final, cast
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
-from foxglove_schemas_protobuf.Log_pb2 import Log
 
 from g1stream.errors import ConfigError
 from g1stream.robot.kinematics import forward_kinematics, local_transforms
@@ -42,7 +41,6 @@ __all__ = [
     "FrameTransformsTemplate",
     "JointStatesTemplate",
     "TransformsEncoder",
-    "encode_log",
     "link_frames",
 ]
 
@@ -154,21 +152,6 @@ def link_frames(robot: G1, prefix: str, world: str) -> tuple[list[str], list[str
             "Rename the link, or the world with --world where there is that flag.",
         )
     return [world if parent < 0 else frames[parent] for parent in robot.parent], frames
-
-
-def encode_log(time_ns: int, level: int, name: str, text: str) -> bytes:
-    """A foxglove.Log.
-
-    Args:
-        time_ns: when it happened, ns since the epoch.
-        level: 1 debug, 2 info, 3 warning, 4 error, 5 fatal.
-        name: the program that logs it.
-        text: what happened.
-    """
-    message = Log(level=cast("Log.Level.ValueType", level), name=name, message=text)
-    message.timestamp.FromNanoseconds(time_ns)
-    data: bytes = message.SerializeToString()
-    return data
 
 
 class FrameTransformsTemplate:

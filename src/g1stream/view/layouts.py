@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 from xml.etree import ElementTree
 
-from g1stream.errors import RecordingError
-from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
+from g1stream.robot.joints import JOINT_GROUPS
 from g1stream.robot.model import G1
 from g1stream.text import short_name
 from g1stream.view.encoders import GHOST_PREFIX, MEASURED_PREFIX
@@ -14,28 +13,17 @@ from g1stream.view.encoders import GHOST_PREFIX, MEASURED_PREFIX
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from g1stream.session.session import Session
 
 __all__ = [
     "DEFAULT_JOINTS",
-    "LIMB_COLORS",
-    "MEASURED",
-    "RED",
-    "REFERENCE",
     "foxglove_layout",
     "plotjuggler_layout",
-    "worst_joints",
 ]
 
-#: How many joints are plotted.
-_N_PLOTS: Final = 6
-
-REFERENCE, MEASURED, RED = "#1abfff", "#ffa61a", "#f44336"
-"""Of the reference, of what is measured, and of limits."""
-
-LIMB_COLORS: Final = ("#4e98e2", "#f5774d", "#a395e2", "#55d18c", "#f7df71")
-"""One for each of `JOINT_GROUPS`."""
-
+#: Of the reference, of what is measured, and of limits.
+_REFERENCE, _MEASURED, _RED = "#1abfff", "#ffa61a", "#f44336"
+#: One for each of `JOINT_GROUPS`.
+_LIMB_COLORS: Final = ("#4e98e2", "#f5774d", "#a395e2", "#55d18c", "#f7df71")
 #: The robots and the path in the 3D panel, and which of them are shown at first.
 _SCENES: Final = {
     "/measured/scene": True,
@@ -52,20 +40,7 @@ DEFAULT_JOINTS: Final = (
     "right_shoulder_pitch_joint",
     "left_elbow_joint",
 )
-"""What is plotted where no session says which joints matter."""
-
-
-def worst_joints(session: Session) -> tuple[str, ...]:
-    """The six played joints with the greatest RMSE in a session, greatest first.
-
-    `DEFAULT_JOINTS` where there is nothing to compare.
-    """
-    try:
-        tracking = session.tracking()
-    except RecordingError:
-        return DEFAULT_JOINTS
-    worst = sorted(tracking.joints, key=lambda joint: -tracking.rmse[joint])
-    return tuple(JOINT_NAMES[joint] for joint in worst[:_N_PLOTS])
+"""What is plotted where no session says which joints matter; there is room for so many."""
 
 
 def foxglove_layout(joints: Sequence[str], robot: G1 | None = None) -> dict[str, Any]:
@@ -93,16 +68,16 @@ def foxglove_layout(joints: Sequence[str], robot: G1 | None = None) -> dict[str,
             "tracking error by limb, RMS, rad",
             [
                 (_joint_path("/tracking_error/limbs", limb, "position"), limb, color)
-                for limb, color in zip(JOINT_GROUPS, LIMB_COLORS, strict=True)
+                for limb, color in zip(JOINT_GROUPS, _LIMB_COLORS, strict=True)
             ],
             legend=True,
         ),
         "Plot!timing": _plot(
             "longest interval and latency, ms",
             [
-                ("/timing/commands.interval_ms", "command interval", REFERENCE),
-                ("/timing/commands.latency_ms", "command latency", RED),
-                ("/timing/states.interval_ms", "state interval", MEASURED),
+                ("/timing/commands.interval_ms", "command interval", _REFERENCE),
+                ("/timing/commands.latency_ms", "command latency", _RED),
+                ("/timing/states.interval_ms", "state interval", _MEASURED),
             ],
             legend=True,
         ),
@@ -115,8 +90,12 @@ def foxglove_layout(joints: Sequence[str], robot: G1 | None = None) -> dict[str,
         panels[position] = _plot(
             f"{name}, rad",
             [
-                (_joint_path("/reference/joint_states", joint, "position"), "reference", REFERENCE),
-                (_joint_path("/measured/joint_states", joint, "position"), "measured", MEASURED),
+                (
+                    _joint_path("/reference/joint_states", joint, "position"),
+                    "reference",
+                    _REFERENCE,
+                ),
+                (_joint_path("/measured/joint_states", joint, "position"), "measured", _MEASURED),
             ],
         )
         panels[torque] = _plot(
@@ -125,11 +104,11 @@ def foxglove_layout(joints: Sequence[str], robot: G1 | None = None) -> dict[str,
                 (
                     _joint_path("/reference/joint_states", joint, "effort"),
                     "feed-forward",
-                    REFERENCE,
+                    _REFERENCE,
                 ),
-                (_joint_path("/measured/joint_states", joint, "effort"), "estimated", MEASURED),
-                (f"{limit:g}", "limit", RED),
-                (f"{-limit:g}", "-limit", RED),
+                (_joint_path("/measured/joint_states", joint, "effort"), "estimated", _MEASURED),
+                (f"{limit:g}", "limit", _RED),
+                (f"{-limit:g}", "-limit", _RED),
             ],
         )
         positions.append(position)
@@ -288,7 +267,7 @@ def plotjuggler_layout(joints: Sequence[str]) -> str:
         for joint in joints:
             area = ElementTree.SubElement(split, "DockArea", name=f"{joint}")
             plot = ElementTree.SubElement(area, "plot", style="Lines", mode="TimeSeries")
-            for topic, color in (("/reference", REFERENCE), ("/measured", MEASURED)):
+            for topic, color in (("/reference", _REFERENCE), ("/measured", _MEASURED)):
                 name = f"{topic}/joint_states/{joint}/{field}"
                 ElementTree.SubElement(plot, "curve", name=name, color=color)
     ElementTree.SubElement(tabs, "currentTabIndex", index="0")

@@ -13,7 +13,7 @@ from g1stream.robot.rotations import (
     quat_rotate,
     yaw_of,
 )
-from g1stream.session.recorder_summary import MeasuredTf
+from g1stream.session.records import MeasuredTf
 from g1stream.types import Floats, Ints
 
 __all__ = ["MeasuredBase", "PositionSource"]

@@ -1,29 +1,24 @@
-"""From batches of wire samples to every message of a session file. Needs no DDS participant."""
+"""What viewers show of the samples of a session: a list of encoders, each of some topics.
+
+Needs no DDS participant. The samples themselves are not its business: the recorder copies them.
+"""
 
 from __future__ import annotations
 
 import json
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 import numpy as np
 
 from g1stream.config import RecordConfig
-from g1stream.dds.messages import (
-    LOG,
-    LOWSTATE,
-    REFERENCE,
-    SPORTMODESTATE,
-    Log,
-    Samples,
-    played_joints,
-)
-from g1stream.dds.ros2 import encode_string
+from g1stream.dds.messages import LOWSTATE, REFERENCE, SPORTMODESTATE, Samples, played_joints
 from g1stream.errors import ConfigError
 from g1stream.robot.joints import JOINT_GROUPS
-from g1stream.robot.meshes import robot_with_meshes
+from g1stream.robot.shapes import robot_with_meshes
 from g1stream.robot.urdf import with_prefixed_links
-from g1stream.session.format import CHANNELS, TIMING_FIELDS, MessageBatch
+from g1stream.session.format import TIMING_FIELDS, MessageBatch, encode_string
+from g1stream.session.streams import MAX_GAP_NS, neighbours
 from g1stream.types import Floats, Ints
 from g1stream.view.encoders import (
     GHOST_PREFIX,
@@ -31,16 +26,9 @@ from g1stream.view.encoders import (
     MEASURED_PREFIX,
     JointStatesTemplate,
     TransformsEncoder,
-    encode_log,
 )
 from g1stream.view.measured_base import MeasuredBase
-from g1stream.view.scene import (
-    PathEncoder,
-    draw_meshes,
-    encode_scene,
-)
-from g1stream.view.timing import Timing
-from g1stream.view.tracking_error import Track, TrackingError, by_limb
+from g1stream.view.scene import PathEncoder, draw_meshes, encode_scene
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -50,20 +38,135 @@ if TYPE_CHECKING:
     from g1stream.dds.messages import Batch
     from g1stream.robot.model import G1
 
-__all__ = ["CHANNEL_OF", "GHOST_TINT", "REFERENCE_TINT", "Decimator", "MessagePipeline"]
+__all__ = ["Decimator", "MessagePipeline", "Track", "TrackingError"]
 
-CHANNEL_OF: Final = {c.dds_topic: c.topic for c in CHANNELS.values() if c.dds_topic}
-"""The topic in the file that holds a DDS topic's samples byte for byte, by the DDS topic's name."""
-
-GHOST_TINT: Final = (0.1, 0.6, 1.0, 0.3)
-"""Red, green, blue and opacity of the ghost."""
-
-REFERENCE_TINT: Final = (1.0, 0.65, 0.1, 0.3)
-"""The same of the reference at its own root."""
-
+#: Red, green, blue and opacity of the ghost, and of the reference at its own root.
+_GHOST_TINT: Final = (0.1, 0.6, 1.0, 0.3)
+_REFERENCE_TINT: Final = (1.0, 0.65, 0.1, 0.3)
 _PATH_COLOR: Final = (1.0, 0.85, 0.2, 1.0)
 #: How far back the path of the pelvis reaches, s, its points and its lines per second, Hz.
 _PATH_LENGTH, _PATH_POINTS, _PATH_LINES = 10.0, 20.0, 5.0
+_FIELDS: Final = ("position", "velocity", "acceleration", "effort")
+#: How long a state waits for the reference that follows it, ns.
+_MAX_WAIT_NS: Final = 1_000_000_000
+#: ns of publish times that one message of /timing/* is about.
+_TIMING_SPAN: Final = 50_000_000
+
+
+class MessagePipeline:
+    """Makes the messages for viewers from batches of wire samples; none with the channels raw.
+
+    Args:
+        robot: whose links and joints.
+        settings: which messages are made of the samples (`channels`) and how often (`tf_rate`),
+            and whether scenes have meshes (`meshes`); the defaults if None.
+
+    Attributes:
+        base: the measured pelvis's pose in the world of the reference; None with the channels raw.
+
+    Raises:
+        ConfigError: a link of the robot has the name of the world's frame, or the extra `meshes`
+            is not installed.
+        RobotError: a mesh cannot be read, or there is none for the robot's links.
+    """
+
+    def __init__(self, robot: G1, settings: RecordConfig | None = None) -> None:
+        settings = settings or RecordConfig()
+        self.base: MeasuredBase | None = None
+        self._encoders: Sequence[_Encoder] = ()
+        if settings.channels == "raw":
+            if settings.meshes:
+                raise ConfigError(
+                    "Meshes are for viewers, for which the channels raw have nothing.",
+                    "Leave out --meshes, or record --channels standard.",
+                )
+            return
+        self._robot = robot
+        self._shown = robot_with_meshes(robot) if settings.meshes else robot
+        self._meshes = draw_meshes(self._shown) if settings.meshes else {}
+        every, rate = settings.channels == "full", settings.tf_rate
+        self.base = MeasuredBase()
+        self._encoders = (
+            _References(robot, rate, every=every),
+            _States(robot, self.base, rate, every=every),
+            _Path(self.base),
+            _Timing("/timing/commands", REFERENCE.name),
+            _Timing("/timing/states", LOWSTATE.name),
+            _Errors(robot.joint_names, rate, every=every),
+        )
+
+    def file_header(self, time_ns: int) -> list[MessageBatch]:
+        """What viewers need once: a scene for each robot, and the measured one's URDF; or nothing.
+
+        Args:
+            time_ns: log and publish time, ns since the epoch.
+
+        Raises:
+            RobotError: the URDF has a shape that cannot be read.
+        """
+        if not self._encoders:
+            return []
+        scene = partial(encode_scene, time_ns, self._shown, drawn=self._meshes)
+        payloads = {
+            "/measured/scene": scene(MEASURED_PREFIX),
+            "/ghost/scene": scene(GHOST_PREFIX, _GHOST_TINT),
+            "/scene": scene(tint=_REFERENCE_TINT),
+            "/measured/robot_description": encode_string(
+                with_prefixed_links(self._robot.xml, MEASURED_PREFIX)
+            ),
+        }
+        time = np.array([time_ns])
+        return [MessageBatch(topic, [data], time, time) for topic, data in payloads.items()]
+
+    def encode(self, batches: Mapping[str, Batch]) -> list[MessageBatch]:
+        """The messages of one round of batches.
+
+        Args:
+            batches: by DDS topic name, each oldest first and not empty.
+
+        Raises:
+            ValueError: a sample is not of its topic's type.
+        """
+        if self.base is None:
+            return []
+        samples = {name: _Decoded(name, batch) for name, batch in batches.items() if name in _READ}
+        if reference := samples.get(REFERENCE.name):
+            self.base.add_references(
+                reference.published, reference["root_pos"], reference["root_quat_wxyz"]
+            )
+        if position := samples.get(SPORTMODESTATE.name):
+            self.base.add_positions(position.published, position["position"])
+        made = (messages for one in self._encoders for messages in one.encode(samples))
+        return [messages for messages in made if len(messages.payloads)]
+
+
+_READ: Final = {topic.name: topic for topic in (REFERENCE, LOWSTATE, SPORTMODESTATE)}
+
+
+class _Decoded:
+    """The samples of a topic in a round: publish and log times (T,) ns, and fields by name."""
+
+    def __init__(self, name: str, batch: Batch) -> None:
+        self.published, self.logged = np.array(batch.publish_times), np.array(batch.log_times)
+        self._samples = Samples(_READ[name], batch.data)
+        self._fields: dict[str, Floats] = {}
+
+    def __getitem__(self, field: str) -> Floats:
+        if field not in self._fields:
+            self._fields[field] = self._samples[field].astype(float, copy=False)
+        return self._fields[field]
+
+    @property
+    def played(self) -> NDArray[np.bool_]:
+        """(29,) which joints play, by references."""
+        return played_joints(np.bitwise_or.reduce(self._samples["played"]))
+
+
+class _Encoder(Protocol):
+    """Makes the messages of some topics of the file."""
+
+    def encode(self, samples: Mapping[str, _Decoded]) -> Sequence[MessageBatch]:
+        """The messages of one round, from its samples by DDS topic name."""
 
 
 class Decimator:
@@ -84,181 +187,130 @@ class Decimator:
         return np.flatnonzero(np.diff(periods))
 
 
-class MessagePipeline:
-    """Makes the messages of a session file from batches of wire samples.
+class _References:
+    """/tf, /ghost/tf and /reference/joint_states."""
 
-    Each batch gives the samples themselves, byte for byte, log lines, and what viewers show of the
-    samples: transforms, joint states and the tracking error.
-
-    Args:
-        robot: whose links and joints.
-        settings: which messages are made of the samples (`channels`) and how often (`tf_rate`),
-            and whether scenes have meshes (`meshes`); the defaults if None.
-
-    Attributes:
-        base: the measured pelvis's pose in the world of the reference.
-
-    Raises:
-        ConfigError: a link of the robot has the name of the world's frame, or the extra `meshes`
-            is not installed.
-        RobotError: a mesh cannot be read, or there is none for the robot's links.
-    """
-
-    def __init__(self, robot: G1, settings: RecordConfig | None = None) -> None:
-        settings = settings or RecordConfig()
-        self.base = MeasuredBase()
-        self._derives = settings.channels != "raw"
-        if settings.meshes and not self._derives:
-            raise ConfigError(
-                "Meshes are for viewers, for which the channels raw have nothing.",
-                "Leave out --meshes, or record --channels standard.",
-            )
-        self._robot = robot
-        self._shown = robot_with_meshes(robot) if settings.meshes else robot
-        self._meshes = draw_meshes(self._shown) if settings.meshes else {}
+    def __init__(self, robot: G1, rate: float, *, every: bool) -> None:
+        world = MEASURED_PREFIX + robot.link_names[0]
+        self._few = Decimator(rate)
         self._tf = TransformsEncoder(robot, single=True)
-        self._measured_tf = TransformsEncoder(robot, MEASURED_PREFIX, single=True)
-        fields = ("position", "velocity", "acceleration", "effort")
-        full, tf_rate = settings.channels == "full", settings.tf_rate
-        self._reference_joints = _JointStates(
-            "/reference/joint_states", robot.joint_names, fields, every=full
+        self._ghost_tf = TransformsEncoder(robot, GHOST_PREFIX, world=world, single=True)
+        self._joints = _JointStates(
+            "/reference/joint_states", robot.joint_names, _FIELDS, every=every
         )
-        self._measured_joints = _JointStates(
-            "/measured/joint_states", robot.joint_names, fields, every=full
-        )
-        self._error_joints = _JointStates(
-            "/tracking_error/joint_states", robot.joint_names, fields[:2], every=full
-        )
-        self._error_limbs = _JointStates(
-            "/tracking_error/limbs", tuple(JOINT_GROUPS), fields[:2], every=False
-        )
-        self._ghost_tf = TransformsEncoder(
-            robot, GHOST_PREFIX, world=MEASURED_PREFIX + robot.link_names[0], single=True
-        )
-        self._tracking_error = TrackingError(len(robot.joint_names))
-        self._error_decimator = Decimator(tf_rate)
-        self._path = PathEncoder("measured/path", _PATH_LENGTH, _PATH_COLOR)
-        self._path_points, self._path_lines = Decimator(_PATH_POINTS), Decimator(_PATH_LINES)
-        self._command_timing, self._state_timing = Timing(), Timing()
-        self._reference_decimator = Decimator(tf_rate)
-        self._state_decimator = Decimator(tf_rate)
-        self._log = Log()
 
-    def file_header(self, time_ns: int) -> list[MessageBatch]:
-        """What viewers need once: a scene for each robot, and the measured one's URDF; or nothing.
-
-        Args:
-            time_ns: log and publish time, ns since the epoch.
-
-        Raises:
-            RobotError: the URDF has a shape that cannot be read.
-        """
-        if not self._derives:
+    def encode(self, samples: Mapping[str, _Decoded]) -> Sequence[MessageBatch]:
+        if (found := samples.get(REFERENCE.name)) is None:
             return []
-        scene = partial(encode_scene, time_ns, self._shown, drawn=self._meshes)
-        payloads = {
-            "/measured/scene": scene(MEASURED_PREFIX),
-            "/ghost/scene": scene(GHOST_PREFIX, GHOST_TINT),
-            "/scene": scene(tint=REFERENCE_TINT),
-            "/measured/robot_description": encode_string(
-                with_prefixed_links(self._robot.xml, MEASURED_PREFIX)
+        few = self._few.pick(found.published)
+        logged, published = found.logged[few], found.published[few]
+        q = found["q"][few]
+        root = found["root_pos"][few], found["root_quat_wxyz"][few]
+        columns = (found[name] for name in ("q", "dq", "ddq", "tau"))
+        return [
+            self._joints.encode(found.published, found.logged, few, *columns),
+            MessageBatch("/tf", self._tf.encode(published, q, *root), logged, published),
+            MessageBatch(
+                "/ghost/tf", self._ghost_tf.encode(published, q, *IDENTITY_POSE), logged, published
             ),
-        }
-        time = np.array([time_ns])
-        return [MessageBatch(topic, [data], time, time) for topic, data in payloads.items()]
-
-    def encode(self, batches: Mapping[str, Batch]) -> list[MessageBatch]:
-        """The messages of one round of batches.
-
-        Args:
-            batches: by DDS topic name, each oldest first and not empty.
-
-        Raises:
-            ValueError: a sample is not of its topic's type.
-        """
-        made = [
-            MessageBatch(CHANNEL_OF[name], batch.data, *_times(batch))
-            for name, batch in batches.items()
-            if name in CHANNEL_OF
-        ]
-        if REFERENCE.name in batches:
-            made += self._from_references(batches[REFERENCE.name])
-        if SPORTMODESTATE.name in batches:
-            batch = batches[SPORTMODESTATE.name]
-            positions = Samples(SPORTMODESTATE, batch.data)["position"].astype(float)
-            self.base.add_positions(np.array(batch.publish_times), positions)
-        if LOWSTATE.name in batches:
-            made += self._from_states(batches[LOWSTATE.name])
-        if LOG.name in batches:
-            made.append(self._from_log(batches[LOG.name]))
-        made += self._from_errors(self._tracking_error.take())
-        return [messages for messages in made if len(messages.payloads)]
-
-    def _from_references(self, batch: Batch) -> list[MessageBatch]:
-        samples = Samples(REFERENCE, batch.data)
-        logged, published = _times(batch)
-        q, dq, root_pos = samples["q"], samples["dq"], samples["root_pos"]
-        root_quat = samples["root_quat_wxyz"]
-        self.base.add_references(published, root_pos, root_quat)
-        if not self._derives:
-            return []
-        played = played_joints(np.bitwise_or.reduce(samples["played"]))
-        self._tracking_error.add_references(Track(published, logged, q, dq), played)
-        few = self._reference_decimator.pick(published)
-        tf = self._tf.encode(published[few], q[few], root_pos[few], root_quat[few])
-        ghost = self._ghost_tf.encode(published[few], q[few], *IDENTITY_POSE)
-        joints = (q, dq, samples["ddq"], samples["tau"])
-        return [
-            self._reference_joints.encode(published, logged, few, *joints),
-            MessageBatch("/tf", tf, logged[few], published[few]),
-            MessageBatch("/ghost/tf", ghost, logged[few], published[few]),
-            _timing("/timing/commands", self._command_timing, published, logged),
         ]
 
-    def _from_states(self, batch: Batch) -> list[MessageBatch]:
-        samples = Samples(LOWSTATE, batch.data)
-        logged, published = _times(batch)
-        q, dq, ddq, tau = (
-            samples[f"motor_state.{name}"].astype(float) for name in ("q", "dq", "ddq", "tau_est")
+
+class _States:
+    """/measured/tf and /measured/joint_states."""
+
+    def __init__(self, robot: G1, base: MeasuredBase, rate: float, *, every: bool) -> None:
+        self._few = Decimator(rate)
+        self._base = base
+        self._tf = TransformsEncoder(robot, MEASURED_PREFIX, single=True)
+        self._joints = _JointStates(
+            "/measured/joint_states", robot.joint_names, _FIELDS, every=every
         )
-        few = self._state_decimator.pick(published)
-        imu_quats = samples["imu_state.quaternion"][few].astype(float)
-        positions, quats = self.base.poses(published[few], imu_quats)
-        if not self._derives:
+
+    def encode(self, samples: Mapping[str, _Decoded]) -> Sequence[MessageBatch]:
+        if (found := samples.get(LOWSTATE.name)) is None:
             return []
-        self._tracking_error.add_states(Track(published, logged, q, dq))
-        tf = self._measured_tf.encode(published[few], q[few], positions, quats)
+        few = self._few.pick(found.published)
+        logged, published = found.logged[few], found.published[few]
+        pose = self._base.poses(published, found["imu_state.quaternion"][few])
+        tf = self._tf.encode(published, found["motor_state.q"][few], *pose)
+        columns = (found[f"motor_state.{name}"] for name in ("q", "dq", "ddq", "tau_est"))
         return [
-            self._measured_joints.encode(published, logged, few, q, dq, ddq, tau),
-            MessageBatch("/measured/tf", tf, logged[few], published[few]),
-            self._path_of(published[few], logged[few], positions),
-            _timing("/timing/states", self._state_timing, published, logged),
+            self._joints.encode(found.published, found.logged, few, *columns),
+            MessageBatch("/measured/tf", tf, logged, published),
         ]
 
-    def _path_of(self, published: Ints, logged: Ints, positions: Floats) -> MessageBatch:
-        few = self._path_points.pick(published)
-        published, logged = published[few], logged[few]
-        drawn = self._path_lines.pick(published)
-        lines = self._path.encode(published, positions[few], published[drawn])
-        return MessageBatch("/measured/path", lines, logged[drawn], published[drawn])
 
-    def _from_errors(self, errors: Track) -> list[MessageBatch]:
+class _Path:
+    """/measured/path: where the pelvis was in the last seconds."""
+
+    def __init__(self, base: MeasuredBase) -> None:
+        self._base = base
+        self._line = PathEncoder("measured/path", _PATH_LENGTH, _PATH_COLOR)
+        self._points, self._lines = Decimator(_PATH_POINTS), Decimator(_PATH_LINES)
+
+    def encode(self, samples: Mapping[str, _Decoded]) -> Sequence[MessageBatch]:
+        if (found := samples.get(LOWSTATE.name)) is None:
+            return []
+        few = self._points.pick(found.published)
+        logged, published = found.logged[few], found.published[few]
+        positions, _ = self._base.poses(published, found["imu_state.quaternion"][few])
+        drawn = self._lines.pick(published)
+        lines = self._line.encode(published, positions, published[drawn])
+        return [MessageBatch("/measured/path", lines, logged[drawn], published[drawn])]
+
+
+class _Timing:
+    """The longest interval and latency in each 0.05 s of a stream."""
+
+    def __init__(self, topic: str, dds_topic: str) -> None:
+        self._topic, self._dds_topic = topic, dds_topic
+        self._last: int | None = None
+
+    def encode(self, samples: Mapping[str, _Decoded]) -> Sequence[MessageBatch]:
+        if (found := samples.get(self._dds_topic)) is None:
+            return []
+        published, logged = found.published, found.logged
+        starts = np.flatnonzero(np.diff(published // _TIMING_SPAN, prepend=-1))
+        previous = published[0] if self._last is None else self._last
+        self._last = int(published[-1])
+        intervals = np.diff(published, prepend=previous)
+        values = np.stack([intervals, logged - published], axis=-1) / 1e6
+        longest = np.maximum.reduceat(values, starts)
+        rows = (dict(zip(TIMING_FIELDS, row, strict=True)) for row in longest.tolist())
+        payloads = [json.dumps(row).encode() for row in rows]
+        return [MessageBatch(self._topic, payloads, logged[starts], published[starts])]
+
+
+class _Errors:
+    """/tracking_error/joint_states and /tracking_error/limbs."""
+
+    def __init__(self, joint_names: Sequence[str], rate: float, *, every: bool) -> None:
+        fields = _FIELDS[:2]
+        self._few = Decimator(rate)
+        self._error = TrackingError(len(joint_names))
+        self._joints = _JointStates(
+            "/tracking_error/joint_states", joint_names, fields, every=every
+        )
+        self._limbs = _JointStates(
+            "/tracking_error/limbs", tuple(JOINT_GROUPS), fields, every=False
+        )
+
+    def encode(self, samples: Mapping[str, _Decoded]) -> Sequence[MessageBatch]:
+        if found := samples.get(REFERENCE.name):
+            track = Track(found.published, found.logged, found["q"], found["dq"])
+            self._error.add_references(track, found.played)
+        if found := samples.get(LOWSTATE.name):
+            q, dq = found["motor_state.q"], found["motor_state.dq"]
+            self._error.add_states(Track(found.published, found.logged, q, dq))
+        errors = self._error.take()
         times, logged = errors.publish_times, errors.log_times
-        few = self._error_decimator.pick(times)
-        limbs = (by_limb(one, self._tracking_error.played) for one in (errors.q, errors.dq))
+        few = self._few.pick(times)
+        limbs = (_by_limb(one, self._error.played) for one in (errors.q, errors.dq))
         return [
-            self._error_joints.encode(times, logged, few, errors.q, errors.dq),
-            self._error_limbs.encode(times, logged, few, *limbs),
+            self._joints.encode(times, logged, few, errors.q, errors.dq),
+            self._limbs.encode(times, logged, few, *limbs),
         ]
-
-    def _from_log(self, batch: Batch) -> MessageBatch:
-        lines = []
-        for data, published in zip(batch.data, batch.publish_times, strict=True):
-            self._log.load(data)
-            lines.append(
-                encode_log(published, int(self._log.level), self._log.name, self._log.text)
-            )
-        return MessageBatch("/log", lines, *_times(batch))
 
 
 class _JointStates:
@@ -290,12 +342,94 @@ class _JointStates:
         return MessageBatch(self._topic, payloads, logged[chosen], published[chosen])
 
 
-def _times(batch: Batch) -> tuple[Ints, Ints]:
-    return np.array(batch.log_times), np.array(batch.publish_times)
+class Track(NamedTuple):
+    """Joints at T times: publish and log times (T,) ns, q and dq (T, 29) rad and rad/s."""
+
+    publish_times: Ints
+    log_times: Ints
+    q: Floats
+    dq: Floats
+
+    def where(self, index: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Track:
+        """Some of the times."""
+        return Track._make(values[index] for values in self)
+
+    def then(self, other: Track) -> Track:
+        """Both, one after the other."""
+        return Track._make(np.concatenate(pair) for pair in zip(self, other, strict=True))
 
 
-def _timing(topic: str, timing: Timing, published: Ints, logged: Ints) -> MessageBatch:
-    starts, longest = timing.longest(published, logged)
-    rows = (dict(zip(TIMING_FIELDS, row, strict=True)) for row in longest.tolist())
-    payloads = [json.dumps(row).encode() for row in rows]
-    return MessageBatch(topic, payloads, logged[starts], published[starts])
+class TrackingError:
+    """Computes the tracking error of states and references that come in batches.
+
+    The error is reference minus measured, at the publish time of each measured state. The reference
+    between two samples is taken as a straight line. Between samples further apart than `MAX_GAP_NS`
+    nothing is known of it, and states there have no error.
+
+    An error is known when the reference after its state has come; its log time is when the last of
+    what it is made of was received.
+
+    Args:
+        n_joints: how many joints there are.
+
+    Attributes:
+        played: (n_joints,) those that play the motion, by the references taken in last.
+    """
+
+    def __init__(self, n_joints: int) -> None:
+        times, joints = np.empty(0, dtype=np.int64), np.empty((0, n_joints))
+        self._references = self._states = Track(times, times, joints, joints)
+        self.played = np.ones(n_joints, dtype=bool)
+
+    def add_references(self, references: Track, played: NDArray[np.bool_] | None = None) -> None:
+        """Take in references, and which joints (n_joints,) play them; all if None."""
+        if played is not None:
+            self.played = played
+        together = self._references.then(references)
+        # Two writers' references may come interleaved.
+        self._references = together.where(np.argsort(together.publish_times, kind="stable"))
+
+    def add_states(self, states: Track) -> None:
+        """Take in measured states."""
+        self._states = self._states.then(states)
+
+    def take(self) -> Track:
+        """The errors that became known: q (rad) and dq (rad/s) are reference minus measured."""
+        references, states = self._references, self._states
+        known = states.publish_times <= references.publish_times[-1:].max(initial=-1)
+        self._states = _recent(states.where(~known))
+        # Kept though no state waits: one published before them may be handed over after them.
+        self._references = _recent(references)
+        states = states.where(known)
+        around = neighbours(references.publish_times, states.publish_times)
+        around = around.where(around.gap <= MAX_GAP_NS)
+        states = states.where(around.instants)
+        return Track(
+            states.publish_times,
+            np.maximum(states.log_times, references.log_times[around.after]),
+            around.interpolate(references.q) - states.q,
+            around.interpolate(references.dq) - states.dq,
+        )
+
+
+def _by_limb(errors: Floats, played: NDArray[np.bool_]) -> Floats:
+    """RMS over the joints of each limb that play the motion.
+
+    Args:
+        errors: (T, 29).
+        played: (29,) which joints play.
+
+    Returns:
+        (T, 5), limbs as in `JOINT_GROUPS`; nan for one of which no joint plays.
+    """
+    limbs = np.full((len(errors), len(JOINT_GROUPS)), np.nan)
+    for limb, joints in enumerate(JOINT_GROUPS.values()):
+        if members := [joint for joint in joints if played[joint]]:
+            limbs[:, limb] = np.sqrt((errors[:, members] ** 2).mean(axis=1))
+    return limbs
+
+
+def _recent(track: Track) -> Track:
+    """Without what is much older than the newest."""
+    newest = track.publish_times.max(initial=0)
+    return track.where(track.publish_times >= newest - _MAX_WAIT_NS)

@@ -12,8 +12,8 @@ from foxglove_schemas_protobuf.TriangleListPrimitive_pb2 import TriangleListPrim
 
 from g1stream.errors import RobotError
 from g1stream.files import read_file
-from g1stream.robot.meshes import LARGEST_MESH, decimate, read_stl
-from g1stream.robot.visuals import find_mesh, read_visuals
+from g1stream.input_limits import MESHES
+from g1stream.robot.shapes import decimate, find_mesh, read_stl, read_visuals
 from g1stream.types import Floats, Ints
 from g1stream.view.encoders import WORLD_FRAME
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
 
     from g1stream.robot.model import G1
-    from g1stream.robot.visuals import Visual
+    from g1stream.robot.shapes import Visual
 
 __all__ = [
     "PathEncoder",
@@ -42,8 +42,6 @@ _MEDIA_TYPES: Final = {
     ".obj": "model/obj",
     ".glb": "model/gltf-binary",
 }
-#: Bytes of all meshes of a scene that are embedded, as often as they occur in it.
-_LARGEST_SCENE: Final = 256 * 2**20
 #: The grid of the points of a mesh: 0.12 mm, a power of two, so that most bits of them are zero.
 _POINTS_PER_M: Final = 2.0**13
 
@@ -112,10 +110,10 @@ def encode_scene(
     others = {v.mesh for v in visuals if v.mesh and Shape(v.mesh, v.size) not in drawn}
     models = {name: load_mesh(robot, name) for name in others}
     size = sum(len(models.get(v.mesh, {}).get("data", b"")) for v in visuals)
-    if size > _LARGEST_SCENE:
+    if size > MESHES:
         raise RobotError(
             f"The meshes of {robot.source} have {size / 2**20:.0f} MiB.",
-            f"Give it simpler ones, of {_LARGEST_SCENE / 2**20:.0f} MiB at most, or move them away "
+            f"Give it simpler ones, of {MESHES / 2**20:.0f} MiB at most, or move them away "
             "to be shown by their names only.",
         )
     entities: dict[str, SceneEntity] = {}
@@ -187,7 +185,7 @@ def load_mesh(robot: G1, name: str) -> dict[str, Any]:
     if path is None or media_type is None:
         return {"url": name}
     try:
-        return {"data": read_file(path, LARGEST_MESH), "media_type": media_type}
+        return {"data": read_file(path, MESHES), "media_type": media_type}
     except OSError as error:
         raise RobotError(
             f"The mesh {path} of {robot.name} cannot be read: {error.strerror}.",

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 from g1stream.extras.feet.standing import LEGS, BodyState, StandingDynamics
-from g1stream.robot.dynamics import friction_torque
+from g1stream.robot.dynamics import friction_torque, mujoco_spec
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import G1
-from g1stream.robot.mujoco_spec import mujoco_spec
 from g1stream.robot.rotations import quat_normalize
 
 ROBOT = G1.default()

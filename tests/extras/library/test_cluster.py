@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 import g1stream
-from g1stream.extras.library.engine import completed, open_executor
+from g1stream.extras.library.run import completed, open_executor
 from g1stream.testing import dask_cluster
 
 pytestmark = pytest.mark.slow

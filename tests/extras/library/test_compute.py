@@ -10,7 +10,7 @@ import g1stream
 from g1stream.config import Config, load_config
 from g1stream.control.gains import resolve_gains
 from g1stream.errors import ConfigError
-from g1stream.extras.library.sweep import swept
+from g1stream.extras.library.library_cli import swept
 
 
 @pytest.mark.slow

@@ -12,8 +12,7 @@ from pathlib import Path
 import pytest
 
 from g1stream.extras.library.page import write_page
-from g1stream.extras.library.rows import MotionRow, Rows
-from g1stream.extras.library.table import writing
+from g1stream.extras.library.table import MotionRow, Rows, writing
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 

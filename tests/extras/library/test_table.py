@@ -10,14 +10,15 @@ from pyarrow import parquet
 import g1stream
 from g1stream.errors import RecordingError
 from g1stream.extras.library import table
-from g1stream.extras.library.rows import (
+from g1stream.extras.library.table import (
     CONDITION_NAMES,
     JointRow,
     MotionRow,
     Rows,
-    condition_values,
+    condition_value,
+    open_library,
+    writing,
 )
-from g1stream.extras.library.table import open_library, writing
 
 
 def rows(name="wave", key="1", sweep=None, **values):
@@ -87,7 +88,7 @@ def test_a_condition_takes_numbers_and_answers():
     row = {"frames": 30, "free": "inexact", "rmse": np.nan, "success": True}
     assert {*row} < {*CONDITION_NAMES}
     others = {"status": "ok", "feet": "false"}  # as an older version wrote it
-    found = condition_values(row | others, ["ok", *row])
+    found = {name: condition_value(row | others, name) for name in ("ok", *row)}
     assert found == {"ok": 1.0, "frames": 30.0, "free": 0.5, "rmse": None, "success": 1.0}
 
 

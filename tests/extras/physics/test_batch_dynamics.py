@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 from g1stream.extras.physics.batch_dynamics import BatchInverseDynamics
-from g1stream.robot.dynamics import BaseMotion, InverseDynamics
+from g1stream.robot.dynamics import BaseMotion, InverseDynamics, mujoco_spec
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1
-from g1stream.robot.mujoco_spec import mujoco_spec
 from g1stream.robot.rotations import quat_normalize, quat_rotate, tilt_of
 
 N = 12

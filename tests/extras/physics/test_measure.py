@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from g1stream.extras.physics.ground import FRICTION, zero_moment_point
-from g1stream.extras.physics.loads import movement_loads
-from g1stream.extras.physics.measure import motion_physics
+from g1stream.extras.physics.measure import motion_physics, movement_loads
 from g1stream.motion.motion import Motion
+from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.hulls import SelfCollision
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
@@ -20,7 +20,6 @@ from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1
 from g1stream.robot.rotations import quat_rotate
 from g1stream.robot.soles import Soles
-from g1stream.session.motions import load_motion
 from g1stream.sim.model import build_model
 from g1stream.synthetic import squatting
 

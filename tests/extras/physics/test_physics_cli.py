@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 
 from g1stream.extras.physics.result import MotionPhysics
-from g1stream.session.motions import load_motion
+from g1stream.motion.readers import load_motion
 
 
 def run(*arguments: object) -> subprocess.CompletedProcess[str]:

@@ -15,6 +15,7 @@ from g1stream.extras.physics.footing import CannotStandError
 from g1stream.extras.physics.ground import beyond_support, touching, zero_moment_point
 from g1stream.extras.physics.stance import on_standing_legs, stand
 from g1stream.motion.motion import Motion
+from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.dynamics import BaseMotion, InverseDynamics
 from g1stream.robot.joints import JOINT_NAMES
@@ -22,7 +23,6 @@ from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1
 from g1stream.robot.rotations import quat_from_rpy, quat_rotate, yaw_of
 from g1stream.robot.soles import OFF_FLOOR, Soles
-from g1stream.session.motions import load_motion
 from g1stream.synthetic import squatting, stepping
 
 ROBOT = G1.default()

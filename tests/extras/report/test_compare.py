@@ -1,4 +1,4 @@
-"""Sessions beside others: noise and change told apart, conditions, and what is refused."""
+"""Sessions beside others: noise and change told apart, and what is refused."""
 
 import re
 
@@ -7,13 +7,11 @@ import pytest
 from scipy.stats import ttest_ind
 
 import g1stream
-from g1stream.analysis.condition import Condition
+from g1stream.app.session import Session
 from g1stream.cli.main import main
 from g1stream.config import Config
-from g1stream.errors import ConfigError, RecordingError
-from g1stream.extras.report.compare_table import verdict
-from g1stream.extras.report.differences import differences, ranked
-from g1stream.session.session import Session
+from g1stream.errors import RecordingError
+from g1stream.extras.report.compare import differences, ranked, verdict
 from g1stream.session.source import MemorySource
 from g1stream.session.writer import SessionWriter
 from g1stream.synthetic import SyntheticSession
@@ -171,101 +169,6 @@ def test_what_differs_is_said():
     }
 
 
-@pytest.mark.parametrize(
-    ("wrong", "close"), [("rmsee", "rmse"), ("rmse.left_knee", "rmse.left_knee_joint")]
-)
-def test_an_unknown_metric_is_refused_with_those_that_there_are(wrong, close, capsys):
-    missing = ["compare", "not there", "--with", "not there either"]
-    assert main([*missing, "--fail-if", f"{wrong} > 1"]) == 2  # before anything is read
-    said = capsys.readouterr().err
-    assert close in said.split("Choose from")[0].split("Close matches")[1]
-    assert "mpjpe_world" in said
-    assert "right_wrist_yaw_joint" in said
-
-
-def of(comparison, text):
-    """Whether a condition holds for a comparison."""
-    return Condition(text).holds(*comparison.named())
-
-
-def test_a_condition_on_metrics_alone():
-    condition = Condition("rmse > 0.02 and not max < 0.1")
-    assert condition.metrics == ["rmse", "max"]
-    assert condition.holds({"rmse": 0.03, "max": 0.2})
-    assert not condition.holds({"rmse": 0.03, "max": 0.05})
-    with pytest.raises(ConfigError):
-        Condition("rmse > base").holds({"rmse": 0.03})
-
-
-@pytest.mark.parametrize(
-    ("text", "holds"),
-    [
-        ("rmse > 1.1 * base", True),
-        ("rmse > 1.5 * base", False),
-        ("rmse.left_leg > base and rmse.left_knee_joint > base", True),
-        ("not rmse > base", False),
-        ("0.012 < rmse < 0.014", True),
-        ("rmse - base > 0.5 or mpjpe > 1e9", False),
-        ("rmse / mae > 0.5", True),
-        ("rmse > base and p.rmse < 0.05 and p.left_leg < 0.05 and p.left_knee_joint < 0.05", True),
-        ("p.rate < 0.05", False),
-        ("rmse > 1 / (rmse - rmse)", None),
-        ("rmse > 1 / (rmse - rmse) or rmse > base", True),
-    ],
-)
-def test_conditions(worse, text, holds):
-    assert of(worse, text) is holds
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "",
-        "rmse",
-        "rmse >",
-        "base > 1",
-        "rmse + p99 > base",
-        "rmse == base",
-        "rmse > True",
-        "rmse > '1'",
-        "__import__('os').system('true') > 0",
-        "(lambda: 1)() > 0",
-        "rmse.left_leg.x > 0",
-        "rmse > 2 ** 99",
-        "[r for r in (1,)] > 0",
-        "(" * 300 + "rmse" + ")" * 300 + " > 1",
-        "rmse > " + "-" * 600 + "1",
-    ],
-)
-def test_what_is_no_condition(text):
-    with pytest.raises(ConfigError):
-        Condition(text)
-
-
-@pytest.mark.parametrize(
-    ("text", "holds"),
-    [
-        ("rmse > 0.02", None),
-        ("not rmse > 0.02", None),
-        ("ok > 0 and rmse > 0.02", False),
-        ("rmse > 0.02 and ok > 0", False),
-        ("ok < 1 or rmse > 0.02", True),
-        ("rmse > 0.02 or ok > 0", None),
-        ("ok < 1 and rmse > 0.02", None),
-        ("1 / ok > 2", None),
-        ("ok > 0 and 1 / ok > 2", False),
-    ],
-)
-def test_what_takes_an_unknown_metric_is_not_told(text, holds):
-    assert Condition(text).holds({"rmse": None, "ok": 0.0}) is holds
-
-
-@pytest.mark.parametrize("text", ["speed > 1", "rmse.left_hand > base", "p.rmse > base"])
-def test_conditions_that_cannot_be_told(worse, text):
-    with pytest.raises(ConfigError):
-        of(worse, text)
-
-
 def test_the_command(tmp_path, capsys):
     paths = []
     for name, bias in (("a", 0.01), ("b", 0.02)):
@@ -275,13 +178,12 @@ def test_the_command(tmp_path, capsys):
     given = ["compare", paths[0], "--with", paths[1]]
     assert main(given) == 0
     assert main([*given, "--fail-if", "rmse > 1.1 * base"]) == 1
-    capsys.readouterr()
-    assert main([*given, "--fail-if", "rmse < base"]) == 0
-    assert "passed: rmse < base does not hold" in capsys.readouterr().out
-    assert main([*given, "--fail-if", "1 / (rmse - rmse) < 0"]) == 1
-    assert "cannot be told: it divides by 0" in capsys.readouterr().out
-    assert main([*given, "--fail-if=-rmse < 0"]) == 1
-    assert "FAILED: -rmse < 0 holds" in capsys.readouterr().out
+    assert "FAILED: rmse > 1.1 * base holds" in capsys.readouterr().out
+    assert main([*given, "--fail-if", "rmse < 1 * base"]) == 0
+    assert "passed: rmse < 1 * base does not hold" in capsys.readouterr().out
+    assert main([*given, "--fail-if", "rmse < 1 * base", "--fail-if", "rmse > 0.015"]) == 1
+    assert main([*given, "--fail-if", "torque_use > 1e9"]) == 1  # the sessions have no such metric
+    assert "cannot be told, not all sessions have torque_use" in capsys.readouterr().out
     missing = ["compare", "not there", "--with", "not there either"]
     assert main([*missing, "--fail-if", "p.rmse < 0.05"]) == 2
     assert "two or more" in capsys.readouterr().err
@@ -292,7 +194,7 @@ def test_the_command(tmp_path, capsys):
     assert main([*given, "-o", str(page), "--force"]) == 0
     assert main([*given, "--fail-if", "rmse"]) == 2
     capsys.readouterr()
-    assert main([*given, "--json", "--fail-if", "rmse > base"]) == 1
+    assert main([*given, "--json", "--fail-if", "rmse > 1 * base"]) == 1
     assert '"failed": true' in capsys.readouterr().out
 
 

@@ -29,7 +29,7 @@ from g1stream.robot.rotations import (
     tilt_of,
 )
 from g1stream.robot.soles import OFF_FLOOR
-from g1stream.session.stream_summary import BalanceSummary
+from g1stream.session.records import BalanceSummary
 from g1stream.types import Floats
 
 if TYPE_CHECKING:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from g1stream.control.targets import Target
     from g1stream.motion.motion import Motion
     from g1stream.robot.model import G1
-    from g1stream.session.stream_summary import BalanceSummary
+    from g1stream.session.records import BalanceSummary
     from g1stream.types import Floats, StreamSupport
 
 __all__ = ["StandingTorques"]

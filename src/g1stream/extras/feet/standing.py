@@ -16,9 +16,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from g1stream.robot.dynamics import GRAVITY, friction_torque
+from g1stream.robot.dynamics import GRAVITY, friction_torque, mujoco_spec
 from g1stream.robot.joints import JOINT_NAMES, LEGS
-from g1stream.robot.mujoco_spec import mujoco_spec
 from g1stream.robot.soles import Soles
 from g1stream.types import Floats
 

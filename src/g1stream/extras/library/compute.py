@@ -21,11 +21,11 @@ from g1stream._version import __version__
 from g1stream.config import Config
 from g1stream.errors import G1StreamError, MotionError, RecordingError
 from g1stream.extras.library.files import content_hash, local_copy, stem
-from g1stream.extras.library.rows import FORMAT, Command, JointRow, MotionRow, Rows, Status
+from g1stream.extras.library.table import FORMAT, Command, JointRow, MotionRow, Rows, Status
 from g1stream.extras.physics.measure import motion_physics
 from g1stream.motion.check import check_motion
-from g1stream.motion.motion import Motion
-from g1stream.motion.save import MOTION_SUFFIXES
+from g1stream.motion.motion import MOTION_SUFFIXES, Motion
+from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.kinematics import forward_kinematics
@@ -36,11 +36,10 @@ from g1stream.robot.rotations import (
     quat_rotate_inverse,
     yaw_of,
 )
-from g1stream.session.motions import load_motion
 
 if TYPE_CHECKING:
+    from g1stream.analysis.metrics import Metrics
     from g1stream.extras.physics.result import MotionPhysics
-    from g1stream.session.metrics import Metrics
     from g1stream.types import StreamSupport
 
 __all__ = ["OUTPUTS", "Content", "LibraryCase", "Task", "contents_of", "rows_of"]
@@ -72,7 +71,7 @@ class LibraryCase:
         config: all settings.
         support: how the pelvis is held; of `simulate`.
         sweep: values of settings in this case, by name; they are in `config` already.
-        format: ending of the files of `convert`: csv, npz, parquet or mcap.
+        format: ending of the files of `convert`: csv, npz or mcap.
         out: the library's directory.
         sessions: `simulate` keeps each session and its report.
     """
@@ -321,7 +320,7 @@ def _joint_rows(key: str, metrics: Metrics) -> list[JointRow]:
             key=key,
             joint=name,
             rmse=one.rmse_rad,
-            bias=one.mean_rad,
+            bias=one.bias_rad,
             p99=one.p99_rad,
             max=one.max_abs_rad,
             delay=one.delay_s,

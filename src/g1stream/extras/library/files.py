@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from g1stream.errors import ConfigError, MotionError, RecordingError
 from g1stream.files import output_errors
+from g1stream.input_limits import MOTION_FILE
 from g1stream.optional import import_extra
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ __all__ = ["LIBRARY", "content_hash", "find_motions", "local_copy", "stem"]
 
 #: Of the files in a directory that may be motions; a file that is named is read whatever its name.
 _SUFFIXES: Final = {
-    *(".csv", ".npz", ".npy", ".parquet"),
+    *(".csv", ".npz", ".npy"),
     *(".pkl", ".pickle", ".joblib", ".pt", ".pth"),
     *(".mcap", ".db3"),
 }
@@ -28,8 +29,6 @@ _SUFFIXES: Final = {
 _BAG: Final = "metadata.yaml"
 LIBRARY: Final = ".g1stream-library"
 """The file in each library's directory; its tables and what it wrote are no motions to look at."""
-#: Bytes of a file from a URL; an hour of motion at 500 Hz has as many.
-_LARGEST: Final = 2**30
 
 
 def find_motions(places: Sequence[str]) -> list[str]:
@@ -170,8 +169,8 @@ def _opened(location: str) -> Iterator[Any]:
             if not path.is_file():
                 raise OSError("it is not a file")
             size = path.stat().st_size
-        if size is not None and size > _LARGEST:
-            raise OSError(f"it has more than {_LARGEST / 2**20:g} MiB")
+        if size is not None and size > MOTION_FILE:
+            raise OSError(f"it has more than {MOTION_FILE / 2**20:g} MiB")
         with opened(path, "rb") as file:
             yield file
     except (MemoryError, RecordingError):  # of who reads it

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections import Counter
 from dataclasses import dataclass
+from itertools import product
 from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, cast, get_args
@@ -20,16 +21,23 @@ from g1stream.cli.command import (
 )
 from g1stream.cli.flags import argument, flag
 from g1stream.cli.progress import ProgressDisplay
+from g1stream.config import load_config, settings
+from g1stream.control.gains import resolve_gains
 from g1stream.errors import ConfigError
+from g1stream.robot.joints import JOINT_NAMES
 from g1stream.text import counted, labelled, table
 from g1stream.types import StreamSupport, Support
 
 if TYPE_CHECKING:
-    from g1stream.extras.library.compute import LibraryCase
-    from g1stream.extras.library.rows import MotionRow
-    from g1stream.extras.library.run import LibraryRun
+    from collections.abc import Iterator, Sequence
 
-__all__ = ["Library"]
+    from g1stream.cli.fail_if import FailIf
+    from g1stream.config import Config
+    from g1stream.extras.library.compute import LibraryCase
+    from g1stream.extras.library.run import LibraryRun
+    from g1stream.extras.library.table import MotionRow
+
+__all__ = ["Library", "swept"]
 
 #: Motions that are named where several failed.
 _NAMED: Final = 5
@@ -48,20 +56,20 @@ class Library(SettingsCommand):
     The result is a directory with Parquet tables, a row for each motion and one for each of its
     joints, and index.html. A file that is broken, or takes too much time or memory, is a row with
     its reason. The same command continues where it was ended, and computes again what other
-    settings or versions change. docs/library.md has the columns; --fail-if takes those that are
-    numbers, yes and no as 1 and 0, and `ok`, 1 for a row whose status is ok.
+    settings or versions change. docs/library.md has the columns; a condition names one that is a
+    number or a yes (1) or no (0), or `ok`, which is 1 for a row whose status is ok.
 
     Examples:
       g1stream library check motions -o library
       g1stream library simulate s3://lab/motions --support bolted,hanging
       g1stream library simulate motions --sweep gains.kp=0.5,1,2
-      g1stream library check motions --fail-if 'max_collision > 10 or free < 1'
-      g1stream library check motions --fail-if 'ok > 0 and max_collision > 10'
+      g1stream library check motions --fail-if 'max_collision > 10'
       g1stream library check motions --cluster tcp://head:8786
 
     Exit codes:
       0        computed; that a motion failed is a result, too
-      1        --fail-if holds, or cannot be told, for a row; or rows are missing
+      1        a condition of --fail-if holds, or cannot be told, for a row;
+               or rows are missing
       2        bad input
       128 + n  ended by signal n; what was computed is kept
     """
@@ -91,28 +99,32 @@ class Library(SettingsCommand):
         shown="none",
     )
     sessions: bool = flag(False, "simulate: keep each session, and its report.")
-    to: Literal["npz", "csv", "parquet", "mcap"] = flag("npz", "convert: format of the files.")
+    to: Literal["npz", "csv", "mcap"] = flag("npz", "convert: format of the files.")
     workers: int | None = flag(None, "Processes on this machine.", "N", shown="CPUs", gt=0)
     cluster: str | None = flag(
         None, "Use the workers of this Dask scheduler instead (extra `cluster`).", "ADDRESS"
     )
     time_limit: float = flag(600.0, "Time for a motion.", "S", gt=0)
     memory_limit: float = flag(4000.0, "Memory for a motion.", "MB", gt=0)
-    fail_if: str | None = flag(None, "Exit code 1 where this holds for a row.", "CONDITION")
+    fail_if: list[str] = flag(
+        (),
+        "Exit code 1 where this holds for a row: NAME OP NUMBER, OP one of < <= > >=. May be "
+        "repeated.",
+        "CONDITION",
+        shown="none",
+    )
     json: bool = flag(False, "Print a line of JSON for each row that is computed.")
 
     def run(self) -> int:
         """Compute, and return the exit code."""
-        from g1stream.analysis.condition import Condition
+        from g1stream.cli.fail_if import FailIf
         from g1stream.extras.library.processes import Limits
-        from g1stream.extras.library.rows import CONDITION_NAMES, condition_values
         from g1stream.extras.library.run import LibraryRun, run_library
-        from g1stream.extras.library.table import newest_motions
+        from g1stream.extras.library.table import CONDITION_NAMES, newest_motions
 
         self._check_flags()
-        condition = None if self.fail_if is None else Condition(self.fail_if)
-        if condition:  # refused now, and not when all is computed
-            condition.holds({name: 1.0 + i for i, name in enumerate(CONDITION_NAMES)})
+        # Refused now, and not when all is computed.
+        conditions = [FailIf.parse(text, CONDITION_NAMES) for text in self.fail_if]
         cases = self._cases()
         run, reasons = LibraryRun(), list[str]()
         with on_signals(reasons.append), ProgressDisplay(run.status, in_pipe=_IN_PIPE_S):
@@ -134,24 +146,10 @@ class Library(SettingsCommand):
         out = sys.stderr if self.json else None
         lines = [*_about(run, self.out), *_results(rows), *_problems(run, rows)]
         print_lines("\n".join(lines), out)
-        failed = False
-        if condition:
-            names = condition.metrics
-            truths = [condition.holds(condition_values(row, names)) for row in rows]
-            held = {
-                text: [row for row, truth in zip(rows, truths, strict=True) if truth is one]
-                for text, one in (("holds", True), ("cannot be told", None))
-            }
-            failed = any(held.values())
-            verdict = ", and ".join(
-                f"{text} for {counted(len(of), 'row')}, such as {of[0]['name']}"
-                for text, of in held.items()
-                if of
-            )
-            label = "FAILED: " if failed else "passed: " if run.complete else "not decided: "
-            there = "" if run.complete else f" of the {counted(len(rows), 'row')} that are there"
-            verdict = verdict or f"holds for no row{there}"
-            print_lines(labelled(label, f"{condition.text} {verdict}"), out)
+        verdicts = [_verdict(one, rows, complete=run.complete) for one in conditions]
+        for _, line in verdicts:
+            print_lines(line, out)
+        failed = any(one_failed for one_failed, _ in verdicts)
         if reasons:
             return exit_code_of_signal(reasons[0]) or EXIT_STOPPED
         return EXIT_STOPPED if failed or not run.complete else EXIT_OK
@@ -173,7 +171,6 @@ class Library(SettingsCommand):
 
     def _cases(self) -> list[LibraryCase]:
         from g1stream.extras.library.compute import LibraryCase
-        from g1stream.extras.library.sweep import swept
 
         config, out = self.resolve(), self.out
         if self.action == "check":
@@ -192,6 +189,27 @@ class Library(SettingsCommand):
             for support in supports
             for values, settings in swept(config, self.sweep)
         ]
+
+
+def _verdict(condition: FailIf, rows: list[dict[str, Any]], *, complete: bool) -> tuple[bool, str]:
+    """Whether a condition fails the run, and that in words."""
+    from g1stream.extras.library.table import condition_value
+
+    truths = [condition.holds(condition_value(row, condition.name)) for row in rows]
+    held = {
+        text: [row for row, truth in zip(rows, truths, strict=True) if truth is one]
+        for text, one in (("holds", True), ("cannot be told", None))
+    }
+    failed = any(held.values())
+    verdict = ", and ".join(
+        f"{text} for {counted(len(of), 'row')}, such as {of[0]['name']}"
+        for text, of in held.items()
+        if of
+    )
+    label = "FAILED: " if failed else "passed: " if complete else "not decided: "
+    there = "" if complete else f" of the {counted(len(rows), 'row')} that are there"
+    verdict = verdict or f"holds for no row{there}"
+    return failed, labelled(label, f"{condition.text} {verdict}")
 
 
 def _print_row(row: MotionRow) -> None:
@@ -239,7 +257,7 @@ def _results(rows: list[dict[str, Any]]) -> list[str]:
 
 def _problems(run: LibraryRun, rows: list[dict[str, Any]]) -> list[str]:
     """What failed, and why; some of each kind. And what a file that was written lacks."""
-    from g1stream.motion.csv import DEFAULT_FPS
+    from g1stream.motion.motion import DEFAULT_FPS
 
     failed = [row for row in rows if row["status"] != "ok"]
     kinds = ", ".join(f"{n} {kind}" for kind, n in Counter(r["status"] for r in failed).items())
@@ -257,3 +275,55 @@ def _problems(run: LibraryRun, rows: list[dict[str, Any]]) -> list[str]:
         )
     lost = list(run.lost.items())[:_NAMED]
     return lines + [labelled("  ", f"{path}: not computed: {why}") for path, why in lost]
+
+
+#: Settings whose values in a sweep are factors.
+_GAINS: Final = ("gains.kp", "gains.kd")
+
+
+def swept(config: Config, sweeps: Sequence[str]) -> Iterator[tuple[dict[str, float | str], Config]]:
+    """Every combination of the values of a sweep, and the settings with them.
+
+    Args:
+        config: the other settings.
+        sweeps: such as `stream.rate=250,500`; the values of `gains.kp` and `gains.kd` are factors
+            of the gains.
+
+    Raises:
+        ConfigError: a sweep names what is no setting, one twice, or a value that does not fit.
+    """
+    values: dict[str, list[float | str]] = {}
+    for text in sweeps:
+        name, _, given = text.partition("=")
+        if name not in settings() or name in values:
+            reason = "is swept twice" if name in values else "is no setting"
+            raise ConfigError(
+                f"{name} in --sweep {text} {reason}.",
+                "Name a setting of configs/sim.toml, once: --sweep stream.rate=250,500.",
+            )
+        values[name] = list(dict.fromkeys(_value(one.strip()) for one in given.split(",")))
+        if "" in values[name]:
+            raise ConfigError(
+                f"--sweep {text} lacks a value.", f"Give some: --sweep {name}=0.5,1,2."
+            )
+    for combination in product(*values.values()):
+        chosen = dict(zip(values, combination, strict=True))
+        over = {name: _setting(config, name, value) for name, value in chosen.items()}
+        yield chosen, load_config(over=config.model_dump() | over)
+
+
+def _value(text: str) -> float | str:
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def _setting(config: Config, name: str, value: float | str) -> Any:
+    if name not in _GAINS:
+        return int(value) if isinstance(value, float) and value.is_integer() else value
+    if isinstance(value, str):
+        raise ConfigError(f"{name} cannot be {value} times the gains.", "Give a number.")
+    kp, kd = resolve_gains(config.gains)
+    gains = value * (kp if name == "gains.kp" else kd)
+    return dict(zip(JOINT_NAMES, gains.tolist(), strict=True))

@@ -9,8 +9,7 @@ from pathlib import Path, PurePosixPath
 from string import Template
 from typing import TYPE_CHECKING, Any, Final, get_args
 
-from g1stream.extras.library.rows import MotionRow
-from g1stream.extras.library.table import newest_motions
+from g1stream.extras.library.table import MotionRow, newest_motions
 from g1stream.files import complete_file
 from g1stream.text import printable
 from g1stream.types import Support

@@ -8,10 +8,11 @@ import numpy as np
 
 from g1stream.errors import ConfigError, MotionError
 from g1stream.extras.physics.footing import CannotStandError
-from g1stream.extras.physics.parts import find_instead, stand_part
+from g1stream.extras.physics.instead import find_instead
+from g1stream.extras.physics.stance import stand_part
 from g1stream.motion.motion import Motion
+from g1stream.motion.readers import load_motion
 from g1stream.robot.model import G1
-from g1stream.session.motions import load_motion
 
 if TYPE_CHECKING:
     from pathlib import Path

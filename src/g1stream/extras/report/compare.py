@@ -5,34 +5,50 @@ from __future__ import annotations
 import hashlib
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple
+from statistics import fmean
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 import numpy as np
+from pydantic import computed_field
 
-from g1stream.analysis.delay import interpolated
-from g1stream.analysis.metrics import metrics
-from g1stream.analysis.summary import flat, played
+from g1stream.analysis.metrics import NAMED_METRICS, metrics
+from g1stream.analysis.signals import Line
+from g1stream.analysis.summarise import flat, played
+from g1stream.analysis.tracking import interpolated
+from g1stream.app.session import Session, open_session
 from g1stream.config import Config
 from g1stream.errors import RecordingError
-from g1stream.extras.report.compare_table import comparison_table
-from g1stream.extras.report.differences import Difference, differences, ranked
-from g1stream.files import check_not_input, check_output_path, check_suffix
+from g1stream.extras.report.figures import curve
+from g1stream.extras.report.html import joints_by_limb, render_page
+from g1stream.extras.report.tables import difference_tables
+from g1stream.files import check_not_input, check_output_path, check_suffix, complete_file
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS, matching_joints
-from g1stream.session.info import SessionInfo
-from g1stream.session.metrics import NAMED_METRICS
-from g1stream.session.records import Record, read_record
-from g1stream.session.session import Session, open_session
+from g1stream.session.records import Record, SessionInfo, read_record
+from g1stream.text import counted, labelled, printable, table
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from g1stream.session.metrics import Metrics
-    from g1stream.session.summary import Summary
+    from g1stream.analysis.metrics import Metrics
+    from g1stream.analysis.summary import Summary
     from g1stream.types import Floats
 
-__all__ = ["CONDITION_NAMES", "Comparison", "compare"]
+__all__ = [
+    "CONDITION_NAMES",
+    "SIGNIFICANT",
+    "Comparison",
+    "Difference",
+    "compare",
+    "compared",
+    "comparison_table",
+    "differences",
+    "ranked",
+    "significance",
+    "verdict",
+    "write_page",
+]
 
 _PARTS: Final = (*JOINT_GROUPS, *JOINT_NAMES)
 CONDITION_NAMES: Final = (
@@ -168,8 +184,6 @@ def compare(
         differs=_circumstances(*sides),
     )
     if page is not None:
-        from g1stream.extras.report.compare_page import write_page
-
         sources = [[run.source for run in side] for side in sides]
         progress("drawing", 0.0)
         write_page(comparison, sources, joints, Path(page), force=force)
@@ -368,3 +382,318 @@ def _facts(session: Session, summary: Summary) -> Iterator[tuple[str, str]]:
     for name, value in (flat(Config().model_dump(mode="json")) | flat(info.config)).items():
         if not name.startswith(("stream.feedforward", "stream.rate", "gains.", "record.")):
             yield name, "not set" if value is None else str(value)
+
+
+SIGNIFICANT: Final = 0.05
+"""A difference with an adjusted p-value below this is significant."""
+
+
+class Difference(Record):
+    """A figure on both sides.
+
+    Attributes:
+        unit: of the values.
+        base, other: mean over the sessions of a side.
+        base_values, other_values: of each session.
+        change: (other - base) / base; None where base is 0, or the figure can have either sign, so
+            that a share of it says nothing.
+        p: of Welch's t-test; None with one session on a side.
+        p_adjusted: by Holm's method, over the figures of the same kind.
+    """
+
+    unit: str
+    base: float
+    other: float
+    base_values: list[float]
+    other_values: list[float]
+    change: float | None = None
+    p: float | None = None
+    p_adjusted: float | None = None
+
+    @computed_field  # type: ignore[prop-decorator]
+    @property
+    def difference(self) -> float:
+        """Other - base."""
+        return self.other - self.base
+
+    @computed_field  # type: ignore[prop-decorator]
+    @property
+    def significant(self) -> bool | None:
+        """Whether it is more than the noise from run to run; None where that cannot be told."""
+        return None if self.p_adjusted is None else self.p_adjusted < SIGNIFICANT
+
+
+def differences(
+    sides: Sequence[Sequence[Mapping[str, float | None]]],
+    units: Mapping[str, str],
+    signed: Collection[str] = (),
+) -> dict[str, Difference]:
+    """Of the figures that all sessions of both sides have, tested together.
+
+    Args:
+        sides: of base and other, the figures of each session by name.
+        units: by name; what has none is in rad.
+        signed: names of those that can have either sign.
+    """
+    found: dict[str, Difference] = {}
+    for name in sides[0][0]:
+        values = [[v for one in side if (v := one.get(name)) is not None] for side in sides]
+        if [len(side) for side in values] != [len(side) for side in sides]:
+            continue
+        base, other = map(fmean, values)
+        found[name] = Difference(
+            unit=units.get(name, "rad"),
+            base=base,
+            other=other,
+            base_values=values[0],
+            other_values=values[1],
+            change=(other - base) / base if base and name not in signed else None,
+            p=_welch(*map(np.array, values)),
+        )
+    # Holm: the k-th smallest of n p-values counts n + 1 - k times, and no less than those before.
+    ordered = sorted((d for d in found.values() if d.p is not None), key=lambda d: d.p or 0.0)
+    least = 0.0
+    for i, one in enumerate(ordered):
+        least = max(least, min(1.0, (len(ordered) - i) * (one.p or 0.0)))
+        one.p_adjusted = least
+    return found
+
+
+def ranked(found: Mapping[str, Difference]) -> dict[str, Difference]:
+    """Significant differences first, and of each kind the greatest first.
+
+    A share of the base would put a joint first that follows to 1e-7 rad on one side.
+    """
+    key = lambda one: (not one[1].significant, -abs(one[1].difference))  # noqa: E731
+    return dict(sorted(found.items(), key=key))
+
+
+def _welch(a: Floats, b: Floats) -> float | None:
+    """The two-sided p-value of Welch's t-test; None with one value on a side."""
+    from scipy.special import stdtr
+
+    if min(len(a), len(b)) < 2:
+        return None
+    errors = [one.var(ddof=1) / len(one) for one in (a, b)]
+    apart, error = abs(a.mean() - b.mean()), sum(errors)
+    # A figure that is the same in all sessions of a side, such as a rate, has no noise.
+    if error <= np.square(1e-12 * np.abs(np.concatenate([a, b])).max()):
+        return 1.0 if apart <= 1e-12 * np.abs(a).max() else 0.0
+    degrees = error**2 / sum(
+        one**2 / (len(values) - 1) for one, values in zip(errors, (a, b), strict=True)
+    )
+    return float(2.0 * stdtr(degrees, -apart / math.sqrt(error)))
+
+
+#: Joints whose RMSE differs most.
+_MOST_JOINTS: Final = 8
+#: From this share of the base on a change is said as how many times the base.
+_MANY_TIMES: Final = 9.0
+#: Significant digits of an RMSE, and with how many it can be told from another.
+_FEWEST_DIGITS, _MOST_DIGITS = 4, 7
+
+
+def comparison_table(comparison: Comparison) -> str:
+    """The verdict, what is compared, what else differs, and the differences."""
+    kinds: tuple[dict[str, Difference], ...] = (
+        comparison.metrics,
+        {f"RMSE {name.replace('_', ' ')}": one for name, one in comparison.limbs.items()},
+        {
+            name.removesuffix("_joint"): one
+            for name, one in list(comparison.joints.items())[:_MOST_JOINTS]
+        },
+    )
+    rows: list[tuple[str, ...]] = [("", "base", "other", "unit", "change", "p (Holm)")]
+    for kind in kinds:
+        rows += [_row(name, one) for name, one in kind.items()]
+        rows.append(("",) * len(rows[0]))
+    lines = [
+        labelled("verdict   ", verdict(comparison)),
+        labelled("motion    ", compared(comparison)),
+        labelled("base      ", ", ".join(comparison.base)),
+        labelled("other     ", ", ".join(comparison.other)),
+    ]
+    lines += [
+        labelled("differs   ", f"{name}: {base}; {other}")
+        for name, (base, other) in comparison.differs.items()
+    ]
+    below = (
+        "change: other - base, in % of base or, from tenfold on, other / base; in the unit where a "
+        "share says nothing; joints: "
+        f"the {_MOST_JOINTS} whose RMSE differs most, significant ones first; *: significant. "
+        f"{significance(comparison)}"
+    )
+    return "\n".join(
+        [*lines, "", *map(printable, table(rows, left=(0, 3, 5))), labelled("", below)]
+    )
+
+
+def _share(change: float) -> str:
+    return f"{change:+.1%}" if change < _MANY_TIMES else f"x{1.0 + change:.3g}"
+
+
+def _row(name: str, one: Difference) -> tuple[str, ...]:
+    change = f"{one.difference:+.3g}" if one.change is None else _share(one.change)
+    p = "" if one.p_adjusted is None else _p(one.p_adjusted)
+    mark = " *" if one.significant else ""
+    return name, f"{one.base:.4g}", f"{one.other:.4g}", one.unit, change, p + mark
+
+
+def verdict(comparison: Comparison, unit: Literal["rad", "deg"] = "rad") -> str:
+    """What became of the tracking error, in one sentence."""
+    rmse, joints = comparison.metrics["rmse"], comparison.joints.values()
+    base, other = (math.degrees(x) if unit == "deg" else x for x in (rmse.base, rmse.other))
+    for digits in range(_FEWEST_DIGITS, _MOST_DIGITS + 1):
+        figures = f"{other:.{digits}g}", f"{base:.{digits}g}"
+        if figures[0] != figures[1]:
+            change = "" if rmse.change is None else f" ({_share(rmse.change)})"
+            text = f"an RMSE of {figures[0]} {unit} instead of {figures[1]}{change}"
+            break
+    else:
+        text = f"the same RMSE on both sides, {base:.{_FEWEST_DIGITS}g} {unit}"
+    text = f"The joints followed with {text}"
+    if figures[0] == figures[1] and not rmse.significant:
+        return f"{text}."
+    if rmse.p_adjusted is None:
+        return f"{text}; whether that is more than noise, one session on a side cannot tell."
+    noise = "more than" if rmse.significant else "which cannot be told from"
+    closer = sum(bool(one.significant) and one.difference < 0.0 for one in joints)
+    farther = sum(bool(one.significant) and one.difference > 0.0 for one in joints)
+    return (
+        f"{text}, {noise} the noise from run to run (p {_p(rmse.p_adjusted)}); of "
+        f"{counted(len(joints), 'joint')} {closer} followed more closely and {farther} less "
+        "closely, beyond that noise."
+    )
+
+
+def compared(comparison: Comparison) -> str:
+    """Which part of which motion is compared."""
+    return f"{comparison.motion}, {comparison.start_s:.2f} to {comparison.stop_s:.2f} s"
+
+
+def significance(comparison: Comparison) -> str:
+    """What the p-values are, or why there are none."""
+    sides = len(comparison.base), len(comparison.other)
+    if min(sides) < 2:
+        return (
+            f"With {sides[0]} and {sides[1]} sessions no difference can be told from the noise "
+            "between runs: give two or more on each side."
+        )
+    return (
+        f"Significant is p < {SIGNIFICANT:g} in Welch's t-test on {sides[0]} and {sides[1]} "
+        "sessions, adjusted for the number of rows of a kind (Holm)."
+    )
+
+
+def _p(value: float) -> str:
+    return "<0.001" if value < 0.001 else f"{value:.3f}"
+
+
+#: Of all lines of a joint together, so that a page of many sessions is no larger.
+_MOST_POINTS: Final = 8000
+#: Colours of base and other.
+_COLOURS: Final = ("#0072b2", "#d55e00")
+
+
+def write_page(
+    comparison: Comparison,
+    sources: Sequence[Sequence[Session | str | Path]],
+    joints: Sequence[int],
+    path: Path,
+    *,
+    force: bool = False,
+) -> None:
+    """Write the page of a comparison.
+
+    Args:
+        comparison: of these sessions.
+        sources: the sessions of base and other, or their files.
+        joints: motor indices of those that are compared.
+        path: of the page.
+        force: replace a file that is there.
+
+    Raises:
+        RecordingError: a session is damaged, or the page cannot be written.
+    """
+    with complete_file(path, force=force) as temporary:
+        drawn = _drawn(comparison, sources, list(joints))
+        rmse = comparison.metrics["rmse"]
+        worse = "bad" if rmse.difference > 0.0 else "good"
+        text = render_page(
+            "comparison.html",
+            [drawn],
+            title="comparison",
+            heading=f"Comparison: {comparison.motion}",
+            overview=None,
+            verdict=verdict(comparison, "deg"),
+            good=worse if rmse.significant else "",  # else it may be noise
+            compared=[
+                ("motion", compared(comparison)),
+                ("base", ", ".join(comparison.base)),
+                ("other", ", ".join(comparison.other)),
+            ],
+            differs=[(name, *sides) for name, sides in comparison.differs.items()],
+            tables=difference_tables(comparison.model_dump(mode="json")),
+            limbs=joints_by_limb(comparison.joints),
+            first_joint=drawn["first_joint"],
+            significance=significance(comparison),
+        )
+        temporary.write_text(text, encoding="utf-8")
+
+
+def _drawn(
+    comparison: Comparison, sources: Sequence[Sequence[Session | str | Path]], joints: list[int]
+) -> dict[str, Any]:
+    """What the page's script draws; times are s of the motion, angles degrees.
+
+    Signals are reduced, without losing a peak, so that the page does not grow with the sessions.
+    """
+    lines: list[dict[str, Any]] = []
+    reference: list[dict[str, str]] = []
+    most = max(200, _MOST_POINTS // (1 + sum(map(len, sources))))
+    for number, side in enumerate(sources):
+        for source in side:
+            session = source if isinstance(source, Session) else open_session(source)
+            found = session.tracking()
+            inside = (found.motion_time >= comparison.start_s) & (
+                found.motion_time <= comparison.stop_s
+            )
+            time = found.motion_time[inside]
+            asked = np.degrees(found.reference[inside])
+            measured = np.degrees(found.measured[inside])
+            error = asked - measured
+            rms = np.sqrt(np.mean(np.square(error[:, joints]), axis=1, keepdims=True))
+            reference = reference or _curves(time, asked, most)
+            lines.append(
+                {
+                    "side": number,
+                    "name": session.path.name,
+                    "measured": _curves(time, measured, most),
+                    "error": _curves(time, error, most),
+                    "rms": _curves(time, rms, most)[0],
+                }
+            )
+    return {
+        "sides": [
+            {"name": name, "colour": colour, "rmse_deg": _of_each_joint(comparison, name)}
+            for name, colour in zip(("base", "other"), _COLOURS, strict=True)
+        ],
+        "joints": [name.removesuffix("_joint") for name in JOINT_NAMES],
+        "first_joint": JOINT_NAMES.index(next(iter(comparison.joints))),
+        "reference": reference,
+        "lines": lines,
+    }
+
+
+def _curves(time: Floats, values: Floats, most: int) -> list[dict[str, str]]:
+    line = Line.from_samples("", time, values)
+    return [curve(line.time, column, most) for column in line.values.T]
+
+
+def _of_each_joint(comparison: Comparison, side: str) -> list[list[float] | None]:
+    """By motor index the RMSE of each session of a side, deg; None for a joint not compared."""
+    of = comparison.joints
+    return [
+        np.degrees(getattr(of[name], f"{side}_values")).tolist() if name in of else None
+        for name in JOINT_NAMES
+    ]

@@ -18,9 +18,9 @@ class Compare(Command):
     """Compares sessions of one motion, over the part of it that all of them played.
 
     With two or more sessions on each side it tells which differences are more than the noise from
-    run to run (Welch's t-test, adjusted by Holm's method). A condition names metrics of the table,
-    `rmse.left_leg` or `rmse.left_knee_joint`; `base` is the base's mean of the same metric, and
-    `p.rmse`, `p.left_leg` or `p.left_knee_joint` the p-value of a difference.
+    run to run (Welch's t-test, adjusted by Holm's method). A condition names a metric of the table,
+    `rmse.left_leg` or `rmse.left_knee_joint`, or the p-value of a difference: `p.rmse`,
+    `p.left_leg` or `p.left_knee_joint`. `base` is the base's mean of the same metric.
 
     Examples:
       g1stream compare before.mcap --with after.mcap
@@ -31,7 +31,7 @@ class Compare(Command):
 
     Exit codes:
       0  compared
-      1  the condition of --fail-if holds, or cannot be told as it divides by 0
+      1  a condition of --fail-if holds, or the sessions do not have what it names
       2  bad input: not sessions of one motion, a condition that cannot be used,
          a page that cannot be written
     """
@@ -44,12 +44,18 @@ class Compare(Command):
         None, "A page that shows both sides over each other.", "HTML", aliases=("-o",)
     )
     force: bool = flag(False, "Replace a page that is there.")
-    fail_if: str | None = flag(None, "Exit code 1 where this holds.", "CONDITION")
+    fail_if: list[str] = flag(
+        (),
+        "Exit code 1 where this holds: NAME OP NUMBER, or NAME OP NUMBER * base, OP one of "
+        "< <= > >=. May be repeated.",
+        "CONDITION",
+        shown="none",
+    )
     json: bool = flag(False, "Print the comparison as JSON.")
 
     def run(self) -> int:
         """Compare, print, and return the exit code."""
-        from g1stream.analysis.condition import Condition
+        from g1stream.cli.fail_if import FailIf
         from g1stream.extras.report.compare import CONDITION_NAMES, compare
 
         if not self.base or not self.other:
@@ -57,30 +63,31 @@ class Compare(Command):
                 "Sessions on two sides are needed.",
                 "Give both: g1stream compare BASE... --with OTHER...",
             )
-        condition = None if self.fail_if is None else Condition(self.fail_if)
-        if condition:  # refused now, and not when all sessions are read
-            condition.require(CONDITION_NAMES)
-            tested = [name for name in condition.metrics if name.startswith("p.")]
-            if tested and min(len(self.base), len(self.other)) < 2:
-                raise ConfigError(
-                    f"{tested[0]} tells noise from change, and needs several sessions.",
-                    "Give two or more on each side.",
-                )
+        with_base = [name for name in CONDITION_NAMES if not name.startswith("p.")]
+        # Refused now, and not when all sessions are read.
+        conditions = [FailIf.parse(text, CONDITION_NAMES, with_base) for text in self.fail_if]
+        tested = [one.name for one in conditions if one.name not in with_base]
+        if tested and min(len(self.base), len(self.other)) < 2:
+            raise ConfigError(
+                f"{tested[0]} tells noise from change, and needs several sessions.",
+                "Give two or more on each side.",
+            )
         with showing_progress() as progress:
             comparison = compare(
                 self.base, self.other, page=self.out, force=self.force, progress=progress
             )
-        truth = condition.holds(*comparison.named()) if condition else False
-        failed = truth is not False
+        other, base = comparison.named()
+        truths = [one.holds(other.get(one.name), base.get(one.name)) for one in conditions]
+        failed = any(truth is not False for truth in truths)
         if self.json:
             print_json(comparison.model_dump(mode="json") | {"failed": failed})
         else:
             print_lines(str(comparison))
-            if condition:
+            for one, truth in zip(conditions, truths, strict=True):
                 verdict = {
-                    False: ("passed", "does not hold"),
-                    True: ("FAILED", "holds"),
-                    None: ("FAILED", "cannot be told: it divides by 0"),
+                    False: "passed: {0.text} does not hold",
+                    True: "FAILED: {0.text} holds",
+                    None: "FAILED: {0.text} cannot be told, not all sessions have {0.name}",
                 }[truth]
-                print_lines("\n{0}: {text} {1}".format(*verdict, text=condition.text))
+                print_lines(f"\n{verdict.format(one)}")
         return EXIT_STOPPED if failed else EXIT_OK

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from g1stream.analysis.plot_style import COLOURS, SHADES
+from g1stream.analysis.plots import COLOURS, SHADES
 from g1stream.analysis.signals import min_max, signal
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
 from g1stream.session.streams import Command, Measured
@@ -21,10 +21,10 @@ from g1stream.text import printable
 if TYPE_CHECKING:
     from collections.abc import Container, Mapping
 
+    from g1stream.analysis.metrics import Metrics
     from g1stream.analysis.signals import Quantity, Signal
-    from g1stream.session.metrics import Metrics
-    from g1stream.session.session import Session
-    from g1stream.session.summary import Summary
+    from g1stream.analysis.summary import Summary
+    from g1stream.app.session import Session
     from g1stream.types import Floats
 
 __all__ = ["curve", "figures"]
@@ -87,7 +87,8 @@ def _of_each_joint(values: Mapping[str, float]) -> list[float | None]:
 
 def _first_joint(summary: Summary) -> int:
     """The joint that is shown until another is chosen: the worst."""
-    return JOINT_NAMES.index(summary.tracking.worst_joint) if summary.tracking else 0
+    worst = summary.tracking and summary.tracking.all_joints.worst_joint
+    return JOINT_NAMES.index(worst) if worst else 0
 
 
 def _events(session: Session) -> list[dict[str, Any]]:

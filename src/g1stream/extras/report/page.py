@@ -1,4 +1,4 @@
-"""The page of a report: its sections, and with them the script that draws the figures."""
+"""The report of sessions: a page, or its numbers as JSON or CSV."""
 
 from __future__ import annotations
 
@@ -12,25 +12,26 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Final, cast
 
-from g1stream.analysis.summary import flat
-from g1stream.analysis.summary_text import session_facts, stream_facts, verdict
-from g1stream.errors import ConfigError, RecordingError
-from g1stream.extras.report import html
+from g1stream.analysis.summarise import flat, played
+from g1stream.analysis.summary import outcome, session_facts, stream_facts
+from g1stream.app.session import Session, open_session
+from g1stream.errors import ConfigError, MotionError, RecordingError, RobotError
+from g1stream.extras.physics.measure import motion_physics
 from g1stream.extras.report.figures import figures
-from g1stream.extras.report.physics import physics_section, session_physics
-from g1stream.extras.report.tables import overview, tables
+from g1stream.extras.report.html import joints_by_limb, render_page
+from g1stream.extras.report.tables import overview, physics_tables, tables
 from g1stream.files import check_not_input, check_suffix, complete_file, read_file
+from g1stream.optional import extension
 from g1stream.robot.joints import JOINT_NAMES
-from g1stream.session.session import Session, open_session
-from g1stream.viewers.video import render
+from g1stream.session.motions import attached_motion
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping
     from typing import TypeAlias
 
+    from g1stream.analysis.metrics import Metrics
+    from g1stream.analysis.summary import Summary
     from g1stream.extras.physics.result import MotionPhysics
-    from g1stream.session.metrics import Metrics
-    from g1stream.session.summary import Summary
 
     Given: TypeAlias = Session | str | os.PathLike[str]
     Progress: TypeAlias = Callable[[str, float], None]
@@ -40,6 +41,10 @@ __all__ = ["numbers", "report", "to_csv"]
 #: A video or picture beside a session, of the same name, is shown; the first of these.
 _PICTURES: Final = (".mp4", ".gif", ".png")
 _LARGEST_PICTURE: Final = 50 * 2**20
+#: Frames per second at which the reference is looked at, where the motion is not attached.
+_FPS: Final = 30.0
+#: More would take seconds.
+_MOST_FRAMES: Final = 10_000
 
 
 def report(
@@ -57,7 +62,7 @@ def report(
     Args:
         sessions: sessions, or their paths.
         path: of the page.
-        video: render each session for the page, see `Session.render`; needs the extra `render`.
+        video: render each session for the page, see `Session.render`; needs the extra `video`.
         force: replace a file that is there.
         progress: called with what takes its time, and the fraction of it that is done, 0 to 1.
 
@@ -118,7 +123,7 @@ def _values(
 ) -> dict[str, Any]:
     return {
         "path": str(session.path),
-        "verdict": verdict(summary),
+        "verdict": outcome(summary),
         "summary": summary.model_dump(mode="json"),
         "metrics": metrics.model_dump(mode="json"),
         "physics": None if isinstance(physics, str) else physics.model_dump(mode="json"),
@@ -127,7 +132,7 @@ def _values(
 
 def _page(
     sessions: Iterable[Session],
-    picture: Callable[[Session, Callable[[float], None]], str],
+    picture: Callable[[Session, Callable[[float], None]], dict[str, str]],
     progress: Progress,
 ) -> str:
     values, sections, drawn = [], [], []
@@ -137,106 +142,139 @@ def _page(
         physics = session_physics(session, summary, partial(progress, "physics"))
         values.append(_values(session, metrics, summary, physics))
         drawn.append(figures(session, summary, metrics))
-        support = summary.stream.support if summary.stream else None
-        parts = {
-            "picture": picture(session, partial(progress, "video")),
-            "physics": physics_section(physics, support, f"sessions.{number}.physics"),
-        }
-        shown = values[-1]["metrics"], drawn[-1]
-        sections.append(_section(number, session, summary, *shown, parts))
+        section = _section(f"sessions.{number}", values[-1]["metrics"], drawn[-1], summary, physics)
+        shown = picture(session, partial(progress, "video"))
+        sections.append({**section, "name": session.path.name, "picture": {**_NO_PICTURE, **shown}})
     one = len(values) == 1
     title = Path(values[0]["path"]).name if one else f"{len(values)} sessions"
-    return html.page(
-        f"{title}: report",
-        f"Report of {title}",
-        "\n".join(sections),
+    return render_page(
+        "report.html",
         drawn,
-        overview="" if one else overview(values),
+        title=f"{title}: report",
+        heading=f"Report of {title}",
+        overview=None if one else overview(values),
+        sessions=sections,
     )
 
 
 def _section(
-    number: int,
-    session: Session,
-    summary: Summary,
+    key: str,
     metrics: Mapping[str, Any],
     drawn: Mapping[str, Any],
-    more: Mapping[str, str],
-) -> str:
-    parts = tables(metrics, f"sessions.{number}.metrics")
-    for name in ("joints", "torques"):
-        parts[name] = html.details("Each joint", parts[name])
-    for name in ("tracking", "body", "torque"):
-        parts[f"missing_{name}"] = html.missing(metrics["missing"].get(name))
+    summary: Summary,
+    physics: MotionPhysics | str,
+) -> dict[str, Any]:
+    """What the template shows of a session.
+
+    Args:
+        key: where the session is in the JSON of the report.
+        metrics: of the session, as JSON has them.
+        drawn: its figures.
+        summary: of it.
+        physics: of its motion, or why they are not told.
+    """
     support = summary.stream.support if summary.stream else None
+    held = ""
     if metrics["body"] and support in {"bolted", "hanging"}:
-        parts["missing_body"] += html.missing(
+        held = (
             f"The pelvis was held ({support}): only the figures of the joints alone, and of hands "
             "and feet, tell how closely the robot followed."
         )
-    parts["missing_timing"] = html.missing(None if parts["topics"] else "No topic of DDS.")
-    if any(one["lines"] for one in drawn["signals"].values()):
-        choice = html.joint_choice(drawn["first_joint"], {*JOINT_NAMES} - {*summary.absent})
-        parts["joint"] = html.figure("joint", f"Joint {choice}", number)
-    for name, caption in (
-        ("limbs", "RMS error of each limb over time, and events of the log; PLAY is not shaded"),
-        ("rmse_deg", "RMSE of each joint; a click shows it above"),
-        ("lateness", "How late commands were written"),
-        ("intervals", "Intervals between publish times: a stall is a peak"),
-    ):
-        parts[f"{name}_figure"] = html.figure(name, caption, number) if drawn[name] else ""
     facts = session_facts(summary)
     if summary.versions:
         facts.append(("versions", ", ".join(map(" ".join, summary.versions.items()))))
-    return html.template("session.html").substitute(
-        {"joint": "", **parts, **more},
-        number=number,
-        name=html.escaped(session.path.name),
-        verdict=html.escaped(verdict(summary)),
-        good="bad" if summary.problems else "good" if summary.tracking else "",
-        problems="".join(
-            f'<p class="problem">{html.escaped(text)}</p>' for text in summary.problems
-        ),
-        facts=html.facts(facts),
-        stream=html.facts(stream_facts(summary.stream) if summary.stream else []),
-        events=_events(drawn["events"]),
-    )
+    has_signals = any(one["lines"] for one in drawn["signals"].values())
+    events = [(f"{one['time']:.3f}", one["level"], one["text"]) for one in drawn["events"]]
+    return {
+        **tables(metrics, f"{key}.metrics"),
+        "verdict": outcome(summary),
+        "good": "bad" if summary.problems else "good" if summary.tracking else "",
+        "problems": summary.problems,
+        "missing": {name: metrics["missing"].get(name) for name in ("tracking", "body", "torque")},
+        "held": held,
+        "choice": joints_by_limb({*JOINT_NAMES} - {*summary.absent}) if has_signals else None,
+        "facts": facts,
+        "stream": stream_facts(summary.stream) if summary.stream else [],
+        "events": events,
+        "drawn": drawn,
+        "physics": _physics(physics, support, f"{key}.physics"),
+    }
 
 
-def _events(events: Sequence[Mapping[str, Any]]) -> str:
-    if not events:
-        return html.missing("The log has no events.")
-    rows = [(f"{one['time']:.3f}", one["level"], one["text"]) for one in events]
-    table = html.text_table(("time, s", "level", "event"), rows)
-    return html.details(f"{len(events)} in the log", table)
+def _physics(physics: MotionPhysics | str, support: str | None, key: str) -> dict[str, Any]:
+    if isinstance(physics, str):
+        tables = dict.fromkeys(("facts", "excesses", "feet", "peaks", "collided", "collisions"))
+        return {"missing": physics, **tables}
+    verdicts = [
+        (f"{one}, as in this session" if one == support else one, str(verdict))
+        for one, verdict in physics.verdicts.items()
+    ]
+    more = [("tilt", physics.tilt), ("centre of pressure", physics.pressure)]
+    facts = [*verdicts, *(one for one in more if one[1])]
+    return {"missing": None, "facts": facts, **physics_tables(physics, key)}
 
 
-def _beside(session: Session, _: Callable[[float], None]) -> str:
+def session_physics(
+    session: Session, summary: Summary, progress: Callable[[float], None]
+) -> MotionPhysics | str:
+    """What it takes to play the motion of a session, or why that is not told.
+
+    It is that of the attached motion where that was played as it is, else that of the reference; or
+    of what `convert` made of a motion.
+
+    Args:
+        session: any.
+        summary: of it.
+        progress: called with the fraction that is done, 0 to 1.
+    """
+    if played(summary.phases) > 1:
+        return "Several motions were played."
+    fps = (summary.motion and summary.motion.fps) or _FPS
+    try:
+        motion = session.motion() if session.converted else attached_motion(session)
+        frames = motion.n_frames if motion else round((summary.termination.played_s or 0.0) * fps)
+        if frames > _MOST_FRAMES:
+            return (
+                f"The motion has {frames} frames, more than the {_MOST_FRAMES} that a report takes "
+                f"the time for: g1stream physics {session.path.name}."
+            )
+        motion = motion or session.motion(fps)
+        max_tilt = (summary.settings or {}).get("safety.max_tilt")
+        return motion_physics(
+            motion,
+            session.robot,
+            max_tilt=max_tilt if isinstance(max_tilt, float) else None,
+            progress=progress,
+        )
+    except (MotionError, RecordingError, RobotError) as error:
+        return error.cause
+
+
+_NO_PICTURE: Final = {"missing": "", "video": "", "image": ""}
+
+
+def _beside(session: Session, _: Callable[[float], None]) -> dict[str, str]:
     """The video or picture beside a session file; none beside a session in memory."""
     paths = [session.path.with_suffix(suffix) for suffix in _PICTURES] if session.paths else []
     path = next(filter(Path.is_file, paths), None)
-    return _picture(path) if path else ""
+    return _picture(path) if path else {}
 
 
-def _rendered(session: Session, progress: Callable[[float], None]) -> str:
+def _rendered(session: Session, progress: Callable[[float], None]) -> dict[str, str]:
     """A video of the session, if there is something in it to show."""
     with TemporaryDirectory() as directory:
         path = Path(directory) / "session.mp4"
         try:
-            render(session, path, progress=progress)
+            extension("render")(session, path, progress=progress)
         except RecordingError as error:
-            return html.missing(error.cause)
+            return {"missing": error.cause}
         return _picture(path)
 
 
-def _picture(path: Path) -> str:
+def _picture(path: Path) -> dict[str, str]:
     try:
         data = base64.b64encode(read_file(path, _LARGEST_PICTURE)).decode()
     except OSError as error:
-        return html.missing(f"{path.name} is not shown: {error.strerror}.")
+        return {"missing": f"{path.name} is not shown: {error.strerror}."}
     kind = guess_type(path.name)[0] or ""
-    if kind.startswith("video/"):
-        return f'<video controls muted loop playsinline src="data:{kind};base64,{data}"></video>'
-    return (
-        f'<img class="picture" alt="the robot and its reference" src="data:{kind};base64,{data}">'
-    )
+    return {kind.partition("/")[0]: f"data:{kind};base64,{data}"}

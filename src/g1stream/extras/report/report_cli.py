@@ -37,7 +37,7 @@ class Report(Command):
         "Session files, or directories of split recordings.", "SESSION..."
     )
     out: Path | None = flag(None, "The page to write.", "HTML", shown=str(_PAGE), aliases=("-o",))
-    video: bool = flag(False, "Render each session into the page (extra `render`).")
+    video: bool = flag(False, "Render each session into the page (extra `video`).")
     force: bool = flag(False, "Replace a file that is there.")
     json: bool = flag(False, "Print summary, metrics, physics as JSON; no page.")
     csv: bool = flag(False, "Print the metrics as CSV, and write no page.")

@@ -1,24 +1,27 @@
-"""The tables of a report: which numbers of the JSON they show, in which unit."""
+"""The tables of the pages: which numbers of the JSON they show, in which unit."""
 
 from __future__ import annotations
 
 import json
 import math
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from g1stream.text import printable, short_name
+from g1stream.extras.physics.result import reasons
+from g1stream.text import counted, short_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-__all__ = ["Column", "differences", "overview", "table", "tables"]
+    from g1stream.extras.physics.result import MotionPhysics
+
+__all__ = ["Column", "difference_tables", "overview", "physics_tables", "table", "tables"]
 
 _DEG: Final = 180.0 / math.pi
-#: Stands for a value that is not known.
-_UNKNOWN: Final = "&ndash;"
+#: Torques of each support, and pairs of links, that are shown.
+_MOST_PEAKS: Final = 3
+_MOST_PAIRS: Final = 12
 
 
 @dataclass(frozen=True)
@@ -37,6 +40,28 @@ class Column:
     key: str
     form: str = ".0f"
     scale: float = 1.0
+
+
+class Cell(NamedTuple):
+    """A value as the JSON of the report has it, its key there, and what is shown of it."""
+
+    value: str
+    key: str
+    text: str
+
+
+class Table(NamedTuple):
+    """A table of values, as the template `macros.html` draws it.
+
+    Attributes:
+        head: of the first column, which has names.
+        columns: the others.
+        rows: a name, and a cell for each column; None where the value is not known.
+    """
+
+    head: str
+    columns: Sequence[Column]
+    rows: Sequence[tuple[str, Sequence[Cell | None]]]
 
 
 _DELAYS: Final = (
@@ -62,7 +87,7 @@ _LIMBS: Final = (
     *_DELAYS,
     *_RATES,
 )
-_JOINTS: Final = (*_ERRORS, Column("bias", "deg", "mean_rad", ".3f", _DEG), *_DELAYS, *_RATES)
+_JOINTS: Final = (*_ERRORS, Column("bias", "deg", "bias_rad", ".3f", _DEG), *_DELAYS, *_RATES)
 _LINKS: Final = (
     Column("MPJPE", "mm", "mpjpe_mm", ".2f"),
     Column("p99", "mm", "p99_mm", ".2f"),
@@ -162,6 +187,36 @@ _ANGLE_DIFFERENCES: Final = (
     Column("change", "%", "change", "+.1f", 100.0),
     *_SIGNIFICANCE,
 )
+_EXCESSES: Final = (
+    Column("what", "", "cause"),
+    Column("of", "", "where"),
+    Column("worst", "", "worst", ".4g"),
+    Column("limit", "", "limit", ".4g"),
+    Column("unit", "", "unit"),
+    Column("at", "s", "time_s", ".2f"),
+    Column("longest", "s", "longest_s", ".2f"),
+    Column("forbids it", "", "forbids"),
+)
+_FEET: Final = (
+    Column("contact", "% of frames", "contact_share", ".0f", 100.0),
+    Column("height", "mm in contact", "height_mm", ".1f"),
+    Column("penetration", "mm at most", "penetration_mm", ".1f"),
+    Column("skating", "mm/s, mean", "skating_mm_s", ".1f"),
+    Column("fastest", "mm/s", "skating_max_mm_s", ".1f"),
+)
+_PEAKS: Final = (
+    Column("joint", "", "joint"),
+    Column("torque", "N·m", "torque_nm", ".1f"),
+    Column("limit", "N·m", "limit_nm"),
+    Column("at", "s", "time_s", ".2f"),
+    Column("beyond", "frames", "frames"),
+)
+_COLLISIONS: Final = (
+    Column("in", "", "other"),
+    Column("depth", "mm", "depth_mm", ".1f"),
+    Column("at", "s", "time_s", ".2f"),
+    Column("simulated", "", "simulated"),
+)
 _SPACES: Final = {
     "world": "world: with the base",
     "root_relative": "without the base's position",
@@ -174,15 +229,15 @@ _PUNCTUALITY: Final = {
 }
 
 
-def tables(metrics: Mapping[str, Any], key: str) -> dict[str, str]:
-    """The tables of a session's metrics as HTML, by name; empty where there is nothing to show.
+def tables(metrics: Mapping[str, Any], key: str) -> dict[str, Table | None]:
+    """The tables of a session's metrics, by name; None where there is nothing to show.
 
     Args:
         metrics: as `Session.metrics` dumps them to JSON.
         key: where they are in the JSON of the report, such as `sessions.0.metrics`.
     """
 
-    def table_of(head: str, columns: Sequence[Column], rows: Mapping[str, str]) -> str:
+    def table_of(head: str, columns: Sequence[Column], rows: Mapping[str, str]) -> Table | None:
         shown = [(name, path, _at(metrics, path)) for path, name in rows.items()]
         there = [(name, f"{key}.{path}", row) for name, path, row in shown if row is not None]
         return table(head, columns, there)
@@ -208,13 +263,13 @@ def tables(metrics: Mapping[str, Any], key: str) -> dict[str, str]:
     }
 
 
-def overview(sessions: Sequence[Mapping[str, Any]]) -> str:
+def overview(sessions: Sequence[Mapping[str, Any]]) -> Table | None:
     """A table with a row for each of several sessions, each as in the JSON of the report."""
     rows = [(Path(one["path"]).name, f"sessions.{i}", one) for i, one in enumerate(sessions)]
     return table("session", _OVERVIEW, rows)
 
 
-def differences(comparison: Mapping[str, Any]) -> dict[str, str]:
+def difference_tables(comparison: Mapping[str, Any]) -> dict[str, Table | None]:
     """The tables of a `Comparison` as JSON has it: angles of all joints, limbs, joints, metrics."""
 
     def rows(kind: str, *, angles: bool) -> list[tuple[str, str, Any]]:
@@ -230,8 +285,50 @@ def differences(comparison: Mapping[str, Any]) -> dict[str, str]:
     }
 
 
-def table(head: str, columns: Sequence[Column], rows: Iterable[tuple[str, str, Any]]) -> str:
-    """A table as HTML; columns without a value are left out, and a table without any is empty.
+def physics_tables(physics: MotionPhysics, key: str) -> dict[str, Any]:
+    """The tables of what the motion asks of a robot, and how many links are inside each other.
+
+    Args:
+        physics: of the motion.
+        key: where they are in the JSON of the report.
+    """
+    values = physics.model_dump(mode="json")
+
+    def each(path: str) -> list[tuple[str, str, Any]]:
+        rows = enumerate(values[path])
+        return [(short_name(row["link"]), f"{key}.{path}.{i}", row) for i, row in rows]
+
+    # The same excess may speak against several supports: it is in the JSON of each.
+    keys = {
+        excess: f"{key}.verdicts.{one}.excesses.{i}"
+        for one, verdict in physics.verdicts.items()
+        for i, excess in enumerate(verdict.excesses)
+    }
+    against = [
+        (of, keys[excess], excess.model_dump(mode="json"))
+        for of, excess in reasons(physics.verdicts)
+    ]
+    peaks = [
+        (one, f"{key}.torques.{one}.{i}", row)
+        for one, rows in values["torques"].items()
+        for i, row in enumerate(rows[:_MOST_PEAKS])
+    ]
+    collisions = each("collisions")
+    deepest = f": the {_MOST_PAIRS} deepest" if len(collisions) > _MOST_PAIRS else ""
+    return {
+        "excesses": table("support", _EXCESSES, against),
+        "feet": table("foot", _FEET, each("feet")),
+        "peaks": table("support", _PEAKS, peaks),
+        "collisions": table("link", _COLLISIONS, collisions[:_MOST_PAIRS]),
+        "collided": f"{counted(len(collisions), 'pair')} of links that are inside each other"
+        f"{deepest}",
+    }
+
+
+def table(
+    head: str, columns: Sequence[Column], rows: Iterable[tuple[str, str, Any]]
+) -> Table | None:
+    """A table; columns without a value are left out, and without any there is none.
 
     Args:
         head: of the first column.
@@ -241,28 +338,17 @@ def table(head: str, columns: Sequence[Column], rows: Iterable[tuple[str, str, A
     rows = list(rows)
     columns = [c for c in columns if any(_at(row, c.key) not in (None, "") for _, _, row in rows)]
     if not columns:
-        return ""
-    heads = "".join(
-        f'<th scope="col">{escape(one.title)}<small>{escape(one.unit)}</small></th>'
-        for one in columns
-    )
-    body = "".join(
-        f'<tr><th scope="row">{escape(name)}</th>'
-        + "".join(_cell(one, f"{path}.{one.key}", _at(row, one.key)) for one in columns)
-        + "</tr>\n"
+        return None
+    cells = [
+        (name, [_cell(one, f"{path}.{one.key}", _at(row, one.key)) for one in columns])
         for name, path, row in rows
-    )
-    return (
-        '<div class="wide"><table>\n'
-        f'<thead><tr><th scope="col">{escape(head)}</th>{heads}</tr></thead>\n'
-        f"<tbody>\n{body}</tbody></table></div>"
-    )
+    ]
+    return Table(head, columns, cells)
 
 
-def _cell(column: Column, key: str, value: Any) -> str:
-    """The value as it is in the JSON is beside what is shown of it."""
+def _cell(column: Column, key: str, value: Any) -> Cell | None:
     if value is None:
-        return f"<td>{_UNKNOWN}</td>"
+        return None
     if isinstance(value, bool):
         text = "yes" if value else "no"
     elif isinstance(value, str):
@@ -271,13 +357,12 @@ def _cell(column: Column, key: str, value: Any) -> str:
         text = format(value * column.scale, column.form)
         if not float(text):
             text = format(0.0, column.form)  # no minus before a zero
-    known = escape(json.dumps(value))
-    return f'<td><data value="{known}" data-key="{escape(key)}">{escape(text)}</data></td>'
+    return Cell(json.dumps(value), key, text)
 
 
 def _plain(name: str) -> str:
     """A joint, link or limb as people write it; a topic as it is."""
-    return printable(name if name.startswith("/") else short_name(name))
+    return name if name.startswith("/") else short_name(name)
 
 
 def _at(values: Any, path: str) -> Any:

@@ -1,0 +1,360 @@
+"""Makes the summary of a session, from its file or from the programs that made it."""
+
+from __future__ import annotations
+
+import re
+import socket
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from g1stream._version import __version__
+from g1stream.analysis.summary import MessageStats, Summary, Termination, most
+from g1stream.analysis.tracking import NothingToCompareError, tracking
+from g1stream.config import Config
+from g1stream.control.command_delay import DELAY_REMEDY
+from g1stream.control.guard import LOG_NAME
+from g1stream.control.lowstate import STATE_TIMEOUT
+from g1stream.robot.joints import JOINT_NAMES
+from g1stream.session.recording import once
+from g1stream.session.records import (
+    Percentiles,
+    RecorderSummary,
+    SessionInfo,
+    StreamSummary,
+    read_record,
+)
+from g1stream.session.streams import STREAMS, Reference
+from g1stream.text import counted
+from g1stream.types import Floats, Phase
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from g1stream.session.recording import Recording
+    from g1stream.session.records import MotionInfo, PhaseInterval
+    from g1stream.session.streams import Stream
+
+__all__ = [
+    "FEEDFORWARD",
+    "find_problems",
+    "flat",
+    "message_stats",
+    "percentiles",
+    "played",
+    "summarise",
+    "summarise_run",
+]
+
+FEEDFORWARD: Final = "feed-forward: "
+"""What the stream logs of its feed-forward begins with this."""
+
+# What a robot does not notice is in the figures and is no problem.
+#: A publish interval of more than so many medians is a gap.
+_GAP: Final = 3.0
+#: A command this late, s, or this share of commands left out.
+_LONG_OVERRUN: Final = 0.02
+_MOST_SKIPPED: Final = 0.01
+#: Simulated over real time. At 0.8 the joints accelerate 1.6 times as hard as in the motion.
+_SLOW_SIMULATOR: Final = 0.8
+#: A recording that goes on for so long, ns, after the last reference has not merely ended first.
+_SILENCE: Final = 500_000_000
+
+
+@once
+def summarise(session: Recording) -> Summary:
+    """The summary of a recorded session.
+
+    Raises:
+        RecordingError: the file is damaged.
+    """
+    info, problems = read_record(SessionInfo, session.metadata)
+    info = info or SessionInfo()
+    stream, wrong = read_record(StreamSummary, session.metadata.get("stream"), "stream")
+    problems += wrong
+    recorder, wrong = read_record(RecorderSummary, session.metadata.get("recorder"), "recorder")
+    problems += wrong
+    try:
+        followed = tracking(session).summary()
+    except NothingToCompareError:
+        followed = None
+    streams = {
+        topic: samples
+        for topic, kind in STREAMS.items()
+        if session.topics.get(topic) and len(samples := session.stream(kind))
+    }
+    lost = recorder.lost if recorder else {}
+    topics = {
+        topic: message_stats(streams[topic], lost.get(topic))
+        if topic in streams
+        else MessageStats(count=n)
+        for topic, n in sorted(session.topics.items())
+        if n
+    }
+    simulated = (info.log_clock or "").startswith("simulated")
+    if simulated:  # the latency of its times is a number that the rollout was given
+        for stats in topics.values():
+            stats.latency_us = None
+    missing = {JOINT_NAMES.index(name) for name in info.absent if name in JOINT_NAMES}
+    gains = [
+        (name, [value for i, value in enumerate(values) if i not in missing])
+        for name, values in (info.gains or {}).items()
+    ]
+    summary = Summary(
+        joints=info.joints or (list(followed.joints) if followed else None),
+        absent=info.absent,
+        files_bytes={str(path): path.stat().st_size for path in session.paths},
+        complete=session.complete,
+        first_ns=min((int(one.log_time.min()) for one in streams.values()), default=None),
+        last_ns=max((int(one.log_time.max()) for one in streams.values()), default=None),
+        simulated=simulated,
+        host=info.host,
+        domain=info.domain,
+        interface=info.interface,
+        versions={**({"g1stream": info.g1stream} if info.g1stream else {}), **info.versions},
+        motion=info.motion,
+        settings=None if info.config is None else _changed_settings(info.config),
+        gains={name: (min(values), max(values)) for name, values in gains if values} or None,
+        phases=session.phases,
+        termination=_termination(session, info, stream, recorder, streams),
+        stream=stream,
+        feedforward_log=[
+            event.text.removeprefix(FEEDFORWARD)
+            for event in session.log
+            if event.text.startswith(FEEDFORWARD)
+        ],
+        recorder=recorder,
+        # The error over several motions is that of none.
+        tracking=followed if played(session.phases) <= 1 else None,
+        topics=topics,
+        attachments_bytes={name: len(data) for name, data in session.attachments.items()},
+    )
+    summary.problems = [
+        *find_problems(summary),
+        *_file_problems(session),
+        *_warnings(session),
+        *problems,
+    ]
+    return summary
+
+
+def message_stats(stream: Stream, lost: int | None = None) -> MessageStats:
+    """The rate, gaps and latency of a topic.
+
+    Args:
+        stream: with one message at least.
+        lost: samples known to be lost.
+    """
+    times_ns = np.sort(stream.publish_time)
+    intervals = np.diff(times_ns) / 1e9
+    span = float(times_ns[-1] - times_ns[0]) / 1e9
+    return MessageStats(
+        count=len(times_ns),
+        lost=lost,
+        rate_hz=len(intervals) / span if span > 0 else None,
+        gaps=int(np.sum(intervals > _GAP * np.median(intervals))) if len(intervals) else 0,
+        longest_interval_s=float(intervals.max()) if len(intervals) else None,
+        latency_us=percentiles((stream.log_time - stream.publish_time) / 1e3),
+        clock_offset_s=stream.clock_offset / 1e9,
+    )
+
+
+def percentiles(values: Floats) -> Percentiles:
+    """Of one value at least."""
+    p50, p99, p99_9, longest = np.percentile(values, (50, 99, 99.9, 100)).tolist()
+    return Percentiles(p50=p50, p99=p99, p99_9=p99_9, max=longest)
+
+
+def summarise_run(
+    config: Config,
+    *,
+    motion: MotionInfo | None = None,
+    termination: Termination | None = None,
+    stream: StreamSummary | None = None,
+    recorder: RecorderSummary | None = None,
+) -> Summary:
+    """The summary of a run, from what its programs counted; no file is read."""
+    recorded = recorder or RecorderSummary()
+    paths = [Path(path) for path in recorded.paths]
+    summary = Summary(
+        files_bytes={str(path): path.stat().st_size for path in paths if path.is_file()},
+        first_ns=recorded.first_ns,
+        last_ns=recorded.last_ns,
+        host=socket.gethostname(),
+        domain=config.dds.domain,
+        interface=config.dds.interface,
+        versions={"g1stream": __version__},
+        motion=motion,
+        settings=_changed_settings(config.model_dump(mode="json")),
+        termination=termination or Termination(),
+        stream=stream,
+        recorder=recorder,
+        topics={
+            topic: MessageStats(count=n, lost=recorded.lost.get(topic))
+            for topic, n in recorded.counts.items()
+        },
+    )
+    summary.problems = list(find_problems(summary))
+    return summary
+
+
+def find_problems(summary: Summary) -> Iterator[str]:
+    """What is wrong, by the figures of the summary; a sentence each, the most important first."""
+    undamped, stream, recorder = summary.termination.undamped_in, summary.stream, summary.recorder
+    if undamped is not None:
+        yield f"The stream process ended in {undamped.name} without DAMP: the robot was not damped."
+    if guard := summary.termination.guard:
+        yield f"{guard[0].upper()}{guard[1:]}."
+    if stream:
+        yield from _stream_problems(stream)
+    if recorder:
+        if summary.first_ns is None and not recorder.stopped:
+            yield "Nothing was received."
+        yield from _recorder_problems(recorder)
+    gaps = {
+        t: s for t, s in summary.topics.items() if (s.longest_interval_s or 0.0) >= STATE_TIMEOUT
+    }
+    if gaps:
+        longest = max(stats.longest_interval_s or 0.0 for stats in gaps.values()) * 1e3
+        numbers = ", ".join(f"{topic} {stats.gaps}" for topic, stats in gaps.items())
+        yield f"Gaps between publish times: {numbers}; the longest {longest:.1f} ms."
+    for topic, stats in summary.topics.items():
+        if stats.clock_offset_s:
+            yield (
+                f"The publish times of {topic} are {-stats.clock_offset_s:+.3f} s off the "
+                "recorder's clock."
+            )
+
+
+def _stream_problems(stream: StreamSummary) -> Iterator[str]:
+    if stream.reason:
+        yield f"The stream ended early: {stream.reason}."
+    for finding in stream.findings:
+        yield f"{finding.cause.rstrip('.')}. {finding.remedy}".strip()
+    late = stream.lateness_us.max if stream.lateness_us else 0.0
+    if stream.skipped_ticks and (
+        late >= _LONG_OVERRUN * 1e6 or stream.skipped_ticks > _MOST_SKIPPED * (stream.commands or 0)
+    ):
+        yield f"{counted(stream.skipped_ticks, 'tick')} skipped by the stream."
+    if stream.time_scale is not None and stream.time_scale < _SLOW_SIMULATOR:
+        yield (
+            f"The simulator ran at {stream.time_scale:.2f} of real time, in which the robot had to "
+            f"move {1.0 / stream.time_scale:.1f} times as fast as the motion: it needs more CPU."
+        )
+    if stream.command_delay_s:
+        yield (
+            f"The motors followed commands that were up to {stream.command_delay_s:.2f} s old: "
+            f"{DELAY_REMEDY}."
+        )
+    if stream.saturated_ticks:
+        ticks = most(stream.saturated_ticks)
+        yield f"Feed-forward torques clamped at their limits, ticks: {ticks}."
+
+
+def _recorder_problems(recorder: RecorderSummary) -> Iterator[str]:
+    if recorder.stopped:
+        yield f"The recording stopped early: {recorder.stopped}"
+    for topic, names in recorder.publishers.items():
+        yield f"Several programs published on {topic} at the same time: {', '.join(names)}."
+    for topic, n in recorder.lost.items():
+        if n:
+            yield f"{counted(n, 'sample')} lost on {topic}."
+    for topic, n in recorder.malformed.items():
+        if n:
+            yield f"{counted(n, 'malformed sample')} on {topic}."
+    if n := recorder.dropped_datagrams:
+        yield f"{counted(n, 'datagram')} dropped by the kernel: its receive buffer was full."
+    for step in recorder.clock_steps:
+        yield f"CLOCK_REALTIME of the recorder was set by {step.step_ns / 1e9:+.3f} s."
+
+
+def played(phases: list[PhaseInterval]) -> int:
+    """How many motions were played, or one how many times."""
+    return sum(one.phase is Phase.PLAY for one in phases)
+
+
+def _file_problems(session: Recording) -> Iterator[str]:
+    if (times := played(session.phases)) > 1:
+        yield (
+            f"{times} motions were played in this session, each with a PLAY of its own, so that "
+            "tracking has no one reference to compare with. Record each into a file of its own."
+        )
+    for number, reason in session.absent_parts.items():
+        yield f"Part {number} is absent: {reason}"
+    if not (session.complete or session.absent_parts):
+        yield (
+            "The recorder did not close the file: it ends with its last complete chunk, and how "
+            "many samples were lost is not known."
+        )
+
+
+def _warnings(session: Recording) -> list[str]:
+    """The warnings in /log; of those that differ in their numbers only, the last."""
+    alike: dict[str, list[str]] = {}
+    for event in session.log:
+        if event.level in {"WARNING", "ERROR", "FATAL"} and event.name != LOG_NAME:
+            text = f"{event.name}: {event.text}"
+            alike.setdefault(re.sub(r"\d+", "#", text), []).append(text)
+    return [
+        texts[0] if len(texts) == 1 else f"{texts[-1]} (the last of {len(texts)})"
+        for texts in alike.values()
+    ]
+
+
+def _termination(
+    session: Recording,
+    info: SessionInfo,
+    stream: StreamSummary | None,
+    recorder: RecorderSummary | None,
+    streams: Mapping[str, Stream],
+) -> Termination:
+    phases = session.phases
+    settings = (info.config or {}).get("stream")
+    start = settings.get("start") if isinstance(settings, dict) else None
+    guard = next((event.text for event in session.log if event.name == LOG_NAME), None)
+    undamped = None if guard else _undamped_in(phases, info, stream, recorder, streams)
+    reason = guard if undamped is None else "the stream process ended without DAMP"
+    values = {
+        "reason": stream.reason if stream else reason,
+        "undamped_in": undamped,
+        "guard": guard,
+        "played_s": sum(p.duration_s for p in phases if p.phase is Phase.PLAY)
+        if phases and played(phases) <= 1
+        else None,
+        "motion_s": info.motion.duration_s if info.motion else None,
+        "start_s": start or 0.0,
+    }
+    return read_record(Termination, values)[0] or Termination()
+
+
+def _undamped_in(
+    phases: list[PhaseInterval],
+    info: SessionInfo,
+    stream: StreamSummary | None,
+    recorder: RecorderSummary | None,
+    streams: Mapping[str, Stream],
+) -> Phase | None:
+    """The last phase, if the references ended in it and not because the recording did."""
+    if not phases or phases[-1].phase >= Phase.DAMP or stream:
+        return None
+    # A stream's own recorder ends after it, and is told how it went.
+    outlived = info.config is not None and recorder is not None and not recorder.stopped
+    end = max(int(stream.log_time[-1]) for stream in streams.values())
+    silence = end - int(streams[Reference.topic].log_time[-1])
+    return phases[-1].phase if outlived or silence > _SILENCE else None
+
+
+def _changed_settings(config: Mapping[str, Any]) -> dict[str, Any]:
+    """By key, such as `stream.rate`, what is not this version's default."""
+    defaults = flat(Config().model_dump(mode="json"))
+    return {key: value for key, value in flat(config).items() if value != defaults.get(key)}
+
+
+def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """The values in nested tables by key, such as `stream.rate`."""
+    found: dict[str, Any] = {}
+    for key, value in values.items():
+        name = f"{prefix}{key}"
+        found |= flat(value, f"{name}.") if isinstance(value, dict) else {name: value}
+    return found

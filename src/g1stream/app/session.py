@@ -1,0 +1,266 @@
+"""A session: a recording, and what can be computed, drawn and written of it."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from heapq import merge
+from mimetypes import guess_type
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from g1stream.errors import RecordingError
+from g1stream.files import complete_file, output_errors
+from g1stream.optional import extension, import_extra
+from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
+from g1stream.session.format import CHANNELS
+from g1stream.session.recording import Recording
+from g1stream.session.source import SessionFiles
+from g1stream.session.streams import STREAMS
+from g1stream.session.writer import SessionWriter
+
+if TYPE_CHECKING:
+    import os
+    from collections.abc import Sequence
+
+    import pandas
+    from matplotlib.figure import Figure
+    from numpy.typing import NDArray
+
+    from g1stream.analysis.metrics import Metrics
+    from g1stream.analysis.summary import Summary
+    from g1stream.analysis.tracking import Tracking
+    from g1stream.motion.motion import Motion
+    from g1stream.types import Camera, Floats
+
+__all__ = ["Session", "open_session"]
+
+_EXPORT: Final = "export", "Tables need"
+_AXES: Final = {3: ("x", "y", "z"), 4: ("w", "x", "y", "z")}
+
+
+def open_session(path: str | os.PathLike[str]) -> Session:
+    """Open a session file, also one whose recorder was killed.
+
+    Args:
+        path: of a session file, or of the directory of a split recording.
+
+    Raises:
+        RecordingError: there is no such file, or it is no session, or it is damaged.
+    """
+    return Session(SessionFiles(Path(path)))
+
+
+class Session(Recording):
+    """The samples, events, metadata and attachments of one run, and how well it went.
+
+    Columns of a topic are read when they are first used, and kept. Whatever reads them raises a
+    RecordingError where the file is damaged, or a topic that it needs is not in this session.
+    """
+
+    def tracking(self) -> Tracking:
+        """How closely the robot followed the reference in PLAY.
+
+        Raises:
+            RecordingError: there is nothing to compare.
+        """
+        from g1stream.analysis.tracking import tracking
+
+        return tracking(self)
+
+    def summary(self) -> Summary:
+        """What is in the session, how well it went, and its problems; `print` shows it."""
+        from g1stream.analysis.summarise import summarise
+
+        return summarise(self)
+
+    def metrics(self) -> Metrics:
+        """How well it went, in the metrics of motion-tracking papers; docs/metrics.md defines them.
+
+        What cannot be told is None: of a session without a reference there are torque and timing.
+
+        Raises:
+            RecordingError: the file is damaged.
+        """
+        from g1stream.analysis.metrics import metrics
+
+        return metrics(self)
+
+    def commanded_torque(self) -> Floats:
+        """(M, 29) N·m, float32, that the newest command asked for at each of the M LowStates.
+
+        nan where it is more than 100 ms old, or where command or state is not finite.
+
+        Raises:
+            RecordingError: there are no states or no commands.
+        """
+        from g1stream.analysis.torque import commanded_torque
+
+        return commanded_torque(self)
+
+    def plot(
+        self, joints: Sequence[str] | str | None = None, what: Sequence[str] | None = None
+    ) -> Figure:
+        """Some joints over time, with the phases shaded, as one figure.
+
+        Without arguments: the joints that move most, the error over time and each joint's RMSE;
+        `joints` are shown instead where they are up to six. With more joints or with `what`: a
+        panel for each joint and quantity, of what the session has.
+
+        Args:
+            joints: names, such as "left_knee", or regular expressions that match whole names.
+            what: of "q", "dq", "tau" and "error": position, velocity, torque, tracking error.
+
+        Raises:
+            ConfigError: there is no such quantity.
+            RecordingError: there is nothing to plot, or no such joint.
+        """
+        from g1stream.analysis.plots import plot
+
+        return plot(self, joints, what)
+
+    def render(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        start: float | None = None,
+        duration: float | None = None,
+        fps: float = 25.0,
+        size: tuple[int, int] = (640, 480),
+        camera: Camera = "oblique",
+        force: bool = False,
+    ) -> Path:
+        """Write a video or a picture: the measured robot, and over it the reference as a ghost.
+
+        The ghost has the reference's joints on the measured pelvis. Time, phase and the RMS error
+        of all joints are written into each frame. Without a reference or without a measured state,
+        what there is is shown. The robot has the real G1's meshes with the extra `meshes`, else
+        primitive shapes. MP4 needs the extra `video`.
+
+        Args:
+            path: ends in .mp4, .gif, or .png for the frame at `start`.
+            start: s on the motion's clock; the beginning of the session if None.
+            duration: s; to the end if None, or if that comes first.
+            fps: frames per second, in the session's own time.
+            size: width and height, pixels.
+            camera: where it stands around the robot, which it follows.
+            force: replace a file that is there.
+
+        Raises:
+            ConfigError: the suffix, the size or `fps` cannot be used, or a package for MP4 is not
+                installed.
+            RecordingError: there is nothing to show there, or the file cannot be written.
+            RobotError: the session's URDF cannot be used.
+            SimError: there is no OpenGL to draw with.
+        """
+        how = {"start": start, "duration": duration, "fps": fps, "size": size, "camera": camera}
+        written: Path = extension("render")(self, Path(path), **how, force=force).path
+        return written
+
+    def motion(self, fps: float | None = None) -> Motion:
+        """The motion that was played, as the reference has it; or what `convert` made of a motion.
+
+        Args:
+            fps: frames per second; the rate of the reference if None.
+
+        Raises:
+            RecordingError: there is no motion in this session.
+            MotionError: `fps` is not a frame rate, or leaves less than two frames.
+        """
+        from g1stream.session.motions import motion_of
+
+        return motion_of(self, fps)
+
+    def save(self, path: str | os.PathLike[str], *, force: bool = False) -> Path:
+        """Write the session into one MCAP file: such as a rollout, or the part in a phase.
+
+        Messages on g1stream's own topics are written byte for byte, with both their times, and the
+        metadata and attachments of the whole session with them.
+
+        Args:
+            path: of the file; its directory must exist.
+            force: replace a file that is there.
+
+        Raises:
+            RecordingError: the file cannot be written.
+        """
+        path = Path(path)
+        messages = [
+            [(message, topic) for message in self.messages(topic)]
+            for topic, count in sorted(self.topics.items())
+            if count and topic in CHANNELS
+        ]
+        with complete_file(path, force=force) as temporary, SessionWriter(temporary) as writer:
+            writer.add_metadata(self.metadata)
+            for name, data in self.attachments.items():
+                media_type = guess_type(name)[0] or "application/octet-stream"
+                writer.attach(name, media_type, data, self.start_ns)
+            for message, topic in merge(*messages, key=lambda pair: pair[0].log_time):
+                writer.write(topic, message.data, message.log_time, message.publish_time)
+        return path
+
+    def to_dataframe(self, topic: str) -> pandas.DataFrame:
+        """The samples of a topic as a pandas table; needs the extra `export`.
+
+        Args:
+            topic: one of `STREAMS`, such as `/lowstate`.
+
+        Returns:
+            A row for each sample, indexed by `publish_time`, UTC to the nanosecond, as is the
+            column `log_time`; `time` is in s on the motion's clock. Other columns are named as
+            those of the topic's stream, arrays by joint or axis: `q.left_knee_joint`,
+            `root_pos.x`, `imu_quat_wxyz.w`. Units are those of the stream.
+
+        Raises:
+            ConfigError: pandas is not installed.
+            RecordingError: the topic is not one of those.
+        """
+        table = import_extra("pandas", *_EXPORT)
+        if topic not in STREAMS:
+            raise RecordingError(
+                f"There is no table for the topic {topic}.", f"Choose from {', '.join(STREAMS)}."
+            )
+        stream = self.stream(STREAMS[topic]).read()
+        columns: dict[str, Any] = {
+            "log_time": table.to_datetime(stream.log_time, unit="ns", utc=True),
+            "time": stream.time,
+        }
+        for name in stream.wire_fields():
+            columns |= _by_joint_or_axis(name, getattr(stream, name))
+        index = table.to_datetime(stream.publish_time, unit="ns", utc=True)
+        frame: pandas.DataFrame = table.DataFrame(columns, index=index.rename("publish_time"))
+        return frame
+
+    def to_parquet(self, directory: str | os.PathLike[str]) -> list[Path]:
+        """Write the tables of all topics: /lowstate into lowstate.parquet, and so on.
+
+        Args:
+            directory: made where it is missing. Files of these names are replaced.
+
+        Returns:
+            The files.
+
+        Raises:
+            ConfigError: pandas or pyarrow is not installed.
+            RecordingError: a file cannot be written.
+        """
+        import_extra("pyarrow", *_EXPORT)
+        directory = Path(directory)
+        with output_errors(directory), suppress(FileExistsError):
+            directory.mkdir(parents=True)
+        paths = []
+        for topic in STREAMS:
+            if self.topics.get(topic):
+                path = directory / f"{topic.strip('/')}.parquet"
+                table = self.to_dataframe(topic)
+                with complete_file(path) as temporary:
+                    table.to_parquet(temporary, engine="pyarrow")
+                paths.append(path)
+        return paths
+
+
+def _by_joint_or_axis(name: str, values: NDArray[Any]) -> dict[str, NDArray[Any]]:
+    """A column (N,) of a stream as one of the table, or one (N, K) as K."""
+    if values.ndim == 1:
+        return {name: values}
+    labels = JOINT_NAMES if values.shape[1] == N_JOINTS else _AXES[values.shape[1]]
+    return {f"{name}.{label}": one for label, one in zip(labels, values.T, strict=True)}

@@ -1,0 +1,83 @@
+"""The conditions of --fail-if: a value beside a number, or beside so many times that of a base."""
+
+from __future__ import annotations
+
+import operator
+import re
+from difflib import get_close_matches
+from math import isfinite
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from g1stream.errors import ConfigError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+__all__ = ["FailIf"]
+
+_OPERATORS: Final = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}
+_FORM: Final = re.compile(
+    r"\s*([\w.]+)\s*([<>]=?)\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)\s*(\*\s*base)?\s*",
+    re.ASCII | re.IGNORECASE,
+)
+
+
+class FailIf(NamedTuple):
+    """A condition `NAME OP NUMBER` or `NAME OP NUMBER * base`, OP one of `< <= > >=`."""
+
+    text: str
+    name: str
+    holds_for: Callable[[float, float], bool]
+    number: float
+    of_base: bool
+
+    @classmethod
+    def parse(cls, text: str, names: Sequence[str], with_base: Sequence[str] = ()) -> FailIf:
+        """Read a condition.
+
+        Args:
+            text: the condition.
+            names: what it can name.
+            with_base: those of them that have a base.
+
+        Raises:
+            ConfigError: it is of another form, names something else, or a base that is not there.
+        """
+        match = _FORM.fullmatch(text)
+        if not match or not isfinite(number := float(match[3])):
+            remedy = "Give NAME OP NUMBER with OP one of < <= > >=, such as 'rmse > 0.02'"
+            remedy += ", or NAME OP NUMBER * base." if with_base else "."
+            raise ConfigError(f"The condition {text!r:.200} cannot be read.", remedy)
+        name, of_base = match[1], bool(match[4])
+        if name not in names:
+            close = ", ".join(get_close_matches(name, names))
+            meant = f"Close matches: {close}. " * bool(close)
+            raise ConfigError(
+                f"The condition {text!r:.200} names {name}, which is not known here.",
+                f"{meant}Choose from {_listed(names)}.",
+            )
+        if of_base and name not in with_base:
+            raise ConfigError(
+                f"The condition {text!r:.200} compares with a base, and {name} has none.",
+                f"Give a number alone, such as '{name} {match[2]} {match[3]}'.",
+            )
+        return cls(text.strip(), name, _OPERATORS[match[2]], number, of_base)
+
+    def holds(self, value: float | None, base: float | None = None) -> bool | None:
+        """Whether it holds for a value; None where that, or the base it needs, is not known."""
+        factor = base if self.of_base else 1.0
+        if value is None or factor is None or not (isfinite(value) and isfinite(factor)):
+            return None
+        return self.holds_for(value, self.number * factor)
+
+
+def _listed(names: Sequence[str]) -> str:
+    """The names, of those with a dot only how many there are and two of them."""
+    parts: dict[str, list[str]] = {}
+    for name in names:
+        metric, dot, _ = name.partition(".")
+        if dot:
+            parts.setdefault(metric, []).append(name)
+    whole = ", ".join(name for name in names if "." not in name)
+    several = (f"; {len(of)} such as {of[0]} and {of[-1]}" for of in parts.values())
+    return whole + "".join(several)

@@ -1,0 +1,291 @@
+"""Gathers facts about this machine and a DDS domain, and evaluates them; publishes nothing."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import socket
+import struct
+import time
+from contextlib import suppress
+from dataclasses import replace
+from importlib.metadata import version
+from pathlib import Path
+from statistics import median
+from typing import TYPE_CHECKING, Any, Final
+
+from cyclonedds.core import Policy
+
+from g1stream.clock import SystemClock, Ticker
+from g1stream.control.report import Lateness
+from g1stream.dds.domain import (
+    MAX_DOMAIN,
+    OBSERVER,
+    InterfaceFlags,
+    Participant,
+    interface_flags,
+    interfaces,
+    support_announced,
+)
+from g1stream.dds.endpoints import RawReader
+from g1stream.dds.messages import LOWSTATE, TOPICS, LowState
+from g1stream.dds.ticks import TickGaps
+from g1stream.doctor.facts import (
+    Facts,
+    HostFacts,
+    Interface,
+    Peer,
+    Qos,
+    StateFacts,
+    WakeupLatency,
+    WireFacts,
+)
+from g1stream.doctor.findings import evaluate
+from g1stream.errors import WireError
+from g1stream.realtime import on_time
+from g1stream.robot.model import G1
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from g1stream.clock import Clock
+    from g1stream.config import Config, RealtimeConfig
+    from g1stream.dds.domain import Endpoint
+    from g1stream.doctor.facts import Finding, Interface
+
+__all__ = [
+    "diagnose",
+    "inspect_domain",
+    "inspect_host",
+    "inspect_participant",
+    "measure_wakeup_latency",
+    "qos_facts",
+    "wakeup_latency",
+]
+
+_POLL_S = 0.001
+#: How long discovery of the participants in another domain may take, s.
+_DISCOVERY_S = 0.6
+_DURABILITIES = (
+    Policy.Durability.Volatile,
+    Policy.Durability.TransientLocal,
+    Policy.Durability.Transient,
+    Policy.Durability.Persistent,
+)
+
+
+def inspect_domain(
+    domain: int, interface: str, interfaces: Iterable[Interface], seconds: float
+) -> WireFacts:
+    """Listen in a domain and, where LowState is not published, in others nearby.
+
+    Raises:
+        WireError: the domain cannot be joined on the interface.
+    """
+    with Participant(domain, interface) as participant:
+        facts = inspect_participant(participant, seconds)
+    if facts.writers_of(LOWSTATE.name):
+        return facts
+    # With a CYCLONEDDS_URI we cannot choose the interface.
+    others = [] if participant.uses_environment else interfaces
+    places = _nearby(domain, interface, others)
+    return replace(facts, elsewhere=tuple(_publishers(places)), searched=tuple(places))
+
+
+def inspect_participant(participant: Participant, seconds: float) -> WireFacts:
+    """Listen in a participant's domain for some seconds."""
+    reader = RawReader(participant, LOWSTATE, depth=4096)
+    state = _listen(reader, seconds)
+    writers = participant.writers()
+    if support_announced(one for one in writers if one.topic == LOWSTATE.name) is None:
+        state = replace(state, missed=None)
+    return WireFacts(
+        writers=tuple(_peers(participant, writers)),
+        readers=tuple(_peers(participant, participant.readers())),
+        state=state,
+        states_matched=reader.matched,
+    )
+
+
+def _listen(reader: RawReader, seconds: float) -> StateFacts:
+    message, gaps = LowState(), TickGaps()
+    ages: list[float] = []
+    right = zero = 0
+    start = time.monotonic()
+    while time.monotonic() < start + seconds:
+        time.sleep(_POLL_S)
+        for sample in reader.take():
+            message.load(sample.data)
+            ages.append((time.time_ns() - sample.publish_time) / 1e6)
+            gaps.add(int(message.tick))
+            right += message.crc_matches()
+            zero += int(message.crc) == 0
+    return StateFacts(
+        seconds=time.monotonic() - start,
+        received=gaps.received,
+        malformed=reader.malformed,
+        ages_ms=(median(ages), max(ages)) if ages else (0.0, 0.0),
+        tick_step=gaps.step,
+        tick_jumps=gaps.jumps,
+        missed=gaps.missed,
+        crc_right=right,
+        crc_zero=zero,
+        mode_machine=int(message.mode_machine),
+        has_rpy=bool(message.rpy.any()),
+        has_motor_modes=bool(message.motor_mode.any()),
+    )
+
+
+def _nearby(domain: int, interface: str, interfaces: Iterable[Interface]) -> list[tuple[int, str]]:
+    """Other places to search: domains nearby, then other interfaces."""
+    nearby = sorted({0, 1, domain - 1, domain + 1} - {domain, -1, MAX_DOMAIN + 1})
+    usable = [i.name for i in interfaces if i.up and i.address and i.name != interface]
+    return [(other, interface) for other in nearby] + [(domain, name) for name in usable]
+
+
+def _publishers(places: Iterable[tuple[int, str]]) -> Iterator[tuple[int, str, str]]:
+    """In which of these places LowState is published, and by whom."""
+    for place in places:
+        # A place that cannot be joined has no publisher that we could reach.
+        with suppress(WireError), Participant(*place) as participant:
+            time.sleep(_DISCOVERY_S)
+            for writer in participant.writers(LOWSTATE.name):
+                yield (*place, participant.owner(writer))
+
+
+def _peers(participant: Participant, endpoints: Iterable[Endpoint]) -> Iterator[Peer]:
+    """The endpoints on a robot's topics, without those of discovery itself."""
+    for endpoint in endpoints:
+        if endpoint.topic.startswith("rt/"):
+            yield Peer(
+                topic=endpoint.topic,
+                type_name=endpoint.type_name,
+                same_type=_same_type(endpoint),
+                qos=qos_facts(endpoint.qos),
+                owner=participant.owner(endpoint),
+                participant=endpoint.participant,
+                observer=endpoint.user_data == OBSERVER,
+                idle_guard=endpoint.idle_guard,
+            )
+
+
+def _same_type(endpoint: Endpoint) -> bool | None:
+    ours = {topic.name: topic.idl_type for topic in TOPICS}.get(endpoint.topic)
+    if ours is None or endpoint.type_id is None:
+        return None
+    ours.__idl__.populate()
+    return bool(endpoint.type_id == ours.__idl__.get_type_id())
+
+
+def qos_facts(qos: Any) -> Qos:
+    """The policies of a Cyclone `Qos` that matter here; DDS's defaults for those not set."""
+    values = vars(Qos()).copy()
+    for policy in qos or ():
+        if isinstance(policy, Policy.Reliability.Reliable):
+            values["reliable"] = True
+        elif isinstance(policy, Policy.Deadline):
+            values["deadline"] = policy.deadline
+        elif isinstance(policy, Policy.Partition):
+            values["partitions"] = tuple(policy.partitions)
+        elif isinstance(policy, Policy.DataRepresentation):
+            values["xcdr1"] = policy.use_cdrv0_representation
+        elif policy == Policy.Ownership.Exclusive:
+            values["exclusive"] = True
+        elif policy in _DURABILITIES:
+            values["durability"] = _DURABILITIES.index(policy)
+    return Qos(**values)
+
+
+_SIOCGIFADDR: Final = 0x8915  # <linux/sockios.h>
+
+
+def inspect_host(config: RealtimeConfig) -> HostFacts:
+    """Gather facts about this machine; requests real-time rights, and gives them back."""
+    with on_time(config.priority, config.cpu) as grants:
+        granted = tuple(grants)
+    buffer = _read("/proc/sys/net/core/rmem_max")
+    return HostFacts(
+        interfaces=tuple(map(_interface, interfaces())),
+        uri=os.environ.get("CYCLONEDDS_URI", ""),
+        cyclonedds=version("cyclonedds"),
+        rmem_max=int(buffer) if buffer else None,
+        clock_source=_read("/sys/devices/system/clocksource/clocksource0/current_clocksource"),
+        grants=granted,
+    )
+
+
+def measure_wakeup_latency(
+    realtime: RealtimeConfig, rate: float, seconds: float = 0.5
+) -> WakeupLatency:
+    """Sleep until absolute deadlines (Hz) with the rights that the loop gets, and do nothing else.
+
+    The priority is one below the loop's: a loop that runs meanwhile, maybe on the same isolated
+    CPU, comes first, and no command of it is delayed.
+    """
+    with on_time(max(0, realtime.priority - 1), realtime.cpu):
+        return wakeup_latency(SystemClock(), round(1e9 / rate), round(seconds * rate))
+
+
+def wakeup_latency(clock: Clock, period: int, deadlines: int) -> WakeupLatency:
+    """Let a clock wake this thread at so many deadlines, `period` ns apart."""
+    ticker = Ticker(clock, period, clock.now() + period)
+    lateness, passed = Lateness(), 0
+    for k, _ in ticker:
+        # The deadline that was slept for, not the one that replaced it.
+        lateness.add(clock.now() - (ticker.start + passed * period))
+        passed = k + 1
+        if passed >= deadlines:
+            break
+    median = round(lateness.percentile_us(50.0) * 1000.0)
+    return WakeupLatency(1e9 / period, passed, ticker.skipped, median, lateness.maximum_ns)
+
+
+def _interface(name: str) -> Interface:
+    flags = interface_flags(name)
+    return Interface(
+        name,
+        up=InterfaceFlags.UP in flags,
+        loopback=InterfaceFlags.LOOPBACK in flags,
+        multicast=InterfaceFlags.MULTICAST in flags,
+        address=_address(name),
+    )
+
+
+def _address(name: str) -> str:
+    """The IPv4 address of an interface, or "" (netdevice(7))."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
+        try:
+            answer = fcntl.ioctl(any_socket, _SIOCGIFADDR, struct.pack("256s", name.encode()))
+        except OSError:
+            return ""
+    return socket.inet_ntoa(answer[20:24])
+
+
+def _read(path: str) -> str:
+    try:
+        return Path(path).read_text().strip()
+    except OSError:
+        return ""
+
+
+def diagnose(config: Config, seconds: float = 1.0) -> list[Finding]:
+    """Check this machine and the domain; each check has a finding, also where all is well.
+
+    Only listens: nothing is published, so that no other program is disturbed.
+
+    Args:
+        config: where to look (`dds`), which robots may be commanded (`safety`), and what the loop
+            requests of the system (`realtime`, and `stream.rate`).
+        seconds: how long to listen for LowState.
+    """
+    domain, interface = config.dds.domain, config.dds.interface
+    host = inspect_host(config.realtime)
+    latency = measure_wakeup_latency(config.realtime, config.stream.rate)
+    wire, join_error = None, ""
+    try:
+        wire = inspect_domain(domain, interface, host.interfaces, seconds)
+    except WireError as error:
+        join_error = error.cause
+    robots = G1.load(config.robot).joint_set.allowed(config.safety.mode_machine)
+    via = config.stream.via
+    return evaluate(Facts(domain, interface, robots, host, wire, join_error, latency, via))

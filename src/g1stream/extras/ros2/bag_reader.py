@@ -1,0 +1,129 @@
+"""Bags of ROS 2 as motions, from sensor_msgs/JointState and tf2_msgs/TFMessage."""
+
+from __future__ import annotations
+
+from collections import Counter
+from contextlib import contextmanager
+from itertools import islice
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from rosbags.rosbag2 import Reader
+
+from g1stream.errors import RecordingError
+from g1stream.extras.ros2.messages import STORE
+from g1stream.files import begins_with
+from g1stream.input_limits import LATEST_NS
+from g1stream.session.mcap_reader import McapFile, Messages
+from g1stream.session.parts import parts_of
+from g1stream.session.recorded_motion import (
+    FOXGLOVE,
+    Decoders,
+    FramePose,
+    JointAngles,
+    RecordedMotion,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from g1stream.motion.readers import MotionFile
+    from g1stream.session.recorded_motion import RecordingFile
+
+__all__ = ["DECODERS", "open_bag"]
+
+#: Messages that are taken at once.
+_ROWS: Final = 100
+
+
+def open_bag(file: MotionFile) -> RecordedMotion:
+    """A bag: an MCAP or SQLite file, or a directory with metadata.yaml.
+
+    Raises:
+        RecordingError: there is no such bag, or it is damaged.
+    """
+    parts = parts_of(file.path)
+    # The reader of sessions, unlike rosbags', reads what was written before a recorder was killed.
+    in_mcap = begins_with(parts[0], b"\x89MCAP")
+    files: list[RecordingFile] = [*map(McapFile, parts)] if in_mcap else [_Bag(file.path)]
+    return RecordedMotion(file, files, DECODERS)
+
+
+class _Bag:
+    """A bag in SQLite, or a compressed one, as a file of a recording; see `RecordingFile`."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        with self._opened() as reader:
+            self.types = {
+                one.topic: (one.msgtype, getattr(one.ext, "serialization_format", ""))
+                for one in reader.connections
+            }
+            self.counts = Counter({one.topic: one.msgcount for one in reader.connections})
+
+    def batches(self, topics: set[str]) -> Iterator[tuple[str, Messages]]:
+        """The messages of some topics, topic by topic, in the order of their times."""
+        with self._opened() as reader:
+            for topic in sorted(topics & self.types.keys()):
+                messages = reader.messages(
+                    [one for one in reader.connections if one.topic == topic]
+                )
+                while some := list(islice(messages, _ROWS)):
+                    _, times, data = zip(*some, strict=True)
+                    if not all(isinstance(time, int) and 0 <= time < LATEST_NS for time in times):
+                        raise ValueError("a message has no time")
+                    if not all(isinstance(one, bytes) for one in data):
+                        raise ValueError("a message has no content")
+                    published = np.array(times, dtype=np.int64)
+                    yield topic, Messages(published, published, data)
+
+    @contextmanager
+    def _opened(self) -> Iterator[Reader]:
+        try:
+            with Reader(self._path) as reader:
+                yield reader
+        except Exception as error:  # of SQLite, of YAML, of zstd, and of whatever a field makes
+            raise RecordingError(
+                f"{self._path} cannot be read as a bag of ROS 2: {' '.join(str(error).split())}.",
+                "Record it again, or as MCAP.",
+            ) from error
+
+
+def _decoded(data: bytes, kind: str) -> Any:
+    try:
+        return STORE.deserialize_cdr(data, kind)
+    except Exception as error:  # SerdeError, and what damaged lengths and texts make
+        raise ValueError(str(error)) from error
+
+
+def _nanoseconds(header: Any) -> int:
+    return int(header.stamp.sec * 1_000_000_000 + header.stamp.nanosec)
+
+
+def _joint_state(data: bytes) -> JointAngles:
+    message = _decoded(data, "sensor_msgs/msg/JointState")
+    return JointAngles(_nanoseconds(message.header), tuple(message.name), message.position.tolist())
+
+
+def _transforms(data: bytes) -> list[FramePose]:
+    found = []
+    for one in _decoded(data, "tf2_msgs/msg/TFMessage").transforms:
+        pos, quat = one.transform.translation, one.transform.rotation
+        found.append(
+            FramePose(
+                _nanoseconds(one.header),
+                one.header.frame_id,
+                one.child_frame_id,
+                (pos.x, pos.y, pos.z),
+                (quat.w, quat.x, quat.y, quat.z),
+            )
+        )
+    return found
+
+
+DECODERS: Final = Decoders(
+    {("sensor_msgs/msg/JointState", "cdr"): _joint_state, **FOXGLOVE.joint_states},
+    {("tf2_msgs/msg/TFMessage", "cdr"): _transforms, **FOXGLOVE.transforms},
+)
+"""Decoders of ROS 2's messages and of Foxglove's."""

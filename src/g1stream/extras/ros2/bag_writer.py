@@ -1,0 +1,202 @@
+"""A session as a ROS 2 bag: a directory as rosbag2 writes it, with messages of ROS 2 only, in CDR.
+
+The samples of DDS and the URDF are in CDR already and keep their bytes. Transforms, joint states
+and log lines, which session files have in Foxglove's protobuf, become ROS's messages on the topics
+where its tools look for them. Every message keeps its log and publish time.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import asdict, dataclass, replace
+from mimetypes import guess_type
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from google.protobuf.message import DecodeError
+from rosbags.serde import SerdeError
+from rosbags.typesys.stores import ros2_humble as ros
+
+from g1stream.errors import RecordingError
+from g1stream.extras.ros2.messages import STORE, encode, joint_state, tf_message, time_message
+from g1stream.files import output_errors
+from g1stream.session.format import CHANNELS, Channel, encode_string
+from g1stream.session.parts import (
+    check_recording_path,
+    part_path,
+    parts_directory,
+    remove_recording,
+    replace_recording,
+    temporary_path,
+    write_metadata_yaml,
+)
+from g1stream.session.recorded_motion import FOXGLOVE
+from g1stream.session.source import SessionFiles
+from g1stream.session.writer import SessionWriter
+from g1stream.view.encoders import MEASURED_PREFIX
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from g1stream.session.mcap_writer import Compression
+
+__all__ = ["Ros2Report", "write_ros2_bag"]
+
+
+@dataclass(frozen=True)
+class Ros2Report:
+    """What was written.
+
+    Attributes:
+        path: the directory.
+        size: of its MCAP file, bytes.
+        counts: messages by topic.
+        left_out: messages by topic of the session that no message of ROS's was made of.
+    """
+
+    path: Path
+    size: int
+    counts: dict[str, int]
+    left_out: dict[str, int]
+
+    def as_dict(self) -> dict[str, Any]:
+        """The fields as JSON can say them."""
+        return asdict(self) | {"path": str(self.path)}
+
+
+def write_ros2_bag(
+    session: Path,
+    out: Path,
+    *,
+    force: bool = False,
+    compression: Compression = "zstd",
+    on_progress: Callable[[float], None] = lambda _: None,
+) -> Ros2Report:
+    """Write a session as a ROS 2 bag. A failure leaves nothing behind.
+
+    Args:
+        session: file or directory of a session.
+        out: the directory to write; `.mcap` at its end is left out.
+        force: replace a directory that g1stream wrote.
+        compression: of the file's chunks.
+        on_progress: called with the fraction done, 0 to 1.
+
+    Raises:
+        RecordingError: the session cannot be read, or the directory not be written.
+    """
+    source, out = SessionFiles(session), parts_directory(out)
+    if any(part.resolve().is_relative_to(out.resolve()) for part in source.paths):
+        raise RecordingError(f"The output {out} holds the session.", "Choose another directory.")
+    check_recording_path(out, split=True, force=force)
+    place = temporary_path(out)
+    total, done = max(1, sum(source.topics.values())), 0
+    try:
+        with output_errors(out):
+            place.mkdir()
+        path = place / part_path(out, 0).name
+        with SessionWriter(path, channels=_CHANNELS, compression=compression) as writer:
+            writer.add_metadata(source.metadata)
+            for name, data in source.attachments().items():
+                writer.attach(name, guess_type(name)[0] or "application/octet-stream", data, 0)
+            for topic, batch in source.batches(set(_OUTPUTS)):
+                output = _OUTPUTS[topic]
+                payloads = _converted(session, topic, output, batch.data)
+                times = batch.log_times, batch.publish_times
+                writer.write_batch(output.channel.topic, payloads, *times)
+                done += len(payloads)
+                on_progress(done / total)
+        write_metadata_yaml(place, [writer.part()], _CHANNELS)
+        size = path.stat().st_size
+        if out.exists():
+            replace_recording(place, out)
+        else:
+            with output_errors(out):
+                place.rename(out)
+    finally:
+        remove_recording(place)
+    left_out = {topic: n for topic, n in source.topics.items() if n and topic not in _OUTPUTS}
+    return Ros2Report(out, size, writer.counts, left_out)
+
+
+class _Output(NamedTuple):
+    """Where a topic's messages go, and what makes them of the session's; None keeps their bytes."""
+
+    channel: Channel
+    convert: Callable[[bytes], bytes] | None = None
+
+
+def _converted(session: Path, topic: str, output: _Output, data: Sequence[bytes]) -> list[bytes]:
+    if output.convert is None:
+        return list(data)
+    try:
+        return [output.convert(one) for one in data]
+    except (DecodeError, SerdeError, ValueError, struct.error) as error:
+        raise RecordingError(
+            f"A message of {topic} in {session} is not as g1stream writes it.",
+            "Give a session that g1stream recorded.",
+        ) from error
+
+
+def _joint_state(data: bytes) -> bytes:
+    message = JointStates.FromString(data)
+    columns = (
+        [getattr(joint, field) for joint in message.joints]
+        if all(joint.HasField(field) for joint in message.joints)
+        else []
+        for field in ("position", "velocity", "effort")
+    )
+    names = [joint.name for joint in message.joints]
+    return joint_state(message.timestamp.ToNanoseconds(), names, *columns)
+
+
+def _log(data: bytes) -> bytes:
+    message = Log.FromString(data)
+    time = time_message(message.timestamp.ToNanoseconds())
+    level = 10 * message.level  # Foxglove counts the same levels from 1 to 5
+    texts = message.name, message.message, message.file, ""
+    return encode(ros.rcl_interfaces__msg__Log(time, level, *texts, message.line))
+
+
+def _description(data: bytes) -> bytes:
+    """The URDF without the prefix of its links, which RViz has a setting for."""
+    message: Any = STORE.deserialize_cdr(data, "std_msgs/msg/String")
+    return encode_string(message.data.replace(f'"{MEASURED_PREFIX}', '"'))
+
+
+def _output(source: Channel) -> _Output | None:
+    """What becomes of a channel of a session; None where ROS has no message for it."""
+    if source.message_encoding == "cdr":
+        return _Output(source)
+    if source.schema_name not in _CONVERTERS:
+        return None
+    name, topic, convert = _CONVERTERS[source.schema_name]
+    channel = replace(
+        source,
+        topic=topic or source.topic,
+        schema_name=name,
+        schema_encoding="ros2msg",
+        message_encoding="cdr",
+        build_schema=STORE.generate_msgdef(name, ros_version=2)[0].encode,
+    )
+    return _Output(channel, convert)
+
+
+_transforms = FOXGLOVE.transforms["foxglove.FrameTransforms", "protobuf"]
+_CONVERTERS: Final = {
+    "foxglove.JointStates": ("sensor_msgs/msg/JointState", None, _joint_state),
+    "foxglove.FrameTransforms": (
+        "tf2_msgs/msg/TFMessage",
+        "/tf",
+        lambda data: tf_message(_transforms(data)),
+    ),
+    "foxglove.Log": ("rcl_interfaces/msg/Log", "/rosout", _log),
+}
+"""By schema of a session's channel: ROS's message, the topic where ROS's tools look for it (None:
+the session's own), and what makes it."""
+
+_OUTPUTS: Final = {
+    topic: output for topic, channel in CHANNELS.items() if (output := _output(channel))
+} | {"/measured/robot_description": _Output(CHANNELS["/robot_description"], _description)}
+_CHANNELS: Final = {output.channel.topic: output.channel for output in _OUTPUTS.values()}

@@ -1,0 +1,60 @@
+"""ROS 2's messages in CDR, by rosbags; as arguments, times are ns since the epoch."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.stores import ros2_humble as ros
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import ArrayLike
+
+    from g1stream.session.recorded_motion import FramePose
+
+__all__ = ["STORE", "encode", "joint_state", "tf_message", "time_message"]
+
+STORE: Final = get_typestore(Stores.ROS2_HUMBLE)
+"""The definitions of ROS 2's messages; those used here are the same in every ROS 2 since Foxy."""
+
+
+def encode(message: Any) -> bytes:
+    """A message in CDR.
+
+    Raises:
+        struct.error: a number of it is out of its field's range.
+    """
+    return bytes(STORE.serialize_cdr(message, message.__msgtype__, little_endian=True))
+
+
+def time_message(time_ns: int) -> Any:
+    """A builtin_interfaces/Time."""
+    return ros.builtin_interfaces__msg__Time(*divmod(time_ns, 1_000_000_000))
+
+
+def joint_state(time_ns: int, names: Iterable[str], *columns: ArrayLike) -> bytes:
+    """A sensor_msgs/JointState.
+
+    Args:
+        time_ns: of the stamp.
+        names: of J joints.
+        columns: positions, rad, velocities, rad/s, and efforts, N·m, (J) each, or empty.
+    """
+    header = ros.std_msgs__msg__Header(time_message(time_ns), "")
+    arrays = (np.asarray(column, np.float64) for column in columns)
+    return encode(ros.sensor_msgs__msg__JointState(header, list(names), *arrays))
+
+
+def tf_message(transforms: Iterable[FramePose]) -> bytes:
+    """A tf2_msgs/TFMessage."""
+    messages = []
+    for time_ns, parent, child, pos, (w, x, y, z) in transforms:
+        pose = ros.geometry_msgs__msg__Transform(
+            ros.geometry_msgs__msg__Vector3(*pos), ros.geometry_msgs__msg__Quaternion(x, y, z, w)
+        )
+        header = ros.std_msgs__msg__Header(time_message(time_ns), parent)
+        messages.append(ros.geometry_msgs__msg__TransformStamped(header, child, pose))
+    return encode(ros.tf2_msgs__msg__TFMessage(messages))

@@ -1,0 +1,231 @@
+"""Pictures of a robot and its ghost by `mujoco.Renderer`, without a display."""
+
+from __future__ import annotations
+
+import os
+import sys
+from contextlib import contextmanager
+from importlib import reload
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+from g1stream.errors import RobotError, SimError
+from g1stream.robot.dynamics import mujoco_spec
+from g1stream.robot.joints import JOINT_NAMES
+from g1stream.robot.kinematics import pose_blocks
+from g1stream.robot.shapes import find_mesh, has_meshes, read_visuals
+from g1stream.sim.model import add_floor_and_light
+from g1stream.types import Floats
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from g1stream.robot.model import G1
+
+__all__ = ["PosedRobot", "Scene"]
+
+#: How far behind the robot a ghost is drawn, m: surfaces that coincide would flicker.
+_BEHIND: Final = 0.004
+_SKY: Final = ([0.95, 0.96, 0.98], [0.75, 0.8, 0.87])
+_FIELD_OF_VIEW: Final = 30.0
+#: How far the camera looks down, degrees.
+_ELEVATION: Final = -12.0
+#: How far a robot reaches beyond the origins of its links, and its head from its pelvis, m.
+_BEYOND_LINKS, _HEAD = 0.12, 0.6
+#: Height of a foot's link above its sole, m.
+_SOLE: Final = 0.03
+
+
+class PosedRobot(NamedTuple):
+    """A robot's pose in each of T frames.
+
+    Attributes:
+        q: (T, 29) rad, motor order.
+        pos: (T, 3) m, pelvis in the world.
+        quat_wxyz: (T, 4) pelvis to world; zero is taken for upright.
+        tint: red, green, blue and opacity of all shapes, 0 to 1; the robot's colours if None.
+    """
+
+    q: Floats
+    pos: Floats
+    quat_wxyz: Floats
+    tint: tuple[float, float, float, float] | None = None
+
+
+class Scene:
+    """Draws a robot in several poses at once, with a camera that follows the first of them.
+
+    Args:
+        robot: whose shapes to draw: its meshes where they are found, else its primitive shapes.
+        robots: at least one, of T frames each.
+        size: width and height of a picture, pixels.
+        azimuth: where the camera stands, degrees around the robot: 0 in front of how it stands in
+            the first frame, 90 on its left.
+
+    Attributes:
+        meshes: it draws meshes, not primitive shapes.
+
+    Raises:
+        RobotError: MuJoCo does not accept the URDF or a mesh.
+        SimError: there is no OpenGL to draw with.
+    """
+
+    def __init__(
+        self, robot: G1, robots: Sequence[PosedRobot], size: tuple[int, int], azimuth: float
+    ) -> None:
+        with _opengl_errors():
+            import mujoco
+
+            if not os.environ.get("MUJOCO_GL"):
+                os.environ["MUJOCO_GL"] = "egl"  # unlike MuJoCo's own choice, it needs no display
+            reload(sys.modules[mujoco.Renderer.__module__].gl_context)  # this reads MUJOCO_GL
+        self.meshes = has_meshes(robot)
+        self._robots = [_with_numbers(posed) for posed in robots]
+        self._model = _compile(robot, size)
+        self._data = mujoco.MjData(self._model)
+        self._present = np.flatnonzero(robot.present)
+        joints = [self._model.joint(JOINT_NAMES[i]) for i in self._present]
+        self._joints = np.array([joint.qposadr[0] for joint in joints])
+        self._options, self._perturb = mujoco.MjvOption(), mujoco.MjvPerturb()
+        self._camera = mujoco.MjvCamera()
+        self._targets, self._lift = self._follow(robot, size, azimuth)
+        with _opengl_errors():
+            self._renderer = mujoco.Renderer(self._model, size[1], size[0])
+
+    def close(self) -> None:
+        """Free what OpenGL holds."""
+        self._renderer.close()
+
+    def draw(self, frame: int) -> NDArray[np.uint8]:
+        """A picture (height, width, 3), RGB, of the robots in a frame."""
+        import mujoco
+
+        self._camera.lookat[:] = self._targets[frame]
+        scene, dynamic = self._renderer.scene, mujoco.mjtCatBit.mjCAT_DYNAMIC
+        for number, posed in enumerate(self._robots):
+            qpos = self._data.qpos
+            qpos[:3], qpos[3:7] = posed.pos[frame], posed.quat_wxyz[frame]
+            qpos[2] += self._lift
+            qpos[self._joints] = posed.q[frame][self._present]
+            mujoco.mj_kinematics(self._model, self._data)
+            mujoco.mj_camlight(self._model, self._data)
+            first = scene.ngeom if number else 0
+            if number == 0:  # with the floor and the light
+                self._renderer.update_scene(self._data, self._camera, self._options)
+            else:
+                what = self._model, self._data, self._options, self._perturb
+                mujoco.mjv_addGeoms(*what, dynamic, scene)
+            if posed.tint:
+                forward = np.array(scene.camera[0].forward)
+                for geom in scene.geoms[first : scene.ngeom]:
+                    if geom.category == dynamic:
+                        geom.rgba[:] = posed.tint
+                        geom.pos[:] += _BEHIND * forward
+        picture: NDArray[np.uint8] = self._renderer.render()
+        return picture
+
+    def _follow(self, robot: G1, size: tuple[int, int], azimuth: float) -> tuple[Floats, float]:
+        """Place the camera; what it looks at in each frame (T, 3), and how far to lift all, m."""
+        from scipy.ndimage import gaussian_filter1d
+
+        leader = self._robots[0]
+        # Slower than the robot, so that the picture does not shake.
+        sigma = len(leader.pos) / 40
+        targets: Floats = gaussian_filter1d(leader.pos, sigma, axis=0, mode="nearest")
+        reach, lowest = _HEAD, np.inf
+        for posed in self._robots:
+            for part, poses in pose_blocks(robot, posed.q, posed.pos, posed.quat_wxyz):
+                away = np.linalg.norm(poses.pos - targets[part, np.newaxis], axis=-1)
+                reach = max(reach, float(away.max()) + _BEYOND_LINKS)
+                lowest = min(lowest, float(poses.pos[..., 2].min()))
+        # The height of a robot may not be known, or it is bolted lower than it would stand.
+        lift = max(0.0, _SOLE - lowest)
+        half = np.radians(_FIELD_OF_VIEW / 2) * min(1.0, size[0] / size[1])
+        w, x, y, z = leader.quat_wxyz[0]
+        heading = np.degrees(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+        self._camera.distance = reach / np.sin(half)
+        self._camera.azimuth = heading + azimuth + 180.0  # that in which it looks
+        self._camera.elevation = _ELEVATION
+        targets[:, 2] += lift
+        return targets, lift
+
+
+def _with_numbers(posed: PosedRobot) -> PosedRobot:
+    """The pose with 0 for what is not finite, and unit quaternions."""
+    q, pos, quat = (np.nan_to_num(one, posinf=0.0, neginf=0.0) for one in posed[:3])
+    norm = np.linalg.norm(quat, axis=1, keepdims=True)
+    quat = np.where(norm > 0.0, quat / np.where(norm > 0.0, norm, 1.0), [1.0, 0.0, 0.0, 0.0])
+    return PosedRobot(q, pos, quat, posed.tint)
+
+
+@contextmanager
+def _opengl_errors() -> Iterator[None]:
+    try:
+        yield
+    except Exception as error:  # a missing library raises whatever PyOpenGL makes of it
+        raise SimError(
+            f"There is no OpenGL to draw with: MUJOCO_GL={os.environ.get('MUJOCO_GL', '')}: "
+            f"{' '.join(str(error).split())}.",
+            "Install EGL, on Debian and Ubuntu: apt-get install libegl1 libgl1-mesa-dri; or set "
+            "MUJOCO_GL to osmesa or glfw before the start.",
+        ) from error
+
+
+def _compile(robot: G1, size: tuple[int, int]) -> Any:
+    """A `mujoco.MjModel` of the robot's shapes and a floor."""
+    import mujoco
+
+    meshes = has_meshes(robot)
+    try:
+        spec = mujoco_spec(robot, floating=True, shapes=not meshes)
+        if meshes:
+            _add_meshes(spec, robot)
+        elif any(not geom.contype for geom in spec.geoms):  # shapes to see, besides solid ones
+            for geom in [geom for geom in spec.geoms if geom.contype]:
+                spec.delete(geom)
+        if not spec.geoms:
+            raise RobotError(
+                f"There is nothing to draw of the robot {robot.source}: its URDF has no shapes.",
+                "Give its links shapes, or the names of a G1's.",
+            )
+        add_floor_and_light(spec)
+        spec.add_texture(
+            name="sky",
+            type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+            builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+            rgb1=_SKY[0],
+            rgb2=_SKY[1],
+            width=256,
+            height=256,
+        )
+        visual = spec.visual
+        visual.global_.offwidth, visual.global_.offheight = size
+        visual.global_.fovy = _FIELD_OF_VIEW
+        # Without a GPU, smoothed edges would double the time that a frame takes.
+        visual.quality.offsamples, visual.quality.shadowsize = 0, 1024
+        return spec.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        raise RobotError(
+            f"MuJoCo does not accept the URDF {robot.source}: {' '.join(str(error).split())}.",
+            "Correct the URDF or the mesh.",
+        ) from error
+
+
+def _add_meshes(spec: Any, robot: G1) -> None:
+    import mujoco
+
+    for number, visual in enumerate(read_visuals(robot)):
+        body, shape = spec.body(visual.link), mujoco.mjtGeom
+        pose = {"pos": visual.pos, "quat": visual.quat_wxyz, "rgba": visual.rgba}
+        if visual.kind == "mesh":
+            path, name = find_mesh(robot, visual.mesh), f"mesh_{number}"
+            spec.add_mesh(name=name, file=str(path), scale=visual.size)
+            body.add_geom(type=shape.mjGEOM_MESH, meshname=name, **pose)
+        else:
+            kind = getattr(shape, f"mjGEOM_{visual.kind.upper()}")
+            half = [extent / 2 for extent in visual.size]
+            size = [half[0], half[2], 0] if visual.kind == "cylinder" else half
+            body.add_geom(type=kind, size=size, **pose)

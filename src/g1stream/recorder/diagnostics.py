@@ -1,0 +1,242 @@
+"""What a recording lacks and how far its times can be compared: losses of samples, and clocks.
+
+A best-effort reader is not told by DDS what was lost on the way. So there are four sources: what
+the reader itself knows, the ticks with which our own programs number Reference and LowState, the
+publish time that a Reference shares with its LowCmd, and how many datagrams the kernel discarded
+because a buffer was full. The tick of another publisher's LowState proves nothing: that of
+unitree_mujoco's C++ bridge repeats and jumps while no sample is lost.
+
+Steps of this host's clock, and its offset from those of other hosts, are found and not corrected:
+log and publish times are kept as they are.
+"""
+
+from __future__ import annotations
+
+import time
+from array import array
+from collections import defaultdict
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from g1stream.dds.messages import ARM_SDK, LOWCMD, LOWSTATE, REFERENCE, Samples
+from g1stream.dds.ticks import TickGaps
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from g1stream.dds.messages import Batch
+
+__all__ = [
+    "ClockReading",
+    "DelayEstimator",
+    "Losses",
+    "MissingCommands",
+    "StepDetector",
+    "dropped_datagrams",
+    "read_clocks",
+]
+
+#: How long the LowCmd of a Reference is waited for, ns.
+_MAX_WAIT_NS: Final = 1_000_000_000
+#: At the end of a recording, by how much a Reference may arrive before its LowCmd, ns.
+_LAST_WAIT_NS: Final = 20_000_000
+#: Samples of a writer by which the step of its ticks is known.
+_MIN_TICKS: Final = 10
+
+_TOPICS_WITH_TICKS: Final = {topic.name: topic for topic in (REFERENCE, LOWSTATE)}
+
+#: ns; CLOCK_REALTIME was set, and not slewed, if it moved by more between two readings.
+_MIN_STEP: Final = 2_000_000
+_SECOND: Final = 1_000_000_000
+
+
+class MissingCommands:
+    """Counts References whose LowCmd, which has the same publish time, did not arrive."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._commands: set[int] = set()
+        self._references: set[int] = set()
+        self._newest = 0
+
+    def add_commands(self, publish_times: Iterable[int]) -> None:
+        """Take in the publish times of LowCmds, ns."""
+        self._commands.update(publish_times)
+
+    def add_references(self, publish_times: Sequence[int]) -> None:
+        """Take in the publish times of References, ns, oldest first."""
+        self._references.update(publish_times)
+        self._newest = publish_times[-1]
+        self._settle(self._newest - _MAX_WAIT_NS)
+
+    def finish(self) -> None:
+        """Count, after the last sample, the References that still wait."""
+        self._settle(self._newest - _LAST_WAIT_NS)
+
+    def _settle(self, before: int) -> None:
+        """Drop pairs, and count References before this time that have no LowCmd."""
+        pairs = self._references & self._commands
+        self._references -= pairs
+        self._commands = {time for time in self._commands - pairs if time >= before}
+        alone = {time for time in self._references if time < before}
+        self._references -= alone
+        self.count += len(alone)
+
+
+def dropped_datagrams() -> int:
+    """How many datagrams the kernel discarded because a socket buffer of this process was full."""
+    inodes = set()
+    for descriptor in Path("/proc/self/fd").glob("*"):
+        with suppress(OSError):  # closed in the meantime
+            inodes.add(descriptor.readlink().name.removeprefix("socket:[").removesuffix("]"))
+    dropped = 0
+    for table in (Path("/proc/net/udp"), Path("/proc/net/udp6")):
+        if table.exists():
+            rows = (line.split() for line in table.read_text().splitlines()[1:])
+            dropped += sum(int(row[-1]) for row in rows if row[9] in inodes)
+    return dropped
+
+
+class Losses:
+    """Samples known to be lost, by DDS topic.
+
+    Attributes:
+        lost: samples, by topic name.
+    """
+
+    def __init__(self) -> None:
+        self.lost: dict[str, int] = {}
+        self._ticks: dict[str, dict[int, TickGaps]] = defaultdict(lambda: defaultdict(TickGaps))
+        self._commands = MissingCommands()
+        self._commanded = LOWCMD.name  # where the commands of the references are
+
+    def add(self, name: str, batch: Batch) -> None:
+        """Take in samples of a topic, oldest first; every writer has ticks of its own."""
+        if name in (LOWCMD.name, ARM_SDK.name):
+            if name == ARM_SDK.name:
+                self._commanded = name
+            self._commands.add_commands(batch.publish_times)
+        if name == REFERENCE.name:
+            self._commands.add_references(batch.publish_times)
+        if topic := _TOPICS_WITH_TICKS.get(name):
+            ticks = Samples(topic, batch.data)["tick"].tolist()
+            for writer, tick in zip(batch.writers, ticks, strict=True):
+                self._ticks[name][writer].add(tick)
+
+    def finish(self) -> None:
+        """Count, after the last batch, the LowCmds that were still waited for."""
+        self._commands.finish()
+
+    def update(self, lost_by_reader: Mapping[str, int], *, own_bridge: bool) -> dict[str, int]:
+        """Combine all sources.
+
+        Args:
+            lost_by_reader: samples that the readers know to be lost so far, by topic name.
+            own_bridge: LowState comes from our own bridge, whose ticks number it.
+
+        Returns:
+            How many more are lost than at the last update, where any are.
+        """
+        more = {}
+        for name, by_reader in lost_by_reader.items():
+            numbered = name != LOWSTATE.name or own_bridge
+            counters = self._ticks[name].values() if numbered else ()
+            by_ticks = sum(c.missed or 0 for c in counters if c.received > _MIN_TICKS)
+            by_reference = self._commands.count if name == self._commanded else 0
+            lost, before = max(by_reader, by_ticks, by_reference), self.lost.get(name, 0)
+            if lost > before:
+                more[name] = lost - before
+            self.lost[name] = lost
+        return more
+
+
+class ClockReading(NamedTuple):
+    """Both clocks of this machine at one instant, ns."""
+
+    realtime: int
+    monotonic: int
+
+
+def read_clocks() -> ClockReading:
+    """Read both clocks at nearly the same instant: the closest of several readings."""
+    readings = [(time.monotonic_ns(), time.time_ns(), time.monotonic_ns()) for _ in range(5)]
+    before, realtime, after = min(readings, key=lambda one: one[2] - one[0])
+    return ClockReading(realtime, (before + after) // 2)
+
+
+@dataclass
+class StepDetector:
+    """Detects when CLOCK_REALTIME is set, by its offset from CLOCK_MONOTONIC.
+
+    Slewing, as NTP does at up to 0.5 ms a second, is not a step; it shows in the difference between
+    `first` and `last`.
+
+    Attributes:
+        first, last: realtime minus monotonic at the first and the last reading, ns.
+        steps: (when by the clock after it, by how much), ns each.
+    """
+
+    first: int | None = None
+    last: int = 0
+    steps: list[tuple[int, int]] = field(default_factory=list)
+
+    def observe(self, reading: ClockReading) -> int:
+        """By how much the clock was set since the previous reading, ns; 0 when it was not.
+
+        Args:
+            reading: at most some tenths of a second after the previous one.
+        """
+        offset = reading.realtime - reading.monotonic
+        if self.first is None:
+            self.first = self.last = offset
+        step, self.last = offset - self.last, offset
+        if abs(step) < _MIN_STEP:
+            return 0
+        self.steps.append((reading.realtime, step))
+        return step
+
+
+class DelayEstimator:
+    """Estimates the delay of one topic's messages: the median of log time minus publish time.
+
+    From another host this is the transit time plus the offset between the two clocks, which cannot
+    be separated in one direction. In a wired network the transit takes well below 1 ms, so more
+    than that is offset.
+
+    Keeps one median for each second.
+    """
+
+    def __init__(self) -> None:
+        self._medians = array("q")
+        self._recent: list[NDArray[np.int64]] = []
+        self._since: int | None = None
+
+    def observe(self, log_times: NDArray[np.int64], publish_times: NDArray[np.int64]) -> None:
+        """Take in a batch of T > 0 messages: (T,) ns since the epoch each."""
+        self._recent.append(log_times - publish_times)
+        if self._since is None:
+            self._since = int(log_times[0])
+        if abs(int(log_times[-1]) - self._since) >= _SECOND:
+            self._medians.append(self._recent_median())
+            self._recent.clear()
+            self._since = int(log_times[-1])
+
+    @property
+    def seconds(self) -> int:
+        """How many seconds have a median."""
+        return len(self._medians)
+
+    def median(self) -> int | None:
+        """The median delay, ns; None before the first message."""
+        if self._medians:
+            return int(np.median(self._medians))
+        return self._recent_median() if self._recent else None
+
+    def _recent_median(self) -> int:
+        return int(np.median(np.concatenate(self._recent)))

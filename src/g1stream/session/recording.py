@@ -1,0 +1,453 @@
+"""A recording, from a file, a directory of files or memory, as numpy arrays.
+
+It is what was recorded and nothing that is computed of it; `g1stream.Session` adds that.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property, wraps
+from itertools import compress
+from pathlib import Path
+from types import NoneType
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
+
+import numpy as np
+
+from g1stream.dds.messages import Samples
+from g1stream.errors import RecordingError, WireError
+from g1stream.robot.model import G1
+from g1stream.session.mcap_reader import RECOVER, Slices
+from g1stream.session.source import SessionFiles
+from g1stream.session.streams import (
+    Base,
+    Command,
+    LogEvent,
+    Measured,
+    Reference,
+    Stream,
+    StreamT,
+    TorsoImu,
+)
+from g1stream.text import counted
+from g1stream.types import Floats, Phase
+
+if TYPE_CHECKING:
+    import os
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from g1stream.session.mcap_reader import Messages
+    from g1stream.session.records import PhaseInterval
+    from g1stream.session.source import SessionSource
+
+__all__ = ["CONVERTED", "Message", "Recording", "once", "open_recording"]
+
+CONVERTED: Final = "/reference/joint_states"
+"""What `convert` makes of a motion has its joints on this topic, and no samples of DDS."""
+
+_ESSENTIAL: Final = (Reference.topic, Command.topic, Measured.topic)
+
+T = TypeVar("T")
+RecordingT = TypeVar("RecordingT", bound="Recording")
+
+
+class Message(NamedTuple):
+    """One message as it is in the file.
+
+    Attributes:
+        log_time: when the recorder received it, ns since the epoch.
+        publish_time: when its producer published it, ns since the epoch.
+        data: its bytes; of a DDS topic exactly those of the sample, CDR header included.
+    """
+
+    log_time: int
+    publish_time: int
+    data: bytes
+
+
+def once(make: Callable[[Recording], T]) -> Callable[[Recording], T]:
+    """Decorate what is computed of a recording: the result is kept as long as the recording."""
+
+    @wraps(make)
+    def kept(recording: Recording) -> T:
+        results = recording.computed
+        if make not in results:
+            results[make] = make(recording)
+        result: T = results[make]
+        return result
+
+    return kept
+
+
+def open_recording(path: str | os.PathLike[str]) -> Recording:
+    """Open a session file, also one whose recorder was killed, to read what was recorded.
+
+    Args:
+        path: of a session file, or of the directory of a split recording.
+
+    Raises:
+        RecordingError: there is no such file, or it is no session, or it is damaged.
+    """
+    return Recording(SessionFiles(Path(path)))
+
+
+class Recording:
+    """The samples, events, metadata and attachments of one run.
+
+    Columns of a topic are read when they are first used, and kept. Whatever reads them raises a
+    RecordingError where the file is damaged, or a topic that it needs is not in this session.
+
+    Args:
+        source: what it is read from; `open_recording` gives the files on disk.
+
+    Attributes:
+        path: of the file or directory; of a session in memory only a name.
+        paths: of the file or its parts, oldest first; empty in memory.
+        absent_parts: by number of a part that is missing or cannot be read: why, a sentence.
+        complete: whether everything is there and was closed properly.
+        topics: number of messages by topic, in the whole session.
+        metadata: what stream and recorder wrote about the session.
+        computed: results of functions decorated with `once`.
+
+    Raises:
+        RecordingError: the source has none of the topics that a session has.
+    """
+
+    def __init__(self, source: SessionSource) -> None:
+        self._source = source
+        self.path = source.path
+        self.paths = source.paths
+        self.absent_parts = source.absent_parts
+        self.complete = source.complete
+        self.topics = source.topics
+        self.metadata = source.metadata
+        self.computed: dict[Callable[..., Any], Any] = {}
+        self._streams: dict[type[Stream], Any] = {}
+        # Of a selection: what it is a part of, and the ranges of time (first, end), s.
+        self._whole: Recording | None = None
+        self._ranges: Sequence[tuple[float, float]] = ()
+        if not any(source.topics.get(topic) for topic in (*_ESSENTIAL, CONVERTED)):
+            raise self._without_essentials()
+
+    def __repr__(self) -> str:
+        counts = ", ".join(f"{topic} {n}" for topic, n in sorted(self.topics.items()) if n)
+        whole = "" if self.complete else ", not closed by its recorder"
+        return f"<{type(self).__name__} {str(self.path)!r}: {counts}{whole}>"
+
+    @property
+    def converted(self) -> bool:
+        """Whether it is what `g1stream convert` made of a motion, which nobody has played."""
+        return bool(
+            self.paths and self.topics.get(CONVERTED) and not self.topics.get(Reference.topic)
+        )
+
+    @property
+    def reference(self) -> Reference:
+        """The target at each tick, computed from the motion."""
+        return self.stream(Reference)
+
+    @property
+    def command(self) -> Command:
+        """The commands to the motors."""
+        return self.stream(Command)
+
+    @property
+    def measured(self) -> Measured:
+        """The state of the robot."""
+        return self.stream(Measured)
+
+    @property
+    def base(self) -> Base | None:
+        """Position of the pelvis; None where it was not published, as by a real robot."""
+        return self.stream(Base) if self.topics.get(Base.topic) else None
+
+    @property
+    def torso_imu(self) -> TorsoImu | None:
+        """The IMU in the torso; None where it was not published."""
+        return self.stream(TorsoImu) if self.topics.get(TorsoImu.topic) else None
+
+    def stream(self, kind: type[StreamT]) -> StreamT:
+        """The samples of a DDS topic.
+
+        Args:
+            kind: one of the values of `STREAMS`.
+        """
+        if kind not in self._streams:
+            if self._whole is not None:
+                whole = self._whole.stream(kind)
+                self._streams[kind] = whole[self._inside(whole.time)]
+            else:
+                self._require(kind.topic)
+                made = kind(
+                    lambda names: self._columns({kind: names}, as_recorded=True)[kind],
+                    lambda: made.since(self.start_ns),
+                )
+                self._streams[kind] = made
+        stream: StreamT = self._streams[kind]
+        return stream
+
+    def read(self, columns: Mapping[type[Stream], Sequence[str]]) -> None:
+        """Read columns of several streams in one pass, which takes less time than one each.
+
+        Args:
+            columns: names by stream, all of its columns if there are none. Of a topic without
+                messages nothing is read.
+
+        Raises:
+            RecordingError: the file is damaged, or a stream has no such column.
+        """
+        if self._whole is not None:
+            self._whole.read(columns)
+            return
+        streams = {kind: self.stream(kind) for kind in columns if self.topics.get(kind.topic)}
+        missing = {kind: stream.missing(*columns[kind]) for kind, stream in streams.items()}
+        wanted = {kind: names for kind, names in missing.items() if names}
+        if wanted:
+            for kind, found in self._columns(wanted, as_recorded=False).items():
+                streams[kind].keep(found)
+
+    @cached_property
+    def robot(self) -> G1:
+        """The robot of the attached URDF; the default one where none is attached.
+
+        Raises:
+            RobotError: the URDF cannot be used.
+        """
+        urdf = self.attachments.get("robot.urdf")
+        if urdf is None:
+            return G1.default()
+        return G1.from_urdf(urdf.decode(errors="replace"), f"robot.urdf of {self.path}")
+
+    @cached_property
+    def attachments(self) -> dict[str, bytes]:
+        """The attached files by name."""
+        return self._source.attachments()
+
+    @cached_property
+    def log(self) -> list[LogEvent]:
+        """The events of the session, in the order of the file."""
+        if self._whole is not None:
+            whole = self._whole.log
+            seconds = np.array([event.time - self.start_ns for event in whole]) / 1e9
+            return list(compress(whole, self._inside(seconds)))
+        return [
+            LogEvent.decode(data)
+            for _, batch in self._source.batches({"/log"})
+            for data in batch.data
+        ]
+
+    @cached_property
+    def times(self) -> dict[str, Stream]:
+        """By topic, the times of its messages; of all topics, so it takes a while to read."""
+        if self._whole is not None:
+            return {topic: one[self._inside(one.time)] for topic, one in self._whole.times.items()}
+        return self._times([topic for topic, n in sorted(self.topics.items()) if n])
+
+    def messages(self, topic: str) -> Iterator[Message]:
+        """The messages of any topic, one after the other, in the order of the file."""
+        self._require(topic)
+        if self._whole is not None:
+            times = self._whole._times([topic])[topic].time
+            yield from compress(self._whole.messages(topic), self._inside(times))
+            return
+        for _, batch in self._source.batches({topic}):
+            times_ns = batch.log_times.tolist(), batch.publish_times.tolist()
+            yield from map(Message, *times_ns, batch.data)
+
+    def replay_bytes(self, topic: str = Command.topic) -> Iterator[bytes]:
+        """The samples of a DDS topic, bit for bit as they were published, in order."""
+        return (message.data for message in self.messages(topic))
+
+    def samples(self, kind: type[Stream], data: Sequence[bytes] | NDArray[np.uint8]) -> Samples:
+        """The fields of samples of a DDS topic, from their bytes.
+
+        Raises:
+            RecordingError: one of them is not of the topic's type.
+        """
+        try:
+            return Samples(kind.source, data)
+        except WireError as error:
+            raise RecordingError(
+                f"{kind.topic} in {self.path} cannot be decoded. {error.cause}",
+                "Read it with the version of g1stream that recorded it.",
+            ) from error
+
+    @cached_property
+    def start_ns(self) -> int:
+        """Time 0 of the motion's clock, ns since the epoch on the recorder's clock.
+
+        That is when the motion's first frame was or would have been published; where nothing was
+        played, the first sample of the reference, or else of the commands or the state; of a
+        converted motion, its first frame.
+        """
+        if self._whole is not None:
+            return self._whole.start_ns
+        for kind in (Reference, Command, Measured):
+            if self.topics.get(kind.topic):
+                return self.stream(kind).start_ns
+        return self._times([CONVERTED])[CONVERTED].start_ns
+
+    @property
+    def phases(self) -> list[PhaseInterval]:
+        """The phases in order, in s on the motion's clock: its first frame is at 0.
+
+        Each lasts until the next one begins, the last until the last sample of the reference.
+        Empty where there is no reference.
+
+        Raises:
+            RecordingError: a number stands for no phase.
+        """
+        return self.reference.phases if self.topics.get(Reference.topic) else []
+
+    def sel(
+        self: RecordingT, phase: str | Phase | None = None, time: slice | None = None
+    ) -> RecordingT:
+        """The part of the session in a phase, in a time range, or in both.
+
+        Streams, times, messages and the log are restricted to it, by publish time; `topics`,
+        metadata and attachments are those of the whole session.
+
+        Args:
+            phase: such as `"PLAY"`.
+            time: s on the motion's clock, such as `slice(2.0, 5.0)`, both included.
+
+        Raises:
+            RecordingError: there is no phase of this name.
+            TypeError: `time` is not a slice.
+        """
+        if not isinstance(time, (slice, NoneType)):
+            raise TypeError(f"time takes a slice of seconds, such as slice(2.0, 5.0), not {time!r}")
+        ranges = [(-np.inf, np.inf)] if phase is None else self._phase_ranges(phase)
+        if time is not None:
+            first = -np.inf if time.start is None else time.start
+            end = np.inf if time.stop is None else np.nextafter(time.stop, np.inf)
+            ranges = [(max(a, first), min(b, end)) for a, b in ranges]
+        part = type(self)(self._source)
+        part._whole, part._ranges = self, ranges
+        return part
+
+    def _phase_ranges(self, phase: str | Phase) -> list[tuple[float, float]]:
+        name = phase.name if isinstance(phase, Phase) else phase.upper()
+        if name not in Phase.__members__:
+            raise RecordingError(
+                f"There is no phase {phase!r}.", f"Choose from {', '.join(Phase.__members__)}."
+            )
+        phases = self.phases
+        ends = [*(one.start_s for one in phases[1:]), np.inf][: len(phases)]
+        return [
+            (one.start_s, end)
+            for one, end in zip(phases, ends, strict=True)
+            if one.phase is Phase[name]
+        ]
+
+    def _inside(self, times: Floats) -> NDArray[np.bool_]:
+        """Which times (N,), s, are in the ranges of a selection; their ends are excluded."""
+        inside = np.zeros(len(times), dtype=bool)
+        for first, end in self._ranges:
+            inside |= (times >= first) & (times < end)
+        return inside
+
+    def _times(self, topics: Sequence[str]) -> dict[str, Stream]:
+        def stream(columns: Mapping[str, NDArray[Any]]) -> Stream:
+            made = Stream(lambda _: columns, lambda: made.since(self.start_ns))
+            return made
+
+        found = self._read(topics, lambda *_: {}, as_recorded=True)
+        return {topic: stream(columns) for topic, columns in found.items()}
+
+    def _columns(
+        self, wanted: Mapping[type[Stream], Sequence[str]], *, as_recorded: bool
+    ) -> dict[type[Stream], dict[str, NDArray[Any]]]:
+        """Some columns of streams by name, and both their times.
+
+        Args:
+            wanted: columns by stream.
+            as_recorded: floats are in the wire's precision; else all are float64.
+        """
+        kinds = {kind.topic: kind for kind in wanted}
+
+        def decode(topic: str, messages: Messages) -> dict[str, NDArray[Any]]:
+            kind = kinds[topic]
+            paths = {name: kind.wire_fields().get(name) for name in wanted[kind]}
+            fields = {name: path for name, path in paths.items() if path}  # times have none
+            if not fields:
+                return {}
+            rows = messages.data.rows() if isinstance(messages.data, Slices) else None
+            found = self.samples(kind, messages.data if rows is None else rows)
+            return {name: found.shown(path) for name, path in fields.items()}
+
+        read = self._read(list(kinds), decode, as_recorded=as_recorded)
+        return {kind: read[topic] for topic, kind in kinds.items()}
+
+    def _read(
+        self,
+        topics: Sequence[str],
+        decode: Callable[[str, Messages], dict[str, NDArray[Any]]],
+        *,
+        as_recorded: bool,
+    ) -> dict[str, dict[str, NDArray[Any]]]:
+        """By topic and attribute, what all messages of some topics have; read in one pass."""
+        columns: dict[str, dict[str, NDArray[Any]]] = {topic: {} for topic in topics}
+        filled = dict.fromkeys(topics, 0)
+        for topic, messages in self._source.batches(set(topics)):
+            begin, end = filled[topic], filled[topic] + len(messages.log_times)
+            times = {"log_time": messages.log_times, "publish_time": messages.publish_times}
+            if end <= self.topics[topic]:
+                for name, values in (times | decode(topic, messages)).items():
+                    if not begin:
+                        widened = values.dtype.kind == "f" and not as_recorded
+                        dtype = np.dtype(np.float64) if widened else values.dtype
+                        columns[topic][name] = self._empty(topic, values.shape[1:], dtype)
+                    columns[topic][name][begin:end] = values
+            filled[topic] = end
+        for topic, found in filled.items():
+            if found != self.topics[topic]:
+                raise self._miscounted(topic, f"it has {found}")
+            for values in columns[topic].values():
+                values.setflags(write=False)
+        return columns
+
+    def _empty(self, topic: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
+        """A column (N, *shape) for all messages of a topic."""
+        try:
+            return np.empty((self.topics[topic], *shape), dtype)
+        except (MemoryError, ValueError) as error:  # the number comes from the file
+            raise self._miscounted(topic, "no memory has room for so many") from error
+
+    def _require(self, topic: str) -> None:
+        if not self.topics.get(topic):
+            raise RecordingError(
+                f"{self.path} has no messages on {topic}, {self._other_topics()}.",
+                "Record while its publisher runs.",
+            )
+
+    def _miscounted(self, topic: str, found: str) -> RecordingError:
+        messages = counted(self.topics[topic], "message")
+        return RecordingError(f"{self.path} is damaged: of {messages} on {topic} {found}.", RECOVER)
+
+    def _without_essentials(self) -> RecordingError:
+        none = f"{', '.join(_ESSENTIAL[:-1])} or {_ESSENTIAL[-1]}"
+        if not self.complete:
+            return RecordingError(
+                f"The session file {self.path} was cut off before the first sample of {none}.",
+                "Copy it again, or record again.",
+            )
+        if "started_ns" in self.metadata:  # a recording without samples
+            where = f"domain {self.metadata['domain']}", str(self.metadata["interface"])
+            return RecordingError(
+                f"Nothing was recorded into {self.path}: there was no publisher of {none} on "
+                f"{' on '.join(where)}.",
+                f"`g1stream doctor --{where[0]} --interface {where[1]}` lists the participants; "
+                "start the robot or the simulator, then record.",
+            )
+        return RecordingError(
+            f"{self.path} is not a session of g1stream: it has no messages on {none}, "
+            f"{self._other_topics()}.",
+            "Give a file that `g1stream record` or `g1stream stream --record` made.",
+        )
+
+    def _other_topics(self) -> str:
+        if not self.topics:
+            return "nor on any other topic"
+        return "only on " + ", ".join(sorted(self.topics))

@@ -1,1 +1,0 @@
-"""What viewers show: layouts, Rerun, and pictures of the robot."""

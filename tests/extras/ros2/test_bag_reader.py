@@ -1,0 +1,358 @@
+"""Motions in bags of others: written by rosbags, mcap and Foxglove's own classes."""
+
+from __future__ import annotations
+
+import sqlite3
+import sys
+
+import numpy as np
+import pytest
+from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
+from mcap.writer import Writer as McapWriter
+from mcap_protobuf.writer import Writer as ProtobufWriter
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+import g1stream
+from g1stream.cli.main import main
+from g1stream.errors import ConfigError, MotionError, RecordingError
+from g1stream.extras.ros2.bag_reader import DECODERS, open_bag
+from g1stream.extras.ros2.messages import joint_state as in_cdr
+from g1stream.motion.readers import MotionFile, check_motion_file, load_motion
+
+ROS = get_typestore(Stores.ROS2_HUMBLE)
+START = 1_700_000_000_000_000_000
+STEP = 20_000_000  # 50 a second
+
+
+def of_ros(name):
+    return ROS.types[name]
+
+
+def stamp(time_ns):
+    return of_ros("builtin_interfaces/msg/Time")(*divmod(time_ns, 10**9))
+
+
+def joint_state(time_ns, names, position):
+    header = of_ros("std_msgs/msg/Header")(stamp(time_ns), "")
+    nothing = np.zeros(0)
+    kind = of_ros("sensor_msgs/msg/JointState")
+    return kind(header, list(names), np.asarray(position, float), nothing, nothing)
+
+
+def tf(time_ns, parent, child, pos, wxyz):
+    geometry = {n: of_ros(f"geometry_msgs/msg/{n}") for n in ("Vector3", "Quaternion", "Transform")}
+    w, x, y, z = wxyz
+    pose = geometry["Transform"](geometry["Vector3"](*pos), geometry["Quaternion"](x, y, z, w))
+    header = of_ros("std_msgs/msg/Header")(stamp(time_ns), parent)
+    one = of_ros("geometry_msgs/msg/TransformStamped")(header, child, pose)
+    return of_ros("tf2_msgs/msg/TFMessage")([one])
+
+
+def write_bag(path, topics, storage=StoragePlugin.SQLITE3, compression=CompressionMode.NONE):
+    """A bag by rosbags: topic -> (type, [(log time, message)])."""
+    writer = Writer(path, version=9, storage_plugin=storage)
+    writer.set_compression(compression, CompressionFormat.ZSTD)
+    with writer:
+        for topic, (kind, messages) in topics.items():
+            connection = writer.add_connection(topic, kind, typestore=ROS)
+            for time_ns, message in messages:
+                writer.write(connection, time_ns, ROS.serialize_cdr(message, kind))
+    return path
+
+
+@pytest.fixture(scope="module")
+def motion():
+    """A second of the bundled motion at 50 fps, with the pelvis on its way and turning."""
+    demo = load_motion("demo").frames(60, 110)
+    t = np.arange(50) / 50.0
+    quat = np.stack([np.cos(0.3 * t), 0.05 * np.sin(t), 0 * t, np.sin(0.3 * t)], axis=1)
+    return g1stream.Motion.from_arrays(
+        demo.joint_pos, demo.root_pos + t[:, None] * [0.1, 0.2, 0.0], quat, fps=50, name="part"
+    )
+
+
+@pytest.fixture(scope="module")
+def joints(motion):
+    """Its joint states, in another order and with fingers, half a millisecond after the log."""
+    names = [*reversed(motion.joint_names), "left_thumb_joint"]
+    return [
+        (START + i * STEP, joint_state(START + i * STEP - 500_000, names, [*row[::-1], 0.3]))
+        for i, row in enumerate(motion.joint_pos)
+    ]
+
+
+@pytest.fixture(scope="module")
+def transforms(motion):
+    """The pelvis in the frame of odometry, and another frame."""
+    rows = zip(motion.root_pos, motion.root_quat_wxyz, strict=True)
+    found = []
+    for i, (pos, quat) in enumerate(rows):
+        time_ns = START + i * STEP - 500_000
+        found.append((time_ns, tf(time_ns, "odom", "pelvis", pos, quat)))
+        found.append((time_ns, tf(time_ns, "pelvis", "imu", [0, 0, 1], [1, 0, 0, 0])))
+    return found
+
+
+JOINT_STATE, TF = "sensor_msgs/msg/JointState", "tf2_msgs/msg/TFMessage"
+
+
+@pytest.mark.parametrize("storage", StoragePlugin)
+def test_a_bag_of_ros(tmp_path, motion, joints, transforms, storage):
+    topics = {"/joint_states": (JOINT_STATE, joints), "/tf": (TF, transforms)}
+    directory = write_bag(tmp_path / "bag", topics, storage)
+    (file,) = [one for one in directory.iterdir() if one.name != "metadata.yaml"]
+    for path in (directory, file):
+        found = load_motion(path)
+        assert found.fps == 50.0
+        np.testing.assert_array_equal(found.joint_pos, motion.joint_pos)
+        np.testing.assert_array_equal(found.root_pos, motion.root_pos)
+        np.testing.assert_allclose(found.root_quat_wxyz, motion.root_quat_wxyz, atol=1e-15)
+    report = check_motion_file(directory, g1stream.G1.default())
+    assert "/joint_states" in report.evidence.used["file"]
+    assert "pelvis in odom" in report.evidence.used["pelvis"]
+
+
+@pytest.mark.parametrize(
+    ("storage", "compression"),
+    [
+        (StoragePlugin.SQLITE3, CompressionMode.FILE),
+        (StoragePlugin.SQLITE3, CompressionMode.MESSAGE),
+        (StoragePlugin.MCAP, CompressionMode.FILE),
+        (StoragePlugin.MCAP, CompressionMode.STORAGE),
+    ],
+)
+def test_a_compressed_bag(tmp_path, motion, joints, storage, compression):
+    topics = {"/joint_states": (JOINT_STATE, joints)}
+    found = load_motion(write_bag(tmp_path / "bag", topics, storage, compression))
+    np.testing.assert_array_equal(found.joint_pos, motion.joint_pos)
+
+
+def test_a_file_without_its_end_is_read_to_the_cut(tmp_path, motion, joints):
+    """As the recorder leaves it that was killed."""
+    directory = write_bag(
+        tmp_path / "bag", {"/joint_states": (JOINT_STATE, 300 * joints)}, StoragePlugin.MCAP
+    )
+    (path,) = directory.glob("*.mcap")
+    path.write_bytes(path.read_bytes()[:1_500_000])
+    found = open_bag(MotionFile(path))
+    assert 500 < int(found.evidence.used["file"].split()[1].replace(",", "")) < 10_000
+
+
+def test_without_rosbags_the_extra_is_named(tmp_path, joints, monkeypatch):
+    path = write_bag(tmp_path / "bag", {"/joint_states": (JOINT_STATE, joints)})
+    for name in list(sys.modules):
+        if name.startswith("g1stream.extras.ros2"):
+            monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "rosbags.rosbag2", None)
+    monkeypatch.setitem(sys.modules, "rosbags.typesys", None)
+    with pytest.raises(ConfigError, match="needs rosbags") as caught:
+        load_motion(path)
+    assert "g1stream[ros2]" in caught.value.remedy
+
+
+def test_without_transforms_the_pelvis_is_upright(tmp_path, joints):
+    found = load_motion(write_bag(tmp_path / "bag", {"/joint_states": (JOINT_STATE, joints)}))
+    assert not found.root_pos.any()
+    assert (found.root_quat_wxyz == [1, 0, 0, 0]).all()
+
+
+def test_transforms_at_another_rate(tmp_path, motion, joints, transforms):
+    some = [one for i, one in enumerate(transforms) if i % 6 == 0]
+    topics = {"/joint_states": (JOINT_STATE, joints), "/tf": (TF, some)}
+    found = load_motion(write_bag(tmp_path / "bag", topics))
+    frames = np.arange(50)  # behind the last transform, at frame 48, it rests
+    for axis, expected in enumerate(motion.root_pos[::3].T):
+        between = np.interp(frames, frames[::3], expected)
+        np.testing.assert_allclose(found.root_pos[:, axis], between, rtol=0, atol=1e-9)
+    same = np.sum(found.root_quat_wxyz * motion.root_quat_wxyz, axis=1)[:49]
+    np.testing.assert_allclose(np.abs(same), 1.0, rtol=0, atol=1e-5)
+
+
+def test_stamps_that_do_not_rise_are_not_taken(tmp_path, motion, joints):
+    unstamped = [(t, joint_state(0, m.name, m.position)) for t, m in joints]
+    found = load_motion(write_bag(tmp_path / "bag", {"/js": (JOINT_STATE, unstamped)}))
+    assert found.fps == 50.0
+    np.testing.assert_array_equal(found.joint_pos, motion.joint_pos)
+
+
+def test_times_of_both_topics_are_of_one_clock(tmp_path, motion, joints, transforms):
+    """Unstamped transforms, and unstamped joints with transforms in the time of a simulation."""
+    poses = list(zip(motion.root_pos, motion.root_quat_wxyz, strict=True))
+
+    def moved(stamp_of, published=START):
+        return [
+            (published + i * STEP, tf(stamp_of(i), "odom", "pelvis", *pose))
+            for i, pose in enumerate(poses)
+        ]
+
+    bare = [(t, joint_state(0, m.name, m.position)) for t, m in joints]
+    cases = {
+        "transforms": (joints, moved(lambda i: 0)),
+        "joints": (bare, moved(lambda i: i * STEP)),
+        "clocks": (joints, moved(lambda i: i * STEP)),
+    }
+    for name, (states, frames) in cases.items():
+        topics = {"/joint_states": (JOINT_STATE, states), "/tf": (TF, frames)}
+        found = load_motion(write_bag(tmp_path / name, topics))
+        np.testing.assert_array_equal(found.root_pos, motion.root_pos)
+    other = moved(lambda i: i * STEP, START + 10**12)
+    topics = {"/joint_states": (JOINT_STATE, joints), "/tf": (TF, other)}
+    with pytest.raises(RecordingError, match="another time"):
+        load_motion(write_bag(tmp_path / "other", topics))
+
+
+@pytest.mark.parametrize("quat", [[0, 0, 0, 0], [np.nan, 0, 0, 1]])
+def test_transforms_that_no_pelvis_has(tmp_path, joints, quat):
+    frames = [(t, tf(t, "odom", "pelvis", [0, 0, 1], quat)) for t, _ in joints[::3]]
+    topics = {"/joint_states": (JOINT_STATE, joints), "/tf": (TF, frames)}
+    with pytest.raises(RecordingError, match="quaternion"):
+        load_motion(write_bag(tmp_path / "bag", topics))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        "CREATE TABLE t AS SELECT id, topic_id, timestamp, NULL AS data FROM messages; "
+        "DROP TABLE messages; ALTER TABLE t RENAME TO messages",
+        "UPDATE messages SET data = 7 WHERE id = 3",
+        "UPDATE messages SET timestamp = 'now' WHERE id = 3",
+        "UPDATE messages SET timestamp = -9223372036854775808 WHERE id = 3",
+        "CREATE TABLE t AS SELECT NULL AS id, name, type, serialization_format FROM topics; "
+        "DROP TABLE topics; ALTER TABLE t RENAME TO topics",
+    ],
+)
+def test_values_that_no_bag_has(tmp_path, joints, change):
+    directory = write_bag(tmp_path / "bag", {"/joint_states": (JOINT_STATE, joints)})
+    (path,) = directory.glob("*.db3")
+    with sqlite3.connect(path) as database:
+        database.executescript(change)
+    database.close()
+    with pytest.raises(RecordingError, match="cannot be read as a bag of ROS 2"):
+        load_motion(path)
+
+
+def test_a_bag_of_the_robot_with_joint_states_is_no_session(tmp_path, motion, joints):
+    text = [(START, of_ros("std_msgs/msg/String")("hello"))]
+    topics = {"/lowstate": ("std_msgs/msg/String", text), "/joint_states": (JOINT_STATE, joints)}
+    found = load_motion(write_bag(tmp_path / "bag", topics, StoragePlugin.MCAP))
+    np.testing.assert_array_equal(found.joint_pos, motion.joint_pos)
+
+
+def test_a_time_that_no_recording_has(tmp_path, motion):
+    path, message = tmp_path / "robot.mcap", JointStates()
+    message.timestamp.seconds = 2 * 10**11
+    for name in motion.joint_names:
+        message.joints.add(name=name, position=0.0)
+    with path.open("wb") as file, ProtobufWriter(file) as writer:
+        for i in range(2):
+            writer.write_message("/joints", message, START + i * STEP, START + i * STEP)
+    with pytest.raises(RecordingError, match="JointStates"):
+        load_motion(path)
+
+
+def test_joint_states_of_foxglove(tmp_path, motion):
+    path = tmp_path / "robot.mcap"
+    with path.open("wb") as file, ProtobufWriter(file) as writer:
+        for i, row in enumerate(motion.joint_pos):
+            message = JointStates()
+            message.timestamp.FromNanoseconds(START + i * STEP)
+            for name, angle in zip(motion.joint_names, row.tolist(), strict=True):
+                message.joints.add(name=name, position=angle)
+            writer.write_message("/robot/joints", message, START + i * STEP, START + i * STEP)
+    np.testing.assert_array_equal(load_motion(path).joint_pos, motion.joint_pos)
+    assert load_motion(path, fps=25).n_frames == 25
+
+
+@pytest.mark.parametrize("out", ["a.csv", "a.npz", "a.mcap", "bag"])
+def test_convert_and_back(tmp_path, motion, out):
+    """The table of round trips in docs/formats.md."""
+    source, path = motion.save(tmp_path / "part.npz"), tmp_path / out
+    if out == "bag":
+        assert main(["convert", str(source), str(tmp_path / "a.mcap")]) == 0
+        source = tmp_path / "a.mcap"
+    assert main(["convert", str(source), str(path), *(["--ros2"] if out == "bag" else [])]) == 0
+    found = load_motion(path, fps=50 if out == "a.csv" else None)
+    assert found.fps == motion.fps
+    np.testing.assert_array_equal(found.joint_pos, motion.joint_pos)
+    np.testing.assert_array_equal(found.root_pos, motion.root_pos)
+    np.testing.assert_array_equal(found.root_quat_wxyz, motion.root_quat_wxyz)
+
+
+def test_a_bag_with_other_things(tmp_path):
+    text = [(START, of_ros("std_msgs/msg/String")("hello"))]
+    path = write_bag(tmp_path / "bag", {"/chatter": ("std_msgs/msg/String", text)})
+    with pytest.raises(RecordingError, match="std_msgs/msg/String"):
+        load_motion(path)
+
+
+def test_an_encoding_that_is_not_read(tmp_path):
+    path = tmp_path / "robot.mcap"
+    with path.open("wb") as file:
+        writer = McapWriter(file)
+        writer.start()
+        schema = writer.register_schema("foxglove.JointStates", "jsonschema", b"{}")
+        channel = writer.register_channel("/joint_states", "json", schema)
+        writer.add_message(channel, START, b"{}", START)
+        writer.finish()
+    with pytest.raises(RecordingError, match=r"it has foxglove\.JointStates in json"):
+        load_motion(path)
+
+
+def test_a_bag_of_the_robot_in_sqlite_is_no_session(tmp_path):
+    text = [(START, of_ros("std_msgs/msg/String")("hello"))]
+    path = write_bag(tmp_path / "bag", {"/lowstate": ("std_msgs/msg/String", text)})
+    with pytest.raises(RecordingError, match="no joint states"):
+        load_motion(path)
+
+
+def test_messages_outside_of_chunks(tmp_path):
+    path = tmp_path / "plain.mcap"
+    with path.open("wb") as file:
+        writer = McapWriter(file, use_chunking=False)
+        writer.start()
+        schema = writer.register_schema(JOINT_STATE, "ros2msg", b"")
+        channel = writer.register_channel("/joint_states", "cdr", schema)
+        writer.add_message(channel, START, in_cdr(START, ["a"], [0.0], [], []), START)
+        writer.finish()
+    with pytest.raises(RecordingError, match="chunk"):
+        load_motion(path)
+
+
+def test_a_bag_with_two_robots(tmp_path, joints):
+    topics = {f"/{name}/js": (JOINT_STATE, joints) for name in ("one", "two")}
+    with pytest.raises(RecordingError, match="/one/js, /two/js"):
+        load_motion(write_bag(tmp_path / "bag", topics))
+
+
+def test_a_bag_of_another_robot(tmp_path, joints):
+    legs = [(t, joint_state(t, m.name[15:29], m.position[15:29])) for t, m in joints]
+    with pytest.raises(MotionError, match="lacks the joints waist_pitch_joint"):
+        load_motion(write_bag(tmp_path / "bag", {"/joint_states": (JOINT_STATE, legs)}))
+
+
+def test_messages_that_are_not_what_they_say(tmp_path, joints):
+    (time_ns, message), path = joints[0], tmp_path / "bag"
+    whole = bytes(ROS.serialize_cdr(message, JOINT_STATE))
+    decode = DECODERS.joint_states[JOINT_STATE, "cdr"]
+    assert decode(whole).names == tuple(message.name)
+    for n in range(len(whole)):
+        with pytest.raises(ValueError, match=r".+"):
+            decode(whole[:n])
+    with Writer(path, version=9) as writer:
+        connection = writer.add_connection("/joint_states", JOINT_STATE, typestore=ROS)
+        writer.write(connection, time_ns, whole[:100])
+    with pytest.raises(RecordingError, match="is not a sensor_msgs/msg/JointState"):
+        load_motion(path)
+
+
+def test_sqlite_files_that_are_no_bags(tmp_path):
+    path = tmp_path / "other.db3"
+    with sqlite3.connect(path) as database:
+        database.execute("CREATE TABLE topics (id INTEGER)")
+    database.close()
+    with pytest.raises(RecordingError, match="missing tables"):
+        load_motion(path)
+    path.write_bytes(path.read_bytes()[:1000])
+    with pytest.raises(RecordingError, match="cannot be read as a bag of ROS 2"):
+        open_bag(MotionFile(path))

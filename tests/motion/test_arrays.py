@@ -1,0 +1,484 @@
+"""Motions as arrays: NPZ and pickle, in the layouts of those who write them."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import os
+import pickle
+import struct
+import tracemalloc
+import zipfile
+import zlib
+from collections import OrderedDict
+from pathlib import Path
+from typing import get_args
+
+import joblib
+import numpy as np
+import pytest
+
+import g1stream
+from g1stream.errors import MotionError, RecordingError
+from g1stream.motion.arrays import names_in_order, read_arrays
+from g1stream.motion.readers import find_motion
+from g1stream.robot.kinematics import forward_kinematics
+from g1stream.robot.model import G1
+from g1stream.robot.rotations import xyzw_from_wxyz
+from g1stream.types import JointOrder
+
+DATA = Path(__file__).parents[1] / "data"
+
+#: Column of each motor in an array of Isaac Lab.
+ISAACLAB = [
+    *(0, 3, 6, 9, 13, 17),
+    *(1, 4, 7, 10, 14, 18),
+    *(2, 5, 8),
+    *(11, 15, 19, 21, 23, 25, 27),
+    *(12, 16, 20, 22, 24, 26, 28),
+]
+
+
+@pytest.fixture(scope="module")
+def motion():
+    """The bundled motion, with the pelvis on its way and turning."""
+    demo = g1stream.load_motion("demo")
+    t = np.arange(demo.n_frames) / demo.fps
+    quat = np.stack([np.cos(0.3 * t), 0.05 * np.sin(t), 0 * t, np.sin(0.3 * t)], axis=1)
+    return g1stream.Motion.from_arrays(
+        demo.joint_pos, demo.root_pos + t[:, None] * [0.1, 0.2, 0.0], quat, fps=50
+    )
+
+
+@pytest.fixture(scope="module")
+def isaac_angles(motion):
+    columns = np.empty_like(motion.joint_pos)
+    columns[:, ISAACLAB] = motion.joint_pos
+    return columns
+
+
+def bodies(motion, robot="g1_29dof"):
+    """Poses of the 30 moving links, as the tools of Isaac Lab and MuJoCo write them."""
+    model = G1.load(robot)
+    links = [0, *np.flatnonzero(model.joint_of_link >= 0)]
+    found = forward_kinematics(model, motion.joint_pos, motion.root_pos, motion.root_quat_wxyz)
+    return {
+        "body_pos_w": found.pos[:, links].astype(np.float32),
+        "body_quat_w": found.quat_wxyz[:, links].astype(np.float32),
+    }
+
+
+def opened(path):
+    return find_motion(path).open()
+
+
+def assert_same(found, motion, *, tolerance=0.0, root=True):
+    assert found.fps == motion.fps
+    np.testing.assert_array_equal(found.joint_pos, motion.joint_pos)
+    if root:
+        np.testing.assert_allclose(found.root_pos, motion.root_pos, rtol=0, atol=tolerance)
+        alike = np.abs(np.sum(found.root_quat_wxyz * motion.root_quat_wxyz, axis=1))
+        np.testing.assert_allclose(alike, 1.0, rtol=0, atol=1e-6)
+
+
+def test_isaaclab_order_is_breadth_first():
+    names = names_in_order("isaaclab")
+    assert [names.index(name) for name in g1stream.JOINT_NAMES] == ISAACLAB
+    assert names_in_order("motor") == g1stream.JOINT_NAMES
+
+
+@pytest.mark.parametrize("order", get_args(JointOrder))
+def test_order_told_by_bodies(tmp_path, motion, isaac_angles, order):
+    """BeyondMimic and mjlab write the same arrays, in different orders."""
+    angles = motion.joint_pos if order == "motor" else isaac_angles
+    path = tmp_path / "motion.npz"
+    np.savez(path, fps=[50], joint_pos=angles, joint_vel=0 * angles, **bodies(motion))
+    file = opened(path)
+    assert file.evidence.used["joint order"].startswith(f"{order}: the bodies are 0.0 mm")
+    assert "g1_29dof" in file.evidence.used["joint order"]
+    assert file.evidence.not_used == ("joint_vel",)
+    assert_same(file.motion(), motion, tolerance=1e-6)
+
+
+def test_bodies_of_another_model(tmp_path, motion, isaac_angles):
+    path = tmp_path / "motion.npz"
+    np.savez(path, fps=50, joint_pos=isaac_angles, **bodies(motion, "g1_29dof_rev_1_0"))
+    assert "g1_29dof_rev_1_0" in opened(path).evidence.used["joint order"]
+
+
+def test_the_pelvis_alone_says_nothing_of_the_order(tmp_path, motion, isaac_angles):
+    path = tmp_path / "motion.npz"
+    pelvis = {name: values[:, :1] for name, values in bodies(motion).items()}
+    np.savez(path, fps=50, joint_pos=isaac_angles, **pelvis)
+    assert_same(g1stream.load_motion(path), motion, tolerance=1e-6)
+    np.savez(path, fps=50, joint_pos=0 * isaac_angles, **pelvis)
+    with pytest.raises(MotionError, match="cannot be told"):
+        g1stream.load_motion(path)
+
+
+def test_order_told_by_limits(tmp_path, motion, isaac_angles):
+    path = tmp_path / "motion.npz"
+    np.savez(path, q=isaac_angles, fps=50)
+    file = opened(path)
+    assert file.evidence.used["joint order"].startswith("isaaclab")
+    assert file.evidence.quat_norms is None
+    assert file.evidence.assumed.keys() == {"pelvis"}
+    found = file.motion()
+    assert_same(found, motion, root=False)
+    assert not found.root_pos.any()
+
+
+def test_order_is_asked_for(tmp_path, motion):
+    path = tmp_path / "still.npz"
+    np.savez(path, q=np.zeros((5, 29)), fps=50)
+    with pytest.raises(MotionError) as refused:
+        g1stream.load_motion(path)
+    assert "--joint-order" in refused.value.remedy
+    assert g1stream.load_motion(path, joint_order="isaaclab").n_frames == 5
+
+
+def test_order_of_csv_without_header(tmp_path, motion, isaac_angles):
+    path = tmp_path / "motion.csv"
+    quat = motion.root_quat_wxyz[:, [1, 2, 3, 0]]
+    np.savetxt(path, np.hstack([motion.root_pos, quat, isaac_angles]), "%.17g", delimiter=",")
+    assert_same(g1stream.load_motion(path, fps=50, joint_order="isaaclab"), motion)
+
+
+def test_csv_with_other_names(tmp_path, motion):
+    path = tmp_path / "motion.csv"
+    root = [f"root_pos_{a}" for a in "xyz"] + [f"quat_{a}" for a in "wxyz"]
+    joints = [name.removesuffix("_joint") for name in reversed(g1stream.JOINT_NAMES)]
+    table = np.hstack([motion.root_pos, motion.root_quat_wxyz, motion.joint_pos[:, ::-1]])
+    header = ",".join([*root, *joints])
+    np.savetxt(path, table, "%.17g", delimiter=",", header=header, comments="")
+    assert_same(g1stream.load_motion(path, fps=50), motion)
+
+
+def test_named_joints_behind_the_pelvis(tmp_path, motion, isaac_angles):
+    """As holosoma writes them; the names may be objects."""
+    path = tmp_path / "motion.npz"
+    pose = np.hstack([motion.root_pos, motion.root_quat_wxyz, isaac_angles])
+    names = np.array(names_in_order("isaaclab"), dtype=object)
+    np.savez(path, fps=50.0, joint_pos=pose, joint_names=names, **bodies(motion))
+    file = opened(path)
+    assert file.evidence.used["joint order"] == "named by the file"
+    assert_same(file.motion(), motion)
+
+
+def gmr(motion, *, xyzw=True):
+    quat = motion.root_quat_wxyz
+    return {
+        "fps": 50,
+        "root_pos": motion.root_pos,
+        "root_rot": quat[:, [1, 2, 3, 0]] if xyzw else quat,
+        "dof_pos": motion.joint_pos,
+        "local_body_pos": None,
+        "link_body_list": ["pelvis", "torso_link"],
+    }
+
+
+@pytest.mark.parametrize("protocol", [2, 3, 4, 5])
+@pytest.mark.parametrize("xyzw", [True, False])
+def test_gmr_pickle(tmp_path, motion, protocol, xyzw):
+    """The quaternion order is told by how the pelvis stands."""
+    path = tmp_path / "motion.pkl"
+    path.write_bytes(pickle.dumps(gmr(motion, xyzw=xyzw), protocol=protocol))
+    assert_same(g1stream.load_motion(path), motion)
+
+
+@pytest.mark.parametrize("compress", [zlib.compress, gzip.compress])
+def test_compressed_pickle_of_one_named_motion(tmp_path, motion, compress):
+    arrays = gmr(motion)
+    arrays = {"dance": {**arrays, "dof": arrays["dof_pos"].tolist(), "root_trans_offset": None}}
+    del arrays["dance"]["dof_pos"], arrays["dance"]["root_trans_offset"]
+    path = tmp_path / "motion.pkl"
+    path.write_bytes(compress(pickle.dumps(arrays)))
+    assert_same(g1stream.load_motion(path), motion)
+
+
+@pytest.mark.parametrize("compress", [0, 3])
+def test_joblib(tmp_path, motion, compress):
+    path = tmp_path / "motion.pkl"
+    joblib.dump({"dance": gmr(motion)}, path, compress=compress)
+    assert_same(g1stream.load_motion(path), motion)
+
+
+@pytest.mark.parametrize("suffix", ["csv", "npz"])
+def test_round_trip(tmp_path, motion, suffix):
+    path = motion.save(tmp_path / f"motion.{suffix}")
+    found = g1stream.load_motion(path, fps=50 if suffix == "csv" else None)
+    assert_same(found, motion)
+    np.testing.assert_array_equal(found.root_quat_wxyz, motion.root_quat_wxyz)
+    with pytest.raises(RecordingError):
+        found.save(path, force=True)  # it would be its own source
+
+
+def test_fps_overrides(tmp_path, motion):
+    path = motion.save(tmp_path / "motion.npz")
+    assert g1stream.load_motion(path, fps=25).fps == 25.0
+
+
+def test_one_of_several_motions_is_taken_by_its_name(tmp_path, motion):
+    path = tmp_path / "library.pkl"
+    arrays = {"dof": motion.joint_pos, "fps": motion.fps, "root_trans_offset": motion.root_pos}
+    arrays["root_rot"] = xyzw_from_wxyz(motion.root_quat_wxyz)
+    other = {**arrays, "dof": np.zeros_like(motion.joint_pos)}
+    path.write_bytes(pickle.dumps({"walk/0:1": arrays, "stand": other}))
+    found = g1stream.load_motion(f"{path}:stand", joint_order="motor")
+    assert found.name == "stand"
+    assert found.source == path
+    assert not found.joint_pos.any()
+    for wrong in ("run", "", "dof"):
+        with pytest.raises(MotionError):
+            g1stream.load_motion(f"{path}:{wrong}")
+    with pytest.raises(MotionError) as refused:
+        g1stream.load_motion(path)
+    assert refused.value.remedy.endswith(f"{path}:walk/0:1")
+    assert_same(g1stream.load_motion(f"{path}:walk/0:1", joint_order="motor"), motion)
+
+
+def test_a_file_of_one_motion_has_no_other(tmp_path, motion):
+    for path in (motion.save(tmp_path / "m.npz"), motion.save(tmp_path / "m.csv")):
+        with pytest.raises(MotionError):
+            g1stream.load_motion(f"{path}:m")
+
+
+class Command:
+    """Runs a command where it is unpickled."""
+
+    def __init__(self, mark):
+        self.mark = mark
+
+    def __reduce__(self):
+        return os.system, (f"touch {self.mark}",)
+
+
+def test_pickle_runs_nothing(tmp_path):
+    mark, path = tmp_path / "mark", tmp_path / "motion.pkl"
+    path.write_bytes(pickle.dumps({"dof": Command(mark)}))
+    with pytest.raises(MotionError, match="system"):
+        opened(path)
+    assert not mark.exists()
+
+
+def shared_lists(depth=8, width=10_000):
+    value = [0.0] * width
+    for _ in range(depth):
+        value = [value] * width
+    return value
+
+
+def with_root(pos, quat):
+    return {"dof": np.zeros((9, 29)), "root_pos": pos, "root_rot": quat}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("arrays", "reason"),
+    [
+        ({"poses": np.zeros((9, 72)), "trans": np.zeros((9, 3))}, "human"),
+        ({"dof": np.zeros((9, 12))}, "12 columns"),
+        ({"dof": np.zeros(9)}, "dof"),
+        ({"dof": ["a", "b"]}, "dof"),
+        ({"dof": np.zeros((9, 29)), "fps": "fast"}, "fps"),
+        (
+            {"dof": np.zeros((9, 29)), "root_pos": np.zeros((8, 3)), "root_rot": np.ones((9, 4))},
+            "8",
+        ),
+        (
+            {"dof": np.zeros((9, 29)), "root_pos": np.zeros((9, 3)), "root_rot": np.ones((9, 3))},
+            "3",
+        ),
+        ({"dof": np.zeros((9, 2)), "dof_names": ["left_knee", "right_knee"]}, "lacks"),
+        ({"a": {}, "b": {}}, "2 motions.*: a, b"),
+        ([1, 2, 3], "no arrays"),
+        ({"dof": shared_lists()}, "512 MiB"),
+        ({"dof": {1, 2}}, "dof"),
+    ],
+)
+def test_what_is_no_motion(tmp_path, arrays, reason):
+    path = tmp_path / "motion.pkl"
+    path.write_bytes(pickle.dumps(arrays))
+    with pytest.raises(MotionError, match=reason):
+        g1stream.load_motion(path, joint_order="motor")
+
+
+def many_encodings():
+    """A small pickle that asks for the same large text to be encoded again and again."""
+    text = b"X" + struct.pack("<I", 1_000_000) + b"a" * 1_000_000
+    start = b"\x80\x02c_codecs\nencode\nq\0" + text + b"q\1X\6\0\0\0latin1q\2"
+    return start + b"](" + b"h\0h\1h\2\x86R" * 2_000 + b"e."
+
+
+class Call:
+    """Pickled as a call of a function, which may have state after it."""
+
+    def __init__(self, *call):
+        self.call = call
+
+    def __reduce__(self):
+        return self.call
+
+
+def many_copies(kind):
+    """A small pickle that asks for the same large value to be copied again and again."""
+    if kind == "dict":
+        call = OrderedDict, (dict.fromkeys(range(20_000)),)
+    elif kind == "text":
+        scalar, _ = np.float64(0.0).__reduce__()
+        call = scalar, (np.dtype("<U99999"), "".ljust(99_999).encode("utf-32-le"))
+    else:
+        array, arguments, _ = np.zeros(1).__reduce__()
+        call = array, arguments, (1, (1000,), np.dtype("O"), False, [" " * 1000] * 1000)
+    return pickle.dumps([Call(*call) for _ in range(12_000)])
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"\x80\x05\x96" + struct.pack("<Q", 2**40),  # a bytearray of a terabyte
+        b"\x80\x04\x8e" + struct.pack("<Q", 2**60) + b"abc",
+        b"\x80\x04cos\nsystem\n.",
+        b"\x80\x02(S'x'\nios\nsystem\n.",
+        many_encodings(),
+        *map(many_copies, ("dict", "text", "texts")),
+    ],
+    ids=["bytearray", "bytes", "global", "instance", "encodings", "dict", "text", "texts"],
+)
+def test_hostile_pickles(tmp_path, content):
+    path = tmp_path / "motion.pkl"
+    path.write_bytes(content)
+    tracemalloc.start()
+    try:
+        with pytest.raises(MotionError):
+            opened(path)
+        assert tracemalloc.get_traced_memory()[1] < 2**30
+    finally:
+        tracemalloc.stop()
+
+
+def test_bodies_of_fewer_frames(tmp_path, motion):
+    path = tmp_path / "motion.npz"
+    found = {name: values[:-1] for name, values in bodies(motion).items()}
+    np.savez(path, joint_pos=motion.joint_pos, **found)
+    with pytest.raises(MotionError, match="shape"):
+        g1stream.load_motion(path)
+
+
+def test_order_told_by_limits_is_a_warning(tmp_path, motion):
+    path = tmp_path / "motion.npz"
+    np.savez(path, q=motion.joint_pos)
+    assert len(g1stream.load_motion(path).warnings) == 1
+    assert g1stream.load_motion(path, joint_order="motor").warnings == ()
+
+
+def test_a_file_of_pytorch(motion):
+    """Written by PyTorch 2.13, with the arrays of ProtoMotions: frames 60 to 63 of the demo."""
+    file = opened(DATA / "protomotions.pt")
+    used = "file of PyTorch with dof_pos, rigid_body_pos, rigid_body_rot, fps"
+    assert set(file.evidence.used["file"].split(", ")) == set(used.split(", "))
+    assert file.evidence.used["joint order"].startswith("motor")
+    found = file.motion()
+    assert found.fps == 50.0
+    np.testing.assert_array_equal(found.joint_pos, motion.joint_pos[60:64].astype(np.float32))
+    half = 0.3 * np.arange(4) / 50.0
+    expected = np.stack([np.cos(half), 0 * half, 0 * half, np.sin(half)], axis=1)
+    np.testing.assert_allclose(found.root_quat_wxyz, expected, rtol=0, atol=1e-6)
+    kind, tensors = read_arrays((DATA / "protomotions.pt").read_bytes())
+    assert kind == "file of PyTorch"
+    np.testing.assert_array_equal(tensors["transposed"], np.arange(6.0).reshape(2, 3).T)
+    assert tensors["contacts"].dtype == np.bool_
+    assert tensors["fps_tensor"] == 50.0
+
+
+def torch_file(path, pickled, numbers=b"\0" * 16):
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("a/data.pkl", pickled)
+        archive.writestr("a/data/0", numbers)
+    return path
+
+
+class Tensor:
+    """Pickled as PyTorch pickles a tensor of four numbers."""
+
+    def __init__(self, offset, shape, strides):
+        self.arguments = (Storage(), offset, shape, strides, False, {})
+
+    def __reduce__(self):
+        return rebuild, self.arguments
+
+
+class Storage:
+    pass
+
+
+def rebuild(*arguments):
+    raise AssertionError("a file was run")
+
+
+class TorchPickler(pickle._Pickler):
+    def persistent_id(self, obj):
+        return ("storage", FloatStorage, "0", "cpu", 4) if isinstance(obj, Storage) else None
+
+
+class FloatStorage:
+    pass
+
+
+def pickled(arrays):
+    """With the names of PyTorch for those of this module."""
+    stream = io.BytesIO()
+    TorchPickler(stream, 2).dump(arrays)
+    content = stream.getvalue()
+    for ours, theirs in (
+        (rebuild, "torch._utils\n_rebuild_tensor_v2"),
+        (FloatStorage, "torch\nFloatStorage"),
+    ):
+        name = f"c{ours.__module__}\n{ours.__qualname__}\n"
+        assert name.encode() in content
+        content = content.replace(name.encode(), f"c{theirs}\n".encode())
+    return content
+
+
+def test_tensors_are_within_their_storage(tmp_path):
+    path = torch_file(tmp_path / "a.pt", pickled({"q": Tensor(0, (2, 2), (2, 1))}))
+    assert read_arrays(path.read_bytes())[1]["q"].shape == (2, 2)
+    for arguments in (
+        (1, (2, 2), (2, 1)),
+        (0, (3, 2), (2, 1)),
+        (-1, (2, 2), (2, 1)),
+        (0, (2, 2), (-2, 1)),
+        (0, (10**9, 2), (0, 0)),
+        (0, (-2, 2), (2, 1)),
+    ):
+        path = torch_file(tmp_path / "a.pt", pickled({"q": Tensor(*arguments)}))
+        with pytest.raises(MotionError, match="tensor"):
+            opened(path)
+    torch_file(path, pickled({"q": Tensor(0, (2, 2), (2, 1))}), b"abc")
+    with pytest.raises(MotionError):
+        opened(path)
+
+
+@pytest.mark.parametrize("suffix", ["npz", "npy"])
+def test_a_file_that_is_cut_off_is_said_to_be(tmp_path, motion, suffix):
+    path = tmp_path / f"motion.{suffix}"
+    if suffix == "npy":
+        np.save(path, np.zeros((30, 36)))
+    else:
+        motion.save(path)
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(MotionError, match=rf"^motion.{suffix}: .*damaged or cut off"):
+        opened(path)
+
+
+def test_one_array(tmp_path, motion):
+    path = tmp_path / "motion.npy"
+    np.save(path, np.hstack([motion.root_pos, motion.root_quat_wxyz, motion.joint_pos]))
+    assert_same(g1stream.load_motion(path, fps=50, joint_order="motor"), motion)
+
+
+def test_bodies_under_other_names(tmp_path, motion):
+    path, poses = tmp_path / "motion.npz", bodies(motion)
+    arrays = {"body_positions": poses["body_pos_w"], "body_rotations": poses["body_quat_w"]}
+    np.savez(path, fps=50, dof_positions=motion.joint_pos, dof_names=motion.joint_names, **arrays)
+    assert_same(g1stream.load_motion(path), motion, tolerance=1e-6)

@@ -1,0 +1,208 @@
+"""The shapes of a URDF, and meshes: against yourdfpy, trimesh and figures worked out by hand."""
+
+import sys
+from dataclasses import replace
+from io import StringIO
+
+import numpy as np
+import pytest
+import trimesh
+import yourdfpy
+from scipy.spatial.transform import Rotation
+
+from g1stream.errors import ConfigError, RobotError
+from g1stream.robot.model import G1
+from g1stream.robot.shapes import (
+    decimate,
+    find_mesh,
+    missing_meshes,
+    read_stl,
+    read_visuals,
+    robot_with_meshes,
+)
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return G1.default()
+
+
+def with_urdf(robot, xml, source="made.urdf"):
+    """A robot with these shapes; its joints do not matter here."""
+    return replace(robot, urdf=f"<robot>{xml}</robot>", source=str(source))
+
+
+def shape(geometry, origin="", material=""):
+    return (
+        f"<link name='a'><visual>{origin}<geometry>{geometry}</geometry>{material}</visual></link>"
+    )
+
+
+def sizes(geometry):
+    """Kind and extents of a yourdfpy geometry."""
+    if geometry.box is not None:
+        return "box", tuple(geometry.box.size)
+    if geometry.sphere is not None:
+        return "sphere", (2 * geometry.sphere.radius,) * 3
+    cylinder = geometry.cylinder
+    return "cylinder", (2 * cylinder.radius, 2 * cylinder.radius, cylinder.length)
+
+
+def test_shapes_of_the_default_robot_are_those_of_yourdfpy(robot):
+    theirs = yourdfpy.URDF.load(StringIO(robot.urdf), build_scene_graph=False).robot
+    materials = {m.name: tuple(m.color.rgba) for m in theirs.materials}
+    expected = [(link.name, visual) for link in theirs.links for visual in link.visuals]
+    ours = read_visuals(robot)
+    assert len(ours) == len(expected) > 100
+    for visual, (link, their) in zip(ours, expected, strict=True):
+        assert visual.link == link
+        assert (visual.kind, visual.size) == sizes(their.geometry)
+        np.testing.assert_allclose(visual.pos, their.origin[:3, 3], atol=1e-12)
+        turn = Rotation.from_quat(visual.quat_wxyz, scalar_first=True)
+        np.testing.assert_allclose(turn.as_matrix(), their.origin[:3, :3], atol=1e-12)
+        assert visual.rgba == materials[their.material.name]
+        assert visual.coloured
+
+
+def test_defaults_are_no_rotation_and_grey(robot):
+    (visual,) = read_visuals(with_urdf(robot, shape("<box size='1 2 3'/>")))
+    assert (visual.pos, visual.quat_wxyz) == ((0, 0, 0), (1, 0, 0, 0))
+    assert visual.size == (1, 2, 3)
+    assert not visual.coloured
+    assert visual.rgba[3] == 1
+
+
+def test_a_colour_of_its_own_and_a_mesh(robot):
+    material = "<material name='red'><color rgba='1 0 0 0.5'/></material>"
+    mesh = "<mesh filename='meshes/a.stl' scale='0.001 0.001 0.001'/>"
+    (visual,) = read_visuals(with_urdf(robot, shape(mesh, material=material)))
+    assert visual.rgba == (1, 0, 0, 0.5)
+    assert (visual.kind, visual.mesh, visual.size) == ("mesh", "meshes/a.stl", (0.001,) * 3)
+
+
+@pytest.mark.parametrize(
+    ("geometry", "origin", "offender"),
+    [
+        ("<box size='1 2'/>", "", "size='1 2'"),
+        ("<sphere/>", "", "a sphere without radius"),
+        ("<cylinder radius='1'/>", "", "a cylinder without length"),
+        ("<box size='1 2 nan'/>", "", "size='1 2 nan'"),
+        ("<box size='1 2 3'/>", "<origin xyz='0 x 0'/>", "xyz='0 x 0'"),
+        ("<box size='1 2 3'/>", "<origin rpy='0 0'/>", "rpy='0 0'"),
+        ("<capsule radius='1'/>", "", "capsule"),
+        ("<mesh/>", "", "a mesh without filename"),
+        ("", "", "missing"),
+    ],
+)
+def test_a_shape_that_cannot_be_read_is_named(robot, geometry, origin, offender):
+    with pytest.raises(RobotError, match=rf"made\.urdf.*'a'.*{offender}"):
+        read_visuals(with_urdf(robot, shape(geometry, origin)))
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "../meshes/a b.stl",
+        "package://g1_description/meshes/a b.stl",
+        "package://g1_description/meshes/a%20b.stl",
+        "package://elsewhere/meshes/a b.stl",
+    ],
+)
+def test_meshes_are_found_from_the_urdf_and_by_package(robot, tmp_path, name):
+    package = tmp_path / "g1_description"
+    mesh = package / "meshes" / "a b.stl"
+    mesh.parent.mkdir(parents=True)
+    mesh.touch()
+    (package / "urdf").mkdir()
+    made = with_urdf(robot, "", package / "urdf" / "g1.urdf")
+    assert find_mesh(made, name).resolve() == mesh
+    assert find_mesh(made, f"file://{mesh}") == mesh
+
+
+def test_missing_meshes_are_named_once(robot, tmp_path):
+    xml = shape("<mesh filename='a.stl'/>") + shape("<mesh filename='a.stl'/>")
+    assert missing_meshes(with_urdf(robot, xml, tmp_path / "g1.urdf")) == ("a.stl",)
+    (tmp_path / "a.stl").touch()
+    assert missing_meshes(with_urdf(robot, xml, tmp_path / "g1.urdf")) == ()
+
+
+def test_the_meshes_of_unitrees_robot_are_found_where_its_package_has_them(reference_urdf):
+    theirs = G1.load(reference_urdf("g1_29dof_rev_1_0.urdf"))
+    meshes = [visual.mesh for visual in read_visuals(theirs) if visual.kind == "mesh"]
+    assert len(meshes) == 35
+    assert missing_meshes(theirs) == ()
+
+
+# --- meshes ---
+
+
+@pytest.fixture
+def sphere(tmp_path):
+    path = tmp_path / "sphere.stl"
+    trimesh.creation.icosphere(subdivisions=4, radius=0.1).export(path)
+    return path
+
+
+def test_a_file_is_read_as_trimesh_reads_it(sphere):
+    mesh, theirs = read_stl(sphere), trimesh.load(sphere)
+    assert mesh.points.shape == theirs.vertices.shape  # corners at one place are one point
+    ours = np.sort(mesh.points[mesh.triangles].reshape(-1, 9), axis=0)
+    np.testing.assert_array_equal(ours, np.sort(theirs.triangles.reshape(-1, 9), axis=0))
+
+
+def test_a_decimated_mesh_has_few_triangles_and_the_same_shape(sphere):
+    pytest.importorskip("fast_simplification")
+    mesh = read_stl(sphere)
+    few = decimate(mesh)
+    assert len(mesh.triangles) == 5120
+    assert len(few.triangles) == pytest.approx(2000, rel=0.1)
+    assert np.linalg.norm(few.points, axis=1) == pytest.approx(0.1, rel=0.01)
+    made = trimesh.Trimesh(few.points, few.triangles, process=False)
+    assert made.is_watertight
+    assert made.volume == pytest.approx(4 / 3 * np.pi * 0.1**3, rel=0.02)
+
+
+def test_a_small_mesh_stays_as_it_is(tmp_path):
+    trimesh.creation.icosphere(subdivisions=3).export(tmp_path / "small.stl")
+    mesh = read_stl(tmp_path / "small.stl")
+    assert decimate(mesh) is mesh
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"solid ascii\nendsolid\n", bytes(84), bytes(80) + b"\x02\0\0\0" + bytes(50)],
+    ids=["empty", "text", "no triangle", "cut"],
+)
+def test_what_is_no_binary_stl_is_refused(tmp_path, content):
+    path = tmp_path / "bad.stl"
+    path.write_bytes(content)
+    with pytest.raises(RobotError, match=str(path)):
+        read_stl(path)
+
+
+def test_a_corner_that_is_no_number_is_refused(sphere):
+    data = bytearray(sphere.read_bytes())
+    data[96:100] = np.float32(np.nan).tobytes()
+    sphere.write_bytes(data)
+    with pytest.raises(RobotError, match="no number"):
+        read_stl(sphere)
+
+
+def test_without_the_extra_the_error_says_how_to_install_it(sphere, monkeypatch):
+    monkeypatch.setitem(sys.modules, "fast_simplification", None)
+    with pytest.raises(ConfigError, match=r"fast-simplification.*g1stream\[meshes\]"):
+        decimate(read_stl(sphere))
+    monkeypatch.setattr("g1stream.robot.shapes.real_g1", lambda: None)
+    with pytest.raises(ConfigError, match=r"example-robot-data.*g1stream\[meshes\]"):
+        robot_with_meshes(G1.default())
+
+
+def test_a_robot_has_its_own_meshes_or_those_of_the_real_g1(reference_urdf):
+    real = G1.load(reference_urdf("g1_29dof_rev_1_0.urdf"), own_limits=True)
+    assert robot_with_meshes(real) is real
+    for name in (None, "g1_29dof"):
+        shown = robot_with_meshes(G1.load(name))
+        assert find_mesh(shown, "meshes/pelvis.STL") or find_mesh(shown, "../meshes/pelvis.STL")
+    other = replace(G1.default(), link_names=("torso",))
+    with pytest.raises(RobotError, match="other links"):
+        robot_with_meshes(other)

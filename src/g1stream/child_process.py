@@ -41,6 +41,12 @@ __all__ = [
     "run_child",
 ]
 
+#: Modules of the programs that are not in `g1stream.app`.
+_ELSEWHERE: Final = {
+    "guard": "g1stream.control.guard",
+    "ros2": "g1stream.extras.ros2.topics",
+}
+
 _SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 #: Between two heartbeats of a child, s; silence after which a stopped and a running one has failed.
 _BEAT_PERIOD: Final = 0.5
@@ -72,12 +78,13 @@ def _never() -> bool:
     return False
 
 
-def _start(module: str, pass_fds: Sequence[int]) -> tuple[Connection, subprocess.Popen[bytes]]:
+def _start(name: str, pass_fds: Sequence[int]) -> tuple[Connection, subprocess.Popen[bytes]]:
     """Start a program; returns our end of the pipe to it, and its process."""
     ours, theirs = Pipe()
+    module = _ELSEWHERE.get(name, f"g1stream.app.{name}")
     with theirs:
         process = subprocess.Popen(
-            [sys.executable, "-m", f"g1stream.{module}", str(theirs.fileno())],
+            [sys.executable, "-m", module, str(theirs.fileno())],
             pass_fds=[theirs.fileno(), *pass_fds],
             stdin=subprocess.DEVNULL,
             stdout=2,  # what a library prints must not get into our --json
@@ -93,9 +100,8 @@ class Child:
     """A program running as a child process.
 
     Args:
-        name: of the module that ends in a call of `run_child`.
+        name: of its module, which ends in a call of `run_child`.
         startup_message: what the program is to do; anything that can be pickled.
-        room: package of that module.
         pass_fds: file descriptors that it inherits.
         on_failure: called once, from another thread, with the cause, when it fails, ends before it
             is told to, or does not show that it is alive (`Parent.beat`).
@@ -109,14 +115,13 @@ class Child:
         name: str,
         startup_message: Any,
         *,
-        room: str = "app",
         pass_fds: Sequence[int] = (),
         on_failure: Callable[[str], None] = lambda _: None,
     ) -> None:
         self.name = name
         self._on_failure = on_failure
         try:
-            self._connection, self._process = _start(f"{room}.{name}", pass_fds)
+            self._connection, self._process = _start(name, pass_fds)
         except OSError as error:
             raise ChildError(
                 f"g1stream {name} cannot be started: {error.strerror}.",
@@ -262,11 +267,7 @@ class Child:
 
 @contextmanager
 def optional_child(
-    name: str,
-    startup_message: Any,
-    consequence: str,
-    abandoned: Callable[[], bool] = _never,
-    room: str = "app",
+    name: str, startup_message: Any, consequence: str, abandoned: Callable[[], bool] = _never
 ) -> Iterator[None]:
     """Run a program that nothing else depends on, for the length of a `with`.
 
@@ -275,7 +276,6 @@ def optional_child(
         startup_message: what it is to do.
         consequence: of a failure once it is ready, for the warning that is all it causes then.
         abandoned: asked while the program starts; True ends the wait for it.
-        room: as of `Child`.
 
     Raises:
         ChildError: it cannot be started, or failed before it was ready.
@@ -286,7 +286,7 @@ def optional_child(
         if ready:  # else it is raised
             logging.getLogger(f"g1stream.{name}").warning("%s: %s", consequence, cause)
 
-    child = Child(name, startup_message, room=room, on_failure=warn)
+    child = Child(name, startup_message, on_failure=warn)
     try:
         child.wait_until_ready(abandoned=abandoned)
         ready = True
@@ -312,7 +312,7 @@ def publishing_for_ros2(
         return nullcontext()
     require_installed("rosbags", "ros2", "Topics of ROS 2 need")
     consequence = "nothing is published for ROS 2 any more"
-    return optional_child("topics", config, consequence, abandoned, room="extras.ros2")
+    return optional_child("ros2", config, consequence, abandoned)
 
 
 class Parent:

@@ -1,7 +1,5 @@
 """The LowCmd and the Reference of a tick, and the limits of a command."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -47,7 +45,7 @@ def read(command, reference):
 
 
 def test_command_and_reference_have_their_own_targets(composer, target):
-    commanded = replace(target, q=np.full(29, 0.02), dq=np.full(29, 0.3), tau=np.arange(29.0))
+    commanded = target._replace(q=np.full(29, 0.02), dq=np.full(29, 0.3), tau=np.arange(29.0))
     command, reference = read(*composer.compose(target, commanded, Phase.PLAY, 7, elapsed=PERIOD))
     assert command.q == pytest.approx(np.full(29, 0.02))
     assert command.dq == pytest.approx(np.full(29, 0.3))
@@ -69,7 +67,7 @@ def test_command_and_reference_have_their_own_targets(composer, target):
 
 
 def test_a_clamped_joint_is_not_driven_outward(composer, target, robot):
-    commanded = replace(target, q=np.zeros(29), dq=np.ones(29), tau=np.full(29, 5.0))
+    commanded = target._replace(q=np.zeros(29), dq=np.ones(29), tau=np.full(29, 5.0))
     commanded.q[3] = robot.upper[3] + 1.0
     composer.begin(np.clip(commanded.q, robot.lower, robot.upper), 5)
     command, _ = read(*composer.compose(target, commanded, Phase.PLAY, 0, elapsed=PERIOD))
@@ -87,7 +85,7 @@ def test_damping_has_kp_0(composer, target):
 
 
 def test_a_command_that_is_not_finite_is_refused(composer, target):
-    commanded = replace(target, tau=np.full(29, np.nan))
+    commanded = target._replace(tau=np.full(29, np.nan))
     with pytest.raises(SafetyError, match="tau = nan"):
         composer.compose(target, commanded, Phase.PLAY, 0, elapsed=PERIOD)
 

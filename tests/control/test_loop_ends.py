@@ -1,7 +1,6 @@
 """Every way out of the loop: what stops it, what breaks it, and that the robot is damped."""
 
 import logging
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -354,7 +353,7 @@ class Invalid(Targets):
         target = super().at(phase, elapsed, *others)
         if phase is Phase.PLAY and elapsed >= 100 * MS:
             changed = {name: np.full(29, value) for name, value in self.values.items()}
-            target = replace(target, **changed)
+            target = target._replace(**changed)
         return target
 
 

@@ -1,7 +1,5 @@
 """Commands for joints whose target or start pose is outside a limit."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -23,7 +21,7 @@ class Pushing(FeedForward):
         self.torque = torque
 
     def command(self, moment):
-        return replace(super().command(moment), tau=np.full(29, self.torque))
+        return super().command(moment)._replace(tau=np.full(29, self.torque))
 
 
 @pytest.mark.parametrize("torque", [2.0, -2.0])

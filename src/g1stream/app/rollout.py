@@ -18,7 +18,6 @@ from g1stream.control.plan import plan
 from g1stream.dds.log_handler import LogHandler
 from g1stream.dds.messages import LOG, Batch
 from g1stream.errors import ConfigError
-from g1stream.motion.motion import Motion
 from g1stream.recorder.recorder import raw_messages
 from g1stream.session.records import RecorderSummary
 from g1stream.session.source import MemorySource

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from g1stream.analysis.summarise import summarise_run
-from g1stream.analysis.summary import Summary, Termination
+from g1stream.analysis.summary import Termination
 from g1stream.app.arming import confirm_arming, require_arming
 from g1stream.app.session import open_session
 from g1stream.child_process import Child, ChildError, publishing_for_ros2
@@ -28,14 +28,14 @@ from g1stream.doctor.inspection import inspect_participant
 from g1stream.errors import G1StreamError, SafetyError, WireError
 from g1stream.events import handled_by
 from g1stream.files import timestamped
-from g1stream.motion.motion import Motion
 from g1stream.realtime import describe, on_time
 from g1stream.session.parts import check_recording_path
-from g1stream.session.records import MotionInfo, RecorderSummary, StreamSummary
+from g1stream.session.records import MotionInfo, RecorderSummary
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from g1stream.analysis.summary import Summary
     from g1stream.app.arming import ArmingReport
     from g1stream.config import RecordConfig
     from g1stream.control.loop import StreamLoop
@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from g1stream.control.report import LoopReport
     from g1stream.doctor.facts import Finding
     from g1stream.motion.motion import Motion
+    from g1stream.session.records import StreamSummary
 
 __all__ = ["stream"]
 

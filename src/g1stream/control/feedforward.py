@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import logging
 from collections import deque
-from dataclasses import replace
 from statistics import median
 from typing import TYPE_CHECKING, Final, get_args
 
@@ -171,7 +170,7 @@ class FeedForward:
         """The target with the dq and tau that its command carries."""
         target = moment.target
         if self.kind == "none":
-            return replace(target, dq=np.zeros(N_JOINTS))
+            return target._replace(dq=np.zeros(N_JOINTS))
         target = target.slowed(self.time_scale)
         if self.kind != "dynamics":
             return target
@@ -184,7 +183,7 @@ class FeedForward:
         self._log_change(fault, target.motion_time)
         # Within half the ramp: the rest of it corrects the sag under a partial torque.
         blend = minimum_jerk(2.0 * moment.ramped)[0]
-        return replace(target, tau=self._limited(blend * self._weight * self._tau))
+        return target._replace(tau=self._limited(blend * self._weight * self._tau))
 
     def _log_change(self, fault: str, motion_time: float) -> None:
         """Report a torque that has faded out or in completely, not a short fault."""

@@ -283,7 +283,6 @@ class Guard:
                 self._child = Child(
                     "guard",
                     _settings(config, memory)._asdict(),
-                    room="control",
                     pass_fds=(memory,),
                     on_failure=self._fail,
                 )

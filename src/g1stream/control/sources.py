@@ -7,7 +7,6 @@ Pure but for that.
 from __future__ import annotations
 
 import logging
-from dataclasses import replace
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -266,7 +265,7 @@ class HeldTorques(Source):
         solution = dynamics.solve(self._support, target.q, target.dq, target.ddq, base, force=force)
         if self._observer:
             self._observer.expect(dynamics.specific_force(solution, base))
-        return replace(target, tau=solution.tau)
+        return target._replace(tau=solution.tau)
 
     def _decide(self, position: float | None) -> None:
         """Continue with the model that the measured torques are nearer to."""

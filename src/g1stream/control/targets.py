@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
@@ -36,8 +36,7 @@ for _zeros in (_NO_MOTION, _NO_TORQUE):
     _zeros.setflags(write=False)  # all targets at rest share them
 
 
-@dataclass(frozen=True)
-class Target:
+class Target(NamedTuple):
     """The desired state of joints and root at one instant; its arrays are not written to.
 
     Attributes:
@@ -88,8 +87,7 @@ class Target:
         if scale == 1.0:
             return self
         per_s, per_s2 = 1.0 / scale, 1.0 / scale**2
-        return replace(
-            self,
+        return self._replace(
             dq=per_s * self.dq,
             ddq=per_s2 * self.ddq,
             root_lin_vel=per_s * self.root_lin_vel,
@@ -100,8 +98,7 @@ class Target:
 
     def at_rest(self) -> Target:
         """A copy with the same pose and zero velocity, acceleration and torque."""
-        return replace(
-            self,
+        return self._replace(
             dq=_NO_TORQUE,
             ddq=_NO_TORQUE,
             tau=_NO_TORQUE,
@@ -276,8 +273,7 @@ class Targets:
         played = self._played
         if played is None or self._from is None:
             return target
-        return replace(
-            target,
+        return target._replace(
             q=np.where(played, target.q, self._from),
             dq=np.where(played, target.dq, 0.0),
             ddq=np.where(played, target.ddq, 0.0),
@@ -293,8 +289,7 @@ class Targets:
         progress, speed, change = minimum_jerk(passed)
         distance = self.first.q - self._from
         lifted = 1.0 - minimum_jerk(passed / LOWERED)[0]
-        return replace(
-            goal,
+        return goal._replace(
             root_pos=goal.root_pos + lifted * self._lift,
             q=self._from + progress * distance - way * self.first.dq,
             dq=goal.dq + speed / length * distance,
@@ -318,8 +313,7 @@ def _coasting(target: Target, way: float, rate: float, acceleration: float) -> T
     turn, quat = target.root_ang_vel, target.root_quat_wxyz
     if way and (angle := float(np.linalg.norm(turn))):
         quat = quat_mul(quat, quat_from_axis_angle(turn / angle, np.asarray(way * angle)))
-    return replace(
-        target,
+    return target._replace(
         q=target.q + way * target.dq,
         dq=rate * target.dq,
         ddq=acceleration * target.dq,

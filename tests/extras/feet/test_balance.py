@@ -69,7 +69,7 @@ def test_at_rest_the_floor_carries_the_weight_evenly(balance, first):
 
 
 def test_a_target_that_is_lifted_before_the_feet_stand_pulls_nowhere(balance, first):
-    lifted = replace(first, root_pos=first.root_pos + np.array([0.0, 0.0, 0.4]))
+    lifted = first._replace(root_pos=first.root_pos + np.array([0.0, 0.0, 0.4]))
     low = balance.torque(first, reading(first), 0.0, planted=False)
     balance.begin(first)
     high = balance.torque(lifted, reading(first), 0.0, planted=False)
@@ -143,7 +143,7 @@ def test_the_worst_tilt_height_and_load_are_kept(balance, first):
     assert 0.03 < before.capture_margin_m < 0.1  # the soles are 0.1 m behind and before the mass
     quat = quat_mul(quat_from_rpy(np.array([0.0, 0.1, 0.0])), first.root_quat_wxyz)
     higher = first.root_pos + np.array([0.0, 0.0, 0.03])
-    balance.watch(replace(first, root_quat_wxyz=quat, root_pos=higher))
+    balance.watch(first._replace(root_quat_wxyz=quat, root_pos=higher))
     balance.watch(first)
     worst = balance.summary
     assert worst.tilt_rad == pytest.approx(0.1, abs=1e-3)
@@ -269,7 +269,7 @@ def test_arms_that_swing_round_do_not_make_it_hop(balance, first, turn):
     """Friction turns the pelvis, and is greater where the soles push harder than is wanted."""
     settle(balance, first, 0.5)
     acc = {"root_ang_acc": [0.0, 0.0, turn], "root_lin_acc": [0.0, 0.0, -5.0]}
-    swung = replace(first, **{name: np.array(value) for name, value in acc.items()})
+    swung = first._replace(**{name: np.array(value) for name, value in acc.items()})
     balance.torque(swung, reading(first), 0.0)
     assert balance.wrench[[2, 8]].sum() / WEIGHT == pytest.approx(1.0 - 5.0 / 9.81, abs=0.1)
     assert np.sign(balance.wrench[[5, 11]].sum()) == np.sign(turn)

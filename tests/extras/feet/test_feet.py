@@ -187,9 +187,9 @@ def test_it_steps_to_where_the_motion_goes(goal):
     assert way[:, :2] == pytest.approx(links[:, :2] + np.array([x, y]), abs=5e-3)
     assert turned_last - turned == pytest.approx(np.full(2, heading), abs=0.01)
     assert level[:, 2, 2] == pytest.approx(np.ones(2), abs=1e-3)
-    assert loop.report.balance.lifts == 4
+    assert loop.report.summary().balance.lifts == 4
     apart = np.diff(way[:, :2] - links[:, :2], axis=0)
-    assert np.linalg.norm(apart) - 2e-3 < loop.report.balance.feet_error_m < 0.015
+    assert np.linalg.norm(apart) - 2e-3 < loop.report.summary().balance.feet_error_m < 0.015
 
 
 def test_it_needs_torques():

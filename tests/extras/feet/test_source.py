@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -77,7 +75,7 @@ def test_ankles_take_the_tilt_back_whatever_the_heading_of_the_imu(torques, firs
         pitch = quat_mul(
             quat_from_rpy(np.array([0.0, 0.0, heading])), quat_from_rpy(np.array([0.05, 0.1, 0.0]))
         )
-        tilted = replace(first, root_quat_wxyz=np.array([1.0, 0.0, 0.0, 0.0]))
+        tilted = first._replace(root_quat_wxyz=np.array([1.0, 0.0, 0.0, 0.0]))
         imu = ImuReading(pitch, np.zeros(3), np.array([0.0, 0.0, 9.81]))
         measured = Reading(first.q, np.zeros(29), np.zeros(29), imu)
         torques.observe(Phase.RAMP, measured, 1.0)

@@ -9,7 +9,6 @@ and arms follow the reference by their servos. docs/feet.md has the formulas.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -182,7 +181,7 @@ class Balance:
             self._other = np.array([0.0, 0.0, (1.0 - share) * self._dynamics.weight])
         if not planted:
             base.begin(*self._planted)
-            target = replace(target, root_pos=self._root_pos)  # the target's may be lifted
+            target = target._replace(root_pos=self._root_pos)  # the target's may be lifted
         reference = self._reference(target)
         lifted = reference.soles[:, 2] > self._planted[0][:, 2] + OFF_FLOOR
         self._stands = tuple(~lifted) if planted else (True, True)

@@ -169,14 +169,14 @@ class StandingTorques(Source):
         if phase is not Phase.RAMP:
             tau = balance.torque(target, measured, age)
             balance.watch(target)
-            return replace(target, tau=tau)
+            return target._replace(tau=tau)
         if self._lowered_by_bridge:
             share = minimum_jerk((ramped - LOWERED) / (1.0 - LOWERED))[0]
             tau = balance.torque(target, measured, age, share=share, planted=False)
-            return replace(target, tau=tau)
+            return target._replace(tau=tau)
         hanging = self._hanging.command(moment)
         if ramped < 1.0:  # legs that move would look loaded
-            return replace(hanging, q=target.q + _levelled(target, imu))
+            return hanging._replace(q=target.q + _levelled(target, imu))
         loaded = None if self._landed or self._load > _HANGS else 0.0
         standing = balance.torque(target, measured, age, share=loaded, planted=self._landed)
         self._load += (min(1.0, balance.carried) - self._load) * self._period / _LOAD
@@ -185,8 +185,7 @@ class StandingTorques(Source):
             carried = self._load > _CARRIED[0]
             self._carried_for = self._carried_for + self._period if carried else 0.0
         stands = minimum_jerk((self._load - _HANGS) / (_STANDS - _HANGS))[0]
-        return replace(
-            target,
+        return target._replace(
             q=target.q + (1.0 - stands) * _levelled(target, imu),
             tau=hanging.tau + stands * (standing - hanging.tau),
         )

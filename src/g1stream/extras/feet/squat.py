@@ -7,7 +7,6 @@ joints of the legs follow by inverse kinematics; waist and arms do not move.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -81,9 +80,8 @@ class Squat:
             vel, acc = rate / length * way, change / length**2 * way
             q = dynamics.towards(start._replace(q=near), soles - pos, turns)
             dq, ddq = dynamics.joint_motion(start._replace(q=q), vel, acc)
-            return replace(
-                standing, q=q, dq=dq, ddq=ddq, root_pos=pos, root_lin_vel=vel, root_lin_acc=acc
-            )
+            moving = {"root_lin_vel": vel, "root_lin_acc": acc}
+            return standing._replace(q=q, dq=dq, ddq=ddq, root_pos=pos, **moving)
 
         return target
 

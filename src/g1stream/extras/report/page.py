@@ -236,7 +236,7 @@ def session_physics(
         if frames > _MOST_FRAMES:
             return (
                 f"The motion has {frames} frames, more than the {_MOST_FRAMES} that a report takes "
-                f"the time for: g1stream motion {session.path.name} --physics."
+                f"the time for: g1stream physics {session.path.name}."
             )
         motion = motion or session.motion(fps)
         max_tilt = (summary.settings or {}).get("safety.max_tilt")

@@ -41,7 +41,6 @@ from g1stream.dds.messages import (
     Reference,
 )
 from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP, N_JOINTS
-from g1stream.session.streams import STREAMS
 from g1stream.sim.lockstep import Lockstep
 from g1stream.sim.robot import MODE_MACHINE_29
 from g1stream.types import Floats, Ints, Phase
@@ -321,7 +320,7 @@ class SyntheticSession:
         }
         for topic, values in ((REFERENCE, reference), (LOWCMD, command)):
             logged = stamps + round(self.latency * 1e9)
-            writer.write_batch(_NAMES[topic], _samples(topic, values, n), logged, stamps)
+            writer.write_batch(_channel(topic), _samples(topic, values, n), logged, stamps)
 
     def _write_states(
         self, writer: SessionWriter | MemorySource, ticks: Ints, rng: np.random.Generator
@@ -347,10 +346,14 @@ class SyntheticSession:
         }
         base = {"position": np.tile([0.0, 0.0, 0.8], (n, 1))}
         for topic, values in ((LOWSTATE, state), (SPORTMODESTATE, base)):
-            writer.write_batch(_NAMES[topic], _samples(topic, values, n), logged, published)
+            writer.write_batch(_channel(topic), _samples(topic, values, n), logged, published)
 
 
-_NAMES: Final = {kind.source: topic for topic, kind in STREAMS.items()}
+def _channel(topic: Topic) -> str:
+    """The topic of a session that holds the samples of a topic of DDS."""
+    from g1stream.session.streams import STREAMS  # needs more than a fake clock does
+
+    return next(name for name, kind in STREAMS.items() if kind.source == topic)
 
 
 def _samples(topic: Topic, values: Mapping[str, Floats], n: int) -> NDArray[np.uint8]:

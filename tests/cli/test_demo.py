@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from contextlib import nullcontext
 from dataclasses import replace
 from types import SimpleNamespace
@@ -10,8 +11,8 @@ import pytest
 
 from g1stream.analysis.summary import Summary, Termination
 from g1stream.app import demo as program
-from g1stream.cli.demo import Demo
-from g1stream.errors import RecordingError
+from g1stream.cli.demo import Demo, _write_page
+from g1stream.errors import ConfigError, RecordingError
 from g1stream.motion.readers import load_motion
 
 OF_THE_READER = "Row 7 has a quaternion of length 0.9."
@@ -66,3 +67,36 @@ def test_no_wire_is_announced_where_a_check_ends_it(tmp_path, told):
     with pytest.raises(RecordingError):
         Demo(motion="mine.csv", out=tmp_path).run()
     assert told == [None, OF_THE_READER]
+
+
+def test_a_page_that_is_there_is_refused_before_anything_starts(tmp_path, told):
+    (tmp_path / "report.html").write_text("precious")
+    with pytest.raises(RecordingError, match=r"report\.html exists already"):
+        Demo(motion="mine.csv", out=tmp_path).run()
+    assert told == []
+
+
+@pytest.mark.parametrize("installed", [True, False])
+def test_the_page_is_of_the_command_report(tmp_path, told, monkeypatch, capsys, installed):
+    calls = []
+
+    class Report:
+        def __init__(self, **asked):
+            calls.append(asked)
+
+        def run(self):
+            sys.stdout.write("written")
+
+    def load(name):
+        assert name == "report"
+        if not installed:
+            raise ConfigError("It is not installed.", "pip install it.")
+        return Report
+
+    monkeypatch.setattr("g1stream.cli.demo.load_command", load)
+    _write_page(tmp_path / "s.mcap", tmp_path / "report.html")
+    printed = capsys.readouterr()
+    assert printed.out == ""  # where the summary is
+    asked = {"sessions": (tmp_path / "s.mcap",), "out": tmp_path / "report.html", "force": True}
+    assert calls == ([asked] if installed else [])
+    assert installed or told == ["no report.html: It is not installed. pip install it."]

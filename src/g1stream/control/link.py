@@ -69,6 +69,8 @@ class Link(Protocol):
 class DdsLink:
     """The link over DDS. Every LowState is counted, the newest one is used.
 
+    Recorders and other observers are no subscribers.
+
     Args:
         participant: whose domain to use.
         heartbeat: of the guard process; None: there is none.
@@ -98,11 +100,9 @@ class DdsLink:
         self._tick_bytes = slice(start, start + tick.dtype.itemsize)
 
     def subscribers(self) -> int:
-        """Number of matched subscribers of LowCmd, without recorders and other observers."""
         return count_subscribers(self._participant, self._commands)
 
     def other_publishers(self) -> list[str]:
-        """Names of other publishers of LowCmd."""
         # Asking for names takes a fraction of a tick, so it is done only when a writer has come or
         # gone since.
         matches = self._others.matches
@@ -119,21 +119,14 @@ class DdsLink:
         return self._other_names
 
     def support(self) -> str | None:
-        """How the bridge announces to hold the robot; None if it does not."""
         support = support_announced(self._participant.writers(LOWSTATE.name))
         self._own_bridge = self._own_bridge or support is not None
         return support
 
     def model(self) -> str | None:
-        """The name of the robot that the bridge announces to simulate; None if it does not."""
         return robot_announced(self._participant.writers(LOWSTATE.name))
 
     def receive(self, state: LowState) -> int | None:
-        """Load the newest LowState since the last call.
-
-        Returns:
-            The identity of its publisher; None if there is no LowState.
-        """
         samples = self._states.take(_STATE_DEPTH)
         if not samples:
             return None
@@ -156,13 +149,7 @@ class DdsLink:
         return named or ["unnamed participants"]
 
     def send(self, command: bytes, reference: bytes, stamp: int) -> int:
-        """Publish a LowCmd and its Reference, both with the publish time `stamp`, ns.
-
-        Where the guard process has taken over, its last command is sent instead.
-
-        Returns:
-            When the LowCmd was written, ns of CLOCK_MONOTONIC.
-        """
+        """As of `Link`; where the guard process has taken over, its last command is sent."""
         if self._heartbeat:
             self._heartbeat.beat(command, time.monotonic_ns())
         replacement = self._replacement()
@@ -178,13 +165,11 @@ class DdsLink:
         return self._heartbeat.replacement if self._heartbeat else b""
 
     def unguarded(self) -> str:
-        """Why the guard process could not damp the robot, or "" if it could or there is none."""
         if self._heartbeat is None or self._heartbeat.subscribers:
             return ""
         return f"the guard process has found no subscriber on {self._topic.name}"
 
     def replaced(self) -> str:
-        """Why the guard process damps the robot in our place, or ""."""
         why = self._heartbeat.takeover if self._heartbeat else Takeover.NONE
         return f"the guard process damps the robot: this process {why}" if why else ""
 

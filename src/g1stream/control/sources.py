@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from g1stream.control.support import ForceObserver, RevisionFit, SupportCheck
-from g1stream.optional import import_extra
+from g1stream.optional import load_object
 from g1stream.robot.dynamics import BaseMotion, InverseDynamics
 from g1stream.robot.model import G1, REVISIONS
 from g1stream.types import Phase, StreamSupport, Support
@@ -155,11 +155,8 @@ def load_source(config: Config, robot: G1, *, simulated: bool, complete: bool) -
     """
     settings = config.stream
     if place := SOURCES.get(settings.support or ""):
-        module, _, kind = place.partition(":")
-        extra = module.split(".")[-2]
-        found = import_extra(module, extra, f"Support {settings.support} needs")
-        source: Source = getattr(found, kind)(config, robot, simulated=simulated, complete=complete)
-        return source
+        made: Source = load_object(place)(config, robot, simulated=simulated, complete=complete)
+        return made
     if settings.feedforward not in (None, "dynamics"):
         return Source()
     other = other_revision(robot)

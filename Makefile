@@ -15,11 +15,12 @@ help:
 	@echo "make lock   resolve constraints.txt anew"
 	@echo "make clean  remove the virtual environment and caches"
 
+# The demo ends with a report, which is an extra.
 # pip older than 24 can spin for minutes in its resolver, so it is upgraded first.
 $(VENV)/.run: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade "pip>=24"
-	$(BIN)/python -m pip install --quiet -c constraints.txt -e .
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e ".[report]"
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.run
@@ -29,11 +30,13 @@ $(VENV)/.dev: $(VENV)/.run
 demo: $(VENV)/.run
 	$(BIN)/g1stream demo --out demo-out --force
 
-# First what needs no DDS, on all cores, with neighbours, which share fixtures, on the same one. Then
-# what is about time and processes, file by file. Last what an armed guard ends, or a figure misses,
-# where another test takes the CPU.
+# First what needs no DDS, on all cores, with neighbours, which share fixtures, on the same one: the
+# core with the extras hidden, which proves that it needs none, then the extras. Then what is about
+# time and processes, file by file. Last what an armed guard ends, or a figure misses, where another
+# test takes the CPU.
 test: $(VENV)/.dev
-	$(BIN)/python -m pytest -n auto --dist worksteal -m "not dds"
+	$(BIN)/python -m pytest -n auto --dist worksteal -m "not dds" --core-alone --ignore tests/extras
+	$(BIN)/python -m pytest -n auto --dist worksteal -m "not dds" tests/extras
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "dds and not alone"
 	$(BIN)/python -m pytest -m alone
 

@@ -26,6 +26,7 @@ from g1stream.control.reading import ImuReading, Reading
 from g1stream.control.sources import Moment, load_source
 from g1stream.control.targets import Target
 from g1stream.extras.feet.balance import Balance
+from g1stream.extras.physics.example_motions import squatting, stepping
 from g1stream.extras.physics.stance import on_standing_legs, stand
 from g1stream.motion.motion import Motion
 from g1stream.motion.readers import load_motion
@@ -34,7 +35,6 @@ from g1stream.robot.model import G1
 from g1stream.robot.rotations import tilt_of
 from g1stream.sim.lockstep import Lockstep
 from g1stream.sim.robot import SensorNoise, SimulatedRobot
-from g1stream.synthetic import squatting, stepping
 from g1stream.types import Floats, Phase
 
 if TYPE_CHECKING:

@@ -31,7 +31,7 @@ import numpy as np
 
 from feet import FALLEN, striding, swaying
 from g1stream.app.session import Session, open_session
-from g1stream.synthetic import squatting
+from g1stream.extras.physics.example_motions import squatting
 from g1stream.types import Phase
 from tracking_peers import PEERS, SIMULATORS, missing, running
 

@@ -2,7 +2,7 @@
 
     python benchmarks/report.py [--minutes N ...] [--json]
 
-A synthetic session (`g1stream.synthetic`) of each length is written to a temporary file; summary,
+A synthetic session (`g1stream.testing`) of each length is written to a temporary file; summary,
 metrics and the page of a report are made of each, in processes of their own. Beside them, the stock
 reader of mcap does nothing but take each message of the same file. The last column is the CPU time
 for a minute against that of the shortest session: below 1 where the cost is less than linear.
@@ -24,7 +24,7 @@ from typing import Any
 def write(path: Path, seconds: float) -> None:
     """Write a session of that length."""
     from g1stream.session.writer import SessionWriter
-    from g1stream.synthetic import SyntheticSession
+    from g1stream.testing import SyntheticSession
 
     with SessionWriter(path) as writer:
         SyntheticSession(seconds, delay=0.012, noise=1e-3, torque=1.0).write(writer)

@@ -24,9 +24,9 @@ import daqp
 import numpy as np
 
 from feet import NONE, ROBOT, play
+from g1stream.extras.physics.example_motions import squatting
 from g1stream.extras.physics.stance import stand
 from g1stream.motion.readers import load_motion
-from g1stream.synthetic import squatting
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -16,7 +16,7 @@ from g1stream.analysis.metrics import Metrics
 from g1stream.app.session import Session
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.session.source import MemorySource
-from g1stream.synthetic import SyntheticSession
+from g1stream.testing import SyntheticSession
 
 SECONDS = 10.0
 KNEE = JOINT_NAMES.index("left_knee_joint")

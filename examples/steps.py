@@ -12,7 +12,7 @@ import argparse
 import numpy as np
 
 import g1stream
-from g1stream.synthetic import stepping
+from g1stream.extras.physics.example_motions import stepping
 
 
 def main() -> None:

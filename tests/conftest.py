@@ -6,6 +6,7 @@ import fcntl
 import itertools
 import json
 import os
+import runpy
 import socket
 import subprocess
 import sys
@@ -29,6 +30,24 @@ from g1stream.dds.messages import LOWCMD, LowCmd, Topic
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from contextlib import AbstractContextManager
+
+CORE_ALONE = Path(__file__).with_name("core_alone")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--core-alone",
+        action="store_true",
+        help="hide g1stream.extras from this process and those that it starts",
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if config.getoption("--core-alone"):
+        paths = [str(CORE_ALONE), *filter(None, [os.environ.get("PYTHONPATH")])]
+        os.environ["PYTHONPATH"] = os.pathsep.join(paths)
+        runpy.run_path(str(CORE_ALONE / "sitecustomize.py"))
+
 
 # On a busy machine, examples take longer than hypothesis expects; that is no failure.
 settings.register_profile("busy", deadline=None, suppress_health_check=[HealthCheck.too_slow])

@@ -71,7 +71,7 @@ def _class(name: str, one: type) -> str:
         text += _fields(one)
     # Of a base that is not shown itself, the members are.
     bases = () if record else [base for base in one.__mro__[1:] if _is_hidden(base)]
-    for key, member in [pair for base in (one, *bases) for pair in vars(base).items()]:
+    for key, member in (pair for base in (one, *bases) for pair in list(vars(base).items())):
         function = getattr(member, "fget", None) or getattr(member, "func", None)
         if key.startswith("_") or key == "model_config":
             continue

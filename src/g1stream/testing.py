@@ -24,20 +24,40 @@ import tempfile
 import time
 from collections import Counter
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from g1stream.dds.messages import LowCmd, LowState, Reference
+import numpy as np
+
+from g1stream.dds.layout import CDR_HEADER, Layout
+from g1stream.dds.messages import (
+    LOWCMD,
+    LOWSTATE,
+    REFERENCE,
+    SPORTMODESTATE,
+    LowCmd,
+    LowState,
+    Reference,
+)
+from g1stream.robot.joints import EXAMPLE_KD, EXAMPLE_KP, N_JOINTS
 from g1stream.sim.lockstep import Lockstep
 from g1stream.sim.robot import MODE_MACHINE_29
-from g1stream.types import Phase
+from g1stream.types import Floats, Ints, Phase
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Mapping
 
-__all__ = ["FakeClock", "FakeLink", "Lockstep", "Sent", "dask_cluster"]
+    from numpy.typing import ArrayLike, NDArray
 
-_EPOCH: Final = 1_700_000_000_000_000_000
+    from g1stream.dds.messages import Topic
+    from g1stream.session.source import MemorySource
+    from g1stream.session.writer import SessionWriter
+
+__all__ = ["EPOCH", "FakeClock", "FakeLink", "Lockstep", "Sent", "SyntheticSession", "dask_cluster"]
+
+EPOCH: Final = 1_700_000_000_000_000_000
+"""Publish time of the first sample, ns since the epoch."""
 
 
 class FakeClock:
@@ -63,7 +83,7 @@ class FakeClock:
         return self.time
 
     def stamp(self) -> int:
-        return _EPOCH + self.time
+        return EPOCH + self.time
 
     def sleep_until(self, deadline: int) -> None:
         self.deadlines.append(deadline)
@@ -212,3 +232,138 @@ def dask_cluster(
             for process in (*many, head):
                 process.kill()  # a worker that is to end in order waits for its scheduler
                 process.wait()
+
+
+#: Before and after PLAY, s.
+_RAMP: Final = 0.5
+_HOLD: Final = 0.3
+
+
+@dataclass(frozen=True)
+class SyntheticSession:
+    """What is wrong with a robot, and how long it is recorded.
+
+    Attributes:
+        seconds: length of PLAY; RAMP of 0.5 s and HOLD of 0.3 s are around it.
+        rate: commands and states per second, Hz; states are half a period after commands.
+        delay: (29,) s or one for all, by which the robot is behind the reference.
+        gain: by which it moves less than asked.
+        bias: (29,) rad or one for all, reference - measured.
+        noise: standard deviation of measured positions, rad.
+        torque: (29,) N·m·s/rad or one for all: each motor's torque is so much times the velocity.
+        gaps: (start, length) s, PLAY's first frame at 0, in which no LowState is recorded.
+        clock_offset: of the robot's clock against the recorder's, s.
+        latency: of every message, s.
+        seed: of the noise.
+        metadata: of the session.
+    """
+
+    seconds: float
+    rate: float = 500.0
+    delay: Floats | float = 0.0
+    gain: float = 1.0
+    bias: Floats | float = 0.0
+    noise: float = 0.0
+    torque: Floats | float = 0.0
+    gaps: tuple[tuple[float, float], ...] = ()
+    clock_offset: float = 0.0
+    latency: float = 100e-6
+    seed: int = 0
+    metadata: Mapping[str, Any] = field(default_factory=dict)
+
+    def joints(self, time: ArrayLike, late: ArrayLike = 0.0) -> tuple[Floats, Floats, Floats]:
+        """q, dq and ddq (T, 29) of the reference at times (T,) s, or that much earlier."""
+        numbers = np.arange(N_JOINTS)
+        total = np.zeros((3, np.size(time), N_JOINTS))
+        for amplitude, hertz in ((0.3, 0.21), (0.08, 1.3)):
+            omega = 2.0 * np.pi * hertz * (1.0 + 0.03 * numbers)
+            angle = omega * (np.asarray(time)[:, np.newaxis] - late) + numbers
+            total[0] += amplitude * np.sin(angle)
+            total[1] += amplitude * omega * np.cos(angle)
+            total[2] -= amplitude * omega**2 * np.sin(angle)
+        return total[0], total[1], total[2]
+
+    def write(self, writer: SessionWriter | MemorySource) -> None:
+        """Write the samples, and the metadata at the end."""
+        rng = np.random.default_rng(self.seed)
+        ticks = round((_RAMP + self.seconds + _HOLD) * self.rate)
+        size = round(0.25 * self.rate)
+        for start in range(0, ticks, size):
+            ticked = np.arange(start, min(start + size, ticks))
+            self._write_commands(writer, ticked)
+            self._write_states(writer, ticked, rng)
+        writer.add_metadata(self.metadata)
+
+    def _write_commands(self, writer: SessionWriter | MemorySource, ticks: Ints) -> None:
+        time = ticks / self.rate - _RAMP
+        stamps = EPOCH + np.round(ticks * 1e9 / self.rate).astype(np.int64)
+        q, dq, ddq = self.joints(time)
+        in_play = (time >= -1e-9) & (time < self.seconds - 1e-9)
+        phase = np.where(in_play, Phase.PLAY, np.where(time < 0.0, Phase.RAMP, Phase.HOLD))
+        n = len(ticks)
+        reference = {
+            "tick": ticks,
+            "motion_time": time.clip(0.0),
+            "phase": phase,
+            "q": q,
+            "dq": dq,
+            "ddq": ddq,
+            "root_pos": np.tile([0.0, 0.0, 0.8], (n, 1)),
+            "root_quat_wxyz": np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)),
+        }
+        command = {
+            "motor_cmd.mode": np.ones((n, N_JOINTS)),
+            "motor_cmd.q": q,
+            "motor_cmd.dq": dq,
+            "motor_cmd.kp": np.tile(EXAMPLE_KP, (n, 1)),
+            "motor_cmd.kd": np.tile(EXAMPLE_KD, (n, 1)),
+        }
+        for topic, values in ((REFERENCE, reference), (LOWCMD, command)):
+            logged = stamps + round(self.latency * 1e9)
+            writer.write_batch(_channel(topic), _samples(topic, values, n), logged, stamps)
+
+    def _write_states(
+        self, writer: SessionWriter | MemorySource, ticks: Ints, rng: np.random.Generator
+    ) -> None:
+        time = (ticks + 0.5) / self.rate - _RAMP
+        q, dq, ddq = self.joints(time, self.delay)
+        measured = self.gain * q - self.bias + self.noise * rng.standard_normal(q.shape)
+        tau = self.torque * dq
+        kept = np.ones(len(time), dtype=bool)
+        for start, length in self.gaps:
+            kept &= (time < start) | (time >= start + length)
+        n = int(kept.sum())
+        stamps = EPOCH + np.round((ticks[kept] + 0.5) * 1e9 / self.rate).astype(np.int64)
+        logged = stamps + round(self.latency * 1e9)
+        published = stamps + round(self.clock_offset * 1e9)
+        state = {
+            "tick": ticks[kept],
+            "motor_state.q": measured[kept],
+            "motor_state.dq": self.gain * dq[kept],
+            "motor_state.ddq": self.gain * ddq[kept],
+            "motor_state.tau_est": tau[kept],
+            "imu_state.quaternion": np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)),
+        }
+        base = {"position": np.tile([0.0, 0.0, 0.8], (n, 1))}
+        for topic, values in ((LOWSTATE, state), (SPORTMODESTATE, base)):
+            writer.write_batch(_channel(topic), _samples(topic, values, n), logged, published)
+
+
+def _channel(topic: Topic) -> str:
+    """The topic of a session that holds the samples of a topic of DDS."""
+    from g1stream.session.streams import STREAMS  # needs more than a fake clock does
+
+    return next(name for name, kind in STREAMS.items() if kind.source == topic)
+
+
+def _samples(topic: Topic, values: Mapping[str, Floats], n: int) -> NDArray[np.uint8]:
+    """(n, size) samples of a topic with these fields, the others 0."""
+    layout = Layout.of(topic.message.idl_type)
+    rows = np.zeros((n, layout.sample_size), np.uint8)
+    rows[:, : len(CDR_HEADER)] = np.frombuffer(CDR_HEADER, np.uint8)
+    for path, given in values.items():
+        place = layout[path]
+        offsets = place.offsets[:N_JOINTS] if place.offsets.ndim else place.offsets
+        octets = np.ascontiguousarray(given, place.dtype)[..., np.newaxis].view(np.uint8)
+        rows[:, len(CDR_HEADER) + offsets[..., np.newaxis] + np.arange(octets.shape[-1])] = octets
+    return rows

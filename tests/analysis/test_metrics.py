@@ -13,7 +13,7 @@ from g1stream.app.session import Session
 from g1stream.config import Config
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
 from g1stream.session.source import MemorySource
-from g1stream.synthetic import SyntheticSession
+from g1stream.testing import SyntheticSession
 
 SAG = np.linspace(-0.2, 0.1, 29)
 

@@ -9,7 +9,7 @@ import pytest
 from g1stream.app.session import Session
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.session.source import MemorySource
-from g1stream.synthetic import SyntheticSession
+from g1stream.testing import SyntheticSession
 
 PATH = Path(__file__).parents[2] / "benchmarks" / "truth.py"
 

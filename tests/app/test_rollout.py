@@ -11,8 +11,6 @@ from g1stream.app.session import Session, open_session
 from g1stream.config import Config
 from g1stream.dds.messages import LowCmd, played_joints
 from g1stream.errors import ConfigError, RecordingError
-from g1stream.extras.report.page import report
-from g1stream.extras.video.render import Poses
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.sim.lockstep import EPOCH
 from g1stream.types import Phase
@@ -99,12 +97,9 @@ def test_what_is_known_of_a_session_does_not_depend_on_its_channels(session):
             assert set(other.topics) == {*samples, "/log"}
 
 
-@pytest.mark.parametrize("support", ["hanging", "feet"])
-def test_the_same_arguments_give_the_same_messages(support):
-    if support == "feet":
-        pytest.importorskip("daqp")
+def test_the_same_arguments_give_the_same_messages():
     first, second = (
-        rollout("demo", support=support, seconds=0.2, config=config(stream={"ramp": 0.5}))
+        rollout("demo", support="hanging", seconds=0.2, config=config(stream={"ramp": 0.5}))
         for _ in range(2)
     )
     assert list(first.replay_bytes("/lowcmd")) == list(second.replay_bytes("/lowcmd"))
@@ -243,17 +238,6 @@ def test_the_error_of_a_limb_is_that_of_its_played_joints(arms):
         "waist",
     ]
     assert found["left_arm"] == pytest.approx(np.sqrt(np.mean(error[15:22] ** 2)))
-    shown, tracking = Poses(arms, np.array([0.8])), arms.tracking()
-    at = np.abs(tracking.time - 0.8).argmin()
-    expected = np.degrees(np.sqrt(np.mean(tracking.error[at, 15:] ** 2)))
-    assert f"{expected:.2f} deg" in shown.text(0)
-
-
-@pytest.mark.slow
-def test_a_figure_and_a_report_show_some_joints(arms, tmp_path):
-    arms.plot().savefig(tmp_path / "arms.png")
-    report(arms, tmp_path / "arms.html")
-    assert (tmp_path / "arms.html").stat().st_size > 100_000
 
 
 def test_recorded_references_of_earlier_versions_play_all_joints():

@@ -158,23 +158,3 @@ def test_a_signal_leaves_no_file(tmp_path, number):
     assert process.returncode == 128 + number
     assert number.name in told
     assert list(tmp_path.iterdir()) == [motion]
-
-
-@pytest.mark.slow
-def test_a_session_becomes_a_ros2_bag_and_the_flags_of_motions_are_refused(out):
-    assert run(DEMO, out).returncode == 0
-    bag = out.with_suffix("")
-    refused = run(out, bag, "--ros2", "--frames", "1:2")
-    assert refused.returncode == 2
-    assert "--frames" in refused.stderr
-    no_session = run(DEMO, bag, "--ros2")
-    assert no_session.returncode == 2
-    assert "session" in no_session.stderr
-    assert not bag.exists()
-    done = run(out, bag, "--ros2", "--json")
-    assert done.returncode == 0
-    report = json.loads(done.stdout)
-    assert report["path"] == str(bag)
-    assert report["counts"].keys() == {"/tf", "/reference/joint_states", "/robot_description"}
-    assert report["left_out"] == {"/scene": 1}
-    assert sorted(path.name for path in bag.iterdir()) == ["metadata.yaml", "out_0.mcap"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from contextlib import nullcontext
 from dataclasses import replace
 from types import SimpleNamespace
@@ -85,7 +84,7 @@ def test_the_page_is_of_the_command_report(tmp_path, told, monkeypatch, capsys, 
             calls.append(asked)
 
         def run(self):
-            sys.stdout.write("written")
+            print("written")  # noqa: T201
 
     def load(name):
         assert name == "report"

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import MISSING, dataclass
+
 import pytest
 
-from g1stream.cli.command import announce_wire
-from g1stream.cli.flags import flag_name, parse_flags
+from g1stream.cli.command import Command, announce_wire
+from g1stream.cli.flags import argument, flag, flag_name, parse_flags
 from g1stream.cli.record import Record
 from g1stream.cli.robot import Robot
 from g1stream.cli.sim import Sim
 from g1stream.cli.stream import Replay, Stream
 from g1stream.config import Config, settings
 from g1stream.errors import ConfigError
-from g1stream.extras.library.library_cli import Library
-from g1stream.extras.report.compare_cli import Compare
 
 CLASSES = {"stream": Stream, "replay": Replay, "record": Record, "sim": Sim}
 
@@ -130,12 +130,21 @@ def test_a_default_is_in_the_help_but_of_what_a_flag_switches_off(capsys):
     assert "default:True" not in shown
 
 
+@dataclass(frozen=True, kw_only=True)
+class Several(Command):
+    """A command with arguments of any number, and flags that may be repeated."""
+
+    base: tuple[str, ...] = argument("What is given.", "BASE...")
+    other: tuple[str, ...] = flag(MISSING, "What must be, too.", "OTHER...", aliases=("--with",))
+    sweep: list[str] = flag((), "May be repeated.", "NAME=A,B")
+
+
 def test_a_flag_can_be_required(capsys):
     with pytest.raises(ConfigError) as caught:
-        parse_flags(Compare, "compare", "", ["session.mcap"])
+        parse_flags(Several, "several", "", ["session.mcap"])
     assert "--with" in caught.value.cause
     with pytest.raises(SystemExit):
-        parse_flags(Compare, "compare", "", ["--help"])
+        parse_flags(Several, "several", "", ["--help"])
     assert capsys.readouterr().out.count("(required)") == 2  # BASE... and --with
 
 
@@ -180,8 +189,8 @@ def test_a_program_that_sends_no_command_does_not_warn(monkeypatch, capsys):
 
 
 def test_a_flag_may_be_repeated_among_arguments_of_any_number():
-    given = ["simulate", "--sweep", "gains.kp=1,2", "motions", "--sweep=stream.rate=250", "more"]
-    command = parse_flags(Library, "library", "", given)
+    given = ["--sweep", "gains.kp=1,2", "motions", "--with", "x", "--sweep=stream.rate=250"]
+    command = parse_flags(Several, "several", "", given)
     assert command.sweep == ["gains.kp=1,2", "stream.rate=250"]
-    assert command.places == ("motions", "more")
-    assert not parse_flags(Library, "library", "", ["check", "motions"]).sweep
+    assert (command.base, command.other) == (("motions",), ("x",))
+    assert not parse_flags(Several, "several", "", ["motions", "--with", "x", "y"]).sweep

@@ -1,6 +1,6 @@
 """A converted file in the readers people use: Foxglove's own packages from npm, and Rerun.
 
-The Python packages are in tests/programs/test_convert.py. What is decoded here is compared with the
+The Python packages are in tests/app/test_convert.py. What is decoded here is compared with the
 motion and with our kinematics, which have truths of their own.
 """
 

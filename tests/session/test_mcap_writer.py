@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from contextlib import contextmanager
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -93,11 +94,28 @@ def test_a_disk_without_any_room_is_said_at_once(small_disk):
         SessionWriter(small_disk / "s.mcap").attach("a.urdf", "text/xml", bytes(8192), 0)
 
 
-def test_room_claimed_and_not_used_is_given_back(tmp_path):
+@pytest.mark.parametrize("size", range(SIZE, SIZE + 2**17, 2**14 + 77))
+def test_a_chunk_is_begun_only_if_the_end_of_the_file_fits_behind_it(tmp_path, monkeypatch, size):
+    """A disk of which all is known; a file that grew beyond it would have failed."""
     path = tmp_path / "s.mcap"
-    with SessionWriter(path) as writer:
-        fill(writer, 1)
-    assert path.stat().st_blocks * 512 < path.stat().st_size + 2**16
+    kib = 2**10
+
+    def statvfs(_):
+        free = max(0, size - path.stat().st_size) // kib
+        return SimpleNamespace(f_blocks=size // kib, f_bavail=free, f_frsize=kib)
+
+    monkeypatch.setattr("g1stream.session.mcap_writer.os.statvfs", statvfs)
+    with filled(path) as writer:
+        noise = np.random.default_rng(4).integers(0, 256, 2**17, dtype=np.uint8).tobytes()
+        writer.write("/log", noise, 10**12, 10**12)
+        writer.flush(last=True)
+        with pytest.raises(RecordingError, match="No space left"):  # noqa: PT012
+            for _ in range(100):
+                writer.add_metadata({"words": "more " * 2000})
+    assert path.stat().st_size <= size
+    assert stamps(path, "/log") == [10**12]
+    with path.open("rb") as file:
+        assert make_reader(file).get_summary().metadata_indexes
 
 
 SECOND_TOPIC_FULL = """

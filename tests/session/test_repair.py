@@ -9,11 +9,14 @@ import sys
 
 import pytest
 import yaml
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
+from mcap.writer import Writer
 
 from g1stream.app.session import open_session
 from g1stream.dds.messages import LOWCMD, LOWSTATE
 from g1stream.errors import RecordingError
+from g1stream.session.mcap_reader import McapFile
 from g1stream.session.repair import repair_session
 
 TOPICS = {"/lowcmd": LOWCMD, "/lowstate": LOWSTATE}
@@ -49,10 +52,9 @@ def test_a_cut_file_gets_its_index_and_keeps_every_message(write_session, sent, 
     os.truncate(path, int(path.stat().st_size * share))
     killed = open_session(path)
     before = {topic: list(killed.messages(topic)) for topic in killed.topics}
-    content = path.read_bytes()
     (done,) = repair_session(path)
     assert (done.path, done.messages) == (path, sum(killed.topics.values()))
-    assert path.read_bytes().startswith(content[: len(content) - done.dropped])
+    assert done.dropped == killed.unread
     repaired = open_session(path)
     assert repaired.complete
     assert {topic: list(repaired.messages(topic)) for topic in repaired.topics} == before
@@ -65,6 +67,106 @@ def test_a_cut_file_gets_its_index_and_keeps_every_message(write_session, sent, 
     again = path.read_bytes()
     assert repair_session(path)[0].dropped is None
     assert path.read_bytes() == again
+
+
+def write_loose(path, *, chunks_behind=False, finish=True):
+    """100 messages of two topics outside of chunks, and as many in chunks behind them if asked."""
+    with path.open("wb") as file:
+        writer = Writer(file, use_chunking=False)
+        writer.start("", "another program")
+        schema = writer.register_schema("a/Type", "ros2msg", b"uint8 x")
+        channels = [
+            writer.register_channel(topic, "cdr", schema, {"callerid": topic})
+            for topic in ("/lowstate", "/other")
+        ]
+        writer.add_metadata("theirs", {"key": "value"})
+        writer.add_attachment(5, 6, "a.txt", "text/plain", b"text")
+        for i in range(100):
+            writer.add_message(channels[i % 2], i, bytes([i]), 1000 + i, i)
+        if finish:
+            writer.finish()
+    if not chunks_behind:
+        return path
+    loose, (behind, _) = path.read_bytes(), (path.with_name("behind.mcap"), None)
+    with behind.open("wb") as file:
+        writer = Writer(file, chunk_size=200)
+        writer.start("", "another program")
+        for topic in ("/lowstate", "/other"):
+            writer.register_channel(topic, "cdr", 0)
+        for i in range(100, 200):
+            writer.add_message(1 + i % 2, i, bytes([i]), 1000 + i, i)
+        writer.flush()
+    head = behind.read_bytes().index(bytes([Opcode.CHUNK]), 8 + 9)
+    path.write_bytes(loose + behind.read_bytes()[head:])
+    return path
+
+
+@pytest.mark.parametrize("finish", [True, False])
+@pytest.mark.parametrize("chunks_behind", [True, False])
+def test_messages_outside_of_chunks_are_read_and_kept(tmp_path, finish, chunks_behind):
+    if finish and chunks_behind:
+        return
+    path = write_loose(tmp_path / "s.mcap", chunks_behind=chunks_behind, finish=finish)
+    n = 200 if chunks_behind else 100
+    expected = {
+        topic: [(i, 1000 + i, bytes([i])) for i in range(first, n, 2)]
+        for first, topic in enumerate(("/lowstate", "/other"))
+    }
+
+    def read():
+        session = open_session(path)
+        assert session.topics == {"/lowstate": n // 2, "/other": n // 2}
+        return {topic: [tuple(m) for m in session.messages(topic)] for topic in session.topics}
+
+    assert read() == expected
+    (done,) = repair_session(path)
+    assert (done.messages, done.dropped) == (n, 0)
+    assert read() == expected
+    found, attachments, metadata = by_stock_reader(path)
+    assert sorted(found) == sorted((t, i, data) for t in expected for i, _, data in expected[t])
+    assert (attachments, metadata) == (["a.txt"], ["theirs"])
+    with path.open("rb") as file:
+        channels = make_reader(file).get_summary().channels.values()
+    assert {one.topic: one.metadata for one in channels} == {
+        topic: {"callerid": topic} for topic in expected
+    }
+    assert repair_session(path)[0].dropped is None
+
+
+@pytest.mark.parametrize("share", [None, 0.01, 0.2, 0.5, 0.9, 1.0])
+def test_what_was_before_a_tail_of_zeros_is_read_and_kept(write_session, sent, share):
+    path = write_session(*sent.items(), close=False)
+    content = path.read_bytes()
+    chunk = McapFile(path)._chunks[-2].record  # that of the last topic is tiny
+    path.write_bytes(content[: chunk.start - 9])
+    before = McapFile(path).counts
+    end = chunk.start - 29  # within the index of the chunk before
+    if share is not None:
+        end = chunk.start + int(share * chunk.length)
+    path.write_bytes(content[:end] + bytes(len(content) - end))
+    damaged = open_session(path)
+    messages = {topic: list(damaged.messages(topic)) for topic in damaged.topics}
+    counts = {topic: len(found) for topic, found in messages.items()}
+    if share != 1.0:
+        assert counts == before
+        assert damaged.unread >= len(content) - (chunk.start - 9)
+    else:
+        assert sum(counts.values()) > before.total()
+    assert "are no whole record" in " ".join(damaged.summary().problems)
+    (done,) = repair_session(path)
+    assert (done.messages, done.dropped) == (sum(counts.values()), damaged.unread)
+    repaired = open_session(path)
+    assert {topic: list(repaired.messages(topic)) for topic in repaired.topics} == messages
+    assert len(by_stock_reader(path)[0]) == done.messages
+
+
+def test_files_one_behind_the_other_are_refused_with_where_the_first_ends(write_session, sent):
+    path = write_session(*sent.items())
+    content = path.read_bytes()
+    path.write_bytes(content + content)
+    with pytest.raises(RecordingError, match=f"several MCAP files.*at byte {len(content)} of"):
+        repair_session(path)
+    assert path.read_bytes() == content + content
 
 
 def test_a_complete_file_stays_as_it_is(write_session, sent):

@@ -285,7 +285,12 @@ def _file_problems(session: Recording) -> Iterator[str]:
     if not (session.complete or session.absent_parts):
         yield (
             "The recorder did not close the file: it ends with its last complete chunk, and how "
-            "many samples were lost is not known."
+            "many samples were lost is not known"
+            + (
+                f"; {counted(session.unread, 'byte')} behind it are no whole record."
+                if session.unread
+                else "."
+            )
         )
 
 

@@ -66,8 +66,13 @@ class MissingCommands:
         self._newest = 0
 
     def add_commands(self, publish_times: Iterable[int]) -> None:
-        """Take in the publish times of LowCmds, ns."""
-        self._commands.update(publish_times)
+        """Take in the publish times of LowCmds, ns.
+
+        Older ones that still wait are dropped here, too: there may be commands without references.
+        """
+        times = set(publish_times)
+        before = min(times, default=0) - _MAX_WAIT_NS
+        self._commands = {time for time in self._commands if time >= before} | times
 
     def add_references(self, publish_times: Sequence[int]) -> None:
         """Take in the publish times of References, ns, oldest first."""

@@ -112,6 +112,12 @@ class Channel:
     latched: bool = False
 
     @property
+    def metadata(self) -> dict[str, str]:
+        """What the file says of the channel beside its schema."""
+        qos = self.offered_qos_profiles
+        return {"description": self.description} | ({"offered_qos_profiles": qos} if qos else {})
+
+    @property
     def offered_qos_profiles(self) -> str:
         """The QoS with which rosbag2 shall play it, in YAML; empty for its own default."""
         return _LATCHED_QOS if self.latched else ""

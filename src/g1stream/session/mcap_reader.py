@@ -2,7 +2,8 @@
 
 The library's readers need the index at the end of the file, or make an object for each message.
 This one needs neither: it skips from record to record to find the chunks, stops at the first record
-that is not whole, and decompresses only the chunks that have messages of a wanted topic.
+that is not whole, and decompresses only the chunks that have messages of a wanted topic. Messages
+outside of chunks, as some writers leave them, are read like a chunk that is not compressed.
 
 The layout is that of the MCAP specification, https://mcap.dev/spec.
 """
@@ -27,7 +28,7 @@ import zstandard
 from lz4.frame import LZ4FrameDecompressor
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Metadata, Schema, Statistics
+from mcap.records import Attachment, Channel, Footer, Header, Metadata, Schema, Statistics
 
 from g1stream.errors import RecordingError
 from g1stream.input_limits import LATEST_NS, SESSION_RATIO, UNPACKED
@@ -39,7 +40,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["RECOVER", "McapFile", "Messages", "Slices"]
+__all__ = ["RECOVER", "ChannelInfo", "McapFile", "Messages", "Slices"]
 
 RECOVER: Final = "Recover the rest with a tool such as `pymcap-cli recover`."
 """The remedy for a damaged file."""
@@ -52,11 +53,12 @@ _MOST_THREADS: Final = 4
 _GROUP: Final = 2**18
 
 
-MAGIC: Final = b"\x89MCAP0\r\n"
-"""The first and the last bytes of a file."""
-
-RECORD_HEAD: Final = struct.Struct("<BQ")
-"""Opcode and length of a record; the length counts the bytes that follow."""
+#: The most bytes of messages outside of chunks that are read together.
+_LOOSE: Final = 2**20
+#: The first and the last bytes of a file.
+_MAGIC: Final = b"\x89MCAP0\r\n"
+#: Opcode and length of a record; the length counts the bytes that follow.
+_HEAD: Final = struct.Struct("<BQ")
 
 #: Of a chunk record: its times, size and checksum of the records in it, and how long the name of
 #: their compression is; behind the name are the length of the compressed data and the data.
@@ -120,7 +122,21 @@ class Slices(Sequence[bytes]):
         return found
 
 
-class RecordSpan(NamedTuple):
+class ChannelInfo(NamedTuple):
+    """How a file describes the messages of a topic; `metadata` is that of the channel."""
+
+    schema_name: str
+    schema_encoding: str
+    schema_data: bytes
+    message_encoding: str
+    metadata: dict[str, str]
+
+    def build_schema(self) -> bytes:
+        """The schema's data."""
+        return self.schema_data
+
+
+class _Span(NamedTuple):
     """Where the content of a record is, in bytes from the start of the file or chunk."""
 
     opcode: int
@@ -128,40 +144,35 @@ class RecordSpan(NamedTuple):
     length: int
 
 
-def records_of(file: IO[bytes]) -> Iterator[RecordSpan]:
-    """The whole records of a file, up to its footer or to where it was cut."""
-    size = file.seek(0, 2)
-    start = len(MAGIC)
-    while start + RECORD_HEAD.size <= size:
-        opcode, length = RECORD_HEAD.unpack(read_at(file, start, RECORD_HEAD.size))
-        start += RECORD_HEAD.size
-        # A power cut may leave a tail of zeros, and there is no record of that kind.
-        if not opcode or start + length > size:
-            return
-        yield RecordSpan(opcode, start, length)
-        if opcode == Opcode.FOOTER:
-            return
-        start += length
+def _without_zeros(file: IO[bytes]) -> int:
+    """The size of a file without the zeros at its end."""
+    size = os.fstat(file.fileno()).st_size
+    while size:
+        start = max(0, size - _LOOSE)
+        if rest := len(_read_at(file, start, size - start).rstrip(b"\0")):
+            return start + rest
+        size = start
+    return 0
 
 
-def records_in(data: bytes | memoryview) -> Iterator[RecordSpan]:
+def _records_in(data: bytes | memoryview) -> Iterator[_Span]:
     """The records in a decompressed chunk."""
     start = 0
     while start < len(data):
-        opcode, length = RECORD_HEAD.unpack_from(data, start)
-        start += RECORD_HEAD.size
+        opcode, length = _HEAD.unpack_from(data, start)
+        start += _HEAD.size
         if not opcode or start + length > len(data):
             raise ValueError("a chunk has something else than whole records")
-        yield RecordSpan(opcode, start, length)
+        yield _Span(opcode, start, length)
         start += length
 
 
-def read_at(file: IO[bytes], start: int, size: int) -> bytes:
+def _read_at(file: IO[bytes], start: int, size: int) -> bytes:
     """Some bytes of a file, past its buffer, which would be refilled at each skip."""
     return os.pread(file.fileno(), size, start)
 
 
-def content_of(file: IO[bytes], record: RecordSpan) -> bytes:
+def _content_of(file: IO[bytes], record: _Span) -> bytes:
     """The bytes of a record.
 
     Raises:
@@ -173,17 +184,17 @@ def content_of(file: IO[bytes], record: RecordSpan) -> bytes:
     return file.read(record.length)
 
 
-def stream_of(file: IO[bytes], record: RecordSpan) -> ReadDataStream:
+def _stream_of(file: IO[bytes], record: _Span) -> ReadDataStream:
     """The bytes of a record, as the classes of `mcap.records` read them."""
-    return ReadDataStream(BytesIO(content_of(file, record)))
+    return ReadDataStream(BytesIO(_content_of(file, record)))
 
 
-def content_size(file: IO[bytes], chunk: RecordSpan) -> int:
+def _content_size(file: IO[bytes], chunk: _Span) -> int:
     """Bytes of the records in a chunk, as it says."""
-    return int(_CHUNK.unpack(read_at(file, chunk.start, _CHUNK.size))[2])
+    return int(_CHUNK.unpack(_read_at(file, chunk.start, _CHUNK.size))[2])
 
 
-def decompressed(content: bytes | memoryview) -> bytes:
+def _decompressed(content: bytes | memoryview) -> bytes:
     """The records in a chunk, from the content of its own record."""
     _, _, size, crc, name_length = _CHUNK.unpack_from(content)
     compression = bytes(content[_CHUNK.size :][:name_length])
@@ -228,19 +239,21 @@ _MESSAGE: Final = np.dtype(
 
 
 @dataclass
-class Chunk:
+class _Chunk:
     """A chunk and the MessageIndex records behind it; without an index it has to be searched.
 
     Attributes:
-        record: the chunk.
+        record: the chunk; of messages outside of chunks, all of their records.
+        loose: whether it is such messages.
         index: by channel, where the entries of its index are and how many.
     """
 
-    record: RecordSpan
+    record: _Span
+    loose: bool = False
     index: dict[int, tuple[int, int]] = field(default_factory=dict)
 
-    def add_index(self, file: IO[bytes], record: RecordSpan) -> None:
-        channel, size = _INDEX.unpack(read_at(file, record.start, _INDEX.size))
+    def add_index(self, file: IO[bytes], record: _Span) -> None:
+        channel, size = _INDEX.unpack(_read_at(file, record.start, _INDEX.size))
         n_entries, rest = divmod(size, _INDEX_ENTRY.itemsize)
         if rest or size != record.length - _INDEX.size:
             raise ValueError("the index of a chunk has another length than it says")
@@ -267,7 +280,7 @@ class Chunk:
             ValueError: the index points outside of the chunk.
         """
         if not self.index:
-            return {c: found for c, found in message_offsets(records).items() if c in channels}
+            return {c: found for c, found in _message_offsets(records).items() if c in channels}
         found = {}
         for channel in sorted(channels & self.index.keys()):
             start, n_entries = self.index[channel]
@@ -279,17 +292,17 @@ class Chunk:
         return found
 
 
-def message_offsets(data: bytes | memoryview) -> dict[int, NDArray[np.int64]]:
+def _message_offsets(data: bytes | memoryview) -> dict[int, NDArray[np.int64]]:
     """By channel, (N,) where in a decompressed chunk its messages are, without an index."""
     found: dict[int, list[int]] = {}
-    for record in records_in(data):
+    for record in _records_in(data):
         if record.opcode == Opcode.MESSAGE:
             channel = int.from_bytes(data[record.start : record.start + 2], "little")
-            found.setdefault(channel, []).append(record.start - RECORD_HEAD.size)
+            found.setdefault(channel, []).append(record.start - _HEAD.size)
     return {channel: np.array(offsets, dtype=np.int64) for channel, offsets in found.items()}
 
 
-def messages_of(
+def _messages_of(
     records: list[bytes], offsets: list[dict[int, NDArray[np.int64]]]
 ) -> dict[int, Messages]:
     """By channel, the messages of some decompressed chunks, from where they are in each."""
@@ -321,7 +334,7 @@ def _messages_at(
         octets = np.frombuffer(data, np.uint8)
         heads = octets[offsets[:, np.newaxis] + np.arange(head)].view(_MESSAGE)[:, 0]
     lengths = np.ascontiguousarray(heads["length"])
-    starts, ends = offsets + head, offsets + (RECORD_HEAD.size + lengths.clip(0, size))
+    starts, ends = offsets + head, offsets + (_HEAD.size + lengths.clip(0, size))
     wrong = (heads["opcode"] != Opcode.MESSAGE) | (heads["channel"] != channel)
     if (wrong | (ends < starts) | (ends > limits)).any():
         raise ValueError("the index of a chunk points to something else than a message")
@@ -332,7 +345,7 @@ def _messages_at(
 
 
 class McapFile:
-    """The chunked messages, metadata and attachments of an MCAP file.
+    """The messages, metadata and attachments of an MCAP file.
 
     Args:
         path: of the file.
@@ -340,9 +353,14 @@ class McapFile:
     Attributes:
         path: of the file.
         complete: whether it was closed properly.
+        profile: of the file, such as `ros2`.
+        indexed: whether readers that need the index at its end find all of its messages.
+        unread: bytes at its end that are no whole record.
         counts: messages of each topic.
-        types: of each topic, the name of its schema and the encoding of its messages.
+        channels: of each topic, how its messages are described.
+        ambiguous: topics that several channels describe differently.
         metadata: the values of all of g1stream's metadata records; a later one replaces an earlier.
+        metadata_records: all of them, also of others.
 
     Raises:
         RecordingError: there is no such file, or it is not an MCAP, or it is damaged.
@@ -350,21 +368,25 @@ class McapFile:
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = Path(path)
-        self.complete = False
+        self.complete = self.indexed = False
+        self.profile = ""
+        self.unread = 0
         self.counts: Counter[str] = Counter()
-        self.types: dict[str, tuple[str, str]] = {}
+        self.channels: dict[str, ChannelInfo] = {}
+        self.ambiguous: set[str] = set()
         self.metadata: dict[str, Any] = {}
+        self.metadata_records: list[Metadata] = []
         self._topics: dict[int, str] = {}
-        self._schemas: dict[int, str] = {}
-        self._chunks: list[Chunk] = []
-        self._attachments: list[RecordSpan] = []
+        self._schemas: dict[int, Schema] = {}
+        self._chunks: list[_Chunk] = []
+        self._attachments: list[_Span] = []
         self._content_size = 0
         self._statistics: Statistics | None = None
         with self._open() as file:
             last = None
             allowed = UNPACKED + SESSION_RATIO * os.fstat(file.fileno()).st_size
-            for last in records_of(file):
-                with self.damage_at(last):
+            for last in self._records(file):
+                with self._damage_at(last):
                     self._add_record(file, last)
                 if self._content_size > allowed:
                     raise RecordingError(
@@ -378,6 +400,21 @@ class McapFile:
             for channel, count in self._count(file).items():
                 self.counts[self._topic(channel)] += count
 
+    @property
+    def types(self) -> dict[str, tuple[str, str]]:
+        """Of each topic, the name of its schema and the encoding of its messages."""
+        return {
+            topic: (one.schema_name, one.message_encoding) for topic, one in self.channels.items()
+        }
+
+    @property
+    def log_times(self) -> tuple[int, int] | None:
+        """The first and the last log time of all messages, ns; None where the file has not said."""
+        about = self._statistics
+        if about is None or not about.message_count:
+            return None
+        return about.message_start_time, about.message_end_time
+
     def batches(self, topics: set[str]) -> Iterator[tuple[str, Messages]]:
         """The messages of some topics, in batches of one topic; those of a topic are in order.
 
@@ -388,15 +425,15 @@ class McapFile:
         chunks = [c for c in self._chunks if not c.index or not channels.isdisjoint(c.index)]
         with self._open() as file:
 
-            def read(group: list[Chunk]) -> dict[int, Messages]:
+            def read(group: list[_Chunk]) -> dict[int, Messages]:
                 records, offsets = [], []
                 for chunk in group:
                     content, data = self._content(file, chunk)
                     records.append(data)
-                    with self.damage_at(chunk.record):
+                    with self._damage_at(chunk.record):
                         offsets.append(chunk.offsets(content, data, channels))
-                with self.damage_at(group[0].record):
-                    return messages_of(records, offsets)
+                with self._damage_at(group[0].record):
+                    return _messages_of(records, offsets)
 
             for found in _prefetch(read, _groups(chunks)):
                 for channel, messages in found.items():
@@ -410,8 +447,8 @@ class McapFile:
         """
         with self._open() as file:
             for record in self._attachments:
-                with self.damage_at(record):
-                    attachment = Attachment.read(stream_of(file, record))
+                with self._damage_at(record):
+                    attachment = Attachment.read(_stream_of(file, record))
                 yield attachment
 
     def _open(self) -> IO[bytes]:
@@ -426,34 +463,93 @@ class McapFile:
                 f"The file {self.path} cannot be read: {error.strerror}.",
                 "Check the path and its permissions.",
             ) from error
-        magic = file.read(len(MAGIC))
-        if magic != MAGIC:
+        magic = file.read(len(_MAGIC))
+        if magic != _MAGIC:
             file.close()
             what = "is not an MCAP file" if magic else "is empty"
             raise RecordingError(f"{self.path} {what}.", "Give a file that g1stream recorded.")
         return file
 
-    def _add_record(self, file: IO[bytes], record: RecordSpan) -> None:
+    def _add_record(self, file: IO[bytes], record: _Span) -> None:
         if record.opcode == Opcode.CHUNK:
-            self._content_size += content_size(file, record)
-            self._chunks.append(Chunk(record))
-        elif record.opcode == Opcode.MESSAGE_INDEX and self._chunks:
+            self._content_size += _content_size(file, record)
+            self._chunks.append(_Chunk(record))
+        elif record.opcode == Opcode.MESSAGE:
+            self._add_message(record)
+        elif record.opcode == Opcode.MESSAGE_INDEX and self._chunks and not self._chunks[-1].loose:
             self._chunks[-1].add_index(file, record)
+        elif record.opcode == Opcode.HEADER:
+            self.profile = Header.read(_stream_of(file, record)).profile
         elif record.opcode == Opcode.SCHEMA:
-            self._add_schema(content_of(file, record))
+            self._add_schema(_content_of(file, record))
         elif record.opcode == Opcode.CHANNEL:
-            self._add_channel(content_of(file, record))
+            self._add_channel(_content_of(file, record))
         elif record.opcode == Opcode.STATISTICS:
-            self._statistics = Statistics.read(stream_of(file, record))
+            self._statistics = Statistics.read(_stream_of(file, record))
         elif record.opcode == Opcode.ATTACHMENT:
             self._attachments.append(record)
         elif record.opcode == Opcode.METADATA:
-            metadata = Metadata.read(stream_of(file, record))
+            metadata = Metadata.read(_stream_of(file, record))
+            self.metadata_records.append(metadata)
             # Sessions before 0.2 have several records of the first name.
             if metadata.name.partition(".")[0] == METADATA_NAME:
                 self.metadata |= metadata_from_strings(metadata.metadata)
         elif record.opcode == Opcode.FOOTER:
             self.complete = True
+            summary = Footer.read(_stream_of(file, record)).summary_start
+            self.indexed = bool(summary) and not any(chunk.loose for chunk in self._chunks)
+
+    def _add_message(self, record: _Span) -> None:
+        """A message outside of a chunk; one right behind another is read with it."""
+        start = record.start - _HEAD.size
+        before = self._chunks[-1] if self._chunks and self._chunks[-1].loose else None
+        if before and before.end == start and before.record.length < _LOOSE:
+            size = record.start + record.length - before.record.start
+            before.record = before.record._replace(length=size)
+        else:
+            self._chunks.append(
+                _Chunk(_Span(Opcode.MESSAGE, start, _HEAD.size + record.length), loose=True)
+            )
+
+    def _records(self, file: IO[bytes]) -> Iterator[_Span]:
+        """The whole records of a file, up to its footer or to where it was cut.
+
+        A power cut may leave zeros in place of the end of a file. They are no record, and a record
+        that ends among them is not whole, but for a chunk whose checksum says so.
+        """
+        size, filled = os.fstat(file.fileno()).st_size, _without_zeros(file)
+        start, self.unread = len(_MAGIC), size - len(_MAGIC)
+        while start + _HEAD.size <= size:
+            opcode, length = _HEAD.unpack(_read_at(file, start, _HEAD.size))
+            record = _Span(opcode, start + _HEAD.size, length)
+            start = record.start + length
+            if not opcode or start > size:
+                return
+            if start > filled and not self._is_whole(file, record, at_end=start == size):
+                return
+            self.unread = size - start
+            yield record
+            if opcode == Opcode.FOOTER:
+                end = start + len(_MAGIC)
+                if _read_at(file, end, len(_MAGIC)) == _MAGIC:
+                    raise RecordingError(
+                        f"{self.path} is several MCAP files, one behind the other: the first ends "
+                        f"at byte {end} of {size}.",
+                        f"Take it apart: `head -c {end}` gives the first, `tail -c +{end + 1}` "
+                        "the rest.",
+                    )
+                self.unread = 0
+                return
+
+    def _is_whole(self, file: IO[bytes], record: _Span, *, at_end: bool) -> bool:
+        """Whether a record that ends with zeros, with more of them behind it or not, may be so."""
+        if record.opcode != Opcode.CHUNK:
+            return at_end
+        try:
+            self._content(file, _Chunk(record))
+        except RecordingError:
+            return False
+        return True
 
     def _count(self, file: IO[bytes]) -> Counter[int]:
         """Messages of each channel; of a file cut short they are counted chunk by chunk."""
@@ -476,28 +572,30 @@ class McapFile:
                 return
         self._topics[channel] = f"channel {channel}"
 
-    def _search(self, file: IO[bytes], chunk: Chunk) -> dict[int, int]:
+    def _search(self, file: IO[bytes], chunk: _Chunk) -> dict[int, int]:
         """Note the channels that a chunk describes, and count its messages by channel."""
         _, data = self._content(file, chunk)
-        with self.damage_at(chunk.record):
-            for opcode, start, length in records_in(data):
+        with self._damage_at(chunk.record):
+            for opcode, start, length in _records_in(data):
                 if opcode == Opcode.SCHEMA:
                     self._add_schema(data[start : start + length])
                 elif opcode == Opcode.CHANNEL:
                     self._add_channel(data[start : start + length])
-            return {channel: len(found) for channel, found in message_offsets(data).items()}
+            return {channel: len(found) for channel, found in _message_offsets(data).items()}
 
-    def _content(self, file: IO[bytes], chunk: Chunk) -> tuple[bytes, bytes]:
+    def _content(self, file: IO[bytes], chunk: _Chunk) -> tuple[bytes, bytes]:
         """A chunk and its index as they are in the file, and its records."""
-        with self.damage_at(chunk.record):
+        with self._damage_at(chunk.record):
             size = chunk.end - chunk.record.start
             if size > UNPACKED:
                 raise ValueError("the record is too large")
-            content = read_at(file, chunk.record.start, size)
-            return content, decompressed(memoryview(content)[: chunk.record.length])
+            content = _read_at(file, chunk.record.start, size)
+            if chunk.loose:
+                return b"", content
+            return content, _decompressed(memoryview(content)[: chunk.record.length])
 
     @contextmanager
-    def damage_at(self, record: RecordSpan) -> Iterator[None]:
+    def _damage_at(self, record: _Span) -> Iterator[None]:
         try:
             yield
         except Exception as error:  # every field and each compression has an error of its own
@@ -513,20 +611,29 @@ class McapFile:
     def _add_channel(self, content: bytes) -> None:
         channel = Channel.read(ReadDataStream(BytesIO(content)))
         self._topics[channel.id] = channel.topic
-        schema = self._schemas.get(channel.schema_id, "")
-        self.types[channel.topic] = schema, channel.message_encoding
+        schema = self._schemas.get(channel.schema_id)
+        about = ChannelInfo(
+            schema.name if schema else "",
+            schema.encoding if schema else "",
+            schema.data if schema else b"",
+            channel.message_encoding,
+            channel.metadata,
+        )
+        before = self.channels.setdefault(channel.topic, about)
+        if before[:4] != about[:4]:
+            self.ambiguous.add(channel.topic)
 
     def _add_schema(self, content: bytes) -> None:
         schema = Schema.read(ReadDataStream(BytesIO(content)))
-        self._schemas[schema.id] = schema.name
+        self._schemas[schema.id] = schema
 
 
-def _groups(chunks: Iterable[Chunk]) -> Iterator[list[Chunk]]:
+def _groups(chunks: Iterable[_Chunk]) -> Iterator[list[_Chunk]]:
     """Chunks of the same channels together, until they have some size: each batch takes time, too.
 
     The chunks of a channel stay in their order.
     """
-    groups: dict[frozenset[int], list[Chunk]] = {}
+    groups: dict[frozenset[int], list[_Chunk]] = {}
     for chunk in chunks:
         channels = frozenset(chunk.index)
         if channels not in groups and (len(channels) != 1 or any(len(c) > 1 for c in groups)):

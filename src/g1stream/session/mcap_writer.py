@@ -2,13 +2,12 @@
 
 The messages of a topic form a chunk of their own, so that reading one topic decompresses only that
 topic. A chunk is handed to the operating system as soon as it is written: a killed program leaves a
-file that ends with its last whole chunk. Disk space is reserved before each chunk, so that a full
-disk is noticed before a chunk is begun and there is room to finish the file.
+file that ends with its last whole chunk. A chunk is begun only if the disk has space for it and for
+the end of the file, so that a full disk leaves a file with its last words and its index.
 """
 
 from __future__ import annotations
 
-import ctypes
 import errno
 import fcntl
 import os
@@ -28,25 +27,19 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from g1stream.session.format import Channel, MessageBatch
+    from g1stream.session.mcap_reader import ChannelInfo
 
 __all__ = ["Compression", "McapWriter", "OutputFile", "max_size"]
 
 Compression = Literal["zstd", "lz4", "none"]
 
-_KEEP_SIZE: Final = 1  # FALLOC_FL_KEEP_SIZE of linux/falloc.h
-_STEP: Final = 1 << 20
-
-#: Reserved for the end of the file: schemas and statistics, and the index of one chunk.
+#: Kept for the end of the file: schemas and statistics, and the index of one chunk.
 _SUMMARY_BYTES: Final = 1 << 16
 _INDEX_BYTES: Final = 200
-#: Reserved for what is written after a disk has filled up: the last metadata and log messages.
+#: Kept for what is written after a disk has filled up: the last metadata and log messages.
 _FINAL_BYTES: Final = 1 << 18
 #: Of a message record, without its data, and of its index entry.
 _MESSAGE_BYTES: Final = 31 + 16
-
-_fallocate: Any = getattr(ctypes.CDLL(None, use_errno=True), "fallocate", None)
-if _fallocate is not None:
-    _fallocate.argtypes = (ctypes.c_int, ctypes.c_int, ctypes.c_int64, ctypes.c_int64)
 
 
 def max_size(batch: MessageBatch) -> int:
@@ -55,7 +48,7 @@ def max_size(batch: MessageBatch) -> int:
 
 
 class OutputFile:
-    """A file that is written unbuffered, with disk space reserved and whole pieces only.
+    """A file that is written unbuffered, in whole pieces only.
 
     Args:
         path: of the file, which must not exist.
@@ -66,7 +59,6 @@ class OutputFile:
         with suppress(OSError):  # a file system without locks
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # until the recorder ends
         self._committed = 0
-        self._reserved = 0
 
     def write(self, data: bytes) -> int:
         """Write all of the data; an OSError leaves a part of it, to be removed by `rollback`."""
@@ -83,20 +75,15 @@ class OutputFile:
     def flush(self) -> None:
         """Nothing to do: the file is not buffered."""
 
-    def reserve(self, size: int) -> None:
-        """Reserve disk space for `size` more bytes, where the file system can (fallocate(2)).
+    def require_space(self, size: int) -> None:
+        """Check that the disk has space for `size` more bytes.
 
         Raises:
-            OSError: there is not so much space.
+            OSError: it has not.
         """
-        end = self.tell() + size
-        if end <= self._reserved or _fallocate is None:
-            return
-        end += -end % _STEP
-        if _fallocate(self._file.fileno(), _KEEP_SIZE, self._reserved, end - self._reserved) == 0:
-            self._reserved = end
-        elif (number := ctypes.get_errno()) in {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}:
-            raise OSError(number, os.strerror(number))
+        disk = os.statvfs(self._file.fileno())
+        if disk.f_blocks and disk.f_bavail * disk.f_frsize < size:  # some file systems do not know
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     def is_at(self, path: Path) -> bool:
         """Whether a path leads to this file."""
@@ -116,9 +103,7 @@ class OutputFile:
             self._file.seek(self._committed)
 
     def close(self) -> None:
-        """Release space that was reserved and not used, and close."""
-        with suppress(OSError):
-            self._file.truncate(self.tell())
+        """Close the file."""
         self._file.close()
 
 
@@ -129,6 +114,7 @@ class McapWriter:
         path: of the file; its directory must exist.
         channels: those that messages may be written to, by topic.
         compression: of the chunks.
+        profile: of the file; if None, `ros2` where all channels are CDR, as rosbag2 writes it.
 
     Attributes:
         path: of the file, as error messages show it.
@@ -140,9 +126,10 @@ class McapWriter:
     def __init__(
         self,
         path: Path,
-        channels: Mapping[str, Channel],
+        channels: Mapping[str, Channel | ChannelInfo],
         *,
         compression: Compression = "zstd",
+        profile: str | None = None,
     ) -> None:
         self.path = self.place = path
         self.counts: Counter[str] = Counter()
@@ -150,17 +137,21 @@ class McapWriter:
         self.last_log_time: int | None = None
         self._channels = channels
         self._channel_ids: dict[str, int] = {}
-        self._schema_ids: dict[str, int] = {}
+        self._schema_ids: dict[tuple[str, bytes], int] = {}
         self._n_chunks = self._n_metadata = 0
         self._compression = CompressionType[compression.upper()]
         with output_errors(path):
             self._file = OutputFile(path)
         self._mcap = self._library_writer(summary=True)
         # Profile ros2 demands CDR in all channels; its readers refuse a file of several encodings.
-        only_ros2 = all(channel.message_encoding == "cdr" for channel in channels.values())
+        only_ros2 = profile is None and all(
+            channel.message_encoding == "cdr" for channel in channels.values()
+        )
         try:
             with self._committed(0):
-                self._mcap.start("ros2" if only_ros2 else "", library=f"g1stream {__version__}")
+                self._mcap.start(
+                    "ros2" if only_ros2 else profile or "", library=f"g1stream {__version__}"
+                )
                 if only_ros2:
                     # Else rosbag2 takes a file that it opens alone for one of its version 9, in
                     # which QoS is written in words.
@@ -212,11 +203,15 @@ class McapWriter:
 
     def add_metadata(self, values: Mapping[str, Any]) -> None:
         """Add a metadata record; see `SessionWriter.add_metadata`."""
-        strings = metadata_to_strings(values)
-        with self._committed(sum(len(k) + len(v) + 8 for k, v in strings.items())):
-            number = self._n_metadata + 1
-            self._mcap.add_metadata(METADATA_NAME + (f".{number}" if number > 1 else ""), strings)
+        number = self._n_metadata + 1
+        name = METADATA_NAME + (f".{number}" if number > 1 else "")
+        self.write_metadata(name, metadata_to_strings(values))
         self._n_metadata = number
+
+    def write_metadata(self, name: str, strings: dict[str, str]) -> None:
+        """Add a metadata record of any name."""
+        with self._committed(sum(len(k) + len(v) + 8 for k, v in strings.items())):
+            self._mcap.add_metadata(name, strings)
 
     def close(self) -> None:
         """Write the summary and close the file."""
@@ -230,15 +225,14 @@ class McapWriter:
         """The number of a channel; a new one is registered, and described in the next chunk."""
         if topic not in self._channel_ids:
             channel = self._channels[topic]
-            if channel.schema_name not in self._schema_ids:
-                self._schema_ids[channel.schema_name] = self._mcap.register_schema(
-                    channel.schema_name, channel.schema_encoding, channel.build_schema()
+            schema = channel.schema_name, channel.build_schema()
+            if schema not in self._schema_ids:
+                self._schema_ids[schema] = self._mcap.register_schema(
+                    channel.schema_name, channel.schema_encoding, schema[1]
                 )
-            about = {"description": channel.description}
-            if qos := channel.offered_qos_profiles:
-                about["offered_qos_profiles"] = qos  # as in metadata.yaml
+            schema_id = self._schema_ids[schema] if channel.schema_name else 0  # 0: none
             self._channel_ids[topic] = self._mcap.register_channel(
-                topic, channel.message_encoding, self._schema_ids[channel.schema_name], about
+                topic, channel.message_encoding, schema_id, dict(channel.metadata)
             )
         return self._channel_ids[topic]
 
@@ -272,10 +266,10 @@ class McapWriter:
     def _committed(self, size: int) -> Iterator[None]:
         """Write a piece of so many bytes and the end of the file, if there is space for both."""
         with output_errors(self.path):
-            self._file.reserve(size + _SUMMARY_BYTES + _INDEX_BYTES * (self._n_chunks + 1))
+            self._file.require_space(size + _SUMMARY_BYTES + _INDEX_BYTES * (self._n_chunks + 1))
             try:
                 yield
                 self._file.commit()
-            except OSError:  # only where space cannot be reserved
+            except OSError:  # another program took the space, or there is a quota
                 self._recover()
                 raise

@@ -7,6 +7,7 @@ Extras read others and give them to the same class.
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol, TypeVar
 
@@ -77,10 +78,15 @@ class RecordingFile(Protocol):
     Attributes:
         types: of each topic, the name of its message type and the encoding of its messages.
         counts: messages of each topic.
+        unread: bytes at its end that are no whole record.
     """
 
-    types: dict[str, tuple[str, str]]
     counts: Counter[str]
+    unread: int
+
+    @property
+    def types(self) -> dict[str, tuple[str, str]]:
+        """By topic."""
 
     def batches(self, topics: set[str]) -> Iterator[tuple[str, Messages]]:
         """The messages of some topics, in batches of one topic; those of a topic are in order."""
@@ -108,6 +114,7 @@ class RecordedMotion:
         self._path, self._fps, self._files = file.path, file.fps, files
         self._decode_joints, self._decode_transforms = decoders
         self._types = {topic: kind for file in files for topic, kind in file.types.items()}
+        self._unread = sum(file.unread for file in files)
         self._counts = sum((file.counts for file in files), Counter[str]())
 
     @cached_property
@@ -149,7 +156,11 @@ class RecordedMotion:
                 )
             root_pos, quat = pose.at(times, clock)
         seconds = (times - times[0]) / _NS_PER_S
-        return motion_of_poses(seconds, q, root_pos, quat, self._path, self._fps)
+        motion = motion_of_poses(seconds, q, root_pos, quat, self._path, self._fps)
+        if not self._unread:
+            return motion
+        lost = f"the last {counted(self._unread, 'byte')} of {self._path} are no whole record"
+        return replace(motion, warnings=(*motion.warnings, f"{lost}, and not read"))
 
     @cached_property
     def _joints_topic(self) -> str:
@@ -194,8 +205,8 @@ class RecordedMotion:
                     published.append(time)
         if not columns:
             raise RecordingError(
-                f"{topic} in {self._path} has no message in a chunk.",
-                "Write the file with chunks, as `mcap compress` does.",
+                f"{topic} in {self._path} has no messages.",
+                "Record while its publisher runs.",
             )
         missing = [name for name in JOINT_NAMES if name not in seen]
         if missing:

@@ -106,6 +106,7 @@ class Recording:
         paths: of the file or its parts, oldest first; empty in memory.
         absent_parts: by number of a part that is missing or cannot be read: why, a sentence.
         complete: whether everything is there and was closed properly.
+        unread: bytes at the ends of files that are no whole record, as after a power cut.
         topics: number of messages by topic, in the whole session.
         metadata: what stream and recorder wrote about the session.
         computed: results of functions decorated with `once`.
@@ -120,6 +121,7 @@ class Recording:
         self.paths = source.paths
         self.absent_parts = source.absent_parts
         self.complete = source.complete
+        self.unread = source.unread
         self.topics = source.topics
         self.metadata = source.metadata
         self.computed: dict[Callable[..., Any], Any] = {}

@@ -40,6 +40,7 @@ class SessionSource(ABC):
         topics: number of messages by topic.
         metadata: the values of all metadata records; a later one replaces an earlier one.
         complete: whether all parts are there and were closed properly.
+        unread: bytes at the ends of files that are no whole record.
         absent_parts: by number, as in their names, of the parts that are missing or cannot be
             read: why, a sentence.
     """
@@ -50,6 +51,7 @@ class SessionSource(ABC):
         self.topics: dict[str, int] = {}
         self.metadata: dict[str, Any] = {}
         self.complete = True
+        self.unread = 0
         self.absent_parts: dict[int, str] = {}
 
     @abstractmethod
@@ -94,6 +96,7 @@ class SessionFiles(SessionSource):
         self.paths = [file.path for file in self._files]
         self.complete = not self.absent_parts and all(file.complete for file in self._files)
         self.topics = dict(sum((file.counts for file in self._files), Counter[str]()))
+        self.unread = sum(file.unread for file in self._files)
         self.metadata = {k: v for file in self._files for k, v in file.metadata.items()}
 
     def batches(self, topics: set[str]) -> Iterator[tuple[str, Messages]]:

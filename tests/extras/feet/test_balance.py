@@ -10,6 +10,7 @@ import pytest
 from g1stream.control.reading import ImuReading, Reading
 from g1stream.control.targets import Target
 from g1stream.extras.feet.squat import Squat
+from g1stream.extras.physics.example_motions import squatting, stepping
 from g1stream.extras.physics.stance import stand
 from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
@@ -17,7 +18,6 @@ from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1
 from g1stream.robot.rotations import quat_from_rpy, quat_mul, quat_rotate_inverse
-from g1stream.synthetic import squatting, stepping
 
 pytest.importorskip("daqp")
 from g1stream.extras.feet.balance import Balance

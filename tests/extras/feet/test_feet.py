@@ -16,6 +16,7 @@ from g1stream.control.plan import plan, with_robot_limits
 from g1stream.control.sources import load_source
 from g1stream.errors import ConfigError, MotionError, SafetyError
 from g1stream.extras.feet.source import StandingTorques
+from g1stream.extras.physics.example_motions import squatting, stepping
 from g1stream.motion.readers import load_motion
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import G1, REVISIONS
@@ -29,7 +30,6 @@ from g1stream.robot.rotations import (
 from g1stream.sim.lockstep import Lockstep
 from g1stream.sim.robot import SensorNoise, SimulatedRobot
 from g1stream.sim.world import World
-from g1stream.synthetic import squatting, stepping
 from g1stream.types import Phase
 
 pytest.importorskip("daqp")

@@ -10,13 +10,13 @@ from g1stream.control.reading import ImuReading, Reading
 from g1stream.control.sources import HeldTorques, Moment
 from g1stream.control.targets import Target
 from g1stream.errors import ConfigError
+from g1stream.extras.physics.example_motions import squatting
 from g1stream.extras.physics.stance import stand
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.dynamics import InverseDynamics
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import G1
 from g1stream.robot.rotations import quat_from_rpy, quat_mul
-from g1stream.synthetic import squatting
 from g1stream.types import Phase
 
 pytest.importorskip("daqp")

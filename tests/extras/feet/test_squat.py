@@ -8,11 +8,11 @@ import pytest
 from g1stream.control.targets import Target
 from g1stream.extras.feet.squat import Squat
 from g1stream.extras.feet.standing import BodyState, StandingDynamics
+from g1stream.extras.physics.example_motions import squatting
 from g1stream.extras.physics.stance import stand
 from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.model import G1
-from g1stream.synthetic import squatting
 
 ROBOT = G1.default()
 DYNAMICS = StandingDynamics(ROBOT)

@@ -22,7 +22,7 @@ from g1stream.extras.library.files import LIBRARY
 from g1stream.extras.library.processes import Limits
 from g1stream.extras.library.run import LibraryRun, run_library
 from g1stream.session.writer import SessionWriter
-from g1stream.synthetic import SyntheticSession
+from g1stream.testing import SyntheticSession
 
 
 def by_name(library):

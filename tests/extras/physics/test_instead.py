@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from g1stream.extras.physics.example_motions import squatting
 from g1stream.extras.physics.footing import CannotStandError
 from g1stream.extras.physics.instead import Part, longest_part
 from g1stream.extras.physics.stance import stand, stand_part
@@ -12,7 +13,6 @@ from g1stream.motion.motion import Motion
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import G1
 from g1stream.robot.soles import Soles
-from g1stream.synthetic import squatting
 
 ROBOT = G1.default()
 

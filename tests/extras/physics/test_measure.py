@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from g1stream.extras.physics.example_motions import squatting
 from g1stream.extras.physics.ground import FRICTION, zero_moment_point
 from g1stream.extras.physics.measure import motion_physics, movement_loads
 from g1stream.motion.motion import Motion
@@ -21,7 +22,6 @@ from g1stream.robot.model import G1
 from g1stream.robot.rotations import quat_rotate
 from g1stream.robot.soles import Soles
 from g1stream.sim.model import build_model
-from g1stream.synthetic import squatting
 
 G = 9.81
 FPS = 30.0

@@ -11,6 +11,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from g1stream.errors import MotionError
 from g1stream.extras.feet.standing import BodyState, StandingDynamics
+from g1stream.extras.physics.example_motions import squatting, stepping
 from g1stream.extras.physics.footing import CannotStandError
 from g1stream.extras.physics.ground import beyond_support, touching, zero_moment_point
 from g1stream.extras.physics.stance import on_standing_legs, stand
@@ -23,7 +24,6 @@ from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1
 from g1stream.robot.rotations import quat_from_rpy, quat_rotate, yaw_of
 from g1stream.robot.soles import OFF_FLOOR, Soles
-from g1stream.synthetic import squatting, stepping
 
 ROBOT = G1.default()
 SOLES = Soles(ROBOT)

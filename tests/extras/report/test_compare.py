@@ -14,7 +14,7 @@ from g1stream.errors import RecordingError
 from g1stream.extras.report.compare import differences, ranked, verdict
 from g1stream.session.source import MemorySource
 from g1stream.session.writer import SessionWriter
-from g1stream.synthetic import SyntheticSession
+from g1stream.testing import SyntheticSession
 
 
 def session(**wrong):

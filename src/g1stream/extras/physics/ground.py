@@ -1,6 +1,6 @@
 """The soles of a motion on a flat floor: which corners touch it, and what they can carry.
 
-The floor is at height 0. docs/motion-physics.md has the formulas and their sources.
+The floor is at height 0. docs/physics.md has the formulas and their sources.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The physical sense of a motion: what it would take to play it, for each way to hold the robot.
 
 Nothing is simulated: every frame is looked at by itself, with the velocities and accelerations of
-the spline through the frames. docs/motion-physics.md has the formulas, thresholds and sources.
+the spline through the frames. docs/physics.md has the formulas, thresholds and sources.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Loads", "motion_physics", "movement_loads"]
 
-# Limits, and how long they may be passed; docs/motion-physics.md says why these.
+# Limits, and how long they may be passed; docs/physics.md says why these.
 _TOUCHING: Final = 1.0  # depth of two links in each other, mm
 _DEEP: Final = 10.0  # the same, which forbids a motion
 _OUTSIDE: Final = 10.0  # of the centre of pressure from the support polygon, mm
@@ -104,7 +104,7 @@ def motion_physics(
 ) -> MotionPhysics:
     """What it would take to play a motion: contacts, collisions, centre of pressure, torques.
 
-    docs/motion-physics.md has the formulas, and what it takes.
+    docs/physics.md has the formulas, and what it takes.
 
     Args:
         motion: its frames; the floor is at height 0.

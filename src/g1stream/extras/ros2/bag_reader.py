@@ -60,6 +60,7 @@ class _Bag:
                 one.topic: (one.msgtype, getattr(one.ext, "serialization_format", ""))
                 for one in reader.connections
             }
+            self.unread = 0
             self.counts = Counter({one.topic: one.msgcount for one in reader.connections})
 
     def batches(self, topics: set[str]) -> Iterator[tuple[str, Messages]]:

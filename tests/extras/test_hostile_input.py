@@ -139,7 +139,7 @@ def array_files():
     npz = io.BytesIO()
     np.savez(npz, **arrays)
     pickles = pickle.dumps(arrays, protocol=2), pickle.dumps(arrays)
-    tensors = Path(__file__).with_name("data") / "protomotions.pt"
+    tensors = Path(__file__).parents[1] / "data" / "protomotions.pt"
     return npz.getvalue(), *pickles, tensors.read_bytes()
 
 

@@ -23,10 +23,10 @@ from g1stream.robot.shapes import read_visuals
 from g1stream.session.source import MemorySource
 from g1stream.session.streams import STREAMS
 from g1stream.session.writer import SessionWriter
-from g1stream.synthetic import SyntheticSession
+from g1stream.testing import SyntheticSession
 from g1stream.view.pipeline import MessagePipeline
 
-EXAMPLES = Path(__file__).parents[1] / "examples"
+EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
 @pytest.mark.dds

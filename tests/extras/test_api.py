@@ -14,7 +14,7 @@ import pytest
 
 import g1stream
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "src" / "g1stream"
 
 

@@ -6,7 +6,7 @@ import socket
 
 import pytest
 
-from g1stream.dds.messages import LOWCMD, LOWSTATE, REFERENCE, Batch, LowState, Reference
+from g1stream.dds.messages import ARM_SDK, LOWCMD, LOWSTATE, REFERENCE, Batch, LowState, Reference
 from g1stream.recorder.diagnostics import Losses, MissingCommands, dropped_datagrams
 
 
@@ -64,14 +64,24 @@ def test_a_reference_without_its_command_is_a_command_lost():
 
 
 def test_commands_without_references_are_no_loss_and_are_not_kept_for_ever():
-    losses = Losses()
-    commands = Batch(publish_times=list(range(0, 10**10, 10**7)))
-    losses.add(LOWCMD.name, commands)
-    assert losses.update({LOWCMD.name: 0}, own_bridge=True) == {}
-    missing = MissingCommands()
-    missing.add_commands(commands.publish_times)
-    missing.add_references([10**10])
-    assert len(missing._commands) <= 101
+    losses, step = Losses(), 10_000_000
+    for start in range(0, 10**10, 10 * step):
+        losses.add(LOWCMD.name, Batch(publish_times=list(range(start, start + 10 * step, step))))
+        assert losses.update({LOWCMD.name: 0}, own_bridge=True) == {}
+        assert len(losses._commands._commands) <= 110
+
+
+@pytest.mark.parametrize("commands", [LOWCMD, ARM_SDK])
+def test_a_command_that_only_its_reference_tells_of_is_lost(commands):
+    losses, step = Losses(), 2_000_000
+    times = [i * step for i in range(1000)]
+    arrived = Batch(publish_times=[time for time in times if time not in times[10:13]])
+    losses.add(commands.name, arrived)
+    references = batch(Reference(), range(1000))
+    references.publish_times = times
+    losses.add(REFERENCE.name, references)
+    lost = {LOWCMD.name: 0, ARM_SDK.name: 0, REFERENCE.name: 0}
+    assert losses.update(lost, own_bridge=True) == {commands.name: 3}
 
 
 def test_datagrams_that_the_kernel_discards_are_counted():

@@ -1,0 +1,101 @@
+"""The table of sources, and what a source of its own targets and gains gets out of the loop."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from g1stream.config import Config
+from g1stream.control.gains import Gains
+from g1stream.control.loop import make_loop
+from g1stream.control.plan import plan
+from g1stream.control.sources import SOURCES, HeldTorques, Source
+from g1stream.errors import ConfigError, MotionError
+from g1stream.types import Phase
+
+STREAM = {"support": "feet", "feedforward": "dynamics", "ramp": 0.2, "hold": 0.1, "damp": 0.5}
+CONFIG = Config.model_validate({"stream": STREAM})
+GAINS = Gains(np.full(29, 7.0), np.full(29, 0.5))
+
+
+class Policy(Source):
+    """Targets of its own at 50 Hz: 0.01 rad above those that it is given."""
+
+    gains = GAINS
+
+    def __init__(self, config, robot, *, simulated, complete):
+        assert (config.stream.support, simulated, complete) == ("feet", True, True)
+        self.computed, self._until, self._q = [], 0, None
+        self.seen = []
+
+    def change(self, motion):
+        if motion.n_frames > 100:
+            raise MotionError("It is too long.", "Trim it.")
+        return replace(motion, name="changed"), "as the policy knows it"
+
+    def observe(self, phase, measured, scale):
+        self.seen.append((phase, measured.received))
+
+    def command(self, moment):
+        if moment.measured.received >= self._until:
+            self._until = moment.measured.received + 20_000_000
+            self._q = moment.target.q + 0.01
+            self.computed.append(moment.phase)
+        return moment.target._replace(q=self._q, dq=np.zeros(29))
+
+
+@pytest.fixture
+def policy(monkeypatch):
+    module = ModuleType("g1stream.extras.made")
+    module.Policy = Policy
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    monkeypatch.setitem(SOURCES, "feet", "g1stream.extras.made:Policy")
+
+
+@pytest.mark.usefixtures("policy")
+def test_a_source_has_its_own_motion_gains_targets_and_rate(link, clock, motion, events):
+    planned = plan(motion, CONFIG)
+    assert planned.motion.name == "changed"
+    assert planned.gains is GAINS
+    assert planned.events[0][1] == "as the policy knows it"
+    make_loop(planned, link, clock).run()
+    playing = link.in_phase(Phase.PLAY)
+    for before, sent in zip(playing[:-10], playing[10:], strict=True):
+        assert sent.command.kp.tolist() == [7.0] * 29
+        assert not sent.command.dq.any()
+        # Computed within the last ten ticks, from a target that moves by up to 0.4 rad/s.
+        assert sent.command.q == pytest.approx(before.reference.q + 0.01, abs=0.0081)
+    assert planned.source.computed.count(Phase.PLAY) == len(playing) / 10
+    phases = [phase for phase, _ in planned.source.seen]
+    assert list(dict.fromkeys(phases)) == [Phase.RAMP, Phase.PLAY, Phase.HOLD, Phase.DAMP]
+
+
+@pytest.mark.usefixtures("policy")
+def test_a_source_refuses_a_motion_before_anything_is_sent(motion):
+    long = replace(
+        motion,
+        joint_pos=np.tile(motion.joint_pos, (5, 1)),
+        root_pos=np.tile(motion.root_pos, (5, 1)),
+        root_quat_wxyz=np.tile(motion.root_quat_wxyz, (5, 1)),
+    )
+    with pytest.raises(MotionError, match="too long"):
+        plan(long, CONFIG)
+
+
+def test_a_source_that_is_not_installed_is_named_with_its_extra(monkeypatch, motion):
+    monkeypatch.setitem(SOURCES, "feet", "g1stream.extras.nowhere.source:Policy")
+    with pytest.raises(ConfigError) as refused:
+        plan(motion, CONFIG)
+    assert "pip install 'g1stream[nowhere]'" in refused.value.remedy
+
+
+@pytest.mark.parametrize(
+    ("kind", "source"), [("none", Source), ("velocity", Source), (None, HeldTorques)]
+)
+def test_without_an_extra_torques_are_those_of_a_held_robot(motion, kind, source):
+    settings = Config.model_validate({"stream": {"feedforward": kind}})
+    assert type(plan(motion, settings).source) is source

@@ -6,16 +6,18 @@ import os
 import shutil
 import signal
 import sys
+from contextlib import contextmanager, suppress
 from difflib import get_close_matches
 from importlib import import_module
 from io import TextIOWrapper
+from pathlib import Path
 from textwrap import TextWrapper
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TextIO, cast
 
 from g1stream.errors import ConfigError, G1StreamError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from g1stream.cli.command import Command
 
@@ -124,18 +126,60 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):  # what the terminal's encoding lacks is escaped
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
+    output, errors = _Output(sys.stdout), _Output(sys.stderr)
+    sys.stdout, sys.stderr = cast("TextIO", output), cast("TextIO", errors)
     try:
         code = _run(arguments)
-        sys.stdout.flush()
     except KeyboardInterrupt:
         return 128 + signal.SIGINT
     except G1StreamError as error:
         print(_error_text(error), file=sys.stderr)
         return 2
-    except BrokenPipeError:  # as from `| head`: nobody reads on
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
-    return code
+    finally:
+        output.flush()
+        errors.flush()
+        sys.stdout, sys.stderr = output.stream, errors.stream
+    return code or int(output.failed)
+
+
+class _Output:
+    """Standard output or error that may be closed meanwhile, as a terminal: the program goes on.
+
+    Attributes:
+        stream: that is written to.
+        failed: whether something could not be written, but to a reader that reads no further.
+    """
+
+    def __init__(self, stream: TextIO | None) -> None:
+        # Without a descriptor, the next file that is opened would get it, and be printed into.
+        self.stream = stream or Path(os.devnull).open("w", encoding="utf-8")
+        self.failed = self._closed = False
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.stream, name)
+
+    def write(self, text: str) -> int:
+        if not self._closed:
+            with self._lenient():
+                return self.stream.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        if not self._closed:
+            with self._lenient():
+                self.stream.flush()
+
+    @contextmanager
+    def _lenient(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            self._closed, self.failed = True, not isinstance(error, BrokenPipeError)
+            if self.failed and sys.stderr is not self:
+                print(f"error: the output cannot be written: {error.strerror}", file=sys.stderr)
+            # What is buffered must not fail again at exit.
+            with suppress(OSError), Path(os.devnull).open("w") as nothing:
+                os.dup2(nothing.fileno(), self.stream.fileno())
 
 
 def _error_text(error: G1StreamError) -> str:

@@ -152,7 +152,7 @@ class _Output:
 
     def __init__(self, stream: TextIO | None) -> None:
         # Without a descriptor, the next file that is opened would get it, and be printed into.
-        self.stream = stream or Path(os.devnull).open("w", encoding="utf-8")
+        self.stream = stream or Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115
         self.failed = self._closed = False
 
     def __getattr__(self, name: str) -> Any:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 
 from g1stream.errors import RobotError
+from g1stream.robot.dynamics import InverseDynamics
 from g1stream.robot.model import G1
 from g1stream.robot.shapes import read_visuals
 from g1stream.robot.urdf import with_prefixed_links
@@ -51,6 +52,9 @@ EDITS = {
     "a joint that slides": (KNEE, KNEE.replace("revolute", "prismatic"), "left_knee_joint", "29"),
     "a floating base": (FIXED_LOGO, FIXED_LOGO.replace("fixed", "floating"), "is floating",
                         "moves freely"),
+    "a joint without limits": ('name="waist_yaw_joint" type="revolute"',
+                               'name="waist_yaw_joint" type="continuous"',
+                               "'waist_yaw_joint' is continuous", "revolute"),
     "a zero axis": ('<axis xyz="1 0 0"', '<axis xyz="0 0 0"', "[0. 0. 0.]", "length 1"),
     "a long axis": ('<axis xyz="1 0 0"', '<axis xyz="1 1 0"', "[1. 1. 0.]", "length 1"),
     "a short axis": ('<axis xyz="1 0 0"', '<axis xyz="1"', "xyz='1' in its <axis>", "3 finite"),
@@ -148,3 +152,24 @@ def test_links_for_a_viewer_have_the_names_of_their_frames_and_nothing_else_chan
     assert read_visuals(shown) == visuals
     assert "<collision" in robot.urdf
     assert "<collision" not in shown.urdf
+
+
+WORLD = """<link name="world"/><joint name="world_joint" type="{}">
+<origin xyz="0 0 0.8"/><parent link="world"/><child link="{}"/></joint>"""
+
+
+@pytest.mark.parametrize(
+    "above",
+    [
+        WORLD.format("fixed", "pelvis"),
+        WORLD.format("floating", "pelvis"),
+        WORLD.format("fixed", "base") + WORLD.replace("world", "base").format("fixed", "pelvis"),
+    ],
+    ids=["fixed", "floating", "two"],
+)
+def test_links_that_only_place_the_pelvis_are_left_out(robot, load, above):
+    placed = load(robot.urdf.replace('<link name="pelvis"', f'{above}<link name="pelvis"'))
+    assert placed.link_names == robot.link_names
+    assert placed.origin_pos.tolist() == robot.origin_pos.tolist()
+    assert "world" not in placed.urdf
+    assert InverseDynamics(placed).mass == pytest.approx(InverseDynamics(robot).mass)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import reduce
+from functools import partial, reduce
 from typing import TYPE_CHECKING, Final, Literal
 
 from g1stream.cli.command import Command
@@ -39,13 +39,13 @@ class MotionFlags(Command):
         None,
         "Frames per second of the motion file, or to sample a session at.",
         "HZ",
-        shown="what the file says; 30 for CSV",
+        shown="what the file says, or 30",
         gt=0,
     )
     joint_order: JointOrder | None = flag(
         None,
         "Order of the joints in a motion file that does not name them.",
-        shown="told by joint limits and bodies; motor order in a CSV file",
+        shown="told by bodies and joint limits",
     )
     trim: str = flag(
         ":",
@@ -73,8 +73,8 @@ class MotionFlags(Command):
         """
         from g1stream.motion.readers import load_motion
 
-        read = [load_motion(one, fps=self.fps, joint_order=self.joint_order) for one in motions]
-        return self.join(read, robot)
+        load = partial(load_motion, fps=self.fps, joint_order=self.joint_order, robot=robot)
+        return self.join(list(map(load, motions)), robot)
 
     def join(self, motions: Sequence[Motion], robot: G1 | None = None) -> Motion:
         """What the flags make of motions that are read.

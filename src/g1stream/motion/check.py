@@ -36,6 +36,9 @@ __all__ = [
 _LARGEST_ANGLE: Final = 4.0 * np.pi
 #: Larger numbers are no degrees either.
 _LARGEST_DEGREES: Final = 720.0
+#: No pelvis is so high for most of a motion, m; from the second on, it is in millimetres.
+_HIGHEST: Final = 10.0
+_MILLIMETRES: Final = 300.0
 #: A step from one frame to the next that is no movement of a joint, rad; a LAFAN1 dance has 1.08.
 _LARGE_STEP: Final = 0.5
 #: Of the G1 with all joints: what it touches and looks with. The lidar is in the head.
@@ -116,8 +119,8 @@ class MotionReport:
     operations: tuple[str, ...] = ()  # what was done to the motion in the file
     floor: float | None = None  # height at which its feet stand, m; None: none stands, or unknown
     dropped: Dropped | None = None  # joints that the robot does not have
-    in_radians: bool = True
-    suspicion: str = ""  # what a limit that is passed looks like: "frame 7 is a spike of 2.4 rad"
+    in_si_units: bool = True  # rad and m, as far as sizes say
+    suspicion: str = ""  # what a fault looks like: "frame 7 is a spike of 2.4 rad"
 
     @property
     def within_limits(self) -> bool:
@@ -126,6 +129,11 @@ class MotionReport:
         Targets that are held at a position limit between frames do not count: they are safe.
         """
         return not self.frames_beyond and not self.streamed.too_fast
+
+    @property
+    def passed(self) -> bool:
+        """Whether it is within the limits, and in radians and metres. Warnings do not count."""
+        return self.within_limits and self.in_si_units
 
 
 def _short(joints: tuple[str, ...]) -> str:
@@ -178,9 +186,9 @@ def check_motion(
     streamed = measure_limits(
         trajectory, robot, interval, rate=rate, position_margin=position_margin
     )
-    in_radians = float(np.abs(motion.joint_pos).max()) <= _LARGEST_ANGLE
-    suspicion = ""
-    if frames_beyond or streamed.too_fast:
+    wrong_unit = _wrong_unit(motion)
+    suspicion = wrong_unit
+    if not wrong_unit and (frames_beyond or streamed.too_fast):
         suspicion = _suspicion(motion, (*frames_beyond, *streamed.too_fast)[0])
     return MotionReport(
         name=motion.name,
@@ -197,21 +205,29 @@ def check_motion(
         operations=motion.operations,
         floor=_floor(motion, robot),
         dropped=dropped_joints(motion, robot),
-        in_radians=in_radians,
+        in_si_units=not wrong_unit,
         suspicion=suspicion,
     )
 
 
-def _suspicion(motion: Motion, worst: JointPeak) -> str:
-    """What a motion beyond a limit looks like, as far as that can be told; or ""."""
-    angles = motion.joint_pos
+def _wrong_unit(motion: Motion) -> str:
+    """In which unit angles or positions look, as their sizes say; or ""."""
+    angles, height = motion.joint_pos, float(np.median(motion.root_pos[:, 2]))
     row, column = divmod(int(np.abs(angles).argmax()), angles.shape[1])
     largest = f"{motion.joint_names[column]} is at {angles[row, column]:g} in frame {row}"
     if abs(angles[row, column]) > _LARGEST_DEGREES:
         return f"a cell were no angle: {largest}"
     if abs(angles[row, column]) > _LARGEST_ANGLE:
         return f"the angles were in degrees: {largest}"
-    one = angles[:, motion.joint_names.index(worst.joint)]
+    if abs(height) > _HIGHEST:
+        unit = "millimetres" if abs(height) > _MILLIMETRES else "centimetres"
+        return f"the positions were in {unit}: the pelvis is at a height of {height:.0f} m"
+    return ""
+
+
+def _suspicion(motion: Motion, worst: JointPeak) -> str:
+    """What a motion beyond a limit looks like, as far as that can be told; or ""."""
+    one = motion.joint_pos[:, motion.joint_names.index(worst.joint)]
     steps = np.diff(one)
     near = max(0, round(worst.time * motion.fps) - 2)
     frame = near + int(np.abs(steps[near : near + 4]).argmax()) if near < len(steps) else near

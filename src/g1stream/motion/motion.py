@@ -39,7 +39,7 @@ from g1stream.text import counted
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
     from matplotlib.figure import Figure
     from numpy.typing import ArrayLike, NDArray
@@ -55,7 +55,6 @@ __all__ = [
     "Motion",
     "check_fps",
     "height_of_floor",
-    "norm_warnings",
 ]
 
 MOTION_SUFFIXES: Final = (".csv", ".npz")
@@ -67,10 +66,6 @@ DEFAULT_FPS: Final = 30.0
 
 SMALLEST_QUAT: Final = 1e-6
 """A quaternion whose norm is not above this counts as zero."""
-#: Quaternion norms that differ from 1 by more than this give a warning; by more than the second
-#: they are no rounding error.
-_NORM_TOLERANCE: Final = 1e-3
-_NORM_ROUNDING: Final = 0.1
 #: Frames per second of a motion, lowest and highest.
 _FPS: Final = (1e-3, 1e6)
 #: A blend is no longer than this, s.
@@ -571,9 +566,8 @@ class Motion:
                 f"The motion {self.name} has {field} of shape {values.shape}.",
                 f"Give it shape {shape}, a row per frame.",
             )
-        valid = np.abs(values) <= NUMBER  # NaN is not
-        if not valid.all():
-            frame, column = np.argwhere(~valid)[0].tolist()
+        if not (values.min() >= -NUMBER and values.max() <= NUMBER):  # NaN is neither
+            frame, column = np.argwhere(~(np.abs(values) <= NUMBER))[0].tolist()
             raise MotionError(
                 f"The motion {self.name} has {values[frame, column]:g} in {field}, frame {frame}.",
                 f"Give it finite numbers, at most {NUMBER:g}.",
@@ -604,26 +598,6 @@ def check_fps(fps: float, name: str) -> None:
             f"The motion {name} cannot have {fps} frames per second.",
             f"Give a frame rate between {_FPS[0]:g} and {_FPS[1]:g}, such as 30.",
         )
-
-
-def norm_warnings(norms: Floats, name: str, where: Callable[[int], str]) -> tuple[str, ...]:
-    """A warning about quaternion norms (T,) that are not 1.
-
-    Args:
-        norms: of the frames.
-        name: of the file.
-        where: says where a frame is in the file.
-    """
-    off = np.abs(norms - 1.0)
-    worst = int(np.argmax(off))
-    if off[worst] <= _NORM_TOLERANCE:
-        return ()
-    doubt = "; that is no rounding error, check the file" if off[worst] > _NORM_ROUNDING else ""
-    return (
-        f"{name}: normalised {int((off > _NORM_TOLERANCE).sum())} of {len(norms)} quaternions, "
-        f"which were not unit. Furthest off is {where(worst)}, with norm "
-        f"{norms[worst]:.4g}{doubt}.",
-    )
 
 
 def _check_joint_names(name: str, joint_names: Sequence[str]) -> None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 from g1stream.errors import MotionError
 from g1stream.files import begins_with, is_session, read_file
-from g1stream.input_limits import MOTION_FILE
+from g1stream.input_limits import CSV_LINE, MOTION_FILE
 from g1stream.motion.check import MotionReport, check_motion
 from g1stream.motion.motion import Motion, check_fps
 from g1stream.optional import EXTENSIONS, load_object
@@ -36,6 +36,7 @@ __all__ = [
     "MotionReader",
     "check_motion_file",
     "find_motion",
+    "is_table",
     "load_motion",
 ]
 
@@ -56,8 +57,8 @@ class Evidence:
     Attributes:
         used: by subject, such as `joint order`, what in the file says it, and why.
         assumed: by subject, what was taken where the file does not say it.
-        not_used: columns and arrays of the file that are left out.
-        missing: joints and columns that the file lacks.
+        not_used: joints, columns and arrays of the file that are left out.
+        missing: joints that the file lacks, and that stay at 0.
         quat_norms: lowest and highest norm of the quaternions; None where there are none to read.
     """
 
@@ -76,7 +77,7 @@ class MotionReader(Protocol):
 
     @property
     def evidence(self) -> Evidence:
-        """What the file has; also of one whose numbers are wrong, as far as that can be told."""
+        """What the file has."""
 
     def motion(self) -> Motion:
         """The motion, its joints in motor order."""
@@ -91,6 +92,7 @@ class MotionFile:
         fps: frames per second; what the file says if None.
         joint_order: of the joints, where the file does not name them; told by evidence if None.
         member: the name of the motion, in a file of several.
+        robot: that plays it; where it has fewer joints, too, no warning names those in the file.
         data: its content, where that is not at the path.
     """
 
@@ -98,6 +100,7 @@ class MotionFile:
     fps: float | None = None
     joint_order: JointOrder | None = None
     member: str | None = None
+    robot: G1 | None = None
     data: bytes | None = None
 
     @cached_property
@@ -195,11 +198,12 @@ def _is_bag(file: MotionFile) -> bool:
     return any(begins_with(file.path, start) for start in starts)
 
 
-def _is_table(file: MotionFile) -> bool:
-    """Whether it says that it is a table, or its first line looks like one."""
+def is_table(file: MotionFile) -> bool:
+    """Whether it says that it is a table, or its first line looks like one; an empty file is."""
     named = file.path.suffix.lower() in (".csv", ".txt")
-    first = file.content.split(b"\n", 1)[0]
-    return (named or b"," in first or not file.content) and not file.content.startswith(_LFS)
+    binary = (b"PK", b"\x93NUMPY", b"\x80", *_COMPRESSED, _LFS)
+    first = file.content[:CSV_LINE].split(b"\n", 1)[0]
+    return (named or b"," in first or not first) and not file.content.startswith(binary)
 
 
 FORMATS: Final = (
@@ -208,7 +212,7 @@ FORMATS: Final = (
     Format("NPZ, file of PyTorch", _ARRAYS, _begins(b"PK"), several=True),
     Format("NPY", _ARRAYS, _begins(b"\x93NUMPY")),
     Format("pickle", _ARRAYS, _begins(b"\x80", *_COMPRESSED), several=True),
-    Format("CSV", "g1stream.motion.csv:CsvFile", _is_table),
+    Format("CSV", _ARRAYS, is_table),
 )
 """The formats that are read."""
 
@@ -218,6 +222,7 @@ def find_motion(
     *,
     fps: float | None = None,
     joint_order: JointOrder | None = None,
+    robot: G1 | None = None,
 ) -> MotionFile:
     """A motion file; arguments are those of `load_motion`."""
     path, member = Path(path_or_name), None
@@ -229,7 +234,7 @@ def find_motion(
             if Path(text[:at]).is_file() and not path.exists():
                 path, member = Path(text[:at]), text[at + 1 :]
                 break
-    return MotionFile(path, fps, joint_order, member)
+    return MotionFile(path, fps, joint_order, member, robot)
 
 
 def load_motion(
@@ -237,6 +242,7 @@ def load_motion(
     *,
     fps: float | None = None,
     joint_order: JointOrder | None = None,
+    robot: G1 | None = None,
 ) -> Motion:
     """Read a motion file, a session, a bag, or a bundled motion by its name (`demo`).
 
@@ -246,19 +252,22 @@ def load_motion(
             played; a bag with joint states; or the name of a bundled motion.
         fps: frames per second; what the file says if None, or 30 where it does not, as a CSV file
             cannot. A session is sampled at it, at the rate of its reference if None.
-        joint_order: of the joints where a file does not name them. If None, a CSV file without a
-            header is taken to be in motor order, and for arrays joint limits and bodies decide.
+        joint_order: of the joints where a file does not name them. If None, bodies and joint limits
+            decide; where they leave a choice, a CSV file is taken to be in motor order.
+        robot: that plays it; no warning says that the file lacks joints that the robot lacks, too.
 
     Returns:
         The motion, its joints in motor order whatever the order in the file, its quaternions unit.
-        Those that were off by more than 1e-3 give a warning in `Motion.warnings`.
+        `Motion.warnings` say what is not used, filled in or corrected.
 
     Raises:
-        MotionError: there is no such file, or something in it is wrong; names line and column.
+        MotionError: there is no such file, something in it is wrong, or the order of the joints
+            cannot be told.
         RecordingError: the session is damaged, or no motion was played in it.
         ConfigError: an extra that reads it is not installed.
     """
-    return find_motion(path_or_name, fps=fps, joint_order=joint_order).open().motion()
+    file = find_motion(path_or_name, fps=fps, joint_order=joint_order, robot=robot)
+    return file.open().motion()
 
 
 @dataclass(frozen=True)
@@ -267,22 +276,13 @@ class FileReport:
 
     Attributes:
         path: of the file, or the name of motions that were joined.
-        evidence: what the file has; None where not even that can be told, or of joined motions.
-        motion: None where the file is not a motion.
-        fault: why it is not, in a sentence.
-        remedy: what to do, in a sentence.
+        motion: what it asks of the robot.
+        evidence: what the file has; None of joined motions.
     """
 
     path: Path
+    motion: MotionReport
     evidence: Evidence | None = None
-    motion: MotionReport | None = None
-    fault: str = ""
-    remedy: str = ""
-
-    @property
-    def passed(self) -> bool:
-        """Whether this is a motion of the robot, within its limits. Warnings do not count."""
-        return bool(self.motion and self.motion.within_limits)
 
 
 def check_motion_file(
@@ -295,7 +295,7 @@ def check_motion_file(
     rate: float = STREAM_RATE,
     position_margin: float = 0.0,
 ) -> FileReport:
-    """Check what `load_motion` reads, without raising for a fault in its content.
+    """Check what `load_motion` reads; it raises what that raises.
 
     Args:
         path_or_name: as for `load_motion`.
@@ -305,19 +305,9 @@ def check_motion_file(
         change: what it makes of the motion is checked.
         rate: joint targets per second when it is streamed, Hz.
         position_margin: rad, kept from position limits when it is streamed.
-
-    Raises:
-        MotionError: there is no such file, it is empty or in no format that is read; or `fps` is
-            not a frame rate.
-        RecordingError: the session is damaged, or no motion was played in it.
-        ConfigError: an extra that reads it is not installed.
     """
-    file = find_motion(path_or_name, fps=fps, joint_order=joint_order)
-    reader, report = file.open(), FileReport(file.path)
-    try:
-        report = replace(report, evidence=reader.evidence)
-        motion = change(reader.motion())
-    except MotionError as error:
-        return replace(report, fault=error.cause, remedy=error.remedy)
+    file = find_motion(path_or_name, fps=fps, joint_order=joint_order, robot=robot)
+    reader = file.open()
+    evidence, motion = reader.evidence, change(reader.motion())
     checked = check_motion(motion, robot, rate=rate, position_margin=position_margin)
-    return replace(report, motion=checked)
+    return FileReport(file.path, checked, evidence)

@@ -14,19 +14,12 @@ from g1stream.errors import G1StreamError, MotionError, RecordingError
 from g1stream.motion.motion import Motion, height_of_floor
 from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
-from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, MIRROR_SIGN, MIRRORED_JOINT
+from g1stream.robot.joints import JOINT_NAMES, MIRROR_SIGN, MIRRORED_JOINT
 from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1, REVISIONS
 from g1stream.robot.rotations import yaw_of
 
 KNEE = JOINT_NAMES.index("left_knee_joint")
-
-
-def test_length_and_repr(make_motion):
-    motion = make_motion(np.zeros((61, 1)), fps=30.0)
-    assert motion.n_frames == 61
-    assert motion.duration == 2.0
-    assert repr(motion) == "Motion(name='made', fps=30, n_frames=61, duration=2.00 s)"
 
 
 def test_arrays_are_read_only_copies(make_motion):
@@ -169,27 +162,6 @@ def test_save_to_an_invalid_path(wild_motion, tmp_path, name):
     with pytest.raises(G1StreamError, match=name.split("/")[0]):
         wild_motion.save(tmp_path / name)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_plot_of_some_joints(wild_motion):
-    (axis,) = wild_motion.plot(["left_knee_joint", "waist_yaw_joint"]).axes
-    assert (axis.get_xlabel(), axis.get_ylabel()) == ("time (s)", "angle (rad)")
-    knee, waist = axis.lines
-    assert (knee.get_label(), waist.get_label()) == ("left_knee_joint", "waist_yaw_joint")
-    np.testing.assert_array_equal(knee.get_xdata(), np.arange(40) / 30)
-    np.testing.assert_array_equal(knee.get_ydata(), wild_motion.joint_pos[:, KNEE])
-
-
-def test_a_plot_of_all_joints_has_a_diagram_per_limb(wild_motion):
-    axes = wild_motion.plot().axes
-    assert [axis.get_title() for axis in axes] == [limb.replace("_", " ") for limb in JOINT_GROUPS]
-    assert [line.get_label() for axis in axes for line in axis.lines] == list(JOINT_NAMES)
-    assert axes[-1].get_xlabel() == "time (s)"
-
-
-def test_a_plot_of_an_unknown_joint(wild_motion):
-    with pytest.raises(MotionError, match=r"tail_joint.*left_knee_joint"):
-        wild_motion.plot(["tail_joint"])
 
 
 def test_importing_the_room_is_cheap():

@@ -39,24 +39,23 @@ def write(tmp_path):
 
 
 def test_a_session_is_checked_as_the_motion_that_was_played(write):
-    path = write()
-    report = check_motion_file(path, ROBOT)
-    assert (report.path, report.fault) == (path, "")
-    assert report.evidence.used["file"].startswith("a session")
-    assert (report.motion.n_frames, report.motion.fps) == (100, 500.0)
-    assert report.motion.streamed.speeds[0].joint == "left_knee_joint"
-    assert report.motion.streamed.speeds[0].value == pytest.approx(0.5)
+    evidence, report = check_motion_file(write(), ROBOT)
+    assert evidence.used["file"].startswith("a session")
+    assert (report.n_frames, report.fps) == (100, 500.0)
+    assert report.streamed.speeds[0].joint == "left_knee_joint"
+    assert report.streamed.speeds[0].value == pytest.approx(0.5)
     assert report.passed
 
 
 def test_a_session_beyond_a_limit_fails(write):
-    report = check_motion_file(write(begin=ROBOT.upper[KNEE]), ROBOT)
-    assert report.motion.frames_beyond[0].count == 99
+    _, report = check_motion_file(write(begin=ROBOT.upper[KNEE]), ROBOT)
+    assert report.frames_beyond[0].count == 99
     assert not report.passed
 
 
 def test_the_frame_rate_is_as_given(write):
-    assert check_motion_file(write(), ROBOT, fps=100.0).motion.fps == 100.0
+    _, report = check_motion_file(write(), ROBOT, fps=100.0)
+    assert report.fps == 100.0
 
 
 def test_a_session_in_which_nothing_was_played_is_an_error(write):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from g1stream.cli.command import (
@@ -20,7 +19,7 @@ from g1stream.text import counted, labelled, listed
 
 if TYPE_CHECKING:
     from g1stream.motion.check import MotionReport
-    from g1stream.motion.readers import Evidence, FileReport
+    from g1stream.motion.readers import Evidence
 
 __all__ = ["Inspect", "render"]
 
@@ -52,14 +51,14 @@ class Inspect(SettingsCommand, MotionFlags):
     def run(self) -> int:
         """Print the report, and return the exit code."""
         from g1stream.motion.check import check_motion
-        from g1stream.motion.readers import FileReport, check_motion_file
+        from g1stream.motion.readers import check_motion_file
         from g1stream.robot.model import G1
 
         config = self.resolve()
         robot = G1.load(config.robot, own_limits=config.safety.urdf_limits)
         rate, margin = config.stream.rate, config.safety.position_margin
         if len(self.motions) == 1:
-            report = check_motion_file(
+            evidence, report = check_motion_file(
                 self.motions[0],
                 robot,
                 fps=self.fps,
@@ -69,40 +68,36 @@ class Inspect(SettingsCommand, MotionFlags):
                 position_margin=margin,
             )
         else:
-            motion = check_motion(
-                self.load(self.motions, robot), robot, rate=rate, position_margin=margin
-            )
-            report = FileReport(Path(motion.name), motion)
+            evidence, motion = None, self.load(self.motions, robot)
+            report = check_motion(motion, robot, rate=rate, position_margin=margin)
         if robot.warning:
             print_warning(robot.warning)
         if self.json:
-            print_json(_as_dict(report))
+            print_json(_as_dict(report, evidence))
         else:
-            print_lines(render(report, config.safety.max_tilt))
-        return EXIT_OK if report.motion.passed else EXIT_STOPPED
+            print_lines(render(report, evidence, config.safety.max_tilt))
+        return EXIT_OK if report.passed else EXIT_STOPPED
 
 
-def _as_dict(report: FileReport) -> dict[str, Any]:
-    """The motion's values; under `file` those of the file."""
-    file = {**asdict(report), "path": str(report.path)}
-    values, motion = file.pop("motion"), report.motion
-    about = {"n_held": motion.streamed.n_held, "within_limits": motion.within_limits}
-    return {**values, **about, "file": file}
+def _as_dict(report: MotionReport, evidence: Evidence | None) -> dict[str, Any]:
+    """The motion's values; under `file` what the file has."""
+    more = {"n_held": report.streamed.n_held, "within_limits": report.within_limits}
+    return {**asdict(report), **more, "file": evidence and asdict(evidence)}
 
 
-def render(report: FileReport, max_tilt: float) -> str:
+def render(report: MotionReport, evidence: Evidence | None, max_tilt: float) -> str:
     """The report as text.
 
     Args:
-        report: of the file.
+        report: on the motion.
+        evidence: what its file has; None of joined motions.
         max_tilt: pelvis tilt that ends a run, rad.
     """
-    motion = report.motion
-    lines = [motion.name]
-    if motion.suspicion:  # first: it explains the figures below
-        lines.append(_line("problem", f"It looks as if {motion.suspicion}."))
-    lines += _evidence_lines(report.evidence) if report.evidence else []
-    return "\n".join([*lines, *_motion_lines(motion), *_result_lines(motion, max_tilt)])
+    lines = [report.name]
+    if report.suspicion:  # first: it explains the figures below
+        lines.append(_line("problem", f"It looks as if {report.suspicion}."))
+    lines += _evidence_lines(evidence) if evidence else []
+    return "\n".join([*lines, *_motion_lines(report), *_result_lines(report, max_tilt)])
 
 
 def _evidence_lines(evidence: Evidence) -> list[str]:
@@ -111,9 +106,6 @@ def _evidence_lines(evidence: Evidence) -> list[str]:
     lines += [_line(subject, f"{text}, assumed") for subject, text in evidence.assumed.items()]
     for label, names in (("not used", evidence.not_used), ("not in the file", evidence.missing)):
         lines += [_line(label, listed(names))] * bool(names)
-    if evidence.quat_norms:
-        lowest, highest = evidence.quat_norms
-        lines.append(_line("quaternion norm", f"{lowest:.6f} to {highest:.6f}"))
     return lines
 
 

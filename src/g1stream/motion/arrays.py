@@ -206,17 +206,10 @@ class ArrayFile:
             used["frame rate"] = f"{self._fps:g} fps, as the file says"
         elif self._file.fps is None:
             assumed["frame rate"] = f"{DEFAULT_FPS:g} fps"
-        norms = np.linalg.norm(root.quat_wxyz, axis=1) if root else None
         kind = self._kind
         if not self._first_line:
             kind += f" with {listed([name for name in self._read if name in self._arrays])}"
-        return Evidence(
-            {"file": kind, **used},
-            assumed,
-            self._not_used,
-            self._absent,
-            None if norms is None else (float(norms.min()), float(norms.max())),
-        )
+        return Evidence({"file": kind, **used}, assumed, self._not_used, self._absent)
 
     def _warnings(self) -> Iterable[str]:
         """What is not used, filled in or corrected, a sentence each."""

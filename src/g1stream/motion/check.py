@@ -181,8 +181,9 @@ def check_motion(
         trajectory: through its frames, which repeats if the motion does; made if None.
         interval: the part whose limits count; all of it if None.
     """
-    trajectory = trajectory or Trajectory(motion)
     frames_beyond, fastest = frame_peaks(motion, robot, interval)
+    largest_step, floor = _largest_step(motion), _floor(motion, robot)
+    trajectory = trajectory or Trajectory(motion)
     streamed = measure_limits(
         trajectory, robot, interval, rate=rate, position_margin=position_margin
     )
@@ -198,12 +199,12 @@ def check_motion(
         frames_beyond=frames_beyond,
         fastest=fastest,
         streamed=streamed,
-        largest_step=_largest_step(motion),
+        largest_step=largest_step,
         root=_root_travel(motion),
         groups={name: _range(motion.joint_pos[:, joints]) for name, joints in JOINT_GROUPS.items()},
         warnings=motion.warnings,
         operations=motion.operations,
-        floor=_floor(motion, robot),
+        floor=floor,
         dropped=dropped_joints(motion, robot),
         in_si_units=not wrong_unit,
         suspicion=suspicion,
@@ -245,7 +246,8 @@ def _suspicion(motion: Motion, worst: JointPeak) -> str:
 
 
 def _largest_step(motion: Motion) -> JointStep:
-    steps = np.abs(np.diff(motion.joint_pos, axis=0))
+    steps = np.diff(motion.joint_pos, axis=0)
+    np.abs(steps, out=steps)
     frame, joint = divmod(int(steps.argmax()), steps.shape[1])
     return JointStep(motion.joint_names[joint], frame, float(steps[frame, joint]))
 

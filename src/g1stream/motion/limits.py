@@ -192,20 +192,37 @@ def measure_limits(
         return positions, speeds
 
     # Only segments that may have a peak, or a target beyond a limit, are sampled.
-    bounds = [
-        np.hstack([np.maximum(lower - lowest, highest - upper), fastest - robot.velocity])
-        for lowest, highest, fastest in trajectory.joint_bounds()
-    ]
-    beyond = np.concatenate(bounds)
-    played, likely = np.zeros((2, len(beyond)), dtype=np.bool_)
+    played, likely = np.zeros((2, trajectory.n_segments), dtype=np.bool_)
     for times in _target_times(trajectory, interval, rate):
         played[trajectory.segments_at(times)] = True
-    beyond[~played] = -np.inf
-    likely[beyond.argmax(axis=0)] = True
+
+    def bounds() -> Iterator[tuple[int, Floats]]:
+        """How far segments may be beyond each limit, some at a time, with the number of the first.
+
+        They are computed twice, as all together they would take as much memory as the motion.
+        """
+        first = 0
+        for lowest, highest, fastest in trajectory.joint_bounds():
+            limits = np.maximum(lower - lowest, highest - upper), fastest - robot.velocity
+            beyond = np.where(
+                played[first : first + len(fastest), None], np.hstack(limits), -np.inf
+            )
+            yield first, beyond
+            first += len(beyond)
+
+    highest = np.full(2 * len(lower), -np.inf)
+    segments = np.zeros(len(highest), dtype=np.intp)
+    for first, beyond in bounds():
+        higher = beyond.max(axis=0) > highest
+        highest[higher] = beyond.max(axis=0)[higher]
+        segments[higher] = first + beyond.argmax(axis=0)[higher]
+    likely[segments] = True
     reached = np.concatenate([peaks.excess for peaks in peaks_in(likely)])
     # Nor is one that has the same peak again: a joint that rests would have it everywhere.
     worth = np.minimum(reached + _ROUNDING, POSITION_TOLERANCE)
-    positions, speeds = peaks_in(likely | (beyond > worth).any(axis=1))
+    for first, beyond in bounds():
+        likely[first : first + len(beyond)] |= (beyond > worth).any(axis=1)
+    positions, speeds = peaks_in(likely)
     return LimitReport(
         motion=motion.name,
         duration=motion.duration,
@@ -229,7 +246,10 @@ def frame_peaks(
     played = slice(frames.start, frames.stop)
     positions.update(times[played], motion.joint_pos[played])
     speeds = _Peaks(robot, -robot.velocity, robot.velocity)
-    speeds.update(times, np.abs(np.gradient(motion.joint_pos, axis=0)) * motion.fps)
+    steps = np.gradient(motion.joint_pos, axis=0)
+    np.abs(steps, out=steps)
+    steps *= motion.fps
+    speeds.update(times, steps)
     return positions.beyond(), max(speeds.all(), key=lambda speed: speed.value)
 
 

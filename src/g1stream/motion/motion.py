@@ -18,7 +18,6 @@ from g1stream.input_limits import NUMBER
 from g1stream.motion.blend import COAST, blend_frames
 from g1stream.motion.spline import REACH, Spline
 from g1stream.robot.joints import (
-    JOINT_GROUPS,
     JOINT_NAMES,
     MIRROR_SIGN,
     MIRRORED_JOINT,
@@ -41,7 +40,6 @@ if TYPE_CHECKING:
     import os
     from collections.abc import Iterator, Sequence
 
-    from matplotlib.figure import Figure
     from numpy.typing import ArrayLike, NDArray
 
     from g1stream.motion.spline import TrajectoryPoint
@@ -462,46 +460,6 @@ class Motion:
             root_pos=np.concatenate([self.root_pos, pos.reshape(-1, 3)]),
             root_quat_wxyz=np.concatenate([self.root_quat_wxyz, quat.reshape(-1, 4)]),
         )
-
-    def plot(self, joints: Sequence[str] | None = None) -> Figure:
-        """Draw joint angles over time.
-
-        Args:
-            joints: names of the joints to draw, in one diagram; if None all joints, in a diagram
-                per limb.
-
-        Returns:
-            A matplotlib figure, time in s and angles in rad; its `savefig` writes a file.
-
-        Raises:
-            MotionError: the motion does not have one of the joints.
-        """
-        from matplotlib.figure import Figure
-
-        unknown = [joint for joint in joints or () if joint not in JOINT_NAMES]
-        if unknown:
-            raise MotionError(
-                f"The motion {self.name} has no joint {', '.join(unknown)}.",
-                f"Its joints are {', '.join(JOINT_NAMES)}.",
-            )
-        panels = {
-            limb.replace("_", " "): [JOINT_NAMES[i] for i in motors]
-            for limb, motors in JOINT_GROUPS.items()
-        }
-        if joints is not None:
-            panels = {"": list(joints)}
-        figure = Figure(figsize=(9.0, 1.0 + 2.4 * len(panels)), layout="constrained")
-        figure.suptitle(self.name)
-        times = np.arange(self.n_frames) / self.fps
-        axes = figure.subplots(len(panels), sharex=True, squeeze=False)[:, 0]
-        for axis, (limb, names) in zip(axes, panels.items(), strict=True):
-            for joint in names:
-                axis.plot(times, self.joint_pos[:, JOINT_NAMES.index(joint)], label=joint)
-            axis.set(title=limb, ylabel="angle (rad)")
-            axis.grid(alpha=0.3)
-            axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize="small")
-        axes[-1].set_xlabel("time (s)")
-        return figure
 
     def save(self, path: str | os.PathLike[str], *, force: bool = False) -> Path:
         """Write a CSV or NPZ file that `load_motion` reads back to the last bit.

@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 __all__ = [
     "BUNDLED_MOTIONS",
     "Evidence",
-    "FileReport",
     "MotionFile",
     "MotionReader",
     "check_motion_file",
@@ -59,14 +58,12 @@ class Evidence:
         assumed: by subject, what was taken where the file does not say it.
         not_used: joints, columns and arrays of the file that are left out.
         missing: joints that the file lacks, and that stay at 0.
-        quat_norms: lowest and highest norm of the quaternions; None where there are none to read.
     """
 
     used: Mapping[str, str]
     assumed: Mapping[str, str] = field(default_factory=dict)
     not_used: tuple[str, ...] = ()
     missing: tuple[str, ...] = ()
-    quat_norms: tuple[float, float] | None = None
 
 
 class MotionReader(Protocol):
@@ -270,21 +267,6 @@ def load_motion(
     return file.open().motion()
 
 
-@dataclass(frozen=True)
-class FileReport:
-    """What is in a motion file, and what its motion asks of a robot.
-
-    Attributes:
-        path: of the file, or the name of motions that were joined.
-        motion: what it asks of the robot.
-        evidence: what the file has; None of joined motions.
-    """
-
-    path: Path
-    motion: MotionReport
-    evidence: Evidence | None = None
-
-
 def check_motion_file(
     path_or_name: str | os.PathLike[str],
     robot: G1,
@@ -294,8 +276,8 @@ def check_motion_file(
     change: Callable[[Motion], Motion] = lambda motion: motion,
     rate: float = STREAM_RATE,
     position_margin: float = 0.0,
-) -> FileReport:
-    """Check what `load_motion` reads; it raises what that raises.
+) -> tuple[Evidence, MotionReport]:
+    """What is in a file, and what its motion asks of a robot; raises what `load_motion` raises.
 
     Args:
         path_or_name: as for `load_motion`.
@@ -309,5 +291,5 @@ def check_motion_file(
     file = find_motion(path_or_name, fps=fps, joint_order=joint_order, robot=robot)
     reader = file.open()
     evidence, motion = reader.evidence, change(reader.motion())
-    checked = check_motion(motion, robot, rate=rate, position_margin=position_margin)
-    return FileReport(file.path, checked, evidence)
+    del file, reader  # which have the content of the file
+    return evidence, check_motion(motion, robot, rate=rate, position_margin=position_margin)

@@ -97,6 +97,7 @@ class Spline:
         duration: s, from frame 0 to the last frame.
         period: s, from frame 0 to the next frame 0 of a loop: `duration` and the seam; without a
             loop the same as `duration`.
+        n_segments: cubics, each from one frame to the next.
     """
 
     def __init__(
@@ -110,30 +111,31 @@ class Spline:
     ) -> None:
         self.fps, self.loop = fps, loop
         self.duration = (len(joint_pos) - 1) / fps
-        linear, quat = np.hstack([joint_pos, root_pos]), np.asarray(root_quat_wxyz)
+        frames = np.asarray(root_quat_wxyz), joint_pos, root_pos
         n_wrap = 0
         if loop:
             n_wrap = REACH
-            linear, quat = seam_frames(linear, quat, fps)
+            linear, quat = seam_frames(np.hstack([joint_pos, root_pos]), frames[0], fps)
             around = np.arange(-n_wrap, len(linear) + n_wrap + 1) % len(linear)
             linear, quat = linear[around], quat[around]
-        coefficients = _in_parts(_fit, fps, linear, quat)
+            frames = quat, linear[:, :N_JOINTS], linear[:, N_JOINTS:]
+        coefficients = _in_parts(_fit, fps, *frames)
         own = slice(n_wrap, len(coefficients) - n_wrap)
         self._coefficients = np.ascontiguousarray(coefficients[own])
-        self._quats = np.ascontiguousarray(quat[:-1][own])
-        self._n_segments = len(self._coefficients)
-        self.period = self._n_segments / fps
+        self._quats = np.ascontiguousarray(frames[0][:-1][own])
+        self.n_segments = len(self._coefficients)
+        self.period = self.n_segments / fps
 
     def _refit(self, joint_pos: Floats, root_pos: Floats) -> None:
         """Take other joints and root positions, (T, 29) and (T, 3), and keep the orientations."""
-        fitted = _in_parts(_fit_linear, self.fps, np.hstack([joint_pos, root_pos]))
+        fitted = _in_parts(_fit_linear, self.fps, joint_pos, root_pos)
         self._coefficients = np.concatenate([fitted, self._coefficients[..., -3:]], axis=-1)
 
     def sample(self, t: float) -> TrajectoryPoint:
         """The reference at time `t`, s. Takes some 20 us, for use in a control loop."""
         inside = t >= 0 if self.loop else 0 <= t <= self.period
         t = t % self.period if self.loop and inside else min(max(t, 0.0), self.period)
-        k = min(int(t * self.fps), self._n_segments - 1)
+        k = min(int(t * self.fps), self.n_segments - 1)
         s = t - k / self.fps
         moving = 1.0 if inside else 0.0
         basis = np.array(
@@ -186,7 +188,7 @@ class Spline:
             Lowest and highest positions, rad, and highest speeds, rad/s, (N, 29) each.
         """
         h = 1.0 / self.fps
-        for first in range(0, self._n_segments, BLOCK):
+        for first in range(0, self.n_segments, BLOCK):
             of_joints = self._coefficients[first : first + BLOCK, :, :N_JOINTS]
             cubic, square, slope, start = of_joints.transpose(1, 0, 2)
             rise, bend = h / 3.0 * slope, h * h / 3.0 * square
@@ -205,7 +207,7 @@ class Spline:
         t = np.asarray(times, dtype=np.float64)
         inside = t >= 0 if self.loop else (t >= 0) & (t <= self.period)
         t = np.where(inside & self.loop, t % self.period, np.clip(t, 0.0, self.period))
-        k = np.minimum((t * self.fps).astype(np.intp), self._n_segments - 1)
+        k = np.minimum((t * self.fps).astype(np.intp), self.n_segments - 1)
         return inside, k, t - k / self.fps
 
     def _point(self, value: Floats, *rotation: Floats) -> TrajectoryPoint:
@@ -225,33 +227,37 @@ def _in_parts(fit: Callable[..., Floats], fps: float, *frames: Floats) -> Floats
         fps: frames per second.
         frames: arrays (T, ...) that `fit` is called with.
     """
-    parts = []
-    for first in range(0, len(frames[0]) - 1, BLOCK):
+    n_segments, cubics = len(frames[0]) - 1, np.empty(0)
+    for first in range(0, n_segments, BLOCK):
         lowest = max(0, first - REACH)
         fitted = fit(fps, *(values[lowest : first + BLOCK + REACH + 1] for values in frames))
-        parts.append(np.moveaxis(fitted, 0, 1)[first - lowest :][:BLOCK])
-    return np.concatenate(parts)
+        part = np.moveaxis(fitted, 0, 1)[first - lowest :][:BLOCK]
+        if not first:
+            cubics = np.empty((n_segments, *part.shape[1:]))
+        cubics[first : first + len(part)] = part
+    return cubics
 
 
-def _fit(fps: float, linear: Floats, quat: Floats) -> Floats:
-    """Cubics between frames: linear (T, D), quat wxyz (T, 4) -> coefficients (4, T - 1, D + 3).
+def _fit(fps: float, quat: Floats, *linear: Floats) -> Floats:
+    """Cubics between frames: quat wxyz (T, 4), linear (T, ...) -> coefficients (4, T - 1, D + 3).
 
     The last three columns are the rotation vector from the first frame of the segment, in the axes
     of that frame.
     """
     from scipy.spatial.transform import Rotation, RotationSpline
 
-    times = np.arange(len(linear)) / fps
+    times = np.arange(len(quat)) / fps
     rotations = Rotation.from_quat(xyzw_from_wxyz(quat))
     rotation_vectors = RotationSpline(times, rotations).interpolator.c
-    return np.concatenate([_fit_linear(fps, linear), rotation_vectors], axis=-1)
+    return np.concatenate([_fit_linear(fps, *linear), rotation_vectors], axis=-1)
 
 
-def _fit_linear(fps: float, linear: Floats) -> Floats:
-    """The natural cubics through (T, D): coefficients (4, T - 1, D)."""
+def _fit_linear(fps: float, *linear: Floats) -> Floats:
+    """The natural cubics through arrays (T, ...) side by side: coefficients (4, T - 1, D)."""
     from scipy.interpolate import CubicSpline
 
-    powers_first: Floats = CubicSpline(np.arange(len(linear)) / fps, linear, bc_type="natural").c
+    values = np.hstack(linear)
+    powers_first: Floats = CubicSpline(np.arange(len(values)) / fps, values, bc_type="natural").c
     return powers_first
 
 

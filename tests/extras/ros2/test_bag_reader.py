@@ -108,9 +108,9 @@ def test_a_bag_of_ros(tmp_path, motion, joints, transforms, storage):
         np.testing.assert_array_equal(found.joint_pos, motion.joint_pos)
         np.testing.assert_array_equal(found.root_pos, motion.root_pos)
         np.testing.assert_allclose(found.root_quat_wxyz, motion.root_quat_wxyz, atol=1e-15)
-    report = check_motion_file(directory, g1stream.G1.default())
-    assert "/joint_states" in report.evidence.used["file"]
-    assert "pelvis in odom" in report.evidence.used["pelvis"]
+    evidence, _ = check_motion_file(directory, g1stream.G1.default())
+    assert "/joint_states" in evidence.used["file"]
+    assert "pelvis in odom" in evidence.used["pelvis"]
 
 
 @pytest.mark.parametrize(

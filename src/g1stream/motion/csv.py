@@ -44,6 +44,8 @@ _OTHER_NAMES: Final = {
 #: In the names of columns with Euler angles.
 _EULER: Final = ("rotate", "euler", "roll", "pitch", "yaw", "rpy")
 _JOINTS: Final = frozenset(JOINT_NAMES)
+#: Lines in which the first row of numbers is.
+_HEADER: Final = 1000
 _BOM: Final = b"\xef\xbb\xbf"
 _LAYOUT: Final = (
     f"Name the columns {','.join(ROOT_COLUMNS[1:])} and the {len(JOINT_NAMES)} joints in the first "
@@ -93,7 +95,7 @@ class _Reader:
             self._end = start + len(tail)
         header, self._named, line = "", False, ""
         self._columns: tuple[str, ...] = ()
-        for number, line in enumerate(self._lines(), 1):
+        for number, line in enumerate(islice(self._lines(), _HEADER), 1):
             self._first_line = number
             comment = line.startswith("#")
             if not comment and (self._named or any(map(_is_number, _cells(line)))):

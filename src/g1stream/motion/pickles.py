@@ -26,10 +26,10 @@ if TYPE_CHECKING:
 
 __all__ = ["Unread", "read_pickle", "read_torch"]
 
-#: How deep arrays are in containers, and the bytes that any value in one takes.
+#: How deep arrays are in containers; bytes that any value in one, and any kind of object, counts as.
 _DEPTH: Final = 4
 _VALUE: Final = UNPACKED // PICKLE_VALUES
-_CLASS: Final = 2000
+_KIND: Final = UNPACKED // 1000
 #: The types of numbers and texts that arrays may have; texts may be Python objects.
 _DTYPE: Final = re.compile(r"[<>|=]?([biufSU][0-9]{1,5}|O8?)")
 _STORAGES: Final = {
@@ -115,7 +115,7 @@ class _Unpickler(pickle.Unpickler):
     def find_class(self, module: str, name: str) -> Any:
         key = module.replace("._core.", ".core."), name
         if key not in self._classes:
-            self.charge(_CLASS)
+            self.charge(_KIND)
             stand_in = _Storage if module == "torch" and name in _STORAGES else _Other
             # Classes of its own, as a pickle may set attributes of what it finds.
             members = {"source": self, "full_name": f"{module}.{name}"}

@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from g1stream.errors import G1StreamError, MotionError, RecordingError
+from g1stream.errors import G1StreamError, MotionError
 from g1stream.motion.motion import Motion, height_of_floor
 from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
@@ -134,27 +134,6 @@ def test_resampled_frames_are_those_of_the_trajectory(wild_motion, fps, n_frames
 def test_invalid_frame_rates_to_resample_at(wild_motion, fps):
     with pytest.raises(MotionError, match="made"):
         wild_motion.resample(fps)
-
-
-def test_a_saved_motion_is_read_back_to_the_last_bit(wild_motion, tmp_path):
-    path = tmp_path / "walk.csv"
-    motion = wild_motion.resample(47.0)
-    assert motion.save(path) == path
-    assert len(path.read_text().splitlines()[0].split(",")) == 37
-    loaded = load_motion(path, fps=motion.fps)
-    assert (loaded.name, loaded.fps, loaded.warnings) == ("walk", 47.0, ())
-    for field in ("joint_pos", "root_pos", "root_quat_wxyz"):
-        np.testing.assert_array_equal(getattr(loaded, field), getattr(motion, field))
-
-
-def test_save_replaces_a_file_only_with_force(wild_motion, tmp_path):
-    path = tmp_path / "walk.csv"
-    path.write_text("precious")
-    with pytest.raises(RecordingError, match=r"walk\.csv"):
-        wild_motion.save(path)
-    assert path.read_text() == "precious"
-    wild_motion.save(path, force=True)
-    assert load_motion(path).n_frames == 40
 
 
 @pytest.mark.parametrize("name", ["walk.bvh", "missing/walk.csv"])
@@ -362,14 +341,6 @@ def test_feet_are_put_on_the_floor_by_the_robot_that_is_given(demo):
     put = demo.on_floor(tall)
     assert height_of_floor(put, tall) == pytest.approx(0.0, abs=1e-9)
     assert abs(height_of_floor(put, G1.default())) > 0.01
-
-
-def test_frames_and_another_rate_are_named(demo):
-    assert demo.frames(0, demo.n_frames).operations == ()
-    assert demo.frames(3, 40).resample(50).operations == (
-        "cut to frames 3 to 40",
-        "resampled to 50 fps",
-    )
 
 
 def test_a_motion_in_the_air_is_not_put_on_the_floor(make_motion):

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Unread", "read_pickle", "read_torch"]
 
-#: How deep arrays are in containers; bytes that any value in one, and any kind of object, counts as.
+#: How deep arrays are in containers; bytes that a value in one, or a kind of object, counts as.
 _DEPTH: Final = 4
 _VALUE: Final = UNPACKED // PICKLE_VALUES
 _KIND: Final = UNPACKED // 1000

@@ -186,26 +186,8 @@ def test_a_robot_with_all_joints_drops_none():
     assert dropped_joints(load_motion("demo"), G1.default()) is None
 
 
-def test_joints_that_do_not_move_are_named_and_not_missed(rest):
-    found = dropped_joints(bent(rest, "left_knee_joint", 1.0), G1.load("g1_23dof"))
+@pytest.mark.parametrize("joint", ["left_knee_joint", "waist_pitch_joint"])
+def test_joints_that_a_robot_lacks_are_named_and_missed_where_they_move(rest, joint):
+    found = dropped_joints(bent(rest, joint, 1.0), G1.load("g1_23dof"))
     assert found.joints == LACKED
-    assert found.moved == ()
-    assert set(found.errors_mm.values()) == {(0.0, 0.0)}
-
-
-def test_the_head_is_as_far_off_as_its_lever_says(rest):
-    found = dropped_joints(bent(rest, "waist_pitch_joint", 0.2), G1.load("g1_23dof"))
-    assert found.joints == LACKED
-    assert found.moved == ("waist_pitch_joint",)
-    mean, most = found.errors_mm["head"]
-    lever = np.hypot(0.0002835, 0.41618)  # of the lidar, from the axis of the waist's pitch
-    assert most == pytest.approx(2e3 * lever * np.sin(0.1), rel=1e-6)
-    assert mean < most  # the first frame is upright
-    assert found.errors_mm["left hand"][1] > 10.0
-
-
-def test_a_wrist_moves_its_own_hand_only(rest):
-    found = dropped_joints(bent(rest, "right_wrist_yaw_joint", 0.5), G1.load("g1_23dof"))
-    assert found.moved == ("right_wrist_yaw_joint",)
-    assert found.errors_mm["head"] == found.errors_mm["left hand"] == (0.0, 0.0)
-    assert 0.0 < found.errors_mm["right hand"][0] < 100.0
+    assert found.moved == tuple({joint}.intersection(LACKED))

@@ -13,6 +13,7 @@ from g1stream.errors import ConfigError, MotionError, SafetyError
 from g1stream.motion.check import MotionReport, check_motion, dropped_joints
 from g1stream.motion.limits import Interval
 from g1stream.motion.trajectory import Trajectory
+from g1stream.text import listed
 
 if TYPE_CHECKING:
     from g1stream.config import Config
@@ -21,8 +22,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Fit", "fit_to_robot", "require_si_units"]
 
-#: Joints that an error names.
-_NAMED: Final = 3
 #: A slowed motion is measured at other times than before, and may need to be slowed once more.
 _ATTEMPTS: Final = 5
 
@@ -147,8 +146,7 @@ def _refused(report: MotionReport, *, slowing: bool) -> SafetyError:
             f"frame {worst.time * report.fps:.0f}, limit {worst.limit:g}"
         )
     if others:
-        more = f" and {len(others) - _NAMED} more" if len(others) > _NAMED else ""
-        cause += f"; also {', '.join(joint.joint for joint in others[:_NAMED])}{more}"
+        cause += f"; also {listed([joint.joint for joint in others], 3)}"
     if report.suspicion:
         cause += f". It looks as if {report.suspicion}"
     slower = "" if report.frames_beyond or slowing else "--scale-time to play it slower, "

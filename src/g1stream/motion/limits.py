@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from g1stream.errors import ConfigError
-from g1stream.text import counted
+from g1stream.text import counted, listed
 from g1stream.types import STREAM_RATE
 
 if TYPE_CHECKING:
@@ -51,8 +51,6 @@ _SLIGHT: Final = 0.02
 _ROUNDING: Final = 1e-9
 #: Targets sampled at once: those of a long motion take many times the memory of its spline.
 _BLOCK: Final = 4096
-#: Joints that a warning names beside the worst one.
-_NAMED: Final = 3
 
 
 @dataclass(frozen=True)
@@ -304,5 +302,4 @@ def _target_times(trajectory: Trajectory, interval: Interval, rate: float) -> It
 
 def _others(joints: Sequence[JointPeak]) -> str:
     names = [joint.joint for joint in joints[1:]]
-    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-    return f"; also {', '.join(names[:_NAMED])}{more}" if names else ""
+    return f"; also {listed(names, 3)}" if names else ""

@@ -443,22 +443,18 @@ class Motion:
             )
         if n == 1:
             return self
-        # Each repetition is the same blend and motion again, from where the one before has led.
-        twice = self.then(self, blend)
-        blended = twice.frames(self.n_frames, twice.n_frames)
-        first, last = self.root_quat_wxyz[[0, -1]]
-        angle = yaw_of(last) - yaw_of(first)
-        led = quat_rotate(quat_from_yaw(angle), self.root_pos[0])
-        step = twice.root_pos[-self.n_frames] - led
-        turns = quat_from_yaw(angle * np.arange(n - 1))[:, np.newaxis]
-        steps = quat_rotate(turns, step)
-        pos = quat_rotate(turns, blended.root_pos) + np.cumsum(steps, axis=0) - steps
-        quat = quat_mul(turns, blended.root_quat_wxyz)
+        # By doubling, as a motion is copied each time that another one follows.
+        repeated, power, left = self, self, n - 1
+        while left:
+            if left % 2:
+                repeated = repeated.then(power, blend)
+            left //= 2
+            power = power.then(power, blend) if left else power
         return self._changed(
             f"{n} times with blends of {blend:g} s",
-            joint_pos=np.concatenate([self.joint_pos, np.tile(blended.joint_pos, (n - 1, 1))]),
-            root_pos=np.concatenate([self.root_pos, pos.reshape(-1, 3)]),
-            root_quat_wxyz=np.concatenate([self.root_quat_wxyz, quat.reshape(-1, 4)]),
+            joint_pos=repeated.joint_pos,
+            root_pos=repeated.root_pos,
+            root_quat_wxyz=repeated.root_quat_wxyz,
         )
 
     def save(self, path: str | os.PathLike[str], *, force: bool = False) -> Path:

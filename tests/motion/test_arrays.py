@@ -270,6 +270,10 @@ def shared_lists(depth=8, width=10_000):
     return value
 
 
+def with_root(pos, quat):
+    return {"dof": np.zeros((9, 29)), "root_pos": pos, "root_rot": quat}
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("arrays", "reason"),
@@ -279,20 +283,17 @@ def shared_lists(depth=8, width=10_000):
         ({"dof": np.zeros(9)}, "dof"),
         ({"dof": ["a", "b"]}, "dof"),
         ({"dof": np.zeros((9, 29)), "fps": "fast"}, "fps"),
-        (
-            {"dof": np.zeros((9, 29)), "root_pos": np.zeros((8, 3)), "root_rot": np.ones((9, 4))},
-            "8",
-        ),
-        (
-            {"dof": np.zeros((9, 29)), "root_pos": np.zeros((9, 3)), "root_rot": np.ones((9, 3))},
-            "3",
-        ),
+        (with_root(np.zeros((8, 3)), np.ones((9, 4))), "8"),
+        (with_root(np.zeros((9, 3)), np.ones((9, 3))), "3"),
         ({"dof": np.zeros((9, 2)), "dof_names": ["left_knee", "right_knee"]}, "lacks"),
         ({"a": {}, "b": {}}, "2 motions.*: a, b"),
         ([1, 2, 3], "no arrays"),
         ({"dof": shared_lists()}, "512 MiB"),
         ({"dof": {1, 2}}, "set"),
         ({"dof": np.zeros((9, 71))}, "71 columns"),
+        ({"dof": np.full((9, 36), 1e308)}, "finite"),
+        (with_root(np.zeros((9, 3)), np.full((9, 4), np.nan)), "root_rot .* finite"),
+        ({"dof": np.zeros((9, 2)), "dof_names": ["left_knee", "left_knee_joint"]}, "twice"),
     ],
 )
 def test_what_is_no_motion(tmp_path, arrays, reason):

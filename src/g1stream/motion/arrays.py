@@ -11,6 +11,7 @@ import re
 import warnings
 import zipfile
 import zlib
+from collections import Counter
 from dataclasses import replace
 from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, get_args
@@ -18,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, get_args
 import numpy as np
 
 from g1stream.errors import MotionError
-from g1stream.input_limits import UNPACKED
+from g1stream.input_limits import NUMBER, UNPACKED
 from g1stream.motion.csv import read_csv
 from g1stream.motion.motion import DEFAULT_FPS, SMALLEST_QUAT, Motion
 from g1stream.motion.pickles import Unread, read_pickle, read_torch
@@ -283,9 +284,11 @@ class ArrayFile:
     @cached_property
     def _names(self) -> tuple[str, ...]:
         """The joints that the file names, as g1stream names them."""
-        if key := self._first(_NAMES):
-            return tuple(f"{one.removesuffix('_joint')}_joint" for one in self._texts(key))
-        return ()
+        key = self._first(_NAMES)
+        names = tuple(f"{one.removesuffix('_joint')}_joint" for one in self._texts(key))
+        if twice := [name for name, n in Counter(names).items() if n > 1]:
+            raise self._error(f"{key} has {listed(twice)} twice", "Name each joint once.")
+        return names
 
     @cached_property
     def _columns(self) -> _Columns:
@@ -476,6 +479,10 @@ class ArrayFile:
         if values.size > _NUMBERS:
             raise self._error(
                 f"{name} has more than {_NUMBERS:,} numbers", "Give a part of the motion."
+            )
+        if not (float(values.min()) >= -NUMBER and float(values.max()) <= NUMBER):  # NaN is neither
+            raise self._error(
+                f"{name} has a number that is not finite, or beyond {NUMBER:g}", "Correct it."
             )
         return values
 

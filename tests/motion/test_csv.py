@@ -116,11 +116,12 @@ def header(change):
         header(lambda line: f"# of a dance\n# {line}"),
         header(lambda line: ",".join(f'"{name}"' for name in line.split(","))),
         header(lambda line: line.lower().replace("_joint", "")),
+        header(lambda line: line.removeprefix("Frame")),
         header(lambda line: line.replace("Q", "root_quat_").replace(",X,", ",root_pos_x,")),
     ],
     ids=[
         *("crlf", "cr", "bom", "no last newline", "blank last lines", "spaces", "tabs"),
-        *("no commas", "comment", "comments", "quotes", "without _joint", "other names"),
+        *("no commas", "comment", "comments", "quotes", "without _joint", "pandas", "other names"),
     ],
 )
 def test_spellings_of_the_same_file(load, spelling):

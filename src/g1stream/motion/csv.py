@@ -48,8 +48,9 @@ _JOINTS: Final = frozenset(JOINT_NAMES)
 _HEADER: Final = 1000
 _BOM: Final = b"\xef\xbb\xbf"
 _LAYOUT: Final = (
-    f"Name the columns {','.join(ROOT_COLUMNS[1:])} and the {len(JOINT_NAMES)} joints in the first "
-    "line, in any order; or have no header, and position, quaternion (xyzw) and joints."
+    f"Separate columns with commas or spaces, and name {','.join(ROOT_COLUMNS[1:])} and the "
+    f"{len(JOINT_NAMES)} joints in the first line; or have no header, and position, quaternion "
+    "(xyzw) and joints."
 )
 
 
@@ -108,7 +109,10 @@ class _Reader:
         self._n_columns = len(_cells(line))
         names = tuple(cell.strip("\"'") for cell in _cells(header))
         if self._named or len(names) == self._n_columns:  # a comment may be about something else
-            self._columns = tuple(map(_canonical_column, names))
+            self._columns = (
+                _canonical_column(names[0] or _FRAME),
+                *map(_canonical_column, names[1:]),
+            )
             self._n_columns = len(names)
         self._n_rows = self._data.count(b"\n", 0, self._end) + 2 - self._first_line
 

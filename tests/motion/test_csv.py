@@ -129,11 +129,11 @@ def test_spellings_of_the_same_file(load, spelling):
     assert_same(load(spelling(content)), load(content))
 
 
-@pytest.mark.parametrize("end", ["", "# left over,\n"])
-def test_without_a_header(load, end):
+@pytest.mark.parametrize("start", ["", "# left over,\n", "\n"])
+def test_without_a_header(load, start):
     """As LAFAN1 is distributed for the G1, and as `numpy.savetxt` writes it."""
     rows = rows_of(5)
-    for content in (bare(rows), end + bare(rows), bare(rows).replace(",", " ")):
+    for content in (bare(rows), start + bare(rows), bare(rows).replace(",", " ")):
         assert_same(load(content), load(csv(rows)))
 
 

@@ -107,12 +107,11 @@ class _Reader:
             raise self._error(cause, "Give a CSV file with a line per frame, or a session file.")
         self._delimiter = "," if "," in line else None
         self._n_columns = len(_cells(line))
-        names = tuple(cell.strip("\"'") for cell in _cells(header))
-        if self._named or len(names) == self._n_columns:  # a comment may be about something else
-            self._columns = (
-                _canonical_column(names[0] or _FRAME),
-                *map(_canonical_column, names[1:]),
-            )
+        names = [cell.strip("\"'") for cell in _cells(header)]
+        # A comment may be about something else.
+        if names and (self._named or len(names) == self._n_columns):
+            names[0] = names[0] or _FRAME  # as pandas writes it
+            self._columns = tuple(map(_canonical_column, names))
             self._n_columns = len(names)
         self._n_rows = self._data.count(b"\n", 0, self._end) + 2 - self._first_line
 

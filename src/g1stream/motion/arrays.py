@@ -23,7 +23,7 @@ from g1stream.input_limits import NUMBER, UNPACKED
 from g1stream.motion.csv import read_csv
 from g1stream.motion.motion import DEFAULT_FPS, SMALLEST_QUAT, Motion
 from g1stream.motion.pickles import Unread, read_pickle, read_torch
-from g1stream.motion.readers import Evidence, is_table
+from g1stream.motion.readers import Evidence
 from g1stream.robot.joints import JOINT_NAMES, JOINT_SETS, N_JOINTS
 from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1, REVISIONS
@@ -39,7 +39,14 @@ if TYPE_CHECKING:
     from g1stream.motion.readers import MotionFile
     from g1stream.types import Floats
 
-__all__ = ["ArrayFile", "motions_in", "names_in_order", "read_arrays"]
+__all__ = [
+    "ArrayFile",
+    "motions_in",
+    "names_in_order",
+    "open_arrays",
+    "open_table",
+    "read_arrays",
+]
 
 # The names that arrays have in the files of those who write them, in lower case and without `_w`,
 # which says that they are in the world frame.
@@ -150,16 +157,18 @@ class ArrayFile:
     """A motion file of named arrays.
 
     Args:
-        file: an NPZ, an NPY, a file of PyTorch, a pickle, plain or of joblib, or a CSV.
+        file: where they are from.
+        kind: of file, for messages.
+        content: the arrays by name, or those of each motion by its name.
+        first_line: of a table the line of frame 0.
 
     Raises:
-        MotionError: it cannot be read, or has no such motion. Anything else wrong in it is an error
-            only when `evidence` or `motion` is asked for.
+        MotionError: it has no such motion. Anything else wrong in it is an error only when
+            `evidence` or `motion` is asked for.
     """
 
-    def __init__(self, file: MotionFile) -> None:
-        self._file = file
-        self._kind, content, self._first_line = _content(file)
+    def __init__(self, file: MotionFile, kind: str, content: Any, first_line: int = 0) -> None:
+        self._file, self._kind, self._first_line = file, kind, first_line
         self._arrays = self._of_one_motion(content, file.member)
         self._by_name = {_plain(name): name for name in reversed(self._arrays)}
         self._read: dict[str, None] = {}  # the names of those that were looked at, in order
@@ -529,6 +538,25 @@ class ArrayFile:
         return MotionError(f"{self._file.path.name}{where}: {cause}.", remedy)
 
 
+def open_table(file: MotionFile) -> ArrayFile:
+    """The reader of a CSV.
+
+    Raises:
+        MotionError: it cannot be read.
+    """
+    table = read_csv(file.content, file.path.name)
+    return ArrayFile(file, f"CSV, {table.about}", table.arrays, table.first_line)
+
+
+def open_arrays(file: MotionFile) -> ArrayFile:
+    """The reader of an NPZ, an NPY, a file of PyTorch, or a pickle, plain or of joblib.
+
+    Raises:
+        MotionError: it cannot be read, or has no such motion.
+    """
+    return ArrayFile(file, *_content(file))
+
+
 def motions_in(file: MotionFile) -> tuple[str, ...]:
     """The names of the motions in a pickle or a file of PyTorch; none where it is only one.
 
@@ -544,17 +572,14 @@ def _members(content: Any) -> tuple[str, ...]:
     return ()
 
 
-def _content(file: MotionFile) -> tuple[str, Any, int]:
-    """What kind of file it is, what is in it, and of a table the line of frame 0, else 0.
+def _content(file: MotionFile) -> tuple[str, Any]:
+    """As `read_arrays`.
 
     Raises:
         MotionError: it cannot be read.
     """
-    if is_table(file):
-        about, arrays, first_line = read_csv(file.content, file.path.name)
-        return f"CSV, {about}", arrays, first_line
     try:
-        return *read_arrays(file.content), 0
+        return read_arrays(file.content)
     except ValueError as error:
         raise MotionError(f"{file.path.name}: {error}.", _READ) from error
 

@@ -35,7 +35,6 @@ __all__ = [
     "MotionReader",
     "check_motion_file",
     "find_motion",
-    "is_table",
     "load_motion",
 ]
 
@@ -46,7 +45,7 @@ BUNDLED_MOTIONS: Final = ("demo",)
 _LFS: Final = b"version https://git-lfs"
 #: Files that zlib or gzip has compressed.
 _COMPRESSED: Final = (b"\x78\x01", b"\x78\x5e", b"\x78\x9c", b"\x78\xda", b"\x1f\x8b")
-_ARRAYS: Final = "g1stream.motion.arrays:ArrayFile"
+_ARRAYS: Final = "g1stream.motion.arrays:open_arrays"
 
 
 @dataclass(frozen=True)
@@ -195,12 +194,11 @@ def _is_bag(file: MotionFile) -> bool:
     return any(begins_with(file.path, start) for start in starts)
 
 
-def is_table(file: MotionFile) -> bool:
+def _is_table(file: MotionFile) -> bool:
     """Whether it says that it is a table, or its first line looks like one; an empty file is."""
     named = file.path.suffix.lower() in (".csv", ".txt")
-    binary = (b"PK", b"\x93NUMPY", b"\x80", *_COMPRESSED, _LFS)
     first = file.content[:CSV_LINE].split(b"\n", 1)[0]
-    return (named or b"," in first or not first) and not file.content.startswith(binary)
+    return (named or b"," in first or not first) and not first.startswith(_LFS)
 
 
 FORMATS: Final = (
@@ -209,7 +207,7 @@ FORMATS: Final = (
     Format("NPZ, file of PyTorch", _ARRAYS, _begins(b"PK"), several=True),
     Format("NPY", _ARRAYS, _begins(b"\x93NUMPY")),
     Format("pickle", _ARRAYS, _begins(b"\x80", *_COMPRESSED), several=True),
-    Format("CSV", _ARRAYS, is_table),
+    Format("CSV", "g1stream.motion.arrays:open_table", _is_table),
 )
 """The formats that are read."""
 

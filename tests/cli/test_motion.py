@@ -12,8 +12,9 @@ import pytest
 
 from g1stream.cli.motion import render
 from g1stream.dds.messages import Reference
+from g1stream.motion.check import check_motion
 from g1stream.motion.limits import JointPeak
-from g1stream.motion.readers import check_motion_file, load_motion
+from g1stream.motion.readers import find_motion, load_motion
 from g1stream.robot.model import G1
 from g1stream.session.writer import SessionWriter
 from g1stream.types import Phase
@@ -46,7 +47,8 @@ def leaping(tmp_path):
 
 def test_the_text_is_the_snapshot(matches_snapshot):
     """No problem, and one of each kind."""
-    evidence, good = check_motion_file("demo", G1.default())
+    reader = find_motion("demo").open()
+    evidence, good = reader.evidence, check_motion(reader.motion(), G1.default())
     joint = JointPeak("left_knee_joint", 4.0, 3.0, 2.8798, 12)
     fast = JointPeak("waist_yaw_joint", 5.0, 40.0, 32.0, 3)
     leap = replace(

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from g1stream.errors import MotionError
 from g1stream.motion.check import check_motion, dropped_joints
-from g1stream.motion.readers import check_motion_file, load_motion
+from g1stream.motion.readers import load_motion
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import G1
 
@@ -96,53 +94,6 @@ def test_a_real_clip(real_clip, robot):
     assert report.fastest.value == pytest.approx(21.9, abs=0.05)
     assert report.largest_step.value == pytest.approx(1.079, abs=1e-3)
     assert report.largest_step.frame == 3067
-
-
-@pytest.fixture
-def clip(tmp_path, robot):
-    """Checks ten frames of the demo after a change to columns and rows."""
-    header, *lines = Path(load_motion("demo").source).read_text().splitlines()[:11]
-    columns, rows = header.split(","), [line.split(",") for line in lines]
-
-    def check(change=lambda columns, rows: None):
-        change(columns, rows)
-        path = tmp_path / "clip.csv"
-        path.write_text("\n".join(",".join(row) for row in [columns, *rows]))
-        return check_motion_file(path, robot)
-
-    return check
-
-
-def test_a_file_without_faults(clip):
-    evidence, report = clip()
-    assert report.passed
-    assert evidence.used == {
-        "file": "CSV, 10 rows, 37 columns, named by a header",
-        "joint order": "named by the file",
-        "pelvis": "root_pos, root_quat_xyzw, xyzw",
-    }
-    assert evidence.assumed == {"frame rate": "30 fps"}
-    assert (evidence.not_used, evidence.missing) == ((), ())
-    assert report.duration == pytest.approx(9 / 30)
-
-
-def test_the_frame_rate_is_as_given(robot):
-    (_, slow), (_, usual) = (check_motion_file("demo", robot, fps=fps) for fps in (15.0, None))
-    assert slow.duration == pytest.approx(2 * usual.duration)
-    with pytest.raises(MotionError, match="frames per second"):
-        check_motion_file("demo", robot, fps=0.0)
-
-
-def test_limits_and_the_largest_step(clip):
-    def bend(columns, rows):
-        rows[6][columns.index("left_knee_joint")] = "3.5"
-
-    _, report = clip(bend)
-    (violation,) = report.frames_beyond
-    assert (violation.joint, violation.time, violation.value) == ("left_knee_joint", 0.2, 3.5)
-    assert report.largest_step.joint == "left_knee_joint"
-    assert report.largest_step.frame in (5, 6)
-    assert not report.passed
 
 
 @pytest.mark.parametrize(

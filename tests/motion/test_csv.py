@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from g1stream.errors import MotionError
 from g1stream.input_limits import CSV_LINE
 from g1stream.motion.csv import read_csv
-from g1stream.motion.readers import load_motion
+from g1stream.motion.readers import find_motion, load_motion
 from g1stream.robot.joints import JOINT_NAMES
 
 COLUMNS = ("Frame", "X", "Y", "Z", "QX", "QY", "QZ", "QW", *JOINT_NAMES)
@@ -69,12 +69,21 @@ def test_foxglove_layout(load, tmp_path):
     motion = load(content)
     values = np.array(rows)
     assert (motion.name, motion.fps, load(content, fps=50).fps) == ("clip", 30.0, 50.0)
-    assert motion.joint_names == JOINT_NAMES
+    with pytest.raises(MotionError, match="frames per second"):
+        load(content, fps=0.0)
     assert motion.source == tmp_path / "clip.csv"
     assert motion.sha256 == hashlib.sha256(content.encode()).hexdigest()
     assert motion.warnings == ()
     np.testing.assert_array_equal(motion.root_pos, values[:, 1:4])
     np.testing.assert_array_equal(motion.joint_pos, values[:, 8:])
+    evidence = find_motion(motion.source).open().evidence
+    assert evidence.used == {
+        "file": "CSV, 4 rows, 37 columns, named by a header",
+        "joint order": "named by the file",
+        "pelvis": "root_pos, root_quat_xyzw, xyzw",
+    }
+    assert evidence.assumed == {"frame rate": "30 fps"}
+    assert (evidence.not_used, evidence.missing) == ((), ())
     given_rotations = Rotation.from_quat(values[:, 4:8])
     read = Rotation.from_quat(motion.root_quat_wxyz, scalar_first=True)
     assert (given_rotations.inv() * read).magnitude().max() < 1e-7

@@ -51,25 +51,19 @@ class Inspect(SettingsCommand, MotionFlags):
     def run(self) -> int:
         """Print the report, and return the exit code."""
         from g1stream.motion.check import check_motion
-        from g1stream.motion.readers import check_motion_file
         from g1stream.robot.model import G1
 
         config = self.resolve()
         robot = G1.load(config.robot, own_limits=config.safety.urdf_limits)
         rate, margin = config.stream.rate, config.safety.position_margin
-        if len(self.motions) == 1:
-            evidence, report = check_motion_file(
-                self.motions[0],
-                robot,
-                fps=self.fps,
-                joint_order=self.joint_order,
-                change=lambda motion: self.join([motion], robot),
-                rate=rate,
-                position_margin=margin,
-            )
-        else:
-            evidence, motion = None, self.load(self.motions, robot)
-            report = check_motion(motion, robot, rate=rate, position_margin=margin)
+        evidence, motions = None, []
+        for one in self.motions:
+            reader = self.find(one, robot).open()
+            evidence = reader.evidence if len(self.motions) == 1 else None
+            motions.append(reader.motion())
+        del reader  # which has the content of the file
+        motion = self.join(motions, robot)
+        report = check_motion(motion, robot, rate=rate, position_margin=margin)
         if robot.warning:
             print_warning(robot.warning)
         if self.json:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial, reduce
+from functools import reduce
 from typing import TYPE_CHECKING, Final, Literal
 
 from g1stream.cli.command import Command
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from g1stream.motion.motion import Motion
+    from g1stream.motion.readers import MotionFile
     from g1stream.robot.model import G1
 
 __all__ = ["MOTION", "MOTIONS", "MotionFlags"]
@@ -71,10 +72,13 @@ class MotionFlags(Command):
             RecordingError: a session is damaged, or no motion was played in it.
             RobotError: the robot's soles, which --on-floor needs, are not known.
         """
-        from g1stream.motion.readers import load_motion
+        return self.join([self.find(one, robot).open().motion() for one in motions], robot)
 
-        load = partial(load_motion, fps=self.fps, joint_order=self.joint_order, robot=robot)
-        return self.join(list(map(load, motions)), robot)
+    def find(self, motion: str, robot: G1 | None = None) -> MotionFile:
+        """A motion file, to be read as the flags say."""
+        from g1stream.motion.readers import find_motion
+
+        return find_motion(motion, fps=self.fps, joint_order=self.joint_order, robot=robot)
 
     def join(self, motions: Sequence[Motion], robot: G1 | None = None) -> Motion:
         """What the flags make of motions that are read.

@@ -16,10 +16,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 from g1stream.errors import MotionError
 from g1stream.files import begins_with, is_session, read_file
 from g1stream.input_limits import CSV_LINE, MOTION_FILE
-from g1stream.motion.check import MotionReport, check_motion
 from g1stream.motion.motion import Motion, check_fps
 from g1stream.optional import EXTENSIONS, load_object
-from g1stream.types import STREAM_RATE
 
 if TYPE_CHECKING:
     import os
@@ -33,7 +31,6 @@ __all__ = [
     "Evidence",
     "MotionFile",
     "MotionReader",
-    "check_motion_file",
     "find_motion",
     "load_motion",
 ]
@@ -263,31 +260,3 @@ def load_motion(
     """
     file = find_motion(path_or_name, fps=fps, joint_order=joint_order, robot=robot)
     return file.open().motion()
-
-
-def check_motion_file(
-    path_or_name: str | os.PathLike[str],
-    robot: G1,
-    *,
-    fps: float | None = None,
-    joint_order: JointOrder | None = None,
-    change: Callable[[Motion], Motion] = lambda motion: motion,
-    rate: float = STREAM_RATE,
-    position_margin: float = 0.0,
-) -> tuple[Evidence, MotionReport]:
-    """What is in a file, and what its motion asks of a robot; raises what `load_motion` raises.
-
-    Args:
-        path_or_name: as for `load_motion`.
-        robot: whose limits.
-        fps: as for `load_motion`.
-        joint_order: as for `load_motion`.
-        change: what it makes of the motion is checked.
-        rate: joint targets per second when it is streamed, Hz.
-        position_margin: rad, kept from position limits when it is streamed.
-    """
-    file = find_motion(path_or_name, fps=fps, joint_order=joint_order, robot=robot)
-    reader = file.open()
-    evidence, motion = reader.evidence, change(reader.motion())
-    del file, reader  # which have the content of the file
-    return evidence, check_motion(motion, robot, rate=rate, position_margin=position_margin)

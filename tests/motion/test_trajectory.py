@@ -212,20 +212,6 @@ def test_no_sample_is_an_error(rate, part, message):
         list(made(50).samples(rate, *part))
 
 
-def test_joints_keep_the_bounds_of_their_segments(wild_motion):
-    trajectory = Trajectory(wild_motion)
-    times = between(wild_motion)
-    point, segments = trajectory.sample_many(times), trajectory.segments_at(times)
-    bounds = (np.concatenate(parts) for parts in zip(*trajectory.joint_bounds(), strict=True))
-    lowest, highest, fastest = (bound[segments] for bound in bounds)
-    assert (point.joint_pos >= lowest - 1e-12).all()
-    assert (point.joint_pos <= highest + 1e-12).all()
-    assert (np.abs(point.joint_vel) <= fastest + 1e-12).all()
-    # And not by far: in some segment a joint moves with the bound of its speed.
-    share = np.abs(point.joint_vel).max(axis=0) / fastest.max(axis=0)
-    assert share.max() > 0.99
-
-
 @pytest.mark.parametrize("loop", [False, True])
 def test_a_moved_trajectory_is_that_of_the_moved_motion(wild_motion, loop):
     other = replace(

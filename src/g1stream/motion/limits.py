@@ -20,8 +20,6 @@ from g1stream.types import STREAM_RATE
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from numpy.typing import NDArray
-
     from g1stream.config import StreamConfig
     from g1stream.motion.motion import Motion
     from g1stream.motion.trajectory import Trajectory
@@ -47,8 +45,6 @@ joint at a limit such as 1.614429558 rad is written up to 5e-7 rad beyond it.
 
 #: Holding a joint at its limit changes the motion by less than a robot follows it, up to this, rad.
 _SLIGHT: Final = 0.02
-#: Positions and speeds that differ by less are the same, rad and rad/s.
-_ROUNDING: Final = 1e-9
 #: Targets sampled at once: those of a long motion take many times the memory of its spline.
 _BLOCK: Final = 4096
 
@@ -176,51 +172,13 @@ def measure_limits(
     interval = interval or Interval(0.0, motion.duration, motion.duration)
     lower, upper = robot.lower + position_margin, robot.upper - position_margin
 
-    def peaks_in(segments: NDArray[np.bool_]) -> tuple[_Peaks, _Peaks]:
-        """Peaks of positions and of speeds of the targets in some segments of the spline."""
-        positions = _Peaks(robot, lower, upper)
-        speeds = _Peaks(robot, -robot.velocity, robot.velocity)
-        for times in _target_times(trajectory, interval, rate):
-            target_times = times[segments[trajectory.segments_at(times)]]
-            if len(target_times):
-                joint_pos, joint_vel = trajectory.sample_joints(target_times)
-                since = target_times % trajectory.period if trajectory.loop else target_times
-                positions.update(since, joint_pos)
-                speeds.update(since, np.abs(joint_vel))
-        return positions, speeds
-
-    # Only segments that may have a peak, or a target beyond a limit, are sampled.
-    played, likely = np.zeros((2, trajectory.n_segments), dtype=np.bool_)
+    positions = _Peaks(robot, lower, upper)
+    speeds = _Peaks(robot, -robot.velocity, robot.velocity)
     for times in _target_times(trajectory, interval, rate):
-        played[trajectory.segments_at(times)] = True
-
-    def bounds() -> Iterator[tuple[int, Floats]]:
-        """How far segments may be beyond each limit, some at a time, with the number of the first.
-
-        They are computed twice, as all together they would take as much memory as the motion.
-        """
-        first = 0
-        for lowest, highest, fastest in trajectory.joint_bounds():
-            limits = np.maximum(lower - lowest, highest - upper), fastest - robot.velocity
-            beyond = np.where(
-                played[first : first + len(fastest), None], np.hstack(limits), -np.inf
-            )
-            yield first, beyond
-            first += len(beyond)
-
-    highest = np.full(2 * len(lower), -np.inf)
-    segments = np.zeros(len(highest), dtype=np.intp)
-    for first, beyond in bounds():
-        higher = beyond.max(axis=0) > highest
-        highest[higher] = beyond.max(axis=0)[higher]
-        segments[higher] = first + beyond.argmax(axis=0)[higher]
-    likely[segments] = True
-    reached = np.concatenate([peaks.excess for peaks in peaks_in(likely)])
-    # Nor is one that has the same peak again: a joint that rests would have it everywhere.
-    worth = np.minimum(reached + _ROUNDING, POSITION_TOLERANCE)
-    for first, beyond in bounds():
-        likely[first : first + len(beyond)] |= (beyond > worth).any(axis=1)
-    positions, speeds = peaks_in(likely)
+        joint_pos, joint_vel = trajectory.sample_joints(times)
+        since = times % trajectory.period if trajectory.loop else times
+        positions.update(since, joint_pos)
+        speeds.update(since, np.abs(joint_vel))
     return LimitReport(
         motion=motion.name,
         duration=motion.duration,
@@ -252,15 +210,11 @@ def frame_peaks(
 
 
 class _Peaks:
-    """Accumulates the peak of each joint, from values (N, J) at times (N,).
-
-    Attributes:
-        excess: (J,) of the peaks, beyond a limit, negative within.
-    """
+    """Accumulates the peak of each joint, from values (N, J) at times (N,)."""
 
     def __init__(self, robot: G1, lower: Floats, upper: Floats) -> None:
         self._names, self._lower, self._upper = robot.joint_names, lower, upper
-        self.excess = np.full(len(lower), -np.inf)
+        self._excess = np.full(len(lower), -np.inf)
         self._time, self._value = np.zeros((2, len(lower)))
         self._count = np.zeros(len(lower), dtype=np.int64)
 
@@ -269,8 +223,8 @@ class _Peaks:
         row, joint = excess.argmax(axis=0), np.arange(len(self._names))
         if excess[row, joint].max() > POSITION_TOLERANCE:  # seldom
             self._count += (excess > POSITION_TOLERANCE).sum(axis=0)
-        higher = excess[row, joint] > self.excess
-        self.excess[higher] = excess[row, joint][higher]
+        higher = excess[row, joint] > self._excess
+        self._excess[higher] = excess[row, joint][higher]
         self._time[higher] = times[row][higher]
         self._value[higher] = values[row, joint][higher]
 
@@ -281,7 +235,7 @@ class _Peaks:
         columns = (self._time, self._value, limit, self._count)
         return [
             JointPeak(self._names[j], *(column[j].item() for column in columns))
-            for j in np.argsort(-self.excess, kind="stable")
+            for j in np.argsort(-self._excess, kind="stable")
         ]
 
     def beyond(self) -> tuple[JointPeak, ...]:

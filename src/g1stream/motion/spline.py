@@ -14,7 +14,6 @@ All coefficients are in one array, so that a sample is one small matrix product.
 
 from __future__ import annotations
 
-from functools import reduce
 from math import factorial
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -26,7 +25,7 @@ from g1stream.robot.kinematics import BLOCK
 from g1stream.robot.rotations import xyzw_from_wxyz
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
 
     from numpy.typing import ArrayLike, NDArray
 
@@ -97,7 +96,6 @@ class Spline:
         duration: s, from frame 0 to the last frame.
         period: s, from frame 0 to the next frame 0 of a loop: `duration` and the seam; without a
             loop the same as `duration`.
-        n_segments: cubics, each from one frame to the next.
     """
 
     def __init__(
@@ -123,8 +121,8 @@ class Spline:
         own = slice(n_wrap, len(coefficients) - n_wrap)
         self._coefficients = np.ascontiguousarray(coefficients[own])
         self._quats = np.ascontiguousarray(frames[0][:-1][own])
-        self.n_segments = len(self._coefficients)
-        self.period = self.n_segments / fps
+        self._n_segments = len(self._coefficients)
+        self.period = self._n_segments / fps
 
     def _refit(self, joint_pos: Floats, root_pos: Floats) -> None:
         """Take other joints and root positions, (T, 29) and (T, 3), and keep the orientations."""
@@ -135,7 +133,7 @@ class Spline:
         """The reference at time `t`, s. Takes some 20 us, for use in a control loop."""
         inside = t >= 0 if self.loop else 0 <= t <= self.period
         t = t % self.period if self.loop and inside else min(max(t, 0.0), self.period)
-        k = min(int(t * self.fps), self.n_segments - 1)
+        k = min(int(t * self.fps), self._n_segments - 1)
         s = t - k / self.fps
         moving = 1.0 if inside else 0.0
         basis = np.array(
@@ -174,40 +172,12 @@ class Spline:
         value = basis @ self._coefficients[k, :, :N_JOINTS]
         return value[:, 0], value[:, 1]
 
-    def segments_at(self, times: ArrayLike) -> NDArray[np.intp]:
-        """Of times (N,), s, the segment of the spline, from one frame to the next."""
-        return self._segments(times)[1]
-
-    def joint_bounds(self) -> Iterator[tuple[Floats, Floats, Floats]]:
-        """What joints keep within segments of the spline, in order, `BLOCK` of them at a time.
-
-        A cubic is in the convex hull of its control points as a Bézier curve, and so is its
-        velocity. The spline may be further within.
-
-        Yields:
-            Lowest and highest positions, rad, and highest speeds, rad/s, (N, 29) each.
-        """
-        h = 1.0 / self.fps
-        for first in range(0, self.n_segments, BLOCK):
-            of_joints = self._coefficients[first : first + BLOCK, :, :N_JOINTS]
-            cubic, square, slope, start = of_joints.transpose(1, 0, 2)
-            rise, bend = h / 3.0 * slope, h * h / 3.0 * square
-            end = start + 3.0 * (rise + bend) + h**3 * cubic
-            points = start, start + rise, start + 2.0 * rise + bend, end
-            faster = slope + h * square
-            speeds = slope, faster, faster + h * (square + 3.0 * h * cubic)
-            yield (
-                reduce(np.minimum, points),
-                reduce(np.maximum, points),
-                reduce(np.maximum, map(np.abs, speeds)),
-            )
-
     def _segments(self, times: ArrayLike) -> tuple[NDArray[np.bool_], NDArray[np.intp], Floats]:
         """Of times (N,): whether the trajectory moves then, the segment, and s since it began."""
         t = np.asarray(times, dtype=np.float64)
         inside = t >= 0 if self.loop else (t >= 0) & (t <= self.period)
         t = np.where(inside & self.loop, t % self.period, np.clip(t, 0.0, self.period))
-        k = np.minimum((t * self.fps).astype(np.intp), self.n_segments - 1)
+        k = np.minimum((t * self.fps).astype(np.intp), self._n_segments - 1)
         return inside, k, t - k / self.fps
 
     def _point(self, value: Floats, *rotation: Floats) -> TrajectoryPoint:

@@ -89,10 +89,10 @@ _READ: Final = "docs/formats.md lists the names and shapes of the arrays that ar
 #: Numbers in an array that is converted to 64 bits.
 _NUMBERS: Final = UNPACKED // 8
 #: A pelvis that leans by more than the first on average, by less than the second if w is at the
-#: other end, is taken to have it there, rad; not where it is lower than the third, m: on the floor.
+#: other end, is taken to have it there, rad; but not at the heights on the floor, m.
 _LYING: Final = 1.05
 _UPRIGHT: Final = 0.8
-_LOW: Final = 0.4
+_ON_FLOOR: Final = (0.03, 0.4)
 #: Quaternions are unit as far as evidence goes.
 _UNIT: Final = 0.02
 #: Quaternion norms that differ from 1 by more than this give a warning; by more than the second
@@ -400,8 +400,8 @@ class ArrayFile:
             pos, quat = self._numbers(position, 2), self._numbers(rotation, 2)
             return self._pose(pos, quat, f"{position}, {rotation}", rotation, _QUATS)
         if columns.pose is not None:
-            first, last = (4, 4) if columns.quat_first else (3, 3)
-            parts = columns.pose[:, :first], columns.pose[:, last:]
+            cut = 4 if columns.quat_first else 3
+            parts = columns.pose[:, :cut], columns.pose[:, cut:]
             quat, pos = parts if columns.quat_first else reversed(parts)
             where = "the columns before the joints"
             if columns.quat_first:
@@ -444,7 +444,7 @@ class ArrayFile:
         few = _some(len(quat), _MANY_FRAMES)
         if (
             not _plain(name).endswith(tuple(orders))
-            and np.median(pos[:, 2]) > _LOW
+            and not _ON_FLOOR[0] < np.median(pos[:, 2]) < _ON_FLOOR[1]
             and _lean(orders[usual][few]) > _LYING
             and _lean(orders[other][few]) < _UPRIGHT
         ):

@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import Final
 
 __all__ = [
+    "CSV_LINE",
     "FRAMES",
     "LATEST_NS",
     "MESHES",
@@ -33,6 +34,8 @@ SMALL_FILE: Final = 16 * 2**20
 """Bytes of a URDF, a correction, or any other file that is read whole and has no limit here."""
 MOTION_FILE: Final = 2**30
 """Bytes: an hour at 500 Hz."""
+CSV_LINE: Final = 2**16
+"""Bytes of a line of a CSV file: a motion has some 40 numbers in each."""
 MESHES: Final = 256 * 2**20
 """Bytes of a mesh, and of all in a scene as often as they occur: a URDF may repeat one."""
 UNPACKED: Final = 512 * 2**20

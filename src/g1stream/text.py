@@ -10,7 +10,7 @@ from g1stream.input_limits import TEXT
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
 
-__all__ = ["WIDTH", "counted", "labelled", "printable", "ranges", "short_name", "table"]
+__all__ = ["WIDTH", "counted", "labelled", "listed", "printable", "ranges", "short_name", "table"]
 
 WIDTH: Final = 80
 """No line is longer, unless a single word is."""
@@ -26,6 +26,12 @@ def printable(text: str) -> str:
 def counted(n: int, noun: str) -> str:
     """`1 tick`, `2 ticks`."""
     return f"{n} {noun}{'s' * (n != 1)}"
+
+
+def listed(names: Sequence[str], most: int = 20) -> str:
+    """`a, b and 3 more`: all of some names, or the first `most`."""
+    shown = ", ".join(names[:most]) or "nothing"
+    return f"{shown} and {len(names) - most} more" if len(names) > most else shown
 
 
 def ranges(spans: Sequence[tuple[int, int]], most: int) -> str:

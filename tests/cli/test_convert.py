@@ -95,7 +95,7 @@ CASES = {
     "no such motion": (lambda tmp: [tmp / "nowhere.csv", tmp / "a.mcap"], "nowhere.csv"),
     "an unknown joint": (
         lambda tmp: [spoiled(tmp, "left_knee_joint", "knee"), tmp / "a.mcap"],
-        "missing columns: left_knee_joint",
+        "lacks the joints left_knee_joint",
     ),
     "a word for a number": (
         lambda tmp: [spoiled(tmp, "\n0,", "\n0,x"), tmp / "a.mcap"],

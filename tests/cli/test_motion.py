@@ -12,8 +12,9 @@ import pytest
 
 from g1stream.cli.motion import render
 from g1stream.dds.messages import Reference
+from g1stream.motion.check import check_motion
 from g1stream.motion.limits import JointPeak
-from g1stream.motion.readers import check_motion_file, load_motion
+from g1stream.motion.readers import find_motion, load_motion
 from g1stream.robot.model import G1
 from g1stream.session.writer import SessionWriter
 from g1stream.types import Phase
@@ -44,41 +45,22 @@ def leaping(tmp_path):
     return path
 
 
-def spoiled(tmp_path: Path, old: str, new: str, name: str = "spoiled.csv") -> Path:
-    path = tmp_path / name
-    path.write_text(DEMO.read_text().replace(old, new, 1))
-    return path
-
-
-def test_the_text_is_the_snapshot(tmp_path, matches_snapshot):
-    """No problem, one of each kind, and files that are no motion."""
-    good = check_motion_file("demo", G1.default())
+def test_the_text_is_the_snapshot(matches_snapshot):
+    """No problem, and one of each kind."""
+    reader = find_motion("demo").open()
+    evidence, good = reader.evidence, check_motion(reader.motion(), G1.default())
     joint = JointPeak("left_knee_joint", 4.0, 3.0, 2.8798, 12)
     fast = JointPeak("waist_yaw_joint", 5.0, 40.0, 32.0, 3)
     leap = replace(
-        good.motion,
+        good,
         name="leap",
         frames_beyond=(joint,),
-        streamed=replace(good.motion.streamed, motion="leap", held=(joint,), speeds=(fast,)),
+        streamed=replace(good.streamed, motion="leap", held=(joint,), speeds=(fast,)),
         warnings=("leap: 3 quaternions were normalised.",),
         suspicion="frame 120 were a spike of 2.40 rad",
     )
-    reports = [good, replace(good, motion=leap), replace(good, evidence=None)]
-    causes = ("left_knee_joint", "left_kneee_joint"), ("\n9,", "\n9,nan")
-    reports += [check_motion_file(spoiled(tmp_path, *cause), G1.default()) for cause in causes]
-    limits = [1.0, 0.4, 1.0, 1.0, 1.0]  # of the pelvis's tilt, rad
-    matches_snapshot("motion", "\n\n".join(map(render, reports, limits)))
-
-
-def test_what_is_wrong_with_a_table_is_bad_input_and_the_rest_is_shown(tmp_path):
-    path = spoiled(tmp_path, "left_knee_joint", "left_kneee_joint")
-    done = run(path, "--json")
-    report = json.loads(done.stdout)
-    assert done.returncode == 2
-    assert report["within_limits"] is False
-    assert report["file"]["evidence"]["missing"] == ["left_knee_joint"]
-    assert report["file"]["evidence"]["not_used"] == ["left_kneee_joint"]
-    assert report["file"]["fault"] in done.stderr
+    texts = render(good, evidence, 1.0), render(leap, evidence, 0.4), render(good, None, 1.0)
+    matches_snapshot("motion", "\n\n".join(texts))
 
 
 @pytest.mark.slow
@@ -102,7 +84,7 @@ def test_a_session(tmp_path):
     done = run(path, "--json")
     assert (done.returncode, done.stderr) == (0, "")
     report = json.loads(done.stdout)
-    assert report["file"]["evidence"]["used"]["file"].startswith("a session")
+    assert report["file"]["used"]["file"].startswith("a session")
     assert report["within_limits"] is True
     assert (report["n_frames"], report["fps"]) == (100, 500.0)
     assert report["fastest"]["value"] == 0.0

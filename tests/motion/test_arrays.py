@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import enum
 import gzip
 import io
 import os
@@ -10,7 +11,8 @@ import struct
 import tracemalloc
 import zipfile
 import zlib
-from collections import OrderedDict
+from collections import Counter, OrderedDict
+from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
@@ -88,30 +90,30 @@ def test_isaaclab_order_is_breadth_first():
 
 
 @pytest.mark.parametrize("order", get_args(JointOrder))
-def test_order_told_by_bodies(tmp_path, motion, isaac_angles, order):
+@pytest.mark.parametrize("robot", ["g1_29dof", "g1_29dof_rev_1_0"])
+def test_order_told_by_bodies(tmp_path, motion, isaac_angles, order, robot):
     """BeyondMimic and mjlab write the same arrays, in different orders."""
     angles = motion.joint_pos if order == "motor" else isaac_angles
     path = tmp_path / "motion.npz"
-    np.savez(path, fps=[50], joint_pos=angles, joint_vel=0 * angles, **bodies(motion))
+    np.savez(path, fps=[50], joint_pos=angles, joint_vel=0 * angles, **bodies(motion, robot))
     file = opened(path)
     assert file.evidence.used["joint order"].startswith(f"{order}: the bodies are 0.0 mm")
-    assert "g1_29dof" in file.evidence.used["joint order"]
+    assert f"links of {robot}," in file.evidence.used["joint order"]
     assert file.evidence.not_used == ("joint_vel",)
     assert_same(file.motion(), motion, tolerance=1e-6)
 
 
-def test_bodies_of_another_model(tmp_path, motion, isaac_angles):
-    path = tmp_path / "motion.npz"
-    np.savez(path, fps=50, joint_pos=isaac_angles, **bodies(motion, "g1_29dof_rev_1_0"))
-    assert "g1_29dof_rev_1_0" in opened(path).evidence.used["joint order"]
-
-
-def test_the_pelvis_alone_says_nothing_of_the_order(tmp_path, motion, isaac_angles):
+def test_the_pelvis_alone_says_nothing_of_the_order_and_a_hand_does(tmp_path, motion, isaac_angles):
     path = tmp_path / "motion.npz"
     pelvis = {name: values[:, :1] for name, values in bodies(motion).items()}
     np.savez(path, fps=50, joint_pos=isaac_angles, **pelvis)
     assert_same(g1stream.load_motion(path), motion, tolerance=1e-6)
-    np.savez(path, fps=50, joint_pos=0 * isaac_angles, **pelvis)
+    calm = replace(motion, joint_pos=0.05 * motion.joint_pos)
+    some = {name: values[:, [0, -1]] for name, values in bodies(calm).items()}
+    np.savez(path, fps=50, joint_pos=0.05 * isaac_angles, **some)
+    assert_same(g1stream.load_motion(path), calm, tolerance=1e-6)
+    pelvis = {name: values[:, :1] for name, values in some.items()}
+    np.savez(path, fps=50, joint_pos=0.05 * isaac_angles, **pelvis)
     with pytest.raises(MotionError, match="cannot be told"):
         g1stream.load_motion(path)
 
@@ -121,7 +123,6 @@ def test_order_told_by_limits(tmp_path, motion, isaac_angles):
     np.savez(path, q=isaac_angles, fps=50)
     file = opened(path)
     assert file.evidence.used["joint order"].startswith("isaaclab")
-    assert file.evidence.quat_norms is None
     assert file.evidence.assumed.keys() == {"pelvis"}
     found = file.motion()
     assert_same(found, motion, root=False)
@@ -137,21 +138,19 @@ def test_order_is_asked_for(tmp_path, motion):
     assert g1stream.load_motion(path, joint_order="isaaclab").n_frames == 5
 
 
-def test_order_of_csv_without_header(tmp_path, motion, isaac_angles):
+@pytest.mark.parametrize("order", ["motor", "isaaclab"])
+@pytest.mark.parametrize("asked", [True, False])
+def test_order_of_csv_without_header(tmp_path, motion, isaac_angles, order, asked):
+    """Limits tell it; in calm motions it is taken to be motor order."""
     path = tmp_path / "motion.csv"
-    quat = motion.root_quat_wxyz[:, [1, 2, 3, 0]]
-    np.savetxt(path, np.hstack([motion.root_pos, quat, isaac_angles]), "%.17g", delimiter=",")
-    assert_same(g1stream.load_motion(path, fps=50, joint_order="isaaclab"), motion)
-
-
-def test_csv_with_other_names(tmp_path, motion):
-    path = tmp_path / "motion.csv"
-    root = [f"root_pos_{a}" for a in "xyz"] + [f"quat_{a}" for a in "wxyz"]
-    joints = [name.removesuffix("_joint") for name in reversed(g1stream.JOINT_NAMES)]
-    table = np.hstack([motion.root_pos, motion.root_quat_wxyz, motion.joint_pos[:, ::-1]])
-    header = ",".join([*root, *joints])
-    np.savetxt(path, table, "%.17g", delimiter=",", header=header, comments="")
-    assert_same(g1stream.load_motion(path, fps=50), motion)
+    angles = motion.joint_pos if order == "motor" else isaac_angles
+    pose = np.hstack([motion.root_pos, xyzw_from_wxyz(motion.root_quat_wxyz)])
+    np.savetxt(path, np.hstack([pose, angles]), "%.17g", delimiter=",")
+    found = g1stream.load_motion(path, fps=50, joint_order=order if asked else None)
+    assert_same(found, motion)
+    assert len(found.warnings) == (order == "isaaclab" and not asked)
+    np.savetxt(path, np.hstack([pose, 0 * angles]), "%.17g", delimiter=",")
+    assert opened(path).evidence.assumed.keys() == {"joint order", "frame rate"}
 
 
 def test_named_joints_behind_the_pelvis(tmp_path, motion, isaac_angles):
@@ -253,11 +252,19 @@ class Command:
         return os.system, (f"touch {self.mark}",)
 
 
-def test_pickle_runs_nothing(tmp_path):
+class Mode(enum.Enum):
+    FAST = "fast"
+
+
+def test_a_pickle_runs_nothing_and_other_objects_are_left_out(tmp_path, motion):
     mark, path = tmp_path / "mark", tmp_path / "motion.pkl"
+    more = {"mode": Mode.FAST, "command": Command(mark), "counts": Counter("aab"), "set": {1}}
+    path.write_bytes(pickle.dumps(gmr(motion) | more))
+    assert_same(g1stream.load_motion(path), motion)
+    assert set(more) <= set(opened(path).evidence.not_used)
     path.write_bytes(pickle.dumps({"dof": Command(mark)}))
     with pytest.raises(MotionError, match="system"):
-        opened(path)
+        g1stream.load_motion(path)
     assert not mark.exists()
 
 
@@ -281,19 +288,17 @@ def with_root(pos, quat):
         ({"dof": np.zeros(9)}, "dof"),
         ({"dof": ["a", "b"]}, "dof"),
         ({"dof": np.zeros((9, 29)), "fps": "fast"}, "fps"),
-        (
-            {"dof": np.zeros((9, 29)), "root_pos": np.zeros((8, 3)), "root_rot": np.ones((9, 4))},
-            "8",
-        ),
-        (
-            {"dof": np.zeros((9, 29)), "root_pos": np.zeros((9, 3)), "root_rot": np.ones((9, 3))},
-            "3",
-        ),
+        (with_root(np.zeros((8, 3)), np.ones((9, 4))), "8"),
+        (with_root(np.zeros((9, 3)), np.ones((9, 3))), "3"),
         ({"dof": np.zeros((9, 2)), "dof_names": ["left_knee", "right_knee"]}, "lacks"),
         ({"a": {}, "b": {}}, "2 motions.*: a, b"),
         ([1, 2, 3], "no arrays"),
         ({"dof": shared_lists()}, "512 MiB"),
-        ({"dof": {1, 2}}, "dof"),
+        ({"dof": {1, 2}}, "set"),
+        ({"dof": np.zeros((9, 71))}, "71 columns"),
+        ({"dof": np.full((9, 36), 1e308)}, "finite"),
+        (with_root(np.zeros((9, 3)), np.full((9, 4), np.nan)), "root_rot .* finite"),
+        ({"dof": np.zeros((9, 2)), "dof_names": ["left_knee", "left_knee_joint"]}, "twice"),
     ],
 )
 def test_what_is_no_motion(tmp_path, arrays, reason):
@@ -363,13 +368,6 @@ def test_bodies_of_fewer_frames(tmp_path, motion):
     np.savez(path, joint_pos=motion.joint_pos, **found)
     with pytest.raises(MotionError, match="shape"):
         g1stream.load_motion(path)
-
-
-def test_order_told_by_limits_is_a_warning(tmp_path, motion):
-    path = tmp_path / "motion.npz"
-    np.savez(path, q=motion.joint_pos)
-    assert len(g1stream.load_motion(path).warnings) == 1
-    assert g1stream.load_motion(path, joint_order="motor").warnings == ()
 
 
 def test_a_file_of_pytorch(motion):
@@ -482,3 +480,99 @@ def test_bodies_under_other_names(tmp_path, motion):
     arrays = {"body_positions": poses["body_pos_w"], "body_rotations": poses["body_quat_w"]}
     np.savez(path, fps=50, dof_positions=motion.joint_pos, dof_names=motion.joint_names, **arrays)
     assert_same(g1stream.load_motion(path), motion, tolerance=1e-6)
+
+
+WRISTS = [i for i, name in enumerate(g1stream.JOINT_NAMES) if "wrist" in name]
+WITHOUT_WRISTS = [i for i in range(29) if i not in WRISTS]
+
+
+@pytest.mark.parametrize("layout", ["names", "no names", "table", "CSV"])
+def test_wrists_that_a_file_leaves_out_stay_at_zero(tmp_path, motion, layout):
+    path = tmp_path / ("motion.csv" if layout == "CSV" else "motion.npz")
+    angles, quat = motion.joint_pos[:, WITHOUT_WRISTS], motion.root_quat_wxyz
+    if layout == "CSV":
+        table = np.hstack([motion.root_pos, xyzw_from_wxyz(quat), angles])
+        np.savetxt(path, table, "%.17g", delimiter=",")
+    elif layout == "table":
+        np.savez(path, qpos=np.hstack([motion.root_pos, quat, angles]), fps=50)
+    else:
+        names = [g1stream.JOINT_NAMES[i] for i in WITHOUT_WRISTS]
+        named = {"joint_names": names} if layout == "names" else {}
+        np.savez(path, dof=angles, root_pos=motion.root_pos, root_quat=quat, fps=50, **named)
+    found = g1stream.load_motion(path, fps=50)
+    expected = motion.joint_pos.copy()
+    expected[:, WRISTS] = 0.0
+    assert_same(found, replace(motion, joint_pos=expected))
+    (warning,) = found.warnings
+    assert all(g1stream.JOINT_NAMES[i] in warning for i in WRISTS)
+    assert opened(path).evidence.missing == tuple(g1stream.JOINT_NAMES[i] for i in WRISTS)
+    smaller = G1.load("g1_23dof")
+    assert g1stream.load_motion(path, robot=smaller).warnings == ()
+
+
+def test_the_joints_of_a_g1_with_23_are_read(tmp_path, motion):
+    path, present = tmp_path / "motion.npz", G1.load("g1_23dof").present
+    names = np.array(g1stream.JOINT_NAMES)[present]
+    np.savez(path, joint_pos=motion.joint_pos[:, present], joint_names=names, fps=50)
+    assert_same(
+        g1stream.load_motion(path),
+        replace(motion, joint_pos=motion.joint_pos * present),
+        root=False,
+    )
+
+
+def test_a_quaternion_before_the_position_is_told_by_its_norm(tmp_path, motion):
+    path = tmp_path / "motion.npz"
+    qpos = np.hstack([motion.root_quat_wxyz, motion.root_pos, motion.joint_pos])
+    np.savez(path, qpos=qpos, fps=50)
+    found = g1stream.load_motion(path)
+    assert_same(found, motion)
+    assert found.warnings == ()
+    assert "norm" in opened(path).evidence.used["pelvis"]
+
+
+def test_the_pose_of_an_object_behind_the_joints_is_left_out(tmp_path, motion):
+    path = tmp_path / "motion.npz"
+    ours = np.hstack([motion.root_pos, motion.root_quat_wxyz, motion.joint_pos])
+    box = np.tile([0.5, 0.1, 0.4, 1, 0, 0, 0], (motion.n_frames, 1))
+    np.savez(path, qpos=np.hstack([ours, box]), fps=50, cost=1.0, boxes=box, notes="none")
+    found = g1stream.load_motion(path)
+    assert_same(found, motion)
+    (warning,) = found.warnings
+    assert all(word in warning for word in ("7 columns of qpos", "cost", "boxes"))
+    assert "notes" not in warning  # neither a number nor a row a frame
+
+
+@pytest.mark.parametrize("rate", [{"sample_rate": 50}, {"frequency": 50.0}, {"dt": 0.02}])
+def test_root_and_rate_under_other_names(tmp_path, motion, rate):
+    path = tmp_path / "motion.npz"
+    pose = {"base_pos_w": motion.root_pos, "base_quat_w": motion.root_quat_wxyz}
+    names = np.array(motion.joint_names, dtype="S")
+    np.savez(path, joint_names=names, Joint_Pos=motion.joint_pos, **pose, **rate)
+    assert_same(g1stream.load_motion(path), motion)
+    np.savez(path, joint_names=names, joint_pos=motion.joint_pos, pelvis=motion.root_pos, speed=50)
+    found = g1stream.load_motion(path)
+    assert all(name in found.warnings[0] for name in ("pelvis", "speed"))
+    assert opened(path).evidence.assumed.keys() == {"pelvis", "frame rate"}
+
+
+@pytest.mark.parametrize(
+    ("name", "hinted"),
+    [("take_120hz", True), ("run 60 FPS", True), ("walk_30fps", False), ("7", 0)],
+)
+def test_a_rate_in_the_name_is_a_hint_alone(tmp_path, motion, name, hinted):
+    path = motion.save(tmp_path / f"{name}.csv")
+    found = g1stream.load_motion(path)
+    assert found.fps == 30.0
+    assert len(found.warnings) == bool(hinted)
+    assert g1stream.load_motion(path, fps=60).warnings == ()
+
+
+def test_a_pelvis_that_lies_on_the_floor_is_no_evidence(tmp_path, motion):
+    """On its side, it would stand in the other order of the quaternion."""
+    path = tmp_path / "motion.npz"
+    side = np.tile([0.5**0.5, 0.5**0.5, 0, 0], (motion.n_frames, 1))
+    down = motion.root_pos - [0, 0, 0.65]
+    arrays = {"root_pos": down, "root_quat": side, "joint_names": motion.joint_names}
+    np.savez(path, q=motion.joint_pos, fps=50, **arrays)
+    np.testing.assert_allclose(g1stream.load_motion(path).root_quat_wxyz, side, rtol=0, atol=1e-15)

@@ -6,14 +6,11 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from g1stream.motion.check import check_motion
 from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.hulls import SelfCollision
-from g1stream.robot.kinematics import forward_kinematics
-from g1stream.robot.model import G1
 
 TOOL = Path(__file__).parents[2] / "tools" / "make_demo_motion.py"
 #: Under the ankle roll frame of a G1 there are 35 mm of foot.
@@ -25,14 +22,6 @@ def demo():
     return load_motion("demo")
 
 
-@pytest.fixture(scope="module")
-def feet(demo):
-    robot = G1.default()
-    poses = forward_kinematics(robot, demo.joint_pos, demo.root_pos, demo.root_quat_wxyz)
-    links = [robot.link_index(f"{side}_ankle_roll_link") for side in ("left", "right")]
-    return poses.pos[:, links], poses.quat_wxyz[:, links]
-
-
 def test_the_tool_generates_the_committed_file(demo, robot):
     spec = importlib.util.spec_from_file_location("make_demo_motion", TOOL)
     tool = importlib.util.module_from_spec(spec)
@@ -40,21 +29,11 @@ def test_the_tool_generates_the_committed_file(demo, robot):
     assert tool.to_csv(*tool.make(robot)).encode() == demo.source.read_bytes()
 
 
-def test_duration(demo):
-    assert demo.fps == 30.0
-    assert 12.0 <= demo.duration <= 14.0
-
-
 def test_stays_well_within_the_robots_limits(demo, robot):
     assert (demo.joint_pos >= 0.9 * robot.lower).all()
     assert (demo.joint_pos <= 0.9 * robot.upper).all()
     fastest = check_motion(demo, robot).streamed.speeds[0]
     assert fastest.value < 0.9 * fastest.limit
-
-
-def test_moves_every_limb(demo, robot):
-    for group, (lowest, highest) in check_motion(demo, robot).groups.items():
-        assert highest - lowest > 0.3, group
 
 
 def test_begins_and_ends_at_rest_in_one_pose(demo):
@@ -89,28 +68,3 @@ def test_needs_less_than_half_of_the_torque_limits(demo, robot):
 
 def test_its_links_do_not_touch(demo, robot):
     assert SelfCollision(robot).depths(demo.joint_pos) == {}
-
-
-def test_the_lower_foot_is_on_the_ground(feet):
-    pos, _ = feet
-    np.testing.assert_allclose(pos[:, :, 2].min(axis=1), SOLE, atol=1e-5)
-
-
-def test_feet_are_flat(feet):
-    _, quat = feet
-    up = Rotation.from_quat(quat.reshape(-1, 4), scalar_first=True).apply([0.0, 0.0, 1.0])
-    np.testing.assert_allclose(up, np.tile([0.0, 0.0, 1.0], (len(up), 1)), atol=1e-5)
-
-
-def test_feet_do_not_slip(feet):
-    pos, _ = feet
-    np.testing.assert_allclose(
-        pos[:, :, :2], np.broadcast_to(pos[:1, :, :2], pos[:, :, :2].shape), atol=1e-5
-    )
-
-
-def test_each_foot_steps_twice(feet):
-    pos, _ = feet
-    for foot in range(2):
-        lifted = pos[:, foot, 2] > SOLE + 0.05
-        assert np.count_nonzero(np.diff(lifted.astype(int)) == 1) == 2

@@ -10,23 +10,16 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from g1stream.errors import G1StreamError, MotionError, RecordingError
+from g1stream.errors import G1StreamError, MotionError
 from g1stream.motion.motion import Motion, height_of_floor
 from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
-from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, MIRROR_SIGN, MIRRORED_JOINT
+from g1stream.robot.joints import JOINT_NAMES, MIRROR_SIGN, MIRRORED_JOINT
 from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1, REVISIONS
 from g1stream.robot.rotations import yaw_of
 
 KNEE = JOINT_NAMES.index("left_knee_joint")
-
-
-def test_length_and_repr(make_motion):
-    motion = make_motion(np.zeros((61, 1)), fps=30.0)
-    assert motion.n_frames == 61
-    assert motion.duration == 2.0
-    assert repr(motion) == "Motion(name='made', fps=30, n_frames=61, duration=2.00 s)"
 
 
 def test_arrays_are_read_only_copies(make_motion):
@@ -143,53 +136,11 @@ def test_invalid_frame_rates_to_resample_at(wild_motion, fps):
         wild_motion.resample(fps)
 
 
-def test_a_saved_motion_is_read_back_to_the_last_bit(wild_motion, tmp_path):
-    path = tmp_path / "walk.csv"
-    motion = wild_motion.resample(47.0)
-    assert motion.save(path) == path
-    assert len(path.read_text().splitlines()[0].split(",")) == 37
-    loaded = load_motion(path, fps=motion.fps)
-    assert (loaded.name, loaded.fps, loaded.warnings) == ("walk", 47.0, ())
-    for field in ("joint_pos", "root_pos", "root_quat_wxyz"):
-        np.testing.assert_array_equal(getattr(loaded, field), getattr(motion, field))
-
-
-def test_save_replaces_a_file_only_with_force(wild_motion, tmp_path):
-    path = tmp_path / "walk.csv"
-    path.write_text("precious")
-    with pytest.raises(RecordingError, match=r"walk\.csv"):
-        wild_motion.save(path)
-    assert path.read_text() == "precious"
-    wild_motion.save(path, force=True)
-    assert load_motion(path).n_frames == 40
-
-
 @pytest.mark.parametrize("name", ["walk.bvh", "missing/walk.csv"])
 def test_save_to_an_invalid_path(wild_motion, tmp_path, name):
     with pytest.raises(G1StreamError, match=name.split("/")[0]):
         wild_motion.save(tmp_path / name)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_plot_of_some_joints(wild_motion):
-    (axis,) = wild_motion.plot(["left_knee_joint", "waist_yaw_joint"]).axes
-    assert (axis.get_xlabel(), axis.get_ylabel()) == ("time (s)", "angle (rad)")
-    knee, waist = axis.lines
-    assert (knee.get_label(), waist.get_label()) == ("left_knee_joint", "waist_yaw_joint")
-    np.testing.assert_array_equal(knee.get_xdata(), np.arange(40) / 30)
-    np.testing.assert_array_equal(knee.get_ydata(), wild_motion.joint_pos[:, KNEE])
-
-
-def test_a_plot_of_all_joints_has_a_diagram_per_limb(wild_motion):
-    axes = wild_motion.plot().axes
-    assert [axis.get_title() for axis in axes] == [limb.replace("_", " ") for limb in JOINT_GROUPS]
-    assert [line.get_label() for axis in axes for line in axis.lines] == list(JOINT_NAMES)
-    assert axes[-1].get_xlabel() == "time (s)"
-
-
-def test_a_plot_of_an_unknown_joint(wild_motion):
-    with pytest.raises(MotionError, match=r"tail_joint.*left_knee_joint"):
-        wild_motion.plot(["tail_joint"])
 
 
 def test_importing_the_room_is_cheap():
@@ -390,14 +341,6 @@ def test_feet_are_put_on_the_floor_by_the_robot_that_is_given(demo):
     put = demo.on_floor(tall)
     assert height_of_floor(put, tall) == pytest.approx(0.0, abs=1e-9)
     assert abs(height_of_floor(put, G1.default())) > 0.01
-
-
-def test_frames_and_another_rate_are_named(demo):
-    assert demo.frames(0, demo.n_frames).operations == ()
-    assert demo.frames(3, 40).resample(50).operations == (
-        "cut to frames 3 to 40",
-        "resampled to 50 fps",
-    )
 
 
 def test_a_motion_in_the_air_is_not_put_on_the_floor(make_motion):

@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation, RotationSpline
 
 from g1stream.errors import MotionError
 from g1stream.motion.motion import Motion
-from g1stream.motion.readers import load_motion
 from g1stream.motion.spline import BLOCK
 from g1stream.motion.trajectory import Trajectory
 
@@ -28,16 +27,6 @@ def between(motion, n=997):
 
 def rotation(quat_wxyz):
     return Rotation.from_quat(quat_wxyz, scalar_first=True)
-
-
-def test_passes_through_every_frame(wild_motion):
-    trajectory = Trajectory(wild_motion)
-    for k, t in enumerate(frame_times(wild_motion)):
-        point = trajectory.sample(t)
-        np.testing.assert_allclose(point.joint_pos, wild_motion.joint_pos[k], rtol=0, atol=1e-12)
-        np.testing.assert_allclose(point.root_pos, wild_motion.root_pos[k], rtol=0, atol=1e-12)
-        quat = wild_motion.root_quat_wxyz[k]
-        np.testing.assert_allclose(point.root_quat_wxyz, quat, rtol=0, atol=1e-12)
 
 
 def test_joints_and_root_position_are_scipys_natural_spline(wild_motion):
@@ -72,48 +61,6 @@ def test_one_sample_is_the_same_as_many(wild_motion):
         for row, t in enumerate(times):
             for one, batch in zip(trajectory.sample(t), many, strict=True):
                 np.testing.assert_allclose(one, batch[row], rtol=1e-12, atol=1e-12)
-
-
-def test_error_bounds_on_a_sine(make_motion):
-    """Whole periods of a sine end without curvature, as a natural spline does."""
-    rate, amplitude, fps = 2 * np.pi * 1.5, 0.8, 50.0
-    times = np.arange(101) / fps
-    motion = make_motion(
-        (amplitude * np.sin(rate * times))[:, None],
-        np.stack([0 * times, 0 * times, 0.7 + amplitude * np.sin(rate * times)], axis=1),
-        fps=fps,
-    )
-    t = between(motion)
-    point = Trajectory(motion).sample_many(t)
-    # Error bounds of cubic splines: Hall and Meyer, "Optimal error bounds for cubic spline
-    # interpolation", 1976.
-    fourth, h = amplitude * rate**4, 1 / fps
-    position, velocity, acceleration = (
-        amplitude * np.sin(rate * t),
-        amplitude * rate * np.cos(rate * t),
-        -amplitude * rate**2 * np.sin(rate * t),
-    )
-    for pos, vel, acc in (
-        (point.joint_pos[:, 0], point.joint_vel[:, 0], point.joint_acc[:, 0]),
-        (point.root_pos[:, 2] - 0.7, point.root_lin_vel[:, 2], point.root_lin_acc[:, 2]),
-    ):
-        assert np.abs(pos - position).max() < 5 / 384 * fourth * h**4
-        assert np.abs(vel - velocity).max() < 1 / 24 * fourth * h**3
-        assert np.abs(acc - acceleration).max() < 3 / 8 * fourth * h**2
-
-
-def test_constant_angular_velocity_in_the_body_frame(make_motion):
-    rate = np.array([0.7, -1.1, 2.0])
-    start = Rotation.from_euler("xyz", [0.4, -0.9, 1.3])
-    times = np.arange(31) / 10.0
-    quat = (start * Rotation.from_rotvec(times[:, None] * rate)).as_quat(scalar_first=True)
-    motion = make_motion(np.zeros((31, 1)), quat=quat, fps=10.0)
-    t = between(motion)
-    point = Trajectory(motion).sample_many(t)
-    truth = start * Rotation.from_rotvec(t[:, None] * rate)
-    assert (truth.inv() * rotation(point.root_quat_wxyz)).magnitude().max() < 1e-13
-    np.testing.assert_allclose(point.root_ang_vel, np.tile(rate, (len(t), 1)), atol=1e-11)
-    np.testing.assert_allclose(point.root_ang_acc, 0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("degrees", [1e-7, 0.01, 45.0, 120.0, 179.0])
@@ -181,30 +128,6 @@ def test_rests_before_the_start_and_after_the_end(wild_motion):
         assert not point.root_ang_acc.any()
 
 
-def test_end_velocities_are_those_of_the_motion(wild_motion):
-    trajectory = Trajectory(wild_motion)
-    for t in (0.0, trajectory.duration):
-        assert np.abs(trajectory.sample(t).joint_acc).max() < 1e-10
-    secant = (wild_motion.joint_pos[1] - wild_motion.joint_pos[0]) * wild_motion.fps
-    bend = np.abs(trajectory.sample(1 / wild_motion.fps).joint_acc)
-    # A cubic whose curvature grows from 0 to `bend` in a frame leaves its secant by a sixth of it.
-    off = np.abs(trajectory.sample(0.0).joint_vel - secant)
-    np.testing.assert_allclose(off, bend / 6 / wild_motion.fps, atol=1e-12)
-
-
-def test_a_real_clip(real_clip):
-    motion = load_motion(real_clip)
-    trajectory = Trajectory(motion)
-    at_frames = trajectory.sample_many(frame_times(motion))
-    np.testing.assert_allclose(at_frames.joint_pos, motion.joint_pos, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(at_frames.root_quat_wxyz, motion.root_quat_wxyz, atol=1e-12)
-    times = np.random.default_rng(1).uniform(0.0, motion.duration, 500)
-    spline = RotationSpline(frame_times(motion), rotation(motion.root_quat_wxyz))
-    point = trajectory.sample_many(times)
-    assert (spline(times).inv() * rotation(point.root_quat_wxyz)).magnitude().max() < 1e-13
-    np.testing.assert_allclose(point.root_ang_vel, spline(times, 1), rtol=1e-8, atol=1e-8)
-
-
 def made(n_frames, fps=30.0):
     """A random walk of every joint and of the root: nothing in it is smooth."""
     rng = np.random.default_rng(8)
@@ -269,14 +192,6 @@ def test_a_part_has_the_samples_of_the_whole():
         np.testing.assert_allclose(field, expected[numbers], atol=1e-8)
 
 
-def test_at_the_frame_rate_the_samples_are_the_frames():
-    motion = made(600)
-    _, fields = collected(motion, 30.0)
-    np.testing.assert_allclose(fields[0], motion.joint_pos, atol=1e-12)
-    np.testing.assert_allclose(fields[3], motion.root_pos, atol=1e-12)
-    np.testing.assert_allclose(fields[6], motion.root_quat_wxyz, atol=1e-12)
-
-
 def test_the_last_sample_still_moves():
     """Rounding must not push it past the end, where a trajectory rests."""
     motion = made(31)
@@ -295,20 +210,6 @@ def test_the_last_sample_still_moves():
 def test_no_sample_is_an_error(rate, part, message):
     with pytest.raises(MotionError, match=message):
         list(made(50).samples(rate, *part))
-
-
-def test_joints_keep_the_bounds_of_their_segments(wild_motion):
-    trajectory = Trajectory(wild_motion)
-    times = between(wild_motion)
-    point, segments = trajectory.sample_many(times), trajectory.segments_at(times)
-    bounds = (np.concatenate(parts) for parts in zip(*trajectory.joint_bounds(), strict=True))
-    lowest, highest, fastest = (bound[segments] for bound in bounds)
-    assert (point.joint_pos >= lowest - 1e-12).all()
-    assert (point.joint_pos <= highest + 1e-12).all()
-    assert (np.abs(point.joint_vel) <= fastest + 1e-12).all()
-    # And not by far: in some segment a joint moves with the bound of its speed.
-    share = np.abs(point.joint_vel).max(axis=0) / fastest.max(axis=0)
-    assert share.max() > 0.99
 
 
 @pytest.mark.parametrize("loop", [False, True])

@@ -129,14 +129,6 @@ def test_visual_shapes_stand_on_the_ground_too(robot, standing):
     assert (data.geom_xpos - half)[:, 2].min() == pytest.approx(sole_height, abs=1e-6)
 
 
-def test_the_centre_of_mass_is_above_the_support(standing):
-    model, data = standing
-    soles = data.geom_xpos[sole_geoms(model), :2]
-    margin = 0.02
-    assert (soles.min(axis=0) + margin < data.subtree_com[0, :2]).all()
-    assert (data.subtree_com[0, :2] < soles.max(axis=0) - margin).all()
-
-
 def test_a_stiff_robot_stays_on_its_feet(standing):
     model, data = standing
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST

@@ -230,59 +230,6 @@ def test_friction_opposes_every_joint_once_it_moves():
 KNEE, ANKLE = JOINT_NAMES.index("left_knee_joint"), JOINT_NAMES.index("left_ankle_pitch_joint")
 
 
-@pytest.fixture(scope="module")
-def two_links(tmp_path_factory):
-    """A G1 of which only the left shin and the left ankle have a mass."""
-    root = ET.fromstring(G1.default().urdf)
-    for link in root.iter("link"):
-        if link.find("inertial") is None:
-            continue
-        heavy = {"left_knee_link": (2.0, 0.03), "left_ankle_pitch_link": (0.7, 0.005)}
-        mass, inertia = heavy.get(link.attrib["name"], (1e-9, 1e-9))
-        inertial = link.find("inertial")
-        inertial.find("mass").set("value", str(mass))
-        inertial.find("origin").attrib.update(xyz="0.02 0 -0.11", rpy="0 0 0")
-        for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"):
-            diagonal = inertia if key[1] == key[2] else 0.0
-            inertial.find("inertia").set(key, str(diagonal))
-    path = tmp_path_factory.mktemp("robot") / "two_links.urdf"
-    path.write_text(ET.tostring(root, encoding="unicode"))
-    return G1.load(path)
-
-
-def test_two_links_by_hand(two_links):
-    """Newton's and Euler's laws for a shin and an ankle that swing in the plane y = const."""
-    q, dq, ddq = np.zeros((3, N_JOINTS))
-    q[[KNEE, ANKLE]], dq[[KNEE, ANKLE]], ddq[[KNEE, ANKLE]] = (0.9, -0.4), (2.0, -3.0), (7.0, 11.0)
-    poses = forward_kinematics(two_links, q[None], np.zeros(3), UPRIGHT.quat_wxyz)
-
-    def place(link, offset=(0.0, 0.0, 0.0)):
-        index = two_links.link_index(link)
-        turn = Rotation.from_quat(poses.quat_wxyz[0, index][[1, 2, 3, 0]])
-        return poses.pos[0, index] + turn.apply(offset)
-
-    def swung(arm, rate, acceleration):
-        """Acceleration of an arm's end against its root, turning about y."""
-        return np.cross([0.0, acceleration, 0.0], arm) - rate**2 * (arm * [1.0, 0.0, 1.0])
-
-    centre = (0.02, 0.0, -0.11)
-    knee, ankle = place("left_knee_link"), place("left_ankle_pitch_link")
-    shin_arm = place("left_knee_link", centre) - knee
-    foot_arm = place("left_ankle_pitch_link", centre) - ankle
-    (w1, w2), (a1, a2) = np.cumsum(dq[[KNEE, ANKLE]]), np.cumsum(ddq[[KNEE, ANKLE]])
-    shin_acc = swung(shin_arm, w1, a1)
-    foot_acc = swung(ankle - knee, w1, a1) + swung(foot_arm, w2, a2)
-    on_foot, on_shin = 0.7 * (foot_acc + GRAVITY), 2.0 * (shin_acc + GRAVITY)
-    at_ankle = 0.005 * a2 + np.cross(foot_arm, on_foot)[1]
-    at_knee = (
-        0.03 * a1 + np.cross(shin_arm, on_shin)[1] + np.cross(ankle - knee, on_foot)[1] + at_ankle
-    )
-    tau = InverseDynamics(two_links).solve("bolted", q, dq, ddq, UPRIGHT).tau
-    own = ARMATURE * ddq + friction_torque(dq)
-    assert tau[KNEE] - own[KNEE] == pytest.approx(at_knee, abs=1e-6)
-    assert tau[ANKLE] - own[ANKLE] == pytest.approx(at_ankle, abs=1e-6)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("support", ["bolted", "hanging"])
 def test_a_simulation_with_the_same_support_follows_with_small_gains(

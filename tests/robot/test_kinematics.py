@@ -76,14 +76,6 @@ def test_local_transforms_compose_to_the_world(robot, random_frames):
         np.testing.assert_array_less(angle_between(world.quat_wxyz[:, link], quat), 1e-12)
 
 
-def test_a_frame_does_not_depend_on_its_batch(robot, random_frames):
-    batch = forward_kinematics(robot, *random_frames)
-    for frame in (0, 7):
-        alone = forward_kinematics(robot, *(values[frame : frame + 1] for values in random_frames))
-        np.testing.assert_allclose(alone.pos[0], batch.pos[frame], atol=1e-14)
-        np.testing.assert_allclose(alone.quat_wxyz[0], batch.quat_wxyz[frame], atol=1e-14)
-
-
 def test_one_root_pose_serves_all_frames(robot, random_frames):
     root_pos, root_quat = random_frames.root_pos[3], random_frames.root_quat_wxyz[3]
     poses = forward_kinematics(robot, random_frames.joint_pos, root_pos, root_quat)
@@ -91,19 +83,6 @@ def test_one_root_pose_serves_all_frames(robot, random_frames):
         robot, random_frames.joint_pos, np.tile(root_pos, (12, 1)), np.tile(root_quat, (12, 1))
     )
     np.testing.assert_array_equal(poses.pos, one_by_one.pos)
-
-
-def test_results_are_copies(robot, random_frames):
-    poses = local_transforms(robot, *random_frames)
-    poses.pos[:] = poses.quat_wxyz[:] = 0
-    assert robot.origin_pos.any()
-    assert random_frames.root_pos.any()
-
-
-def test_no_frames_give_no_poses(robot):
-    poses = forward_kinematics(robot, np.empty((0, 29)), np.empty((0, 3)), np.empty((0, 4)))
-    assert poses.pos.shape == (0, 39, 3)
-    assert poses.quat_wxyz.shape == (0, 39, 4)
 
 
 @pytest.mark.parametrize("shape", [(29,), (12, 28), (12, 35)])

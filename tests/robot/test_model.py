@@ -52,36 +52,10 @@ def test_loading_the_default_by_path_gives_the_same_tree(robot, tmp_path):
         assert_same_model(loaded, robot)
 
 
-def test_links_come_parents_first(robot):
-    assert robot.link_names[0] == "pelvis"
-    assert robot.parent[0] == -1
-    assert all(up < link for link, up in enumerate(robot.parent))
-    assert sorted(np.concatenate([[0], *robot.levels])) == list(range(len(robot.link_names)))
-
-
-def test_each_joint_moves_one_link(robot):
-    assert robot.joint_names == JOINT_NAMES
-    moving = robot.joint_of_link >= 0
-    assert sorted(robot.joint_of_link[moving]) == list(range(29))
-    np.testing.assert_array_equal(np.linalg.norm(robot.axis, axis=1), moving)
-    knee = robot.link_index("left_knee_link")
-    assert robot.joint_names[robot.joint_of_link[knee]] == "left_knee_joint"
-
-
-def test_arrays_are_read_only(robot):
-    arrays = [v for v in vars(robot).values() if isinstance(v, np.ndarray)]
-    assert len(arrays) == 9
-    assert not any(array.flags.writeable for array in arrays)
-
-
 def test_an_unknown_link_is_named_with_the_known_ones(robot):
     assert robot.link_names[robot.link_index("torso_link")] == "torso_link"
     with pytest.raises(RobotError, match=r"'tors'.*torso_link"):
         robot.link_index("tors")
-
-
-def test_repr(robot):
-    assert repr(robot) == "G1(name='g1_29dof_rev_1_0', source='default', links=39)"
 
 
 def test_both_revisions_are_loaded_by_name(robot):
@@ -147,14 +121,6 @@ def test_limits_of_a_urdf_that_are_wider_than_a_robots_are_narrowed(tmp_path, ro
     assert (loaded.capped, own.capped) == ((wider,), ())
     assert wider in loaded.warning
     assert own.warning == ""
-
-
-@pytest.mark.parametrize("revision", REVISIONS)
-def test_the_limits_of_a_robot_in_this_package_are_its_own(tmp_path, revision):
-    path, builtin = tmp_path / "robot.urdf", G1.load(revision)
-    path.write_text(builtin.urdf)
-    assert G1.load(path).warning == ""
-    assert_same_model(G1.load(path), builtin)
 
 
 @pytest.fixture(params=VARIANTS)

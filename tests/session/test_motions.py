@@ -7,7 +7,8 @@ from scipy.spatial.transform import Rotation
 from g1stream.app.session import open_session
 from g1stream.dds.messages import Reference
 from g1stream.errors import MotionError, RecordingError
-from g1stream.motion.readers import check_motion_file, load_motion
+from g1stream.motion.check import check_motion
+from g1stream.motion.readers import find_motion, load_motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import G1
@@ -39,37 +40,33 @@ def write(tmp_path):
 
 
 def test_a_session_is_checked_as_the_motion_that_was_played(write):
-    path = write()
-    report = check_motion_file(path, ROBOT)
-    assert (report.path, report.fault) == (path, "")
-    assert report.evidence.used["file"].startswith("a session")
-    assert (report.motion.n_frames, report.motion.fps) == (100, 500.0)
-    assert report.motion.streamed.speeds[0].joint == "left_knee_joint"
-    assert report.motion.streamed.speeds[0].value == pytest.approx(0.5)
+    reader = find_motion(write()).open()
+    evidence, report = reader.evidence, check_motion(reader.motion(), ROBOT)
+    assert evidence.used["file"].startswith("a session")
+    assert (report.n_frames, report.fps) == (100, 500.0)
+    assert report.streamed.speeds[0].joint == "left_knee_joint"
+    assert report.streamed.speeds[0].value == pytest.approx(0.5)
     assert report.passed
 
 
 def test_a_session_beyond_a_limit_fails(write):
-    report = check_motion_file(write(begin=ROBOT.upper[KNEE]), ROBOT)
-    assert report.motion.frames_beyond[0].count == 99
+    report = check_motion(load_motion(write(begin=ROBOT.upper[KNEE])), ROBOT)
+    assert report.frames_beyond[0].count == 99
     assert not report.passed
 
 
 def test_the_frame_rate_is_as_given(write):
-    assert check_motion_file(write(), ROBOT, fps=100.0).motion.fps == 100.0
+    assert load_motion(write(), fps=100.0).fps == 100.0
 
 
 def test_a_session_in_which_nothing_was_played_is_an_error(write):
-    path = write(Phase.RAMP)
-    for read in (lambda path: check_motion_file(path, ROBOT), load_motion):
-        with pytest.raises(RecordingError, match="No motion was played"):
-            read(path)
+    with pytest.raises(RecordingError, match="No motion was played"):
+        load_motion(write(Phase.RAMP))
 
 
 def test_a_path_that_is_neither(tmp_path):
-    for read in (lambda path: check_motion_file(path, ROBOT), load_motion):
-        with pytest.raises(MotionError, match=r"nowhere\.mcap"):
-            read(tmp_path / "nowhere.mcap")
+    with pytest.raises(MotionError, match=r"nowhere\.mcap"):
+        load_motion(tmp_path / "nowhere.mcap")
 
 
 # --- the motion that was played ---

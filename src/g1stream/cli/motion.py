@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from g1stream.cli.command import (
@@ -17,12 +15,11 @@ from g1stream.cli.command import (
 )
 from g1stream.cli.flags import argument, flag
 from g1stream.cli.motion_flags import MOTIONS, MotionFlags
-from g1stream.errors import MotionError
-from g1stream.text import counted, labelled
+from g1stream.text import counted, labelled, listed
 
 if TYPE_CHECKING:
     from g1stream.motion.check import MotionReport
-    from g1stream.motion.readers import Evidence, FileReport
+    from g1stream.motion.readers import Evidence
 
 __all__ = ["Inspect", "render"]
 
@@ -44,8 +41,8 @@ class Inspect(SettingsCommand, MotionFlags):
 
     Exit codes:
       0  within the limits
-      1  a frame is beyond a position limit, or the spline beyond a speed limit
-      2  bad input: not a motion (what can be read is printed)
+      1  a frame is beyond a position limit, the spline beyond a speed limit, or a unit is wrong
+      2  bad input: not a motion
     """
 
     motions: tuple[str, ...] = argument(MOTIONS, "MOTION...")
@@ -54,75 +51,55 @@ class Inspect(SettingsCommand, MotionFlags):
     def run(self) -> int:
         """Print the report, and return the exit code."""
         from g1stream.motion.check import check_motion
-        from g1stream.motion.readers import FileReport, check_motion_file
         from g1stream.robot.model import G1
 
         config = self.resolve()
         robot = G1.load(config.robot, own_limits=config.safety.urdf_limits)
         rate, margin = config.stream.rate, config.safety.position_margin
-        if len(self.motions) == 1:
-            report = check_motion_file(
-                self.motions[0],
-                robot,
-                fps=self.fps,
-                joint_order=self.joint_order,
-                change=lambda motion: self.join([motion], robot),
-                rate=rate,
-                position_margin=margin,
-            )
-        else:
-            motion = check_motion(
-                self.load(self.motions, robot), robot, rate=rate, position_margin=margin
-            )
-            report = FileReport(Path(motion.name), motion=motion)
+        evidence, motions = None, []
+        for one in self.motions:
+            reader = self.find(one, robot).open()
+            evidence = reader.evidence if len(self.motions) == 1 else None
+            motions.append(reader.motion())
+        del reader  # which has the content of the file
+        motion = self.join(motions, robot)
+        report = check_motion(motion, robot, rate=rate, position_margin=margin)
         if robot.warning:
             print_warning(robot.warning)
         if self.json:
-            print_json(_as_dict(report))
+            print_json(_as_dict(report, evidence))
         else:
-            text = render(report, config.safety.max_tilt)
-            print_lines(text, sys.stderr if report.fault else None)
-        if report.fault:
-            raise MotionError(report.fault, report.remedy)
+            print_lines(render(report, evidence, config.safety.max_tilt))
         return EXIT_OK if report.passed else EXIT_STOPPED
 
 
-def _as_dict(report: FileReport) -> dict[str, Any]:
-    """The motion's values; under `file` those of the file."""
-    file, motion = {**asdict(report), "path": str(report.path)}, report.motion
-    values = file.pop("motion") or {}
-    if motion:
-        values["n_held"] = motion.streamed.n_held
-    return values | {"within_limits": report.passed, "file": file}
+def _as_dict(report: MotionReport, evidence: Evidence | None) -> dict[str, Any]:
+    """The motion's values; under `file` what the file has."""
+    more = {"n_held": report.streamed.n_held, "within_limits": report.within_limits}
+    return {**asdict(report), **more, "file": evidence and asdict(evidence)}
 
 
-def render(report: FileReport, max_tilt: float) -> str:
-    """The report as text, without the fault of a file that is no motion.
+def render(report: MotionReport, evidence: Evidence | None, max_tilt: float) -> str:
+    """The report as text.
 
     Args:
-        report: of the file.
+        report: on the motion.
+        evidence: what its file has; None of joined motions.
         max_tilt: pelvis tilt that ends a run, rad.
     """
-    motion = report.motion
-    name = motion.name if motion else report.path.name
-    lines = [name]
-    if motion and motion.suspicion:  # first: it explains the figures below
-        lines.append(_line("problem", f"It looks as if {motion.suspicion}."))
-    lines += _evidence_lines(report.evidence) if report.evidence else []
-    if motion:
-        lines += [*_motion_lines(motion), *_result_lines(motion, max_tilt)]
-    return "\n".join(lines)
+    lines = [report.name]
+    if report.suspicion:  # first: it explains the figures below
+        lines.append(_line("problem", f"It looks as if {report.suspicion}."))
+    lines += _evidence_lines(evidence) if evidence else []
+    return "\n".join([*lines, *_motion_lines(report), *_result_lines(report, max_tilt)])
 
 
 def _evidence_lines(evidence: Evidence) -> list[str]:
     """What a file has and what it was taken for."""
     lines = [_line(subject, text) for subject, text in evidence.used.items()]
     lines += [_line(subject, f"{text}, assumed") for subject, text in evidence.assumed.items()]
-    lines += [_line("not used", name) for name in evidence.not_used]
-    lines += [_line("not in the file", name) for name in evidence.missing]
-    if evidence.quat_norms:
-        lowest, highest = evidence.quat_norms
-        lines.append(_line("quaternion norm", f"{lowest:.6f} to {highest:.6f}"))
+    for label, names in (("not used", evidence.not_used), ("not in the file", evidence.missing)):
+        lines += [_line(label, listed(names))] * bool(names)
     return lines
 
 

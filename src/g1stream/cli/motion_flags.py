@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from g1stream.motion.motion import Motion
+    from g1stream.motion.readers import MotionFile
     from g1stream.robot.model import G1
 
 __all__ = ["MOTION", "MOTIONS", "MotionFlags"]
@@ -39,13 +40,13 @@ class MotionFlags(Command):
         None,
         "Frames per second of the motion file, or to sample a session at.",
         "HZ",
-        shown="what the file says; 30 for CSV",
+        shown="what the file says, or 30",
         gt=0,
     )
     joint_order: JointOrder | None = flag(
         None,
         "Order of the joints in a motion file that does not name them.",
-        shown="told by joint limits and bodies; motor order in a CSV file",
+        shown="told by bodies and joint limits",
     )
     trim: str = flag(
         ":",
@@ -71,10 +72,13 @@ class MotionFlags(Command):
             RecordingError: a session is damaged, or no motion was played in it.
             RobotError: the robot's soles, which --on-floor needs, are not known.
         """
-        from g1stream.motion.readers import load_motion
+        return self.join([self.find(one, robot).open().motion() for one in motions], robot)
 
-        read = [load_motion(one, fps=self.fps, joint_order=self.joint_order) for one in motions]
-        return self.join(read, robot)
+    def find(self, motion: str, robot: G1 | None = None) -> MotionFile:
+        """A motion file, to be read as the flags say."""
+        from g1stream.motion.readers import find_motion
+
+        return find_motion(motion, fps=self.fps, joint_order=self.joint_order, robot=robot)
 
     def join(self, motions: Sequence[Motion], robot: G1 | None = None) -> Motion:
         """What the flags make of motions that are read.

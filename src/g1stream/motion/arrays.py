@@ -1,15 +1,17 @@
-"""Motion files of named arrays: NPZ, NPY, pickles of arrays, and what PyTorch saves.
+"""Motion files of named arrays: NPZ, NPY, pickles, what PyTorch saves, and the columns of a CSV.
 
-What the arrays are is told by their names and shapes, and the frame rate by the file. Where joints
-are not named, their order is told by evidence, and asked for if that leaves a choice.
+What the arrays are is told by their names and shapes. Where a file says nothing, evidence decides,
+and what leaves a choice is asked for. All formats have the same checks.
 """
 
 from __future__ import annotations
 
 import io
+import re
 import warnings
 import zipfile
 import zlib
+from collections import Counter
 from dataclasses import replace
 from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, get_args
@@ -17,14 +19,16 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, get_args
 import numpy as np
 
 from g1stream.errors import MotionError
-from g1stream.input_limits import UNPACKED
-from g1stream.motion.motion import DEFAULT_FPS, SMALLEST_QUAT, Motion, norm_warnings
-from g1stream.motion.pickles import read_pickle, read_torch
+from g1stream.input_limits import NUMBER, UNPACKED
+from g1stream.motion.csv import read_csv
+from g1stream.motion.motion import DEFAULT_FPS, SMALLEST_QUAT, Motion
+from g1stream.motion.pickles import Unread, read_pickle, read_torch
 from g1stream.motion.readers import Evidence
-from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
+from g1stream.robot.joints import JOINT_NAMES, JOINT_SETS, N_JOINTS
 from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1, REVISIONS
 from g1stream.robot.rotations import quat_normalize, quat_rotate, wxyz_from_xyzw
+from g1stream.text import listed
 from g1stream.types import JointOrder
 
 if TYPE_CHECKING:
@@ -35,15 +39,32 @@ if TYPE_CHECKING:
     from g1stream.motion.readers import MotionFile
     from g1stream.types import Floats
 
-__all__ = ["ArrayFile", "names_in_order", "read_arrays"]
+__all__ = [
+    "ArrayFile",
+    "motions_in",
+    "names_in_order",
+    "open_arrays",
+    "open_table",
+    "read_arrays",
+]
 
-# The names that arrays have in the files of those who write them.
-#: Joint angles, maybe with the pelvis's pose in the first `_ROOT` columns.
-_ANGLES: Final = ("joint_pos", "dof_pos", "dof_positions", "dof", "qpos", "joint_angles", "q")
-_ROOT: Final = 7
+# The names that arrays have in the files of those who write them, in lower case and without `_w`,
+# which says that they are in the world frame.
+#: Joint angles, maybe with poses, and whether w is first in the quaternions of these by convention.
+_ANGLES: Final = {
+    **dict.fromkeys(("joint_pos", "dof_pos", "dof_positions", "dof", "qpos"), True),
+    **dict.fromkeys(("joint_angles", "q"), True),
+    "table": False,
+}
 _NAMES: Final = ("joint_names", "dof_names")
-_FPS: Final = ("fps", "framerate", "frame_rate", "mocap_framerate", "mocap_frame_rate")
-_POSITIONS: Final = ("root_pos", "root_trans", "root_trans_offset", "base_pos", "root_translation")
+_FPS: Final = (
+    *("fps", "framerate", "frame_rate", "mocap_framerate", "mocap_frame_rate"),
+    *("sample_rate", "sampling_rate", "frequency", "freq", "hz"),
+)
+_POSITIONS: Final = (
+    *("root_pos", "root_trans", "root_trans_offset", "base_pos", "root_translation"),
+    *("root_position", "base_position"),
+)
 #: Orientations of the pelvis and of all bodies, and whether w is first in them by convention.
 _QUATS: Final = {
     "root_quat_wxyz": True,
@@ -53,33 +74,34 @@ _QUATS: Final = {
     "root_rotation": False,
     "base_quat": True,
 }
-_BODY_POSITIONS: Final = ("body_pos_w", "body_positions", "rigid_body_pos")
-_BODY_QUATS: Final = {"body_quat_w": True, "body_rotations": True, "rigid_body_rot": False}
+_BODY_POSITIONS: Final = ("body_pos", "body_positions", "rigid_body_pos")
+_BODY_QUATS: Final = {"body_quat": True, "body_rotations": True, "rigid_body_rot": False}
+#: In the names of arrays that known layouts have and that add nothing to the motion: no warning.
+_NOT_MISSED: Final = ("_vel", "contact", "pose_aa", "smpl", "local_body")
 #: Arrays of the motions of human body models.
 _HUMAN: Final = {"poses", "pose_aa", "betas"}
-
-
-def _any_of(names: Iterable[str]) -> str:
-    *others, last = names
-    return f"{', '.join(others)} or {last}"
-
-
-_READ: Final = (
-    f"Read are joint angles as {_any_of(_ANGLES)}, (T, {N_JOINTS}), or (T, {_ROOT + N_JOINTS}) "
-    f"with the pelvis's position and quaternion before them; the pelvis as {_any_of(_POSITIONS)} "
-    f"with {_any_of(_QUATS)}, or as the first body of {_any_of(_BODY_POSITIONS)} with "
-    f"{_any_of(_BODY_QUATS)}; {_any_of(_FPS)}; {_any_of(_NAMES)}."
-)
+#: Numbers of a pose before the angles, or of an object behind them.
+_POSE: Final = 7
+_WRISTS: Final = tuple(name for name in JOINT_NAMES if "_wrist_" in name)
+#: Joints that a motion may lack, as a retargeting tool or a kind of G1 with legs has none.
+_MAY_LACK: Final = {*_WRISTS, *(JOINT_NAMES[i] for i in JOINT_SETS[1].absent)}
+_READ: Final = "docs/formats.md lists the names and shapes of the arrays that are read."
 #: Numbers in an array that is converted to 64 bits.
 _NUMBERS: Final = UNPACKED // 8
-#: Motions of a file that an error names.
-_NAMED: Final = 20
 #: A pelvis that leans by more than the first on average, by less than the second if w is at the
-#: other end, is taken to have it there, rad.
+#: other end, is taken to have it there, rad; but not at the heights on the floor, m.
 _LYING: Final = 1.05
 _UPRIGHT: Final = 0.8
-#: Frames that bodies are compared in.
+_ON_FLOOR: Final = (0.03, 0.4)
+#: Quaternions are unit as far as evidence goes.
+_UNIT: Final = 0.02
+#: Quaternion norms that differ from 1 by more than this give a warning; by more than the second
+#: they are no rounding error.
+_NORM_TOLERANCE: Final = 1e-3
+_NORM_ROUNDING: Final = 0.1
+#: Frames that bodies, and that limits and norms, are compared in.
 _FRAMES: Final = 50
+_MANY_FRAMES: Final = 5000
 #: An order is told by the bodies if it puts the links this near to them, mm, and at most at this
 #: share of the distance in the other order.
 _NEAR: Final = 50.0
@@ -90,6 +112,8 @@ _BEYOND: Final = 1e-2
 _TIMES: Final = 10.0
 #: An angle counts as beyond a limit by more than this, rad; retargeting tools differ by as much.
 _EXCESS: Final = 0.02
+#: A frame rate in the name of a file.
+_RATE: Final = re.compile(r"(\d+(?:\.\d+)?)[ _-]?(?:hz|fps)", re.IGNORECASE)
 
 
 class _Root(NamedTuple):
@@ -100,32 +124,53 @@ class _Root(NamedTuple):
     source: str
 
 
+class _Columns(NamedTuple):
+    """The columns of the array with the angles: its name, (T, n) rad, (T, 7) or None, and others.
+
+    Attributes:
+        quat_first: the quaternion is before the position in a pose.
+        rest: how many columns are behind the angles.
+    """
+
+    name: str
+    angles: Floats
+    pose: Floats | None = None
+    quat_first: bool = False
+    rest: int = 0
+
+
 class _Order(NamedTuple):
-    """The joint in each column, how that is known, and whether only joint limits say it."""
+    """The joint in each column, and how that is known.
+
+    Attributes:
+        by_limits: only joint limits say that it is not motor order.
+        assumed: nothing says it.
+    """
 
     columns: tuple[str, ...]
     why: str
     by_limits: bool = False
+    assumed: bool = False
 
 
 class ArrayFile:
     """A motion file of named arrays.
 
     Args:
-        file: an NPZ, an NPY, a file of PyTorch, or a pickle, plain or of joblib.
+        file: where they are from.
+        kind: of file, for messages.
+        content: the arrays by name, or those of each motion by its name.
+        first_line: of a table the line of frame 0.
 
     Raises:
-        MotionError: it cannot be read, or has no such motion. Anything else wrong in it is an error
-            only when `evidence` or `motion` is asked for.
+        MotionError: it has no such motion. Anything else wrong in it is an error only when
+            `evidence` or `motion` is asked for.
     """
 
-    def __init__(self, file: MotionFile) -> None:
-        self._file = file
-        try:
-            self._kind, content = read_arrays(file.content)
-        except ValueError as error:
-            raise self._error(str(error), _READ) from error
+    def __init__(self, file: MotionFile, kind: str, content: Any, first_line: int = 0) -> None:
+        self._file, self._kind, self._first_line = file, kind, first_line
         self._arrays = self._of_one_motion(content, file.member)
+        self._by_name = {_plain(name): name for name in reversed(self._arrays)}
         self._read: dict[str, None] = {}  # the names of those that were looked at, in order
 
     def motion(self) -> Motion:
@@ -136,28 +181,21 @@ class ArrayFile:
                 be told.
         """
         order, root = self._order, self._root
-        if missing := self._missing:
+        if lacking := [name for name in self._absent if name not in _MAY_LACK]:
+            unused = f"; not used are {listed(self._not_used)}" * bool(self._not_used)
             raise self._error(
-                f"it lacks the joints {', '.join(missing)}", "Give a motion of all 29 joints."
+                f"it lacks the joints {', '.join(lacking)}{unused}",
+                "Give a motion of all joints; only wrists, waist roll and pitch may be left out.",
             )
+        warned = tuple(f"{self._file.path.name}: {text}" for text in self._warnings())
         motion = Motion.from_arrays(
-            _in_motor_order(self._angles, order.columns),
+            _in_motor_order(self._columns.angles, order.columns),
             root and root.pos,
             root and root.quat_wxyz,
             fps=self._file.fps or self._fps or DEFAULT_FPS,
             name=self._file.member or self._file.path.stem,
         )
-        warned = []
-        if unknown := self._unknown:
-            warned.append(f"Joints that no G1 has are left out: {', '.join(unknown)}.")
-        if order.by_limits:
-            warned.append(f"The order of the joints was told by their limits. {order.why}.")
-        if root:
-            norms = np.linalg.norm(root.quat_wxyz, axis=1)
-            warned += norm_warnings(norms, self._file.path.name, lambda frame: f"frame {frame}")
-        return replace(
-            motion, source=self._file.path, sha256=self._file.sha256, warnings=tuple(warned)
-        )
+        return replace(motion, source=self._file.path, sha256=self._file.sha256, warnings=warned)
 
     @cached_property
     def evidence(self) -> Evidence:
@@ -167,7 +205,9 @@ class ArrayFile:
             MotionError: as `motion`.
         """
         order, root = self._order, self._root
-        used, assumed = {"joint order": order.why}, {}
+        used: dict[str, str] = {}
+        assumed: dict[str, str] = {}
+        (assumed if order.assumed else used)["joint order"] = order.why
         if root:
             used["pelvis"] = root.source
         else:
@@ -176,93 +216,177 @@ class ArrayFile:
             used["frame rate"] = f"{self._fps:g} fps, as the file says"
         elif self._file.fps is None:
             assumed["frame rate"] = f"{DEFAULT_FPS:g} fps"
-        read = [name for name in self._read if name in self._arrays]
-        rest = [name for name in self._arrays if name not in read]
-        norms = np.linalg.norm(root.quat_wxyz, axis=1) if root else None
-        return Evidence(
-            {"file": f"{self._kind} with {', '.join(read)}", **used},
-            assumed,
-            (*self._unknown, *rest),
-            tuple(self._missing),
-            None if norms is None else (float(norms.min()), float(norms.max())),
-        )
+        kind = self._kind
+        if not self._first_line:
+            kind += f" with {listed([name for name in self._read if name in self._arrays])}"
+        return Evidence({"file": kind, **used}, assumed, self._not_used, self._absent)
 
-    @property
-    def _missing(self) -> list[str]:
-        return [name for name in JOINT_NAMES if name not in self._order.columns]
+    def _warnings(self) -> Iterable[str]:
+        """What is not used, filled in or corrected, a sentence each."""
+        robot, absent = self._file.robot, self._absent
+        missing = [JOINT_NAMES.index(name) for name in absent]
+        if absent and (robot is None or robot.present[missing].all()):
+            yield f"the file lacks the joints {', '.join(absent)}, which stay at 0."
+        if missed := [name for name in self._not_used if self._is_missed(name)]:
+            yield f"not used: {listed(missed)}."
+        if self._order.by_limits:
+            yield (
+                f"only joint limits tell the order of the joints; {self._order.why}. Give "
+                "--joint-order if it is another one."
+            )
+        hint = _RATE.search(self._file.member or self._file.path.stem)
+        if hint and not (self._fps or self._file.fps) and float(hint[1]) != DEFAULT_FPS:
+            yield (
+                f"{DEFAULT_FPS:g} fps is assumed, as the file does not say its frame rate, but its "
+                f"name has {hint[0]}. Give --fps {hint[1]} if that is the rate."
+            )
+        if self._root:
+            yield from self._norm_warnings(np.linalg.norm(self._root.quat_wxyz, axis=1))
 
-    @property
-    def _unknown(self) -> list[str]:
-        return [name for name in self._order.columns if name not in JOINT_NAMES]
+    def _norm_warnings(self, norms: Floats) -> Iterable[str]:
+        """A warning about quaternion norms (T,) that are not 1; an error for one that is 0."""
+        off = np.abs(norms - 1.0)
+        worst = int(np.argmax(off))
+        where = f"frame {worst}"
+        if self._first_line:
+            where += f", line {self._first_line + worst}"
+        if norms.min() <= SMALLEST_QUAT:
+            raise self._error(
+                f"the quaternion of {where} is zero",
+                "Give every frame an orientation; without rotation w is 1 and the others are 0.",
+            )
+        if off[worst] > _NORM_TOLERANCE:
+            doubt = "; that is no rounding error, check the file"
+            yield (
+                f"normalised {int((off > _NORM_TOLERANCE).sum())} of {len(norms)} quaternions, "
+                f"which were not unit. Furthest off is {where}, with norm {norms[worst]:.4g}"
+                f"{doubt if off[worst] > _NORM_ROUNDING else ''}."
+            )
 
     @cached_property
-    def _table(self) -> tuple[str, Floats]:
-        """Name and content of the array with the angles, (T, 29) or with the pelvis before them."""
-        if name := self._first(_ANGLES):
-            return name, self._numbers(name, 2).astype(np.float64)
-        found = ", ".join(sorted(self._arrays)) or "nothing"
-        human = " It is the motion of a human body model." * bool(_HUMAN & self._arrays.keys())
-        raise self._error(f"no array has joint angles; it has {found}.{human}".rstrip("."), _READ)
+    def _absent(self) -> tuple[str, ...]:
+        return tuple(name for name in JOINT_NAMES if name not in self._order.columns)
+
+    @cached_property
+    def _not_used(self) -> tuple[str, ...]:
+        """Joints, columns and arrays, when all others have been looked at."""
+        columns, _ = self._columns, (self._root, self._fps)
+        last = f"the last {columns.rest} columns of {columns.name}"
+        return (
+            *(name for name in self._order.columns if name not in JOINT_NAMES),
+            *([last] * bool(columns.rest)),
+            *(name for name in self._arrays if name not in self._read),
+        )
+
+    def _is_missed(self, name: str) -> bool:
+        """Whether what is not used may say something of the motion: a row a frame, or a number."""
+        if name not in self._arrays:  # a joint, or columns
+            return True
+        try:
+            values = np.asarray(self._arrays[name])
+        except ValueError:  # rows of other lengths
+            return False
+        says = values.size == 1 or values.shape[:1] == (len(self._columns.angles),)
+        known = any(word in _plain(name) for word in _NOT_MISSED)
+        return says and values.dtype.kind in "biuf" and not known
 
     @cached_property
     def _names(self) -> tuple[str, ...]:
         """The joints that the file names, as g1stream names them."""
-        if key := self._first(_NAMES):
-            return tuple(f"{one.removesuffix('_joint')}_joint" for one in self._texts(key))
-        return ()
+        key = self._first(_NAMES)
+        names = tuple(f"{one.removesuffix('_joint')}_joint" for one in self._texts(key))
+        if twice := [name for name, n in Counter(names).items() if n > 1]:
+            raise self._error(f"{key} has {listed(twice)} twice", "Name each joint once.")
+        return names
 
     @cached_property
-    def _angles(self) -> Floats:
-        """(T, n) rad."""
-        name, table = self._table
-        n_joints = len(self._names) or N_JOINTS
-        if table.shape[1] not in (n_joints, _ROOT + n_joints):
+    def _columns(self) -> _Columns:
+        """Which columns of the array with the angles are what.
+
+        A pose is before the angles where there are 7 more columns, and poses of objects behind them
+        where all of these have unit quaternions.
+        """
+        name = self._first(_ANGLES)
+        if not name:
+            human = " It is the motion of a human body model." * bool(_HUMAN & self._arrays.keys())
             raise self._error(
-                f"{name} has {table.shape[1]} columns for {n_joints} joints",
-                f"Give it a column for each joint, or {_ROOT} more before them: the pelvis's "
-                "position and quaternion (wxyz).",
+                f"no array has joint angles; it has {listed(sorted(self._arrays))}.{human}", _READ
             )
-        return table[:, -n_joints:]
+        table = self._numbers(name, 2)
+        width = table.shape[1]
+        counts = [len(self._names)] if self._names else [N_JOINTS, N_JOINTS - len(_WRISTS)]
+        for n_joints in counts:
+            if width == n_joints:
+                return _Columns(name, table)
+            behind = _POSE + n_joints
+            poses = [table[:, i : i + _POSE] for i in (0, *range(behind, width, _POSE))]
+            if width < behind or poses[-1].shape[1] != _POSE:
+                continue
+            unit = [_unit_columns(pose) for pose in poses]
+            if width == behind or all(unit):
+                angles = table[:, _POSE:behind]
+                return _Columns(name, angles, poses[0], unit[0] == [0], width - behind)
+        joints = " or ".join(map(str, counts))
+        raise self._error(
+            f"{name} has {width} columns for {joints} joints",
+            f"Give it a column for each joint, or {_POSE} more before them: the pelvis's position "
+            f"and quaternion ({'wxyz' if _ANGLES[_plain(name)] else 'xyzw'}).",
+            1 if self._first_line else 0,
+        )
 
     @cached_property
     def _order(self) -> _Order:
         """By the names in the file, as asked for, or by evidence.
 
         Positions of bodies decide: forward kinematics in the right order puts the links where the
-        bodies are. Otherwise the joint limits do, which the wrong order passes.
+        bodies are. Otherwise the joint limits do, which the wrong order passes. A table without a
+        header is in motor order where they leave a choice.
         """
-        angles, asked = self._angles, self._file.joint_order
         if self._names:
             return _Order(self._names, "named by the file")
+        angles, asked = self._columns.angles, self._file.joint_order
+        without = "" if angles.shape[1] == N_JOINTS else ", without the six wrists"
+        names = {
+            order: tuple(n for n in names_in_order(order) if not without or n not in _WRISTS)
+            for order in get_args(JointOrder)
+        }
         if asked:
-            return _Order(names_in_order(asked), f"{asked}, as asked for")
-        orders: tuple[JointOrder, ...] = get_args(JointOrder)
-        poses = {order: _in_motor_order(angles, names_in_order(order)) for order in orders}
+            return _Order(names[asked], f"{asked}{without}, as asked for")
         root, bodies = self._root, self._first(_BODY_POSITIONS)
         if root and bodies:
-            found = self._bodies(bodies, 3)
-            near = {order: _distance(pose, found, root) for order, pose in poses.items()}
-            best, other = sorted(orders, key=lambda order: near[order])
+            few = _some(len(angles), _FRAMES)
+            found = self._bodies(bodies, 3)[few]
+            base = _Root(root.pos[few], root.quat_wxyz[few], "")
+            near = {
+                order: _distance(_in_motor_order(angles[few], joints), found, base)
+                for order, joints in names.items()
+            }
+            best, other = sorted(names, key=lambda order: near[order])
             # The pelvis alone is as near in both.
             if near[best][0] < min(_NEAR, _NEARER * near[other][0]):
                 return _Order(
-                    names_in_order(best),
-                    f"{best}: the bodies are {near[best][0]:.1f} mm from the links of "
+                    names[best],
+                    f"{best}{without}: the bodies are {near[best][0]:.1f} mm from the links of "
                     f"{near[best][1]}, in {other} order {near[other][0]:.0f} mm",
                 )
-        beyond = {order: _share_beyond_limits(pose) for order, pose in poses.items()}
-        best, other = sorted(orders, key=lambda order: beyond[order])
+        few = _some(len(angles), _MANY_FRAMES)
+        beyond = {
+            order: _share_beyond_limits(_in_motor_order(angles[few], joints))
+            for order, joints in names.items()
+        }
+        best, other = sorted(names, key=lambda order: beyond[order])
         if beyond[other] > max(_BEYOND, _TIMES * beyond[best]):
             return _Order(
-                names_in_order(best),
-                f"{best}: {beyond[best]:.2%} of the angles are beyond the joint limits, in {other} "
-                f"order {beyond[other]:.2%}",
-                by_limits=True,
+                names[best],
+                f"{best}{without}: {beyond[best]:.2%} of the angles are beyond the joint limits, "
+                f"in {other} order {beyond[other]:.2%}",
+                by_limits=best != "motor",
             )
-        shares = " and ".join(f"{beyond[order]:.2%} in {order} order" for order in orders)
-        raise MotionError(
-            f"The order of the joints in {self._file.path.name} cannot be told: {shares} are "
-            "beyond the joint limits.",
+        if self._first_line:
+            return _Order(names["motor"], f"motor{without}", assumed=True)
+        shares = " and ".join(f"{beyond[order]:.2%} in {order} order" for order in names)
+        raise self._error(
+            f"the order of the joints cannot be told: {shares} are beyond the joint limits",
             "Say it: --joint-order motor (as LowCmd, the URDF and MuJoCo) or --joint-order "
             "isaaclab.",
         )
@@ -270,13 +394,19 @@ class ArrayFile:
     @cached_property
     def _root(self) -> _Root | None:
         """The pelvis's pose, from arrays of its own, before the angles, or from the first body."""
-        angles, table = self._table
+        columns = self._columns
         position, rotation = self._first(_POSITIONS), self._first(_QUATS)
         if position and rotation:
             pos, quat = self._numbers(position, 2), self._numbers(rotation, 2)
-            return self._pose(pos, quat, f"{position}, {rotation}", w_first=_QUATS[rotation])
-        if table.shape[1] > self._angles.shape[1]:
-            return _Root(table[:, :3], table[:, 3:_ROOT], f"in {angles}, quaternion wxyz")
+            return self._pose(pos, quat, f"{position}, {rotation}", rotation, _QUATS)
+        if columns.pose is not None:
+            cut = 4 if columns.quat_first else 3
+            parts = columns.pose[:, :cut], columns.pose[:, cut:]
+            quat, pos = parts if columns.quat_first else reversed(parts)
+            where = "the columns before the joints"
+            if columns.quat_first:
+                where += ", quaternion first, as those columns have norm 1"
+            return self._pose(pos, quat, where, columns.name, _ANGLES)
         position, rotation = self._first(_BODY_POSITIONS), self._first(_BODY_QUATS)
         if position and rotation:
             names = self._texts("body_names")
@@ -284,56 +414,71 @@ class ArrayFile:
             pos, quat = self._bodies(position, 3), self._bodies(rotation, 4)
             if body >= min(pos.shape[1], quat.shape[1]):
                 raise self._error(f"{position} has no body {body}", "Name as many as there are.")
-            where = f"body {body}, quaternion"
-            return self._pose(pos[:, body], quat[:, body], where, w_first=_BODY_QUATS[rotation])
+            where = f"body {body} of {position}, {rotation}"
+            return self._pose(pos[:, body], quat[:, body], where, rotation, _BODY_QUATS)
         return None
 
-    def _pose(self, pos: NDArray[Any], quat: NDArray[Any], source: str, *, w_first: bool) -> _Root:
+    def _pose(
+        self,
+        pos: NDArray[Any],
+        quat: NDArray[Any],
+        source: str,
+        name: str,
+        w_first: dict[str, bool],
+    ) -> _Root:
         """The pose of these arrays, its quaternions with w first.
 
-        w is where it usually is in such an array, unless the pelvis then lies and in the other
-        order stands.
+        w is where the name of the array says or where it usually is in such an array, unless the
+        pelvis then lies and in the other order stands.
         """
         for what, values, width in (("position", pos, 3), ("quaternion", quat, 4)):
-            if values.shape != (len(self._angles), width):
+            if values.shape != (len(self._columns.angles), width):
                 raise self._error(
                     f"the pelvis's {what} ({source}) has the shape {values.shape}",
-                    f"Give it the shape ({len(self._angles)}, {width}), a row per frame.",
+                    f"Give it the shape ({len(self._columns.angles)}, {width}), a row per frame.",
                 )
         quat = quat.astype(np.float64)
         orders = {"wxyz": quat, "xyzw": wxyz_from_xyzw(quat)}
-        usual, other = orders if w_first else reversed(orders)
+        usual, other = orders if w_first[_plain(name)] else reversed(orders)
         why = ""
-        if _lean(orders[usual]) > _LYING and _lean(orders[other]) < _UPRIGHT:
+        few = _some(len(quat), _MANY_FRAMES)
+        if (
+            not _plain(name).endswith(tuple(orders))
+            and not _ON_FLOOR[0] < np.median(pos[:, 2]) < _ON_FLOOR[1]
+            and _lean(orders[usual][few]) > _LYING
+            and _lean(orders[other][few]) < _UPRIGHT
+        ):
             usual, why = other, ", as the pelvis would lie otherwise"
-        return _Root(pos.astype(np.float64), orders[usual], f"{source} {usual}{why}")
+        return _Root(pos, orders[usual], f"{source}, {usual}{why}")
 
     def _bodies(self, name: str, width: int) -> NDArray[Any]:
         """(T, B, width) as in the file, in which they are most of the numbers."""
-        values = self._numbers(name, 3)
-        if values.shape[0] != len(self._angles) or values.shape[2] != width:
+        values, n_frames = self._numbers(name, 3), len(self._columns.angles)
+        if values.shape[0] != n_frames or values.shape[2] != width:
             raise self._error(
                 f"{name} has the shape {values.shape}",
-                f"Give it the shape ({len(self._angles)}, bodies, {width}).",
+                f"Give it the shape ({n_frames}, bodies, {width}).",
             )
         return values
 
     @cached_property
     def _fps(self) -> float | None:
         """Frames per second as the file says; None if it does not."""
-        name = self._first(_FPS)
+        name = self._first((*_FPS, "dt"))
         if not name:
             return None
         values = self._array(name).ravel()
         if values.size == 1 and values.dtype.kind in "iuf" and values[0] > 0:
-            return float(values[0])
+            return float(1.0 / values[0] if _plain(name) == "dt" else values[0])
         raise self._error(f"{name} is no frame rate", "Give it one number, such as 50.")
 
     def _first(self, names: Iterable[str]) -> str:
-        """The first of these names that an array has; empty if none has."""
-        return next((name for name in names if name in self._arrays), "")
+        """The array that has the first of these names that there is; empty if none has."""
+        return next((self._by_name[name] for name in names if name in self._by_name), "")
 
     def _numbers(self, name: str, dimensions: int) -> NDArray[Any]:
+        if isinstance(unread := self._arrays[name], Unread):
+            raise self._error(f"{name} is a {unread.name}, which is not read", "Make it an array.")
         values = self._array(name)
         if values.dtype.kind not in "iuf" or values.ndim != dimensions or not values.size:
             raise self._error(
@@ -343,6 +488,10 @@ class ArrayFile:
         if values.size > _NUMBERS:
             raise self._error(
                 f"{name} has more than {_NUMBERS:,} numbers", "Give a part of the motion."
+            )
+        if not (float(values.min()) >= -NUMBER and float(values.max()) <= NUMBER):  # NaN is neither
+            raise self._error(
+                f"{name} has a number that is not finite, or beyond {NUMBER:g}", "Correct it."
             )
         return values
 
@@ -368,26 +517,88 @@ class ArrayFile:
         """The arrays; those of the chosen, or only, motion where there is a dict of motions."""
         if not isinstance(content, dict) or not content:
             raise self._error("it has no arrays by name", _READ)
-        if not all(isinstance(one, dict) for one in content.values()):
+        names = _members(content)
+        if not names:
             if member is None:
                 return content
             raise self._error(f"it is one motion, and has none named {member}", "Leave that out.")
-        if member is None and len(content) == 1:
-            (member,) = content
-        if member not in content:
-            count = f"{len(content)} motions" if len(content) > 1 else "one motion"
+        if member is None and len(names) == 1:
+            (member,) = names
+        if member not in names:
+            count = f"{len(names)} motions" if len(names) > 1 else "one motion"
             has = f"it has {count}" + (f", and none named {member}" if member else "")
-            names = list(content)
-            more = f" and {len(names) - _NAMED} more" * (len(names) > _NAMED)
             raise self._error(
-                f"{has}: {', '.join(names[:_NAMED])}{more}",
-                f"Give one by its name: {self._file.path}:{names[0]}",
+                f"{has}: {listed(names)}", f"Give one by its name: {self._file.path}:{names[0]}"
             )
         arrays: dict[str, Any] = content[member]
         return arrays
 
-    def _error(self, cause: str, remedy: str) -> MotionError:
-        return MotionError(f"{self._file.path.name}: {cause}.", remedy)
+    def _error(self, cause: str, remedy: str, line: int = 0) -> MotionError:
+        where = f", line {line}" * bool(line)
+        return MotionError(f"{self._file.path.name}{where}: {cause}.", remedy)
+
+
+def open_table(file: MotionFile) -> ArrayFile:
+    """The reader of a CSV.
+
+    Raises:
+        MotionError: it cannot be read.
+    """
+    table = read_csv(file.content, file.path.name)
+    return ArrayFile(file, f"CSV, {table.about}", table.arrays, table.first_line)
+
+
+def open_arrays(file: MotionFile) -> ArrayFile:
+    """The reader of an NPZ, an NPY, a file of PyTorch, or a pickle, plain or of joblib.
+
+    Raises:
+        MotionError: it cannot be read, or has no such motion.
+    """
+    return ArrayFile(file, *_content(file))
+
+
+def motions_in(file: MotionFile) -> tuple[str, ...]:
+    """The names of the motions in a pickle or a file of PyTorch; none where it is only one.
+
+    Raises:
+        MotionError: it cannot be read.
+    """
+    return _members(_content(file)[1])
+
+
+def _members(content: Any) -> tuple[str, ...]:
+    if isinstance(content, dict) and all(isinstance(one, dict) for one in content.values()):
+        return tuple(content)
+    return ()
+
+
+def _content(file: MotionFile) -> tuple[str, Any]:
+    """As `read_arrays`.
+
+    Raises:
+        MotionError: it cannot be read.
+    """
+    try:
+        return read_arrays(file.content)
+    except ValueError as error:
+        raise MotionError(f"{file.path.name}: {error}.", _READ) from error
+
+
+def _plain(name: str) -> str:
+    """The name of an array as the tables above have it."""
+    return name.lower().removesuffix("_w")
+
+
+def _some(n_frames: int, at_most: int) -> NDArray[np.intp]:
+    """Numbers of frames, evenly spaced."""
+    return np.linspace(0, n_frames - 1, min(at_most, n_frames)).astype(np.intp)
+
+
+def _unit_columns(pose: NDArray[Any]) -> list[int]:
+    """Where the quaternion in a pose (T, 7) may begin, at 3 or 0: where its norm is 1."""
+    some = pose[_some(len(pose), _MANY_FRAMES)]
+    norms = {first: np.linalg.norm(some[:, first : first + 4], axis=1) for first in (3, 0)}
+    return [first for first, norm in norms.items() if (np.abs(norm - 1.0) < _UNIT).all()]
 
 
 @cache
@@ -405,8 +616,14 @@ def names_in_order(order: JointOrder) -> tuple[str, ...]:
 
 
 def _in_motor_order(angles: Floats, names: tuple[str, ...]) -> Floats:
-    """(T, 29) angles of the joints `names`, in motor order."""
-    return angles[:, [names.index(name) for name in JOINT_NAMES]]
+    """(T, 29) angles of the joints `names`, in motor order; 0 of others."""
+    if names == JOINT_NAMES:
+        return angles
+    ordered = np.zeros((len(angles), N_JOINTS))
+    for joint, name in enumerate(JOINT_NAMES):
+        if name in names:
+            ordered[:, joint] = angles[:, names.index(name)]
+    return ordered
 
 
 def _distance(joint_pos: Floats, bodies: NDArray[Any], root: _Root) -> tuple[float, str]:
@@ -415,11 +632,10 @@ def _distance(joint_pos: Floats, bodies: NDArray[Any], root: _Root) -> tuple[flo
     Returns:
         The distance, and the name of that robot.
     """
-    few = np.linspace(0, len(joint_pos) - 1, min(_FRAMES, len(joint_pos))).astype(int)
-    found, quat = bodies[few][:, :, np.newaxis], quat_normalize(root.quat_wxyz[few])
+    found, quat = bodies[:, :, np.newaxis], quat_normalize(root.quat_wxyz)
     distances = []
     for name in REVISIONS:
-        links = forward_kinematics(G1.load(name), joint_pos[few], root.pos[few], quat).pos
+        links = forward_kinematics(G1.load(name), joint_pos, root.pos, quat).pos
         nearest = np.linalg.norm(found - links[:, np.newaxis], axis=-1).min(axis=-1)
         distances.append((float(nearest.mean() * 1e3), name))
     return min(distances)

@@ -13,7 +13,6 @@ from g1stream.motion.limits import JointPeak, LimitReport, frame_peaks, measure_
 from g1stream.motion.motion import height_of_floor
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
-from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1
 from g1stream.robot.rotations import tilt_of
 from g1stream.types import STREAM_RATE
@@ -36,16 +35,11 @@ __all__ = [
 _LARGEST_ANGLE: Final = 4.0 * np.pi
 #: Larger numbers are no degrees either.
 _LARGEST_DEGREES: Final = 720.0
+#: No pelvis is so high for most of a motion, m; from the second on, it is in millimetres.
+_HIGHEST: Final = 10.0
+_MILLIMETRES: Final = 300.0
 #: A step from one frame to the next that is no movement of a joint, rad; a LAFAN1 dance has 1.08.
 _LARGE_STEP: Final = 0.5
-#: Of the G1 with all joints: what it touches and looks with. The lidar is in the head.
-_LINKS: Final = {
-    "left hand": "left_rubber_hand",
-    "right hand": "right_rubber_hand",
-    "head": "mid360_link",
-}
-#: Frames that are looked at for them are no more than this.
-_MOST_FRAMES: Final = 2000
 
 
 @dataclass(frozen=True)
@@ -77,25 +71,18 @@ class Dropped:
         robot: its name.
         joints: their names.
         moved: those of them that are not 0 throughout the motion, and are missed.
-        errors_mm: of each hand and the head the mean and the greatest distance, mm, from where the
-            motion has it in the pelvis's frame.
     """
 
     robot: str
     joints: tuple[str, ...]
     moved: tuple[str, ...]
-    errors_mm: dict[str, tuple[float, float]]
 
     def __str__(self) -> str:
         lacks = f"{self.robot} lacks {_short(self.joints)}, which stay at 0"
         if not self.moved:
             return f"{lacks}, as in the motion"
-        errors = ", ".join(
-            f"{part} {mean:.0f} mm on average, {most:.0f} at most"
-            for part, (mean, most) in self.errors_mm.items()
-        )
         which = "all" if self.moved == self.joints else _short(self.moved)
-        return f"{lacks}; the motion moves {which} of them: {errors} from the motion's"
+        return f"{lacks}; the motion moves {which} of them"
 
 
 @dataclass(frozen=True)
@@ -116,8 +103,8 @@ class MotionReport:
     operations: tuple[str, ...] = ()  # what was done to the motion in the file
     floor: float | None = None  # height at which its feet stand, m; None: none stands, or unknown
     dropped: Dropped | None = None  # joints that the robot does not have
-    in_radians: bool = True
-    suspicion: str = ""  # what a limit that is passed looks like: "frame 7 is a spike of 2.4 rad"
+    in_si_units: bool = True  # rad and m, as far as sizes say
+    suspicion: str = ""  # what a fault looks like: "frame 7 is a spike of 2.4 rad"
 
     @property
     def within_limits(self) -> bool:
@@ -126,6 +113,11 @@ class MotionReport:
         Targets that are held at a position limit between frames do not count: they are safe.
         """
         return not self.frames_beyond and not self.streamed.too_fast
+
+    @property
+    def passed(self) -> bool:
+        """Whether it is within the limits, and in radians and metres. Warnings do not count."""
+        return self.within_limits and self.in_si_units
 
 
 def _short(joints: tuple[str, ...]) -> str:
@@ -137,21 +129,9 @@ def dropped_joints(motion: Motion, robot: G1) -> Dropped | None:
     absent = ~robot.present
     if not absent.any():
         return None
-    q = motion.joint_pos[:: max(1, -(-motion.n_frames // _MOST_FRAMES))]
     moved = absent & (motion.joint_pos != 0.0).any(axis=0)
-    full, base = G1.default(), (np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
-    links = [full.link_index(link) for link in _LINKS.values()]
-    asked, done = (
-        forward_kinematics(full, one, *base).pos[:, links] for one in (q, q * robot.present)
-    )
-    distance = np.linalg.norm(asked - done, axis=-1) * 1e3
-    errors = zip(_LINKS, distance.mean(axis=0).tolist(), distance.max(axis=0).tolist(), strict=True)
-    return Dropped(
-        robot.joint_set.name,
-        tuple(JOINT_NAMES[i] for i in np.flatnonzero(absent)),
-        tuple(JOINT_NAMES[i] for i in np.flatnonzero(moved)),
-        {part: (mean, most) for part, mean, most in errors},
-    )
+    joints, missed = (tuple(JOINT_NAMES[i] for i in np.flatnonzero(one)) for one in (absent, moved))
+    return Dropped(robot.joint_set.name, joints, missed)
 
 
 def check_motion(
@@ -173,14 +153,15 @@ def check_motion(
         trajectory: through its frames, which repeats if the motion does; made if None.
         interval: the part whose limits count; all of it if None.
     """
-    trajectory = trajectory or Trajectory(motion)
     frames_beyond, fastest = frame_peaks(motion, robot, interval)
+    largest_step, floor = _largest_step(motion), _floor(motion, robot)
+    trajectory = trajectory or Trajectory(motion)
     streamed = measure_limits(
         trajectory, robot, interval, rate=rate, position_margin=position_margin
     )
-    in_radians = float(np.abs(motion.joint_pos).max()) <= _LARGEST_ANGLE
-    suspicion = ""
-    if frames_beyond or streamed.too_fast:
+    wrong_unit = _wrong_unit(motion)
+    suspicion = wrong_unit
+    if not wrong_unit and (frames_beyond or streamed.too_fast):
         suspicion = _suspicion(motion, (*frames_beyond, *streamed.too_fast)[0])
     return MotionReport(
         name=motion.name,
@@ -190,28 +171,36 @@ def check_motion(
         frames_beyond=frames_beyond,
         fastest=fastest,
         streamed=streamed,
-        largest_step=_largest_step(motion),
+        largest_step=largest_step,
         root=_root_travel(motion),
         groups={name: _range(motion.joint_pos[:, joints]) for name, joints in JOINT_GROUPS.items()},
         warnings=motion.warnings,
         operations=motion.operations,
-        floor=_floor(motion, robot),
+        floor=floor,
         dropped=dropped_joints(motion, robot),
-        in_radians=in_radians,
+        in_si_units=not wrong_unit,
         suspicion=suspicion,
     )
 
 
-def _suspicion(motion: Motion, worst: JointPeak) -> str:
-    """What a motion beyond a limit looks like, as far as that can be told; or ""."""
-    angles = motion.joint_pos
+def _wrong_unit(motion: Motion) -> str:
+    """In which unit angles or positions look, as their sizes say; or ""."""
+    angles, height = motion.joint_pos, float(np.median(motion.root_pos[:, 2]))
     row, column = divmod(int(np.abs(angles).argmax()), angles.shape[1])
     largest = f"{motion.joint_names[column]} is at {angles[row, column]:g} in frame {row}"
     if abs(angles[row, column]) > _LARGEST_DEGREES:
         return f"a cell were no angle: {largest}"
     if abs(angles[row, column]) > _LARGEST_ANGLE:
         return f"the angles were in degrees: {largest}"
-    one = angles[:, motion.joint_names.index(worst.joint)]
+    if abs(height) > _HIGHEST:
+        unit = "millimetres" if abs(height) > _MILLIMETRES else "centimetres"
+        return f"the positions were in {unit}: the pelvis is at a height of {height:.0f} m"
+    return ""
+
+
+def _suspicion(motion: Motion, worst: JointPeak) -> str:
+    """What a motion beyond a limit looks like, as far as that can be told; or ""."""
+    one = motion.joint_pos[:, motion.joint_names.index(worst.joint)]
     steps = np.diff(one)
     near = max(0, round(worst.time * motion.fps) - 2)
     frame = near + int(np.abs(steps[near : near + 4]).argmax()) if near < len(steps) else near
@@ -229,7 +218,8 @@ def _suspicion(motion: Motion, worst: JointPeak) -> str:
 
 
 def _largest_step(motion: Motion) -> JointStep:
-    steps = np.abs(np.diff(motion.joint_pos, axis=0))
+    steps = np.diff(motion.joint_pos, axis=0)
+    np.abs(steps, out=steps)
     frame, joint = divmod(int(steps.argmax()), steps.shape[1])
     return JointStep(motion.joint_names[joint], frame, float(steps[frame, joint]))
 

@@ -1,48 +1,32 @@
-"""Motion files in CSV: a row of root pose and joint angles per frame, in metres and radians.
+"""Motion tables in CSV, or with spaces as `numpy.savetxt` writes them: a row a frame.
 
-There are two layouts, distinguished by the first line:
+A header names the columns: those of `ROOT_COLUMNS` and the joints, in any order, also under other
+names, such as `root_pos_x`, `quat_w` and `left_knee`. It may be in quotes, or a comment. Without a
+header `g1stream.motion.arrays` tells what the columns are.
 
-- Foxglove: a header and 37 columns, `Frame,X,Y,Z,QX,QY,QZ,QW` and the 29 joints, in any order, also
-  under other names, such as `root_pos_x`, `quat_w` and `left_knee`, and without the frame number;
-- LAFAN1 as distributed for the G1: no header and 36 columns, position, quaternion and the joints in
-  motor order.
-
-Quaternions are in xyzw order. Neither layout has a frame rate.
-
-numpy parses the numbers. It says little about what it refuses, so that a file with a fault is then
+numpy parses the numbers. It says little about what it refuses, so that a table with a fault is then
 searched cell by cell for the first one.
 """
 
 from __future__ import annotations
 
-from contextlib import suppress
-from functools import cached_property
-from typing import TYPE_CHECKING, Final
+from itertools import islice
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
 from g1stream.errors import MotionError
-from g1stream.input_limits import NUMBER
-from g1stream.motion.arrays import names_in_order
-from g1stream.motion.motion import (
-    DEFAULT_FPS,
-    ROOT_COLUMNS,
-    SMALLEST_QUAT,
-    Motion,
-    norm_warnings,
-)
-from g1stream.motion.readers import Evidence
+from g1stream.input_limits import CSV_LINE, NUMBER
+from g1stream.motion.motion import ROOT_COLUMNS
 from g1stream.robot.joints import JOINT_NAMES
-from g1stream.robot.rotations import wxyz_from_xyzw
 from g1stream.text import counted
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
-    from g1stream.motion.readers import MotionFile
     from g1stream.types import Floats
 
-__all__ = ["CsvFile"]
+__all__ = ["Table", "read_csv"]
 
 _FRAME: Final = ROOT_COLUMNS[0]
 _POSITION: Final = ROOT_COLUMNS[1:4]
@@ -57,248 +41,231 @@ _OTHER_NAMES: Final = {
     for axis in axes
     for prefix in prefixes
 } | {"frame": _FRAME}
-_LAFAN1: Final = (*_POSITION, *_QUAT_XYZW, *JOINT_NAMES)
+#: In the names of columns with Euler angles.
+_EULER: Final = ("rotate", "euler", "roll", "pitch", "yaw", "rpy")
+_JOINTS: Final = frozenset(JOINT_NAMES)
+#: Lines in which the first row of numbers is.
+_HEADER: Final = 1000
+_BOM: Final = b"\xef\xbb\xbf"
+_LAYOUT: Final = (
+    f"Separate columns with commas or spaces, and name {','.join(ROOT_COLUMNS[1:])} and the "
+    f"{len(JOINT_NAMES)} joints in the first line; or have no header, and position, quaternion "
+    "(xyzw) and joints."
+)
 
 
-class CsvFile:
-    """A CSV motion file: its layout, and on request its numbers.
-
-    Args:
-        file: UTF-8. A byte order mark, any line ends, spaces around cells and blank lines at the
-            end are accepted.
-
-    Raises:
-        MotionError: it is empty or not text. Anything else wrong in it is an error only when
-            `values` or `motion` is asked for.
+class Table(NamedTuple):
+    """What is in a CSV file.
 
     Attributes:
-        has_header: whether the first line names the columns.
-        columns: their names in the order of the file; those of LAFAN1 where 36 columns have no
-            header, none where the names are unknown.
-        n_columns: values in the first line.
-        n_rows: lines below the header.
+        about: it, for messages.
+        arrays: `joint_pos`, `joint_names`, `root_pos`, `root_quat_xyzw`, and each other column by
+            its name; without a header only `table`, (T, N).
+        first_line: the line of frame 0, from 1.
     """
 
-    def __init__(self, file: MotionFile) -> None:
-        self._file = file
-        self._text = self._decode(file.content)
-        first = [cell.strip() for cell in self._text.split("\n", 1)[0].split(",")]
-        self.n_columns = len(first)
-        self.has_header = not any(map(_is_number, first))
-        self.columns: tuple[str, ...] = ()
-        if not self.has_header and self.n_columns == len(_LAFAN1):
-            self.columns = (*_LAFAN1[:7], *names_in_order(file.joint_order or "motor"))
-        elif self.has_header and self.n_columns > 1:
-            self.columns = tuple(map(_canonical_column, first))
-        self.n_rows = self._text.count("\n") + 1 - self.has_header
+    about: str
+    arrays: dict[str, Any]
+    first_line: int
 
-    @property
-    def evidence(self) -> Evidence:
-        """What the table has, whether or not it is a motion."""
-        named = "named by a header" if self.has_header else "no header"
-        if self.columns and not self.has_header:
-            named += ", columns as in LAFAN1"
-        size = f"{counted(self.n_rows, 'row')}, {counted(self.n_columns, 'column')}, {named}"
-        n_joints = len(set(JOINT_NAMES).intersection(self.columns))
-        used = {"file": f"CSV, {size}; {counted(n_joints, 'joint')} found"}
-        assumed = {}
-        if self._file.fps is None:
-            assumed["frame rate"] = f"{DEFAULT_FPS:g} fps"
-        if self.columns and not self.has_header and self._file.joint_order is None:
-            assumed["joint order"] = "motor"
-        norms = None
-        with suppress(MotionError):  # a fault that `motion` raises
-            if set(_QUAT_XYZW) <= set(self.columns):
-                length = np.linalg.norm(self._take(_QUAT_XYZW), axis=1)
-                norms = float(length.min()), float(length.max())
-        missing = tuple(self._missing if self.columns else ())
-        return Evidence(used, assumed, tuple(self._unknown), missing, norms)
 
-    @cached_property
-    def values(self) -> Floats:
-        """The numbers (n_rows, n_columns), all finite.
+def read_csv(content: bytes, name: str) -> Table:
+    """The columns of a table.
 
-        Raises:
-            MotionError: it is not a table of numbers in named columns; names line and column.
-        """
+    Args:
+        content: UTF-8. A byte order mark, any line ends, spaces around cells and blank lines at the
+            end are accepted.
+        name: of the file, for errors.
+
+    Raises:
+        MotionError: it is no table of numbers, or not one of a robot; names line and column.
+    """
+    return _Reader(content, name).table()
+
+
+class _Reader:
+    def __init__(self, content: bytes, name: str) -> None:
+        self._name = name
+        self._data = content.removeprefix(_BOM)
+        if b"\r" in self._data:
+            self._data = self._data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+        self._end, tail = len(self._data), b""
+        while self._end and not tail:
+            start = max(0, self._end - CSV_LINE)
+            tail = self._data[start : self._end].rstrip()
+            self._end = start + len(tail)
+        header, self._named, line = "", False, ""
+        self._columns: tuple[str, ...] = ()
+        for number, line in enumerate(islice(self._lines(), _HEADER), 1):
+            self._first_line = number
+            comment = line.startswith("#")
+            if not comment and (self._named or any(map(_is_number, _cells(line)))):
+                break
+            header, self._named = line.lstrip("# "), self._named or not comment
+        else:
+            cause = "there is a header but no frame" if header else "the file is empty"
+            raise self._error(cause, "Give a CSV file with a line per frame, or a session file.")
+        self._delimiter = "," if "," in line else None
+        self._n_columns = len(_cells(line))
+        names = [cell.strip("\"'") for cell in _cells(header)]
+        # A comment may be about something else.
+        if names and (self._named or len(names) == self._n_columns):
+            names[0] = names[0] or _FRAME  # as pandas writes it
+            self._columns = tuple(map(_canonical_column, names))
+            self._n_columns = len(names)
+        self._n_rows = self._data.count(b"\n", 0, self._end) + 2 - self._first_line
+
+    def table(self) -> Table:
+        size = f"{counted(self._n_rows, 'row')}, {counted(self._n_columns, 'column')}"
+        if not self._columns:
+            return Table(f"{size}, no header", {"table": self._values()}, self._first_line)
         self._check_header()
-        if not self.n_rows:
-            raise self._error("there is a header but no frame", "Give it a line per frame.")
+        values = self._values()
+        numbered = {name: column for column, name in enumerate(self._columns)}
+        arrays: dict[str, Any] = {"joint_names": [n for n in self._columns if n in _JOINTS]}
+        parts = {"joint_pos": arrays["joint_names"]}
+        if _QUAT_XYZW[0] in numbered:
+            parts |= {"root_pos": _POSITION, "root_quat_xyzw": _QUAT_XYZW}
+        for key, names in parts.items():
+            arrays[key] = _take(values, [numbered[name] for name in names])
+        if _FRAME in numbered:
+            self._check_frame_numbers(values[:, numbered[_FRAME]])
+        known = _JOINTS.union(ROOT_COLUMNS)
+        arrays |= {name: values[:, i] for name, i in numbered.items() if name not in known}
+        return Table(f"{size}, named by a header", arrays, self._first_line)
+
+    def _lines(self) -> Iterator[str]:
+        """The lines of the text, but for blank ones at its end."""
+        start, number = 0, 1
+        while start < self._end:
+            stop = self._data.find(b"\n", start, min(self._end, start + CSV_LINE + 1))
+            if stop < 0:
+                stop = self._end
+                if stop - start > CSV_LINE:
+                    raise self._error(
+                        f"it is longer than {CSV_LINE:,} bytes", "Give a line per frame.", number
+                    )
+            try:
+                line = self._data[start:stop].decode()
+            except UnicodeDecodeError as error:
+                raise self._error(
+                    f"byte {start + error.start} is not UTF-8 text",
+                    "Give a CSV file saved as UTF-8, an NPZ, a pickle of arrays, or a session.",
+                    number,
+                ) from None
+            if "\0" in line:
+                raise self._error("it is binary, not text", "Give a motion file.", number)
+            yield line
+            start, number = stop + 1, number + 1
+
+    def _values(self) -> Floats:
+        """The numbers (T, N), all finite."""
         try:
-            lines = self._text.split("\n")[self.has_header :]
-            values = np.loadtxt(lines, delimiter=",", comments=None, ndmin=2)
+            lines = islice(self._lines(), self._first_line - 1, None)
+            values = np.loadtxt(lines, delimiter=self._delimiter, comments=None, ndmin=2)
         except ValueError:
             raise self._first_fault() from None
-        shape = (self.n_rows, self.n_columns)
-        if values.shape != shape or not (np.abs(values) <= NUMBER).all():
+        within = values.min() >= -NUMBER and values.max() <= NUMBER  # NaN is neither
+        if not within or values.shape != (self._n_rows, self._n_columns):
             raise self._first_fault()
         return values
 
-    def motion(self) -> Motion:
-        """The motion in the file, its joints in motor order.
-
-        Raises:
-            MotionError: a column or a value is missing, unknown or wrong; names line and column.
-        """
-        self._check_header()
-        self._check_columns()
-        self._check_frame_numbers()
-        quat = self._take(_QUAT_XYZW)
-        return Motion(
-            name=self._file.path.stem,
-            fps=DEFAULT_FPS if self._file.fps is None else self._file.fps,
-            joint_pos=self._take(JOINT_NAMES),
-            root_pos=self._take(_POSITION),
-            root_quat_wxyz=wxyz_from_xyzw(quat),
-            source=self._file.path,
-            sha256=self._file.sha256,
-            warnings=self._check_norms(np.linalg.norm(quat, axis=1)),
-        )
-
-    def _take(self, columns: Sequence[str]) -> Floats:
-        return self.values.take([self.columns.index(name) for name in columns], axis=1)
-
-    @property
-    def _missing(self) -> list[str]:
-        """Columns of the layout that the file lacks."""
-        wanted = (*ROOT_COLUMNS, *JOINT_NAMES) if self.has_header else _LAFAN1
-        return [name for name in wanted if name not in (*self.columns, _FRAME)]
-
-    @property
-    def _unknown(self) -> list[str]:
-        """Columns of the file that neither belong to the layout nor are joints."""
-        known = (*ROOT_COLUMNS, *JOINT_NAMES)
-        return [name for name in self.columns if name and name not in known]
-
     def _error(
-        self, cause: str, remedy: str, *, line: int | None = None, column: int | None = None
+        self, cause: str, remedy: str, line: int | None = None, column: int | None = None
     ) -> MotionError:
         """The error at a line, counted from 1, and a column, counted from 0."""
-        where = self._file.path.name
+        where = self._name
         if line is not None:
             where += f", line {line}"
         if column is not None:
             where += f", column {column + 1}"
-            where += f" ({self.columns[column]})" if self.columns[column] else ""
+            where += f" ({self._columns[column]})" if any(self._columns[column:][:1]) else ""
         return MotionError(f"{where}: {cause}.", remedy)
 
-    def _line(self, row: int) -> int:
-        return row + 1 + self.has_header
-
-    def _decode(self, content: bytes) -> str:
-        try:
-            text = content.decode("utf-8-sig")
-        except UnicodeDecodeError as error:
-            line = content.count(b"\n", 0, error.start) + 1
-            raise self._error(
-                f"byte {error.start} is not UTF-8 text",
-                "Give a CSV file saved as UTF-8, an NPZ, a pickle of arrays, or a session file.",
-                line=line,
-            ) from None
-        if "\0" in text:
-            raise self._error(
-                f"byte {text.index(chr(0))} of this binary file is zero",
-                "Give a CSV or NPZ file, a pickle of arrays, or a session file.",
-            )
-        text = text.replace("\r\n", "\n").replace("\r", "\n").rstrip()
-        if not text:
-            raise self._error(
-                "the file is empty", "Give a CSV file with a line per frame, or a session file."
-            )
-        return text
-
     def _check_header(self) -> None:
-        if not self.columns:
-            raise self._error(
-                f"it is no motion: {counted(self.n_columns, 'column')}, and a motion has "
-                f"{len(_LAFAN1)}, or a header that names them",
-                "Separate values with commas, and put a header first or use the "
-                f"{len(_LAFAN1)} columns of LAFAN1: {','.join(_LAFAN1[:8])} and the other joints "
-                "in motor order.",
-                line=1,
-            )
-        for column, name in enumerate(self.columns):
-            if not name or name in self.columns[:column]:
+        seen = set[str]()
+        for column, name in enumerate(self._columns):
+            if not name or name in seen:
                 raise self._error(
                     "another column has the same name" if name else "the header has an empty name",
                     "Give each column a name of its own, and end no line with a comma.",
-                    line=1,
-                    column=column,
+                    1,
+                    column,
                 )
+            seen.add(name)
+        missing = [name for name in ROOT_COLUMNS[1:] if name not in seen]
+        named = len(missing) < len(ROOT_COLUMNS) - 1
+        euler = [name for name in self._columns if name not in _JOINTS and _is_euler(name)]
+        if missing and len(euler) == len(_POSITION):
+            raise self._error(
+                f"the root is in Euler angles ({', '.join(euler)}), as in BONES-SEED, whose angles "
+                "are in degrees and whose positions are in centimetres",
+                "Convert them to a quaternion QX,QY,QZ,QW, to radians and to metres.",
+                1,
+            )
+        if not _JOINTS & seen or (missing and named):
+            lacks = ", ".join(missing) if named else "the names of the joints"
+            raise self._error(f"the header lacks {lacks}", _LAYOUT, 1)
 
     def _first_fault(self) -> MotionError:
         """The error about the first cell or line that is not what it should be."""
-        lines = self._text.split("\n")
-        for number, line in enumerate(lines[self.has_header :], start=1 + self.has_header):
-            cells = line.split(",")
+        for number, line in enumerate(self._lines(), 1):
+            if number < self._first_line:
+                continue
+            cells = line.split(self._delimiter)
             if not line.strip():
-                return self._error("the line is blank", "Remove it.", line=number)
-            if len(cells) != self.n_columns:
+                return self._error("the line is blank", "Remove it.", number)
+            if len(cells) != self._n_columns:
                 return self._error(
-                    f"{counted(len(cells), 'value')} in {counted(self.n_columns, 'column')}",
+                    f"{counted(len(cells), 'value')} in {counted(self._n_columns, 'column')}",
                     "Give every line one value per column.",
-                    line=number,
+                    number,
                 )
             for column, cell in enumerate(cells):
                 if not _is_number(cell):
                     return self._error(
                         f"{cell.strip()!r:.60} is not a finite number up to {NUMBER:g}",
                         "Write a decimal number there, such as -0.25.",
-                        line=number,
-                        column=column,
+                        number,
+                        column,
                     )
         return self._error("numpy cannot read it as numbers", "Give a plain CSV file.")
 
-    def _check_columns(self) -> None:
-        if self._missing or self._unknown:
-            faults = [f"missing columns: {', '.join(self._missing)}"] if self._missing else []
-            faults += [f"columns that are no joint: {', '.join(self._unknown)}"] * bool(
-                self._unknown
-            )
-            raise self._error(
-                "; ".join(faults),
-                f"Name the columns {','.join(ROOT_COLUMNS[1:])} and the {len(JOINT_NAMES)} joints "
-                "in any order, or use the 36 columns of LAFAN1 and no header.",
-                line=1,
-            )
-
-    def _check_frame_numbers(self) -> None:
+    def _check_frame_numbers(self, numbers: Floats) -> None:
         # Whole numbers that rise by one. The first may be any, as in a clip.
-        if _FRAME not in self.columns:
-            return
-        numbers = self._take([_FRAME])[:, 0]
         wrong = np.flatnonzero((np.diff(numbers) != 1) | (numbers[1:] != np.rint(numbers[1:])))
         if wrong.size:
             row = int(wrong[0]) + 1
             raise self._error(
                 f"frame {numbers[row]:.12g} follows frame {numbers[row - 1]:.12g}",
                 "Number the frames 0, 1, 2 and so on, one per line.",
-                line=self._line(row),
-                column=self.columns.index(_FRAME),
+                self._first_line + row,
+                self._columns.index(_FRAME),
             )
 
-    def _check_norms(self, norms: Floats) -> tuple[str, ...]:
-        """A warning about quaternion norms (T,) that are not 1; an error for one that is 0."""
-        if norms.min() <= SMALLEST_QUAT:
-            row = int(np.argmin(norms))
-            raise self._error(
-                "the quaternion QX,QY,QZ,QW is zero",
-                "Give every frame an orientation; without rotation it is 0,0,0,1.",
-                line=self._line(row),
-                column=self.columns.index("QX"),
-            )
-        return norm_warnings(
-            norms, self._file.path.name, lambda frame: f"frame {frame}, line {self._line(frame)}"
-        )
+
+def _cells(line: str) -> list[str]:
+    return [cell.strip() for cell in line.split("," if "," in line else None)]
+
+
+def _take(values: Floats, columns: Sequence[int]) -> Floats:
+    """Some columns; a view where they are side by side."""
+    first = columns[0]
+    if list(columns) == list(range(first, first + len(columns))):
+        return values[:, first : first + len(columns)]
+    return values[:, columns]
 
 
 def _canonical_column(column: str) -> str:
     """The name of a column as g1stream writes it, where it is another name for the same."""
     lower = column.lower()
-    if lower in _OTHER_NAMES:
-        return _OTHER_NAMES[lower]
     joint = f"{lower.removesuffix('_joint')}_joint"
-    return joint if joint in JOINT_NAMES else column
+    return _OTHER_NAMES.get(lower, joint if joint in _JOINTS else column)
+
+
+def _is_euler(column: str) -> bool:
+    lower = column.lower()
+    return not lower.endswith(("_joint", "_dof")) and any(word in lower for word in _EULER)
 
 
 def _is_number(cell: str) -> bool:

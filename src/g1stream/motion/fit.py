@@ -13,16 +13,15 @@ from g1stream.errors import ConfigError, MotionError, SafetyError
 from g1stream.motion.check import MotionReport, check_motion, dropped_joints
 from g1stream.motion.limits import Interval
 from g1stream.motion.trajectory import Trajectory
+from g1stream.text import listed
 
 if TYPE_CHECKING:
     from g1stream.config import Config
     from g1stream.motion.motion import Motion
     from g1stream.robot.model import G1
 
-__all__ = ["Fit", "fit_to_robot", "require_radians"]
+__all__ = ["Fit", "fit_to_robot", "require_si_units"]
 
-#: Joints that an error names.
-_NAMED: Final = 3
 #: A slowed motion is measured at other times than before, and may need to be slowed once more.
 _ATTEMPTS: Final = 5
 
@@ -58,7 +57,7 @@ def fit_to_robot(motion: Motion, robot: G1, config: Config, *, simulated: bool) 
 
     Raises:
         ConfigError: `anyway` is not allowed here, or the interval is not within the motion.
-        MotionError: the joint angles cannot be radians.
+        MotionError: the angles cannot be radians, or the positions metres.
         SafetyError: a frame is beyond a position limit, or the motion faster than a joint.
     """
     beyond = config.stream.beyond_limits
@@ -68,7 +67,7 @@ def fit_to_robot(motion: Motion, robot: G1, config: Config, *, simulated: bool) 
             "Use --scale-time or --clamp, or the loopback interface lo.",
         )
     fit, report = _check(motion, robot, config, 1.0)
-    require_radians(report)
+    require_si_units(report)
     for _ in range(_ATTEMPTS * (beyond == "scale-time")):
         if report.frames_beyond or report.within_limits:
             break
@@ -86,16 +85,16 @@ def fit_to_robot(motion: Motion, robot: G1, config: Config, *, simulated: bool) 
     return fit
 
 
-def require_radians(report: MotionReport) -> None:
+def require_si_units(report: MotionReport) -> None:
     """Refuse a motion by its check.
 
     Raises:
-        MotionError: the joint angles cannot be radians.
+        MotionError: the angles cannot be radians, or the positions metres.
     """
-    if not report.in_radians:
+    if not report.in_si_units:
         raise MotionError(
-            f"{report.name} is not in radians: it looks as if {report.suspicion}.",
-            "Convert the joint angles to radians.",
+            f"{report.name} is not in radians and metres: it looks as if {report.suspicion}.",
+            "Convert the joint angles to radians and the positions to metres.",
         )
 
 
@@ -147,8 +146,7 @@ def _refused(report: MotionReport, *, slowing: bool) -> SafetyError:
             f"frame {worst.time * report.fps:.0f}, limit {worst.limit:g}"
         )
     if others:
-        more = f" and {len(others) - _NAMED} more" if len(others) > _NAMED else ""
-        cause += f"; also {', '.join(joint.joint for joint in others[:_NAMED])}{more}"
+        cause += f"; also {listed([joint.joint for joint in others], 3)}"
     if report.suspicion:
         cause += f". It looks as if {report.suspicion}"
     slower = "" if report.frames_beyond or slowing else "--scale-time to play it slower, "

@@ -14,13 +14,11 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from g1stream.errors import ConfigError
-from g1stream.text import counted
+from g1stream.text import counted, listed
 from g1stream.types import STREAM_RATE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
-
-    from numpy.typing import NDArray
 
     from g1stream.config import StreamConfig
     from g1stream.motion.motion import Motion
@@ -47,12 +45,8 @@ joint at a limit such as 1.614429558 rad is written up to 5e-7 rad beyond it.
 
 #: Holding a joint at its limit changes the motion by less than a robot follows it, up to this, rad.
 _SLIGHT: Final = 0.02
-#: Positions and speeds that differ by less are the same, rad and rad/s.
-_ROUNDING: Final = 1e-9
 #: Targets sampled at once: those of a long motion take many times the memory of its spline.
 _BLOCK: Final = 4096
-#: Joints that a warning names beside the worst one.
-_NAMED: Final = 3
 
 
 @dataclass(frozen=True)
@@ -178,34 +172,13 @@ def measure_limits(
     interval = interval or Interval(0.0, motion.duration, motion.duration)
     lower, upper = robot.lower + position_margin, robot.upper - position_margin
 
-    def peaks_in(segments: NDArray[np.bool_]) -> tuple[_Peaks, _Peaks]:
-        """Peaks of positions and of speeds of the targets in some segments of the spline."""
-        positions = _Peaks(robot, lower, upper)
-        speeds = _Peaks(robot, -robot.velocity, robot.velocity)
-        for times in _target_times(trajectory, interval, rate):
-            target_times = times[segments[trajectory.segments_at(times)]]
-            if len(target_times):
-                joint_pos, joint_vel = trajectory.sample_joints(target_times)
-                since = target_times % trajectory.period if trajectory.loop else target_times
-                positions.update(since, joint_pos)
-                speeds.update(since, np.abs(joint_vel))
-        return positions, speeds
-
-    # Only segments that may have a peak, or a target beyond a limit, are sampled.
-    bounds = [
-        np.hstack([np.maximum(lower - lowest, highest - upper), fastest - robot.velocity])
-        for lowest, highest, fastest in trajectory.joint_bounds()
-    ]
-    beyond = np.concatenate(bounds)
-    played, likely = np.zeros((2, len(beyond)), dtype=np.bool_)
+    positions = _Peaks(robot, lower, upper)
+    speeds = _Peaks(robot, -robot.velocity, robot.velocity)
     for times in _target_times(trajectory, interval, rate):
-        played[trajectory.segments_at(times)] = True
-    beyond[~played] = -np.inf
-    likely[beyond.argmax(axis=0)] = True
-    reached = np.concatenate([peaks.excess for peaks in peaks_in(likely)])
-    # Nor is one that has the same peak again: a joint that rests would have it everywhere.
-    worth = np.minimum(reached + _ROUNDING, POSITION_TOLERANCE)
-    positions, speeds = peaks_in(likely | (beyond > worth).any(axis=1))
+        joint_pos, joint_vel = trajectory.sample_joints(times)
+        since = times % trajectory.period if trajectory.loop else times
+        positions.update(since, joint_pos)
+        speeds.update(since, np.abs(joint_vel))
     return LimitReport(
         motion=motion.name,
         duration=motion.duration,
@@ -229,20 +202,19 @@ def frame_peaks(
     played = slice(frames.start, frames.stop)
     positions.update(times[played], motion.joint_pos[played])
     speeds = _Peaks(robot, -robot.velocity, robot.velocity)
-    speeds.update(times, np.abs(np.gradient(motion.joint_pos, axis=0)) * motion.fps)
+    steps = np.gradient(motion.joint_pos, axis=0)
+    np.abs(steps, out=steps)
+    steps *= motion.fps
+    speeds.update(times, steps)
     return positions.beyond(), max(speeds.all(), key=lambda speed: speed.value)
 
 
 class _Peaks:
-    """Accumulates the peak of each joint, from values (N, J) at times (N,).
-
-    Attributes:
-        excess: (J,) of the peaks, beyond a limit, negative within.
-    """
+    """Accumulates the peak of each joint, from values (N, J) at times (N,)."""
 
     def __init__(self, robot: G1, lower: Floats, upper: Floats) -> None:
         self._names, self._lower, self._upper = robot.joint_names, lower, upper
-        self.excess = np.full(len(lower), -np.inf)
+        self._excess = np.full(len(lower), -np.inf)
         self._time, self._value = np.zeros((2, len(lower)))
         self._count = np.zeros(len(lower), dtype=np.int64)
 
@@ -251,8 +223,8 @@ class _Peaks:
         row, joint = excess.argmax(axis=0), np.arange(len(self._names))
         if excess[row, joint].max() > POSITION_TOLERANCE:  # seldom
             self._count += (excess > POSITION_TOLERANCE).sum(axis=0)
-        higher = excess[row, joint] > self.excess
-        self.excess[higher] = excess[row, joint][higher]
+        higher = excess[row, joint] > self._excess
+        self._excess[higher] = excess[row, joint][higher]
         self._time[higher] = times[row][higher]
         self._value[higher] = values[row, joint][higher]
 
@@ -263,7 +235,7 @@ class _Peaks:
         columns = (self._time, self._value, limit, self._count)
         return [
             JointPeak(self._names[j], *(column[j].item() for column in columns))
-            for j in np.argsort(-self.excess, kind="stable")
+            for j in np.argsort(-self._excess, kind="stable")
         ]
 
     def beyond(self) -> tuple[JointPeak, ...]:
@@ -284,5 +256,4 @@ def _target_times(trajectory: Trajectory, interval: Interval, rate: float) -> It
 
 def _others(joints: Sequence[JointPeak]) -> str:
     names = [joint.joint for joint in joints[1:]]
-    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-    return f"; also {', '.join(names[:_NAMED])}{more}" if names else ""
+    return f"; also {listed(names, 3)}" if names else ""

@@ -18,7 +18,6 @@ from g1stream.input_limits import NUMBER
 from g1stream.motion.blend import COAST, blend_frames
 from g1stream.motion.spline import REACH, Spline
 from g1stream.robot.joints import (
-    JOINT_GROUPS,
     JOINT_NAMES,
     MIRROR_SIGN,
     MIRRORED_JOINT,
@@ -39,9 +38,8 @@ from g1stream.text import counted
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
-    from matplotlib.figure import Figure
     from numpy.typing import ArrayLike, NDArray
 
     from g1stream.motion.spline import TrajectoryPoint
@@ -55,7 +53,6 @@ __all__ = [
     "Motion",
     "check_fps",
     "height_of_floor",
-    "norm_warnings",
 ]
 
 MOTION_SUFFIXES: Final = (".csv", ".npz")
@@ -67,10 +64,6 @@ DEFAULT_FPS: Final = 30.0
 
 SMALLEST_QUAT: Final = 1e-6
 """A quaternion whose norm is not above this counts as zero."""
-#: Quaternion norms that differ from 1 by more than this give a warning; by more than the second
-#: they are no rounding error.
-_NORM_TOLERANCE: Final = 1e-3
-_NORM_ROUNDING: Final = 0.1
 #: Frames per second of a motion, lowest and highest.
 _FPS: Final = (1e-3, 1e6)
 #: A blend is no longer than this, s.
@@ -450,63 +443,19 @@ class Motion:
             )
         if n == 1:
             return self
-        # Each repetition is the same blend and motion again, from where the one before has led.
-        twice = self.then(self, blend)
-        blended = twice.frames(self.n_frames, twice.n_frames)
-        first, last = self.root_quat_wxyz[[0, -1]]
-        angle = yaw_of(last) - yaw_of(first)
-        led = quat_rotate(quat_from_yaw(angle), self.root_pos[0])
-        step = twice.root_pos[-self.n_frames] - led
-        turns = quat_from_yaw(angle * np.arange(n - 1))[:, np.newaxis]
-        steps = quat_rotate(turns, step)
-        pos = quat_rotate(turns, blended.root_pos) + np.cumsum(steps, axis=0) - steps
-        quat = quat_mul(turns, blended.root_quat_wxyz)
+        # By doubling, as a motion is copied each time that another one follows.
+        repeated, power, left = self, self, n - 1
+        while left:
+            if left % 2:
+                repeated = repeated.then(power, blend)
+            left //= 2
+            power = power.then(power, blend) if left else power
         return self._changed(
             f"{n} times with blends of {blend:g} s",
-            joint_pos=np.concatenate([self.joint_pos, np.tile(blended.joint_pos, (n - 1, 1))]),
-            root_pos=np.concatenate([self.root_pos, pos.reshape(-1, 3)]),
-            root_quat_wxyz=np.concatenate([self.root_quat_wxyz, quat.reshape(-1, 4)]),
+            joint_pos=repeated.joint_pos,
+            root_pos=repeated.root_pos,
+            root_quat_wxyz=repeated.root_quat_wxyz,
         )
-
-    def plot(self, joints: Sequence[str] | None = None) -> Figure:
-        """Draw joint angles over time.
-
-        Args:
-            joints: names of the joints to draw, in one diagram; if None all joints, in a diagram
-                per limb.
-
-        Returns:
-            A matplotlib figure, time in s and angles in rad; its `savefig` writes a file.
-
-        Raises:
-            MotionError: the motion does not have one of the joints.
-        """
-        from matplotlib.figure import Figure
-
-        unknown = [joint for joint in joints or () if joint not in JOINT_NAMES]
-        if unknown:
-            raise MotionError(
-                f"The motion {self.name} has no joint {', '.join(unknown)}.",
-                f"Its joints are {', '.join(JOINT_NAMES)}.",
-            )
-        panels = {
-            limb.replace("_", " "): [JOINT_NAMES[i] for i in motors]
-            for limb, motors in JOINT_GROUPS.items()
-        }
-        if joints is not None:
-            panels = {"": list(joints)}
-        figure = Figure(figsize=(9.0, 1.0 + 2.4 * len(panels)), layout="constrained")
-        figure.suptitle(self.name)
-        times = np.arange(self.n_frames) / self.fps
-        axes = figure.subplots(len(panels), sharex=True, squeeze=False)[:, 0]
-        for axis, (limb, names) in zip(axes, panels.items(), strict=True):
-            for joint in names:
-                axis.plot(times, self.joint_pos[:, JOINT_NAMES.index(joint)], label=joint)
-            axis.set(title=limb, ylabel="angle (rad)")
-            axis.grid(alpha=0.3)
-            axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize="small")
-        axes[-1].set_xlabel("time (s)")
-        return figure
 
     def save(self, path: str | os.PathLike[str], *, force: bool = False) -> Path:
         """Write a CSV or NPZ file that `load_motion` reads back to the last bit.
@@ -571,9 +520,8 @@ class Motion:
                 f"The motion {self.name} has {field} of shape {values.shape}.",
                 f"Give it shape {shape}, a row per frame.",
             )
-        valid = np.abs(values) <= NUMBER  # NaN is not
-        if not valid.all():
-            frame, column = np.argwhere(~valid)[0].tolist()
+        if not (values.min() >= -NUMBER and values.max() <= NUMBER):  # NaN is neither
+            frame, column = np.argwhere(~(np.abs(values) <= NUMBER))[0].tolist()
             raise MotionError(
                 f"The motion {self.name} has {values[frame, column]:g} in {field}, frame {frame}.",
                 f"Give it finite numbers, at most {NUMBER:g}.",
@@ -604,26 +552,6 @@ def check_fps(fps: float, name: str) -> None:
             f"The motion {name} cannot have {fps} frames per second.",
             f"Give a frame rate between {_FPS[0]:g} and {_FPS[1]:g}, such as 30.",
         )
-
-
-def norm_warnings(norms: Floats, name: str, where: Callable[[int], str]) -> tuple[str, ...]:
-    """A warning about quaternion norms (T,) that are not 1.
-
-    Args:
-        norms: of the frames.
-        name: of the file.
-        where: says where a frame is in the file.
-    """
-    off = np.abs(norms - 1.0)
-    worst = int(np.argmax(off))
-    if off[worst] <= _NORM_TOLERANCE:
-        return ()
-    doubt = "; that is no rounding error, check the file" if off[worst] > _NORM_ROUNDING else ""
-    return (
-        f"{name}: normalised {int((off > _NORM_TOLERANCE).sum())} of {len(norms)} quaternions, "
-        f"which were not unit. Furthest off is {where(worst)}, with norm "
-        f"{norms[worst]:.4g}{doubt}.",
-    )
 
 
 def _check_joint_names(name: str, joint_names: Sequence[str]) -> None:

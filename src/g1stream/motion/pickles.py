@@ -1,8 +1,8 @@
 """Arrays in plain containers from pickles and files of PyTorch; nothing in them is run.
 
 Numbers, texts, lists, tuples, dicts, arrays and tensors are read. What these are made with has
-stand-ins here, and anything else is refused by its name. numpy's own functions are not called: they
-would allocate whatever a file claims.
+stand-ins here, and anything else is left out as `Unread`. numpy's own functions are not called:
+they would allocate whatever a file claims.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import io
 import pickle
 import re
 import zlib
+from dataclasses import dataclass
 from math import prod
 from typing import TYPE_CHECKING, Any, Final
 
@@ -23,11 +24,12 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["read_pickle", "read_torch"]
+__all__ = ["Unread", "read_pickle", "read_torch"]
 
-#: How deep arrays are in containers, and the bytes that any value in one takes.
+#: How deep arrays are in containers; bytes that a value in one, or a kind of object, counts as.
 _DEPTH: Final = 4
 _VALUE: Final = UNPACKED // PICKLE_VALUES
+_KIND: Final = UNPACKED // 1000
 #: The types of numbers and texts that arrays may have; texts may be Python objects.
 _DTYPE: Final = re.compile(r"[<>|=]?([biufSU][0-9]{1,5}|O8?)")
 _STORAGES: Final = {
@@ -43,11 +45,18 @@ _STORAGES: Final = {
 }
 
 
+@dataclass(frozen=True)
+class Unread:
+    """Stands for a value of another kind, such as an enum; `name` is that of its class."""
+
+    name: str
+
+
 def read_pickle(data: bytes) -> Any:
     """What is in a pickle or a file of joblib, plain or compressed with zlib or gzip.
 
     Raises:
-        ValueError: there is something else in it, or it is damaged or larger than 512 MiB unpacked.
+        ValueError: it is damaged or larger than 512 MiB unpacked.
     """
     if data[:1] != pickle.PROTO:
         decompressor = zlib.decompressobj(wbits=zlib.MAX_WBITS + 32)  # zlib or gzip
@@ -93,6 +102,7 @@ class _Unpickler(pickle.Unpickler):
         self.file = io.BytesIO(data)
         super().__init__(self.file)
         self._numbers, self._left = numbers or {}, UNPACKED
+        self._classes: dict[tuple[str, str], type[_StandIn]] = {}
 
     def content(self) -> Any:
         try:
@@ -103,13 +113,14 @@ class _Unpickler(pickle.Unpickler):
             raise ValueError(f"it is a damaged pickle: {error!r:.80}") from error
 
     def find_class(self, module: str, name: str) -> Any:
-        stand_in = _STAND_INS.get((module.replace("._core.", ".core."), name))
-        if module == "torch" and name in _STORAGES:
-            stand_in = _Storage
-        if stand_in is None:
-            raise ValueError(f"it is a pickle with a {module}.{name}, which is not read")
-        # A class of its own for each, as a pickle may set attributes of what it finds.
-        return type(name, (stand_in,), {"source": self})
+        key = module.replace("._core.", ".core."), name
+        if key not in self._classes:
+            self.charge(_KIND)
+            stand_in = _Storage if module == "torch" and name in _STORAGES else _Other
+            # Classes of its own, as a pickle may set attributes of what it finds.
+            members = {"source": self, "full_name": f"{module}.{name}"}
+            self._classes[key] = type(name, (_STAND_INS.get(key, stand_in),), members)
+        return self._classes[key]
 
     def persistent_load(self, pid: Any) -> NDArray[Any]:
         """A storage."""
@@ -127,17 +138,21 @@ class _Unpickler(pickle.Unpickler):
         self.charge(_VALUE)
         if isinstance(value, _Array):
             return value.values
+        if isinstance(value, _Other):
+            return Unread(value.full_name)
         if depth < _DEPTH and isinstance(value, dict):
             return {str(name): self._plain(one, depth + 1) for name, one in value.items()}
         if depth < _DEPTH and isinstance(value, (list, tuple)):
             return [self._plain(one, depth + 1) for one in value]
-        return value if isinstance(value, (bool, int, float, str)) else None
+        plain = value is None or isinstance(value, (bool, int, float, str, bytes))
+        return value if plain else Unread(type(value).__name__)
 
 
 class _StandIn:
     """Stands for a class or a function that a pickle names; `source` is the unpickler."""
 
     source: _Unpickler
+    full_name: str
 
     def __init__(self, *_: Any) -> None: ...
 
@@ -206,6 +221,16 @@ class _Tensor(_Array):
 
 class _Storage(_StandIn):
     """The type of a storage of PyTorch."""
+
+
+class _Other(_StandIn):
+    """What is not read; nothing of it is run."""
+
+    def __init__(self, *_: Any, **__: Any) -> None: ...
+
+    def _ignore(self, *_: Any) -> None: ...
+
+    append = extend = add = __setitem__ = __setstate__ = _ignore
 
 
 class _Scalar(_StandIn):

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
@@ -15,11 +15,9 @@ from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 from g1stream.errors import MotionError
 from g1stream.files import begins_with, is_session, read_file
-from g1stream.input_limits import MOTION_FILE
-from g1stream.motion.check import MotionReport, check_motion
+from g1stream.input_limits import CSV_LINE, MOTION_FILE
 from g1stream.motion.motion import Motion, check_fps
 from g1stream.optional import EXTENSIONS, load_object
-from g1stream.types import STREAM_RATE
 
 if TYPE_CHECKING:
     import os
@@ -31,10 +29,8 @@ if TYPE_CHECKING:
 __all__ = [
     "BUNDLED_MOTIONS",
     "Evidence",
-    "FileReport",
     "MotionFile",
     "MotionReader",
-    "check_motion_file",
     "find_motion",
     "load_motion",
 ]
@@ -46,7 +42,7 @@ BUNDLED_MOTIONS: Final = ("demo",)
 _LFS: Final = b"version https://git-lfs"
 #: Files that zlib or gzip has compressed.
 _COMPRESSED: Final = (b"\x78\x01", b"\x78\x5e", b"\x78\x9c", b"\x78\xda", b"\x1f\x8b")
-_ARRAYS: Final = "g1stream.motion.arrays:ArrayFile"
+_ARRAYS: Final = "g1stream.motion.arrays:open_arrays"
 
 
 @dataclass(frozen=True)
@@ -56,16 +52,14 @@ class Evidence:
     Attributes:
         used: by subject, such as `joint order`, what in the file says it, and why.
         assumed: by subject, what was taken where the file does not say it.
-        not_used: columns and arrays of the file that are left out.
-        missing: joints and columns that the file lacks.
-        quat_norms: lowest and highest norm of the quaternions; None where there are none to read.
+        not_used: joints, columns and arrays of the file that are left out.
+        missing: joints that the file lacks, and that stay at 0.
     """
 
     used: Mapping[str, str]
     assumed: Mapping[str, str] = field(default_factory=dict)
     not_used: tuple[str, ...] = ()
     missing: tuple[str, ...] = ()
-    quat_norms: tuple[float, float] | None = None
 
 
 class MotionReader(Protocol):
@@ -76,7 +70,7 @@ class MotionReader(Protocol):
 
     @property
     def evidence(self) -> Evidence:
-        """What the file has; also of one whose numbers are wrong, as far as that can be told."""
+        """What the file has."""
 
     def motion(self) -> Motion:
         """The motion, its joints in motor order."""
@@ -91,6 +85,7 @@ class MotionFile:
         fps: frames per second; what the file says if None.
         joint_order: of the joints, where the file does not name them; told by evidence if None.
         member: the name of the motion, in a file of several.
+        robot: that plays it; where it has fewer joints, too, no warning names those in the file.
         data: its content, where that is not at the path.
     """
 
@@ -98,6 +93,7 @@ class MotionFile:
     fps: float | None = None
     joint_order: JointOrder | None = None
     member: str | None = None
+    robot: G1 | None = None
     data: bytes | None = None
 
     @cached_property
@@ -196,10 +192,10 @@ def _is_bag(file: MotionFile) -> bool:
 
 
 def _is_table(file: MotionFile) -> bool:
-    """Whether it says that it is a table, or its first line looks like one."""
+    """Whether it says that it is a table, or its first line looks like one; an empty file is."""
     named = file.path.suffix.lower() in (".csv", ".txt")
-    first = file.content.split(b"\n", 1)[0]
-    return (named or b"," in first or not file.content) and not file.content.startswith(_LFS)
+    first = file.content[:CSV_LINE].split(b"\n", 1)[0]
+    return (named or b"," in first or not first) and not first.startswith(_LFS)
 
 
 FORMATS: Final = (
@@ -208,7 +204,7 @@ FORMATS: Final = (
     Format("NPZ, file of PyTorch", _ARRAYS, _begins(b"PK"), several=True),
     Format("NPY", _ARRAYS, _begins(b"\x93NUMPY")),
     Format("pickle", _ARRAYS, _begins(b"\x80", *_COMPRESSED), several=True),
-    Format("CSV", "g1stream.motion.csv:CsvFile", _is_table),
+    Format("CSV", "g1stream.motion.arrays:open_table", _is_table),
 )
 """The formats that are read."""
 
@@ -218,6 +214,7 @@ def find_motion(
     *,
     fps: float | None = None,
     joint_order: JointOrder | None = None,
+    robot: G1 | None = None,
 ) -> MotionFile:
     """A motion file; arguments are those of `load_motion`."""
     path, member = Path(path_or_name), None
@@ -229,7 +226,7 @@ def find_motion(
             if Path(text[:at]).is_file() and not path.exists():
                 path, member = Path(text[:at]), text[at + 1 :]
                 break
-    return MotionFile(path, fps, joint_order, member)
+    return MotionFile(path, fps, joint_order, member, robot)
 
 
 def load_motion(
@@ -237,6 +234,7 @@ def load_motion(
     *,
     fps: float | None = None,
     joint_order: JointOrder | None = None,
+    robot: G1 | None = None,
 ) -> Motion:
     """Read a motion file, a session, a bag, or a bundled motion by its name (`demo`).
 
@@ -246,78 +244,19 @@ def load_motion(
             played; a bag with joint states; or the name of a bundled motion.
         fps: frames per second; what the file says if None, or 30 where it does not, as a CSV file
             cannot. A session is sampled at it, at the rate of its reference if None.
-        joint_order: of the joints where a file does not name them. If None, a CSV file without a
-            header is taken to be in motor order, and for arrays joint limits and bodies decide.
+        joint_order: of the joints where a file does not name them. If None, bodies and joint limits
+            decide; where they leave a choice, a CSV file is taken to be in motor order.
+        robot: that plays it; no warning says that the file lacks joints that the robot lacks, too.
 
     Returns:
         The motion, its joints in motor order whatever the order in the file, its quaternions unit.
-        Those that were off by more than 1e-3 give a warning in `Motion.warnings`.
+        `Motion.warnings` say what is not used, filled in or corrected.
 
     Raises:
-        MotionError: there is no such file, or something in it is wrong; names line and column.
+        MotionError: there is no such file, something in it is wrong, or the order of the joints
+            cannot be told.
         RecordingError: the session is damaged, or no motion was played in it.
         ConfigError: an extra that reads it is not installed.
     """
-    return find_motion(path_or_name, fps=fps, joint_order=joint_order).open().motion()
-
-
-@dataclass(frozen=True)
-class FileReport:
-    """What is in a motion file, and what its motion asks of a robot.
-
-    Attributes:
-        path: of the file, or the name of motions that were joined.
-        evidence: what the file has; None where not even that can be told, or of joined motions.
-        motion: None where the file is not a motion.
-        fault: why it is not, in a sentence.
-        remedy: what to do, in a sentence.
-    """
-
-    path: Path
-    evidence: Evidence | None = None
-    motion: MotionReport | None = None
-    fault: str = ""
-    remedy: str = ""
-
-    @property
-    def passed(self) -> bool:
-        """Whether this is a motion of the robot, within its limits. Warnings do not count."""
-        return bool(self.motion and self.motion.within_limits)
-
-
-def check_motion_file(
-    path_or_name: str | os.PathLike[str],
-    robot: G1,
-    *,
-    fps: float | None = None,
-    joint_order: JointOrder | None = None,
-    change: Callable[[Motion], Motion] = lambda motion: motion,
-    rate: float = STREAM_RATE,
-    position_margin: float = 0.0,
-) -> FileReport:
-    """Check what `load_motion` reads, without raising for a fault in its content.
-
-    Args:
-        path_or_name: as for `load_motion`.
-        robot: whose limits.
-        fps: as for `load_motion`.
-        joint_order: as for `load_motion`.
-        change: what it makes of the motion is checked.
-        rate: joint targets per second when it is streamed, Hz.
-        position_margin: rad, kept from position limits when it is streamed.
-
-    Raises:
-        MotionError: there is no such file, it is empty or in no format that is read; or `fps` is
-            not a frame rate.
-        RecordingError: the session is damaged, or no motion was played in it.
-        ConfigError: an extra that reads it is not installed.
-    """
-    file = find_motion(path_or_name, fps=fps, joint_order=joint_order)
-    reader, report = file.open(), FileReport(file.path)
-    try:
-        report = replace(report, evidence=reader.evidence)
-        motion = change(reader.motion())
-    except MotionError as error:
-        return replace(report, fault=error.cause, remedy=error.remedy)
-    checked = check_motion(motion, robot, rate=rate, position_margin=position_margin)
-    return replace(report, motion=checked)
+    file = find_motion(path_or_name, fps=fps, joint_order=joint_order, robot=robot)
+    return file.open().motion()

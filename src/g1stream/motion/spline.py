@@ -14,7 +14,6 @@ All coefficients are in one array, so that a sample is one small matrix product.
 
 from __future__ import annotations
 
-from functools import reduce
 from math import factorial
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -26,7 +25,7 @@ from g1stream.robot.kinematics import BLOCK
 from g1stream.robot.rotations import xyzw_from_wxyz
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
 
     from numpy.typing import ArrayLike, NDArray
 
@@ -110,23 +109,24 @@ class Spline:
     ) -> None:
         self.fps, self.loop = fps, loop
         self.duration = (len(joint_pos) - 1) / fps
-        linear, quat = np.hstack([joint_pos, root_pos]), np.asarray(root_quat_wxyz)
+        frames = np.asarray(root_quat_wxyz), joint_pos, root_pos
         n_wrap = 0
         if loop:
             n_wrap = REACH
-            linear, quat = seam_frames(linear, quat, fps)
+            linear, quat = seam_frames(np.hstack([joint_pos, root_pos]), frames[0], fps)
             around = np.arange(-n_wrap, len(linear) + n_wrap + 1) % len(linear)
             linear, quat = linear[around], quat[around]
-        coefficients = _in_parts(_fit, fps, linear, quat)
+            frames = quat, linear[:, :N_JOINTS], linear[:, N_JOINTS:]
+        coefficients = _in_parts(_fit, fps, *frames)
         own = slice(n_wrap, len(coefficients) - n_wrap)
         self._coefficients = np.ascontiguousarray(coefficients[own])
-        self._quats = np.ascontiguousarray(quat[:-1][own])
+        self._quats = np.ascontiguousarray(frames[0][:-1][own])
         self._n_segments = len(self._coefficients)
         self.period = self._n_segments / fps
 
     def _refit(self, joint_pos: Floats, root_pos: Floats) -> None:
         """Take other joints and root positions, (T, 29) and (T, 3), and keep the orientations."""
-        fitted = _in_parts(_fit_linear, self.fps, np.hstack([joint_pos, root_pos]))
+        fitted = _in_parts(_fit_linear, self.fps, joint_pos, root_pos)
         self._coefficients = np.concatenate([fitted, self._coefficients[..., -3:]], axis=-1)
 
     def sample(self, t: float) -> TrajectoryPoint:
@@ -172,34 +172,6 @@ class Spline:
         value = basis @ self._coefficients[k, :, :N_JOINTS]
         return value[:, 0], value[:, 1]
 
-    def segments_at(self, times: ArrayLike) -> NDArray[np.intp]:
-        """Of times (N,), s, the segment of the spline, from one frame to the next."""
-        return self._segments(times)[1]
-
-    def joint_bounds(self) -> Iterator[tuple[Floats, Floats, Floats]]:
-        """What joints keep within segments of the spline, in order, `BLOCK` of them at a time.
-
-        A cubic is in the convex hull of its control points as a Bézier curve, and so is its
-        velocity. The spline may be further within.
-
-        Yields:
-            Lowest and highest positions, rad, and highest speeds, rad/s, (N, 29) each.
-        """
-        h = 1.0 / self.fps
-        for first in range(0, self._n_segments, BLOCK):
-            of_joints = self._coefficients[first : first + BLOCK, :, :N_JOINTS]
-            cubic, square, slope, start = of_joints.transpose(1, 0, 2)
-            rise, bend = h / 3.0 * slope, h * h / 3.0 * square
-            end = start + 3.0 * (rise + bend) + h**3 * cubic
-            points = start, start + rise, start + 2.0 * rise + bend, end
-            faster = slope + h * square
-            speeds = slope, faster, faster + h * (square + 3.0 * h * cubic)
-            yield (
-                reduce(np.minimum, points),
-                reduce(np.maximum, points),
-                reduce(np.maximum, map(np.abs, speeds)),
-            )
-
     def _segments(self, times: ArrayLike) -> tuple[NDArray[np.bool_], NDArray[np.intp], Floats]:
         """Of times (N,): whether the trajectory moves then, the segment, and s since it began."""
         t = np.asarray(times, dtype=np.float64)
@@ -225,33 +197,37 @@ def _in_parts(fit: Callable[..., Floats], fps: float, *frames: Floats) -> Floats
         fps: frames per second.
         frames: arrays (T, ...) that `fit` is called with.
     """
-    parts = []
-    for first in range(0, len(frames[0]) - 1, BLOCK):
+    n_segments, cubics = len(frames[0]) - 1, np.empty(0)
+    for first in range(0, n_segments, BLOCK):
         lowest = max(0, first - REACH)
         fitted = fit(fps, *(values[lowest : first + BLOCK + REACH + 1] for values in frames))
-        parts.append(np.moveaxis(fitted, 0, 1)[first - lowest :][:BLOCK])
-    return np.concatenate(parts)
+        part = np.moveaxis(fitted, 0, 1)[first - lowest :][:BLOCK]
+        if not first:
+            cubics = np.empty((n_segments, *part.shape[1:]))
+        cubics[first : first + len(part)] = part
+    return cubics
 
 
-def _fit(fps: float, linear: Floats, quat: Floats) -> Floats:
-    """Cubics between frames: linear (T, D), quat wxyz (T, 4) -> coefficients (4, T - 1, D + 3).
+def _fit(fps: float, quat: Floats, *linear: Floats) -> Floats:
+    """Cubics between frames: quat wxyz (T, 4), linear (T, ...) -> coefficients (4, T - 1, D + 3).
 
     The last three columns are the rotation vector from the first frame of the segment, in the axes
     of that frame.
     """
     from scipy.spatial.transform import Rotation, RotationSpline
 
-    times = np.arange(len(linear)) / fps
+    times = np.arange(len(quat)) / fps
     rotations = Rotation.from_quat(xyzw_from_wxyz(quat))
     rotation_vectors = RotationSpline(times, rotations).interpolator.c
-    return np.concatenate([_fit_linear(fps, linear), rotation_vectors], axis=-1)
+    return np.concatenate([_fit_linear(fps, *linear), rotation_vectors], axis=-1)
 
 
-def _fit_linear(fps: float, linear: Floats) -> Floats:
-    """The natural cubics through (T, D): coefficients (4, T - 1, D)."""
+def _fit_linear(fps: float, *linear: Floats) -> Floats:
+    """The natural cubics through arrays (T, ...) side by side: coefficients (4, T - 1, D)."""
     from scipy.interpolate import CubicSpline
 
-    powers_first: Floats = CubicSpline(np.arange(len(linear)) / fps, linear, bc_type="natural").c
+    values = np.hstack(linear)
+    powers_first: Floats = CubicSpline(np.arange(len(values)) / fps, values, bc_type="natural").c
     return powers_first
 
 

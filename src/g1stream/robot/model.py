@@ -17,7 +17,8 @@ import numpy as np
 from g1stream.errors import ConfigError, RobotError
 from g1stream.files import read_file
 from g1stream.robot.joints import JOINT_NAMES, JOINT_SETS, TORQUE_LIMIT, JointSet, select_joints
-from g1stream.robot.urdf import parse_urdf, read_urdf
+from g1stream.robot.urdf import parse_urdf, read_urdf, without_world
+from g1stream.text import listed
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -100,9 +101,8 @@ class G1:
         """About limits of the URDF that were narrowed, or ""."""
         if not self.capped:
             return ""
-        others = f" and {len(self.capped) - 3} more" if len(self.capped) > 3 else ""
         return (
-            f"{self.source} has wider limits than a G1 for {', '.join(self.capped[:3])}{others}; "
+            f"{self.source} has wider limits than a G1 for {listed(self.capped, 3)}; "
             "those of a G1 are kept (safety.urdf_limits = true takes the URDF's)"
         )
 
@@ -200,9 +200,12 @@ class G1:
     def from_urdf(cls, urdf: str, source: str) -> G1:
         """The robot of a URDF's XML text; `source` is where it came from.
 
+        A link such as `world`, which only places the pelvis, is left out.
+
         Raises:
             RobotError: it does not describe a G1.
         """
+        urdf = without_world(urdf, source)
         return cls(source, urdf, **read_urdf(urdf, source))
 
     @property

@@ -40,6 +40,7 @@ __all__ = [
     "read_kinematics",
     "read_urdf",
     "with_prefixed_links",
+    "without_world",
 ]
 
 KEPT_ROBOTS: Final = 8
@@ -84,6 +85,44 @@ def parse_urdf(text: str, source: str) -> ET.Element:
             "Give a URDF file; MJCF, SDF and USD files are not supported.",
         )
     return root
+
+
+def without_world(text: str, source: str) -> str:
+    """A URDF without links above the pelvis that only place it, such as `world`.
+
+    Such a link carries nothing, and a fixed or a floating joint below it is its only one. Where the
+    pelvis is, a motion says.
+
+    Raises:
+        RobotError: it is not XML, or not a URDF.
+    """
+    if known_robot(text) is not None:
+        return text
+    root = parse_urdf(text, source)
+    links = {link.get("name"): link for link in root.findall("link")}
+    below: dict[str | None, list[ET.Element]] = {name: [] for name in links}
+    for joint in root.findall("joint"):
+        below.setdefault(_end(joint, "parent"), []).append(joint)
+    children = {_end(joint, "child") for joints in below.values() for joint in joints}
+    name = next((name for name in links if name not in children), None)
+    gone: list[ET.Element] = []
+    while name in links and not len(links[name]) and len(below[name]) == 1:
+        (joint,) = below[name]
+        if joint.get("type") not in ("fixed", "floating"):
+            break
+        gone += links.pop(name), joint
+        name = _end(joint, "child")
+    if not gone:
+        return text
+    rest = ET.Element(root.tag, root.attrib)
+    rest.extend(element for element in root if element not in gone)
+    return ET.tostring(rest, encoding="unicode")
+
+
+def _end(joint: ET.Element, tag: str) -> str:
+    """The link at the `parent` or `child` end of a joint."""
+    end = joint.find(tag)
+    return "" if end is None else end.get("link", "")
 
 
 def with_prefixed_links(root: ET.Element, prefix: str) -> str:
@@ -254,8 +293,7 @@ def _skeleton(root: ET.Element, source: str) -> list[ET.Element]:
         name, kind = joint.get("name", ""), joint.get("type", "")
         kept = ET.Element("joint", name=name, type=kind)
         for tag in ("parent", "child"):
-            end = joint.find(tag)
-            ET.SubElement(kept, tag, link="" if end is None else end.get("link", ""))
+            ET.SubElement(kept, tag, link=_end(joint, tag))
         tags = ("origin", "axis", "limit") if name in JOINT_NAMES else ("origin",)
         kept.extend(part for part in map(joint.find, tags) if part is not None)
         check_numbers(kept, f"{source}: the joint {name!r}")
@@ -265,9 +303,15 @@ def _skeleton(root: ET.Element, source: str) -> list[ET.Element]:
 
 def _joint_set(joints: Mapping[str, Any], source: str) -> JointSet:
     """The kind of G1 that has the joints that turn; all others stay where they are at zero."""
-    missing = [
-        name for name in JOINT_NAMES if name not in joints or joints[name].type != "revolute"
-    ]
+    kinds = {name: joint.type for name, joint in joints.items()}
+    for name, kind in kinds.items():
+        if kind in ("floating", "planar") or (name in JOINT_NAMES and kind == "continuous"):
+            remedy = "Remove it and the link above it: the root link moves freely without it."
+            raise RobotError(
+                f"{source}: the joint {name!r} is {kind}.",
+                "Make it revolute, with limits." if kind == "continuous" else remedy,
+            )
+    missing = [name for name in JOINT_NAMES if kinds.get(name) != "revolute"]
     absent = tuple(map(JOINT_NAMES.index, missing))
     found = next((one for one in JOINT_SETS if one.absent == absent), None)
     if found is None:
@@ -277,12 +321,6 @@ def _joint_set(joints: Mapping[str, Any], source: str) -> JointSet:
             "Use the URDF of a G1 with 29 joints, such as g1_29dof_rev_1_0.urdf, or of "
             f"{', '.join(one.name for one in JOINT_SETS if one.absent)} with exactly its joints.",
         )
-    for name, joint in joints.items():
-        if joint.type in ("floating", "planar"):
-            raise RobotError(
-                f"{source}: the joint {name!r} is {joint.type}.",
-                "Remove it and the link above it: the root link moves freely without it.",
-            )
     return found
 
 

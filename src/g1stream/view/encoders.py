@@ -149,7 +149,7 @@ def link_frames(robot: G1, prefix: str, world: str) -> tuple[list[str], list[str
     if world in frames:
         raise ConfigError(
             f"The world frame {world!r} has the name of a link of {robot.name}.",
-            "Rename the link, or the world with --world where there is that flag.",
+            "Rename the link; `convert` has --world-frame for another name of the world.",
         )
     return [world if parent < 0 else frames[parent] for parent in robot.parent], frames
 

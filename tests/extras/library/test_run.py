@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import pickle
 import re
 import signal
 import subprocess
@@ -37,7 +38,7 @@ def test_each_content_is_checked_once(checked):
     found = by_name(library)
     assert set(found) == {"copy", "second", "third", "broken"}
     assert found["broken"]["status"] == "broken"
-    assert "1 column" in found["broken"]["reason"]
+    assert "line 2, column 1" in found["broken"]["reason"]
     assert "broken.csv" not in found["broken"]["reason"]  # it is in `path`
     assert found["second"]["frames"] == g1stream.load_motion("demo").trim(1.0, 2.0).n_frames
     joints = library.joints.groupby("key")["joint"].apply(tuple)
@@ -320,3 +321,20 @@ def test_a_damaged_table_is_an_error_with_its_name(tmp_path):
     with pytest.raises(RecordingError) as refused:
         run_library([str(tmp_path / "b.csv")], [case], workers=1)
     assert part.name in refused.value.cause
+
+
+def test_each_motion_of_a_file_has_a_row(tmp_path):
+    demo = g1stream.load_motion("demo")
+    part = {"dof": demo.joint_pos[:40], "root_pos": demo.root_pos[:40], "fps": 30}
+    part["root_quat_wxyz"] = demo.root_quat_wxyz[:40]
+    path = tmp_path / "several.pkl"
+    path.write_bytes(pickle.dumps({"one": part, "two": part}))
+    for place, names in ((tmp_path, {"one", "two"}), (f"{path}:two", {"two"})):
+        out = tmp_path.with_name(f"{tmp_path.name} {len(names)}")
+        case = g1stream.LibraryCase("convert", out, format="npz")
+        run = g1stream.run_library([str(place)], [case], workers=1)
+        rows = by_name(g1stream.open_library(out))
+        assert (run.files, run.done, run.failed) == (1, len(names), 0)
+        assert {name: row["path"] for name, row in rows.items()} == {
+            n: f"{path}:{n}" for n in names
+        }

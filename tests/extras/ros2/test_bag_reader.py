@@ -18,7 +18,7 @@ from g1stream.cli.main import main
 from g1stream.errors import ConfigError, MotionError, RecordingError
 from g1stream.extras.ros2.bag_reader import DECODERS, open_bag
 from g1stream.extras.ros2.messages import joint_state as in_cdr
-from g1stream.motion.readers import MotionFile, check_motion_file, load_motion
+from g1stream.motion.readers import MotionFile, find_motion, load_motion
 
 ROS = get_typestore(Stores.ROS2_HUMBLE)
 START = 1_700_000_000_000_000_000
@@ -108,9 +108,9 @@ def test_a_bag_of_ros(tmp_path, motion, joints, transforms, storage):
         np.testing.assert_array_equal(found.joint_pos, motion.joint_pos)
         np.testing.assert_array_equal(found.root_pos, motion.root_pos)
         np.testing.assert_allclose(found.root_quat_wxyz, motion.root_quat_wxyz, atol=1e-15)
-    report = check_motion_file(directory, g1stream.G1.default())
-    assert "/joint_states" in report.evidence.used["file"]
-    assert "pelvis in odom" in report.evidence.used["pelvis"]
+    evidence = find_motion(directory).open().evidence
+    assert "/joint_states" in evidence.used["file"]
+    assert "pelvis in odom" in evidence.used["pelvis"]
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ import numpy as np
 from g1stream._version import __version__
 from g1stream.config import Config
 from g1stream.errors import G1StreamError, MotionError, RecordingError
-from g1stream.extras.library.files import content_hash, local_copy, stem
+from g1stream.extras.library.files import content_hash, local_copy, motions_at, stem
 from g1stream.extras.library.table import FORMAT, Command, JointRow, MotionRow, Rows, Status
 from g1stream.extras.physics.measure import motion_physics
 from g1stream.motion.check import check_motion
@@ -115,10 +115,17 @@ class LibraryCase:
 
 
 class Content(NamedTuple):
-    """What is in a file: its SHA-256 in hex; where it cannot be read, why."""
+    """A motion in a file.
+
+    Attributes:
+        sha256: of the file, in hex; of that and of the member's name where there is one.
+        fault: why it cannot be read, or "".
+        member: the name of the motion in a file of several, or "".
+    """
 
     sha256: str
     fault: str = ""
+    member: str = ""
 
 
 @dataclass(frozen=True)
@@ -148,8 +155,8 @@ class Task:
         broken, case = status == "broken", self.case
         row = MotionRow(
             key=self.key_if_broken if broken else self.key,
-            name=stem(self.location),
-            path=self.location,
+            name=self.content.member or stem(self.location),
+            path=_place(self.location, self.content.member),
             sha256=self.content.sha256,
             command=case.command,
             variant="" if broken else case.variant,
@@ -174,16 +181,25 @@ def _limits(config: Config) -> tuple[float, float]:
     return config.stream.rate, config.safety.position_margin
 
 
-def contents_of(locations: list[str]) -> list[Content]:
-    """What is at each of some paths and URLs."""
-    return [_content(location) for location in locations]
+def contents_of(locations: list[str]) -> list[tuple[str, Content]]:
+    """The motions at some paths and URLs, with those of their files."""
+    return [pair for location in locations for pair in _contents_at(location)]
 
 
-def _content(location: str) -> Content:
+def _contents_at(location: str) -> list[tuple[str, Content]]:
     try:
-        return Content(content_hash(location))
+        file, members = motions_at(location)
+        whole = content_hash(file)
     except MotionError as error:
-        return Content("", error.cause)
+        return [(location, Content("", error.cause))]
+    if not members:
+        return [(file, Content(whole))]
+    hashes = {one: sha256(f"{whole} {one}".encode()).hexdigest() for one in members}
+    return [(file, Content(hashes[one], member=one)) for one in members]
+
+
+def _place(path: Path | str, member: str) -> str:
+    return f"{path}:{member}" if member else str(path)
 
 
 def rows_of(task: Task) -> Rows:
@@ -195,7 +211,7 @@ def rows_of(task: Task) -> Rows:
         if task.content.fault:
             raise MotionError(task.content.fault, "")
         with local_copy(task.location) as path:
-            motion = _load(path)
+            motion = _load(Path(_place(path, task.content.member)))
             row.frames, row.fps, row.duration = motion.n_frames, motion.fps, motion.duration
             row.picture = picture(motion, _robot(case.config))
             _COMPUTE[case.command](motion, case, rows)
@@ -255,7 +271,7 @@ def _check(motion: Motion, case: LibraryCase, rows: Rows) -> None:
         for j, name in enumerate(JOINT_NAMES)
     }
     rows.joints += joints.values()
-    if report.in_radians:
+    if report.in_si_units:
         max_tilt = case.config.safety.max_tilt
         found = motion_physics(motion, robot, max_tilt=max_tilt, trajectory=trajectory)
         _add_physics(found, row, joints)

@@ -5,26 +5,26 @@ from __future__ import annotations
 import hashlib
 import os
 import tempfile
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, Final
 
-from g1stream.errors import ConfigError, MotionError, RecordingError
+from g1stream.errors import ConfigError, G1StreamError, MotionError, RecordingError
 from g1stream.files import output_errors
 from g1stream.input_limits import MOTION_FILE
+from g1stream.motion.arrays import motions_in
+from g1stream.motion.readers import find_motion
 from g1stream.optional import import_extra
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-__all__ = ["LIBRARY", "content_hash", "find_motions", "local_copy", "stem"]
+__all__ = ["LIBRARY", "content_hash", "find_motions", "local_copy", "motions_at", "stem"]
 
+#: Of files that may have several motions.
+_SEVERAL: Final = {".pkl", ".pickle", ".joblib", ".pt", ".pth", ".motion"}
 #: Of the files in a directory that may be motions; a file that is named is read whatever its name.
-_SUFFIXES: Final = {
-    *(".csv", ".npz", ".npy"),
-    *(".pkl", ".pickle", ".joblib", ".pt", ".pth"),
-    *(".mcap", ".db3"),
-}
+_SUFFIXES: Final = _SEVERAL | {".csv", ".npz", ".npy", ".mcap", ".db3"}
 #: A directory with this file is a recording in parts, or a bag of ROS 2: one motion.
 _BAG: Final = "metadata.yaml"
 LIBRARY: Final = ".g1stream-library"
@@ -39,7 +39,8 @@ def find_motions(places: Sequence[str]) -> list[str]:
     directories not followed.
 
     Args:
-        places: paths, or URLs such as `s3://bucket/motions`.
+        places: paths, one in a file of several as `library.pkl:walk`, or URLs such as
+            `s3://bucket/motions`.
 
     Returns:
         Absolute paths, and URLs.
@@ -55,7 +56,7 @@ def find_motions(places: Sequence[str]) -> list[str]:
 
 def _below(place: str) -> Iterator[str]:
     path = Path(place).absolute()
-    if not path.exists():
+    if not path.exists() and not find_motion(path).path.is_file():  # of one in a file of several
         raise ConfigError(
             f"There is no {place}.", "Give motion files, directories with some, or URLs."
         )
@@ -103,6 +104,20 @@ def _below_url(url: str) -> list[str]:
             f"{url} cannot be listed: {type(error).__name__}: {error}.",
             "Check the URL, and whether this machine may read there.",
         ) from error
+
+
+def motions_at(location: str) -> tuple[str, tuple[str, ...]]:
+    """The file at a path or URL, and the names of its motions where it has several.
+
+    A path may end in the name of one of them: `library.pkl:walk`.
+    """
+    if "://" not in location and (file := find_motion(location)).member:
+        return str(file.path), (file.member,)
+    if _path(location).suffix.lower() in _SEVERAL:
+        with suppress(G1StreamError), local_copy(location) as path:  # who reads it finds the fault
+            names = motions_in(find_motion(path))
+            return location, names if len(names) > 1 else ()
+    return location, ()
 
 
 def stem(location: str) -> str:

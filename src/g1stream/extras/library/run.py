@@ -154,7 +154,7 @@ def run_library(
         writing(out) as table,
         open_executor(workers or os.cpu_count() or 1, cluster, warn=warn, stop=stop) as executor,
     ):
-        contents = dict(_contents(executor, locations, run, stop))
+        contents = list(_contents(executor, locations, run, stop))
         tasks: list[Task] = []
         if not stop():
             tasks += _tasks(contents, cases, table, str(limits), run)
@@ -197,11 +197,11 @@ def _contents(
             if fault := _fault(future):
                 run.lost |= dict.fromkeys(batch, fault)
             else:
-                yield from zip(batch, future.result(), strict=True)
+                yield from future.result()
 
 
 def _tasks(
-    contents: dict[str, Content],
+    contents: list[tuple[str, Content]],
     cases: Sequence[LibraryCase],
     table: TableWriter,
     limits: str,
@@ -209,8 +209,7 @@ def _tasks(
 ) -> Iterator[Task]:
     """What is still to be computed, each content once."""
     seen = set()
-    for location in sorted(contents):
-        content = contents[location]
+    for location, content in sorted(contents):
         if content.sha256 in seen:
             run.copies += 1
             continue

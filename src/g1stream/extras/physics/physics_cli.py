@@ -45,7 +45,7 @@ class Physics(SettingsCommand, MotionFlags):
         from g1stream.extras.physics.stand import stand_or_explain
         from g1stream.files import save_figure
         from g1stream.motion.check import check_motion
-        from g1stream.motion.fit import require_radians
+        from g1stream.motion.fit import require_si_units
         from g1stream.motion.limits import Interval
         from g1stream.robot.model import G1
 
@@ -54,7 +54,7 @@ class Physics(SettingsCommand, MotionFlags):
         if robot.warning:
             print_warning(robot.warning)
         motion = self.load(self.motions, robot)
-        require_radians(check_motion(motion, robot, rate=config.stream.rate))
+        require_si_units(check_motion(motion, robot, rate=config.stream.rate))
         frames = Interval.from_config(config.stream, motion).frames(motion)
         played = robot.select(config.stream.played_joints)
         done = 0.0

@@ -79,6 +79,7 @@ def _measured(seconds, q):
         log_time=stamps + LATENCY,
         publish_time=stamps,
         tick=np.zeros(n, dtype=np.uint32),
+        mode_machine=np.zeros(n, dtype=np.uint8),
         q=q,
         dq=np.zeros_like(q),
         ddq=np.zeros_like(q),
@@ -183,5 +184,5 @@ def _as_command(stream, i):
 
 
 def _as_state(stream, i):
-    _STATE.q[:] = stream.q[i]
+    _STATE.q[:], _STATE.quaternion[:] = stream.q[i], stream.imu_quat_wxyz[i]
     return _STATE.seal()

@@ -67,7 +67,7 @@ def test_the_torque_asked_for_is_the_servos():
     def stream(kind, time, *names):
         columns = {name: rng.normal(size=(4, 29)) for name in names}
         stamps = np.round(time * 1e9).astype(np.int64)
-        return kind(time=lambda: time, log_time=stamps, publish_time=stamps, **columns)
+        return kind(log_time=stamps, publish_time=stamps, **columns)
 
     command = stream(Command, np.arange(4) * 0.002, "q", "dq", "tau", "kp", "kd")
     state = stream(Measured, np.array([-0.0005, 0.0005, 0.0019, 0.002]), "q", "dq", "tau")

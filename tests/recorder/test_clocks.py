@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from g1stream.recorder.diagnostics import ClockReading, DelayEstimator, StepDetector, read_clocks
+from g1stream.session.records import ClockStep
 
 T0 = 1_700_000_000_000_000_000
 MS = 1_000_000
@@ -31,7 +32,7 @@ def test_no_step_while_the_clocks_keep_their_offset():
 def test_a_step_is_detected_once_with_its_size(step):
     detector, found = steps_of([0] * 10 + [step] * 10)
     assert found == [0] * 10 + [step] + [0] * 9
-    assert detector.steps == [(T0 + 10 * 50 * MS + step, step)]
+    assert detector.steps == [ClockStep(at_ns=T0 + 10 * 50 * MS + step, step_ns=step)]
 
 
 def test_slewing_is_no_step_but_changes_the_offset():

@@ -234,6 +234,18 @@ def test_an_mcap_without_our_topics(tmp_path, topics):
         assert name in error.value.cause
 
 
+@pytest.mark.parametrize("topic", ["/scene", "/measured/tf"])
+def test_what_is_left_of_a_session_is_named(tmp_path, topic):
+    """Without a sample nothing was recorded; with other topics some were left out since."""
+    with SessionWriter(tmp_path / "left.mcap") as writer:
+        writer.add_metadata({"started_ns": 1, "domain": 171, "interface": "lo"})
+        writer.write(topic, b"", 1, 1)
+    with pytest.raises(RecordingError) as caught:
+        open_session(writer.path)
+    assert ("Nothing was recorded" in caught.value.cause) is (topic == "/scene")
+    assert ("/measured/tf" in caught.value.cause) is (topic != "/scene")
+
+
 @pytest.mark.parametrize("ours", [True, False])
 def test_a_recording_without_samples_points_to_the_doctor(tmp_path, ours):
     with SessionWriter(tmp_path / "nobody.mcap") as writer:

@@ -15,7 +15,7 @@ from g1stream.analysis.tracking import blocks
 from g1stream.robot.joints import N_JOINTS
 from g1stream.robot.kinematics import BLOCK, LinkPoses, forward_kinematics
 from g1stream.robot.rotations import (
-    UNIT_TOLERANCE,
+    is_unit,
     quat_conj,
     quat_from_yaw,
     quat_mul,
@@ -244,7 +244,7 @@ def frames(session: Recording, tracking: Tracking) -> Frames | None:
     )
     quat = states.at(at, measured.imu_quat_wxyz, tracking.states)
     # An IMU that is not there sends zeros.
-    has_attitude = bool((np.abs(np.linalg.norm(quat, axis=1) - 1.0) <= UNIT_TOLERANCE).all())
+    has_attitude = bool(is_unit(quat).all())
     has_attitude &= bool(np.isfinite(measured.gyroscope).all())
     if has_attitude:
         quat = quat_normalize(quat)

@@ -331,11 +331,10 @@ def timing_metrics(session: Recording, summary: Summary) -> TimingMetrics:
     )
     if command is None or not command.rate_hz:
         return found
-    sent = session.stream(ours)
-    commands = np.sort(sent.publish_time) + sent.clock_offset
+    commands = np.sort(session.stream(ours).published)
     found.interval_us = percentiles(np.diff(commands) / 1e3)
     if "/lowstate" in found.topics:
-        states = np.sort(session.measured.publish_time) + session.measured.clock_offset
+        states = np.sort(session.measured.published)
         newest = np.searchsorted(states, commands, side="right") - 1
         # Where the recorder was killed, states may be missing that commands in the file had seen.
         known = (newest >= 0) & (session.complete | (commands <= states[-1]))

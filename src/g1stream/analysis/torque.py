@@ -102,7 +102,7 @@ def torque_metrics(
     """
     measured = session.measured.read("q", "dq", "tau")
     chosen = np.arange(len(measured)) if states is None else states
-    times = (measured.publish_time + measured.clock_offset)[chosen]
+    times = measured.published[chosen]
     order = np.argsort(times, kind="stable")
     order = order[_finite(measured, ("q", "dq", "tau"))[chosen[order]]]
     chosen, times = chosen[order], times[order]
@@ -184,8 +184,7 @@ def commanded_torque(session: Recording) -> Floats:
         session: with commands and states.
     """
     measured, command = session.measured.read("q", "dq"), session.command.as_recorded(*_COMMANDED)
-    instants = measured.publish_time + measured.clock_offset
-    times = command.publish_time + command.clock_offset
+    instants, times = measured.published, command.published
     order = np.argsort(times, kind="stable")
     before = np.searchsorted(times[order], instants, side="right") - 1
     newest = order[before.clip(0)]

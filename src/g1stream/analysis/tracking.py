@@ -271,8 +271,7 @@ def compare(reference: Reference, measured: Measured) -> Tracking | None:
     h^2 / 8 times the joint's acceleration: 0.1 mrad for 200 rad/s^2 at 500 Hz. It is where the
     reference was published, so a command that came late counts as late.
     """
-    times = reference.publish_time + reference.clock_offset
-    state_times = measured.publish_time + measured.clock_offset
+    times, state_times = reference.published, measured.published
     order, state_order = np.argsort(times, kind="stable"), np.argsort(state_times, kind="stable")
     sane = _are_sane(reference.q) & (np.abs(reference.motion_time) < NUMBER)
     order = order[sane[order]]

@@ -24,6 +24,7 @@ import numpy as np
 
 from g1stream.dds.messages import ARM_SDK, LOWCMD, LOWSTATE, REFERENCE, Samples
 from g1stream.dds.ticks import TickGaps
+from g1stream.session.records import ClockStep
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -184,12 +185,12 @@ class StepDetector:
 
     Attributes:
         first, last: realtime minus monotonic at the first and the last reading, ns.
-        steps: (when by the clock after it, by how much), ns each.
+        steps: in order.
     """
 
     first: int | None = None
     last: int = 0
-    steps: list[tuple[int, int]] = field(default_factory=list)
+    steps: list[ClockStep] = field(default_factory=list)
 
     def observe(self, reading: ClockReading) -> int:
         """By how much the clock was set since the previous reading, ns; 0 when it was not.
@@ -203,7 +204,7 @@ class StepDetector:
         step, self.last = offset - self.last, offset
         if abs(step) < _MIN_STEP:
             return 0
-        self.steps.append((reading.realtime, step))
+        self.steps.append(ClockStep(at_ns=reading.realtime, step_ns=step))
         return step
 
 

@@ -27,7 +27,7 @@ from g1stream.recorder.diagnostics import (
 )
 from g1stream.recorder.receiver import Receiver
 from g1stream.session.format import CHANNEL_OF, MessageBatch, encode_log
-from g1stream.session.records import ClockStep, RecorderSummary, TopicDelay
+from g1stream.session.records import RecorderSummary, TopicDelay
 from g1stream.text import counted
 
 if TYPE_CHECKING:
@@ -193,10 +193,12 @@ class Recorder:
 
     def _write_batches(self) -> None:
         batches = self._receiver.drain()
+        # The newest of the last round, not the greatest: the clock may be set back.
+        newest = [batch.log_times[-1] for name, batch in batches.items() if name in CHANNEL_OF]
+        self.report.last_ns = max(newest, default=self.report.last_ns)
         for name, batch in batches.items():
             if name in CHANNEL_OF:  # events of a program alone are no recording
                 self.report.first_ns = self.report.first_ns or batch.log_times[0]
-                self.report.last_ns = max(self.report.last_ns or 0, batch.log_times[-1])
                 self._losses.add(name, batch)
                 self._check_publishers(name, batch)
                 self._check_delay(name, batch)
@@ -276,6 +278,9 @@ class Recorder:
                 "CLOCK_REALTIME was set by %+.3f s: log times before and after are not comparable",
                 step / 1e9,
             )
+            # At once, for who reads the file of a recorder that was killed.
+            steps = [one.model_dump() for one in self._steps.steps]
+            self._writer.add_metadata({"clock_steps": steps})
 
     def _check_alignment(self) -> None:
         base = self._pipeline.base
@@ -306,7 +311,7 @@ class Recorder:
         }
         if self._steps.first is not None:
             report.realtime_minus_monotonic_ns = (self._steps.first, self._steps.last)
-        report.clock_steps = [ClockStep(at_ns=at, step_ns=step) for at, step in self._steps.steps]
+        report.clock_steps = self._steps.steps
         base = self._pipeline.base
         report.measured_tf = base.summary() if base else None
         report.path = str(self._writer.path)

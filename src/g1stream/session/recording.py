@@ -16,9 +16,12 @@ import numpy as np
 from g1stream.dds.messages import Samples
 from g1stream.errors import RecordingError, WireError
 from g1stream.robot.model import G1
+from g1stream.session.format import CHANNELS
 from g1stream.session.mcap_reader import RECOVER, Slices
+from g1stream.session.records import SessionInfo, read_record
 from g1stream.session.source import SessionFiles
 from g1stream.session.streams import (
+    MAX_GAP_NS,
     Base,
     Command,
     LogEvent,
@@ -27,9 +30,10 @@ from g1stream.session.streams import (
     Stream,
     StreamT,
     TorsoImu,
+    without_steps,
 )
 from g1stream.text import counted
-from g1stream.types import Floats, Phase
+from g1stream.types import Floats, Ints, Phase
 
 if TYPE_CHECKING:
     import os
@@ -181,11 +185,9 @@ class Recording:
                 self._streams[kind] = whole[self._inside(whole.time)]
             else:
                 self._require(kind.topic)
-                made = kind(
-                    lambda names: self._columns({kind: names}, as_recorded=True)[kind],
-                    lambda: made.since(self.start_ns),
+                self._streams[kind] = self._made(
+                    kind, lambda names: self._columns({kind: names}, as_recorded=True)[kind]
                 )
-                self._streams[kind] = made
         stream: StreamT = self._streams[kind]
         return stream
 
@@ -276,6 +278,13 @@ class Recording:
             ) from error
 
     @cached_property
+    def clock_steps(self) -> list[int]:
+        """By how much the recorder's clock was set, ns, where that is more than any gap."""
+        info, _ = read_record(SessionInfo, self.metadata)
+        steps = [step.step_ns for step in info.clock_steps] if info else []
+        return [step for step in steps if abs(step) >= MAX_GAP_NS]
+
+    @cached_property
     def start_ns(self) -> int:
         """Time 0 of the motion's clock, ns since the epoch on the recorder's clock.
 
@@ -351,12 +360,17 @@ class Recording:
         return inside
 
     def _times(self, topics: Sequence[str]) -> dict[str, Stream]:
-        def stream(columns: Mapping[str, NDArray[Any]]) -> Stream:
-            made = Stream(lambda _: columns, lambda: made.since(self.start_ns))
-            return made
-
         found = self._read(topics, lambda *_: {}, as_recorded=True)
-        return {topic: stream(columns) for topic, columns in found.items()}
+        return {t: self._made(Stream, lambda _, t=t: found[t]) for t in found}
+
+    def _made(
+        self, kind: type[StreamT], load: Callable[..., Mapping[str, NDArray[Any]]]
+    ) -> StreamT:
+        def published() -> Ints:
+            return without_steps(made.publish_time, self.clock_steps) + made.clock_offset
+
+        made = kind(load, lambda: self.start_ns, published)
+        return made
 
     def _columns(
         self, wanted: Mapping[type[Stream], Sequence[str]], *, as_recorded: bool
@@ -435,7 +449,8 @@ class Recording:
                 f"The session file {self.path} was cut off before the first sample of {none}.",
                 "Copy it again, or record again.",
             )
-        if "started_ns" in self.metadata:  # a recording without samples
+        header = {"/log", *(topic for topic, channel in CHANNELS.items() if channel.latched)}
+        if "started_ns" in self.metadata and self.topics.keys() <= header:  # without a sample
             where = f"domain {self.metadata['domain']}", str(self.metadata["interface"])
             return RecordingError(
                 f"Nothing was recorded into {self.path}: there was no publisher of {none} on "
@@ -446,7 +461,8 @@ class Recording:
         return RecordingError(
             f"{self.path} is not a session of g1stream: it has no messages on {none}, "
             f"{self._other_topics()}.",
-            "Give a file that `g1stream record` or `g1stream stream --record` made.",
+            "Give a file that `g1stream record` or `g1stream stream --record` made, with all its "
+            "topics.",
         )
 
     def _other_topics(self) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple, TypeVar
@@ -37,6 +37,7 @@ __all__ = [
     "StreamT",
     "TorsoImu",
     "neighbours",
+    "without_steps",
 ]
 
 MAX_GAP_NS: Final = 100_000_000
@@ -64,7 +65,8 @@ class Stream:
     Args:
         load: reads columns by name, floats in any precision; without it there are only the
             `columns` given.
-        time: computes `time`.
+        start: tells time 0 of the motion's clock; that of this stream alone if None.
+        published: computes `published`; without it no clock was set.
         columns: those that are known already.
 
     Attributes:
@@ -79,15 +81,17 @@ class Stream:
     log_time: Ints
     publish_time: Ints
     _load: Callable[[list[str]], Mapping[str, NDArray[Any]]] | None
-    _time: Callable[[], Floats] | None
+    _start: Callable[[], int] | None
+    _published: Callable[[], Ints] | None
 
     def __init__(
         self,
         load: Callable[[list[str]], Mapping[str, NDArray[Any]]] | None = None,
-        time: Callable[[], Floats] | None = None,
+        start: Callable[[], int] | None = None,
+        published: Callable[[], Ints] | None = None,
         **columns: NDArray[Any],
     ) -> None:
-        self.__dict__.update(columns, _load=load, _time=time)
+        self.__dict__.update(columns, _load=load, _start=start, _published=published)
 
     @classmethod
     def wire_fields(cls) -> dict[str, str]:
@@ -140,7 +144,7 @@ class Stream:
             return self
         found = self._load(list(dict.fromkeys((*_TIMES, *columns))))
         self.__dict__.update({name: found[name] for name in _TIMES})
-        return type(self)(None, lambda: self.time, **found)
+        return type(self)(None, self._start, lambda: self.published, **found)
 
     if not TYPE_CHECKING:  # so that a type checker knows the columns, and no others
 
@@ -171,7 +175,7 @@ class Stream:
             self.read(*names)
             return {name: _read_only(getattr(self, name)[index]) for name in names}
 
-        return type(self)(load, lambda: _read_only(self.time[index]))
+        return type(self)(load, self._zero, lambda: _read_only(self.published[index]))
 
     def __repr__(self) -> str:
         columns = ", ".join(self.wire_fields())
@@ -180,19 +184,22 @@ class Stream:
     @cached_property
     def time(self) -> Floats:
         """(N,) s, publish times on the motion's clock: its first frame is at 0."""
-        return self._time() if self._time else self.since(self.start_ns)
+        # Nanoseconds since the epoch need more digits than a float has; the differences do not.
+        start = max(-LATEST_NS, min(self._zero(), LATEST_NS))
+        return _read_only((self.published - start) / 1e9)
+
+    @cached_property
+    def published(self) -> Ints:
+        """(N,) ns, publish times on the recorder's clock, as if that had not been set."""
+        return self._published() if self._published else self.publish_time + self.clock_offset
+
+    def _zero(self) -> int:
+        return self._start() if self._start else self.start_ns
 
     @property
     def start_ns(self) -> int:
         """When the first sample was published, ns since the epoch on the recorder's clock."""
-        return int(self.publish_time.min()) + self.clock_offset
-
-    def since(self, start_ns: int) -> Floats:
-        """(N,) s, publish times on the recorder's clock since a time on it."""
-        # Nanoseconds since the epoch need more digits than a float has; the differences do not.
-        shift = self.clock_offset - start_ns
-        shift = max(-LATEST_NS, min(shift, LATEST_NS))
-        return _read_only((self.publish_time + shift) / 1e9)
+        return int(self.published.min())
 
     @property
     def clock_offset(self) -> int:
@@ -261,9 +268,8 @@ class Reference(Stream):
         playing = np.flatnonzero((self.phase == Phase.PLAY) & sane)
         if not len(playing):
             return super().start_ns
-        first = playing[self.publish_time[playing].argmin()]
-        since_frame_0 = round(float(self.motion_time[first]) * 1e9)
-        return int(self.publish_time[first]) - since_frame_0 + self.clock_offset
+        first = playing[self.published[playing].argmin()]
+        return int(self.published[first]) - round(float(self.motion_time[first]) * 1e9)
 
     @property
     def phases(self) -> list[PhaseInterval]:
@@ -303,6 +309,7 @@ class Command(Stream):
     """The commands to the motors.
 
     Attributes:
+        mode_machine: (N,) the kind of G1 that it is for.
         mode: (N, 29) 1 for a motor that is enabled.
         q, dq, tau: (N, 29) targets: rad, rad/s, N·m.
         kp, kd: (N, 29) gains: N·m/rad, N·m·s/rad.
@@ -314,6 +321,7 @@ class Command(Stream):
         {name: f"motor_cmd.{name}" for name in ("mode", "q", "dq", "tau", "kp", "kd")}
     )
 
+    mode_machine: NDArray[np.uint8]
     mode: NDArray[np.uint8]
     q: Floats
     dq: Floats
@@ -336,6 +344,7 @@ class Measured(Stream):
 
     Attributes:
         tick: (N,) the robot's own clock, ms; always 0 from some simulators.
+        mode_machine: (N,) the kind of G1 that it is.
         q, dq, ddq, tau: (N, 29) rad, rad/s, rad/s^2, N·m, motor order.
         imu_quat_wxyz: (N, 4) pelvis to world, with the yaw as the IMU counts it.
         gyroscope: (N, 3) rad/s, pelvis frame.
@@ -357,6 +366,7 @@ class Measured(Stream):
     )
 
     tick: NDArray[np.uint32]
+    mode_machine: NDArray[np.uint8]
     q: Floats
     dq: Floats
     ddq: Floats
@@ -438,6 +448,22 @@ class LogEvent(NamedTuple):
             ) from error
         level = _LEVELS.get(message.level, "UNKNOWN")
         return cls(message.timestamp.ToNanoseconds(), level, message.name, message.message)
+
+
+def without_steps(times: Ints, steps: Sequence[int]) -> Ints:
+    """Times as if their clock had not been set.
+
+    Args:
+        times: (N,) ns, in the order in which they were recorded.
+        steps: by which it was set, ns. Each is taken out at the interval that is nearest to it;
+            one of which the times show nothing, as all are before it, stays.
+    """
+    times = times.copy()
+    for step in steps:
+        off = np.abs(np.diff(times) - step)
+        if len(off) and off.min() < abs(step) / 2:
+            times[int(off.argmin()) + 1 :] -= step
+    return times
 
 
 class Neighbours(NamedTuple):

@@ -136,6 +136,8 @@ class MessagePipeline:
             )
         if position := samples.get(SPORTMODESTATE.name):
             self.base.add_positions(position.published, position["position"])
+        if state := samples.get(LOWSTATE.name):
+            self.base.add_states(state.published, state["imu_state.quaternion"])
         made = (messages for one in self._encoders for messages in one.encode(samples))
         return [messages for messages in made if len(messages.payloads)]
 

@@ -244,7 +244,9 @@ def _pelvis(
         pelvis.add_references(_ns(reference), reference.root_pos, reference.root_quat_wxyz)
     if base is not None:
         pelvis.add_positions(_ns(base), base.read("position").position)
-    return pelvis.poses(_ns(measured), measured.imu_quat_wxyz)
+    states = _ns(measured), measured.imu_quat_wxyz
+    pelvis.add_states(*states)
+    return pelvis.poses(*states)
 
 
 def _ns(stream: Stream) -> Ints:

@@ -78,7 +78,7 @@ def test_what_it_says(session, figures, tmp_path):
 def test_the_lines_are_the_sessions(session, figures, tmp_path):
     draw(session, tmp_path / "tracking.png")
     panel = next(a for a in figures[0].axes if a.get_title("left").startswith("left_hip_roll"))
-    measured, reference = (np.asarray(line.get_ydata()) for line in panel.get_lines())
+    reference, measured = (np.asarray(line.get_ydata()) for line in panel.get_lines())
     stamps, state_stamps = session.reference.publish_time, session.measured.publish_time
     shown = (state_stamps >= stamps[0]) & (state_stamps <= stamps[-1])
     np.testing.assert_allclose(measured, np.degrees(session.measured.q[shown, 1]), atol=1e-9)

@@ -13,10 +13,6 @@ from g1stream.session.streams import Command, Measured
 from g1stream.types import Phase
 
 
-def test_a_short_line_is_kept_whole():
-    np.testing.assert_array_equal(min_max(np.arange(7.0), 7), np.arange(7))
-
-
 @pytest.mark.parametrize("n", [1000, 1001, 99_999])
 def test_every_peak_is_kept(n):
     values = np.random.default_rng(n).normal(size=n)

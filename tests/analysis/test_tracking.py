@@ -148,21 +148,14 @@ def test_a_robot_that_stands_still_has_no_delay(play, change):
     assert tracking.rmse[28] == pytest.approx(0.6 / np.sqrt(2), rel=1e-3)
 
 
-def test_a_session_without_play(play, change):
+def test_without_a_state_between_references_in_play_there_is_nothing(play, change, take):
     reference, measured = play()
     ramp_only = change(reference, phase=np.full_like(reference.phase, Phase.RAMP))
+    alone = take(reference, np.flatnonzero(reference.phase == Phase.PLAY)[:1])
+    early = take(measured, slice(0, 20))
     assert compare(ramp_only, measured) is None
-
-
-def test_states_that_all_came_before_the_reference(play, take):
-    reference, measured = play()
-    assert compare(reference, take(measured, slice(0, 20))) is None
-
-
-def test_a_single_reference(play, take):
-    reference, measured = play()
-    playing = np.flatnonzero(reference.phase == Phase.PLAY)[:1]
-    assert compare(take(reference, playing), measured) is None
+    assert compare(alone, measured) is None
+    assert compare(reference, early) is None
 
 
 def test_a_group_is_all_its_joints_errors_together(play):

@@ -88,12 +88,6 @@ def test_a_disk_filled_by_somebody_else_still_leaves_what_was_whole(small_disk):
     assert len(stamps(small_disk / "s.mcap")) == kept
 
 
-def test_a_disk_without_any_room_is_said_at_once(small_disk):
-    (small_disk / "other").write_bytes(bytes(SIZE - 4096))
-    with pytest.raises(RecordingError, match="No space left"):
-        SessionWriter(small_disk / "s.mcap").attach("a.urdf", "text/xml", bytes(8192), 0)
-
-
 @pytest.mark.parametrize("size", range(SIZE, SIZE + 2**17, 2**14 + 77))
 def test_a_chunk_is_begun_only_if_the_end_of_the_file_fits_behind_it(tmp_path, monkeypatch, size):
     """A disk of which all is known; a file that grew beyond it would have failed."""

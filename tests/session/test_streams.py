@@ -5,7 +5,7 @@ import pytest
 
 from g1stream.errors import RecordingError
 from g1stream.session.format import encode_log
-from g1stream.session.streams import LogEvent, Measured, Reference, Stream
+from g1stream.session.streams import LogEvent, Measured, Reference
 from g1stream.types import Phase
 
 T0 = 1_700_000_000_000_000_000
@@ -49,27 +49,10 @@ def test_the_first_column_reads_all_in_one_pass(measured, reads):
     assert reads == [["log_time", "publish_time", *Measured.wire_fields()]]
 
 
-def test_times_are_read_alone(measured, reads):
-    assert len(measured) == N
-    assert reads == [["log_time", "publish_time"]]
-
-
 def test_named_columns_are_read_once(measured, reads):
     assert measured.read("q") is measured
     assert measured.read("q", "log_time").q is measured.q
     assert reads == [["log_time", "publish_time", "q"]]
-
-
-def test_what_is_no_column_is_an_attribute_error(measured, reads):
-    assert not hasattr(measured, "qd")
-    assert reads == []
-
-
-def test_a_stream_in_memory_has_only_what_it_was_given():
-    stream = Stream(log_time=np.arange(3), publish_time=np.arange(3))
-    assert len(stream) == 3
-    with pytest.raises(AttributeError, match="q"):
-        _ = Measured(log_time=np.arange(3), publish_time=np.arange(3)).q
 
 
 @pytest.mark.parametrize(
@@ -125,10 +108,6 @@ def test_a_phase_lasts_until_the_next_one_begins():
 def test_a_number_that_stands_for_no_phase_is_named():
     with pytest.raises(RecordingError, match="99"):
         _ = reference([Phase.PLAY, 99]).phases
-
-
-def test_no_samples_have_no_phases():
-    assert reference([Phase.PLAY])[:0].phases == []
 
 
 @pytest.mark.parametrize(("level", "name"), [(2, "INFO"), (5, "FATAL"), (9, "UNKNOWN")])

@@ -144,9 +144,3 @@ def test_decimator_thins_a_fast_stream_evenly_and_keeps_a_slow_one(rate, kept):
     picked = np.concatenate([part[decimator.pick(part)] for part in np.array_split(stamps, 20)])
     assert len(picked) == kept
     assert set(np.diff(picked)) == {1_000_000_000 // kept}
-
-
-def test_decimator_of_an_empty_batch():
-    decimator = Decimator(100)
-    assert len(decimator.pick(np.array([], dtype=np.int64))) == 0
-    assert len(decimator.pick(np.array([5, 6]))) == 1

@@ -249,10 +249,10 @@ def test_hostile_metadata_is_a_problem_and_no_traceback(summarise, odd):
     json.dumps(summary.model_dump(mode="json"), allow_nan=False)
 
 
-@pytest.mark.parametrize("start", [math.nan, 1e400, "x", [1], None])
-def test_a_start_that_is_none(summarise, start):
+@pytest.mark.parametrize("start", [2.5, math.nan, 1e400, "x", [1], None])
+def test_where_the_motion_was_to_begin(summarise, start):
     summary = summarise(metadata=METADATA | {"config": {"stream": {"start": start}}})
-    assert summary.termination.start_s == 0.0
+    assert summary.termination.start_s == (2.5 if start == 2.5 else 0.0)
 
 
 def test_a_part_that_cannot_be_read_or_is_missing(play, tmp_path):
@@ -389,9 +389,15 @@ def test_a_single_message_has_no_interval(stream):
     assert stats.latency_us.max == pytest.approx(70.0)
 
 
-@pytest.mark.parametrize("latency", [0, 50_000, 20_000_000])
-def test_clocks_that_may_agree_are_left_alone(stream, latency):
-    assert stream([0, 1000, 2000], latency).clock_offset == 0
+@pytest.mark.parametrize(
+    ("latency", "offset"),
+    [
+        *((same, 0) for same in (0, 50_000, 20_000_000)),
+        *((other, other) for other in (-1000, -3_200_000_000, 20_000_001, 7_000_000_000)),
+    ],
+)
+def test_clocks_that_cannot_agree_differ(stream, latency, offset):
+    assert stream([0, 1000, 2000], latency).clock_offset == offset
 
 
 def test_a_clock_set_once_or_a_slow_start_is_no_other_clock(stream):

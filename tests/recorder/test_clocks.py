@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from g1stream.recorder.diagnostics import ClockReading, DelayEstimator, StepDetector
+from g1stream.recorder.diagnostics import ClockReading, StepDetector
 from g1stream.session.records import ClockStep
 
 T0 = 1_700_000_000_000_000_000
@@ -40,20 +40,3 @@ def test_slewing_is_no_step_but_changes_the_offset():
     detector, found = steps_of(slewed.tolist())
     assert not any(found)
     assert detector.last - detector.first == slewed[-1]
-
-
-def test_the_delay_is_the_median():
-    published = T0 + np.arange(5000) * MS
-    delays = np.full(5000, 3 * MS)
-    delays[::10] = 400 * MS
-    delay = DelayEstimator()
-    for part in np.array_split(np.arange(5000), 100):
-        delay.observe(published[part] + delays[part], published[part])
-    assert delay.median() == 3 * MS
-    assert delay.seconds == 4
-
-
-def test_a_publisher_whose_clock_is_ahead_has_a_negative_delay():
-    delay = DelayEstimator()
-    delay.observe(np.array([T0]), np.array([T0 + 7 * S]))
-    assert delay.median() == -7 * S

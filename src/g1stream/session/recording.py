@@ -5,6 +5,7 @@ It is what was recorded and nothing that is computed of it; `g1stream.Session` a
 
 from __future__ import annotations
 
+from collections import Counter
 from functools import cached_property, wraps
 from itertools import compress
 from pathlib import Path
@@ -30,6 +31,7 @@ from g1stream.session.streams import (
     Stream,
     StreamT,
     TorsoImu,
+    read_only,
     without_steps,
 )
 from g1stream.text import counted
@@ -186,7 +188,7 @@ class Recording:
             else:
                 self._require(kind.topic)
                 self._streams[kind] = self._made(
-                    kind, lambda names: self._columns({kind: names}, as_recorded=True)[kind]
+                    kind, lambda names: self._columns({kind: names})[kind]
                 )
         stream: StreamT = self._streams[kind]
         return stream
@@ -208,7 +210,7 @@ class Recording:
         missing = {kind: stream.missing(*columns[kind]) for kind, stream in streams.items()}
         wanted = {kind: names for kind, names in missing.items() if names}
         if wanted:
-            for kind, found in self._columns(wanted, as_recorded=False).items():
+            for kind, found in self._columns(wanted).items():
                 streams[kind].keep(found)
 
     @cached_property
@@ -360,7 +362,7 @@ class Recording:
         return inside
 
     def _times(self, topics: Sequence[str]) -> dict[str, Stream]:
-        found = self._read(topics, lambda *_: {}, as_recorded=True)
+        found = self._read(topics, lambda *_: {})
         return {t: self._made(Stream, lambda _, t=t: found[t]) for t in found}
 
     def _made(
@@ -373,14 +375,9 @@ class Recording:
         return made
 
     def _columns(
-        self, wanted: Mapping[type[Stream], Sequence[str]], *, as_recorded: bool
+        self, wanted: Mapping[type[Stream], Sequence[str]]
     ) -> dict[type[Stream], dict[str, NDArray[Any]]]:
-        """Some columns of streams by name, and both their times.
-
-        Args:
-            wanted: columns by stream.
-            as_recorded: floats are in the wire's precision; else all are float64.
-        """
+        """Some columns of streams by name, in the wire's precision, and both their times."""
         kinds = {kind.topic: kind for kind in wanted}
 
         def decode(topic: str, messages: Messages) -> dict[str, NDArray[Any]]:
@@ -391,45 +388,36 @@ class Recording:
                 return {}
             rows = messages.data.rows() if isinstance(messages.data, Slices) else None
             found = self.samples(kind, messages.data if rows is None else rows)
-            return {name: found.shown(path) for name, path in fields.items()}
+            return {name: found[path] for name, path in fields.items()}
 
-        read = self._read(list(kinds), decode, as_recorded=as_recorded)
+        read = self._read(list(kinds), decode)
         return {kind: read[topic] for topic, kind in kinds.items()}
 
     def _read(
         self,
         topics: Sequence[str],
         decode: Callable[[str, Messages], dict[str, NDArray[Any]]],
-        *,
-        as_recorded: bool,
     ) -> dict[str, dict[str, NDArray[Any]]]:
         """By topic and attribute, what all messages of some topics have; read in one pass."""
-        columns: dict[str, dict[str, NDArray[Any]]] = {topic: {} for topic in topics}
-        filled = dict.fromkeys(topics, 0)
+        parts: dict[str, dict[str, list[NDArray[Any]]]] = {topic: {} for topic in topics}
+        counts: Counter[str] = Counter()
         for topic, messages in self._source.batches(set(topics)):
-            begin, end = filled[topic], filled[topic] + len(messages.log_times)
+            counts[topic] += len(messages.log_times)
             times = {"log_time": messages.log_times, "publish_time": messages.publish_times}
-            if end <= self.topics[topic]:
-                for name, values in (times | decode(topic, messages)).items():
-                    if not begin:
-                        widened = values.dtype.kind == "f" and not as_recorded
-                        dtype = np.dtype(np.float64) if widened else values.dtype
-                        columns[topic][name] = self._empty(topic, values.shape[1:], dtype)
-                    columns[topic][name][begin:end] = values
-            filled[topic] = end
-        for topic, found in filled.items():
-            if found != self.topics[topic]:
-                raise self._miscounted(topic, f"it has {found}")
-            for values in columns[topic].values():
-                values.setflags(write=False)
-        return columns
-
-    def _empty(self, topic: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
-        """A column (N, *shape) for all messages of a topic."""
-        try:
-            return np.empty((self.topics[topic], *shape), dtype)
-        except (MemoryError, ValueError) as error:  # the number comes from the file
-            raise self._miscounted(topic, "no memory has room for so many") from error
+            for name, values in (times | decode(topic, messages)).items():
+                parts[topic].setdefault(name, []).append(values)
+        for topic in topics:
+            if counts[topic] != self.topics[topic]:
+                n_messages = counted(self.topics[topic], "message")
+                raise RecordingError(
+                    f"{self.path} is damaged: of {n_messages} on {topic} it has {counts[topic]}.",
+                    RECOVER,
+                )
+        # One after the other, as each is large in a long recording.
+        return {
+            topic: {name: read_only(np.concatenate(found.pop(name))) for name in list(found)}
+            for topic, found in parts.items()
+        }
 
     def _require(self, topic: str) -> None:
         if not self.topics.get(topic):
@@ -437,10 +425,6 @@ class Recording:
                 f"{self.path} has no messages on {topic}, {self._other_topics()}.",
                 "Record while its publisher runs.",
             )
-
-    def _miscounted(self, topic: str, found: str) -> RecordingError:
-        messages = counted(self.topics[topic], "message")
-        return RecordingError(f"{self.path} is damaged: of {messages} on {topic} {found}.", RECOVER)
 
     def _without_essentials(self) -> RecordingError:
         none = f"{', '.join(_ESSENTIAL[:-1])} or {_ESSENTIAL[-1]}"

@@ -37,6 +37,7 @@ __all__ = [
     "StreamT",
     "TorsoImu",
     "neighbours",
+    "read_only",
     "without_steps",
 ]
 
@@ -173,9 +174,9 @@ class Stream:
 
         def load(names: list[str]) -> Mapping[str, NDArray[Any]]:
             self.read(*names)
-            return {name: _read_only(getattr(self, name)[index]) for name in names}
+            return {name: read_only(getattr(self, name)[index]) for name in names}
 
-        return type(self)(load, self._zero, lambda: _read_only(self.published[index]))
+        return type(self)(load, self._zero, lambda: read_only(self.published[index]))
 
     def __repr__(self) -> str:
         columns = ", ".join(self.wire_fields())
@@ -186,7 +187,7 @@ class Stream:
         """(N,) s, publish times on the motion's clock: its first frame is at 0."""
         # Nanoseconds since the epoch need more digits than a float has; the differences do not.
         start = max(-LATEST_NS, min(self._zero(), LATEST_NS))
-        return _read_only((self.published - start) / 1e9)
+        return read_only((self.published - start) / 1e9)
 
     @cached_property
     def published(self) -> Ints:
@@ -217,10 +218,11 @@ class Stream:
 
 
 def _as_float64(values: NDArray[Any]) -> NDArray[Any]:
-    return _read_only(values.astype(np.float64)) if values.dtype == np.float32 else values
+    return read_only(values.astype(np.float64)) if values.dtype == np.float32 else values
 
 
-def _read_only(values: NDArray[Any]) -> NDArray[Any]:
+def read_only(values: NDArray[Any]) -> NDArray[Any]:
+    """The same array, which nobody may write to any more."""
     values.setflags(write=False)
     return values
 

@@ -76,18 +76,6 @@ def test_only_what_was_played_counts(play, change):
     assert tracking.excluded == 0
 
 
-def test_the_reference_at_a_state_is_scipys(play, take):
-    rng = np.random.default_rng(3)
-    reference, measured = play()
-    reference = take(reference, np.sort(rng.choice(len(reference), 2000, replace=False)))
-    tracking = compare(reference, measured)
-    times = (reference.publish_time - measured.publish_time[0]) / 1e9
-    expected = make_interp_spline(times, reference.q, k=1)(tracking.time)
-    np.testing.assert_allclose(tracking.reference, expected, atol=1e-12)
-    motion_time = make_interp_spline(times, reference.motion_time, k=1)(tracking.time)
-    np.testing.assert_allclose(tracking.motion_time, motion_time, atol=1e-12)
-
-
 def test_states_in_a_hole_of_the_reference_are_left_out(play, take):
     reference, measured = play(0.04)
     at = (reference.publish_time - reference.publish_time[0]) / 1e9
@@ -185,13 +173,6 @@ def test_a_session_gives_the_same_and_keeps_it(play, write_session):
     assert found.delay.seconds == pytest.approx(0.04, abs=1e-4)
     np.testing.assert_allclose(found.time, found.motion_time, atol=1e-6)
     assert found.worst_joint == "left_hip_pitch_joint"
-
-
-def test_only_the_joint_positions_are_read(play, write_session):
-    session = open_session(write_session(*play()))
-    session.tracking()
-    assert {"q", "phase", "motion_time"} <= vars(session.reference).keys()
-    assert "dq" not in vars(session.reference) | vars(session.measured)
 
 
 @pytest.mark.parametrize("recorded", [(None, slice(None)), (slice(0, 200), slice(0, 200))])

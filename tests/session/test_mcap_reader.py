@@ -132,27 +132,6 @@ def test_an_index_into_the_next_chunk_is_noticed(tmp_path):
         ours(McapFile(path), "/b")
 
 
-def test_an_index_that_lies_is_noticed(tmp_path):
-    path = write(tmp_path / "f.mcap", n=20, compression=CompressionType.NONE)
-    content = path.read_bytes()
-    # The log time of the first message of /b stands once in the message and once in the index.
-    entry = T0.to_bytes(8, "little")
-    in_index = content.index(entry, content.index(entry, content.index(entry) + 8) + 8)
-    assert content[in_index : in_index + 8] == entry
-    broken = 0
-    for place in range(in_index + 8, in_index + 16):
-        flipped = bytearray(content)
-        flipped[place] ^= 0x11
-        path.write_bytes(flipped)
-        try:
-            found = ours(McapFile(path), "/b")
-        except RecordingError:
-            broken += 1
-        else:
-            assert (T0, T0, found[0][2]) == found[0]
-    assert broken
-
-
 def test_a_pipe_is_refused_and_not_waited_for(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(RecordingError, match="pipe is not a file"):

@@ -58,19 +58,6 @@ def test_stock_readers_decode_both_kinds_of_channel(tmp_path, golden, lowstates)
     assert positions == [[1, 2], [3, 4]]
 
 
-def test_sequence_numbers_count_each_topic_from_one(tmp_path):
-    path = tmp_path / "session.mcap"
-    with SessionWriter(path) as writer:
-        for i in range(5):
-            writer.write("/lowstate", b"a", T0 + i, T0)
-            writer.write_batch("/lowcmd", [b"b", b"c"], [T0 + i, T0 + i], [T0, T0])
-        assert writer.counts == {"/lowstate": 5, "/lowcmd": 10}
-    sequences = defaultdict(list)
-    for _, channel, message in read_all(path):
-        sequences[channel.topic].append(message.sequence)
-    assert sequences == {"/lowstate": [*range(1, 6)], "/lowcmd": [*range(1, 11)]}
-
-
 @pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
 def test_every_compression_is_read_by_the_stock_reader(tmp_path, compression):
     path = tmp_path / "session.mcap"

@@ -138,17 +138,6 @@ def test_joint_states_decode_to_the_input(stamp, values):
         assert [bits(getattr(joint, field)) for field in FIELDS] == [bits(v) for v in values[:, i]]
 
 
-def test_a_batch_equals_its_messages_encoded_singly():
-    rng = np.random.default_rng(1)
-    template = FrameTransformsTemplate(PARENTS, CHILDREN)
-    times = rng.integers(0, 2**62, 50)
-    positions, quats = rng.normal(size=(50, 4, 3)), rng.normal(size=(50, 4, 4))
-    batch = template.encode(times, positions, quats)
-    for i in range(50):
-        single = template.encode(times[i : i + 1], positions[i : i + 1], quats[i : i + 1])
-        np.testing.assert_array_equal(batch[i], single[0])
-
-
 def test_many_joints_do_not_confuse_the_placeholders():
     names = [f"joint_{i}" for i in range(400)]
     values = np.arange(800.0).reshape(2, 1, 400) + math.pi

@@ -72,28 +72,17 @@ class MessagePipeline:
 
     def __init__(self, robot: G1, settings: RecordConfig | None = None) -> None:
         settings = settings or RecordConfig()
-        self.base: MeasuredBase | None = None
-        self._encoders: Sequence[_Encoder] = ()
-        if settings.channels == "raw":
-            if settings.meshes:
-                raise ConfigError(
-                    "Meshes are for viewers, for which the channels raw have nothing.",
-                    "Leave out --meshes, or record --channels standard.",
-                )
-            return
+        raw = settings.channels == "raw"
+        if raw and settings.meshes:
+            raise ConfigError(
+                "Meshes are for viewers, for which the channels raw have nothing.",
+                "Leave out --meshes, or record --channels standard.",
+            )
         self._robot = robot
         self._shown = robot_with_meshes(robot) if settings.meshes else robot
         self._meshes = draw_meshes(self._shown) if settings.meshes else {}
-        every, rate = settings.channels == "full", settings.tf_rate
-        self.base = MeasuredBase()
-        self._encoders = (
-            _References(robot, rate, every=every),
-            _States(robot, self.base, rate, every=every),
-            _Path(self.base),
-            _Timing("/timing/commands", REFERENCE.name),
-            _Timing("/timing/states", LOWSTATE.name),
-            _Errors(robot.joint_names, rate, every=every),
-        )
+        self.base = None if raw else MeasuredBase()
+        self._encoders = _encoders(robot, self.base, settings) if self.base else ()
 
     def file_header(self, time_ns: int) -> list[MessageBatch]:
         """What viewers need once: a scene for each robot, and the measured one's URDF; or nothing.
@@ -104,7 +93,7 @@ class MessagePipeline:
         Raises:
             RobotError: the URDF has a shape that cannot be read.
         """
-        if not self._encoders:
+        if self.base is None:
             return []
         scene = partial(encode_scene, time_ns, self._shown, drawn=self._meshes)
         payloads = {
@@ -169,6 +158,18 @@ class _Encoder(Protocol):
 
     def encode(self, samples: Mapping[str, _Decoded]) -> Sequence[MessageBatch]:
         """The messages of one round, from its samples by DDS topic name."""
+
+
+def _encoders(robot: G1, base: MeasuredBase, settings: RecordConfig) -> tuple[_Encoder, ...]:
+    rate, every = settings.tf_rate, settings.channels == "full"
+    return (
+        _References(robot, rate, every=every),
+        _States(robot, base, rate, every=every),
+        _Path(base),
+        _Timing("/timing/commands", REFERENCE.name),
+        _Timing("/timing/states", LOWSTATE.name),
+        _Errors(robot.joint_names, rate, every=every),
+    )
 
 
 class Decimator:

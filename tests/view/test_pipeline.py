@@ -102,6 +102,16 @@ def test_standard_has_the_same_with_joint_states_as_often_as_transforms():
         assert list(map(bytes, standard.payloads)) == list(map(bytes, full.payloads))[kept]
 
 
+def test_an_imu_that_sends_zeros_leaves_no_invalid_transform():
+    pipeline, batches = make_pipeline("standard"), batches_of(TIMES)
+    batches[LOWSTATE.name] = batch(LowState(), TIMES, quaternion=0.0)
+    made = {messages.topic: messages for messages in pipeline.encode(batches)}
+    for data in made["/measured/tf"].payloads:
+        for one in FrameTransforms.FromString(bytes(data)).transforms:
+            q = one.rotation
+            assert np.linalg.norm([q.w, q.x, q.y, q.z]) == pytest.approx(1.0)
+
+
 def test_raw_makes_nothing_for_viewers():
     pipeline = make_pipeline("raw")
     assert pipeline.encode(batches_of(TIMES)) == pipeline.file_header(T0) == []

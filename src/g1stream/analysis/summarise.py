@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import socket
 from contextlib import suppress
-from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -341,11 +340,10 @@ def _ignored_commands(session: Recording) -> Iterator[str]:
                 f"mode_machine than the robot, {int(robots[-1])}: it ignores them."
             )
     for kind in has:
-        if kind is not Measured and (n := len(session.stream(kind).read("mode_machine"))):
-            command, step = LowCmd(), -(-n // _MOST_CHECKED)
-            right = []
-            for message in islice(session.messages(kind.topic), 0, None, step):
-                command.load(message.data)
+        if kind is not Measured and len(session.stream(kind).read("mode_machine")):
+            command, right = LowCmd(), []
+            for data in session.some(kind.topic, _MOST_CHECKED):
+                command.load(data)
                 right.append(command.crc_matches())
             if not all(right):
                 share = _share(right.count(False), len(right))

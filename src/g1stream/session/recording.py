@@ -265,6 +265,13 @@ class Recording:
         """The samples of a DDS topic, bit for bit as they were published, in order."""
         return (message.data for message in self.messages(topic))
 
+    def some(self, topic: str, most: int) -> Iterator[bytes]:
+        """The bytes of about `most` messages of any topic, evenly spread over the whole session."""
+        step, at = -(-self.topics.get(topic, 0) // most), 0
+        for _, batch in self._source.batches({topic}):
+            yield from batch.data[-at % step :: step]
+            at += len(batch.data)
+
     def samples(self, kind: type[Stream], data: Sequence[bytes] | NDArray[np.uint8]) -> Samples:
         """The fields of samples of a DDS topic, from their bytes.
 

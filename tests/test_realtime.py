@@ -1,5 +1,7 @@
 """Real-time settings hold inside the `with` and are restored after it."""
 
+import _thread
+import ctypes
 import gc
 import os
 import subprocess
@@ -62,13 +64,31 @@ def test_a_reported_priority_is_in_force():
 
 def test_threads_of_dds_get_the_next_lower_priority(domain_id, until):
     with Participant(domain_id, "lo"):
-        until(lambda: len(realtime._library_threads()) >= 3, "Cyclone to name its threads")
-        threads = realtime._library_threads()
+        until(lambda: len(realtime._threads_of_dds()) >= 3, "Cyclone to name its threads")
+        threads = realtime._threads_of_dds()
         with on_time(priority=7) as grants:
             inside = {os.sched_getparam(thread).sched_priority for thread in threads}
         after = {os.sched_getscheduler(thread) & POLICY for thread in threads}
     assert inside == ({6} if by_name(grants)["SCHED_FIFO"].granted else {0})
     assert after == {os.SCHED_OTHER}
+
+
+def test_threads_of_others_keep_theirs(until):
+    """One that a library has started, such as a pool of torch."""
+    named, done, threads = threading.Event(), threading.Event(), []
+
+    def work():
+        threads.append(threading.get_native_id())
+        ctypes.CDLL(None).prctl(15, b"torch-worker")  # PR_SET_NAME
+        named.set()
+        done.wait()
+
+    _thread.start_new_thread(work, ())
+    named.wait()
+    with on_time(PRIORITY):
+        inside = os.sched_getscheduler(threads[0]) & POLICY
+    done.set()
+    assert inside == os.SCHED_OTHER
 
 
 def test_threads_do_not_inherit_the_priority():

@@ -9,6 +9,7 @@ from __future__ import annotations
 import ctypes
 import gc
 import os
+import re
 import sys
 import threading
 from contextlib import contextmanager, suppress
@@ -31,6 +32,8 @@ __all__ = [
 _PR_SET_TIMERSLACK, _PR_GET_TIMERSLACK = 29, 30  # <linux/prctl.h>
 _MCL_CURRENT, _MCL_ONFAULT = 1, 4  # <sys/mman.h>
 _BACKGROUND_NICE = 5
+#: Cyclone 0.10 and 11 name their threads so.
+_OF_CYCLONE = re.compile(r"recv(UC|MC)?|tev|gc|lease|(dq|tev|xmit)\..*")
 #: Other threads hold the GIL, while they draw or write a file, for at most this long, s.
 _SWITCH_INTERVAL = 1e-4
 
@@ -93,7 +96,7 @@ def _linux_thread(priority: int, cpu: int | None) -> Iterator[list[Grant]]:
         return
     affinity, slack = os.sched_getaffinity(0), _timer_slack()
     policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
-    helpers = _library_threads()
+    helpers = _threads_of_dds()
     try:
         yield [
             _ask_for_fifo(priority, helpers),
@@ -116,11 +119,11 @@ def lower_priority() -> None:
     os.nice(_BACKGROUND_NICE)
 
 
-def allow_all_cpus() -> None:
-    """Let the calling thread run on any CPU, also where its parent process may not."""
+def allow_all_cpus(thread: int = 0) -> None:
+    """Let a thread, the calling one by default, run on any CPU, whatever its parent process may."""
     if sys.platform == "linux":
         with suppress(OSError):  # a container may allow none of the others
-            os.sched_setaffinity(0, range(os.cpu_count() or 1))
+            os.sched_setaffinity(thread, range(os.cpu_count() or 1))
 
 
 def describe(grants: list[Grant]) -> str:
@@ -149,16 +152,16 @@ def _ask_for_fifo(priority: int, helpers: list[int]) -> Grant:
     return Grant(what, granted=True, detail=f"priority {priority}")
 
 
-def _library_threads() -> list[int]:
-    """Threads of this process that a library has started and named, as Cyclone does.
+def _threads_of_dds() -> list[int]:
+    """Cyclone's threads in this process, by the names that it gives them.
 
     The loop depends on what they receive, and at times on a lock that one of them holds.
     """
-    ours = {thread.native_id for thread in threading.enumerate()}
-    own_name, found = Path("/proc/self/comm").read_text(), []
+    ours, found = {thread.native_id for thread in threading.enumerate()}, []
     for task in Path("/proc/self/task").iterdir():
         with suppress(OSError):  # it has ended meanwhile
-            if int(task.name) not in ours and (task / "comm").read_text() != own_name:
+            name = (task / "comm").read_text().strip()
+            if int(task.name) not in ours and _OF_CYCLONE.fullmatch(name):
                 found.append(int(task.name))
     return found
 

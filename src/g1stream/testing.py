@@ -114,13 +114,14 @@ class FakeLink:
 
     Attributes:
         sent: what the loop has sent.
-        robot: the robot's LowState, which the loop receives at every tick. It stands upright.
+        robot: the robot's LowState, which the loop receives at every tick. It stands upright, and
+            its accelerometer has noise: a robot that always measures the same is frozen.
         silent: the robot publishes nothing but by `publish_state`.
         subscriber_count: of LowCmd.
         others: names of other publishers of LowCmd.
         publisher: identity of the publisher of LowState.
         state_others: names of the publishers of LowState, where there are several.
-        guard_missing: why there is no guard process yet; "" if there is or none is needed.
+        waits_for: why the first command has to wait; "" if it has not.
         guard_took_over: why the guard process damps the robot; "" while it does not.
         announced: how the robot announces that it is held.
         on_send: called after each `send`, with the number of those before.
@@ -136,11 +137,12 @@ class FakeLink:
         self.others: list[str] = []
         self.publisher = 1
         self.state_others: list[str] = []
-        self.guard_missing = self.guard_took_over = ""
+        self.waits_for = self.guard_took_over = ""
         self.announced: str | None = None
         self.on_send: Callable[[int], object] = lambda n: None
         self._clock = clock
         self._published: bytes | None = None
+        self._noise = 2.0**-20
 
     def subscribers(self) -> int:
         return self.subscriber_count
@@ -155,6 +157,9 @@ class FakeLink:
         return None
 
     def receive(self, state: LowState) -> int | None:
+        if not self.robot.crc:  # a state with a CRC is left as it is
+            self._noise = -self._noise
+            self.robot.accelerometer[2] += self._noise
         data = self._published if self.silent else self.robot.tobytes()
         self._published = None
         if data is None:
@@ -173,8 +178,8 @@ class FakeLink:
         self.on_send(len(self.sent) - 1)
         return self._clock.now()
 
-    def unguarded(self) -> str:
-        return self.guard_missing
+    def unready(self) -> str:
+        return self.waits_for
 
     def replaced(self) -> str:
         return self.guard_took_over

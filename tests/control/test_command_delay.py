@@ -38,7 +38,8 @@ def found(
             q[18] = away
             tau = (queue.popleft() - 60.0 * q).clip(-TORQUE_LIMIT, TORQUE_LIMIT)
             tau = (tau + bias + noise * rng.normal(size=29)).astype(np.float32)
-            measured = Reading(q, dq, tau, IMU, received=round(1e9 * time))
+            content = tau.tobytes()
+            measured = Reading(q, dq, tau, IMU, received=round(1e9 * time), content=content)
             found.add(measured)
     return found
 

@@ -4,7 +4,7 @@ import pytest
 
 from g1stream.control.guard import Heartbeat, Takeover, damping_command
 from g1stream.control.link import DdsLink
-from g1stream.dds.domain import Participant, user_data_of_bridge
+from g1stream.dds.domain import AnnouncedBridge, Participant
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import LOWCMD, LOWSTATE, LowCmd, LowState, Reference
 
@@ -12,7 +12,7 @@ from g1stream.dds.messages import LOWCMD, LOWSTATE, LowCmd, LowState, Reference
 @pytest.fixture
 def ends(domain_id, until, request):
     """Our link, and a writer of LowState in a participant of its own, by default our bridge's."""
-    user_data = getattr(request, "param", user_data_of_bridge("bolted"))
+    user_data = getattr(request, "param", AnnouncedBridge("bolted").user_data)
     with Participant(domain_id, "lo") as ours, Participant(domain_id, "lo") as theirs:
         link = DdsLink(ours)
         writer = RawWriter(theirs, LOWSTATE, depth=100, user_data=user_data)
@@ -54,14 +54,6 @@ def test_the_ticks_of_another_publisher_show_no_loss(ends, until):
     until(lambda: link.receive(state) and int(state.tick) == 16, "the last state")
     counts = link.counts()
     assert (counts["states_lost"], counts["dds_lost"], counts["tick_jumps"]) == (None, 0, 1)
-
-
-def test_unknown_where_nobody_counts(ends, until):
-    link, writer = ends
-    state = LowState()
-    publish(writer, [0, 0, 0])
-    until(lambda: link.receive(state) and link.counts()["states_received"] == 3, "three states")
-    assert link.counts()["states_lost"] is None
 
 
 STIFF = LowCmd()

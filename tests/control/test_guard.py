@@ -80,8 +80,13 @@ def test_a_stream_that_writes_is_looked_at_every_20_ms_and_a_silent_one_at_the_l
 def test_both_processes_see_the_same_heartbeat(heartbeat):
     other = Heartbeat(os.dup(heartbeat.descriptor))
     command = LowCmd().seal()
-    heartbeat.beat(command, START)
-    assert (other.last_write, other.command) == (START, command)
+    heartbeat.begin_write(command, START - 1)
+    assert (other.writing, other.last_write, other.command) == (True, START - 1, command)
+    heartbeat.end_write(START)
+    assert (other.writing, other.last_write) == (False, START)
+    heartbeat.begin_write(command, START + 1)
+    heartbeat.end_write(0)
+    assert (other.writing, other.last_write) == (False, START)
     assert (heartbeat.takeover, heartbeat.replacement) == (Takeover.NONE, b"")
     damping, other.subscribers = damping_command(command, 3.0), 2
     other.replace(damping, Takeover.STOPPED)

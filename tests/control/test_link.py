@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from g1stream.control.link import DdsLink
-from g1stream.dds.domain import Participant, user_data_of_bridge
+from g1stream.dds.domain import AnnouncedBridge, Participant
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import LOWCMD, LOWSTATE, REFERENCE, LowCmd, LowState, Reference
 
@@ -60,7 +60,7 @@ class DdsEnds:
 
     @contextmanager
     def held(self, support):
-        data = user_data_of_bridge(support)
+        data = AnnouncedBridge(support).user_data
         writer = RawWriter(self._theirs, LOWSTATE, user_data=data)
         yield
         writer.close()

@@ -29,14 +29,29 @@ def test_a_stop_damps_from_the_next_command_on(make_loop, link, events, n):
     assert (logging.INFO, f"{stopped} -> DAMP: SIGINT") in events()
 
 
-def test_whether_it_has_damped_is_known_at_every_command(make_loop, link):
+def test_whether_it_has_damped_is_known_before_every_command(make_loop, link):
     loop = make_loop()
-    before, seen = loop.damped, []
+    seen = []
     link.on_send = lambda _: seen.append(loop.damped)
     loop.run()
-    assert before
     phases = [Phase(int(sent.reference.phase)) for sent in link.sent]
-    assert seen == [phase is Phase.DAMP for phase in phases]
+    assert seen == [True, *(phase is Phase.DAMP for phase in phases[:-1])]
+    assert loop.damped
+
+
+@pytest.mark.parametrize("phase", [Phase.PLAY, Phase.DAMP])
+def test_a_command_that_could_not_be_written_is_none(make_loop, link, phase):
+    loop = make_loop()
+    send = link.send
+
+    def fail(command, reference, stamp):
+        return 0 if loop.state.phase is phase else send(command, reference, stamp)
+
+    link.send = fail
+    report = loop.run()
+    assert report.commands == len(link.sent)
+    assert not link.in_phase(phase)
+    assert loop.damped == (phase is Phase.PLAY)
 
 
 def test_the_first_reason_counts_and_damping_cannot_be_cut_short(make_loop, link):
@@ -66,7 +81,7 @@ def test_where_the_guard_has_taken_over_only_damping_is_sent(make_loop, link, n)
 
 
 def test_nothing_is_sent_until_the_guard_is_ready(make_loop, link):
-    link.guard_missing = "the guard is not ready"
+    link.waits_for = "the guard is not ready"
     report = make_loop().run()
     assert link.sent == []
     assert report.reason.startswith("the guard is not ready")
@@ -304,7 +319,8 @@ def test_a_robot_that_falls_silent_before_the_first_command_is_waited_for(
 
     bare_link.receive = receive_unless_silent
     assert make_loop(link=bare_link).run().reason == ""
-    assert bare_link.sent[0].time == start + silent[1] + PERIOD
+    # The first LowState after the silence came too late after the one before.
+    assert bare_link.sent[0].time == start + silent[1] + 2 * PERIOD
 
 
 @pytest.mark.parametrize("stalled", [False, True])

@@ -325,7 +325,8 @@ def calm():
 
 def test_all_is_well(make, calm):
     checks = make().checks
-    assert checks.take(calm, 1, NOW).received == NOW
+    for now in (NOW - 2 * MS, NOW):
+        assert checks.take(calm, 1, now).received == now
     assert checks.unknown(NOW) == checks.missing == checks.stop_reason == ""
 
 
@@ -352,3 +353,23 @@ def test_the_remote_counts_from_the_first_command_on(make, calm):
 def test_an_unknown_button_is_refused(make):
     with pytest.raises(ConfigError, match=r"safety\.stop_buttons"):
         make(stop_buttons=["L3"])
+
+
+@pytest.mark.parametrize(("interval", "waits"), [(0.09, False), (0.2, True)])
+def test_low_states_that_are_seldom_are_no_start(make, interval, waits):
+    it = make(state_timeout=1.0)
+    it.publish()
+    assert it.checks.missing
+    for _ in range(5):
+        it.now += round(interval * 1e9)
+        it.publish()
+        assert bool(it.checks.missing) == waits
+
+
+@pytest.mark.parametrize(("speed", "moved", "stops"), [(1.5, 0.0, True), (1.5, 0.6, False)])
+def test_a_speed_that_the_position_does_not_show(begun, robot, speed, moved, stops):
+    """One beyond the joint's limit; `moved` is in multiples of what the limit allows."""
+    it = begun(max_leap=0.5)
+    it.state.dq[3] = speed * robot.velocity[3]
+    it.state.q[3] += moved * robot.velocity[3] * 0.002
+    assert ("reports" in it.publish()) == stops

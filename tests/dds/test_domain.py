@@ -10,14 +10,12 @@ import pytest
 from cyclonedds.core import Entity
 
 from g1stream.dds.domain import (
+    AnnouncedBridge,
     Endpoint,
     Participant,
     identify_program,
     interfaces,
     is_loopback,
-    robot_announced,
-    support_announced,
-    user_data_of_bridge,
 )
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import LOWCMD, LOWSTATE, REFERENCE, TOPICS, LowCmd
@@ -234,41 +232,33 @@ def _multicast_port(domain):
     return 7400 + 250 * domain + 1
 
 
-def test_a_support_is_discovered_and_forgotten(domain_id, until):
+def test_a_bridge_is_discovered_and_forgotten(domain_id, until):
+    announced = AnnouncedBridge("hanging", "g1_29dof", 700.0)
     with Participant(domain_id, "lo") as ours:
-        assert support_announced(ours.writers(LOWSTATE.name)) is None
+        assert announced_in(ours) is None
         with Participant(domain_id, "lo") as bridge:
-            announced = user_data_of_bridge("hanging", "g1_29dof")
-            RawWriter(bridge, LOWSTATE, user_data=announced)
-            until(
-                lambda: support_announced(ours.writers(LOWSTATE.name)) == "hanging",
-                "the bridge to say how it holds",
-            )
-            assert robot_announced(ours.writers(LOWSTATE.name)) == "g1_29dof"
-        until(
-            lambda: support_announced(ours.writers(LOWSTATE.name)) is None, "the bridge to be gone"
-        )
+            writer = RawWriter(bridge, LOWSTATE, user_data=announced.user_data)
+            until(lambda: announced_in(ours) == announced, "the bridge to say how it holds")
+            RawReader(ours, LOWSTATE)
+            until(lambda: writer.matched, "the reader of LowState to match")
+        until(lambda: announced_in(ours) is None, "the bridge to be gone")
 
 
-@pytest.mark.parametrize("user_data", [b"", b"somebody else's", b"g1stream"])
+def announced_in(participant):
+    return AnnouncedBridge.by(participant.writers(LOWSTATE.name))
+
+
+@pytest.mark.parametrize("user_data", [b"", b"somebody else's", b"g1stream.bridge=", b"g1stream"])
 def test_a_writer_that_says_something_else_says_nothing(domain_id, until, user_data):
     with Participant(domain_id, "lo") as ours, Participant(domain_id, "lo") as bridge:
         RawWriter(bridge, LOWSTATE, user_data=user_data)
         until(lambda: ours.writers(LOWSTATE.name), "the writer to be discovered")
-        assert support_announced(ours.writers(LOWSTATE.name)) is None
+        assert announced_in(ours) is None
 
 
 def test_two_that_contradict_each_other_say_nothing(domain_id, until):
     with Participant(domain_id, "lo") as ours, Participant(domain_id, "lo") as bridge:
         for support in ("bolted", "hanging"):
-            RawWriter(bridge, LOWSTATE, user_data=user_data_of_bridge(support))
+            RawWriter(bridge, LOWSTATE, user_data=AnnouncedBridge(support).user_data)
         until(lambda: len(ours.writers(LOWSTATE.name)) == 2, "both writers to be discovered")
-        assert support_announced(ours.writers(LOWSTATE.name)) is None
-
-
-def test_user_data_does_not_keep_a_reader_from_matching(domain_id, until):
-    with Participant(domain_id, "lo") as ours, Participant(domain_id, "lo") as bridge:
-        writer = RawWriter(bridge, LOWSTATE, user_data=user_data_of_bridge("bolted"))
-        RawReader(ours, LOWSTATE)
-        until(lambda: writer.matched, "the reader of LowState to match")
-        assert support_announced(ours.writers(LOWSTATE.name)) == "bolted"
+        assert announced_in(ours) is None

@@ -14,7 +14,7 @@ from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 
 from g1stream.dds import types
-from g1stream.dds.domain import Participant, user_data_of_bridge
+from g1stream.dds.domain import AnnouncedBridge, Participant
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import LOG, LOWCMD, LOWSTATE, LowState
 from g1stream.doctor.facts import Interface, Qos
@@ -46,7 +46,7 @@ def test_silent_publisher(domain_id):
 
 
 @pytest.mark.parametrize(
-    ("user_data", "missed"), [(user_data_of_bridge("hanging"), 2), (b"", None)]
+    ("user_data", "missed"), [(AnnouncedBridge("hanging").user_data, 2), (b"", None)]
 )
 def test_what_is_published(domain_id, user_data, missed):
     state = LowState()

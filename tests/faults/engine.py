@@ -154,6 +154,7 @@ class Session:
         before: called in the command's process before it begins.
         terminal, screen: the command's end of a terminal and ours, where it has one.
         clean_up: called at the end.
+        wrong: what an act has found.
     """
 
     def __init__(self, fault: Fault, domain: int, folder: Path) -> None:
@@ -168,6 +169,7 @@ class Session:
         self.terminal: int | None = None
         self.screen = -1
         self.clean_up: list[Callable[[], Any]] = []
+        self.wrong: list[str] = []
         self.said = folder / "said.txt"
         self.process: subprocess.Popen[bytes]
         self.robot: Robot
@@ -302,6 +304,7 @@ def play(fault: Fault, domain: int, folder: Path) -> Outcome:
     try:
         outcome.said = session.said.read_text(errors="replace")
         judge(outcome, record, session.path)
+        outcome.wrong += session.wrong
     finally:
         for undo in session.clean_up:
             undo()

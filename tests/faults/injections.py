@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import termios
+import threading
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     Act = Callable[[Session], None]
 
 KNEE, ELBOW = JOINTS.index("left_knee_joint"), JOINTS.index("right_elbow_joint")
+WRIST = JOINTS.index("left_wrist_pitch_joint")
 
 
 def _run(*command: str | Path) -> None:
@@ -107,6 +109,50 @@ def _assert_kept(victim: Path) -> None:
     assert victim.read_text() == "precious"
 
 
+#: From the 300th on, no command of the process of the stream itself can be written.
+BROKEN_WRITER: Final = """
+import sys
+if sys.orig_argv[1:3] == ["-m", "g1stream"]:
+    from cyclonedds.core import DDSException
+    from cyclonedds.pub import DataWriter
+    write, written = DataWriter.write, []
+    def fail(self, sample, timestamp=None):
+        if "LowCmd" in type(sample).__name__:
+            written.append(1)
+            if len(written) > 300:
+                raise DDSException(DDSException.DDS_RETCODE_TIMEOUT)
+        return write(self, sample, timestamp)
+    DataWriter.write = fail
+"""
+
+
+def broken_writer(session: Session) -> Sequence[str]:
+    (session.folder / "sitecustomize.py").write_text(BROKEN_WRITER)
+    paths = [str(session.folder), *filter(None, [session.environment.get("PYTHONPATH")])]
+    session.environment["PYTHONPATH"] = os.pathsep.join(paths)
+    return []
+
+
+def no_guard_from_the_start(session: Session) -> Sequence[str]:
+    """Kill the guard process as soon as there is one."""
+
+    def kill() -> None:
+        while not getattr(session, "process", None) or not session.children("guard"):
+            time.sleep(0.01)
+        os.kill(session.guard(), signal.SIGKILL)
+
+    threading.Thread(target=kill, daemon=True).start()
+    return []
+
+
+def another_stream(session: Session) -> None:
+    """Start a second one in the same domain, which has to refuse."""
+    command = [sys.executable, "-m", "g1stream", "stream", str(session.motion)]
+    command += ["--config", str(session.config), "--domain", str(session.domain)]
+    second = subprocess.run(command, env=ENVIRONMENT, capture_output=True, text=True, check=False)
+    session.wrong += [f"the second stream: {second.stderr}"] if second.returncode != 2 else []
+
+
 def send(number: int) -> Act:
     return lambda session: session.process.send_signal(number)
 
@@ -149,6 +195,10 @@ def to_recorder(number: int) -> Act:
     return lambda session: os.kill(session.recorder(), number)
 
 
+def to_guard(number: int) -> Act:
+    return lambda session: os.kill(session.guard(), number)
+
+
 def replace_file(session: Session) -> None:
     session.path.rename(session.path.with_suffix(".old"))
     session.path.write_bytes(b"something else")
@@ -164,10 +214,10 @@ def small_disk(session: Session) -> Sequence[str]:
 
 
 def hogs(session: Session) -> None:
-    """Four busy processes for 3 s on the streamer's only CPU, where it has no priority."""
+    """Eight busy processes for 3 s on the streamer's only CPU, where it has no priority."""
     burn = "import time; end = time.time() + 3\nwhile time.time() < end: pass"
     command = [sys.executable, "-c", burn]
-    for _ in range(4):
+    for _ in range(8):
         hog = subprocess.Popen(command, env=ENVIRONMENT, preexec_fn=_pin)  # noqa: PLW1509
         session.clean_up.append(hog.wait)
 

@@ -7,7 +7,7 @@ command stays in force, as on the robot. With "arm_sdk" its own controller holds
 and blends what comes on rt/arm_sdk into its command for arms and waist. rt/lowstate tells of them
 at 250 Hz. Each fault acts from `at` to `until`, s after the first stiff command; negative: from the
 beginning. A fault sets fields of LowState ("set": {"motor.q.3": NaN}, `*` for all 29) or does one
-of `Robot.DO`.
+of `Robot.DO`; with "every": n, only in each n-th state.
 
 It prints `ready` and `commanded`, and writes `out` when its standard input ends. After SIGUSR1 it
 has no publisher any more.
@@ -40,7 +40,7 @@ class Robot:
 
     DO: Final = (
         *("silent", "zeros", "bad_crc", "no_crc", "frozen_tick", "frozen_content"),
-        *("stuck", "jam", "leap", "restart", "twin", "rogue"),
+        *("stuck", "jam", "leap", "restart", "twin", "rogue", "seldom"),
     )
     #: q, dq, tau, kp and kd (5, 29) of the robot's own controller.
     OWN: Final = np.repeat([[0.0], [0.0], [0.0], [60.0], [1.0]], 29, axis=1)
@@ -71,6 +71,7 @@ class Robot:
         self.tick_zero = time.monotonic_ns()
         self.commanded = 0
         self.begun: set[int] = set()
+        self.turn = 0
         self.log: list[tuple[Any, ...]] = []
         self.pauses: list[tuple[int, int]] = []
 
@@ -80,6 +81,8 @@ class Robot:
         found = []
         for number, fault in enumerate(self.faults):
             at = fault.get("at", -1.0)
+            if self.turn // 2 % fault.get("every", 1):
+                continue
             if (at < 0 or since >= at) and since < fault.get("until", 1e9):
                 found.append({**fault, "new": number not in self.begun})
                 self.begun.add(number)
@@ -158,11 +161,11 @@ class Robot:
         self.wire.another()
         self.states = self.wire.writer("rt/lowstate", unitree_hg.LowState)
 
-    def interfere(self) -> None:
+    def interfere(self, announced: str) -> None:
         """Publish commands of our own, which damp."""
         if self.rogue is None:
             self.wire.another()
-            self.rogue = self.wire.writer(self.topic, unitree_hg.LowCmd)
+            self.rogue = self.wire.writer(self.topic, unitree_hg.LowCmd, announced)
         raw = bytearray(unitree_hg.CMD.itemsize)
         command = unitree_hg.struct_in(raw, unitree_hg.CMD)
         command["mode_machine"] = 5
@@ -175,7 +178,6 @@ class Robot:
     def run(self, done: threading.Event) -> None:
         """Live until `done`."""
         deadline = last = time.monotonic_ns()
-        turn = 0
         while not done.is_set():
             deadline = max(deadline + PERIOD, time.monotonic_ns() - PERIOD)
             time.sleep(max(0.0, (deadline - time.monotonic_ns()) / 1e9))
@@ -189,13 +191,13 @@ class Robot:
             if doing.get("restart", {}).get("new"):
                 self.restart()
             self.move(doing)
-            turn += 1
+            self.turn += 1
             if self.gone:
                 self.states = None
-            elif turn % 2 and "silent" not in doing:
+            elif self.turn % (100 if "seldom" in doing else 2) == 0 and "silent" not in doing:
                 self.publish(faults, doing)
             if "rogue" in doing:
-                self.interfere()
+                self.interfere(doing["rogue"].get("announced", ""))
 
     def save(self, out: str) -> None:
         """Write the log: one row a command."""

@@ -17,6 +17,9 @@ from engine import Fault, Session
 from injections import (
     ELBOW,
     KNEE,
+    WRIST,
+    another_stream,
+    broken_writer,
     bytes_of,
     cell,
     clock,
@@ -26,6 +29,7 @@ from injections import (
     hogs,
     motion,
     network,
+    no_guard_from_the_start,
     no_priority,
     on_terminal,
     replace_file,
@@ -35,6 +39,7 @@ from injections import (
     step_clock,
     stop,
     symlink,
+    to_guard,
     to_recorder,
     twice,
     wide_urdf,
@@ -125,6 +130,14 @@ STATES: Final = [
     ),
     Fault("tick frozen", "LowState", does("frozen_tick"), reason="safety.frozen_timeout"),
     Fault("content frozen", "LowState", does("frozen_content"), reason="safety.frozen_timeout"),
+    Fault(
+        "content frozen from the start",
+        "LowState",
+        from_start(does("frozen_content")),
+        reason="safety.frozen_timeout",
+        record="complete",
+    ),
+    Fault("LowState at 5 Hz", "LowState", [{"do": "seldom"}], sent=False, reason="LowState comes"),
     Fault("simulator starts again", "LowState", does("restart"), reason="publisher"),
     Fault("mode_machine changes", "LowState", says("mode_machine", 4), reason="mode_machine"),
     Fault(
@@ -143,6 +156,20 @@ STATES: Final = [
         sent=False,
     ),
     Fault("second publisher of LowState", "LowState", does("twin"), reason="rt/lowstate"),
+    Fault(
+        "second publisher of LowState at 2 Hz from the start",
+        "LowState",
+        from_start(does("twin", every=125)),
+        code=2,
+        reason="rt/lowstate",
+        sent=False,
+    ),
+    Fault(
+        "second publisher of LowState at 2 Hz",
+        "LowState",
+        does("twin", every=125),
+        reason="publisher",
+    ),
     Fault("no robot", "LowState", [{"do": "silent"}], sent=False, reason="no LowState"),
     Fault(
         "another publisher of LowCmd from the start",
@@ -153,6 +180,20 @@ STATES: Final = [
         reason="rt/lowcmd",
     ),
     Fault("second publisher of LowCmd", "LowState", does("rogue"), reason="rt/lowcmd"),
+    Fault(
+        "publisher of LowCmd that poses as a guard from the start",
+        "LowState",
+        [{"do": "rogue", "announced": "g1stream.idle"}],
+        code=2,
+        sent=False,
+        reason="rt/lowcmd",
+    ),
+    Fault(
+        "publisher of LowCmd that poses as a guard",
+        "LowState",
+        does("rogue", announced="g1stream.idle"),
+        reason="rt/lowcmd",
+    ),
     Fault(
         "simulator ends",
         "LowState",
@@ -192,6 +233,12 @@ ROBOT: Final = [
         does("jam", joint=ELBOW),
         prepare=settings(LAG),
         reason="safety.max_tracking_error",
+    ),
+    Fault(
+        "a wrist says 55 rad/s in one state of 50",
+        "robot",
+        says(f"motor.dq.{WRIST}", 55.0, every=50),
+        reason="55.0 rad/s",
     ),
     Fault(
         "a joint leaps by 1 rad",
@@ -399,13 +446,42 @@ SIGNALS: Final = [
         ends=False,
         record="complete",
     ),
+    *(
+        Fault(
+            name,
+            "process",
+            act=to_guard(number),
+            reason="guard",
+            record="complete",
+        )
+        for name, number in (
+            ("guard is killed", signal.SIGKILL),
+            ("guard is stopped", signal.SIGSTOP),
+        )
+    ),
     Fault(
-        "guard is killed",
+        "guard is killed while it starts",
         "process",
-        act=lambda s: os.kill(s.guard(), signal.SIGKILL),
-        code=(0, 1),
-        ends=False,
+        prepare=no_guard_from_the_start,
+        code=(1, 2),
+        sent=False,
         reason="guard",
+    ),
+    Fault(
+        "commands can no longer be written",
+        "process",
+        prepare=broken_writer,
+        reason="did not send a command in time",
+        handover_ms=inf,
+        record="complete",
+    ),
+    Fault(
+        "another stream is started",
+        "process",
+        act=another_stream,
+        at=0.0,
+        code=0,
+        ends=False,
         record="complete",
     ),
 ]

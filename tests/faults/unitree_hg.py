@@ -201,11 +201,12 @@ class Wire:
         qos = Qos(Policy.Reliability.Reliable(0), Policy.History.KeepLast(4096))
         return DataReader(participant, _topic(participant, topic, idl_type), qos)
 
-    def writer(self, topic: str, idl_type: Any) -> Any:
-        """A writer as a robot has it."""
+    def writer(self, topic: str, idl_type: Any, announced: str = "") -> Any:
+        """A writer as a robot has it; announced with this text, if any."""
         participant = self._participants[-1]
-        qos = Qos(Policy.Reliability.Reliable(0), Policy.History.KeepLast(1))
-        return DataWriter(participant, _topic(participant, topic, idl_type), qos)
+        policies = [Policy.Reliability.Reliable(0), Policy.History.KeepLast(1)]
+        policies += [Policy.Userdata(announced.encode())] if announced else []
+        return DataWriter(participant, _topic(participant, topic, idl_type), Qos(*policies))
 
 
 def take(reader: Any) -> list[Any]:

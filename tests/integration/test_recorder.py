@@ -14,7 +14,7 @@ from mcap.reader import make_reader
 
 from g1stream.app.session import open_session
 from g1stream.config import RecordConfig
-from g1stream.dds.domain import Participant, user_data_of_bridge
+from g1stream.dds.domain import AnnouncedBridge, Participant
 from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.messages import LOWCMD, LOWSTATE, REFERENCE, SPORTMODESTATE, LowState, Reference
 from g1stream.recorder.diagnostics import ClockReading, read_clocks
@@ -28,7 +28,7 @@ from g1stream.view.pipeline import MessagePipeline
 S = 1_000_000_000
 
 
-BRIDGE = user_data_of_bridge("bolted")
+BRIDGE = AnnouncedBridge("bolted").user_data
 
 
 class Publisher:

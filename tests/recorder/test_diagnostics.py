@@ -30,33 +30,33 @@ def test_two_writers_on_one_topic_are_counted_apart():
             both.writers += one.writers
             both.publish_times += one.publish_times
     losses.add(REFERENCE.name, both)
-    assert losses.update({REFERENCE.name: 0}, own_bridge=True) == {}
+    assert losses.update({REFERENCE.name: 0}, state_step=2.0) == {}
 
 
 def test_losses_known_to_dds_and_to_the_ticks_are_not_added_up():
     losses = Losses()
     losses.add(LOWSTATE.name, batch(LowState(), [*range(100), *range(105, 150)]))
-    assert losses.update({LOWSTATE.name: 3, LOWCMD.name: 2}, own_bridge=True) == {
+    assert losses.update({LOWSTATE.name: 3, LOWCMD.name: 2}, state_step=1.0) == {
         LOWSTATE.name: 5,
         LOWCMD.name: 2,
     }
-    assert losses.update({LOWSTATE.name: 5, LOWCMD.name: 2}, own_bridge=True) == {}
-    assert losses.update({LOWSTATE.name: 9, LOWCMD.name: 2}, own_bridge=True) == {LOWSTATE.name: 4}
+    assert losses.update({LOWSTATE.name: 5, LOWCMD.name: 2}, state_step=1.0) == {}
+    assert losses.update({LOWSTATE.name: 9, LOWCMD.name: 2}, state_step=1.0) == {LOWSTATE.name: 4}
     assert losses.lost == {LOWSTATE.name: 9, LOWCMD.name: 2}
 
 
 def test_ticks_of_another_bridge_are_no_loss():
     losses = Losses()
     losses.add(LOWSTATE.name, batch(LowState(), [*range(100), *range(105, 150)]))
-    assert losses.update({LOWSTATE.name: 0}, own_bridge=False) == {}
-    assert losses.update({LOWSTATE.name: 2}, own_bridge=False) == {LOWSTATE.name: 2}
+    assert losses.update({LOWSTATE.name: 0}, state_step=None) == {}
+    assert losses.update({LOWSTATE.name: 2}, state_step=None) == {LOWSTATE.name: 2}
 
 
 def test_commands_without_references_are_no_loss_and_are_not_kept_for_ever():
     losses, step = Losses(), 10_000_000
     for start in range(0, 10**10, 10 * step):
         losses.add(LOWCMD.name, Batch(publish_times=list(range(start, start + 10 * step, step))))
-        assert losses.update({LOWCMD.name: 0}, own_bridge=True) == {}
+        assert losses.update({LOWCMD.name: 0}, state_step=2.0) == {}
         assert len(losses._commands._commands) <= 110
 
 
@@ -70,7 +70,7 @@ def test_a_command_that_only_its_reference_tells_of_is_lost(commands):
     references.publish_times = times
     losses.add(REFERENCE.name, references)
     lost = {LOWCMD.name: 0, ARM_SDK.name: 0, REFERENCE.name: 0}
-    assert losses.update(lost, own_bridge=True) == {commands.name: 3}
+    assert losses.update(lost, state_step=2.0) == {commands.name: 3}
 
 
 def test_datagrams_that_the_kernel_discards_are_counted():

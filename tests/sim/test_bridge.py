@@ -10,7 +10,7 @@ import pytest
 
 from g1stream.clock import SystemClock
 from g1stream.config import Config, SimConfig
-from g1stream.dds.domain import Participant, support_announced
+from g1stream.dds.domain import AnnouncedBridge, Participant
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import (
     LOG,
@@ -62,7 +62,7 @@ def test_states_out_and_commands_in(domain_id):
         report = bridge.run(stop_after(400, lambda: writer.write(data)))
         time.sleep(0.05)
         samples = [reader.take(2000) for reader in readers]
-        assert support_announced(theirs.writers(LOWSTATE.name)) == "bolted"
+        assert AnnouncedBridge.by(theirs.writers(LOWSTATE.name)).support == "bolted"
     assert report.commands > 100
     assert not report.refused
     assert world.state().q[KNEE] == pytest.approx(0.5, abs=0.2)

@@ -65,6 +65,7 @@ class CommandDelay:
         self._errors = np.zeros(_KEPT)
         self._noise = 0.0
         self._sent = self._compared = -np.inf
+        self._content = b""
 
     def sent(self, time: float, command: bytes) -> None:
         """A LowCmd was published at a time, s."""
@@ -82,7 +83,9 @@ class CommandDelay:
         time = measured.received / 1e9
         if time - self._compared < _EVERY - 1e-6 or self._n < _KEPT:
             return
-        self._compared = time
+        if measured.content == self._content:  # a state that stands still matches some old command
+            return
+        self._compared, self._content = time, measured.content
         newest_first = (self._n - 1 - np.arange(_KEPT)) % _KEPT
         ages = time - self._times[newest_first]
         prompt = ages < _PROMPT

@@ -5,7 +5,9 @@ LowCmd only after the stream was killed or stopped, hangs or gets no CPU time. I
 its own and ignores signals, so that what ends the stream does not end it as well.
 
 The stream writes its heartbeat and a copy of each command into shared memory, the guard what it
-sends instead; docs/safety.md explains the guard.
+sends instead. No command of the stream follows the guard's first one: the stream announces each
+write and then looks whether the guard has taken over; the guard announces that it takes over and
+then waits until no write is going on. docs/safety.md explains the guard.
 """
 
 from __future__ import annotations
@@ -20,14 +22,15 @@ from contextlib import contextmanager, suppress
 from enum import IntEnum
 from functools import partial
 from itertools import repeat
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 from cyclonedds.core import DDSException
 
 from g1stream.child_process import Child, ChildError, process_state, run_child
 from g1stream.clock import SystemClock, Ticker
 from g1stream.control.command import hand_back_commands
-from g1stream.dds.domain import OBSERVER, Participant, is_local_only, user_data_of_guard
+from g1stream.dds.domain import IDLE, OBSERVER, PUBLISHING, Participant, is_local_only
 from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.layout import Layout
 from g1stream.dds.log_handler import dds_log_handler
@@ -64,11 +67,15 @@ _CHECK_PERIOD: Final = 10_000_000
 
 _COMMAND_SIZE: Final = Layout.of(LowCmd.idl_type).sample_size
 #: The fields of the shared memory, each an int64; the last commands of both follow them.
-_LAST_WRITE, _TAKEOVER, _SUBSCRIBERS, _FIELDS = range(4)
+_LAST_WRITE, _WRITING, _TAKEOVER, _SUBSCRIBERS, _FIELDS = range(5)
 #: Silence of a running stream that ends it where there may be a robot, s.
 _ROBOT_SILENCE: Final = 0.04
 #: How often subscribers are counted before the first command, ns.
 _DISCOVERY_PERIOD: Final = 20_000_000
+#: A store of one process is visible to the other long before this, s.
+_VISIBLE: Final = 0.0002
+#: How long the guard waits for the end of a write, s. A write takes some 20 us of CPU time.
+_WRITE_TIMEOUT: Final = 0.02
 #: How long the process may take to end, s, beside the time of damping.
 _END_TIMEOUT: Final = 2.0
 
@@ -119,15 +126,29 @@ class Heartbeat:
         self._command = shared[8 * _FIELDS :][:_COMMAND_SIZE]
         self._replacement = shared[8 * _FIELDS + _COMMAND_SIZE :]
 
-    def beat(self, command: bytes, now: int) -> None:
+    def begin_write(self, command: bytes, now: int) -> None:
         """Note, before a command is written, what it is and when, ns of CLOCK_MONOTONIC."""
         self._command[:] = command
-        self._fields[_LAST_WRITE] = now
+        self._fields[_WRITING] = now
+
+    def end_write(self, now: int) -> None:
+        """Note when the command was written; 0: it could not be."""
+        if now:
+            self._fields[_LAST_WRITE] = now
+        self._fields[_WRITING] = 0
+
+    @property
+    def writing(self) -> bool:
+        """Whether a write has begun and not ended."""
+        return bool(self._fields[_WRITING])
 
     @property
     def last_write(self) -> int:
-        """When the last command was written, ns of CLOCK_MONOTONIC; 0: there is none to damp."""
-        return self._fields[_LAST_WRITE]
+        """When the last command was written, ns of CLOCK_MONOTONIC; 0: there is none to damp.
+
+        In the first write, it is when that began: the robot may have the command.
+        """
+        return self._fields[_LAST_WRITE] or self._fields[_WRITING]
 
     def clear(self) -> None:
         """Note that the robot is damped, so that the guard has nothing to do."""
@@ -135,7 +156,7 @@ class Heartbeat:
 
     @property
     def command(self) -> bytes:
-        """The last command; an interrupted `beat` leaves joints of the one before it."""
+        """The last command; an interrupted copy leaves joints of the one before it."""
         return bytes(self._command)
 
     @property
@@ -244,11 +265,9 @@ class GuardedLoop(Protocol):
 
     Attributes:
         damped: whether the last command damped; also true before the first one.
-        report: has the number of `commands`.
     """
 
     damped: bool
-    report: Any
 
     def request_stop(self, reason: str) -> None:
         """End the run through DAMP."""
@@ -257,36 +276,34 @@ class GuardedLoop(Protocol):
 class Guard:
     """The guard process of this process's stream; a context manager.
 
-    It starts while everything else is prepared. On loopback a stream may begin without it, or go on
-    when it fails.
+    It starts while everything else is prepared. A stream does not begin without it, and ends where
+    it fails; on loopback, it can be left out.
 
     Args:
         config: of the stream, with the settings that depend on the wire.
 
     Raises:
         ConfigError: it is disabled, and a robot may be commanded.
-        SafetyError: this system cannot have one, and a robot may be commanded.
-        ChildError: it cannot be started, and a robot may be commanded.
+        SafetyError: this system cannot have one.
+        ChildError: it cannot be started.
     """
 
     def __init__(self, config: Config) -> None:
-        self._optional = is_local_only(config.dds.interface)
         self._loop: GuardedLoop | None = None
         self._failure = ""
         self._child: Child | None = None
         self._heartbeat: Heartbeat | None = None
         self._end_timeout = _END_TIMEOUT + config.stream.damp
         if config.safety.guard:
-            with self._only_warn():
-                self._heartbeat = Heartbeat()
-                memory = self._heartbeat.descriptor
-                self._child = Child(
-                    "guard",
-                    _settings(config, memory)._asdict(),
-                    pass_fds=(memory,),
-                    on_failure=self._fail,
-                )
-        elif not self._optional:
+            self._heartbeat = Heartbeat()
+            memory = self._heartbeat.descriptor
+            self._child = Child(
+                "guard",
+                _settings(config, memory)._asdict(),
+                pass_fds=(memory,),
+                on_failure=self._fail,
+            )
+        elif not is_local_only(config.dds.interface):
             raise ConfigError(
                 f"safety.guard = false, but a robot may be on {config.dds.interface}.",
                 "Leave it out: without the guard process, a stream that is killed does not damp.",
@@ -299,14 +316,11 @@ class Guard:
             The heartbeat, for the link that publishes the commands; None where there is no guard.
 
         Raises:
-            ChildError: it cannot, and a robot may be commanded.
+            ChildError: it cannot.
         """
         if self._child:
-            with self._only_warn():
-                self._child.wait_until_ready()
-                return self._heartbeat
-            self._failure = ""  # told: on loopback, the stream begins without it
-        return None
+            self._child.wait_until_ready()
+        return self._heartbeat
 
     @contextmanager
     def protecting(self, loop: GuardedLoop) -> Iterator[None]:
@@ -334,24 +348,12 @@ class Guard:
             if self._heartbeat:
                 self._heartbeat.close()
 
-    @contextmanager
-    def _only_warn(self) -> Iterator[None]:
-        """On loopback, turn an error into a warning."""
-        try:
-            yield
-        except (ChildError, SafetyError) as error:
-            if not self._optional:
-                raise
-            _LOGGER.warning("no guard process: %s", error.cause)
-
     def _fail(self, cause: str) -> None:
         self._failure = cause
         loop = self._loop
         if loop is None or (self._heartbeat and self._heartbeat.takeover):
             return
-        _LOGGER.error("no guard process any more: %s", cause)
-        if not (self._optional and loop.report.commands):
-            loop.request_stop(f"no guard process any more: {cause.rstrip('.')}")
+        loop.request_stop(f"no guard process any more: {cause.rstrip('.')}")
 
 
 class _Settings(NamedTuple):
@@ -411,7 +413,7 @@ def _run_child(parent: Parent) -> None:
     allow_all_cpus()  # what takes the stream's CPU must not take the guard's
     with Participant(settings.domain, settings.interface) as participant:
         topic = COMMANDS["arm_sdk" if settings.arm_sdk else "lowcmd"]
-        commands = RawWriter(participant, topic, user_data=user_data_of_guard(settings.stream))
+        commands = RawWriter(participant, topic, user_data=IDLE)
         events = dds_log_handler(participant, LOG_NAME)
         with handled_by(events, ConsoleHandler()), on_time(settings.priority):
             parent.ready()
@@ -446,6 +448,41 @@ def _state(pid: int) -> Takeover:
     return Takeover.STOPPED if state in "Tt" else Takeover.NONE
 
 
+def _fence(heartbeat: Heartbeat, stream: int, why: Takeover) -> None:
+    """Wait until the stream, which has been replaced, has ended the write that it is in.
+
+    It needs a CPU for that, and to run. A debugger may keep it from both: then it ends the write
+    later, and sends the guard's command right after.
+    """
+    time.sleep(_VISIBLE)
+    if why is Takeover.ENDED or not heartbeat.writing:
+        return
+    with _any_cpu(stream), suppress(ProcessLookupError):
+        if why is Takeover.STOPPED:
+            os.kill(stream, signal.SIGCONT)
+        end = time.monotonic() + _WRITE_TIMEOUT
+        while heartbeat.writing and time.monotonic() < end:
+            time.sleep(_VISIBLE)
+        if why is Takeover.STOPPED:
+            os.kill(stream, signal.SIGSTOP)
+
+
+@contextmanager
+def _any_cpu(pid: int) -> Iterator[None]:
+    """Let every thread of a process run on any CPU, during a `with`."""
+    before = {}
+    for task in Path(f"/proc/{pid}/task").iterdir():
+        with suppress(OSError):  # it has ended meanwhile
+            before[int(task.name)] = os.sched_getaffinity(int(task.name))
+            allow_all_cpus(int(task.name))
+    try:
+        yield
+    finally:
+        for task_id, cpus in before.items():
+            with suppress(OSError):
+                os.sched_setaffinity(task_id, cpus)
+
+
 def _damp(heartbeat: Heartbeat, settings: _Settings, commands: RawWriter, why: Takeover) -> None:
     def send(frame: bytes) -> None:
         heartbeat.replace(frame, why)  # first, so that a stream that goes on sends nothing else
@@ -454,9 +491,12 @@ def _damp(heartbeat: Heartbeat, settings: _Settings, commands: RawWriter, why: T
 
     frames = _frames(heartbeat.command, settings)
     silence = time.monotonic_ns() - heartbeat.last_write
-    send(next(frames))
+    first = next(frames)
+    heartbeat.replace(first, why)
+    _fence(heartbeat, settings.stream, why)
+    send(first)
     with suppress(DDSException):
-        commands.announce(user_data_of_guard(settings.stream, publishing=True))
+        commands.announce(PUBLISHING)
     _LOGGER.error(
         "the guard %s: g1stream stream (pid %d) %s, %.0f ms after its last command",
         "hands arms and waist back" if settings.arm_sdk else "damps",

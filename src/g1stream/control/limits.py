@@ -242,4 +242,6 @@ class CommandLimits:
         # A robot beyond a position limit draws no target beyond it.
         lower, upper = np.minimum(asked[0], self._lower), np.maximum(asked[0], self._upper)
         eased[0] = np.clip(eased[0], lower, upper)
+        # Nor does one that is faster than its joints draw a target that is.
+        eased[1] = np.clip(eased[1], -self._fastest, self._fastest)
         return eased

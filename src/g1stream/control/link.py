@@ -6,7 +6,7 @@ import time
 from typing import TYPE_CHECKING, Final, Protocol
 
 from g1stream.control.guard import Takeover, count_subscribers
-from g1stream.dds.domain import OBSERVER, robot_announced, support_announced
+from g1stream.dds.domain import IDLE, OBSERVER, PUBLISHING, AnnouncedBridge
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.layout import CDR_HEADER, Layout
 from g1stream.dds.messages import LOWCMD, LOWSTATE, REFERENCE, Topic
@@ -21,10 +21,11 @@ __all__ = ["DdsLink", "Link", "OtherPublishers"]
 
 #: LowStates that are queued while the loop is not scheduled: 64 ms at 1 kHz without a loss.
 _STATE_DEPTH: Final = 64
+#: How long a second publisher of LowState is listened for, s. One that was killed is announced for
+#: some time, and publishes nothing.
+_SECOND_PUBLISHER: Final = 2.0
 #: How often the loop looks for other publishers, ns.
 _PERIOD: Final = 100_000_000
-#: Publishers of LowState that were heard in this time publish at once, ns.
-_HEARD: Final = 100_000_000
 
 
 class Link(Protocol):
@@ -50,17 +51,17 @@ class Link(Protocol):
         """
 
     def state_publishers(self) -> list[str]:
-        """Names of the publishers of LowState, if several publish at once."""
+        """Names of the publishers of LowState, if several publish by turns."""
 
     def send(self, command: bytes, reference: bytes, stamp: int) -> int:
         """Publish a LowCmd and its Reference, both with the publish time `stamp`, ns.
 
         Returns:
-            When the LowCmd was written, ns of CLOCK_MONOTONIC.
+            When the LowCmd was written, ns of CLOCK_MONOTONIC; 0: it could not be.
         """
 
-    def unguarded(self) -> str:
-        """Why the guard process could not damp the robot, or "" if it could or there is none."""
+    def unready(self) -> str:
+        """Why the first command has to wait, or "": for the guard process or for LowStates."""
 
     def replaced(self) -> str:
         """Why the guard process damps the robot in our place, or ""."""
@@ -86,14 +87,18 @@ class DdsLink:
         self._participant = participant
         self._heartbeat = heartbeat
         self._topic = topic
-        self._commands = RawWriter(participant, topic)
+        self._commands = RawWriter(participant, topic, user_data=IDLE)
+        self._idle = True
         self._references = RawWriter(participant, REFERENCE)
         self._states = RawReader(participant, LOWSTATE, depth=_STATE_DEPTH)
         self._others = RawReader(participant, topic, ignore_own=True, user_data=OBSERVER)
         self._gaps = TickGaps()
-        self._heard: dict[int, int] = {}  # publisher of LowState -> when it was heard last, ns
-        self._own_bridge = False
-        self._matches: tuple[int, int] | None = (0, 0)
+        self._by_recency: list[int] = []  # publishers of LowState
+        self._several = False
+        self._since = time.monotonic()
+        self._bridge: AnnouncedBridge | None = None
+        self._published: set[int] = set()  # publishers of commands that were heard
+        self._known: tuple[tuple[int, int], int] | None = ((0, 0), 0)
         self._other_names: list[str] = []
         tick = Layout.of(LOWSTATE.idl_type)["tick"]
         start = len(CDR_HEADER) + int(tick.offsets)
@@ -103,28 +108,38 @@ class DdsLink:
         return count_subscribers(self._participant, self._commands)
 
     def other_publishers(self) -> list[str]:
-        # Asking for names takes a fraction of a tick, so it is done only when a writer has come or
-        # gone since.
-        matches = self._others.matches
-        if matches != self._matches:
-            self._matches = matches
+        # Asking for names takes a fraction of a tick, so it is done only when a writer has come,
+        # gone or begun to publish since: what one announces is not believed of one that was heard.
+        samples = self._others.take()
+        self._published.update(one.sample_info.publication_handle for one in samples)
+        known = self._others.matches, len(self._published)
+        if known != self._known:
             participant = self._participant
-            unknown = matches[0] - len(participant.writers(self._topic.name))
-            if unknown > 0:  # not announced yet: ask again
-                self._matches = None
+            writers = participant.writers(self._topic.name)
+            unknown = known[0][0] - len(writers)
+            self._known = None if unknown > 0 else known  # not announced yet: ask again
             self._other_names = [
-                *(participant.owner(one) for one in participant.commanders(self._topic.name)),
+                *(
+                    participant.owner(one)
+                    for one in writers
+                    if not one.idle or one.handle in self._published
+                ),
                 *["an unnamed participant"] * max(0, unknown),
             ]
         return self._other_names
 
     def support(self) -> str | None:
-        support = support_announced(self._participant.writers(LOWSTATE.name))
-        self._own_bridge = self._own_bridge or support is not None
-        return support
+        bridge = self._announced()
+        return bridge.support if bridge else None
 
     def model(self) -> str | None:
-        return robot_announced(self._participant.writers(LOWSTATE.name))
+        bridge = self._announced()
+        return bridge.robot or None if bridge else None
+
+    def _announced(self) -> AnnouncedBridge | None:
+        bridge = AnnouncedBridge.by(self._participant.writers(LOWSTATE.name))
+        self._bridge = bridge or self._bridge
+        return bridge
 
     def receive(self, state: LowState) -> int | None:
         samples = self._states.take(_STATE_DEPTH)
@@ -132,42 +147,61 @@ class DdsLink:
             return None
         for sample in samples:
             self._gaps.add(int.from_bytes(sample.data[self._tick_bytes], "little"))
-            self._heard[sample.sample_info.publication_handle] = time.monotonic_ns()
+            self._hear(sample.sample_info.publication_handle)
         state.load(samples[-1].data)
         return int(samples[-1].sample_info.publication_handle)
 
-    def state_publishers(self) -> list[str]:
-        """Names of the publishers of LowState, if several have published in the last 0.1 s.
+    def _hear(self, publisher: int) -> None:
+        """Note a publisher of LowState; several publish once one is heard again after another.
 
-        One that has died does not count, though DDS may show it for a while.
+        One that was started anew is another publisher, and its predecessor is heard no more.
         """
-        since = time.monotonic_ns() - _HEARD
-        self._heard = {one: last for one, last in self._heard.items() if last >= since}
-        if len(self._heard) < 2:
+        if self._by_recency and publisher == self._by_recency[-1]:
+            return
+        if publisher in self._by_recency:
+            self._several = True
+            self._by_recency.remove(publisher)
+        self._by_recency.append(publisher)
+
+    def state_publishers(self) -> list[str]:
+        if not self._several:
             return []
         named = [self._participant.owner(one) for one in self._participant.writers(LOWSTATE.name)]
         return named or ["unnamed participants"]
 
     def send(self, command: bytes, reference: bytes, stamp: int) -> int:
         """As of `Link`; where the guard process has taken over, its last command is sent."""
-        if self._heartbeat:
-            self._heartbeat.beat(command, time.monotonic_ns())
-        replacement = self._replacement()
-        self._commands.write(replacement or command, stamp)
-        written = time.monotonic_ns()
-        if (newer := self._replacement()) != replacement:
-            self._commands.write(newer)  # the guard went on during the write
+        heartbeat = self._heartbeat
+        if heartbeat is None:
+            written = self._write(command, stamp)
+        else:
+            heartbeat.begin_write(command, time.monotonic_ns())
+            replacement, written = heartbeat.replacement, 0
+            try:
+                written = self._write(replacement or command, stamp)
+            finally:
+                heartbeat.end_write(written)
+            if (newer := heartbeat.replacement) != replacement:
+                self._commands.write(newer)  # the guard could not wait for the end of the write
         self._references.write(reference, stamp)
         return written
 
-    def _replacement(self) -> bytes:
-        """What the guard process sends in our place; empty as long as it does not."""
-        return self._heartbeat.replacement if self._heartbeat else b""
+    def _write(self, command: bytes, stamp: int) -> int:
+        if not self._commands.write(command, stamp):
+            return 0
+        written = time.monotonic_ns()
+        if self._idle:
+            self._idle = False
+            self._commands.announce(PUBLISHING)
+        return written
 
-    def unguarded(self) -> str:
-        if self._heartbeat is None or self._heartbeat.subscribers:
-            return ""
-        return f"the guard process has found no subscriber on {self._topic.name}"
+    def unready(self) -> str:
+        if self._heartbeat and not self._heartbeat.subscribers:
+            return f"the guard process has found no subscriber on {self._topic.name}"
+        several = self._states.matched > 1
+        if several and time.monotonic() < self._since + _SECOND_PUBLISHER:
+            return "there are several publishers of LowState, of which one may be silent"
+        return ""
 
     def replaced(self) -> str:
         why = self._heartbeat.takeover if self._heartbeat else Takeover.NONE
@@ -175,10 +209,10 @@ class DdsLink:
 
     def counts(self) -> dict[str, int | None]:
         """What was received and lost: the fields of `StreamSummary` with these names."""
-        self.support()
+        bridge = self._announced() or self._bridge
         return {
             "states_received": self._gaps.received,
-            "states_lost": self._gaps.missed if self._own_bridge else None,
+            "states_lost": self._gaps.missed(bridge.tick_step) if bridge else None,
             "tick_jumps": self._gaps.jumps,
             "dds_lost": self._states.lost,
             "states_malformed": self._states.malformed,

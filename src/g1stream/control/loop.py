@@ -216,9 +216,12 @@ class StreamLoop:
         if prepared is None:
             return
         stamp = self._clock.stamp()
+        written = self._link.send(prepared.command, prepared.reference, stamp)
+        if not written:
+            return
         report = self.report
         self.damped = self.state.phase is Phase.DAMP
-        report.lateness.add(self._link.send(prepared.command, prepared.reference, stamp) - deadline)
+        report.lateness.add(written - deadline)
         report.commands += 1
         if self._command_delay:
             self._command_delay.sent(deadline / 1e9, prepared.command)
@@ -275,7 +278,7 @@ class StreamLoop:
     def _no_subscriber(self) -> str:
         if not self._link.subscribers():
             return f"no subscriber on {self._topic.name}"
-        return self._link.unguarded()
+        return self._link.unready()
 
     def _robot_unknown(self, now: int) -> str:
         """Why nothing is known of the robot now, or "" where it is."""

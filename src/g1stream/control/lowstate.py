@@ -60,7 +60,7 @@ class LowStateChecks:
     Attributes:
         measured: the newest LowState with a right CRC; None before the first.
         crc_errors: LowStates that were dropped because of their CRC.
-        missing: what the operator has to do before the first command, or "".
+        missing: what the first command has to wait for, or "": the operator, or more LowStates.
         stop_reason: why the session must end by the newest LowState, whose robot is known, or "".
 
     Raises:
@@ -92,6 +92,7 @@ class LowStateChecks:
     def _forget_publisher(self) -> None:
         """Nothing is known of what the publisher provides."""
         self.measured = None
+        self._interval = math.inf  # between the newest two LowStates, s
         self._has_crc = self._ticks = False
         self._tick: int | None = None
         self._tick_since = self._content_since = self._content_tick = 0
@@ -104,8 +105,14 @@ class LowStateChecks:
         self._upper = (self._robot.upper + tolerance).astype(np.float32)
 
     def begin(self) -> None:
-        """The first command follows: from now on it has to be the same robot."""
+        """The first command follows: from now on it has to be the same robot.
+
+        The targets begin at the measured pose, and the robot has to move with them.
+        """
         self._begun = True
+        if self.measured:
+            self._content_since = self.measured.received
+            self._content_target = self.measured.q.astype(np.float64)
         self._set_tolerance(self._config.limit_excess)
 
     def take(
@@ -123,7 +130,10 @@ class LowStateChecks:
         if measured is None:
             return None
         buttons = state.buttons
-        self.missing = self._operator.missing(buttons)
+        seldom = f"LowState comes less often than every {STATE_TIMEOUT:g} s"
+        self.missing = self._operator.missing(buttons) or (
+            seldom if self._interval > STATE_TIMEOUT else ""
+        )
         if self.unknown(now, target):
             self.stop_reason = ""
             return measured
@@ -152,11 +162,12 @@ class LowStateChecks:
             self._wrong_crcs.append(now)
             return None
         measured, before = Reading.from_low_state(state, now), self.measured
+        self._interval = (now - before.received) / 1e9 if before else math.inf
         self._check_tick(int(state.tick), now)
         if before is None or measured.content != before.content:
             self._fault = self._implausible(measured)
             if self._begun and before and not self._fault:
-                self._fault = self._leap(before, measured, int(state.tick))
+                self._fault = self._impossible(before, measured, int(state.tick))
             self._content_since, self._content_target = now, target
             self._content_tick = int(state.tick)
         if self._begun and before and measured.mode_machine != before.mode_machine:
@@ -253,23 +264,33 @@ class LowStateChecks:
         imu = zip(("quaternion", "gyroscope", "accelerometer"), measured.imu, strict=True)
         return "reading of the " + ", ".join(name for name, one in imu if not all_finite(one))
 
-    def _leap(self, before: Reading, measured: Reading, tick: int) -> str:
+    def _impossible(self, before: Reading, measured: Reading, tick: int) -> str:
         """Why no joint can have moved so since the content changed last, or ""."""
-        step = np.abs(measured.q - before.q)
-        if step.max() <= self._config.max_leap:  # nearly always
+        step, speed = np.abs(measured.q - before.q), np.abs(measured.dq)
+        fastest, most = self._robot.velocity, self._config.max_leap
+        if step.max() <= most and (speed <= fastest).all():  # nearly always
             return ""
         # A simulator that has fallen behind catches up in a burst; its ticks, in ms, say how far.
         ticks = min((tick - self._content_tick) % 2**32, _LONGEST_BURST)
         passed = max((measured.received - self._content_since) / 1e9, ticks / 1e3)
-        allowed = self._robot.velocity * passed + self._config.max_leap
-        if not (step > allowed).any():
-            return ""
-        joint = int(np.argmax(step - allowed))
-        return (
-            f"{self._robot.joint_names[joint]} leapt by {step[joint]:.3f} rad in {passed:.3f} s, "
-            f"{self._robot.velocity[joint]:g} rad/s allow {allowed[joint]:.3f} "
-            f"(limit safety.max_leap = {self._config.max_leap:g} rad)"
-        )
+        allowed = fastest * passed + most
+        if (step > allowed).any():
+            joint = int(np.argmax(step - allowed))
+            return (
+                f"{self._robot.joint_names[joint]} leapt by {step[joint]:.3f} rad in "
+                f"{passed:.3f} s, {fastest[joint]:g} rad/s allow {allowed[joint]:.3f} "
+                f"(limit safety.max_leap = {most:g} rad)"
+            )
+        # Within a step a joint may turn back, at most from its highest speed.
+        unseen = speed - fastest
+        if (unseen * passed > step).any():
+            joint = int(np.argmax(unseen * passed - step))
+            return (
+                f"{self._robot.joint_names[joint]} reports {speed[joint]:.1f} rad/s, and has moved "
+                f"by {step[joint]:.3f} rad in {passed:.3f} s (its limit is {fastest[joint]:g} "
+                "rad/s)"
+            )
+        return ""
 
     def _frozen(self, now: int, target: Floats | None) -> str:
         limit, moved_limit = self._config.frozen_timeout, self._config.frozen_motion
@@ -280,6 +301,7 @@ class LowStateChecks:
         still = (now - self._content_since) / 1e9
         if still <= limit:
             return ""
+        # Before the first command the targets stood where RAMP begins, at the measured pose.
         start, moved = self._content_target, 0.0
         if start is not None and target is not None:
             moved = float(np.abs(target - start).max())

@@ -86,8 +86,8 @@ class _Lasting:
 class RobotMonitor:
     """Watches the robot from LowStates that are believed.
 
-    What has to last is measured in the robot's time, which passes only as far as its measurements
-    change: a simulator that a busy machine starves repeats itself, and follows later.
+    What has to last is measured in the robot's time. A simulator that a busy machine starves
+    repeats itself, and follows later: then this time stands still, for `safety.frozen_timeout`.
 
     Args:
         robot: its limits.
@@ -105,6 +105,7 @@ class RobotMonitor:
     ) -> None:
         self._config = config
         self._max_step = max(_MAX_STEP, period)
+        self._patience = round(config.frozen_timeout * 1e9)
         self._names, self._present = robot.joint_names, robot.present
         self._held = held
         self._lower, self._upper = robot.lower, robot.upper
@@ -119,7 +120,7 @@ class RobotMonitor:
         self._history = np.zeros((rows, 2, N_JOINTS))
         self._recorded = 0
         self._content = b""
-        self._changed = self._next = 0
+        self._changed = self._seen = self._next = 0
         self._time = self._last = self._next_jam = 0  # of the robot
 
     def stop_reason(
@@ -136,6 +137,9 @@ class RobotMonitor:
         if measured.content != self._content:
             self._time += min(now - self._changed, self._max_step)
             self._content, self._changed = measured.content, now
+        elif now - self._changed > self._patience:
+            self._time += now - self._seen
+        self._seen = now
         urgent = self._tilted(measured) or self._too_fast(measured)
         if urgent or now < self._next:
             return urgent

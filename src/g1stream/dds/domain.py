@@ -13,7 +13,7 @@ import socket
 from dataclasses import dataclass, field, replace
 from enum import IntFlag
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
 from cyclonedds.builtin import (
     BuiltinDataReader,
@@ -33,8 +33,11 @@ if TYPE_CHECKING:
 __all__ = [
     "DISCOVERY",
     "GUARD_PROGRAM",
+    "IDLE",
     "OBSERVER",
+    "PUBLISHING",
     "SETTLE",
+    "AnnouncedBridge",
     "Endpoint",
     "InterfaceFlags",
     "Participant",
@@ -45,10 +48,6 @@ __all__ = [
     "is_loopback",
     "network_name",
     "require_interface",
-    "robot_announced",
-    "support_announced",
-    "user_data_of_bridge",
-    "user_data_of_guard",
 ]
 
 GUARD_PROGRAM: Final = "g1stream guard"
@@ -136,45 +135,50 @@ def network_name(interface: str) -> str:
 OBSERVER: Final = b"g1stream.observer"
 """The user data of a reader of LowCmd that does not obey it."""
 
-_SUPPORT: Final = b"g1stream.support="
-_ROBOT: Final = b";robot="
-_GUARD: Final = b"g1stream.guard="
-_PUBLISHING: Final = b" publishing"
+IDLE: Final = b"g1stream.idle"
+"""The user data of a writer of commands that has published nothing yet, as a guard's."""
+
+PUBLISHING: Final = b"g1stream.publishing"
+"""The user data of one that has."""
+
+_BRIDGE: Final = "g1stream.bridge="
 
 
-def user_data_of_bridge(support: str, robot: str = "") -> bytes:
-    """The user data with which a bridge announces how it holds the robot, and which robot it is."""
-    return _SUPPORT + support.encode() + (_ROBOT + robot.encode() if robot else b"")
+class AnnouncedBridge(NamedTuple):
+    """What our own bridge announces with its writer of LowState.
 
-
-def user_data_of_guard(stream: int, *, publishing: bool = False) -> bytes:
-    """The user data with which the guard of a stream with this pid announces its LowCmd writer."""
-    return _GUARD + str(stream).encode() + (_PUBLISHING if publishing else b"")
-
-
-def support_announced(writers: Iterable[Endpoint]) -> str | None:
-    """The support that writers of LowState announce; None where none does or they differ.
-
-    Only our own bridge announces one, and only its ticks number its LowStates.
+    Attributes:
+        support: how it holds the robot.
+        robot: the name of the robot that it simulates.
+        rate: LowStates per second. Only its ticks number them: they count ms.
     """
-    return _announced(writers)[0]
 
+    support: str
+    robot: str = ""
+    rate: float = 500.0
 
-def robot_announced(writers: Iterable[Endpoint]) -> str | None:
-    """The name of the robot that writers of LowState announce, as `support_announced`."""
-    return _announced(writers)[1]
+    @classmethod
+    def by(cls, writers: Iterable[Endpoint]) -> AnnouncedBridge | None:
+        """What writers of LowState announce; None where none does or they differ."""
+        found = {one.user_data for one in writers if one.user_data.startswith(_BRIDGE.encode())}
+        if len(found) != 1:
+            return None
+        text = found.pop().decode(errors="replace").removeprefix(_BRIDGE)
+        support, robot, rate = (*text.split(";"), "", "")[:3]
+        try:
+            return cls(support, robot, float(rate))
+        except ValueError:
+            return None
 
+    @property
+    def user_data(self) -> bytes:
+        """The announcement."""
+        return f"{_BRIDGE}{self.support};{self.robot};{self.rate}".encode()
 
-def _announced(writers: Iterable[Endpoint]) -> tuple[str | None, str | None]:
-    found = {
-        writer.user_data.removeprefix(_SUPPORT).partition(_ROBOT)
-        for writer in writers
-        if writer.user_data.startswith(_SUPPORT)
-    }
-    if len(found) != 1:
-        return None, None
-    support, _, robot = found.pop()
-    return support.decode(errors="replace"), robot.decode(errors="replace") or None
+    @property
+    def tick_step(self) -> float:
+        """From one LowState to the next, ms."""
+        return 1000.0 / self.rate
 
 
 @dataclass(frozen=True)
@@ -185,6 +189,7 @@ class Endpoint:
         topic, type_name: as announced on the wire.
         participant: the GUID of the participant it belongs to.
         host, pid, process: of that participant; empty where it does not announce them.
+        handle: a sample's `publication_handle`, if it is a writer.
         qos: Cyclone's Qos, as announced.
         type_id: XTypes' identifier of the announced type; None where it announces none.
     """
@@ -195,6 +200,7 @@ class Endpoint:
     host: str = ""
     pid: str = ""
     process: str = ""
+    handle: int = 0
     qos: Any = field(default=None, compare=False, repr=False)
     type_id: Any = field(default=None, compare=False, repr=False)
 
@@ -204,9 +210,9 @@ class Endpoint:
         return next((p.data for p in self.qos or () if isinstance(p, Policy.Userdata)), b"")
 
     @property
-    def idle_guard(self) -> bool:
-        """Whether it is the writer of a guard that publishes nothing."""
-        return self.user_data.startswith(_GUARD) and not self.user_data.endswith(_PUBLISHING)
+    def idle(self) -> bool:
+        """Whether it announces to be a writer of commands that has published nothing."""
+        return self.user_data == IDLE
 
     def __str__(self) -> str:
         if not self.pid:
@@ -312,8 +318,8 @@ class Participant:
         return self._endpoints(self._readers, topic)
 
     def commanders(self, topic: str = LOWCMD.name) -> list[Endpoint]:
-        """Writers of commands discovered so far, without idle guards and this participant's."""
-        return [writer for writer in self.writers(topic) if not writer.idle_guard]
+        """Writers of commands discovered so far, without idle ones and this participant's."""
+        return [writer for writer in self.writers(topic) if not writer.idle]
 
     def owner(self, endpoint: Endpoint) -> str:
         """The process or participant of an endpoint; one of ours, which is `python`, by command."""
@@ -347,6 +353,7 @@ class Participant:
                     host,
                     pid,
                     process,
+                    sample.sample_info.instance_handle,
                     sample.qos,
                     sample.type_id,
                 )

@@ -17,9 +17,8 @@ class TickGaps:
     Publishers differ in what a tick is: our own bridge counts milliseconds by its own step;
     unitree_mujoco's C++ bridge stamps simulated time faster than that advances, so that ticks
     repeat and jump without a loss; its Python bridge leaves the tick 0. So `missed` is a number of
-    lost samples only where the publisher is our own; elsewhere `jumps` is a hint at most. The step
-    that is seen most is taken for that between two neighbours. Memory does not grow with what is
-    counted beyond the number of different steps.
+    lost samples only where the publisher is our own; elsewhere `jumps` is a hint at most. Memory
+    does not grow with what is counted beyond the number of different steps.
 
     Attributes:
         received: samples counted.
@@ -55,11 +54,11 @@ class TickGaps:
         usual = self.step
         return 0 if usual is None else sum(n for k, n in self._steps.items() if k >= 2 * usual)
 
-    @property
-    def missed(self) -> int | None:
-        """How many samples did not come if every one had its tick; None where ticks stand still."""
-        usual = self.step
-        if usual is None:
-            return None
-        lost = ((step // usual - 1, count) for step, count in self._steps.items() if step)
-        return sum(number * count for number, count in lost if number < _MAX_LOST)
+    def missed(self, step: float) -> int:
+        """How many samples did not come, of a publisher whose ticks are this far apart, 1 or more.
+
+        A tick is rounded down. So many samples, at least, are in the time that has passed.
+        """
+        steps = [(k, n) for k, n in self._steps.items() if k < _MAX_LOST * step]
+        passed, received = sum(k * n for k, n in steps), sum(n for _, n in steps)
+        return max(0, int((passed - 1) // step) + 1 - received)

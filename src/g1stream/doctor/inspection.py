@@ -21,11 +21,11 @@ from g1stream.control.report import Lateness
 from g1stream.dds.domain import (
     MAX_DOMAIN,
     OBSERVER,
+    AnnouncedBridge,
     InterfaceFlags,
     Participant,
     interface_flags,
     interfaces,
-    support_announced,
 )
 from g1stream.dds.endpoints import RawReader
 from g1stream.dds.messages import LOWSTATE, TOPICS, LowState
@@ -94,11 +94,11 @@ def inspect_domain(
 
 def inspect_participant(participant: Participant, seconds: float) -> WireFacts:
     """Listen in a participant's domain for some seconds."""
-    reader = RawReader(participant, LOWSTATE, depth=4096)
-    state = _listen(reader, seconds)
+    reader, gaps = RawReader(participant, LOWSTATE, depth=4096), TickGaps()
+    state = _listen(reader, gaps, seconds)
     writers = participant.writers()
-    if support_announced(one for one in writers if one.topic == LOWSTATE.name) is None:
-        state = replace(state, missed=None)
+    if bridge := AnnouncedBridge.by(one for one in writers if one.topic == LOWSTATE.name):
+        state = replace(state, missed=gaps.missed(bridge.tick_step))
     return WireFacts(
         writers=tuple(_peers(participant, writers)),
         readers=tuple(_peers(participant, participant.readers())),
@@ -107,8 +107,8 @@ def inspect_participant(participant: Participant, seconds: float) -> WireFacts:
     )
 
 
-def _listen(reader: RawReader, seconds: float) -> StateFacts:
-    message, gaps = LowState(), TickGaps()
+def _listen(reader: RawReader, gaps: TickGaps, seconds: float) -> StateFacts:
+    message = LowState()
     ages: list[float] = []
     right = zero = 0
     start = time.monotonic()
@@ -127,7 +127,6 @@ def _listen(reader: RawReader, seconds: float) -> StateFacts:
         ages_ms=(median(ages), max(ages)) if ages else (0.0, 0.0),
         tick_step=gaps.step,
         tick_jumps=gaps.jumps,
-        missed=gaps.missed,
         crc_right=right,
         crc_zero=zero,
         mode_machine=int(message.mode_machine),
@@ -165,7 +164,7 @@ def _peers(participant: Participant, endpoints: Iterable[Endpoint]) -> Iterator[
                 owner=participant.owner(endpoint),
                 participant=endpoint.participant,
                 observer=endpoint.user_data == OBSERVER,
-                idle_guard=endpoint.idle_guard,
+                idle_guard=endpoint.idle,
             )
 
 

@@ -132,21 +132,23 @@ class Losses:
         """Count, after the last batch, the LowCmds that were still waited for."""
         self._commands.finish()
 
-    def update(self, lost_by_reader: Mapping[str, int], *, own_bridge: bool) -> dict[str, int]:
+    def update(
+        self, lost_by_reader: Mapping[str, int], *, state_step: float | None
+    ) -> dict[str, int]:
         """Combine all sources.
 
         Args:
             lost_by_reader: samples that the readers know to be lost so far, by topic name.
-            own_bridge: LowState comes from our own bridge, whose ticks number it.
+            state_step: between the ticks of LowState, ms; None where they do not number it.
 
         Returns:
             How many more are lost than at the last update, where any are.
         """
         more = {}
         for name, by_reader in lost_by_reader.items():
-            numbered = name != LOWSTATE.name or own_bridge
-            counters = self._ticks[name].values() if numbered else ()
-            by_ticks = sum(c.missed or 0 for c in counters if c.received > _MIN_TICKS)
+            step = state_step if name == LOWSTATE.name else 1.0
+            counters = self._ticks[name].values() if step else ()
+            by_ticks = sum(c.missed(step) for c in counters if step and c.received > _MIN_TICKS)
             by_reference = self._commands.count if name == self._commanded else 0
             lost, before = max(by_reader, by_ticks, by_reference), self.lost.get(name, 0)
             if lost > before:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from g1stream.dds.domain import GUARD_PROGRAM, support_announced
+from g1stream.dds.domain import GUARD_PROGRAM, AnnouncedBridge
 from g1stream.dds.messages import ARM_SDK, LOG, LOWCMD, LOWSTATE, TOPICS, Log
 from g1stream.errors import RecordingError
 from g1stream.events import severity
@@ -78,12 +78,12 @@ class Publishers(NamedTuple):
     Attributes:
         names: of the programs, as far as they announce them.
         hosts: that they are on, likewise.
-        support: that our own bridge announces; None from other publishers.
+        bridge: what our own bridge announces; None from other publishers.
     """
 
     names: list[str]
     hosts: list[str]
-    support: str | None
+    bridge: AnnouncedBridge | None
 
     @classmethod
     def from_participant(cls, participant: Participant, topic: str) -> Publishers:
@@ -91,7 +91,7 @@ class Publishers(NamedTuple):
         writers = participant.writers(topic)
         hosts = {writer.host for writer in writers if writer.host}
         names = {participant.owner(writer) for writer in writers}
-        return cls(sorted(names), sorted(hosts), support_announced(writers))
+        return cls(sorted(names), sorted(hosts), AnnouncedBridge.by(writers))
 
     @property
     def remote(self) -> bool:
@@ -272,8 +272,9 @@ class Recorder:
     def _update_losses(self) -> dict[str, int]:
         """How many more samples are lost, by topic."""
         states = self._publishers.get(LOWSTATE.name)
-        own_bridge = states is not None and states.support is not None
-        return self._losses.update(self._receiver.lost(), own_bridge=own_bridge)
+        bridge = states.bridge if states else None
+        step = bridge.tick_step if bridge else None
+        return self._losses.update(self._receiver.lost(), state_step=step)
 
     def _check_clock(self) -> None:
         if step := self._steps.observe(self._clocks()):

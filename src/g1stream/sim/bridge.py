@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from typing import TYPE_CHECKING, Final
 
-from g1stream.dds.domain import user_data_of_bridge
+from g1stream.dds.domain import AnnouncedBridge
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import LOWCMD, LOWSTATE, REFERENCE, SECONDARY_IMU, SPORTMODESTATE
 from g1stream.sim.onboard import MotionService
@@ -53,8 +53,8 @@ class Bridge:
         self._view = view
         self._commands = RawReader(participant, LOWCMD)
         self._references = RawReader(participant, REFERENCE)
-        announcement = user_data_of_bridge(support, model)
-        self._low_state = RawWriter(participant, LOWSTATE, user_data=announcement)
+        announced = AnnouncedBridge(support, model, 1e9 / robot.period)
+        self._low_state = RawWriter(participant, LOWSTATE, user_data=announced.user_data)
         self._sport_mode_state = RawWriter(participant, SPORTMODESTATE)
         self._secondary_imu = RawWriter(participant, SECONDARY_IMU)
         self._motion_service = MotionService(participant, onboard)

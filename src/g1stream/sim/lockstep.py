@@ -105,7 +105,7 @@ class Lockstep:
         self._on_sample(REFERENCE, reference, stamp)
         return self._now
 
-    def unguarded(self) -> str:
+    def unready(self) -> str:
         return ""
 
     def replaced(self) -> str:

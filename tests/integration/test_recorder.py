@@ -28,7 +28,7 @@ from g1stream.view.pipeline import MessagePipeline
 S = 1_000_000_000
 
 
-BRIDGE = AnnouncedBridge("bolted").user_data
+BRIDGE = AnnouncedBridge("bolted", rate=1000.0).user_data  # whose ticks count LowStates
 
 
 class Publisher:

@@ -16,7 +16,7 @@ from g1stream.errors import RecordingError
 from g1stream.files import save_figure
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
 from g1stream.session.records import MotionInfo, StreamSummary, read_record
-from g1stream.session.streams import Measured, Reference
+from g1stream.session.streams import MeasuredStream, ReferenceStream
 from g1stream.text import counted
 from g1stream.types import Floats, Phase
 
@@ -63,7 +63,7 @@ LONGEST_VIEW: Final = 20.0
 _NARROWEST_BIN: Final = 0.1
 _MOST_BINS: Final = 200
 _PANELS: Final = 6
-_COMPARED: Final = (Reference.topic, Measured.topic)
+_COMPARED: Final = (ReferenceStream.topic, MeasuredStream.topic)
 
 #: Of the overview, and of a panel elsewhere with what the figure needs above them, inches.
 _INCHES: Final = (16.0, 10.0)

@@ -32,10 +32,10 @@ from g1stream.session.records import (
 )
 from g1stream.session.streams import (
     STREAMS,
-    ArmCommand,
-    Command,
-    Measured,
-    Reference,
+    ArmCommandStream,
+    CommandStream,
+    MeasuredStream,
+    ReferenceStream,
     without_steps,
 )
 from g1stream.text import counted
@@ -86,9 +86,9 @@ def summarise(session: Recording) -> Summary:
     with suppress(RecordingError):  # whoever uses a column says what is wrong with it
         session.read(  # in one pass
             {
-                Reference: ("motion_time", "phase", "played", "q"),
-                Command: ("mode_machine",),
-                Measured: ("q", "imu_quat_wxyz", "mode_machine"),
+                ReferenceStream: ("motion_time", "phase", "played", "q"),
+                CommandStream: ("mode_machine",),
+                MeasuredStream: ("q", "imu_quat_wxyz", "mode_machine"),
             }
         )
     info, problems = read_record(SessionInfo, session.metadata)
@@ -330,17 +330,21 @@ def _sample_problems(session: Recording) -> Iterator[str]:
 
 def _ignored_commands(session: Recording) -> Iterator[str]:
     """Commands that the robot ignores: for another kind of G1, or with a wrong CRC."""
-    has = [kind for kind in (Command, ArmCommand, Measured) if session.topics.get(kind.topic)]
-    if Command in has and Measured in has:
+    has = [
+        kind
+        for kind in (CommandStream, ArmCommandStream, MeasuredStream)
+        if session.topics.get(kind.topic)
+    ]
+    if CommandStream in has and MeasuredStream in has:
         meant = session.command.read("mode_machine").mode_machine
         robots = np.unique(session.measured.read("mode_machine").mode_machine)
         if other := int((~np.isin(meant, robots)).sum()):
             yield (
-                f"{_share(other, len(meant))} of the commands on {Command.topic} have another "
-                f"mode_machine than the robot, {int(robots[-1])}: it ignores them."
+                f"{_share(other, len(meant))} of the commands on {CommandStream.topic} have "
+                f"another mode_machine than the robot, {int(robots[-1])}: it ignores them."
             )
     for kind in has:
-        if kind is not Measured and len(session.stream(kind).read("mode_machine")):
+        if kind is not MeasuredStream and len(session.stream(kind).read("mode_machine")):
             command, right = LowCmd(), []
             for data in session.some(kind.topic, _MOST_CHECKED):
                 command.load(data)
@@ -358,7 +362,7 @@ def _share(n: int, of: int) -> str:
 
 
 def _invalid_attitudes(session: Recording) -> Iterator[str]:
-    if session.topics.get(Measured.topic):
+    if session.topics.get(MeasuredStream.topic):
         valid = is_unit(session.measured.read("imu_quat_wxyz").imu_quat_wxyz)
         if n := int((~valid).sum()):
             yield (
@@ -425,7 +429,7 @@ def _undamped_in(
     # A stream's own recorder ends after it, and is told how it went.
     outlived = info.config is not None and recorder is not None and not recorder.stopped
     end = max(int(stream.log_time[-1]) for stream in streams.values())
-    silence = end - int(streams[Reference.topic].log_time[-1])
+    silence = end - int(streams[ReferenceStream.topic].log_time[-1])
     return phases[-1].phase if outlived or silence > _SILENCE else None
 
 

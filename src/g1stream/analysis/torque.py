@@ -10,7 +10,7 @@ from g1stream.analysis.tracking import blocks, rms
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.session.recording import once
 from g1stream.session.records import Record
-from g1stream.session.streams import MAX_GAP_NS, Command
+from g1stream.session.streams import MAX_GAP_NS, CommandStream
 from g1stream.types import Floats
 
 if TYPE_CHECKING:
@@ -108,7 +108,7 @@ def torque_metrics(
     chosen, times = chosen[order], times[order]
     if not measured.tau[chosen].any():
         return None
-    commanded = commanded_torque(session) if session.topics.get(Command.topic) else None
+    commanded = commanded_torque(session) if session.topics.get(CommandStream.topic) else None
     seconds = np.diff(times) / 1e9
     seconds[seconds * 1e9 > MAX_GAP_NS] = 0.0
     counted = list(range(N_JOINTS) if joints is None else joints)

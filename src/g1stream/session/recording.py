@@ -23,14 +23,14 @@ from g1stream.session.records import SessionInfo, read_record
 from g1stream.session.source import SessionFiles
 from g1stream.session.streams import (
     MAX_GAP_NS,
-    Base,
-    Command,
+    BaseStream,
+    CommandStream,
     LogEvent,
-    Measured,
-    Reference,
+    MeasuredStream,
+    ReferenceStream,
     Stream,
     StreamT,
-    TorsoImu,
+    TorsoImuStream,
     read_only,
     without_steps,
 )
@@ -52,7 +52,7 @@ __all__ = ["CONVERTED", "Message", "Recording", "once", "open_recording"]
 CONVERTED: Final = "/reference/joint_states"
 """What `convert` makes of a motion has its joints on this topic, and no samples of DDS."""
 
-_ESSENTIAL: Final = (Reference.topic, Command.topic, Measured.topic)
+_ESSENTIAL: Final = (ReferenceStream.topic, CommandStream.topic, MeasuredStream.topic)
 
 T = TypeVar("T")
 RecordingT = TypeVar("RecordingT", bound="Recording")
@@ -147,33 +147,33 @@ class Recording:
     def converted(self) -> bool:
         """Whether it is what `g1stream convert` made of a motion, which nobody has played."""
         return bool(
-            self.paths and self.topics.get(CONVERTED) and not self.topics.get(Reference.topic)
+            self.paths and self.topics.get(CONVERTED) and not self.topics.get(ReferenceStream.topic)
         )
 
     @property
-    def reference(self) -> Reference:
+    def reference(self) -> ReferenceStream:
         """The target at each tick, computed from the motion."""
-        return self.stream(Reference)
+        return self.stream(ReferenceStream)
 
     @property
-    def command(self) -> Command:
+    def command(self) -> CommandStream:
         """The commands to the motors."""
-        return self.stream(Command)
+        return self.stream(CommandStream)
 
     @property
-    def measured(self) -> Measured:
+    def measured(self) -> MeasuredStream:
         """The state of the robot."""
-        return self.stream(Measured)
+        return self.stream(MeasuredStream)
 
     @property
-    def base(self) -> Base | None:
+    def base(self) -> BaseStream | None:
         """Position of the pelvis; None where it was not published, as by a real robot."""
-        return self.stream(Base) if self.topics.get(Base.topic) else None
+        return self.stream(BaseStream) if self.topics.get(BaseStream.topic) else None
 
     @property
-    def torso_imu(self) -> TorsoImu | None:
+    def torso_imu(self) -> TorsoImuStream | None:
         """The IMU in the torso; None where it was not published."""
-        return self.stream(TorsoImu) if self.topics.get(TorsoImu.topic) else None
+        return self.stream(TorsoImuStream) if self.topics.get(TorsoImuStream.topic) else None
 
     def stream(self, kind: type[StreamT]) -> StreamT:
         """The samples of a DDS topic.
@@ -261,7 +261,7 @@ class Recording:
             times_ns = batch.log_times.tolist(), batch.publish_times.tolist()
             yield from map(Message, *times_ns, batch.data)
 
-    def replay_bytes(self, topic: str = Command.topic) -> Iterator[bytes]:
+    def replay_bytes(self, topic: str = CommandStream.topic) -> Iterator[bytes]:
         """The samples of a DDS topic, bit for bit as they were published, in order."""
         return (message.data for message in self.messages(topic))
 
@@ -303,7 +303,7 @@ class Recording:
         """
         if self._whole is not None:
             return self._whole.start_ns
-        for kind in (Reference, Command, Measured):
+        for kind in (ReferenceStream, CommandStream, MeasuredStream):
             if self.topics.get(kind.topic):
                 return self.stream(kind).start_ns
         return self._times([CONVERTED])[CONVERTED].start_ns
@@ -318,7 +318,7 @@ class Recording:
         Raises:
             RecordingError: a number stands for no phase.
         """
-        return self.reference.phases if self.topics.get(Reference.topic) else []
+        return self.reference.phases if self.topics.get(ReferenceStream.topic) else []
 
     def sel(
         self: RecordingT, phase: str | Phase | None = None, time: slice | None = None

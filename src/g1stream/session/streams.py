@@ -26,16 +26,16 @@ if TYPE_CHECKING:
 __all__ = [
     "MAX_GAP_NS",
     "STREAMS",
-    "ArmCommand",
-    "Base",
-    "Command",
+    "ArmCommandStream",
+    "BaseStream",
+    "CommandStream",
     "LogEvent",
-    "Measured",
+    "MeasuredStream",
     "Neighbours",
-    "Reference",
+    "ReferenceStream",
     "Stream",
     "StreamT",
-    "TorsoImu",
+    "TorsoImuStream",
     "neighbours",
     "read_only",
     "without_steps",
@@ -227,7 +227,7 @@ def read_only(values: NDArray[Any]) -> NDArray[Any]:
     return values
 
 
-class Reference(Stream):
+class ReferenceStream(Stream):
     """The target at each tick, computed from the motion.
 
     Attributes:
@@ -307,7 +307,7 @@ def _phase(number: int) -> Phase:
         ) from error
 
 
-class Command(Stream):
+class CommandStream(Stream):
     """The commands to the motors.
 
     Attributes:
@@ -332,16 +332,16 @@ class Command(Stream):
     kd: Floats
 
 
-class ArmCommand(Command):
+class ArmCommandStream(CommandStream):
     """The targets for arms and waist that the robot's own controller was given."""
 
     topic = "/arm_sdk"
     source = messages.ARM_SDK
 
-    __annotations__ = Command.__annotations__
+    __annotations__ = CommandStream.__annotations__
 
 
-class Measured(Stream):
+class MeasuredStream(Stream):
     """The state of the robot.
 
     Attributes:
@@ -378,7 +378,7 @@ class Measured(Stream):
     accelerometer: Floats
 
 
-class Base(Stream):
+class BaseStream(Stream):
     """The pelvis, as a simulator or a state estimator publishes it.
 
     Attributes:
@@ -393,7 +393,7 @@ class Base(Stream):
     velocity: Floats
 
 
-class TorsoImu(Stream):
+class TorsoImuStream(Stream):
     """The IMU in the torso.
 
     Attributes:
@@ -412,7 +412,15 @@ class TorsoImu(Stream):
 
 
 STREAMS: Final[Mapping[str, type[Stream]]] = {
-    kind.topic: kind for kind in (Reference, Command, ArmCommand, Measured, Base, TorsoImu)
+    kind.topic: kind
+    for kind in (
+        ReferenceStream,
+        CommandStream,
+        ArmCommandStream,
+        MeasuredStream,
+        BaseStream,
+        TorsoImuStream,
+    )
 }
 """The kind of stream of each topic that has one."""
 

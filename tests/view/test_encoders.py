@@ -17,7 +17,6 @@ from scipy.spatial.transform import Rotation
 from g1stream.robot.model import G1
 from g1stream.view.encoders import (
     MEASURED_PREFIX,
-    FrameTransformsTemplate,
     JointStatesTemplate,
     TransformsEncoder,
 )
@@ -88,9 +87,7 @@ def test_transforms_have_the_parents_of_the_urdf_and_their_timestamp(robot, fram
 
 # --- templates ---
 
-PARENTS = ["world", "pelvis", "measured/pelvis", "hüfte"]
-CHILDREN = ["pelvis", "left_hip_pitch_link", "measured/left_hip_pitch_link", "骨盆"]
-JOINTS = ["left_hip_pitch_joint", "waist_yaw_joint", "j"]
+JOINTS = ["left_hip_pitch_joint", "hüfte", "骨盆"]
 FIELDS = ("position", "velocity", "acceleration", "effort")
 
 stamps = st.integers(min_value=0, max_value=2**63 - 1)
@@ -106,28 +103,13 @@ def stamp_of(timestamp) -> int:
     return timestamp.seconds * 1_000_000_000 + timestamp.nanos
 
 
-@given(stamp=stamps, values=arrays(np.float64, (len(CHILDREN), 7), elements=doubles))
-@example(stamp=0, values=np.zeros((4, 7)))
-@example(stamp=1, values=np.full((4, 7), -0.0))
-@example(stamp=2**31 * 1_000_000_000, values=np.full((4, 7), np.nan))
-@example(stamp=2**63 - 1, values=np.full((4, 7), -np.inf))
-@example(stamp=1_700_000_000_999_999_999, values=np.full((4, 7), 5e-324))
-@example(stamp=127_000_000_127, values=np.full((4, 7), 1.7976931348623157e308))
-def test_frame_transforms_decode_to_the_input(stamp, values):
-    template = FrameTransformsTemplate(PARENTS, CHILDREN)
-    rows = template.encode([stamp], values[np.newaxis, :, :3], values[np.newaxis, :, 3:])
-    message = FrameTransforms.FromString(rows[0].tobytes())
-    assert [t.parent_frame_id for t in message.transforms] == PARENTS
-    assert [t.child_frame_id for t in message.transforms] == CHILDREN
-    for transform, (x, y, z, qw, qx, qy, qz) in zip(message.transforms, values, strict=True):
-        assert stamp_of(transform.timestamp) == stamp
-        p, r = transform.translation, transform.rotation
-        decoded = [p.x, p.y, p.z, r.w, r.x, r.y, r.z]
-        assert [bits(v) for v in decoded] == [bits(v) for v in (x, y, z, qw, qx, qy, qz)]
-
-
 @given(stamp=stamps, values=arrays(np.float64, (4, len(JOINTS)), elements=doubles))
 @example(stamp=0, values=np.zeros((4, 3)))
+@example(stamp=1, values=np.full((4, 3), -0.0))
+@example(stamp=2**31 * 1_000_000_000, values=np.full((4, 3), np.nan))
+@example(stamp=2**63 - 1, values=np.full((4, 3), -np.inf))
+@example(stamp=1_700_000_000_999_999_999, values=np.full((4, 3), 5e-324))
+@example(stamp=127_000_000_127, values=np.full((4, 3), 1.7976931348623157e308))
 def test_joint_states_decode_to_the_input(stamp, values):
     rows = JointStatesTemplate(JOINTS, FIELDS).encode([stamp], *values[:, np.newaxis])
     message = JointStates.FromString(rows[0].tobytes())

@@ -201,11 +201,7 @@ def _view(first: float, last: float, tracking: Tracking | None) -> tuple[float, 
 
 
 def _binned_rms(times: Floats, errors: Floats) -> tuple[Floats, Floats]:
-    """RMS of errors (K, J) at times (K,) in bins of 0.1 s, or in 200 bins of a longer session.
-
-    Returns:
-        the middle of each bin (B,) and its RMS (B,), nan where it is empty.
-    """
+    """Middles (B,) of bins of 0.1 s or more, and the RMS of errors (K, J) in each; nan if empty."""
     width = max(_NARROWEST_BIN, float(times[-1] - times[0]) / _MOST_BINS)
     edges = times[0] + width * np.arange(int((times[-1] - times[0]) / width) + 2)
     counts, _ = np.histogram(times, edges)
@@ -301,16 +297,7 @@ def _annotate(
 
 
 def _plot_joints(session: Recording, joints: Sequence[int], what: Sequence[Quantity]) -> Figure:
-    """A row for each joint and a column for each quantity, over time, with the phases shaded.
-
-    Args:
-        session: any; what it lacks is not drawn.
-        joints: indices, motor order.
-        what: quantities.
-
-    Raises:
-        RecordingError: the session has nothing of these quantities.
-    """
+    """A row for each joint and a column for each quantity, over time, with the phases shaded."""
     from matplotlib import style
     from matplotlib.figure import Figure
 

@@ -254,15 +254,9 @@ class _Chunk:
     def offsets(
         self, content: bytes, records: bytes, channels: set[int]
     ) -> dict[int, NDArray[np.int64]]:
-        """By channel, (N,) where in the decompressed chunk its messages are, ascending.
+        """By wanted channel, (N,) where in the decompressed `records` its messages are, ascending.
 
-        Args:
-            content: of the file, from the start of the record to `end`.
-            records: the decompressed chunk.
-            channels: those that are wanted.
-
-        Raises:
-            ValueError: the index points outside of the chunk.
+        `content` is that of the file, from the start of the chunk to `end`.
         """
         if not self.index:
             return {c: found for c, found in _message_offsets(records).items() if c in channels}

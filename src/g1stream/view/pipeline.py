@@ -317,14 +317,7 @@ class _Errors:
 
 
 class _JointStates:
-    """Joint states as messages of `topic`.
-
-    Args:
-        topic: of the file.
-        names: (J) of the joints.
-        fields: of `JointStatesTemplate`.
-        every: encode all times that are given, not only some.
-    """
+    """Joint states as messages of a topic: of all times that are given if `every`, or of some."""
 
     def __init__(
         self, topic: str, names: Sequence[str], fields: Sequence[str], *, every: bool
@@ -335,10 +328,8 @@ class _JointStates:
     def encode(
         self, published: Ints, logged: Ints, few: NDArray[np.intp], *columns: Floats
     ) -> MessageBatch:
-        """Messages of times (T,), ns, or of the `few` of them; columns (T, J), one per field.
-
-        Numbers are rounded to single precision, which takes half the space in a compressed file.
-        """
+        """Messages of times (T,), ns, or of the `few` of them; columns (T, J), one per field."""
+        # In single precision, which takes half the space in a compressed file.
         chosen = slice(None) if self._every else few
         values = (column[chosen].astype(np.float32) for column in columns)
         payloads = self._template.encode(published[chosen], *values)
@@ -416,15 +407,7 @@ class TrackingError:
 
 
 def _by_limb(errors: Floats, played: NDArray[np.bool_]) -> Floats:
-    """RMS over the joints of each limb that play the motion.
-
-    Args:
-        errors: (T, 29).
-        played: (29,) which joints play.
-
-    Returns:
-        (T, 5), limbs as in `JOINT_GROUPS`; nan for one of which no joint plays.
-    """
+    """(T, 5) RMS of errors (T, 29) over the played joints (29,) of each limb; nan without any."""
     limbs = np.full((len(errors), len(JOINT_GROUPS)), np.nan)
     for limb, joints in enumerate(JOINT_GROUPS.values()):
         if members := [joint for joint in joints if played[joint]]:

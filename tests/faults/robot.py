@@ -40,7 +40,7 @@ class Robot:
 
     DO: Final = (
         *("silent", "zeros", "bad_crc", "no_crc", "frozen_tick", "frozen_content"),
-        *("stuck", "jam", "leap", "restart", "twin", "rogue", "seldom"),
+        *("stuck", "jam", "leap", "restart", "twin", "rogue", "seldom", "tick_back", "deaf"),
     )
     #: q, dq, tau, kp and kd (5, 29) of the robot's own controller.
     OWN: Final = np.repeat([[0.0], [0.0], [0.0], [60.0], [1.0]], 29, axis=1)
@@ -134,6 +134,8 @@ class Robot:
         state = self.state
         if "frozen_tick" not in doing:
             state["tick"] = (time.monotonic_ns() - self.tick_zero) // _BIT_OF_TICK
+        if "tick_back" in doing:
+            state["tick"] -= 100
         motor = state["motor"]
         if "frozen_content" not in doing:
             motor["q"][:29] = self.q + self.rng.normal(0.0, 1e-5, 29)
@@ -187,7 +189,8 @@ class Robot:
             last = now
             faults = self.active()
             doing = {fault["do"]: fault for fault in faults if "do" in fault}
-            self.receive()
+            if "deaf" not in doing:
+                self.receive()
             if doing.get("restart", {}).get("new"):
                 self.restart()
             self.move(doing)

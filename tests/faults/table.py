@@ -75,7 +75,7 @@ def buttons(*bits: int) -> dict[str, Any]:
     return {"remote.0": 0x55, "remote.1": 0x51, "remote.2": word & 255, "remote.3": word >> 8}
 
 
-L2, A, B = 5, 8, 9
+SELECT, L2, A, B = 3, 5, 8, 9
 
 STATES: Final = [
     Fault(
@@ -95,7 +95,17 @@ STATES: Final = [
     ),
     Fault("q is NaN", "LowState", says(f"motor.q.{KNEE}", NAN), reason="NaN"),
     Fault("quaternion is NaN", "LowState", says("imu.quaternion.0", NAN), reason="NaN"),
+    Fault("dq is infinite", "LowState", says(f"motor.dq.{KNEE}", inf), reason="infinite"),
+    Fault("torque is NaN", "LowState", says(f"motor.tau_est.{KNEE}", NAN), reason="NaN"),
+    Fault("gyroscope is NaN", "LowState", says("imu.gyroscope.2", NAN), reason="gyroscope"),
+    Fault(
+        "accelerometer is infinite", "LowState", says("imu.accelerometer.2", inf), reason="infinite"
+    ),
+    Fault("q is NaN in one state of 50", "LowState", says(f"motor.q.{KNEE}", NAN, every=50)),
     Fault("quaternion is zero", "LowState", says("imu.quaternion", [0.0] * 4), reason="quaternion"),
+    Fault(
+        "quaternion of norm 0.9", "LowState", says("imu.quaternion", [0.9, 0, 0, 0]), reason="norm"
+    ),
     Fault("all LowStates are zero", "LowState", [{"do": "zeros"}], sent=False),
     Fault(
         "wrong CRC in every LowState",
@@ -127,6 +137,30 @@ STATES: Final = [
     ),
     Fault(
         "knee of 100 rad", "LowState", says(f"motor.q.{KNEE}", 100.0), reason="safety.limit_excess"
+    ),
+    Fault(
+        "knee of 100 rad in one state of 50",
+        "LowState",
+        says(f"motor.q.{KNEE}", 100.0, every=50),
+        reason="safety.limit_excess",
+    ),
+    Fault("no CRC any more", "LowState", does("no_crc"), reason="safety.max_crc_errors"),
+    Fault(
+        "no CRC at all",
+        "LowState",
+        from_start(does("no_crc")),
+        code=0,
+        ends=False,
+        record="complete",
+    ),
+    Fault("tick goes back", "LowState", does("tick_back"), reason="tick"),
+    Fault(
+        "no LowState for 0.05 s, again and again",
+        "LowState",
+        [one for k in range(6) for one in does("silent", at=0.5 + k / 2, until=0.55 + k / 2)],
+        code=0,
+        ends=False,
+        record="complete",
     ),
     Fault("tick frozen", "LowState", does("frozen_tick"), reason="safety.frozen_timeout"),
     Fault("content frozen", "LowState", does("frozen_content"), reason="safety.frozen_timeout"),
@@ -215,10 +249,29 @@ ROBOT: Final = [
         record="complete",
     ),
     Fault(
+        "pelvis is upside down",
+        "robot",
+        says("imu.quaternion", [0, 1, 0, 0]),
+        reason="safety.max_tilt",
+    ),
+    Fault(
+        "pelvis tilts in one state of 50",
+        "robot",
+        says("imu.quaternion", [0.825, 0, 0.565, 0], every=50),
+        reason="safety.max_tilt",
+    ),
+    Fault(
+        "pelvis is upside down from the start",
+        "robot",
+        from_start(says("imu.quaternion", [0, 1, 0, 0])),
+        reason="safety.max_tilt",
+        sent=False,
+    ),
+    Fault(
         "joint at 80 rad/s",
         "robot",
         says(f"motor.dq.{KNEE}", 80.0),
-        reason="safety.max_joint_speed",
+        reason="80.0 rad/s",
     ),
     *(
         Fault(name, "robot", robot, prepare=settings(JAM), reason="safety.jam_motion")
@@ -246,7 +299,33 @@ ROBOT: Final = [
         does("leap", joint=KNEE, by=1.0),
         reason="safety.max_leap",
     ),
+    Fault(
+        "a joint leaps by 1 rad, again and again",
+        "robot",
+        [one for k in range(4) for one in does("leap", at=0.8 + k / 10, joint=KNEE, by=1.0)],
+        reason="safety.max_leap",
+    ),
     Fault("all motors off", "robot", says("motor.mode.*", 0), reason="safety.motor_fault_time"),
+    Fault("one motor off", "robot", says(f"motor.mode.{KNEE}", 0), reason="left_knee_joint"),
+    Fault(
+        "motor loses its controller",
+        "robot",
+        says(f"motor.motorstate.{ELBOW}", 0x40000000),
+        reason="lost the connection",
+    ),
+    Fault(
+        "motorstate bit for 0.02 s",
+        "robot",
+        says(f"motor.motorstate.{KNEE}", 4, until=AT + 0.02),
+        code=0,
+        ends=False,
+    ),
+    Fault(
+        "casing at 120 C",
+        "robot",
+        says(f"motor.temperature.{KNEE}", [120, 40]),
+        reason="safety.max_casing_temperature",
+    ),
     Fault(
         "motorstate bit",
         "robot",
@@ -288,6 +367,10 @@ ROBOT: Final = [
 ]
 
 
+ROBOT.append(
+    Fault("stop button select", "robot", [{"at": AT, "set": buttons(SELECT)}], reason="select")
+)
+
 DEADMAN: Final = [
     Fault(
         "deadman button is released",
@@ -318,6 +401,21 @@ ARMS: Final = [
     _arms("no LowState any more", [{"at": 2.5, "do": "silent"}], reason="state_timeout"),
     _arms("q is NaN", says(f"motor.q.{ELBOW}", NAN), reason="NaN"),
     _arms("the elbow jams", does("jam", joint=ELBOW), prepare=settings(JAM), reason="jam_motion"),
+    _arms(
+        "content frozen from the start",
+        from_start(does("frozen_content")),
+        reason="safety.frozen_timeout",
+    ),
+    _arms("mode_machine changes", says("mode_machine", 4), reason="mode_machine"),
+    _arms("pelvis is upside down", says("imu.quaternion", [0, 1, 0, 0]), reason="safety.max_tilt"),
+    _arms("torque of 300 N·m", says(f"motor.tau_est.{ELBOW}", 300.0), reason="safety.max_torque"),
+    _arms("guard is killed", act=to_guard(signal.SIGKILL), reason="guard"),
+    _arms(
+        "commands can no longer be written",
+        prepare=broken_writer,
+        reason="did not send a command in time",
+        handover_ms=inf,
+    ),
     _arms("second publisher of arm_sdk", does("rogue"), reason="rt/arm_sdk"),
     _arms(
         "another publisher of arm_sdk from the start",
@@ -363,6 +461,14 @@ INPUTS: Final = [
     _refused("damaged session file", bytes_of(b"\x89MCAP0\r\n" + bytes(range(256)) * 40)),
     _refused("gain of NaN", settings("[gains.kd]\n'*' = nan\n")),
     _refused("state_timeout of an hour", settings("[safety]\nstate_timeout = 3600.0\n")),
+    _refused("empty file", bytes_of(b"")),
+    _refused("binary file", bytes_of(bytes(range(256)) * 40)),
+    _refused("no TOML", settings("[safety\n")),
+    _refused("unknown setting", settings("[safety]\nmax_tillt = 1.0\n"), reason="max_tillt"),
+    _refused("rate of NaN", flags("--rate", "nan")),
+    _refused("unknown interface", flags("--interface", "nowhere0"), reason="nowhere0"),
+    _refused("unknown robot", flags("--robot", "g2"), reason="g2"),
+    _refused("part beyond the motion", flags("--start", "100"), reason="--start"),
     _refused("file to record is a symbolic link", symlink, record="any"),
     _refused("file to record is in /proc", lambda s: ["--record", "/proc/x.mcap"]),
 ]
@@ -391,6 +497,7 @@ SIGNALS: Final = [
     *map(ends_by, (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP)),
     *map(ends_by, (signal.SIGUSR1, signal.SIGALRM, signal.SIGXCPU, signal.SIGABRT)),
     Fault("Ctrl-C twice", "signals", act=twice, code=130, record="complete"),
+    Fault("Ctrl-C in RAMP", "signals", act=send(signal.SIGINT), at=0.0, code=130, reason="SIGINT"),
     Fault(
         "Ctrl-C before there is a robot",
         "signals",
@@ -427,6 +534,16 @@ SIGNALS: Final = [
             ("SIGSEGV", send(signal.SIGSEGV), -11),
             ("SIGSTOP and never continued", stop(1.5, then=signal.SIGKILL), -9),
         )
+    ),
+    Fault(
+        "SIGKILL in RAMP",
+        "process",
+        act=send(signal.SIGKILL),
+        at=0.0,
+        code=-9,
+        mute=True,
+        handover_ms=HANDOVER,
+        alone=True,
     ),
     Fault(
         "SIGSTOP and continued after 1 s",

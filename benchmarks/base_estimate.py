@@ -32,8 +32,8 @@ def compare(session: Session) -> str:
     reference, measured, base = playing.reference, session.measured, session.base
     if base is None:
         return "no SportModeState"
-    times = reference.since(session.start_ns)
-    newest = np.searchsorted(measured.since(session.start_ns), times, side="right") - 1
+    times = reference.time
+    newest = np.searchsorted(measured.time, times, side="right") - 1
     balance = Balance(session.robot, float(np.median(np.diff(times))))
     found = np.empty((len(times), 10))  # position, velocity, attitude
     for k, row in enumerate(newest):
@@ -58,11 +58,9 @@ def compare(session: Session) -> str:
         reading = Reading(measured.q[row], measured.dq[row], measured.tau[row], imu)
         balance.torque(target, reading, 0.0)
         found[k] = *balance.base.pos, *balance.base.vel, *balance.base.quat_wxyz
-    stated = measured.since(session.start_ns)[newest]
+    stated = measured.time[newest]
     given = np.concatenate([base.position, base.velocity], axis=1)
-    true = np.stack(
-        [np.interp(stated, base.since(session.start_ns), one) for one in given.T], axis=1
-    )
+    true = np.stack([np.interp(stated, base.time, one) for one in given.T], axis=1)
     # The heading of the reference's world in the simulator's is that of the first readings.
     first = int(np.searchsorted(times, times[0] + _SETTLED))
     if first == len(times):

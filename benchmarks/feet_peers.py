@@ -139,7 +139,7 @@ def stood(session: Session) -> float:
     base = session.base
     if playing is None or base is None:
         return 0.0
-    times = base.since(session.start_ns)
+    times = base.time
     fell = np.flatnonzero((base.position[:, 2] < FALLEN) & (times > playing.start_s))
     end = min(playing.end_s, float(times[fell[0]])) if len(fell) else playing.end_s
     return end - playing.start_s

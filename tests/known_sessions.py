@@ -13,7 +13,7 @@ import pytest
 
 from g1stream.dds.messages import LowCmd, LowState
 from g1stream.dds.messages import Reference as ReferenceMessage
-from g1stream.session.streams import Measured, Reference
+from g1stream.session.streams import MeasuredStream, ReferenceStream
 from g1stream.session.writer import SessionWriter
 from g1stream.types import Phase
 
@@ -32,8 +32,8 @@ class Motion(NamedTuple):
 
 
 class Played(NamedTuple):
-    reference: Reference
-    measured: Measured
+    reference: ReferenceStream
+    measured: MeasuredStream
 
 
 @pytest.fixture
@@ -55,7 +55,7 @@ def _reference(motion, phases):
     q = motion.at(seconds)
     stamps = _stamps(seconds)
     n = len(stamps)
-    return Reference(
+    return ReferenceStream(
         log_time=stamps + LATENCY,
         publish_time=stamps,
         tick=np.arange(n, dtype=np.uint64),
@@ -75,10 +75,11 @@ def _reference(motion, phases):
 
 def _measured(seconds, q):
     stamps, n = _stamps(seconds), len(seconds)
-    return Measured(
+    return MeasuredStream(
         log_time=stamps + LATENCY,
         publish_time=stamps,
         tick=np.zeros(n, dtype=np.uint32),
+        mode_machine=np.zeros(n, dtype=np.uint8),
         q=q,
         dq=np.zeros_like(q),
         ddq=np.zeros_like(q),
@@ -183,5 +184,5 @@ def _as_command(stream, i):
 
 
 def _as_state(stream, i):
-    _STATE.q[:] = stream.q[i]
+    _STATE.q[:], _STATE.quaternion[:] = stream.q[i], stream.imu_quat_wxyz[i]
     return _STATE.seal()

@@ -53,13 +53,13 @@ _HOME = {
         "session.recording": ("Message",),
         "session.records": ("PhaseInterval",),
         "session.streams": (
-            "Base",
-            "Command",
+            "BaseStream",
+            "CommandStream",
             "LogEvent",
-            "Measured",
-            "Reference",
+            "MeasuredStream",
+            "ReferenceStream",
             "Stream",
-            "TorsoImu",
+            "TorsoImuStream",
         ),
         "sim.robot": ("SensorNoise", "SimReport"),
     }.items()

@@ -44,13 +44,13 @@ from g1stream.robot.joints import JOINT_NAMES as JOINT_NAMES
 from g1stream.robot.model import G1 as G1
 from g1stream.session.recording import Message as Message
 from g1stream.session.records import PhaseInterval as PhaseInterval
-from g1stream.session.streams import Base as Base
-from g1stream.session.streams import Command as Command
+from g1stream.session.streams import BaseStream as BaseStream
+from g1stream.session.streams import CommandStream as CommandStream
 from g1stream.session.streams import LogEvent as LogEvent
-from g1stream.session.streams import Measured as Measured
-from g1stream.session.streams import Reference as Reference
+from g1stream.session.streams import MeasuredStream as MeasuredStream
+from g1stream.session.streams import ReferenceStream as ReferenceStream
 from g1stream.session.streams import Stream as Stream
-from g1stream.session.streams import TorsoImu as TorsoImu
+from g1stream.session.streams import TorsoImuStream as TorsoImuStream
 from g1stream.sim.robot import SensorNoise as SensorNoise
 from g1stream.sim.robot import SimReport as SimReport
 

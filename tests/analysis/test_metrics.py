@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import trapezoid
 
 import g1stream
-from g1stream.analysis.metrics import NAMED_METRICS, Metrics
+from g1stream.analysis.metrics import NAMED_METRICS
 from g1stream.app.session import Session
 from g1stream.config import Config
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
@@ -35,12 +35,6 @@ def test_tracking_is_that_of_the_summary(rollout):
     for name, joint in summary.joints.items():
         known = joint.model_dump(exclude_none=True)
         assert known.items() <= metrics.joints[name].model_dump().items()
-
-
-def test_metrics_are_json_and_back(rollout):
-    metrics = rollout.metrics()
-    assert Metrics.model_validate_json(metrics.model_dump_json()) == metrics
-    assert metrics.missing == {}
 
 
 def test_the_docs_list_the_short_names():
@@ -73,7 +67,9 @@ def test_joints_limbs_and_all(play, write_session):
 
 
 def test_a_robot_without_imu_and_velocities(play, write_session):
-    metrics = g1stream.open_session(write_session(*play(0.04))).metrics()
+    reference, measured = play(0.04)
+    measured.imu_quat_wxyz[:] = 0.0
+    metrics = g1stream.open_session(write_session(reference, measured)).metrics()
     assert metrics.tracking.all_joints.velocity_rmse_rad_s is None
     assert metrics.body.root_relative is metrics.body.world is metrics.body.pelvis is None
     assert metrics.body.pelvis_frame.mpjpe_mm > 1.0

@@ -75,16 +75,3 @@ def test_an_unknown_phase_is_named_beside_those_there_are(session):
         session.sel("JUMP")
     assert "JUMP" in error.value.cause
     assert "PLAY" in error.value.remedy
-
-
-def test_the_figure_shows_the_joints_asked_for(session):
-    names = ["left_knee_joint", "waist_yaw_joint"]
-    shown = [axes.get_title(loc="left") for axes in session.plot(joints=names).axes]
-    assert shown[:2] == ["left_knee", "waist_yaw"]
-    assert len(session.plot().axes) == len(shown) + 4
-
-
-@pytest.mark.parametrize("joints", [["left_tail_joint"], []])
-def test_joints_that_cannot_be_plotted(session, joints):
-    with pytest.raises(RecordingError):
-        session.plot(joints=joints)

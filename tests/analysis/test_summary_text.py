@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from g1stream.analysis.summary import MessageStats, Summary, Termination, most, outcome
+from g1stream.analysis.summary import MessageStats, Summary, Termination, outcome
 from g1stream.analysis.tracking import ErrorStats, TrackingSummary
 from g1stream.realtime import Grant
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
@@ -227,13 +227,3 @@ def test_a_motion_that_was_not_played_has_no_tracking_error_to_miss():
     recorded = Summary(recorder=RecorderSummary(), topics={"/scene": MessageStats(count=4)})
     assert "not recorded" in outcome(recorded)
     assert "other topics" not in str(recorded)
-
-
-def test_a_long_path_is_not_broken():
-    path = "/" + "/".join(["a_long_directory"] * 12) + "/session.mcap"
-    assert f"{path}," in str(Summary(files_bytes={path: 3})).split()
-
-
-def test_the_first_joints_are_named():
-    assert most({"a": 3, "b": 2}) == "a 3, b 2"
-    assert most(dict.fromkeys("abcde", 1)) == "a 1, b 1, c 1 and 2 more joints"

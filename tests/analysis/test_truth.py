@@ -6,9 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from g1stream.app.session import Session
 from g1stream.robot.joints import JOINT_NAMES
-from g1stream.session.source import MemorySource
 from g1stream.testing import SyntheticSession
 
 PATH = Path(__file__).parents[2] / "benchmarks" / "truth.py"
@@ -62,12 +60,3 @@ def test_a_velocity_error_is_that_of_the_joints(truth):
     _, dq, ddq = made.joints(np.arange(0.0, 10.0, 0.02))
     assert every.velocity_rmse_rad_s == pytest.approx(0.1 * np.sqrt(np.mean(dq**2)), rel=0.01)
     assert every.acceleration_rmse_rad_s2 == pytest.approx(0.1 * np.sqrt(np.mean(ddq**2)), rel=0.02)
-
-
-def test_a_synthetic_session_is_a_session():
-    source = MemorySource()
-    SyntheticSession(1.0, metadata={"motion": {"name": "sines"}}).write(source)
-    session = Session(source)
-    assert [one.phase.name for one in session.phases] == ["RAMP", "PLAY", "HOLD"]
-    assert session.metadata["motion"] == {"name": "sines"}
-    assert len(session.sel("PLAY").measured) == 500

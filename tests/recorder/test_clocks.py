@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from g1stream.recorder.diagnostics import ClockReading, DelayEstimator, StepDetector, read_clocks
+from g1stream.recorder.diagnostics import ClockReading, StepDetector
+from g1stream.session.records import ClockStep
 
 T0 = 1_700_000_000_000_000_000
 MS = 1_000_000
@@ -31,7 +32,7 @@ def test_no_step_while_the_clocks_keep_their_offset():
 def test_a_step_is_detected_once_with_its_size(step):
     detector, found = steps_of([0] * 10 + [step] * 10)
     assert found == [0] * 10 + [step] + [0] * 9
-    assert detector.steps == [(T0 + 10 * 50 * MS + step, step)]
+    assert detector.steps == [ClockStep(at_ns=T0 + 10 * 50 * MS + step, step_ns=step)]
 
 
 def test_slewing_is_no_step_but_changes_the_offset():
@@ -39,30 +40,3 @@ def test_slewing_is_no_step_but_changes_the_offset():
     detector, found = steps_of(slewed.tolist())
     assert not any(found)
     assert detector.last - detector.first == slewed[-1]
-
-
-def test_this_machines_clocks_are_read_together():
-    detector = StepDetector()
-    assert detector.observe(read_clocks()) == 0
-    assert abs(detector.observe(read_clocks())) < 50 * MS
-
-
-def test_the_delay_is_the_median():
-    published = T0 + np.arange(5000) * MS
-    delays = np.full(5000, 3 * MS)
-    delays[::10] = 400 * MS
-    delay = DelayEstimator()
-    for part in np.array_split(np.arange(5000), 100):
-        delay.observe(published[part] + delays[part], published[part])
-    assert delay.median() == 3 * MS
-    assert delay.seconds == 4
-
-
-def test_a_publisher_whose_clock_is_ahead_has_a_negative_delay():
-    delay = DelayEstimator()
-    delay.observe(np.array([T0]), np.array([T0 + 7 * S]))
-    assert delay.median() == -7 * S
-
-
-def test_nothing_received_has_no_delay():
-    assert DelayEstimator().median() is None

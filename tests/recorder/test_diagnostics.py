@@ -52,17 +52,6 @@ def test_ticks_of_another_bridge_are_no_loss():
     assert losses.update({LOWSTATE.name: 2}, state_step=None) == {LOWSTATE.name: 2}
 
 
-def test_a_reference_without_its_command_is_a_command_lost():
-    missing, second = MissingCommands(), 1_000_000_000
-    times = [i * 2_000_000 for i in range(1000)]
-    missing.add_commands(time for time in times if time not in times[10:13])
-    counts = []
-    for references in (times[:500], times[500:], [3 * second]):
-        missing.add_references(references)
-        counts.append(missing.count)
-    assert counts == [0, 3, 3]
-
-
 def test_commands_without_references_are_no_loss_and_are_not_kept_for_ever():
     losses, step = Losses(), 10_000_000
     for start in range(0, 10**10, 10 * step):

@@ -81,12 +81,6 @@ def test_a_topic_without_a_table(session):
         session.to_dataframe("/tf")
 
 
-def test_a_directory_that_cannot_be_made(session, tmp_path):
-    (tmp_path / "file").touch()
-    with pytest.raises(RecordingError, match="not a directory"):
-        session.to_parquet(tmp_path / "file")
-
-
 @pytest.mark.parametrize("package", ["pandas", "pyarrow"])
 def test_without_the_extra_it_is_named(session, tmp_path, monkeypatch, package):
     monkeypatch.setitem(sys.modules, package, None)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 from contextlib import contextmanager
 from types import SimpleNamespace
 
@@ -75,25 +74,6 @@ def test_there_is_room_for_last_words(small_disk):
     assert stamps(small_disk / "s.mcap", "/log") == [10**12]
 
 
-def test_a_disk_filled_by_somebody_else_still_leaves_what_was_whole(small_disk):
-    with SessionWriter(small_disk / "s.mcap") as writer:
-        fill(writer, 1)
-        with (small_disk / "other").open("wb", buffering=0) as other:
-            while other.write(bytes(4096)) == 4096:
-                if other.tell() > SIZE - 4096 * 2 - (small_disk / "s.mcap").stat().st_blocks * 512:
-                    break
-        with pytest.raises(RecordingError, match="No space left"):
-            fill(writer, 10)
-        kept = writer.counts["/lowstate"]
-    assert len(stamps(small_disk / "s.mcap")) == kept
-
-
-def test_a_disk_without_any_room_is_said_at_once(small_disk):
-    (small_disk / "other").write_bytes(bytes(SIZE - 4096))
-    with pytest.raises(RecordingError, match="No space left"):
-        SessionWriter(small_disk / "s.mcap").attach("a.urdf", "text/xml", bytes(8192), 0)
-
-
 @pytest.mark.parametrize("size", range(SIZE, SIZE + 2**17, 2**14 + 77))
 def test_a_chunk_is_begun_only_if_the_end_of_the_file_fits_behind_it(tmp_path, monkeypatch, size):
     """A disk of which all is known; a file that grew beyond it would have failed."""
@@ -116,31 +96,3 @@ def test_a_chunk_is_begun_only_if_the_end_of_the_file_fits_behind_it(tmp_path, m
     assert stamps(path, "/log") == [10**12]
     with path.open("rb") as file:
         assert make_reader(file).get_summary().metadata_indexes
-
-
-SECOND_TOPIC_FULL = """
-import resource, sys
-import numpy as np
-from g1stream.errors import RecordingError
-from g1stream.session.writer import SessionWriter
-resource.setrlimit(resource.RLIMIT_FSIZE, (500_000, 500_000))
-noise = np.random.default_rng(3).integers(0, 256, (400, 2096), dtype=np.uint8)
-times = np.arange(400) * 1000
-with SessionWriter(sys.argv[1]) as writer:
-    writer.write_batch("/lowstate", noise[:50], times[:50], times[:50])
-    writer.write_batch("/lowcmd", noise, times, times)
-    writer.write_batch("/log", noise[:20], times[:20], times[:20])
-    try:
-        writer.flush()
-    except RecordingError:
-        print(writer.counts)
-"""
-
-
-def test_the_chunk_of_one_topic_outlives_that_of_the_next_that_does_not_fit(tmp_path):
-    path = tmp_path / "session.mcap"
-    command = [sys.executable, "-c", SECOND_TOPIC_FULL, str(path)]
-    result = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert result.stdout == "{'/lowstate': 50, '/lowcmd': 0, '/log': 0}\n"
-    assert stamps(path) == [1000 * i for i in range(50)]
-    assert stamps(path, "/lowcmd") == stamps(path, "/log") == []

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-
 import numpy as np
 import pytest
 import yaml
@@ -14,7 +12,7 @@ from g1stream.dds.layout import CDR_HEADER, Layout
 from g1stream.dds.messages import LOWCMD, LOWSTATE
 from g1stream.errors import RecordingError
 from g1stream.session.format import metadata_from_strings
-from g1stream.session.parts import check_recording_path, remove_recording
+from g1stream.session.parts import check_recording_path
 from g1stream.session.source import SessionFiles
 from g1stream.session.writer import SessionWriter
 
@@ -105,14 +103,6 @@ def test_the_directory_is_read_as_one_session(write_parts, samples):
     assert session.attachments == {"robot.urdf": b"<robot/>"}
 
 
-def test_a_part_is_a_session_by_itself(write_parts, samples):
-    first = open_session(write_parts().paths[0])
-    assert first.complete
-    found = list(first.replay_bytes("/lowcmd"))
-    assert 0 < len(found) < N
-    assert found == samples["/lowcmd"][: len(found)]
-
-
 def test_a_renamed_directory_is_still_the_session(write_parts, tmp_path):
     write_parts().path.rename(tmp_path / "renamed")
     assert open_session(tmp_path / "renamed").topics["/lowcmd"] == N
@@ -148,15 +138,6 @@ def test_without_any_readable_part_there_is_no_session(write_parts):
     with pytest.raises(RecordingError) as error:
         SessionFiles(writer.path)
     assert str(writer.paths[0]) in str(error.value)
-
-
-def test_the_part_of_a_killed_recorder_is_not_complete(write_parts):
-    writer = write_parts()
-    os.truncate(writer.paths[2], writer.paths[2].stat().st_size // 2)
-    session = open_session(writer.path)
-    assert not session.complete
-    assert not session.absent_parts
-    assert 0 < session.topics["/lowcmd"] < N
 
 
 def test_parts_are_listed_as_soon_as_they_are_begun(tmp_path, samples):
@@ -356,12 +337,3 @@ def test_a_recording_without_a_sample_replaces_nothing(tmp_path, split_ns):
         writer.write("/log", b"", T0, T0)
     assert writer.paths == []
     assert content(tmp_path) == before
-
-
-@pytest.mark.parametrize("split_ns", [None, PART_NS])
-def test_a_whole_recording_can_be_removed(tmp_path, split_ns):
-    with SessionWriter(tmp_path / "session.mcap", split_ns=split_ns) as writer:
-        pass
-    (tmp_path / "other").touch()
-    remove_recording(writer.path)
-    assert list(tmp_path.iterdir()) == [tmp_path / "other"]

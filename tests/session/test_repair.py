@@ -169,13 +169,6 @@ def test_files_one_behind_the_other_are_refused_with_where_the_first_ends(write_
     assert path.read_bytes() == content + content
 
 
-def test_a_complete_file_stays_as_it_is(write_session, sent):
-    path = write_session(*sent.items())
-    about = path.stat()
-    assert repair_session(path)[0].dropped is None
-    assert (path.stat().st_ino, path.stat().st_mtime_ns) == (about.st_ino, about.st_mtime_ns)
-
-
 def test_a_damaged_file_stays_as_it_is(write_session, sent, tmp_path):
     path = write_session(*sent.items(), close=False)
     content = bytearray(path.read_bytes())

@@ -58,29 +58,6 @@ def test_stock_readers_decode_both_kinds_of_channel(tmp_path, golden, lowstates)
     assert positions == [[1, 2], [3, 4]]
 
 
-def test_bytes_and_both_times_come_back_as_they_went_in(tmp_path, lowstates):
-    path = tmp_path / "session.mcap"
-    sent = [(data, T0 + 70 * i * MS, T0 + 70 * i * MS - 1234) for i, data in enumerate(lowstates)]
-    with SessionWriter(path) as writer:
-        for data, log_time, publish_time in sent:
-            writer.write("/lowstate", data, log_time, publish_time)
-    read = [(m.data, m.log_time, m.publish_time) for _, _, m in read_all(path)]
-    assert read == sent
-
-
-def test_sequence_numbers_count_each_topic_from_one(tmp_path):
-    path = tmp_path / "session.mcap"
-    with SessionWriter(path) as writer:
-        for i in range(5):
-            writer.write("/lowstate", b"a", T0 + i, T0)
-            writer.write_batch("/lowcmd", [b"b", b"c"], [T0 + i, T0 + i], [T0, T0])
-        assert writer.counts == {"/lowstate": 5, "/lowcmd": 10}
-    sequences = defaultdict(list)
-    for _, channel, message in read_all(path):
-        sequences[channel.topic].append(message.sequence)
-    assert sequences == {"/lowstate": [*range(1, 6)], "/lowcmd": [*range(1, 11)]}
-
-
 @pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
 def test_every_compression_is_read_by_the_stock_reader(tmp_path, compression):
     path = tmp_path / "session.mcap"
@@ -220,14 +197,6 @@ def test_an_exception_still_leaves_a_whole_file(tmp_path):
     assert len(read_all(path)) == 1
 
 
-def test_closing_twice_is_closing_once(tmp_path):
-    path = tmp_path / "session.mcap"
-    with SessionWriter(path) as writer:
-        writer.close()
-        size = path.stat().st_size
-    assert path.stat().st_size == size
-
-
 def test_a_file_is_replaced_only_when_forced(tmp_path):
     path = tmp_path / "session.mcap"
     path.write_bytes(b"precious")
@@ -272,14 +241,6 @@ def test_a_write_that_fails_midway_keeps_what_is_whole(tmp_path):
     assert files.complete
     assert files.topics == {"/lowstate": len(kept), "/log": 1}
     assert files.metadata == {"stopped": "full"}
-
-
-def test_lengths_that_differ_are_refused(tmp_path):
-    with (
-        SessionWriter(tmp_path / "session.mcap") as writer,
-        pytest.raises(ValueError, match="2 payloads with 2 log times and 1 publish"),
-    ):
-        writer.write_batch("/lowstate", [b"a", b"b"], [T0, T0], [T0])
 
 
 class Writer:

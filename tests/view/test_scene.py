@@ -14,7 +14,6 @@ from g1stream.errors import ConfigError, RobotError
 from g1stream.robot.model import G1
 from g1stream.robot.shapes import find_mesh, read_stl, read_visuals, real_g1
 from g1stream.session.format import CHANNELS, encode_string
-from g1stream.session.writer import SessionWriter
 from g1stream.view.encoders import GHOST_PREFIX
 from g1stream.view.pipeline import MessagePipeline
 from g1stream.view.scene import (
@@ -167,26 +166,6 @@ def test_scenes_have_the_meshes_of_every_link_with_their_extent(real, drawn):
             np.testing.assert_allclose(
                 extreme(found, axis=0), extreme(whole.points, axis=0), atol=0.002
             )
-
-
-@pytest.mark.slow
-def test_meshes_add_less_than_five_megabytes_to_a_session(tmp_path, robot, real):
-    size = {}
-    for meshes in (False, True):
-        pipeline = MessagePipeline(robot, RecordConfig(meshes=meshes))
-        with SessionWriter(tmp_path / f"{meshes}.mcap") as writer:
-            for messages in pipeline.file_header(T0):
-                writer.write_batch(*messages)
-        size[meshes] = (tmp_path / f"{meshes}.mcap").stat().st_size
-    assert 0 < size[True] - size[False] < 5e6
-
-
-def test_a_ghost_with_meshes_has_one_colour(real, drawn):
-    tint = (0.0, 0.5, 1.0, 0.25)
-    ghost = SceneUpdate.FromString(encode_scene(T0, real, GHOST_PREFIX, tint, drawn)).entities
-    shown = [one for entity in ghost for one in entity.triangles]
-    assert {(s.color.r, s.color.g, s.color.b, s.color.a) for s in shown} == {tint}
-    assert sum(len(entity.models) for entity in ghost) == 0
 
 
 def test_the_scale_of_a_visual_is_in_the_points(robot, tmp_path):

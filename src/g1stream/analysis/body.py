@@ -15,7 +15,7 @@ from g1stream.analysis.tracking import blocks
 from g1stream.robot.joints import N_JOINTS
 from g1stream.robot.kinematics import BLOCK, LinkPoses, forward_kinematics
 from g1stream.robot.rotations import (
-    UNIT_TOLERANCE,
+    is_unit,
     quat_conj,
     quat_from_yaw,
     quat_mul,
@@ -25,8 +25,8 @@ from g1stream.robot.rotations import (
     yaw_of,
 )
 from g1stream.session.records import Int, Record
-from g1stream.session.streams import MAX_GAP_NS
-from g1stream.types import Floats
+from g1stream.session.streams import MAX_GAP_NS, Neighbours, neighbours
+from g1stream.types import Floats, Ints
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -63,6 +63,7 @@ _DOWN: Final = np.array([0.0, 0.0, -1.0])
 _MM: Final = 1e3
 
 FPS: Final = 50.0
+_PERIOD: Final = round(1e9 / FPS)
 
 REFERENCE_COLUMNS: Final = (
     "q",
@@ -215,36 +216,39 @@ def frames(session: Recording, tracking: Tracking) -> Frames | None:
     """
     reference = session.reference.read(*REFERENCE_COLUMNS)
     measured = session.measured.read(*MEASURED_COLUMNS)
-    states, asked = _Sampler(tracking.time), _Sampler(reference.time)
-    numbers = np.arange(int((tracking.time[-1] - tracking.time[0]) * FPS + 1e-6) + 1)
-    at = tracking.time[0] + numbers / FPS
-    known = states.known(at) & asked.known(at)
-    base = session.base
+    times = measured.published[tracking.states]
+    numbers = np.arange((times[-1] - times[0]) // _PERIOD + 1)
+    at = times[0] + numbers * _PERIOD
+    states, asked = _around(times, at), _around(reference.published, at)
+    known = np.intersect1d(states.instants, asked.instants)
+    base, placed = session.base, asked
     if base is not None:
-        base_times = _Sampler(base.time)
+        placed = _around(base.published, at)
+        both = np.intersect1d(known, placed.instants)
         finite = all(np.isfinite(one).all() for one in (base.position, base.velocity))
-        base_known = base_times.known(at) & finite
-        if (known & base_known).any():
-            known &= base_known
-        else:
-            base = None
-    numbers, at = numbers[known], at[known]
-    if not len(at):
+        known, base = (both, base) if finite and len(both) else (known, None)
+    if not len(known):
         return None
+    states, asked, placed = (
+        one.where(np.isin(one.instants, known)) for one in (states, asked, placed)
+    )
+    done = states._replace(
+        before=tracking.states[states.before], after=tracking.states[states.after]
+    )
     target = RobotFrames(
-        q=states.at(at, tracking.reference),
-        dq=asked.at(at, reference.dq),
-        root_pos=asked.at(at, reference.root_pos),
-        root_lin_vel=asked.at(at, reference.root_lin_vel),
-        root_quat_wxyz=quat_normalize(asked.at(at, reference.root_quat_wxyz)),
-        root_ang_vel=asked.at(at, reference.root_ang_vel),
+        q=states.interpolate(tracking.reference),
+        dq=asked.interpolate(reference.dq),
+        root_pos=asked.interpolate(reference.root_pos),
+        root_lin_vel=asked.interpolate(reference.root_lin_vel),
+        root_quat_wxyz=quat_normalize(asked.interpolate(reference.root_quat_wxyz)),
+        root_ang_vel=asked.interpolate(reference.root_ang_vel),
     )
     robot = target._replace(
-        q=states.at(at, tracking.measured), dq=states.at(at, measured.dq, tracking.states)
+        q=states.interpolate(tracking.measured), dq=done.interpolate(measured.dq)
     )
-    quat = states.at(at, measured.imu_quat_wxyz, tracking.states)
+    quat = done.interpolate(measured.imu_quat_wxyz)
     # An IMU that is not there sends zeros.
-    has_attitude = bool((np.abs(np.linalg.norm(quat, axis=1) - 1.0) <= UNIT_TOLERANCE).all())
+    has_attitude = bool(is_unit(quat).all())
     has_attitude &= bool(np.isfinite(measured.gyroscope).all())
     if has_attitude:
         quat = quat_normalize(quat)
@@ -252,17 +256,17 @@ def frames(session: Recording, tracking: Tracking) -> Frames | None:
         turn = quat_from_yaw(yaw)
         robot = robot._replace(
             root_quat_wxyz=quat_mul(turn, quat),
-            root_ang_vel=states.at(at, measured.gyroscope, tracking.states),
+            root_ang_vel=done.interpolate(measured.gyroscope),
         )
         if base is not None:
-            pos = base_times.at(at, base.position)
+            pos = placed.interpolate(base.position)
             robot = robot._replace(
                 root_pos=target.root_pos[0] + quat_rotate(turn, pos - pos[0]),
-                root_lin_vel=quat_rotate(turn, base_times.at(at, base.velocity)),
+                root_lin_vel=quat_rotate(turn, placed.interpolate(base.velocity)),
             )
     return Frames(
-        motion_time=states.at(at, tracking.motion_time[:, np.newaxis])[:, 0],
-        consecutive=np.diff(numbers) == 1,
+        motion_time=states.interpolate(tracking.motion_time[:, np.newaxis])[:, 0],
+        consecutive=np.diff(known) == 1,
         reference=target,
         measured=robot,
         has_attitude=has_attitude,
@@ -270,33 +274,12 @@ def frames(session: Recording, tracking: Tracking) -> Frames | None:
     )
 
 
-class _Sampler:
-    """Interpolates samples at N times (N,), s, linearly."""
-
-    def __init__(self, times: Floats) -> None:
-        self._order = np.argsort(times, kind="stable")
-        self._times = times[self._order]
-
-    def _before(self, at: Floats) -> NDArray[np.intp]:
-        after = np.searchsorted(self._times, at, side="right")
-        return (after - 1).clip(0, max(0, len(self._times) - 2))
-
-    def known(self, at: Floats) -> NDArray[np.bool_]:
-        """(F,) whether samples are around the times (F,), and not far apart."""
-        before = self._before(at)
-        gaps = np.diff(self._times, append=np.inf)[before]
-        inside = (at >= self._times[0]) & (at <= self._times[-1])
-        return np.asarray(inside & (gaps <= MAX_GAP_NS / 1e9))
-
-    def at(self, at: Floats, values: Floats, rows: NDArray[np.intp] | None = None) -> Floats:
-        """(F, K) values (N, K), or some rows (N,) of values, at the times (F,)."""
-        before = self._before(at)
-        start, end = self._times[before], self._times[before + 1]
-        weight = ((at - start) / np.maximum(end - start, 1e-9))[:, np.newaxis]
-        order = self._order if rows is None else rows[self._order]
-        earlier = values[order[before]]
-        between: Floats = earlier + weight * (values[order[before + 1]] - earlier)
-        return between
+def _around(times: Ints, at: Ints) -> Neighbours:
+    """The samples (N,), in any order, around instants (F,), all ns; none where they are apart."""
+    order = np.argsort(times, kind="stable")
+    found = neighbours(times[order], at)
+    found = found.where(found.gap <= MAX_GAP_NS)
+    return found._replace(before=order[found.before], after=order[found.after])
 
 
 def body_metrics(robot: G1, frames: Frames, joints: Sequence[int] = range(N_JOINTS)) -> BodyMetrics:

@@ -32,7 +32,14 @@ from g1stream.analysis.tracking import (
 from g1stream.errors import RobotError
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.session.records import Int, Percentiles, Record
-from g1stream.session.streams import ArmCommand, Base, Command, Measured, Reference, TorsoImu
+from g1stream.session.streams import (
+    ArmCommandStream,
+    BaseStream,
+    CommandStream,
+    MeasuredStream,
+    ReferenceStream,
+    TorsoImuStream,
+)
 from g1stream.types import Floats
 
 if TYPE_CHECKING:
@@ -189,8 +196,8 @@ def metrics(session: Recording, joints: tuple[int, ...] | None = None) -> Metric
         body = body_metrics(robot, sampled, found.joints) if found and sampled else None
     except RobotError as error:
         missing["body"] = error.cause
-    if not session.topics.get(Measured.topic):
-        missing["torque"] = f"It has no messages on {Measured.topic}."
+    if not session.topics.get(MeasuredStream.topic):
+        missing["torque"] = f"It has no messages on {MeasuredStream.topic}."
     elif robot is None:
         missing["torque"] = missing["body"]
     else:
@@ -218,14 +225,14 @@ def _read(session: Recording) -> None:
     """Read the columns that are needed in one pass, and with another what is made of commands."""
     session.read(
         {
-            Reference: REFERENCE_COLUMNS,
-            Measured: (*MEASURED_COLUMNS, "tau"),
-            Base: (),
-            TorsoImu: ("publish_time",),
+            ReferenceStream: REFERENCE_COLUMNS,
+            MeasuredStream: (*MEASURED_COLUMNS, "tau"),
+            BaseStream: (),
+            TorsoImuStream: ("publish_time",),
         }
     )
     # Before anything else takes memory: the commands take much until their torque is known.
-    if session.topics.get(Command.topic) and session.topics.get(Measured.topic):
+    if session.topics.get(CommandStream.topic) and session.topics.get(MeasuredStream.topic):
         commanded_torque(session)
 
 
@@ -318,7 +325,7 @@ def _completed(summary: Summary, tracking: Tracking | None) -> tuple[bool | None
 def timing_metrics(session: Recording, summary: Summary) -> TimingMetrics:
     """The metrics, from the summary and the publish times of our commands and of states."""
     # With --via arm_sdk, those on /lowcmd are the robot's own controller's.
-    ours = ArmCommand if session.topics.get(ArmCommand.topic) else Command
+    ours = ArmCommandStream if session.topics.get(ArmCommandStream.topic) else CommandStream
     stream, command = summary.stream, summary.topics.get(ours.topic)
     late = None if summary.simulated else stream  # a simulation waits for the loop
     found = TimingMetrics(
@@ -331,11 +338,10 @@ def timing_metrics(session: Recording, summary: Summary) -> TimingMetrics:
     )
     if command is None or not command.rate_hz:
         return found
-    sent = session.stream(ours)
-    commands = np.sort(sent.publish_time) + sent.clock_offset
+    commands = np.sort(session.stream(ours).published)
     found.interval_us = percentiles(np.diff(commands) / 1e3)
     if "/lowstate" in found.topics:
-        states = np.sort(session.measured.publish_time) + session.measured.clock_offset
+        states = np.sort(session.measured.published)
         newest = np.searchsorted(states, commands, side="right") - 1
         # Where the recorder was killed, states may be missing that commands in the file had seen.
         known = (newest >= 0) & (session.complete | (commands <= states[-1]))

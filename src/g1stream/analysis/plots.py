@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import textwrap
-from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -17,7 +16,7 @@ from g1stream.errors import RecordingError
 from g1stream.files import save_figure
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
 from g1stream.session.records import MotionInfo, StreamSummary, read_record
-from g1stream.session.streams import Measured, Reference
+from g1stream.session.streams import MeasuredStream, ReferenceStream
 from g1stream.text import counted
 from g1stream.types import Floats, Phase
 
@@ -64,70 +63,23 @@ LONGEST_VIEW: Final = 20.0
 _NARROWEST_BIN: Final = 0.1
 _MOST_BINS: Final = 200
 _PANELS: Final = 6
-_COMPARED: Final = (Reference.topic, Measured.topic)
+_COMPARED: Final = (ReferenceStream.topic, MeasuredStream.topic)
 
+#: Of the overview, and of a panel elsewhere with what the figure needs above them, inches.
 _INCHES: Final = (16.0, 10.0)
+_PANEL_WIDTH, _PANEL_HEIGHT, _HEAD = 7.0, 1.7, 0.5
 _DPI: Final = 100
+_MOST_POINTS: Final = 4000
 
 #: A phase that takes less of the width than this is not named in the figure.
 _NARROW: Final = 0.04
 
-_MEASURED: Final[Mapping[str, Any]] = {"label": "measured", "linewidth": 2.0}
-_REFERENCE: Final[Mapping[str, Any]] = {
-    "label": "reference",
-    "linewidth": 1.1,
-    "linestyle": (0, (4, 2)),
-    "color": _DARK,
-}
-#: Of a panel, and what the figure needs above the panels for its title, inches.
-_PANEL_WIDTH, _PANEL_HEIGHT, _HEAD = 7.0, 1.7, 0.5
-_MOST_POINTS: Final = 4000
-_ASKED: Final[dict[str, Any]] = {
+_ASKED: Final[Mapping[str, Any]] = {
     "color": _DARK,
     "linewidth": 1.0,
     "linestyle": (0, (4, 2)),
     "zorder": 3,
 }
-
-
-@dataclass(frozen=True)
-class _Data:
-    """What is drawn: times are s on the motion's clock, angles degrees.
-
-    Attributes:
-        times, reference: (N,) and (N, 29); nan in DAMP, where no position is commanded.
-        state_times, measured: (M,) and (M, 29).
-        phases: in order.
-        tracking: None where there is nothing to compare.
-        view: from when to when the joints are shown.
-    """
-
-    times: Floats
-    reference: Floats
-    state_times: Floats
-    measured: Floats
-    phases: list[PhaseInterval]
-    tracking: Tracking | None
-    view: tuple[float, float]
-
-    @classmethod
-    def from_session(cls, session: Recording) -> _Data:
-        try:
-            followed = tracking(session)
-        except NothingToCompareError:
-            followed = None
-        reference, measured = session.reference.read("phase", "q"), session.measured.read("q")
-        damping = (reference.phase == Phase.DAMP)[:, np.newaxis]
-        phases = session.phases
-        return cls(
-            times=reference.time,
-            reference=np.where(damping, np.nan, np.degrees(reference.q)),
-            state_times=measured.time,
-            measured=np.degrees(measured.q),
-            phases=phases,
-            tracking=followed,
-            view=_view(phases[0].start_s, phases[-1].end_s, followed),
-        )
 
 
 def draw(
@@ -169,13 +121,39 @@ def _overview(session: Recording, joints: list[int] | None) -> Figure:
     from matplotlib import style
     from matplotlib.figure import Figure
 
-    data = _Data.from_session(session)
-    shown, worst = _joints_to_show(data) if joints is None else (joints, None)
+    try:
+        followed = tracking(session)
+    except NothingToCompareError:
+        followed = None
+    whole = session.phases[0].start_s, session.phases[-1].end_s
+    shown, worst = _joints_to_show(session, followed) if joints is None else (joints, None)
+    view = _view(*whole, followed)
     # Without the user's own style, in which the layout might not hold.
     with style.context(["default", dict(_STYLE)]):
         figure = Figure(figsize=_INCHES, dpi=_DPI)
-        _draw_head(figure, data, session)
-        _draw_panels(figure, data, shown, worst)
+        _draw_head(figure, session, followed)
+        cells = figure.add_gridspec(
+            3, 3, left=0.045, right=0.985, top=0.885, bottom=0.055, wspace=0.16, hspace=0.34
+        )
+        rows = 1 if len(shown) <= 3 else 2
+        panels = cells[:2, :].subgridspec(rows, -(-len(shown) // rows), wspace=0.16, hspace=0.34)
+        angles = signal(session, "q")
+        for i, joint in enumerate(shown):
+            axes = figure.add_subplot(panels[divmod(i, panels.ncols)])
+            _draw_panel(axes, angles, joint, view)
+            if followed:
+                rmse, largest = np.degrees((followed.rmse[joint], followed.max_abs[joint]))
+                axes.set_title(f"RMSE {rmse:.2f}°, max {largest:.1f}°", loc="right", color=_MUTED)
+            axes.margins(y=0.1)
+            _shade_phases(axes, session.phases)
+            _set_times(axes, *view)
+            if joint == worst:  # below the title, whose line has no room beside the figures
+                _annotate(
+                    axes, "worst of the others", (0.5, 1.0), -4, xycoords="axes fraction", va="top"
+                )
+        _draw_error(figure.add_subplot(cells[2, :2]), session.phases, followed, view)
+        if followed:
+            _draw_bars(figure.add_subplot(cells[2, 2]), followed)
     return figure
 
 
@@ -201,10 +179,9 @@ def _indices(joints: Sequence[str] | str) -> list[int]:
     return list(found)
 
 
-def _joints_to_show(data: _Data) -> tuple[list[int], int | None]:
+def _joints_to_show(session: Recording, tracking: Tracking | None) -> tuple[list[int], int | None]:
     """Of each limb the joint with the widest range, and the worst of the others, if known."""
-    tracking = data.tracking
-    span = np.ptp(tracking.reference if tracking else data.reference, axis=0)
+    span = np.ptp(tracking.reference if tracking else session.reference.q, axis=0)
     limbs = tracking.limbs if tracking else JOINT_GROUPS
     widest = [max(joints, key=lambda joint: float(span[joint])) for joints in limbs.values()]
     others = {*tracking.joints} - {*widest} if tracking else {}
@@ -224,11 +201,7 @@ def _view(first: float, last: float, tracking: Tracking | None) -> tuple[float, 
 
 
 def _binned_rms(times: Floats, errors: Floats) -> tuple[Floats, Floats]:
-    """RMS of errors (K, J) at times (K,) in bins of 0.1 s, or in 200 bins of a longer session.
-
-    Returns:
-        the middle of each bin (B,) and its RMS (B,), nan where it is empty.
-    """
+    """Middles (B,) of bins of 0.1 s or more, and the RMS of errors (K, J) in each; nan if empty."""
     width = max(_NARROWEST_BIN, float(times[-1] - times[0]) / _MOST_BINS)
     edges = times[0] + width * np.arange(int((times[-1] - times[0]) / width) + 2)
     counts, _ = np.histogram(times, edges)
@@ -237,86 +210,56 @@ def _binned_rms(times: Floats, errors: Floats) -> tuple[Floats, Floats]:
     return (edges[:-1] + edges[1:]) / 2.0, np.sqrt(mean_squares)
 
 
-def _draw_head(figure: Figure, data: _Data, session: Recording) -> None:
+def _draw_head(figure: Figure, session: Recording, tracking: Tracking | None) -> None:
     from matplotlib.lines import Line2D
 
     motion, _ = read_record(MotionInfo, session.metadata.get("motion"))
     stream, _ = read_record(StreamSummary, session.metadata.get("stream"))
     name = (motion and motion.name) or "unknown motion"
     figure.text(0.015, 0.965, name, fontsize=17, weight="bold")
-    facts = [session.path.name, *_facts(data.tracking)]
+    facts = [session.path.name, "no state in PLAY: nothing to compare"]
+    if tracking:
+        n, delay = len(tracking.joints), tracking.delay
+        facts[1:] = [
+            f"RMSE {np.degrees(tracking.overall):.2f}° over "
+            + ("all joints" if n == N_JOINTS else f"{n} joints"),
+            *([f"tracking delay {delay.seconds * 1e3:.1f} ms"] if delay else []),
+            f"{counted(len(tracking.time), 'state')} compared over {tracking.duration:.1f} s",
+        ]
     if stream and stream.reason:
         facts.append(f"ended early: {textwrap.shorten(stream.reason, 55, placeholder=' ...')}")
     figure.text(0.015, 0.937, "   ·   ".join(facts), color=_MUTED, fontsize=11)
-    lines = [Line2D([], [], color=_MUTED, **_MEASURED), Line2D([], [], **_REFERENCE)]
+    measured = Line2D([], [], color=_MUTED, linewidth=1.6, label="measured")
+    lines = [measured, Line2D([], [], label="reference", **_ASKED)]
     figure.legend(
         handles=lines, loc="upper right", bbox_to_anchor=(0.992, 0.972), ncols=2, fontsize=11
     )
 
 
-def _facts(tracking: Tracking | None) -> list[str]:
-    if tracking is None:
-        return ["no state in PLAY: nothing to compare"]
-    delay = tracking.delay
-    return [
-        f"RMSE {np.degrees(tracking.overall):.2f}° over "
-        + ("all joints" if len(tracking.joints) == N_JOINTS else f"{len(tracking.joints)} joints"),
-        *([f"tracking delay {delay.seconds * 1e3:.1f} ms"] if delay else []),
-        f"{counted(len(tracking.time), 'state')} compared over {tracking.duration:.1f} s",
-    ]
-
-
-def _draw_panels(figure: Figure, data: _Data, joints: list[int], worst: int | None) -> None:
-    cells = figure.add_gridspec(
-        3, 3, left=0.045, right=0.985, top=0.885, bottom=0.055, wspace=0.16, hspace=0.34
-    )
-    rows = 1 if len(joints) <= 3 else 2
-    panels = cells[:2, :].subgridspec(rows, -(-len(joints) // rows), wspace=0.16, hspace=0.34)
-    for i, joint in enumerate(joints):
-        axes = figure.add_subplot(panels[divmod(i, panels.ncols)])
-        _draw_joint(axes, data, joint)
-        axes.set_title(JOINT_NAMES[joint].removesuffix("_joint"), weight="bold")
-        if joint == worst:  # below the title, whose line has no room beside the figures
-            _annotate(
-                axes, "worst of the others", (0.5, 1.0), -4, xycoords="axes fraction", va="top"
-            )
-    _draw_error(figure.add_subplot(cells[2, :2]), data)
-    if data.tracking:
-        _draw_bars(figure.add_subplot(cells[2, 2]), data.tracking)
-
-
-def _draw_joint(axes: Axes, data: _Data, joint: int) -> None:
-    first, last = data.view
-    seen = (data.state_times >= first) & (data.state_times <= last)
-    asked = (data.times >= first) & (data.times <= last)
-    colour = COLOURS[_GROUP_OF[joint]]
-    axes.plot(data.state_times[seen], data.measured[seen, joint], color=colour, **_MEASURED)
-    axes.plot(data.times[asked], data.reference[asked, joint], **_REFERENCE)
-    if data.tracking:
-        rmse, largest = np.degrees((data.tracking.rmse[joint], data.tracking.max_abs[joint]))
-        axes.set_title(f"RMSE {rmse:.2f}°, max {largest:.1f}°", loc="right", color=_MUTED)
-    axes.set_ylabel("angle, deg")
-    axes.margins(y=0.1)
-    _shade_phases(axes, data.phases)
-    _set_times(axes, first, last)
-
-
-def _draw_error(axes: Axes, data: _Data) -> None:
-    first, last = data.phases[0].start_s, data.phases[-1].end_s
+def _draw_error(
+    axes: Axes,
+    phases: Sequence[PhaseInterval],
+    tracking: Tracking | None,
+    view: tuple[float, float],
+) -> None:
+    first, last = phases[0].start_s, phases[-1].end_s
     axes.set_title("RMS error of each limb", weight="bold")
     axes.set_ylabel("deg")
-    _shade_phases(axes, data.phases)
-    _name_phases(axes, data)
+    _shade_phases(axes, phases)
+    for one in phases:
+        if one.duration_s > _NARROW * (last - first):
+            place, where = ((one.start_s + one.end_s) / 2.0, 1.0), axes.get_xaxis_transform()
+            _annotate(axes, one.phase.name, place, -4, xycoords=where, va="top")
     _set_times(axes, first, last)
-    if data.tracking is None:
+    if tracking is None:
         return
-    error = np.degrees(data.tracking.error)
-    for group, joints in data.tracking.limbs.items():
-        times, rms = _binned_rms(data.tracking.time, error[:, joints])
+    error = np.degrees(tracking.error)
+    for group, joints in tracking.limbs.items():
+        times, rms = _binned_rms(tracking.time, error[:, joints])
         axes.plot(times, rms, color=COLOURS[group], linewidth=1.6, label=group.replace("_", " "))
     axes.set_ylim(0.0, 1.12 * axes.get_ylim()[1])
-    if data.view != (first, last):
-        axes.axvspan(*data.view, ymax=0.03, color=_DARK, label="shown above")
+    if view != (first, last):
+        axes.axvspan(*view, ymax=0.03, color=_DARK, label="shown above")
     axes.legend(loc="lower right", bbox_to_anchor=(1.01, 0.97), ncols=len(JOINT_GROUPS) + 1)
 
 
@@ -345,16 +288,6 @@ def _draw_bars(axes: Axes, tracking: Tracking) -> None:
     axes.tick_params(axis="x", length=0)
 
 
-def _name_phases(axes: Axes, data: _Data) -> None:
-    narrow = _NARROW * (data.phases[-1].end_s - data.phases[0].start_s)
-    for one in data.phases:
-        if one.duration_s > narrow:
-            place = ((one.start_s + one.end_s) / 2.0, 1.0)
-            _annotate(
-                axes, one.phase.name, place, -4, xycoords=axes.get_xaxis_transform(), va="top"
-            )
-
-
 def _annotate(
     axes: Axes, text: str, place: tuple[float, float], points_above: float, **how: Any
 ) -> None:
@@ -364,16 +297,7 @@ def _annotate(
 
 
 def _plot_joints(session: Recording, joints: Sequence[int], what: Sequence[Quantity]) -> Figure:
-    """A row for each joint and a column for each quantity, over time, with the phases shaded.
-
-    Args:
-        session: any; what it lacks is not drawn.
-        joints: indices, motor order.
-        what: quantities.
-
-    Raises:
-        RecordingError: the session has nothing of these quantities.
-    """
+    """A row for each joint and a column for each quantity, over time, with the phases shaded."""
     from matplotlib import style
     from matplotlib.figure import Figure
 
@@ -393,7 +317,7 @@ def _plot_joints(session: Recording, joints: Sequence[int], what: Sequence[Quant
         panels = figure.subplots(len(joints), len(signals), squeeze=False, sharex=True)
         for row, joint in zip(panels, joints, strict=True):
             for axes, one in zip(row, signals, strict=True):
-                _draw_panel(axes, one, joint)
+                _draw_panel(axes, one, joint, (first, last))
                 _shade_phases(axes, phases)
         for axes, one in zip(panels[0], signals, strict=True):
             if one.lines:
@@ -403,15 +327,16 @@ def _plot_joints(session: Recording, joints: Sequence[int], what: Sequence[Quant
     return figure
 
 
-def _draw_panel(axes: Axes, drawn: Signal, joint: int) -> None:
+def _draw_panel(axes: Axes, drawn: Signal, joint: int, view: tuple[float, float]) -> None:
     axes.set_title(JOINT_NAMES[joint].removesuffix("_joint"), weight="bold")
     axes.set_ylabel(drawn.label)
     for line in drawn.lines:
-        values = line.values[:, joint]
+        seen = slice(*np.searchsorted(line.time, (view[0], np.nextafter(view[1], np.inf))))
+        times, values = line.time[seen], line.values[seen, joint]
         shown = min_max(values, _MOST_POINTS)
         solid: dict[str, Any] = {"color": COLOURS[_GROUP_OF[joint]], "linewidth": 1.6}
         how = _ASKED if line is not drawn.lines[-1] else solid
-        axes.plot(line.time[shown], values[shown], label=line.name, **how)
+        axes.plot(times[shown], values[shown], label=line.name, **how)
 
 
 def _shade_phases(axes: Axes, phases: Sequence[PhaseInterval]) -> None:

@@ -11,7 +11,7 @@ from g1stream.analysis.torque import commanded_torque
 from g1stream.analysis.tracking import NothingToCompareError, blocks, tracking
 from g1stream.errors import ConfigError
 from g1stream.session.motions import motion_of
-from g1stream.session.streams import Command, Measured, Reference
+from g1stream.session.streams import CommandStream, MeasuredStream, ReferenceStream
 from g1stream.types import Floats, Ints, Phase
 
 if TYPE_CHECKING:
@@ -133,19 +133,19 @@ def min_max(values: Floats, most: int) -> Ints:
 
 def _asked_and_measured(session: Recording, column: Literal["q", "dq"]) -> tuple[Line, ...]:
     lines = []
-    if session.topics.get(Reference.topic):
+    if session.topics.get(ReferenceStream.topic):
         reference = session.reference.read("phase", column)
         asked = _degrees(getattr(reference, column))
         asked[reference.phase == Phase.DAMP] = np.nan  # where nothing is asked for but damping
         lines.append(Line.from_samples("reference", reference.time, asked))
-    elif session.topics.get(Command.topic):
+    elif session.topics.get(CommandStream.topic):
         command = session.command.read(column)
         lines.append(Line.from_samples("command", command.time, _degrees(getattr(command, column))))
     elif column == "q" and session.converted:
         motion = motion_of(session)
         time = np.arange(motion.n_frames) / motion.fps
         lines.append(Line.from_samples("motion", time, _degrees(motion.joint_pos)))
-    if session.topics.get(Measured.topic):
+    if session.topics.get(MeasuredStream.topic):
         measured = session.measured.read(column)
         lines.append(
             Line.from_samples("measured", measured.time, _degrees(getattr(measured, column)))
@@ -172,9 +172,9 @@ def _degrees(values: Floats, less: Floats | None = None) -> Floats:
 
 def _torques(session: Recording) -> tuple[Line, ...]:
     lines = []
-    if session.topics.get(Measured.topic):
+    if session.topics.get(MeasuredStream.topic):
         measured = session.measured.read("q", "dq", "tau")
-        if session.topics.get(Command.topic):
+        if session.topics.get(CommandStream.topic):
             lines.append(Line.from_samples("commanded", measured.time, commanded_torque(session)))
         lines.append(Line.from_samples("estimated", measured.time, measured.tau))
     return tuple(lines)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import socket
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -16,7 +17,11 @@ from g1stream.config import Config
 from g1stream.control.command_delay import DELAY_REMEDY
 from g1stream.control.guard import LOG_NAME
 from g1stream.control.lowstate import STATE_TIMEOUT
+from g1stream.dds.messages import LowCmd
+from g1stream.errors import RecordingError
+from g1stream.input_limits import NUMBER
 from g1stream.robot.joints import JOINT_NAMES
+from g1stream.robot.rotations import is_unit
 from g1stream.session.recording import once
 from g1stream.session.records import (
     Percentiles,
@@ -25,7 +30,14 @@ from g1stream.session.records import (
     StreamSummary,
     read_record,
 )
-from g1stream.session.streams import STREAMS, Reference
+from g1stream.session.streams import (
+    STREAMS,
+    ArmCommandStream,
+    CommandStream,
+    MeasuredStream,
+    ReferenceStream,
+    without_steps,
+)
 from g1stream.text import counted
 from g1stream.types import Floats, Phase
 
@@ -60,6 +72,8 @@ _MOST_SKIPPED: Final = 0.01
 _SLOW_SIMULATOR: Final = 0.8
 #: A recording that goes on for so long, ns, after the last reference has not merely ended first.
 _SILENCE: Final = 500_000_000
+#: Commands whose CRC is checked, evenly spread over a longer session.
+_MOST_CHECKED: Final = 5000
 
 
 @once
@@ -69,6 +83,14 @@ def summarise(session: Recording) -> Summary:
     Raises:
         RecordingError: the file is damaged.
     """
+    with suppress(RecordingError):  # whoever uses a column says what is wrong with it
+        session.read(  # in one pass
+            {
+                ReferenceStream: ("motion_time", "phase", "played", "q"),
+                CommandStream: ("mode_machine",),
+                MeasuredStream: ("q", "imu_quat_wxyz", "mode_machine"),
+            }
+        )
     info, problems = read_record(SessionInfo, session.metadata)
     info = info or SessionInfo()
     stream, wrong = read_record(StreamSummary, session.metadata.get("stream"), "stream")
@@ -84,6 +106,7 @@ def summarise(session: Recording) -> Summary:
         for topic, kind in STREAMS.items()
         if session.topics.get(topic) and len(samples := session.stream(kind))
     }
+    logged = [without_steps(one.log_time, session.clock_steps) for one in streams.values()]
     lost = recorder.lost if recorder else {}
     topics = {
         topic: message_stats(streams[topic], lost.get(topic))
@@ -106,8 +129,8 @@ def summarise(session: Recording) -> Summary:
         absent=info.absent,
         files_bytes={str(path): path.stat().st_size for path in session.paths},
         complete=session.complete,
-        first_ns=min((int(one.log_time.min()) for one in streams.values()), default=None),
-        last_ns=max((int(one.log_time.max()) for one in streams.values()), default=None),
+        first_ns=min((int(one.min()) for one in logged), default=None),
+        last_ns=max((int(one.max()) for one in logged), default=None),
         simulated=simulated,
         host=info.host,
         domain=info.domain,
@@ -133,6 +156,7 @@ def summarise(session: Recording) -> Summary:
     summary.problems = [
         *find_problems(summary),
         *_file_problems(session),
+        *_sample_problems(session),
         *_warnings(session),
         *problems,
     ]
@@ -146,7 +170,7 @@ def message_stats(stream: Stream, lost: int | None = None) -> MessageStats:
         stream: with one message at least.
         lost: samples known to be lost.
     """
-    times_ns = np.sort(stream.publish_time)
+    times_ns = np.sort(stream.published)
     intervals = np.diff(times_ns) / 1e9
     span = float(times_ns[-1] - times_ns[0]) / 1e9
     return MessageStats(
@@ -177,10 +201,11 @@ def summarise_run(
     """The summary of a run, from what its programs counted; no file is read."""
     recorded = recorder or RecorderSummary()
     paths = [Path(path) for path in recorded.paths]
+    steps = sum(step.step_ns for step in recorded.clock_steps)
     summary = Summary(
         files_bytes={str(path): path.stat().st_size for path in paths if path.is_file()},
         first_ns=recorded.first_ns,
-        last_ns=recorded.last_ns,
+        last_ns=recorded.last_ns and recorded.last_ns - steps,
         host=socket.gethostname(),
         domain=config.dds.domain,
         interface=config.dds.interface,
@@ -294,6 +319,58 @@ def _file_problems(session: Recording) -> Iterator[str]:
         )
 
 
+def _sample_problems(session: Recording) -> Iterator[str]:
+    """What is wrong with the samples themselves; that they cannot be decoded is one, too."""
+    try:
+        yield from _ignored_commands(session)
+        yield from _invalid_attitudes(session)
+    except RecordingError as error:
+        yield error.cause
+
+
+def _ignored_commands(session: Recording) -> Iterator[str]:
+    """Commands that the robot ignores: for another kind of G1, or with a wrong CRC."""
+    has = [
+        kind
+        for kind in (CommandStream, ArmCommandStream, MeasuredStream)
+        if session.topics.get(kind.topic)
+    ]
+    if CommandStream in has and MeasuredStream in has:
+        meant = session.command.read("mode_machine").mode_machine
+        robots = np.unique(session.measured.read("mode_machine").mode_machine)
+        if other := int((~np.isin(meant, robots)).sum()):
+            yield (
+                f"{_share(other, len(meant))} of the commands on {CommandStream.topic} have "
+                f"another mode_machine than the robot, {int(robots[-1])}: it ignores them."
+            )
+    for kind in has:
+        if kind is not MeasuredStream and len(session.stream(kind).read("mode_machine")):
+            command, right = LowCmd(), []
+            for data in session.some(kind.topic, _MOST_CHECKED):
+                command.load(data)
+                right.append(command.crc_matches())
+            if not all(right):
+                share = _share(right.count(False), len(right))
+                yield (
+                    f"{share} of the commands on {kind.topic} have a wrong CRC: the robot ignores "
+                    "them."
+                )
+
+
+def _share(n: int, of: int) -> str:
+    return "All" if n == of else f"{max(1, round(100 * n / of))} %"
+
+
+def _invalid_attitudes(session: Recording) -> Iterator[str]:
+    if session.topics.get(MeasuredStream.topic):
+        valid = is_unit(session.measured.read("imu_quat_wxyz").imu_quat_wxyz)
+        if n := int((~valid).sum()):
+            yield (
+                f"The IMU's quaternion in {n} of {len(valid)} LowStates is no rotation, as 0, 0, "
+                "0, 0 is none: /measured/tf has the last valid one there, or the reference's."
+            )
+
+
 def _warnings(session: Recording) -> list[str]:
     """The warnings in /log; of those that differ in their numbers only, the last."""
     alike: dict[str, list[str]] = {}
@@ -324,13 +401,19 @@ def _termination(
         "reason": stream.reason if stream else reason,
         "undamped_in": undamped,
         "guard": guard,
-        "played_s": sum(p.duration_s for p in phases if p.phase is Phase.PLAY)
-        if phases and played(phases) <= 1
-        else None,
+        "played_s": _played_s(session) if phases and played(phases) <= 1 else None,
         "motion_s": info.motion.duration_s if info.motion else None,
         "start_s": start or 0.0,
     }
     return read_record(Termination, values)[0] or Termination()
+
+
+def _played_s(session: Recording) -> float:
+    """How much of a motion was played, in its own time: no clock can be set in that."""
+    reference = session.reference
+    times = reference.motion_time[reference.phase == Phase.PLAY]
+    forward = np.diff(times[np.abs(times) < NUMBER]).clip(0.0)  # it begins anew when it is looped
+    return float(forward.sum() + np.median(forward)) if len(forward) else 0.0
 
 
 def _undamped_in(
@@ -346,7 +429,7 @@ def _undamped_in(
     # A stream's own recorder ends after it, and is told how it went.
     outlived = info.config is not None and recorder is not None and not recorder.stopped
     end = max(int(stream.log_time[-1]) for stream in streams.values())
-    silence = end - int(streams[Reference.topic].log_time[-1])
+    silence = end - int(streams[ReferenceStream.topic].log_time[-1])
     return phases[-1].phase if outlived or silence > _SILENCE else None
 
 

@@ -64,7 +64,7 @@ class Termination(Record):
         undamped_in: the phase in which the stream process ended without DAMP; None where it did
             not.
         guard: what the guard process logged when it damped the robot; None where it did not.
-        played_s: how long PLAY lasted.
+        played_s: how much of the motion was played, in its own time.
         motion_s: how long the motion is.
         start_s: where in the motion PLAY was to begin.
     """
@@ -107,7 +107,8 @@ class Summary(Record):
     Attributes:
         files_bytes: path of each file -> size, oldest first.
         complete: whether all files are there and were closed properly.
-        first_ns, last_ns: log times of the first and the last message, since the epoch.
+        first_ns, last_ns: log times of the first and the last message, since the epoch; the last as
+            if the clock had not been set in between.
         simulated: whether its times are a simulation's, as in a rollout, and not of any clock.
         host, domain, interface: where it was recorded, or streamed.
         versions: of g1stream and the packages that it used.

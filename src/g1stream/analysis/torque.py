@@ -10,7 +10,7 @@ from g1stream.analysis.tracking import blocks, rms
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.session.recording import once
 from g1stream.session.records import Record
-from g1stream.session.streams import MAX_GAP_NS, Command
+from g1stream.session.streams import MAX_GAP_NS, CommandStream
 from g1stream.types import Floats
 
 if TYPE_CHECKING:
@@ -102,13 +102,13 @@ def torque_metrics(
     """
     measured = session.measured.read("q", "dq", "tau")
     chosen = np.arange(len(measured)) if states is None else states
-    times = (measured.publish_time + measured.clock_offset)[chosen]
+    times = measured.published[chosen]
     order = np.argsort(times, kind="stable")
     order = order[_finite(measured, ("q", "dq", "tau"))[chosen[order]]]
     chosen, times = chosen[order], times[order]
     if not measured.tau[chosen].any():
         return None
-    commanded = commanded_torque(session) if session.topics.get(Command.topic) else None
+    commanded = commanded_torque(session) if session.topics.get(CommandStream.topic) else None
     seconds = np.diff(times) / 1e9
     seconds[seconds * 1e9 > MAX_GAP_NS] = 0.0
     counted = list(range(N_JOINTS) if joints is None else joints)
@@ -184,8 +184,7 @@ def commanded_torque(session: Recording) -> Floats:
         session: with commands and states.
     """
     measured, command = session.measured.read("q", "dq"), session.command.as_recorded(*_COMMANDED)
-    instants = measured.publish_time + measured.clock_offset
-    times = command.publish_time + command.clock_offset
+    instants, times = measured.published, command.published
     order = np.argsort(times, kind="stable")
     before = np.searchsorted(times[order], instants, side="right") - 1
     newest = order[before.clip(0)]

@@ -30,7 +30,7 @@ from g1stream.input_limits import NUMBER
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
 from g1stream.session.recording import once
 from g1stream.session.records import Int, Record
-from g1stream.session.streams import MAX_GAP_NS, Measured, Reference, neighbours
+from g1stream.session.streams import MAX_GAP_NS, MeasuredStream, ReferenceStream, neighbours
 from g1stream.types import Floats, Phase
 
 if TYPE_CHECKING:
@@ -241,13 +241,13 @@ def tracking(session: Recording) -> Tracking:
         NothingToCompareError: there is no reference, or no state in PLAY.
         RecordingError: the file is damaged.
     """
-    absent = [t for t in (Reference.topic, Measured.topic) if not session.topics.get(t)]
+    absent = [t for t in (ReferenceStream.topic, MeasuredStream.topic) if not session.topics.get(t)]
     reason = f"it has no messages on {' and '.join(absent)}"
     if not absent:
         reference = session.reference.read("motion_time", "phase", "played", "q")
         if found := compare(reference, session.measured.read("q")):
             return found
-        reason = f"no {Measured.topic} was published in PLAY"
+        reason = f"no {MeasuredStream.topic} was published in PLAY"
     raise NothingToCompareError(
         f"{session.path} has no tracking error: {reason}.",
         "Record while a robot, or a simulator, publishes its state and a motion is streamed.",
@@ -264,15 +264,14 @@ def worst_joints(session: Recording, most: int) -> tuple[str, ...]:
     return tuple(JOINT_NAMES[joint] for joint in worst[:most])
 
 
-def compare(reference: Reference, measured: Measured) -> Tracking | None:
+def compare(reference: ReferenceStream, measured: MeasuredStream) -> Tracking | None:
     """Compare each LowState in PLAY with the reference at its publish time; None without one.
 
     The reference between two samples h apart is taken as a straight line; that is off by at most
     h^2 / 8 times the joint's acceleration: 0.1 mrad for 200 rad/s^2 at 500 Hz. It is where the
     reference was published, so a command that came late counts as late.
     """
-    times = reference.publish_time + reference.clock_offset
-    state_times = measured.publish_time + measured.clock_offset
+    times, state_times = reference.published, measured.published
     order, state_order = np.argsort(times, kind="stable"), np.argsort(state_times, kind="stable")
     sane = _are_sane(reference.q) & (np.abs(reference.motion_time) < NUMBER)
     order = order[sane[order]]

@@ -13,28 +13,23 @@ log and publish times are kept as they are.
 from __future__ import annotations
 
 import time
-from array import array
 from collections import defaultdict
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-import numpy as np
-
 from g1stream.dds.messages import ARM_SDK, LOWCMD, LOWSTATE, REFERENCE, Samples
 from g1stream.dds.ticks import TickGaps
+from g1stream.session.records import ClockStep
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
-
-    from numpy.typing import NDArray
 
     from g1stream.dds.messages import Batch
 
 __all__ = [
     "ClockReading",
-    "DelayEstimator",
     "Losses",
     "MissingCommands",
     "StepDetector",
@@ -53,7 +48,6 @@ _TOPICS_WITH_TICKS: Final = {topic.name: topic for topic in (REFERENCE, LOWSTATE
 
 #: ns; CLOCK_REALTIME was set, and not slewed, if it moved by more between two readings.
 _MIN_STEP: Final = 2_000_000
-_SECOND: Final = 1_000_000_000
 
 
 class MissingCommands:
@@ -186,12 +180,12 @@ class StepDetector:
 
     Attributes:
         first, last: realtime minus monotonic at the first and the last reading, ns.
-        steps: (when by the clock after it, by how much), ns each.
+        steps: in order.
     """
 
     first: int | None = None
     last: int = 0
-    steps: list[tuple[int, int]] = field(default_factory=list)
+    steps: list[ClockStep] = field(default_factory=list)
 
     def observe(self, reading: ClockReading) -> int:
         """By how much the clock was set since the previous reading, ns; 0 when it was not.
@@ -205,45 +199,5 @@ class StepDetector:
         step, self.last = offset - self.last, offset
         if abs(step) < _MIN_STEP:
             return 0
-        self.steps.append((reading.realtime, step))
+        self.steps.append(ClockStep(at_ns=reading.realtime, step_ns=step))
         return step
-
-
-class DelayEstimator:
-    """Estimates the delay of one topic's messages: the median of log time minus publish time.
-
-    From another host this is the transit time plus the offset between the two clocks, which cannot
-    be separated in one direction. In a wired network the transit takes well below 1 ms, so more
-    than that is offset.
-
-    Keeps one median for each second.
-    """
-
-    def __init__(self) -> None:
-        self._medians = array("q")
-        self._recent: list[NDArray[np.int64]] = []
-        self._since: int | None = None
-
-    def observe(self, log_times: NDArray[np.int64], publish_times: NDArray[np.int64]) -> None:
-        """Take in a batch of T > 0 messages: (T,) ns since the epoch each."""
-        self._recent.append(log_times - publish_times)
-        if self._since is None:
-            self._since = int(log_times[0])
-        if abs(int(log_times[-1]) - self._since) >= _SECOND:
-            self._medians.append(self._recent_median())
-            self._recent.clear()
-            self._since = int(log_times[-1])
-
-    @property
-    def seconds(self) -> int:
-        """How many seconds have a median."""
-        return len(self._medians)
-
-    def median(self) -> int | None:
-        """The median delay, ns; None before the first message."""
-        if self._medians:
-            return int(np.median(self._medians))
-        return self._recent_median() if self._recent else None
-
-    def _recent_median(self) -> int:
-        return int(np.median(np.concatenate(self._recent)))

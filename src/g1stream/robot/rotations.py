@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "UNIT_TOLERANCE",
+    "is_unit",
     "quat_conj",
     "quat_from_axis_angle",
     "quat_from_rpy",
@@ -40,6 +41,11 @@ __all__ = [
 
 UNIT_TOLERANCE: Final = 0.05
 """How far the norm of a measured quaternion may be from 1: an IMU that is not ready sends zeros."""
+
+
+def is_unit(quats: Floats) -> NDArray[np.bool_]:
+    """(...) which of measured quaternions (..., 4) are those of a rotation."""
+    return np.asarray(np.abs(np.linalg.norm(quats, axis=-1) - 1.0) <= UNIT_TOLERANCE)
 
 
 def _bilinear(table: list[list[int]], n: int) -> Floats:

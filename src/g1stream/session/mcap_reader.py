@@ -172,26 +172,11 @@ def _read_at(file: IO[bytes], start: int, size: int) -> bytes:
     return os.pread(file.fileno(), size, start)
 
 
-def _content_of(file: IO[bytes], record: _Span) -> bytes:
-    """The bytes of a record.
-
-    Raises:
-        ValueError: they are too many.
-    """
+def _stream_of(file: IO[bytes], record: _Span) -> ReadDataStream:
+    """The bytes of a record, as the classes of `mcap.records` read them; not too many."""
     if record.length > UNPACKED:
         raise ValueError("the record is too large")
-    file.seek(record.start)
-    return file.read(record.length)
-
-
-def _stream_of(file: IO[bytes], record: _Span) -> ReadDataStream:
-    """The bytes of a record, as the classes of `mcap.records` read them."""
-    return ReadDataStream(BytesIO(_content_of(file, record)))
-
-
-def _content_size(file: IO[bytes], chunk: _Span) -> int:
-    """Bytes of the records in a chunk, as it says."""
-    return int(_CHUNK.unpack(_read_at(file, chunk.start, _CHUNK.size))[2])
+    return ReadDataStream(BytesIO(_read_at(file, record.start, record.length)))
 
 
 def _decompressed(content: bytes | memoryview) -> bytes:
@@ -269,15 +254,9 @@ class _Chunk:
     def offsets(
         self, content: bytes, records: bytes, channels: set[int]
     ) -> dict[int, NDArray[np.int64]]:
-        """By channel, (N,) where in the decompressed chunk its messages are, ascending.
+        """By wanted channel, (N,) where in the decompressed `records` its messages are, ascending.
 
-        Args:
-            content: of the file, from the start of the record to `end`.
-            records: the decompressed chunk.
-            channels: those that are wanted.
-
-        Raises:
-            ValueError: the index points outside of the chunk.
+        `content` is that of the file, from the start of the chunk to `end`.
         """
         if not self.index:
             return {c: found for c, found in _message_offsets(records).items() if c in channels}
@@ -408,11 +387,11 @@ class McapFile:
         }
 
     @property
-    def log_times(self) -> tuple[int, int] | None:
+    def log_times(self) -> tuple[int, int] | tuple[None, None]:
         """The first and the last log time of all messages, ns; None where the file has not said."""
         about = self._statistics
         if about is None or not about.message_count:
-            return None
+            return None, None
         return about.message_start_time, about.message_end_time
 
     def batches(self, topics: set[str]) -> Iterator[tuple[str, Messages]]:
@@ -472,7 +451,7 @@ class McapFile:
 
     def _add_record(self, file: IO[bytes], record: _Span) -> None:
         if record.opcode == Opcode.CHUNK:
-            self._content_size += _content_size(file, record)
+            self._content_size += _CHUNK.unpack(_read_at(file, record.start, _CHUNK.size))[2]
             self._chunks.append(_Chunk(record))
         elif record.opcode == Opcode.MESSAGE:
             self._add_message(record)
@@ -481,9 +460,9 @@ class McapFile:
         elif record.opcode == Opcode.HEADER:
             self.profile = Header.read(_stream_of(file, record)).profile
         elif record.opcode == Opcode.SCHEMA:
-            self._add_schema(_content_of(file, record))
+            self._add_schema(_stream_of(file, record))
         elif record.opcode == Opcode.CHANNEL:
-            self._add_channel(_content_of(file, record))
+            self._add_channel(_stream_of(file, record))
         elif record.opcode == Opcode.STATISTICS:
             self._statistics = Statistics.read(_stream_of(file, record))
         elif record.opcode == Opcode.ATTACHMENT:
@@ -577,10 +556,9 @@ class McapFile:
         _, data = self._content(file, chunk)
         with self._damage_at(chunk.record):
             for opcode, start, length in _records_in(data):
-                if opcode == Opcode.SCHEMA:
-                    self._add_schema(data[start : start + length])
-                elif opcode == Opcode.CHANNEL:
-                    self._add_channel(data[start : start + length])
+                if opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
+                    add = self._add_schema if opcode == Opcode.SCHEMA else self._add_channel
+                    add(ReadDataStream(BytesIO(data[start : start + length])))
             return {channel: len(found) for channel, found in _message_offsets(data).items()}
 
     def _content(self, file: IO[bytes], chunk: _Chunk) -> tuple[bytes, bytes]:
@@ -608,8 +586,8 @@ class McapFile:
     def _topic(self, channel_id: int) -> str:
         return self._topics.get(channel_id, f"channel {channel_id}")
 
-    def _add_channel(self, content: bytes) -> None:
-        channel = Channel.read(ReadDataStream(BytesIO(content)))
+    def _add_channel(self, content: ReadDataStream) -> None:
+        channel = Channel.read(content)
         self._topics[channel.id] = channel.topic
         schema = self._schemas.get(channel.schema_id)
         about = ChannelInfo(
@@ -623,8 +601,8 @@ class McapFile:
         if before[:4] != about[:4]:
             self.ambiguous.add(channel.topic)
 
-    def _add_schema(self, content: bytes) -> None:
-        schema = Schema.read(ReadDataStream(BytesIO(content)))
+    def _add_schema(self, content: ReadDataStream) -> None:
+        schema = Schema.read(content)
         self._schemas[schema.id] = schema
 
 

@@ -14,7 +14,7 @@ from g1stream.session.parts import parts_of
 from g1stream.session.recorded_motion import FOXGLOVE, RecordedMotion, motion_of_poses
 from g1stream.session.recording import open_recording
 from g1stream.session.records import MotionInfo, read_record
-from g1stream.session.streams import STREAMS, Reference
+from g1stream.session.streams import STREAMS, ReferenceStream
 from g1stream.types import Phase
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ def recorded_motion(file: MotionFile) -> RecordedMotion | None:
         in_ros = any(kind == "sensor_msgs/msg/JointState" for kind, _ in types.values())
         # A robot's own topics in a bag with joint states are none of ours.
         has_joints = in_ros or not FOXGLOVE.joint_states.keys().isdisjoint(types.values())
-        ours = Reference.topic in types or any(one.metadata for one in files)
+        ours = ReferenceStream.topic in types or any(one.metadata for one in files)
         if not types.keys().isdisjoint(STREAMS) and (ours or not has_joints):
             return None
         if not in_ros:

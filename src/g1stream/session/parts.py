@@ -74,7 +74,9 @@ def parts_of(path: Path) -> list[Path]:
         is_directory = path.is_dir()
     except OSError:  # opening it says why
         is_directory = False
-    return _listed_parts(path) if is_directory else [path]
+    if not is_directory:
+        return [path]
+    return [path / name for name in _read_metadata_yaml(path)["relative_file_paths"]]
 
 
 def parts_directory(path: Path) -> Path:
@@ -118,8 +120,7 @@ def check_recording_path(path: Path, *, split: bool, force: bool) -> None:
             raise PermissionError(errno.EACCES, "no permission to replace it")
         found = {entry.name for entry in directory.iterdir()}
     about = _read_metadata_yaml(directory)
-    listed = {part.name for part in _listed_parts(directory)}
-    foreign = sorted(found - listed - {_METADATA})
+    foreign = sorted(found - {*about["relative_file_paths"], _METADATA})
     custom = about.get("custom_data")
     if foreign or not isinstance(custom, dict) or "g1stream" not in custom:
         raise RecordingError(
@@ -166,16 +167,18 @@ def write_metadata_yaml(
     """
     import yaml
 
-    cdr = {
-        topic: channel for topic, channel in channels.items() if channel.message_encoding == "cdr"
-    }
-    counts = sum((Counter(part.counts) for part in parts), Counter[str]())
+    cdr = {topic: one for topic, one in channels.items() if one.message_encoding == "cdr"}
+
+    def count(*parts: Part) -> dict[str, int]:
+        counts = sum((Counter(part.counts) for part in parts), Counter[str]())
+        return {topic: n for topic, n in sorted(counts.items()) if topic in cdr}
+
     about = {
         "version": _VERSION,
         "storage_identifier": "mcap",
         "relative_file_paths": [part.name for part in parts],
         **_times(parts),
-        "message_count": sum(n for topic, n in counts.items() if topic in cdr),
+        "message_count": sum(count(*parts).values()),
         "topics_with_message_count": [
             {
                 "topic_metadata": {
@@ -186,17 +189,12 @@ def write_metadata_yaml(
                 },
                 "message_count": n,
             }
-            for topic, n in sorted(counts.items())
-            if topic in cdr
+            for topic, n in count(*parts).items()
         ],
         "compression_format": "",
         "compression_mode": "",
         "files": [
-            {
-                "path": part.name,
-                **_times([part]),
-                "message_count": sum(n for topic, n in part.counts.items() if topic in cdr),
-            }
+            {"path": part.name, **_times([part]), "message_count": sum(count(part).values())}
             for part in parts
         ],
         "custom_data": {"g1stream": __version__},
@@ -214,10 +212,6 @@ def _times(parts: Sequence[Part]) -> dict[str, Any]:
         "starting_time": {"nanoseconds_since_epoch": first},
         "duration": {"nanoseconds": last - first},
     }
-
-
-def _listed_parts(directory: Path) -> list[Path]:
-    return [directory / name for name in _read_metadata_yaml(directory)["relative_file_paths"]]
 
 
 def _read_metadata_yaml(directory: Path) -> dict[str, Any]:

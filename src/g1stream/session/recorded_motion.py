@@ -7,6 +7,7 @@ Extras read others and give them to the same class.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol, TypeVar
@@ -15,18 +16,20 @@ import numpy as np
 
 from g1stream.errors import MotionError, RecordingError
 from g1stream.input_limits import FRAMES, LATEST_NS, NUMBER, UNPACKED
-from g1stream.motion.motion import SMALLEST_QUAT, Motion, check_fps
+from g1stream.motion.motion import SMALLEST_QUAT, Motion, check_fps, norm_warnings
 from g1stream.motion.readers import Evidence
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.rotations import quat_normalize, wxyz_from_xyzw, xyzw_from_wxyz
+from g1stream.session.streams import MAX_GAP_NS, without_steps
 from g1stream.text import counted
 from g1stream.types import Floats, Ints
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping
     from pathlib import Path
 
     from google.protobuf.timestamp_pb2 import Timestamp
+    from numpy.typing import NDArray
 
     from g1stream.motion.readers import MotionFile
     from g1stream.session.mcap_reader import Messages
@@ -44,7 +47,7 @@ __all__ = [
 T = TypeVar("T")
 
 #: Topics that are taken before others.
-_PREFERRED: Final = ("/reference/joint_states", "/joint_states")
+_PREFERRED: Final = ("/reference/joint_states", "/joint_states", "/measured/joint_states")
 #: Names of the pelvis's frame.
 _PELVIS: Final = ("pelvis", "base_link")
 _NS_PER_S: Final = 1_000_000_000
@@ -52,6 +55,14 @@ _NS_PER_S: Final = 1_000_000_000
 _STAMPS, _PUBLISHED = 0, 1
 #: Times that differ by less are the same, s.
 _SAME_TIME: Final = 1e-6
+#: An interval of more than so many periods and more than `MAX_GAP_NS` is a gap, which is a straight
+#: line; where it is also longer than this, ns, the recording was interrupted, or its clock set.
+_GAP_PERIODS: Final = 5
+_PAUSE_NS: Final = 10_000_000_000
+#: A joint that moves by less has not moved, rad.
+_STANDS_STILL: Final = 0.05
+#: Gaps that are named.
+_MOST_GAPS: Final = 5
 
 
 class JointAngles(NamedTuple):
@@ -120,128 +131,164 @@ class RecordedMotion:
     @cached_property
     def evidence(self) -> Evidence:
         """What the motion is made of: the joints, their order, the pelvis."""
-        topic, pose = self._joints_topic, self._pelvis
+        topic, joints, pose = self._joints_topic, self._joints, self._pelvis
         count, kind = counted(self._counts[topic], "message"), self._types[topic][0]
-        used = {"file": f"bag; {count} of {kind} on {topic}"}
-        used["joint order"] = "named by the messages"
+        used = {
+            "file": f"bag; {count} of {kind} on {topic}",
+            "joint order": "named by the messages",
+        }
+        if joints.prefix:
+            used["joint order"] += f", without the prefix {joints.prefix}"
+        if joints.merged:
+            used["joints"] = f"merged of messages with {joints.merged} of them"
+        others = tuple(one for one in self._joint_topics if one != topic) + joints.not_used
         if pose is None:
-            return Evidence(used, {"pelvis": "upright at the origin"})
-        poses = counted(len(pose.pos), "transform")
-        return Evidence({**used, "pelvis": f"{pose.child} in {pose.parent}, {poses}"})
+            return Evidence(used, {"pelvis": "upright at the origin"}, others)
+        used["pelvis"] = f"{pose.child} in {pose.parent}, {counted(len(pose.pos), 'transform')}"
+        return Evidence(used, not_used=others + pose.not_used)
 
     def motion(self) -> Motion:
         """The motion of its joint states, and of the pelvis in its transforms.
 
         Times are the stamps in the messages, or where those of the joint states do not rise or
-        those of the transforms are not of the same time, all are those of publishing.
+        those of the transforms are not of the same time, all are those of publishing. Where a clock
+        was set, the poses follow one another as if it had not been.
 
         Raises:
-            RecordingError: the file is damaged, or has no joint states or several topics of them,
-                or transforms of another time.
+            RecordingError: the file is damaged, was interrupted, or has no joint states or several
+                topics of them, or transforms of another time.
             MotionError: joints are missing.
         """
-        clocks, q = self._joints
-        pose = self._pelvis
+        joints, pose, name = self._joints, self._pelvis, self._path.name
+        q = joints.q
         root_pos, quat = np.zeros((len(q), 3)), np.tile([1.0, 0.0, 0.0, 0.0], (len(q), 1))
-        rise = (np.diff(clocks[_STAMPS]) > 0).all()
-        stamped = rise and (pose is None or pose.overlaps(clocks, _STAMPS))
-        clock = _STAMPS if stamped else _PUBLISHED
-        times = clocks[clock]
+        clock = next(one for one in (_STAMPS, _PUBLISHED) if one == _PUBLISHED or self._fits(one))
+        steps = _clock_steps(joints.clocks[clock], q, self._path)
+        times = without_steps(joints.clocks[clock], steps)
+        warnings = [
+            f"{name}: its times leap by {step / _NS_PER_S:+.3f} s, as of a clock that was set; the "
+            "poses follow one another as if it had not been"
+            for step in steps
+        ]
         if pose is not None:
-            if not pose.overlaps(clocks, clock):
+            if not pose.overlaps(joints.clocks, clock):
                 raise RecordingError(
                     f"The transforms of {pose.child} in {self._path} are from another time than "
                     "its joint states.",
                     "Record both together, or leave the transforms out.",
                 )
-            root_pos, quat = pose.at(times, clock)
+            root_pos, quat = pose.at(times, without_steps(pose.clocks[clock], steps))
+            warnings += norm_warnings(pose.norms, name, lambda i: f"transform {i}")
         seconds = (times - times[0]) / _NS_PER_S
         motion = motion_of_poses(seconds, q, root_pos, quat, self._path, self._fps)
-        if not self._unread:
-            return motion
-        lost = f"the last {counted(self._unread, 'byte')} of {self._path} are no whole record"
-        return replace(motion, warnings=(*motion.warnings, f"{lost}, and not read"))
+        if self._unread:
+            lost = f"the last {counted(self._unread, 'byte')} of {self._path} are no whole record"
+            warnings.append(f"{lost}, and not read")
+        return replace(motion, warnings=(*motion.warnings, *warnings))
+
+    def _fits(self, clock: int) -> bool:
+        """Whether a clock rises with the joint states, and is that of the transforms, too.
+
+        One that leaps gives way to one that does not.
+        """
+        clocks, pose = self._joints.clocks, self._pelvis
+        intervals = np.diff(clocks)
+        rises, leap = (intervals[clock] > 0).all(), intervals.max(axis=1) > _PAUSE_NS
+        other_is_better = leap[clock] and not leap[1 - clock]
+        return bool(rises and not other_is_better) and (
+            pose is None or pose.overlaps(clocks, clock)
+        )
+
+    @cached_property
+    def _joint_topics(self) -> list[str]:
+        return sorted(topic for topic, kind in self._types.items() if kind in self._decode_joints)
 
     @cached_property
     def _joints_topic(self) -> str:
-        found = [topic for topic, kind in self._types.items() if kind in self._decode_joints]
+        found = self._joint_topics
         preferred = [topic for topic in _PREFERRED if topic in found] or found
         if len(preferred) == 1 or (preferred and preferred[0] in _PREFERRED):
             return preferred[0]
         if found:
             raise RecordingError(
-                f"{self._path} has several topics of joint states: {', '.join(sorted(found))}.",
+                f"{self._path} has several topics of joint states: {', '.join(found)}.",
                 f"Give a file with one of them, or with {_PREFERRED[1]}.",
             )
         kinds = sorted({f"{kind} in {encoding}" for kind, encoding in self._types.values()})
+        has = f"{', '.join(kinds[:8])}{', ...' * (len(kinds) > 8)}" if kinds else "no messages"
         raise RecordingError(
-            f"{self._path} has no joint states that can be read; it has "
-            f"{', '.join(kinds[:8]) or 'no messages'}{', ...' * (len(kinds) > 8)}.",
+            f"{self._path} has no joint states that can be read, only {has}.",
             "Give a bag with sensor_msgs/msg/JointState in cdr or foxglove.JointStates in "
-            "protobuf, or a session.",
+            "protobuf, or a session; no other encoding is read.",
         )
 
     @cached_property
-    def _joints(self) -> tuple[Ints, Floats]:
-        """Times (2, T) int64, ns, and angles (T, 29), rad, of the messages with all joints."""
+    def _joints(self) -> _Joints:
+        """The messages with all joints, or what those with some of them have together."""
         topic = self._joints_topic
-        decode = self._decode_joints[self._types[topic]]
-        stamps, published, rows, seen = [], [], [], set[str]()
-        columns: dict[tuple[str, ...], list[int] | None] = {}
-        for messages in self._messages(topic):
-            for time, data in zip(messages.publish_times.tolist(), messages.data, strict=True):
-                joints = self._decoded(topic, decode, data)
-                if joints.names not in columns:
-                    names = [f"{name.removesuffix('_joint')}_joint" for name in joints.names]
-                    seen.update(names)
-                    whole = set(JOINT_NAMES) <= set(names)
-                    columns[joints.names] = (
-                        [names.index(name) for name in JOINT_NAMES] if whole else None
-                    )
-                order = columns[joints.names]
-                if order is not None and len(joints.position) == len(joints.names):
-                    rows.append([joints.position[i] for i in order])
-                    stamps.append(joints.stamp)
-                    published.append(time)
-        if not columns:
+        found: dict[tuple[str, ...], list[_Row]] = {}
+        for number, (published, joints) in enumerate(self._decoded(topic, self._decode_joints)):
+            rows = found.setdefault(joints.names, [])
+            if len(joints.position) == len(joints.names):
+                rows.append((number, joints.stamp, published, joints.position))
+        if not found:
             raise RecordingError(
                 f"{topic} in {self._path} has no messages.",
                 "Record while its publisher runs.",
             )
-        missing = [name for name in JOINT_NAMES if name not in seen]
+        prefix = _prefix([name for names in found for name in names])
+        kinds: dict[tuple[str, ...], list[_Row]] = {}
+        for names, rows in found.items():
+            short = (f"{name[len(prefix) :].removesuffix('_joint')}_joint" for name in names)
+            kinds.setdefault(tuple(short), []).extend(rows)
+        missing = [name for name in JOINT_NAMES if not any(name in names for names in kinds)]
         if missing:
             raise MotionError(
                 f"{topic} in {self._path} lacks the joints {', '.join(missing)}.",
                 "Give a motion of all 29 joints.",
             )
-        if len(rows) < 2:
+        whole = [names for names in kinds if {*JOINT_NAMES} <= {*names}]
+        some = [] if whole else [names for names in kinds if not {*JOINT_NAMES}.isdisjoint(names)]
+        if whole:
+            rows = sorted(row for names in whole for row in _in_order(names, kinds[names]))
+            clocks = np.array([row[1:3] for row in rows], np.int64).reshape(-1, 2).T
+            q = np.array([row[3] for row in rows], dtype=np.float64)
+        else:
+            clocks, q = _merged({names: kinds[names] for names in some}, self._path)
+        if len(q) < 2:
             raise RecordingError(
-                f"{topic} in {self._path} has {counted(len(rows), 'message')} with all 29 joints.",
+                f"{topic} in {self._path} has {counted(len(q), 'message')} with all 29 joints.",
                 "Give a bag in which each message has all of them.",
             )
-        return np.array([stamps, published], np.int64), np.array(rows, dtype=np.float64)
+        not_used = tuple(
+            f"{counted(len(rows), 'message')} with {counted(len(names), 'other joint')}"
+            for names, rows in kinds.items()
+            if names not in {*whole, *some}
+        )
+        return _Joints(clocks, q, prefix, " and ".join(str(len(one)) for one in some), not_used)
 
     @cached_property
     def _pelvis(self) -> _Poses | None:
         """The pelvis's poses in the frame above it; None without transforms of it."""
+        names = {self._joints.prefix + name for name in _PELVIS}
         found: dict[tuple[str, str], list[tuple[FramePose, int]]] = {}
         for topic in sorted(
-            topic for topic, kind in self._types.items() if kind in self._decode_transforms
+            t for t, kind in self._types.items() if kind in self._decode_transforms
         ):
-            decode = self._decode_transforms[self._types[topic]]
-            for messages in self._messages(topic):
-                for time, data in zip(messages.publish_times.tolist(), messages.data, strict=True):
-                    for one in self._decoded(topic, decode, data):
-                        if one.child in _PELVIS:
-                            found.setdefault((one.child, one.parent), []).append((one, time))
-            if found:
+            for published, transforms in self._decoded(topic, self._decode_transforms):
+                for one in transforms:
+                    if (one.child in names or _is_pelvis(one.child)) and not _is_pelvis(one.parent):
+                        found.setdefault((one.child, one.parent), []).append((one, published))
+            if any(child in names for child, _ in found):
                 break
         if not found:
             return None
-        (child, parent), poses = max(found.items(), key=lambda item: len(item[1]))
-        clocks = np.array([(one.stamp, time) for one, time in poses], np.int64).T
-        pos = np.array([one.pos for one, _ in poses])
-        quat = np.array([one.quat_wxyz for one, _ in poses])
+        # With the joints' prefix, or else with another, such as that of our measured robot.
+        frames = sorted(found, key=lambda one: (one[0] not in names, -len(found[one])))
+        (child, parent), *others = frames
+        clocks = np.array([(one.stamp, time) for one, time in found[frames[0]]], np.int64).T
+        pos = np.array([one.pos for one, _ in found[frames[0]]])
+        quat = np.array([one.quat_wxyz for one, _ in found[frames[0]]])
         valid = (np.abs(np.hstack([pos, quat])) <= NUMBER).all(axis=1)
         if not (valid & (np.abs(quat).max(axis=1) > SMALLEST_QUAT)).all():
             raise RecordingError(
@@ -249,10 +296,15 @@ class RecordedMotion:
                 f"{NUMBER:g}, or a zero quaternion.",
                 "Record it again.",
             )
-        return _Poses(child, parent, clocks, pos, quat)
+        return _Poses(child, parent, clocks, pos, quat, tuple(f"{c} in {p}" for c, p in others))
 
-    def _messages(self, topic: str) -> Iterator[Messages]:
-        size = 0
+    def _decoded(
+        self, topic: str, decoders: Mapping[tuple[str, str], Callable[[bytes], T]]
+    ) -> Iterator[tuple[int, T]]:
+        """When each message of a topic was published, ns, and what it says."""
+        from google.protobuf.message import DecodeError
+
+        decode, size = decoders[self._types[topic]], 0
         for file in self._files:
             for _, messages in file.batches({topic}):
                 size += sum(map(len, messages.data))
@@ -261,18 +313,111 @@ class RecordedMotion:
                         f"{topic} in {self._path} has more than {UNPACKED / 2**20:g} MiB.",
                         "Give a shorter part of it.",
                     )
-                yield messages
+                for time, data in zip(messages.publish_times.tolist(), messages.data, strict=True):
+                    try:
+                        found = decode(data)
+                    except (ValueError, DecodeError) as error:
+                        raise RecordingError(
+                            f"A message on {topic} in {self._path} is not a "
+                            f"{self._types[topic][0]}.",
+                            "Record it again.",
+                        ) from error
+                    yield time, found
 
-    def _decoded(self, topic: str, decode: Callable[[bytes], T], data: bytes) -> T:
-        from google.protobuf.message import DecodeError
 
-        try:
-            return decode(data)
-        except (ValueError, DecodeError) as error:
+#: A message of joints: its number, when it was stamped and published, ns, and the angles, rad.
+_Row = tuple[int, int, int, Sequence[float]]
+
+
+class _Joints(NamedTuple):
+    """Joint states: times (2, T) int64, ns, and (T, 29) rad; and what was made of the messages."""
+
+    clocks: Ints
+    q: Floats
+    prefix: str
+    merged: str
+    not_used: tuple[str, ...]
+
+
+def _prefix(names: Sequence[str]) -> str:
+    """What all names begin with, such as `g1/`, where they are not those of the joints without."""
+    if any(f"{name.removesuffix('_joint')}_joint" in JOINT_NAMES for name in names):
+        return ""
+    first, last = min(names, default=""), max(names, default="")
+    return first[: next((i for i, one in enumerate(first) if last[i : i + 1] != one), len(first))]
+
+
+def _in_order(names: tuple[str, ...], rows: list[_Row]) -> Iterator[_Row]:
+    """Messages with the 29 joints only, in motor order."""
+    order = [names.index(name) for name in JOINT_NAMES]
+    return ((*row[:3], [row[3][i] for i in order]) for row in rows)
+
+
+def _merged(kinds: Mapping[tuple[str, ...], list[_Row]], path: Path) -> tuple[Ints, Floats]:
+    """Times (2, T) of the most frequent messages, ns, and at each all joints (T, 29), rad.
+
+    Angles are on straight lines between the messages of a kind; there are none outside of them.
+    """
+    series = [
+        (
+            names,
+            np.array([row[1:3] for row in rows], np.int64).T,
+            np.array([row[3] for row in rows]),
+        )
+        for names, rows in sorted(kinds.items(), key=lambda one: len(one[1]))
+        if rows
+    ]
+    rising = [
+        clock
+        for clock in (_STAMPS, _PUBLISHED)
+        if all((np.diff(clocks[clock]) > 0).all() for _, clocks, _ in series)
+    ]
+    if not rising or len(series) < len(kinds):
+        raise RecordingError(
+            f"The joint states of {path} come in messages of some joints each, and their times do "
+            "not rise.",
+            "Record all joints in each message.",
+        )
+    clock, clocks = rising[0], series[-1][1]
+    first = max(one[clock][0] for _, one, _ in series) - MAX_GAP_NS
+    last = min(one[clock][-1] for _, one, _ in series) + MAX_GAP_NS
+    clocks = clocks[:, (clocks[clock] >= first) & (clocks[clock] <= last)]
+    q = np.empty((clocks.shape[1], N_JOINTS))
+    for names, own, angles in series:
+        at, known = ((one - first) / _NS_PER_S for one in (clocks[clock], own[clock]))
+        for joint in {*JOINT_NAMES} & {*names}:
+            q[:, JOINT_NAMES.index(joint)] = np.interp(at, known, angles[:, names.index(joint)])
+    return clocks, q
+
+
+def _is_pelvis(frame: str) -> bool:
+    return frame.rpartition("/")[2] in _PELVIS
+
+
+def _clock_steps(times: Ints, q: Floats, path: Path) -> list[int]:
+    """By how much the clock of poses (T, 29) was set, ns: where they go on and it does not.
+
+    Raises:
+        RecordingError: the poses do not go on where the clock leaps.
+    """
+    intervals, change = np.diff(times), np.abs(np.diff(q, axis=0)).max(axis=1)
+    period, steps = max(1, int(np.median(intervals))), []
+    odd = (intervals > max(MAX_GAP_NS, _GAP_PERIODS * period)) | (intervals < -MAX_GAP_NS)
+    for i in np.flatnonzero(odd).tolist():
+        interval = int(intervals[i])
+        usual = float(np.append(change[max(0, i - 5) : i], change[i + 1 : i + 6]).mean())
+        leap = not 0 <= interval <= max(_PAUSE_NS, _GAP_PERIODS * period)
+        goes_on = change[i] <= 3.0 * usual + _STANDS_STILL
+        # A robot that moves would have gone further in a pause of the messages.
+        if goes_on and (leap or usual * interval / period > 5.0 * change[i] + 2.0 * _STANDS_STILL):
+            steps.append(interval - period)
+        elif leap:
             raise RecordingError(
-                f"A message on {topic} in {self._path} is not a {self._types[topic][0]}.",
-                "Record it again.",
-            ) from error
+                f"{path} was interrupted: its clock goes from {(times[i] - times[0]) / 1e9:.1f} to "
+                f"{(times[i + 1] - times[0]) / 1e9:.1f} s, and a joint by {change[i]:.2f} rad.",
+                "Record the motion in one go, or cut the file there and give a part.",
+            )
+    return steps
 
 
 class _Poses(NamedTuple):
@@ -283,6 +428,12 @@ class _Poses(NamedTuple):
     clocks: Ints
     pos: Floats
     quat_wxyz: Floats
+    not_used: tuple[str, ...]
+
+    @property
+    def norms(self) -> Floats:
+        """(N,) of the quaternions."""
+        return np.asarray(np.linalg.norm(self.quat_wxyz, axis=1))
 
     def overlaps(self, clocks: Ints, clock: int) -> bool:
         """Whether they are of the same time as others (2, T); a single one is of any time."""
@@ -290,11 +441,14 @@ class _Poses(NamedTuple):
         between = own.min() <= other.max() and other.min() <= own.max()
         return len(own) == 1 or bool(own.min() < own.max() and between)
 
-    def at(self, times: Ints, clock: int) -> tuple[Floats, Floats]:
-        """(T, 3) and (T, 4) at other times: on straight lines between them, and as at the ends."""
+    def at(self, times: Ints, own: Ints) -> tuple[Floats, Floats]:
+        """(T, 3) and (T, 4) at times (T,): on straight lines between them, and as at the ends.
+
+        `own` are their times (N,).
+        """
         from scipy.spatial.transform import Rotation, Slerp
 
-        own, first = np.unique(self.clocks[clock], return_index=True)
+        own, first = np.unique(own, return_index=True)
         own_pos, own_quat = self.pos[first], self.quat_wxyz[first]
         if np.array_equal(times, own):
             return own_pos, own_quat
@@ -356,7 +510,8 @@ def motion_of_poses(
     """A motion of constant frame rate from N poses.
 
     Of poses within the same microsecond the first is taken. Where the times have the rate `fps`,
-    the frames are the poses; elsewhere they are between them, on cubic splines.
+    the frames are the poses; elsewhere they are between them, on cubic splines, or in gaps, which
+    are named in the warnings, on straight lines.
 
     Args:
         times: (N,) s, rising.
@@ -367,7 +522,8 @@ def motion_of_poses(
         fps: frames per second; the usual rate of the poses if None.
 
     Raises:
-        RecordingError: a value is not finite or too large, or the times are not those of a motion.
+        RecordingError: a value is not finite or too large, or the times are not those of a motion:
+            nothing moves, or for more than 10 s nothing was recorded.
         MotionError: `fps` is not a frame rate.
     """
     numbers = np.column_stack([times, q, root_pos, root_quat_wxyz])
@@ -386,18 +542,25 @@ def motion_of_poses(
         raise RecordingError(
             f"The motion of {path} stands still at {times[0]:g} s.", "Record the motion again."
         )
-    rate = round(1.0 / float(np.median(np.diff(times))), 3) if fps is None else fps
+    intervals = np.diff(times)
+    period = float(np.median(intervals))
+    rate = round(1.0 / period, 3) if fps is None else fps
     check_fps(rate, path.stem)
     n_frames = int((times[-1] - times[0]) * rate + 1e-6) + 1
-    if n_frames > max(FRAMES, 10 * len(times)):
+    longest = int(intervals.argmax())
+    paused = intervals[longest] > max(_PAUSE_NS / 1e9, _GAP_PERIODS * period)
+    if paused or n_frames > max(FRAMES, 10 * len(times)):
         raise RecordingError(
-            f"The motion of {path} takes {times[-1] - times[0]:g} s, but has {len(times)} samples.",
+            f"The motion of {path} takes {times[-1] - times[0]:g} s, but has {len(times)} samples, "
+            f"and none from {times[longest]:g} to {times[longest + 1]:g} s.",
             "Record the motion again.",
         )
     grid = np.minimum(times[0] + np.arange(n_frames) / rate, times[-1])
     q, root_pos, root_quat_wxyz = q[first], root_pos[first], root_quat_wxyz[first]
+    gaps = np.flatnonzero(intervals > max(MAX_GAP_NS / 1e9, _GAP_PERIODS * period))
     if len(grid) != len(times) or np.abs(grid - times).max() > _SAME_TIME:
-        q, root_pos, root_quat_wxyz = _interpolated(times, q, root_pos, root_quat_wxyz, grid)
+        poses = q, root_pos, root_quat_wxyz
+        q, root_pos, root_quat_wxyz = _interpolated(times, *poses, grid, gaps + 1)
     return Motion(
         name=path.stem,
         fps=rate,
@@ -405,16 +568,33 @@ def motion_of_poses(
         root_pos=root_pos,
         root_quat_wxyz=root_quat_wxyz,
         source=path,
+        warnings=tuple(
+            f"{path.name}: nothing was recorded for {intervals[i]:.2f} s from {times[i]:.2f} s on, "
+            "where the motion is a straight line"
+            for i in gaps[:_MOST_GAPS]
+        ),
     )
 
 
 def _interpolated(
-    times: Floats, q: Floats, root_pos: Floats, root_quat_wxyz: Floats, grid: Floats
+    times: Floats,
+    q: Floats,
+    root_pos: Floats,
+    root_quat_wxyz: Floats,
+    grid: Floats,
+    breaks: NDArray[np.intp],
 ) -> tuple[Floats, Floats, Floats]:
+    """At the times of a grid: on cubic splines, but on straight lines before each of the breaks."""
     from scipy.interpolate import CubicSpline
     from scipy.spatial.transform import Rotation, Slerp
 
-    sampled = CubicSpline(times, np.hstack([q, root_pos]))(grid)
+    values = np.hstack([q, root_pos])
+    sampled = np.column_stack([np.interp(grid, times, column) for column in values.T])
+    for part in np.split(np.arange(len(times)), breaks):
+        first, last = np.searchsorted(grid, times[[part[0], part[-1]]])
+        if len(part) > 1:
+            inside = slice(first, last + 1)
+            sampled[inside] = CubicSpline(times[part], values[part])(grid[inside])
     rotations = Slerp(times, Rotation.from_quat(xyzw_from_wxyz(root_quat_wxyz)))(grid)
     quat = wxyz_from_xyzw(rotations.as_quat())
     return sampled[:, :N_JOINTS], sampled[:, N_JOINTS:], quat

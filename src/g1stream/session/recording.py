@@ -5,6 +5,7 @@ It is what was recorded and nothing that is computed of it; `g1stream.Session` a
 
 from __future__ import annotations
 
+from collections import Counter
 from functools import cached_property, wraps
 from itertools import compress
 from pathlib import Path
@@ -16,20 +17,25 @@ import numpy as np
 from g1stream.dds.messages import Samples
 from g1stream.errors import RecordingError, WireError
 from g1stream.robot.model import G1
+from g1stream.session.format import CHANNELS
 from g1stream.session.mcap_reader import RECOVER, Slices
+from g1stream.session.records import SessionInfo, read_record
 from g1stream.session.source import SessionFiles
 from g1stream.session.streams import (
-    Base,
-    Command,
+    MAX_GAP_NS,
+    BaseStream,
+    CommandStream,
     LogEvent,
-    Measured,
-    Reference,
+    MeasuredStream,
+    ReferenceStream,
     Stream,
     StreamT,
-    TorsoImu,
+    TorsoImuStream,
+    read_only,
+    without_steps,
 )
 from g1stream.text import counted
-from g1stream.types import Floats, Phase
+from g1stream.types import Floats, Ints, Phase
 
 if TYPE_CHECKING:
     import os
@@ -46,7 +52,7 @@ __all__ = ["CONVERTED", "Message", "Recording", "once", "open_recording"]
 CONVERTED: Final = "/reference/joint_states"
 """What `convert` makes of a motion has its joints on this topic, and no samples of DDS."""
 
-_ESSENTIAL: Final = (Reference.topic, Command.topic, Measured.topic)
+_ESSENTIAL: Final = (ReferenceStream.topic, CommandStream.topic, MeasuredStream.topic)
 
 T = TypeVar("T")
 RecordingT = TypeVar("RecordingT", bound="Recording")
@@ -141,33 +147,33 @@ class Recording:
     def converted(self) -> bool:
         """Whether it is what `g1stream convert` made of a motion, which nobody has played."""
         return bool(
-            self.paths and self.topics.get(CONVERTED) and not self.topics.get(Reference.topic)
+            self.paths and self.topics.get(CONVERTED) and not self.topics.get(ReferenceStream.topic)
         )
 
     @property
-    def reference(self) -> Reference:
+    def reference(self) -> ReferenceStream:
         """The target at each tick, computed from the motion."""
-        return self.stream(Reference)
+        return self.stream(ReferenceStream)
 
     @property
-    def command(self) -> Command:
+    def command(self) -> CommandStream:
         """The commands to the motors."""
-        return self.stream(Command)
+        return self.stream(CommandStream)
 
     @property
-    def measured(self) -> Measured:
+    def measured(self) -> MeasuredStream:
         """The state of the robot."""
-        return self.stream(Measured)
+        return self.stream(MeasuredStream)
 
     @property
-    def base(self) -> Base | None:
+    def base(self) -> BaseStream | None:
         """Position of the pelvis; None where it was not published, as by a real robot."""
-        return self.stream(Base) if self.topics.get(Base.topic) else None
+        return self.stream(BaseStream) if self.topics.get(BaseStream.topic) else None
 
     @property
-    def torso_imu(self) -> TorsoImu | None:
+    def torso_imu(self) -> TorsoImuStream | None:
         """The IMU in the torso; None where it was not published."""
-        return self.stream(TorsoImu) if self.topics.get(TorsoImu.topic) else None
+        return self.stream(TorsoImuStream) if self.topics.get(TorsoImuStream.topic) else None
 
     def stream(self, kind: type[StreamT]) -> StreamT:
         """The samples of a DDS topic.
@@ -181,11 +187,9 @@ class Recording:
                 self._streams[kind] = whole[self._inside(whole.time)]
             else:
                 self._require(kind.topic)
-                made = kind(
-                    lambda names: self._columns({kind: names}, as_recorded=True)[kind],
-                    lambda: made.since(self.start_ns),
+                self._streams[kind] = self._made(
+                    kind, lambda names: self._columns({kind: names})[kind]
                 )
-                self._streams[kind] = made
         stream: StreamT = self._streams[kind]
         return stream
 
@@ -206,7 +210,7 @@ class Recording:
         missing = {kind: stream.missing(*columns[kind]) for kind, stream in streams.items()}
         wanted = {kind: names for kind, names in missing.items() if names}
         if wanted:
-            for kind, found in self._columns(wanted, as_recorded=False).items():
+            for kind, found in self._columns(wanted).items():
                 streams[kind].keep(found)
 
     @cached_property
@@ -257,9 +261,16 @@ class Recording:
             times_ns = batch.log_times.tolist(), batch.publish_times.tolist()
             yield from map(Message, *times_ns, batch.data)
 
-    def replay_bytes(self, topic: str = Command.topic) -> Iterator[bytes]:
+    def replay_bytes(self, topic: str = CommandStream.topic) -> Iterator[bytes]:
         """The samples of a DDS topic, bit for bit as they were published, in order."""
         return (message.data for message in self.messages(topic))
+
+    def some(self, topic: str, most: int) -> Iterator[bytes]:
+        """The bytes of about `most` messages of any topic, evenly spread over the whole session."""
+        step, at = -(-self.topics.get(topic, 0) // most), 0
+        for _, batch in self._source.batches({topic}):
+            yield from batch.data[-at % step :: step]
+            at += len(batch.data)
 
     def samples(self, kind: type[Stream], data: Sequence[bytes] | NDArray[np.uint8]) -> Samples:
         """The fields of samples of a DDS topic, from their bytes.
@@ -276,6 +287,13 @@ class Recording:
             ) from error
 
     @cached_property
+    def clock_steps(self) -> list[int]:
+        """By how much the recorder's clock was set, ns, where that is more than any gap."""
+        info, _ = read_record(SessionInfo, self.metadata)
+        steps = [step.step_ns for step in info.clock_steps] if info else []
+        return [step for step in steps if abs(step) >= MAX_GAP_NS]
+
+    @cached_property
     def start_ns(self) -> int:
         """Time 0 of the motion's clock, ns since the epoch on the recorder's clock.
 
@@ -285,7 +303,7 @@ class Recording:
         """
         if self._whole is not None:
             return self._whole.start_ns
-        for kind in (Reference, Command, Measured):
+        for kind in (ReferenceStream, CommandStream, MeasuredStream):
             if self.topics.get(kind.topic):
                 return self.stream(kind).start_ns
         return self._times([CONVERTED])[CONVERTED].start_ns
@@ -300,7 +318,7 @@ class Recording:
         Raises:
             RecordingError: a number stands for no phase.
         """
-        return self.reference.phases if self.topics.get(Reference.topic) else []
+        return self.reference.phases if self.topics.get(ReferenceStream.topic) else []
 
     def sel(
         self: RecordingT, phase: str | Phase | None = None, time: slice | None = None
@@ -351,22 +369,22 @@ class Recording:
         return inside
 
     def _times(self, topics: Sequence[str]) -> dict[str, Stream]:
-        def stream(columns: Mapping[str, NDArray[Any]]) -> Stream:
-            made = Stream(lambda _: columns, lambda: made.since(self.start_ns))
-            return made
+        found = self._read(topics, lambda *_: {})
+        return {t: self._made(Stream, lambda _, t=t: found[t]) for t in found}
 
-        found = self._read(topics, lambda *_: {}, as_recorded=True)
-        return {topic: stream(columns) for topic, columns in found.items()}
+    def _made(
+        self, kind: type[StreamT], load: Callable[..., Mapping[str, NDArray[Any]]]
+    ) -> StreamT:
+        def published() -> Ints:
+            return without_steps(made.publish_time, self.clock_steps) + made.clock_offset
+
+        made = kind(load, lambda: self.start_ns, published)
+        return made
 
     def _columns(
-        self, wanted: Mapping[type[Stream], Sequence[str]], *, as_recorded: bool
+        self, wanted: Mapping[type[Stream], Sequence[str]]
     ) -> dict[type[Stream], dict[str, NDArray[Any]]]:
-        """Some columns of streams by name, and both their times.
-
-        Args:
-            wanted: columns by stream.
-            as_recorded: floats are in the wire's precision; else all are float64.
-        """
+        """Some columns of streams by name, in the wire's precision, and both their times."""
         kinds = {kind.topic: kind for kind in wanted}
 
         def decode(topic: str, messages: Messages) -> dict[str, NDArray[Any]]:
@@ -377,45 +395,36 @@ class Recording:
                 return {}
             rows = messages.data.rows() if isinstance(messages.data, Slices) else None
             found = self.samples(kind, messages.data if rows is None else rows)
-            return {name: found.shown(path) for name, path in fields.items()}
+            return {name: found[path] for name, path in fields.items()}
 
-        read = self._read(list(kinds), decode, as_recorded=as_recorded)
+        read = self._read(list(kinds), decode)
         return {kind: read[topic] for topic, kind in kinds.items()}
 
     def _read(
         self,
         topics: Sequence[str],
         decode: Callable[[str, Messages], dict[str, NDArray[Any]]],
-        *,
-        as_recorded: bool,
     ) -> dict[str, dict[str, NDArray[Any]]]:
         """By topic and attribute, what all messages of some topics have; read in one pass."""
-        columns: dict[str, dict[str, NDArray[Any]]] = {topic: {} for topic in topics}
-        filled = dict.fromkeys(topics, 0)
+        parts: dict[str, dict[str, list[NDArray[Any]]]] = {topic: {} for topic in topics}
+        counts: Counter[str] = Counter()
         for topic, messages in self._source.batches(set(topics)):
-            begin, end = filled[topic], filled[topic] + len(messages.log_times)
+            counts[topic] += len(messages.log_times)
             times = {"log_time": messages.log_times, "publish_time": messages.publish_times}
-            if end <= self.topics[topic]:
-                for name, values in (times | decode(topic, messages)).items():
-                    if not begin:
-                        widened = values.dtype.kind == "f" and not as_recorded
-                        dtype = np.dtype(np.float64) if widened else values.dtype
-                        columns[topic][name] = self._empty(topic, values.shape[1:], dtype)
-                    columns[topic][name][begin:end] = values
-            filled[topic] = end
-        for topic, found in filled.items():
-            if found != self.topics[topic]:
-                raise self._miscounted(topic, f"it has {found}")
-            for values in columns[topic].values():
-                values.setflags(write=False)
-        return columns
-
-    def _empty(self, topic: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
-        """A column (N, *shape) for all messages of a topic."""
-        try:
-            return np.empty((self.topics[topic], *shape), dtype)
-        except (MemoryError, ValueError) as error:  # the number comes from the file
-            raise self._miscounted(topic, "no memory has room for so many") from error
+            for name, values in (times | decode(topic, messages)).items():
+                parts[topic].setdefault(name, []).append(values)
+        for topic in topics:
+            if counts[topic] != self.topics[topic]:
+                n_messages = counted(self.topics[topic], "message")
+                raise RecordingError(
+                    f"{self.path} is damaged: of {n_messages} on {topic} it has {counts[topic]}.",
+                    RECOVER,
+                )
+        # One after the other, as each is large in a long recording.
+        return {
+            topic: {name: read_only(np.concatenate(found.pop(name))) for name in list(found)}
+            for topic, found in parts.items()
+        }
 
     def _require(self, topic: str) -> None:
         if not self.topics.get(topic):
@@ -424,10 +433,6 @@ class Recording:
                 "Record while its publisher runs.",
             )
 
-    def _miscounted(self, topic: str, found: str) -> RecordingError:
-        messages = counted(self.topics[topic], "message")
-        return RecordingError(f"{self.path} is damaged: of {messages} on {topic} {found}.", RECOVER)
-
     def _without_essentials(self) -> RecordingError:
         none = f"{', '.join(_ESSENTIAL[:-1])} or {_ESSENTIAL[-1]}"
         if not self.complete:
@@ -435,7 +440,8 @@ class Recording:
                 f"The session file {self.path} was cut off before the first sample of {none}.",
                 "Copy it again, or record again.",
             )
-        if "started_ns" in self.metadata:  # a recording without samples
+        header = {"/log", *(topic for topic, channel in CHANNELS.items() if channel.latched)}
+        if "started_ns" in self.metadata and self.topics.keys() <= header:  # without a sample
             where = f"domain {self.metadata['domain']}", str(self.metadata["interface"])
             return RecordingError(
                 f"Nothing was recorded into {self.path}: there was no publisher of {none} on "
@@ -446,7 +452,8 @@ class Recording:
         return RecordingError(
             f"{self.path} is not a session of g1stream: it has no messages on {none}, "
             f"{self._other_topics()}.",
-            "Give a file that `g1stream record` or `g1stream stream --record` made.",
+            "Give a file that `g1stream record` or `g1stream stream --record` made, with all its "
+            "topics.",
         )
 
     def _other_topics(self) -> str:

@@ -166,6 +166,13 @@ class MotionInfo(Record):
         return (self.frames - 1) / self.fps if self.frames and self.fps else None
 
 
+class ClockStep(Record):
+    """CLOCK_REALTIME was set by `step_ns` when, after that, it was `at_ns`."""
+
+    at_ns: Int | None = None
+    step_ns: Int
+
+
 class SessionInfo(Record):
     """What is known of a session before its first sample: the file's metadata as it begins.
 
@@ -174,6 +181,7 @@ class SessionInfo(Record):
         versions: of the packages that it used.
         host, domain, interface: where it was recorded.
         log_clock: that of the log times; of a rollout it begins with "simulated".
+        clock_steps: when it was set while this was recorded, and by how much.
         motion: what is played.
         gains: kp in N·m/rad and kd in N·m·s/rad, 29 each, motor order.
         joints: names of those that play the motion; None in files of earlier versions: all.
@@ -187,6 +195,7 @@ class SessionInfo(Record):
     domain: Int | None = None
     interface: str | None = None
     log_clock: str | None = None
+    clock_steps: list[ClockStep] = []
     motion: MotionInfo | None = None
     gains: dict[str, list[float]] | None = None
     joints: list[str] | None = None
@@ -355,13 +364,6 @@ class StreamSummary(Record):
     lateness_histogram_us: dict[Int, Int] | None = None  # last, as it is long
 
 
-class ClockStep(Record):
-    """CLOCK_REALTIME was set by `step_ns` when, after that, it was `at_ns`."""
-
-    at_ns: Int | None = None
-    step_ns: Int
-
-
 class TopicDelay(Record):
     """How long the messages of a topic took.
 
@@ -434,10 +436,3 @@ class RecorderSummary(Record):
         """Whether, as far as is known, everything published until the end is in the file."""
         lacking = (self.dropped_datagrams, *self.lost.values(), *self.malformed.values())
         return not self.stopped and not any(lacking)
-
-    @property
-    def duration_s(self) -> float | None:
-        """From the first sample to the last, s; None without a sample."""
-        if self.first_ns is None or self.last_ns is None:
-            return None
-        return (self.last_ns - self.first_ns) / 1e9

@@ -59,7 +59,7 @@ def repair_session(path: Path) -> list[Repair]:
         if file.is_file():
             done.append(_repair_file(file))
             about = McapFile(file)
-            part = Part(file.name, about.counts, *(about.log_times or (None, None)))
+            part = Part(file.name, about.counts, *about.log_times)
         parts.append(part)
     if any(one.dropped is not None for one in done):
         write_metadata_yaml(path, parts, CHANNELS)

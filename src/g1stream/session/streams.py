@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple, TypeVar
@@ -26,17 +26,19 @@ if TYPE_CHECKING:
 __all__ = [
     "MAX_GAP_NS",
     "STREAMS",
-    "ArmCommand",
-    "Base",
-    "Command",
+    "ArmCommandStream",
+    "BaseStream",
+    "CommandStream",
     "LogEvent",
-    "Measured",
+    "MeasuredStream",
     "Neighbours",
-    "Reference",
+    "ReferenceStream",
     "Stream",
     "StreamT",
-    "TorsoImu",
+    "TorsoImuStream",
     "neighbours",
+    "read_only",
+    "without_steps",
 ]
 
 MAX_GAP_NS: Final = 100_000_000
@@ -64,7 +66,8 @@ class Stream:
     Args:
         load: reads columns by name, floats in any precision; without it there are only the
             `columns` given.
-        time: computes `time`.
+        start: tells time 0 of the motion's clock; that of this stream alone if None.
+        published: computes `published`; without it no clock was set.
         columns: those that are known already.
 
     Attributes:
@@ -79,15 +82,17 @@ class Stream:
     log_time: Ints
     publish_time: Ints
     _load: Callable[[list[str]], Mapping[str, NDArray[Any]]] | None
-    _time: Callable[[], Floats] | None
+    _start: Callable[[], int] | None
+    _published: Callable[[], Ints] | None
 
     def __init__(
         self,
         load: Callable[[list[str]], Mapping[str, NDArray[Any]]] | None = None,
-        time: Callable[[], Floats] | None = None,
+        start: Callable[[], int] | None = None,
+        published: Callable[[], Ints] | None = None,
         **columns: NDArray[Any],
     ) -> None:
-        self.__dict__.update(columns, _load=load, _time=time)
+        self.__dict__.update(columns, _load=load, _start=start, _published=published)
 
     @classmethod
     def wire_fields(cls) -> dict[str, str]:
@@ -140,7 +145,7 @@ class Stream:
             return self
         found = self._load(list(dict.fromkeys((*_TIMES, *columns))))
         self.__dict__.update({name: found[name] for name in _TIMES})
-        return type(self)(None, lambda: self.time, **found)
+        return type(self)(None, self._start, lambda: self.published, **found)
 
     if not TYPE_CHECKING:  # so that a type checker knows the columns, and no others
 
@@ -169,9 +174,9 @@ class Stream:
 
         def load(names: list[str]) -> Mapping[str, NDArray[Any]]:
             self.read(*names)
-            return {name: _read_only(getattr(self, name)[index]) for name in names}
+            return {name: read_only(getattr(self, name)[index]) for name in names}
 
-        return type(self)(load, lambda: _read_only(self.time[index]))
+        return type(self)(load, self._zero, lambda: read_only(self.published[index]))
 
     def __repr__(self) -> str:
         columns = ", ".join(self.wire_fields())
@@ -180,19 +185,22 @@ class Stream:
     @cached_property
     def time(self) -> Floats:
         """(N,) s, publish times on the motion's clock: its first frame is at 0."""
-        return self._time() if self._time else self.since(self.start_ns)
+        # Nanoseconds since the epoch need more digits than a float has; the differences do not.
+        start = max(-LATEST_NS, min(self._zero(), LATEST_NS))
+        return read_only((self.published - start) / 1e9)
+
+    @cached_property
+    def published(self) -> Ints:
+        """(N,) ns, publish times on the recorder's clock, as if that had not been set."""
+        return self._published() if self._published else self.publish_time + self.clock_offset
+
+    def _zero(self) -> int:
+        return self._start() if self._start else self.start_ns
 
     @property
     def start_ns(self) -> int:
         """When the first sample was published, ns since the epoch on the recorder's clock."""
-        return int(self.publish_time.min()) + self.clock_offset
-
-    def since(self, start_ns: int) -> Floats:
-        """(N,) s, publish times on the recorder's clock since a time on it."""
-        # Nanoseconds since the epoch need more digits than a float has; the differences do not.
-        shift = self.clock_offset - start_ns
-        shift = max(-LATEST_NS, min(shift, LATEST_NS))
-        return _read_only((self.publish_time + shift) / 1e9)
+        return int(self.published.min())
 
     @property
     def clock_offset(self) -> int:
@@ -210,15 +218,16 @@ class Stream:
 
 
 def _as_float64(values: NDArray[Any]) -> NDArray[Any]:
-    return _read_only(values.astype(np.float64)) if values.dtype == np.float32 else values
+    return read_only(values.astype(np.float64)) if values.dtype == np.float32 else values
 
 
-def _read_only(values: NDArray[Any]) -> NDArray[Any]:
+def read_only(values: NDArray[Any]) -> NDArray[Any]:
+    """The same array, which nobody may write to any more."""
     values.setflags(write=False)
     return values
 
 
-class Reference(Stream):
+class ReferenceStream(Stream):
     """The target at each tick, computed from the motion.
 
     Attributes:
@@ -261,9 +270,8 @@ class Reference(Stream):
         playing = np.flatnonzero((self.phase == Phase.PLAY) & sane)
         if not len(playing):
             return super().start_ns
-        first = playing[self.publish_time[playing].argmin()]
-        since_frame_0 = round(float(self.motion_time[first]) * 1e9)
-        return int(self.publish_time[first]) - since_frame_0 + self.clock_offset
+        first = playing[self.published[playing].argmin()]
+        return int(self.published[first]) - round(float(self.motion_time[first]) * 1e9)
 
     @property
     def phases(self) -> list[PhaseInterval]:
@@ -299,10 +307,11 @@ def _phase(number: int) -> Phase:
         ) from error
 
 
-class Command(Stream):
+class CommandStream(Stream):
     """The commands to the motors.
 
     Attributes:
+        mode_machine: (N,) the kind of G1 that it is for.
         mode: (N, 29) 1 for a motor that is enabled.
         q, dq, tau: (N, 29) targets: rad, rad/s, N·m.
         kp, kd: (N, 29) gains: N·m/rad, N·m·s/rad.
@@ -314,6 +323,7 @@ class Command(Stream):
         {name: f"motor_cmd.{name}" for name in ("mode", "q", "dq", "tau", "kp", "kd")}
     )
 
+    mode_machine: NDArray[np.uint8]
     mode: NDArray[np.uint8]
     q: Floats
     dq: Floats
@@ -322,20 +332,21 @@ class Command(Stream):
     kd: Floats
 
 
-class ArmCommand(Command):
+class ArmCommandStream(CommandStream):
     """The targets for arms and waist that the robot's own controller was given."""
 
     topic = "/arm_sdk"
     source = messages.ARM_SDK
 
-    __annotations__ = Command.__annotations__
+    __annotations__ = CommandStream.__annotations__
 
 
-class Measured(Stream):
+class MeasuredStream(Stream):
     """The state of the robot.
 
     Attributes:
         tick: (N,) the robot's own clock, ms; always 0 from some simulators.
+        mode_machine: (N,) the kind of G1 that it is.
         q, dq, ddq, tau: (N, 29) rad, rad/s, rad/s^2, N·m, motor order.
         imu_quat_wxyz: (N, 4) pelvis to world, with the yaw as the IMU counts it.
         gyroscope: (N, 3) rad/s, pelvis frame.
@@ -357,6 +368,7 @@ class Measured(Stream):
     )
 
     tick: NDArray[np.uint32]
+    mode_machine: NDArray[np.uint8]
     q: Floats
     dq: Floats
     ddq: Floats
@@ -366,7 +378,7 @@ class Measured(Stream):
     accelerometer: Floats
 
 
-class Base(Stream):
+class BaseStream(Stream):
     """The pelvis, as a simulator or a state estimator publishes it.
 
     Attributes:
@@ -381,7 +393,7 @@ class Base(Stream):
     velocity: Floats
 
 
-class TorsoImu(Stream):
+class TorsoImuStream(Stream):
     """The IMU in the torso.
 
     Attributes:
@@ -400,7 +412,15 @@ class TorsoImu(Stream):
 
 
 STREAMS: Final[Mapping[str, type[Stream]]] = {
-    kind.topic: kind for kind in (Reference, Command, ArmCommand, Measured, Base, TorsoImu)
+    kind.topic: kind
+    for kind in (
+        ReferenceStream,
+        CommandStream,
+        ArmCommandStream,
+        MeasuredStream,
+        BaseStream,
+        TorsoImuStream,
+    )
 }
 """The kind of stream of each topic that has one."""
 
@@ -438,6 +458,22 @@ class LogEvent(NamedTuple):
             ) from error
         level = _LEVELS.get(message.level, "UNKNOWN")
         return cls(message.timestamp.ToNanoseconds(), level, message.name, message.message)
+
+
+def without_steps(times: Ints, steps: Sequence[int]) -> Ints:
+    """Times as if their clock had not been set.
+
+    Args:
+        times: (N,) ns, in the order in which they were recorded.
+        steps: by which it was set, ns. Each is taken out at the interval that is nearest to it;
+            one of which the times show nothing, as all are before it, stays.
+    """
+    times = times.copy()
+    for step in steps:
+        off = np.abs(np.diff(times) - step)
+        if len(off) and off.min() < abs(step) / 2:
+            times[int(off.argmin()) + 1 :] -= step
+    return times
 
 
 class Neighbours(NamedTuple):

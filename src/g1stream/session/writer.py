@@ -314,21 +314,14 @@ def attach_motion(
     origins = [motion, *motion.parts] if motion else []
     n_alike: Counter[str] = Counter()
     for source in dict.fromkeys(Path(one.source) for one in origins if one.source):
-        if not is_session(source):
+        try:
+            large = not source.is_file() or source.stat().st_size > LARGEST_MOTION
+            data = b"" if large or is_session(source) else source.read_bytes()
+        except OSError:  # a file that is gone by now is not worth a recording
+            continue
+        if data:
             n_alike[source.name] += 1
             number = f"-{n_alike[source.name]}" if n_alike[source.name] > 1 else ""
-            name = f"{source.stem}{number}{source.suffix}"
-            _attach_file(writer, source, name, time_ns)
-
-
-def _attach_file(
-    writer: SessionWriter | MemorySource, source: Path, name: str, time_ns: int
-) -> None:
-    try:
-        if not source.is_file() or source.stat().st_size > LARGEST_MOTION:
-            return
-        data = source.read_bytes()
-    except OSError:  # a file that is gone by now is not worth a recording
-        return
-    kind = "text/csv" if source.suffix.lower() == ".csv" else "application/octet-stream"
-    writer.attach(name, kind, data, time_ns)
+            is_table = source.suffix.lower() == ".csv"
+            kind = "text/csv" if is_table else "application/octet-stream"
+            writer.attach(f"{source.stem}{number}{source.suffix}", kind, data, time_ns)

@@ -38,7 +38,6 @@ __all__ = [
     "IDENTITY_POSE",
     "MEASURED_PREFIX",
     "WORLD_FRAME",
-    "FrameTransformsTemplate",
     "JointStatesTemplate",
     "TransformsEncoder",
     "link_frames",
@@ -104,7 +103,15 @@ class TransformsEncoder:
         self._link = 0 if root_link is None else robot.link_index(root_link)
         self._poses = forward_kinematics if flat else local_transforms
         self._dtype = np.float32 if single else np.float64
-        self._template = FrameTransformsTemplate(parents, frames)
+        message = FrameTransforms()
+        for link, (parent, frame) in enumerate(zip(parents, frames, strict=True)):
+            transform = message.transforms.add(parent_frame_id=parent, child_frame_id=frame)
+            _set_placeholder(transform.timestamp)
+            x, y, z, qw, qx, qy, qz = (_double_placeholder(7 * link + i) for i in range(7))
+            transform.translation.x, transform.translation.y, transform.translation.z = x, y, z
+            transform.rotation.w, transform.rotation.x = qw, qx
+            transform.rotation.y, transform.rotation.z = qy, qz
+        self._template = _Template(message, (len(frames), 7), n_times=len(frames))
 
     def encode(
         self,
@@ -130,8 +137,8 @@ class TransformsEncoder:
             root_quat_wxyz = quat_mul(root_quat_wxyz, quat_conj(quat_in_root))
             root_pos = root_pos - quat_rotate(root_quat_wxyz, in_root.pos[:, self._link])
         poses = self._poses(self._robot, joint_pos, root_pos, root_quat_wxyz)
-        pos, quat = poses.pos.astype(self._dtype), poses.quat_wxyz.astype(self._dtype)
-        return self._template.encode(times_ns, pos, quat)
+        values = np.concatenate((poses.pos, poses.quat_wxyz), axis=2, dtype=self._dtype)
+        return self._template.fill(times_ns, values)
 
 
 def link_frames(robot: G1, prefix: str, world: str) -> tuple[list[str], list[str]]:
@@ -152,47 +159,6 @@ def link_frames(robot: G1, prefix: str, world: str) -> tuple[list[str], list[str
             "Rename the link; `convert` has --world-frame for another name of the world.",
         )
     return [world if parent < 0 else frames[parent] for parent in robot.parent], frames
-
-
-class FrameTransformsTemplate:
-    """Encodes foxglove.FrameTransforms: one transform per link, all of one time.
-
-    Args:
-        parent_frames: (L) name of each link's parent frame.
-        child_frames: (L) name of each link's own frame.
-    """
-
-    def __init__(self, parent_frames: Sequence[str], child_frames: Sequence[str]) -> None:
-        message = FrameTransforms()
-        for link, (parent, child) in enumerate(zip(parent_frames, child_frames, strict=True)):
-            transform = message.transforms.add(parent_frame_id=parent, child_frame_id=child)
-            _set_placeholder(transform.timestamp)
-            x, y, z, qw, qx, qy, qz = (_double_placeholder(7 * link + i) for i in range(7))
-            transform.translation.x, transform.translation.y, transform.translation.z = x, y, z
-            transform.rotation.w, transform.rotation.x = qw, qx
-            transform.rotation.y, transform.rotation.z = qy, qz
-        self._template = _Template(message, (len(child_frames), 7), n_times=len(child_frames))
-
-    def encode(
-        self,
-        times_ns: ArrayLike,
-        translations: NDArray[np.floating],
-        quats_wxyz: NDArray[np.floating],
-    ) -> NDArray[np.uint8]:
-        """One serialised message per time.
-
-        Args:
-            times_ns: (T,) int64, ns since the epoch, not negative.
-            translations: (T, L, 3) of each link's frame in its parent's, m.
-            quats_wxyz: (T, L, 4) likewise, unit, wxyz.
-
-        Returns:
-            (T, size) uint8; each row is one message.
-
-        Raises:
-            ValueError: the shapes do not fit each other or the links, or a time is negative.
-        """
-        return self._template.fill(times_ns, np.concatenate((translations, quats_wxyz), axis=2))
 
 
 class JointStatesTemplate:

@@ -7,9 +7,10 @@ from typing import Literal
 import numpy as np
 
 from g1stream.robot.rotations import (
-    UNIT_TOLERANCE,
+    is_unit,
     quat_from_yaw,
     quat_mul,
+    quat_normalize,
     quat_rotate,
     yaw_of,
 )
@@ -27,7 +28,8 @@ class MeasuredBase:
     An IMU measures yaw from where it was switched on. So the measured yaw is aligned with that of
     the reference once, at the first state with a valid attitude after the first reference. The
     position is SportModeState's where there is one, rotated by the same yaw about where it was
-    then; else the reference's; else the origin.
+    then; else the reference's; else the origin. Where an attitude is not valid, as an IMU that is
+    not ready sends zeros, it is the last valid one; before that, the reference's; else upright.
 
     Attributes:
         yaw_offset: what is added to the measured yaw, rad; None before it is known.
@@ -41,11 +43,15 @@ class MeasuredBase:
         self._reference_yaw: float | None = None
         self._times: Ints = np.zeros(1, dtype=np.int64)
         self._positions: Floats = np.zeros((1, 3))
+        self._measured = False
+        self._attitude: Floats = np.array([1.0, 0.0, 0.0, 0.0])
 
     def add_references(self, times: Ints, positions: Floats, quats_wxyz: Floats) -> None:
         """Take in references: (T,) ns, (T, 3) m in the world, (T, 4)."""
         if self._reference_yaw is None:
             self._reference_yaw = float(yaw_of(quats_wxyz[0]))
+        if not self._measured:
+            self._attitude = quats_wxyz[-1]
         if self.source != "sportmodestate":
             self.source = "reference"
             self._extend(times, positions)
@@ -58,32 +64,46 @@ class MeasuredBase:
         else:
             self._extend(times, positions)
 
+    def add_states(self, times: Ints, imu_quats_wxyz: Floats) -> None:
+        """Take in states: (T,) ns, (T, 4); the first valid one after a reference aligns the yaw."""
+        valid = np.flatnonzero(is_unit(imu_quats_wxyz))
+        if not len(valid):
+            return
+        if self.yaw_offset is None and self._reference_yaw is not None:
+            turn = self._reference_yaw - float(yaw_of(imu_quats_wxyz[valid[0]]))
+            self.yaw_offset = float(np.angle(np.exp(1j * turn)))
+            self._start = self._positions_at(times[valid[:1]])[0]
+        self._measured = True
+        self._attitude = quat_normalize(quat_mul(self._turn, imu_quats_wxyz[valid[-1]]))
+
     def poses(self, times: Ints, imu_quats_wxyz: Floats) -> tuple[Floats, Floats]:
         """Positions (T, 3) m and attitudes (T, 4) wxyz of the pelvis in the world.
 
         Args:
-            times: (T,) ns, publish times of the states.
+            times: (T,) ns, publish times of states that have been taken in.
             imu_quats_wxyz: (T, 4) attitude by the IMU.
         """
-        positions = np.stack(
-            [np.interp(times, self._times, axis) for axis in self._positions.T], axis=-1
-        )
-        usable = np.abs(np.linalg.norm(imu_quats_wxyz, axis=-1) - 1.0) <= UNIT_TOLERANCE
-        if usable.any() and self.yaw_offset is None and self._reference_yaw is not None:
-            first = int(usable.argmax())
-            turn = self._reference_yaw - float(yaw_of(imu_quats_wxyz[first]))
-            self.yaw_offset = float(np.angle(np.exp(1j * turn)))
-            self._start = positions[first]
-        if self.yaw_offset is None or self._start is None:
-            return positions, imu_quats_wxyz
-        turned = quat_from_yaw(self.yaw_offset)
-        if self.source == "sportmodestate":
-            positions = self._start + quat_rotate(turned, positions - self._start)
-        return positions, quat_mul(turned, imu_quats_wxyz)
+        positions = self._positions_at(times)
+        if self.source == "sportmodestate" and self._start is not None:
+            positions = self._start + quat_rotate(self._turn, positions - self._start)
+        valid = is_unit(imu_quats_wxyz)
+        if not valid.any():
+            return positions, np.tile(self._attitude, (len(times), 1))
+        # The last valid one of each row, or before that the first.
+        last = np.maximum.accumulate(np.where(valid, np.arange(len(times)), valid.argmax()))
+        return positions, quat_normalize(quat_mul(self._turn, imu_quats_wxyz[last]))
 
     def summary(self) -> MeasuredTf:
         """The alignment, as a record."""
         return MeasuredTf(yaw_offset_rad=self.yaw_offset, position_from=self.source)
+
+    @property
+    def _turn(self) -> Floats:
+        return quat_from_yaw(self.yaw_offset or 0.0)
+
+    def _positions_at(self, times: Ints) -> Floats:
+        """(T, 3) on straight lines between those that are known."""
+        return np.stack([np.interp(times, self._times, axis) for axis in self._positions.T], axis=1)
 
     def _extend(self, times: Ints, positions: Floats) -> None:
         """Replace all but the last known position."""

@@ -72,28 +72,17 @@ class MessagePipeline:
 
     def __init__(self, robot: G1, settings: RecordConfig | None = None) -> None:
         settings = settings or RecordConfig()
-        self.base: MeasuredBase | None = None
-        self._encoders: Sequence[_Encoder] = ()
-        if settings.channels == "raw":
-            if settings.meshes:
-                raise ConfigError(
-                    "Meshes are for viewers, for which the channels raw have nothing.",
-                    "Leave out --meshes, or record --channels standard.",
-                )
-            return
+        raw = settings.channels == "raw"
+        if raw and settings.meshes:
+            raise ConfigError(
+                "Meshes are for viewers, for which the channels raw have nothing.",
+                "Leave out --meshes, or record --channels standard.",
+            )
         self._robot = robot
         self._shown = robot_with_meshes(robot) if settings.meshes else robot
         self._meshes = draw_meshes(self._shown) if settings.meshes else {}
-        every, rate = settings.channels == "full", settings.tf_rate
-        self.base = MeasuredBase()
-        self._encoders = (
-            _References(robot, rate, every=every),
-            _States(robot, self.base, rate, every=every),
-            _Path(self.base),
-            _Timing("/timing/commands", REFERENCE.name),
-            _Timing("/timing/states", LOWSTATE.name),
-            _Errors(robot.joint_names, rate, every=every),
-        )
+        self.base = None if raw else MeasuredBase()
+        self._encoders = _encoders(robot, self.base, settings) if self.base else ()
 
     def file_header(self, time_ns: int) -> list[MessageBatch]:
         """What viewers need once: a scene for each robot, and the measured one's URDF; or nothing.
@@ -104,7 +93,7 @@ class MessagePipeline:
         Raises:
             RobotError: the URDF has a shape that cannot be read.
         """
-        if not self._encoders:
+        if self.base is None:
             return []
         scene = partial(encode_scene, time_ns, self._shown, drawn=self._meshes)
         payloads = {
@@ -136,6 +125,8 @@ class MessagePipeline:
             )
         if position := samples.get(SPORTMODESTATE.name):
             self.base.add_positions(position.published, position["position"])
+        if state := samples.get(LOWSTATE.name):
+            self.base.add_states(state.published, state["imu_state.quaternion"])
         made = (messages for one in self._encoders for messages in one.encode(samples))
         return [messages for messages in made if len(messages.payloads)]
 
@@ -167,6 +158,18 @@ class _Encoder(Protocol):
 
     def encode(self, samples: Mapping[str, _Decoded]) -> Sequence[MessageBatch]:
         """The messages of one round, from its samples by DDS topic name."""
+
+
+def _encoders(robot: G1, base: MeasuredBase, settings: RecordConfig) -> tuple[_Encoder, ...]:
+    rate, every = settings.tf_rate, settings.channels == "full"
+    return (
+        _References(robot, rate, every=every),
+        _States(robot, base, rate, every=every),
+        _Path(base),
+        _Timing("/timing/commands", REFERENCE.name),
+        _Timing("/timing/states", LOWSTATE.name),
+        _Errors(robot.joint_names, rate, every=every),
+    )
 
 
 class Decimator:
@@ -314,14 +317,7 @@ class _Errors:
 
 
 class _JointStates:
-    """Joint states as messages of `topic`.
-
-    Args:
-        topic: of the file.
-        names: (J) of the joints.
-        fields: of `JointStatesTemplate`.
-        every: encode all times that are given, not only some.
-    """
+    """Joint states as messages of a topic: of all times that are given if `every`, or of some."""
 
     def __init__(
         self, topic: str, names: Sequence[str], fields: Sequence[str], *, every: bool
@@ -332,10 +328,8 @@ class _JointStates:
     def encode(
         self, published: Ints, logged: Ints, few: NDArray[np.intp], *columns: Floats
     ) -> MessageBatch:
-        """Messages of times (T,), ns, or of the `few` of them; columns (T, J), one per field.
-
-        Numbers are rounded to single precision, which takes half the space in a compressed file.
-        """
+        """Messages of times (T,), ns, or of the `few` of them; columns (T, J), one per field."""
+        # In single precision, which takes half the space in a compressed file.
         chosen = slice(None) if self._every else few
         values = (column[chosen].astype(np.float32) for column in columns)
         payloads = self._template.encode(published[chosen], *values)
@@ -413,15 +407,7 @@ class TrackingError:
 
 
 def _by_limb(errors: Floats, played: NDArray[np.bool_]) -> Floats:
-    """RMS over the joints of each limb that play the motion.
-
-    Args:
-        errors: (T, 29).
-        played: (29,) which joints play.
-
-    Returns:
-        (T, 5), limbs as in `JOINT_GROUPS`; nan for one of which no joint plays.
-    """
+    """(T, 5) RMS of errors (T, 29) over the played joints (29,) of each limb; nan without any."""
     limbs = np.full((len(errors), len(JOINT_GROUPS)), np.nan)
     for limb, joints in enumerate(JOINT_GROUPS.values()):
         if members := [joint for joint in joints if played[joint]]:

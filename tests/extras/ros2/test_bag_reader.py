@@ -295,7 +295,7 @@ def test_an_encoding_that_is_not_read(tmp_path):
         channel = writer.register_channel("/joint_states", "json", schema)
         writer.add_message(channel, START, b"{}", START)
         writer.finish()
-    with pytest.raises(RecordingError, match=r"it has foxglove\.JointStates in json"):
+    with pytest.raises(RecordingError, match=r"foxglove\.JointStates in json"):
         load_motion(path)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from g1stream.analysis.plots import COLOURS, SHADES
 from g1stream.analysis.signals import min_max, signal
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
-from g1stream.session.streams import Command, Measured
+from g1stream.session.streams import CommandStream, MeasuredStream
 from g1stream.text import printable
 
 if TYPE_CHECKING:
@@ -134,7 +134,7 @@ def _limb_errors(error: Signal, played: Container[str]) -> list[dict[str, Any]]:
 
 def _intervals(session: Session) -> list[dict[str, Any]]:
     """The intervals between publish times, ms: a gap or a stall is a peak."""
-    kinds = [kind for kind in (Command, Measured) if session.topics.get(kind.topic)]
+    kinds = [kind for kind in (CommandStream, MeasuredStream) if session.topics.get(kind.topic)]
     times = {kind.topic: np.sort(session.stream(kind).time) for kind in kinds}
     return [
         {"name": topic, **curve(at[1:], np.diff(at) * 1e3)}

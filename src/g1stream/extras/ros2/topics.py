@@ -139,8 +139,9 @@ class _Publisher:
         state, time_ns = self._state, sample.publish_time
         state.load(sample.data)
         q, dq, tau = (one.astype(float) for one in (state.q, state.dq, state.tau_est))
-        attitude = state.quaternion.astype(float)[np.newaxis]
-        self._publish_tf(time_ns, self._frames, q, *self._base.poses(np.array([time_ns]), attitude))
+        pelvis = np.array([time_ns]), state.quaternion.astype(float)[np.newaxis]
+        self._base.add_states(*pelvis)
+        self._publish_tf(time_ns, self._frames, q, *self._base.poses(*pelvis))
         self._joint_states.write(joint_state(time_ns, self._robot.joint_names, q, dq, tau))
 
     def _publish_tf(

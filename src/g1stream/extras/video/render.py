@@ -18,7 +18,7 @@ from g1stream.files import check_suffix, complete_file
 from g1stream.input_limits import FRAMES
 from g1stream.optional import import_extra
 from g1stream.robot.shapes import with_shapes
-from g1stream.session.streams import Base, Measured, Reference
+from g1stream.session.streams import BaseStream, MeasuredStream, ReferenceStream
 from g1stream.types import Floats, Ints, Phase
 from g1stream.view.measured_base import MeasuredBase
 
@@ -137,7 +137,7 @@ def _frame_times(
     session: Recording, start: float | None, duration: float | None, fps: float
 ) -> Floats:
     """When each frame is, s on the motion's clock."""
-    kinds = (Reference, Measured)
+    kinds = (ReferenceStream, MeasuredStream)
     streams = [session.stream(kind) for kind in kinds if session.topics.get(kind.topic)]
     streams = [stream for stream in streams if len(stream)]
     if not streams:
@@ -180,8 +180,8 @@ class Poses:
     def __init__(self, session: Recording, times: Floats) -> None:
         self._times = times
         present = session.topics.get
-        reference = session.reference if present(Reference.topic) else None
-        measured = session.measured if present(Measured.topic) else None
+        reference = session.reference if present(ReferenceStream.topic) else None
+        measured = session.measured if present(MeasuredStream.topic) else None
         self._phases: list[str] = []
         self._error = self._age = np.full(len(times), np.nan)
         if reference is not None:
@@ -236,7 +236,7 @@ def _latest(stream: Stream, times: Floats) -> NDArray[np.intp]:
 
 
 def _pelvis(
-    reference: Reference | None, base: Base | None, measured: Measured
+    reference: ReferenceStream | None, base: BaseStream | None, measured: MeasuredStream
 ) -> tuple[Floats, Floats]:
     """The measured pelvis in the world: (T, 3) m and (T, 4), as in /measured/tf."""
     pelvis = MeasuredBase()
@@ -244,7 +244,9 @@ def _pelvis(
         pelvis.add_references(_ns(reference), reference.root_pos, reference.root_quat_wxyz)
     if base is not None:
         pelvis.add_positions(_ns(base), base.read("position").position)
-    return pelvis.poses(_ns(measured), measured.imu_quat_wxyz)
+    states = _ns(measured), measured.imu_quat_wxyz
+    pelvis.add_states(*states)
+    return pelvis.poses(*states)
 
 
 def _ns(stream: Stream) -> Ints:

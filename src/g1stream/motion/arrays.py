@@ -21,7 +21,7 @@ import numpy as np
 from g1stream.errors import MotionError
 from g1stream.input_limits import NUMBER, UNPACKED
 from g1stream.motion.csv import read_csv
-from g1stream.motion.motion import DEFAULT_FPS, SMALLEST_QUAT, Motion
+from g1stream.motion.motion import DEFAULT_FPS, SMALLEST_QUAT, Motion, norm_warning
 from g1stream.motion.pickles import Unread, read_pickle, read_torch
 from g1stream.motion.readers import Evidence
 from g1stream.robot.joints import JOINT_NAMES, JOINT_SETS, N_JOINTS
@@ -95,10 +95,6 @@ _UPRIGHT: Final = 0.8
 _ON_FLOOR: Final = (0.03, 0.4)
 #: Quaternions are unit as far as evidence goes.
 _UNIT: Final = 0.02
-#: Quaternion norms that differ from 1 by more than this give a warning; by more than the second
-#: they are no rounding error.
-_NORM_TOLERANCE: Final = 1e-3
-_NORM_ROUNDING: Final = 0.1
 #: Frames that bodies, and that limits and norms, are compared in.
 _FRAMES: Final = 50
 _MANY_FRAMES: Final = 5000
@@ -245,8 +241,7 @@ class ArrayFile:
 
     def _norm_warnings(self, norms: Floats) -> Iterable[str]:
         """A warning about quaternion norms (T,) that are not 1; an error for one that is 0."""
-        off = np.abs(norms - 1.0)
-        worst = int(np.argmax(off))
+        worst = int(np.argmax(np.abs(norms - 1.0)))
         where = f"frame {worst}"
         if self._first_line:
             where += f", line {self._first_line + worst}"
@@ -255,13 +250,7 @@ class ArrayFile:
                 f"the quaternion of {where} is zero",
                 "Give every frame an orientation; without rotation w is 1 and the others are 0.",
             )
-        if off[worst] > _NORM_TOLERANCE:
-            doubt = "; that is no rounding error, check the file"
-            yield (
-                f"normalised {int((off > _NORM_TOLERANCE).sum())} of {len(norms)} quaternions, "
-                f"which were not unit. Furthest off is {where}, with norm {norms[worst]:.4g}"
-                f"{doubt if off[worst] > _NORM_ROUNDING else ''}."
-            )
+        yield from norm_warning(norms, where)
 
     @cached_property
     def _absent(self) -> tuple[str, ...]:

@@ -53,6 +53,7 @@ __all__ = [
     "Motion",
     "check_fps",
     "height_of_floor",
+    "norm_warning",
 ]
 
 MOTION_SUFFIXES: Final = (".csv", ".npz")
@@ -64,6 +65,10 @@ DEFAULT_FPS: Final = 30.0
 
 SMALLEST_QUAT: Final = 1e-6
 """A quaternion whose norm is not above this counts as zero."""
+#: Quaternion norms that differ from 1 by more than this give a warning; by more than the second
+#: they are no rounding error.
+_NORM_TOLERANCE: Final = 1e-3
+_NORM_ROUNDING: Final = 0.1
 #: Frames per second of a motion, lowest and highest.
 _FPS: Final = (1e-3, 1e6)
 #: A blend is no longer than this, s.
@@ -552,6 +557,18 @@ def check_fps(fps: float, name: str) -> None:
             f"The motion {name} cannot have {fps} frames per second.",
             f"Give a frame rate between {_FPS[0]:g} and {_FPS[1]:g}, such as 30.",
         )
+
+
+def norm_warning(norms: Floats, where: str) -> list[str]:
+    """A warning about quaternion norms (T,) that are not 1, or nothing; `where` is the furthest."""
+    off = np.abs(norms - 1.0)
+    if off.max() <= _NORM_TOLERANCE:
+        return []
+    doubt = "; that is no rounding error, check the file" if off.max() > _NORM_ROUNDING else ""
+    return [
+        f"normalised {int((off > _NORM_TOLERANCE).sum())} of {len(norms)} quaternions, which were "
+        f"not unit. Furthest off is {where}, with norm {norms[int(off.argmax())]:.4g}{doubt}."
+    ]
 
 
 def _check_joint_names(name: str, joint_names: Sequence[str]) -> None:

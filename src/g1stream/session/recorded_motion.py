@@ -16,7 +16,7 @@ import numpy as np
 
 from g1stream.errors import MotionError, RecordingError
 from g1stream.input_limits import FRAMES, LATEST_NS, NUMBER, UNPACKED
-from g1stream.motion.motion import SMALLEST_QUAT, Motion, check_fps, norm_warnings
+from g1stream.motion.motion import SMALLEST_QUAT, Motion, check_fps, norm_warning
 from g1stream.motion.readers import Evidence
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.rotations import quat_normalize, wxyz_from_xyzw, xyzw_from_wxyz
@@ -178,7 +178,8 @@ class RecordedMotion:
                     "Record both together, or leave the transforms out.",
                 )
             root_pos, quat = pose.at(times, without_steps(pose.clocks[clock], steps))
-            warnings += norm_warnings(pose.norms, name, lambda i: f"transform {i}")
+            furthest = f"transform {int(np.argmax(np.abs(pose.norms - 1.0)))}"
+            warnings += [f"{name}: {text}" for text in norm_warning(pose.norms, furthest)]
         seconds = (times - times[0]) / _NS_PER_S
         motion = motion_of_poses(seconds, q, root_pos, quat, self._path, self._fps)
         if self._unread:

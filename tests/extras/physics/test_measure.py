@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -344,13 +345,6 @@ def test_knees_on_the_floor_are_told():
     assert contact.forbids
 
 
-def test_progress_goes_up_to_all():
-    told = []
-    motion_physics(still(*stance(0.6), frames=1500), progress=told.append)
-    assert told == sorted(told)
-    assert (told[0] < 1.0, told[-1]) == (True, 1.0)
-
-
 @pytest.mark.skipif(not LAFAN.exists(), reason="../shared/lafan1 is not there")
 def test_the_dance_presses_its_arm_on_the_torso():
     """From 4.07 s on; tests/robot/test_hulls.py compares these depths with unitree_mujoco's."""
@@ -378,18 +372,18 @@ def test_the_part_that_can_be_played_on_the_feet_is_looked_for_if_asked():
     root_pos = squat.root_pos.copy()
     root_pos[100:, 0] += np.linspace(0.0, 1.0, len(root_pos) - 100)
     sliding = moving(squat.joint_pos, root_pos)
-    assert motion_physics(sliding).verdicts["feet"].instead is None
+    assert motion_physics(sliding).verdicts["feet"].instead == ""
     found = motion_physics(sliding, suggest=True).verdicts["feet"]
-    part = found.instead.part
-    assert part.start_s == 0.0
-    assert part.duration_s == pytest.approx(100 / sliding.fps, abs=0.4)
-    assert found.instead.upper_body == found.instead.asked
-    assert found.instead.asked.duration_s == pytest.approx(sliding.duration, abs=0.01)
-    assert found.instead.speed is None
-    assert str(part) in str(found)
+    start, duration = map(
+        float, re.search(r"--start (\S+) --duration (\S+),", found.instead).groups()
+    )
+    assert start == 0.0
+    assert duration == pytest.approx(100 / sliding.fps, abs=0.4)
+    assert "--joints arms,waist" in found.instead
+    assert found.instead in str(found)
     assert motion_physics(sliding, frames=range(90)).verdicts["feet"].playable == "yes"
     arms = motion_physics(sliding, played=ROBOT.select("arms"), suggest=True).verdicts["feet"]
-    assert (arms.playable, arms.instead) == ("yes", None)
+    assert (arms.playable, arms.instead) == ("yes", "")
     leg = motion_physics(sliding, played=ROBOT.select("left_leg")).verdicts["feet"]
     assert leg.playable == "no"
 

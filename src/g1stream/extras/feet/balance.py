@@ -103,10 +103,6 @@ class Balance:
         wrench: (12,) force, N, and moment, N·m, of the floor on each sole, world; None before the
             first solution.
         terms: of the last state; None before it.
-
-    Raises:
-        ConfigError: the solver is not installed.
-        RobotError: the soles of this robot are not known.
     """
 
     def __init__(self, robot: G1, period: float) -> None:

@@ -73,12 +73,6 @@ class StandingTorques(Source):
         robot: the G1.
         simulated: nothing but a simulator is reached.
         complete: every joint gets its torque; here that is checked from the settings.
-
-    Raises:
-        ConfigError: the solver is not installed, or a robot cannot be kept on its feet with these
-            settings.
-        SafetyError: there may be a robot, and stream.experimental_feet is not set.
-        RobotError: the soles of a robot are not known.
     """
 
     needed = True

@@ -41,9 +41,6 @@ class Squat:
 
     Attributes:
         length: of the way down, s.
-
-    Raises:
-        RobotError: the soles of this robot are not known.
     """
 
     def __init__(self, robot: G1) -> None:

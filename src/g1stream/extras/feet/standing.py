@@ -109,9 +109,6 @@ class StandingDynamics:
         mass: kg.
         weight: N.
         sole: (4, 2) m, the corners of a sole about its middle, in the foot's frame.
-
-    Raises:
-        RobotError: the soles of this robot are not known.
     """
 
     def __init__(self, robot: G1) -> None:

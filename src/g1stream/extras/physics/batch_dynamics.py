@@ -57,9 +57,6 @@ class BatchInverseDynamics:
     Attributes:
         mass: kg, of the whole robot.
         gravity: as given.
-
-    Raises:
-        RobotError: MuJoCo does not accept the URDF, or there is no link `carrier`.
     """
 
     def __init__(self, robot: G1, *, carrier: str = "torso_link", gravity: float = GRAVITY) -> None:

@@ -70,9 +70,6 @@ def stepping(
         period: s from step to step.
         swing: s of it in which the foot is lifted.
         fps: frames per second.
-
-    Raises:
-        MotionError: the legs do not reach the places.
     """
     goals = np.concatenate([np.zeros((1, 3)), np.asarray(places, dtype=np.float64)])
     robot = G1.default()

@@ -95,12 +95,7 @@ class _Lift(NamedTuple):
 
 
 def find_footing(motion: Motion, robot: G1, soles: Soles) -> Footing:
-    """Find where the feet of a motion stand; a lifted one follows the motion relative to the other.
-
-    Raises:
-        CannotStandError: a foot slides, or is lifted in the first or the last frame, or both are
-            lifted.
-    """
+    """Where the feet of a motion stand; a lifted one follows the motion relative to the other."""
     of_feet = [
         (poses.pos[:, soles.links], poses.quat_wxyz[:, soles.links], soles.positions(poses))
         for _, poses in pose_blocks(
@@ -172,11 +167,7 @@ def _find_lifted(above: Floats) -> Flags:
 
 
 def _in_order(motion: Motion, lifted: Flags) -> list[_Lift]:
-    """The lifts of both feet; on both stands the robot before and after each of them.
-
-    Raises:
-        CannotStandError: it does not.
-    """
+    """The lifts of both feet; on both stands the robot before and after each of them."""
     ends = np.zeros(len(lifted), np.bool_)
     for first, stop in stretches(np.asarray(lifted.any(axis=1))):
         ends[first:stop] = first == 0 or stop == len(lifted)

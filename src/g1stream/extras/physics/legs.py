@@ -94,9 +94,6 @@ class Legs:
 
         Newton's method with damped steps, many frames at once, in each until its feet are there.
         Frames in which the pelvis is not `moved` (T,) have them there already.
-
-        Raises:
-            LegsTooShortError: they do not reach, or only with a knee all but stretched.
         """
         q, quat, error = motion.joint_pos.copy(), motion.root_quat_wxyz, np.zeros(motion.n_frames)
         left = np.arange(len(q)) if moved is None else np.flatnonzero(moved)

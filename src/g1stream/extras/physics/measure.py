@@ -6,6 +6,7 @@ the spline through the frames. docs/physics.md has the formulas, thresholds and 
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Final, NamedTuple, get_args
 
 import numpy as np
@@ -22,7 +23,6 @@ from g1stream.extras.physics.ground import (
     touching,
     zero_moment_point,
 )
-from g1stream.extras.physics.instead import find_instead
 from g1stream.extras.physics.result import (
     Cause,
     Collision,
@@ -33,6 +33,7 @@ from g1stream.extras.physics.result import (
     Verdict,
 )
 from g1stream.extras.physics.stance import stand_part
+from g1stream.extras.physics.stand import find_instead
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.hulls import SelfCollision, read_hulls
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
@@ -50,11 +51,8 @@ if TYPE_CHECKING:
 
     from g1stream.extras.physics.ground import Flags
     from g1stream.motion.motion import Motion
-    from g1stream.motion.trajectory import Trajectory
     from g1stream.robot.hulls import Hull
     from g1stream.robot.kinematics import LinkPoses
-    from g1stream.robot.model import G1
-    from g1stream.robot.soles import Soles
 
 __all__ = ["Loads", "motion_physics", "movement_loads"]
 
@@ -138,17 +136,9 @@ def motion_physics(
         "free": [everywhere, tilted(tilt, 0.0), *_on_its_feet(known, loads, beyond)],
     }
     for support, excesses in found.items():
-        excesses.append(
-            _excess(
-                known.fps,
-                "torque",
-                "N·m",
-                np.abs(loads.tau[support]),
-                robot.torque_limit,
-                JOINT_NAMES,
-                longest=_TIPS if support == "free" else _SAGS,
-            )
-        )
+        over = partial(_excess, known.fps, longest=_TIPS if support == "free" else _SAGS)
+        tau, limit = np.abs(loads.tau[support]), robot.torque_limit
+        excesses.append(over("torque", "N·m", tau, limit, JOINT_NAMES))
     stands = known.touches.any(axis=1)
     pressed = np.isfinite(beyond)
     worst = int(np.nanargmax(beyond)) if pressed.any() else None
@@ -190,7 +180,7 @@ def _on_planted_feet(
     try:
         standing = stand_part(motion, robot, frames, played, trajectory)
     except CannotStandError as error:
-        instead = find_instead(motion, robot, frames, error, played) if suggest else None
+        instead = find_instead(motion, robot, frames, error, played) if suggest else ""
         return Verdict(support="feet", refused=error.why, instead=instead)
     except ConfigError:
         return Verdict(support="feet", refused="only some joints of the legs play it")
@@ -258,7 +248,7 @@ def _self_collision(frames: _Frames) -> Excess | None:
 
 def _on_its_feet(frames: _Frames, loads: Loads, beyond: Floats) -> list[Excess | None]:
     """What speaks against a motion on the robot's own feet, but tilt, torque and self-collision."""
-    fps, stands = frames.fps, frames.touches.any(axis=1)
+    stands, over = frames.touches.any(axis=1), partial(_excess, frames.fps)
     force, up = loads.force, loads.force[:, 2]
     pull = np.where(stands, np.maximum(-up, 0.0), np.linalg.norm(force, axis=1))
     sideways = np.linalg.norm(force[:, :2], axis=1)
@@ -268,20 +258,14 @@ def _on_its_feet(frames: _Frames, loads: Loads, beyond: Floats) -> list[Excess |
     sinks = np.maximum(-1e3 * frames.corners[..., 2], 0.0)
     slides = 1e3 * np.where(frames.touches, frames.speeds, 0.0)
     below = np.maximum(-1e3 * _columns(frames.heights, len(force)), 0.0)
+    outside = 1e3 * np.where(pressed, beyond, 0.0)
     return [
-        _excess(fps, "support", "of the weight", pull / loads.weight, _UNSUPPORTED, longest=_TIPS),
-        _excess(
-            fps,
-            "centre of pressure",
-            "mm",
-            1e3 * np.where(pressed, beyond, 0.0),
-            _OUTSIDE,
-            longest=_TIPS,
-        ),
-        _excess(fps, "friction", "", grip, FRICTION, longest=_TIPS),
-        _excess(fps, "floor contact", "mm", below, _SUNK, list(frames.heights), longest=_TIPS),
-        _excess(fps, "penetration", "mm", sinks, _SUNK, feet),
-        _excess(fps, "skating", "mm/s", slides, _SKATING, feet),
+        over("support", "of the weight", pull / loads.weight, _UNSUPPORTED, longest=_TIPS),
+        over("centre of pressure", "mm", outside, _OUTSIDE, longest=_TIPS),
+        over("friction", "", grip, FRICTION, longest=_TIPS),
+        over("floor contact", "mm", below, _SUNK, list(frames.heights), longest=_TIPS),
+        over("penetration", "mm", sinks, _SUNK, feet),
+        over("skating", "mm/s", slides, _SKATING, feet),
     ]
 
 
@@ -455,9 +439,6 @@ def movement_loads(
         corners: (T, 8, 3) m, world, of the soles.
         touches: (T, 8) whether a corner touches the floor.
         look: called with some frames at a time, and the poses of the links in them.
-
-    Raises:
-        RobotError: the dynamics of this robot are not known.
     """
     dynamics, motion = BatchInverseDynamics.of(robot), trajectory.motion
     n_frames, feet = motion.n_frames, np.repeat(soles.links, 4).tolist()

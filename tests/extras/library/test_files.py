@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-import threading
-from functools import partial
 from hashlib import sha256
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from zipfile import ZipFile
 
 import pytest
@@ -17,25 +14,17 @@ from g1stream.extras.library.files import content_hash, find_motions, local_copy
 
 
 def test_motions_below_a_directory(motions):
-    found = find_motions([str(motions), str(motions / "first.npz")])
+    found = find_motions([str(motions), str(motions / "first.npz"), str(motions / "notes.txt")])
     names = [path.removeprefix(f"{motions}/") for path in found]
-    assert names == ["broken.csv", "first.npz", "second.csv", "below/copy.npz", "below/third.npz"]
-
-
-def test_a_named_file_is_taken_whatever_its_name(motions):
-    assert find_motions([str(motions / "notes.txt")]) == [str(motions / "notes.txt")]
+    below = ["below/copy.npz", "below/third.npz"]
+    assert names == ["broken.csv", "first.npz", "second.csv", *below, "notes.txt"]
 
 
 def test_urls_are_those_of_fsspec(motions):
     pytest.importorskip("fsspec")
     found = find_motions([f"file://{motions}"])
-    assert {url.rpartition("/")[2] for url in found} == {
-        "broken.csv",
-        "first.npz",
-        "second.csv",
-        "copy.npz",
-        "third.npz",
-    }
+    names = {"broken.csv", "first.npz", "second.csv", "copy.npz", "third.npz"}
+    assert {url.rpartition("/")[2] for url in found} == names
     (url,) = find_motions([f"file://{motions}/first.npz"])
     with local_copy(url) as path:
         assert path.name == "first.npz"
@@ -43,30 +32,6 @@ def test_urls_are_those_of_fsspec(motions):
         assert path.parent != motions
     assert not path.exists()
     assert content_hash(url) == sha256((motions / "first.npz").read_bytes()).hexdigest()
-
-
-@pytest.fixture
-def served(motions):
-    """The URL of the motions on a web server of Python's on loopback."""
-    pytest.importorskip("aiohttp")
-    handler = partial(SimpleHTTPRequestHandler, directory=motions)
-    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        yield f"http://127.0.0.1:{server.server_port}"
-        server.shutdown()
-
-
-def test_motions_on_a_web_server(motions, served):
-    assert set(find_motions([f"{served}/"])) == {
-        f"{served}/{name}"
-        for name in ("broken.csv", "first.npz", "second.csv", "below/copy.npz", "below/third.npz")
-    }
-    with local_copy(f"{served}/first.npz") as path:
-        assert path.read_bytes() == (motions / "first.npz").read_bytes()
-    with pytest.raises(ConfigError):
-        find_motions([f"{served}/gone.npz"])
-    with pytest.raises(MotionError):
-        content_hash(f"{served}/gone.npz")
 
 
 def test_motions_in_a_zip_file_and_in_memory(motions, tmp_path):

@@ -100,24 +100,6 @@ def test_files_of_one_name_are_told_apart(tmp_path):
     assert names == {"day1/a/wave.csv", "day2/a/wave.csv", "walk"}
 
 
-def test_a_broken_file_has_the_reason_that_was_found_last(tmp_path):
-    about = {"name": "gone", "path": "gone.csv", "sha256": "", "command": "simulate"}
-    with writing(tmp_path) as writer:
-        for variant, reason in (("bolted", "before"), ("free", "now")):
-            motion = MotionRow(
-                key=variant, variant=variant, status="broken", reason=reason, **about
-            )
-            writer.add([Rows(motion=motion)])
-    simulate = data_of(write_page(tmp_path))["simulate"]
-    place = [column["name"] for column in simulate["columns"]].index("reason")
-    assert [row[place] for row in simulate["rows"]] == ["now"]
-
-
-def test_it_needs_no_network(library):
-    text = write_page(library).read_text()
-    assert "http" not in text.replace("http://www.w3.org/2000/svg", "")
-
-
 @pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
 def test_it_sorts_and_filters_in_a_browser(library, tmp_path):

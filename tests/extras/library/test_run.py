@@ -11,18 +11,15 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import g1stream
 from g1stream.config import load_config
-from g1stream.errors import ConfigError, RecordingError
+from g1stream.errors import ConfigError
 from g1stream.extras.library.compute import LibraryCase
 from g1stream.extras.library.files import LIBRARY
 from g1stream.extras.library.processes import Limits
-from g1stream.extras.library.run import LibraryRun, run_library
-from g1stream.session.writer import SessionWriter
-from g1stream.testing import SyntheticSession
+from g1stream.extras.library.run import run_library
 
 
 def by_name(library):
@@ -76,16 +73,6 @@ def test_the_example_of_the_docs_on_a_library_with_a_broken_file(
     assert {line.split()[1] for line in fastest} <= {*g1stream.JOINT_NAMES}
 
 
-def test_the_picture_has_five_robots_in_its_frame(checked):
-    row = by_name(g1stream.open_library(checked[1]))["third"]
-    lines = row["picture"].split("M")[1:]
-    assert len(lines) == 5 * 5
-    points = np.array([[float(x) for x in p.split()] for one in lines for p in one.split("L")])
-    assert points.min() >= 0.0
-    assert points[:, 0].max() <= 100.0
-    assert points[:, 1].max() <= 30.0
-
-
 @pytest.mark.slow
 def test_only_what_changed_is_computed_again(motions, tmp_path):
     case = g1stream.LibraryCase("check", tmp_path)
@@ -119,11 +106,6 @@ def test_slow_and_huge_motions_are_rows(tmp_path):
         assert g1stream.run_library([str(tmp_path)], [case], workers=1, limits=limits).known == 1
 
 
-@pytest.fixture
-def many(cuts):
-    return cuts(40)
-
-
 def start(*arguments):
     return subprocess.Popen(
         [sys.executable, "-m", "g1stream", "library", *map(str, arguments)],
@@ -141,27 +123,18 @@ def processes_of(pid):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_a_command_that_is_ended_goes_on_where_it_was(cuts, tmp_path, number, until):
     n_motions, out = 100, tmp_path / "out"  # so many that it is not done when the signal comes
-    command = (
-        "check",
-        cuts(n_motions),
-        "-o",
-        out,
-        "--workers",
-        2,
-        "--json",
-        "--fail-if",
-        "frames > 1e9",
-    )
+    command = ["check", cuts(n_motions), "-o", out, "--workers", 2, "--json"]
+    command += ["--fail-if", "frames > 1e9"]
     process = start(*command)
     printed = [json.loads(process.stdout.readline()) for _ in range(5)]
     processes = processes_of(process.pid)
     if number == signal.SIGINT:
         os.killpg(process.pid, number)  # as a terminal does
     else:
-        process.send_signal(number)
+        process.kill()
     # Not communicate(), which loses what readline() has read ahead.
     printed += [json.loads(line) for line in process.stdout if line.endswith("}\n")]
     process.wait(60)
@@ -177,19 +150,6 @@ def test_a_command_that_is_ended_goes_on_where_it_was(cuts, tmp_path, number, un
     assert again.returncode == 0
     assert kept.isdisjoint(computed)
     assert len(kept) + len(computed) == n_motions == len(g1stream.open_library(out).motions)
-
-
-@pytest.mark.slow
-def test_processes_that_are_killed_lose_nothing(many, tmp_path):
-    process = start("check", many, "-o", tmp_path / "out", "--workers", 2, "--json")
-    process.stdout.readline()
-    for pid in processes_of(process.pid):
-        if "spawn_main" in Path(f"/proc/{pid}/cmdline").read_text():
-            os.kill(pid, signal.SIGKILL)
-    _, errors = process.communicate(timeout=100)
-    assert process.returncode == 0, errors
-    motions = g1stream.open_library(tmp_path / "out").motions
-    assert list(motions["status"]) == ["ok"] * 40
 
 
 @pytest.mark.slow
@@ -223,66 +183,25 @@ def test_the_command(motions, tmp_path):
         assert "Traceback" not in err
 
 
-def test_the_rate_is_that_of_all_rows_that_are_done():
-    run = LibraryRun(computing=True, keys=set(map(str, range(30))), done=10, failed=8, elapsed=4.0)
-    fraction, text = run.status()
-    assert fraction == pytest.approx(1 / 3)
-    assert "2.5 a second, 0:08 min left" in text
-    run.done = 0
-    assert "left" not in run.status()[1]
-
-
-def test_a_broken_file_has_a_row_though_its_copy_was_repaired(tmp_path):
-    motions, out = tmp_path / "motions", tmp_path / "out"
-    motions.mkdir()
-    for name in ("a.csv", "b.csv"):
-        (motions / name).write_text("1\n2\n")
-    case = g1stream.LibraryCase("check", out)
-    assert g1stream.run_library([str(motions)], [case], workers=1).done == 1
-    assert list(by_name(g1stream.open_library(out))) == ["a"]
-    g1stream.load_motion("demo").trim(0.0, 1.0).save(motions / "a.csv", force=True)
-    for _ in range(2):
-        g1stream.run_library([str(motions)], [case], workers=1)
-    found = by_name(g1stream.open_library(out))
-    assert {name: row["status"] for name, row in found.items()} == {"a": "ok", "b": "broken"}
-
-
 @pytest.mark.slow
-def test_a_broken_file_is_one_line_and_one_row_of_the_page_for_all_values_of_a_sweep(tmp_path):
+def test_a_broken_file_is_one_line_and_one_row_of_the_page_for_all_supports(tmp_path):
     motions, out = tmp_path / "motions", tmp_path / "out"
     motions.mkdir()
     g1stream.load_motion("demo").trim(0.0, 0.5).save(motions / "good.npz")
     (motions / "cut.npz").write_bytes((motions / "good.npz").read_bytes()[:1000])
-    session = tmp_path / "session.mcap"
-    with SessionWriter(session) as writer:
-        SyntheticSession(1.0).write(writer)
-    (motions / "half.mcap").write_bytes(session.read_bytes()[:1000])
-    process = start("simulate", motions, "-o", out, "--sweep", "stream.rate=500,250,100")
+    command = ("simulate", motions, "-o", out, "--support", "bolted,hanging")
+    process = start(*command)
     printed = process.communicate(timeout=200)[0]
     assert process.returncode == 0
-    assert printed.count("cut.npz") == printed.count("half.mcap") == 1
-    assert re.findall(r"stream\.rate=(\d+)", printed) == ["500", "250", "100"]
-    assert "failed: 2 broken" in printed
+    assert printed.count("cut.npz") == 1
     rows = g1stream.open_library(out).motions
-    assert list(rows["status"].value_counts()[["ok", "broken"]]) == [3, 2]
-    broken = rows[rows["status"] == "broken"]
-    assert broken["support"].isna().all()
-    assert broken["stream.rate"].isna().all()
-    assert "5 rows of 3 motions\n  5 computed" in printed
-    again = start("simulate", motions, "-o", out, "--sweep", "stream.rate=500,250,100")
-    assert "0 computed in 0.0 s, 5 known before" in again.communicate(timeout=200)[0]
+    assert dict(rows["status"].value_counts()) == {"ok": 2, "broken": 1}
+    assert rows[rows["status"] == "broken"]["support"].isna().all()
+    assert "0 computed in 0.0 s, 3 known before" in start(*command).communicate(timeout=200)[0]
     (data,) = re.findall(r'id="data">(.*)</script>\n<script>', (out / "index.html").read_text())
     simulate = json.loads(data)["simulate"]
-    columns = [column["name"] for column in simulate["columns"]]
-    assert columns[:7] == [
-        *("picture", "name", "status", "support", "stream.rate", "reason", "rmse"),
-    ]
-    rows = [dict(zip(columns, row, strict=True)) for row in simulate["rows"]]
-    assert sorted((row["name"], row["support"], row["stream.rate"]) for row in rows[:2]) == [
-        ("cut", None, None),
-        ("half", None, None),
-    ]
-    assert sorted(row["stream.rate"] for row in rows[2:]) == [100.0, 250.0, 500.0]
+    place = [column["name"] for column in simulate["columns"]].index("support")
+    assert {row[place] for row in simulate["rows"]} == {None, "bolted", "hanging"}
 
 
 def test_a_library_does_not_hide_its_motions(tmp_path):
@@ -306,17 +225,3 @@ def test_a_file_that_cannot_be_written_is_tried_again(tmp_path):
     (out / "converted").unlink()
     again = run_library([str(source)], [case], workers=1)
     assert (again.known, again.done, again.failed) == (0, 1, 0)
-
-
-@pytest.mark.slow
-def test_a_damaged_table_is_an_error_with_its_name(tmp_path):
-    out = tmp_path / "library"
-    for name, stop in (("a", 1.0), ("b", 1.5)):
-        g1stream.load_motion("demo").trim(0.0, stop).save(tmp_path / f"{name}.csv")
-    case = LibraryCase("check", out)
-    run_library([str(tmp_path / "a.csv")], [case], workers=1)
-    (part,) = (out / "joints").glob("*.parquet")
-    part.write_bytes(b"PAR1")
-    with pytest.raises(RecordingError) as refused:
-        run_library([str(tmp_path / "b.csv")], [case], workers=1)
-    assert part.name in refused.value.cause

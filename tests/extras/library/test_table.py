@@ -21,11 +21,11 @@ from g1stream.extras.library.table import (
 )
 
 
-def rows(name="wave", key="1", sweep=None, **values):
+def rows(name="wave", key="1", **values):
     motion = MotionRow(key=key, name=name, path=f"{name}.csv", sha256=name, command="check")
     motion = motion.model_copy(update=values)
     joints = [JointRow(key=key, joint=joint, rmse=0.5) for joint in ("left_knee_joint", "waist")]
-    return Rows(motion=motion, joints=joints, sweep=sweep or {})
+    return Rows(motion=motion, joints=joints)
 
 
 def test_rows_are_read_while_they_are_written(tmp_path):
@@ -52,16 +52,6 @@ def test_a_newer_row_replaces_an_older_one(tmp_path):
         "wave": 0.2,
     }
     assert set(library.joints["key"]) == {"new", "2"}
-
-
-def test_sweeps_have_columns_of_their_own(tmp_path):
-    with writing(tmp_path) as writer:
-        writer.add([rows()])
-        swept = {"gains.kp": 0.5, "stream.feedforward": "none"}
-        writer.add([rows(key="2", sweep=swept, variant="gains.kp=0.5")])
-    motions = open_library(tmp_path).motions
-    assert motions["gains.kp"].isna().tolist() == [True, False]
-    assert motions["stream.feedforward"].iloc[1] == "none"
 
 
 def test_many_parts_become_one(tmp_path, monkeypatch):
@@ -143,11 +133,3 @@ def test_no_library_and_a_damaged_one(tmp_path):
     part.write_bytes(part.read_bytes()[:100])
     with pytest.raises(RecordingError):
         g1stream.open_library(tmp_path)
-
-
-def test_a_setting_with_words_in_one_run_and_numbers_in_another_is_words(tmp_path):
-    for number, value in enumerate((0.5, "bolted", 250.0)):
-        with writing(tmp_path) as writer:
-            writer.add([rows("wave", str(number), {"some": value}, variant=str(value))])
-        found = list(open_library(tmp_path).motions["some"])
-        assert found == ([0.5] if number == 0 else ["0.5", "bolted", "250"][: number + 1])

@@ -70,7 +70,6 @@ class LibraryCase:
         command: check, simulate or convert.
         config: all settings.
         support: how the pelvis is held; of `simulate`.
-        sweep: values of settings in this case, by name; they are in `config` already.
         format: ending of the files of `convert`: csv, npz or mcap.
         out: the library's directory.
         sessions: `simulate` keeps each session and its report.
@@ -80,18 +79,13 @@ class LibraryCase:
     out: Path
     config: Config = field(default_factory=Config)
     support: StreamSupport | None = None
-    sweep: dict[str, float | str] = field(default_factory=dict)
     format: str = ""
     sessions: bool = False
 
     @property
     def variant(self) -> str:
         """What tells the rows of one motion and one command apart."""
-        values = [
-            f"{name}={value:.12g}" if isinstance(value, float) else f"{name}={value}"
-            for name, value in self.sweep.items()
-        ]
-        return " ".join(filter(None, [self.support, self.format, *values]))
+        return self.support or self.format
 
     @cached_property
     def fingerprint(self) -> str:
@@ -157,7 +151,7 @@ class Task:
             status=status,
             reason=reason,
         )
-        return Rows(motion=row, sweep={} if broken else case.sweep)
+        return Rows(motion=row)
 
 
 @cache

@@ -37,15 +37,6 @@ def find_motions(places: Sequence[str]) -> list[str]:
     A directory stands for the files below it whose names end like those of motion files, and for
     its recordings in parts; libraries and hidden files and directories are left out, links to
     directories not followed.
-
-    Args:
-        places: paths, or URLs such as `s3://bucket/motions`.
-
-    Returns:
-        Absolute paths, and URLs.
-
-    Raises:
-        ConfigError: there is no such place, or the package for a kind of URL is not installed.
     """
     found: list[str] = []
     for place in places:
@@ -116,11 +107,7 @@ def _path(location: str) -> PurePosixPath:
 
 
 def content_hash(location: str) -> str:
-    """SHA-256 of what is at a path or URL, in hex; of a directory, of its files in order.
-
-    Raises:
-        MotionError: it cannot be read, is too large, or is not a file.
-    """
+    """SHA-256 of what is at a path or URL, in hex; of a directory, of its files in order."""
     digest = hashlib.sha256()
     path = Path(location)
     parts = [location]
@@ -135,12 +122,7 @@ def content_hash(location: str) -> str:
 
 @contextmanager
 def local_copy(location: str) -> Iterator[Path]:
-    """A path at which the motion can be read: its own or, of a URL, that of a temporary copy.
-
-    Raises:
-        MotionError: it cannot be read or is too large.
-        RecordingError: the copy cannot be written.
-    """
+    """A path at which the motion can be read: its own or, of a URL, that of a temporary copy."""
     if "://" not in location:
         yield Path(location)
         return

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections import Counter
 from dataclasses import dataclass
-from itertools import product
 from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, cast, get_args
@@ -21,23 +20,17 @@ from g1stream.cli.command import (
 )
 from g1stream.cli.flags import argument, flag
 from g1stream.cli.progress import ProgressDisplay
-from g1stream.config import load_config, settings
-from g1stream.control.gains import resolve_gains
 from g1stream.errors import ConfigError
-from g1stream.robot.joints import JOINT_NAMES
 from g1stream.text import counted, labelled, table
 from g1stream.types import StreamSupport, Support
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from g1stream.cli.fail_if import FailIf
-    from g1stream.config import Config
     from g1stream.extras.library.compute import LibraryCase
     from g1stream.extras.library.run import LibraryRun
     from g1stream.extras.library.table import MotionRow
 
-__all__ = ["Library", "swept"]
+__all__ = ["Library"]
 
 #: Motions that are named where several failed.
 _NAMED: Final = 5
@@ -50,8 +43,8 @@ class Library(SettingsCommand):
     """Checks, simulates or converts all motion files in directories, copies of a file once.
 
     check: what `g1stream physics` says. simulate: plays each motion on a simulated robot,
-    faster than real time, once for each support and each value of a sweep. convert: writes motion
-    files, or MCAP files for viewers.
+    faster than real time, once for each support. convert: writes motion files, or MCAP files for
+    viewers.
 
     The result is a directory with Parquet tables, a row for each motion and one for each of its
     joints, and index.html. A file that is broken, or takes too much time or memory, is a row with
@@ -62,7 +55,6 @@ class Library(SettingsCommand):
     Examples:
       g1stream library check motions -o library
       g1stream library simulate s3://lab/motions --support bolted,hanging
-      g1stream library simulate motions --sweep gains.kp=0.5,1,2
       g1stream library check motions --fail-if 'max_collision > 10'
       g1stream library check motions --cluster tcp://head:8786
 
@@ -90,13 +82,6 @@ class Library(SettingsCommand):
         "commas.",
         "SUPPORT",
         shown="bolted",
-    )
-    sweep: list[str] = flag(
-        (),
-        "simulate: once with each value of a setting, such as stream.rate=250,500; of gains.kp and "
-        "gains.kd, with so many times the gains. May be repeated: all combinations.",
-        "NAME=A,B",
-        shown="none",
     )
     sessions: bool = flag(False, "simulate: keep each session, and its report.")
     to: Literal["npz", "csv", "mcap"] = flag("npz", "convert: format of the files.")
@@ -157,7 +142,6 @@ class Library(SettingsCommand):
     def _check_flags(self) -> None:
         only = {
             "--support": (self.support, "simulate"),
-            "--sweep": (self.sweep, "simulate"),
             "--sessions": (self.sessions, "simulate"),
             "--to": (self.to != "npz", "convert"),
         }
@@ -185,9 +169,8 @@ class Library(SettingsCommand):
             )
         supports = cast("list[StreamSupport]", list(asked))
         return [
-            LibraryCase("simulate", out, settings, support, values, sessions=self.sessions)
+            LibraryCase("simulate", out, config, support, sessions=self.sessions)
             for support in supports
-            for values, settings in swept(config, self.sweep)
         ]
 
 
@@ -275,55 +258,3 @@ def _problems(run: LibraryRun, rows: list[dict[str, Any]]) -> list[str]:
         )
     lost = list(run.lost.items())[:_NAMED]
     return lines + [labelled("  ", f"{path}: not computed: {why}") for path, why in lost]
-
-
-#: Settings whose values in a sweep are factors.
-_GAINS: Final = ("gains.kp", "gains.kd")
-
-
-def swept(config: Config, sweeps: Sequence[str]) -> Iterator[tuple[dict[str, float | str], Config]]:
-    """Every combination of the values of a sweep, and the settings with them.
-
-    Args:
-        config: the other settings.
-        sweeps: such as `stream.rate=250,500`; the values of `gains.kp` and `gains.kd` are factors
-            of the gains.
-
-    Raises:
-        ConfigError: a sweep names what is no setting, one twice, or a value that does not fit.
-    """
-    values: dict[str, list[float | str]] = {}
-    for text in sweeps:
-        name, _, given = text.partition("=")
-        if name not in settings() or name in values:
-            reason = "is swept twice" if name in values else "is no setting"
-            raise ConfigError(
-                f"{name} in --sweep {text} {reason}.",
-                "Name a setting of configs/sim.toml, once: --sweep stream.rate=250,500.",
-            )
-        values[name] = list(dict.fromkeys(_value(one.strip()) for one in given.split(",")))
-        if "" in values[name]:
-            raise ConfigError(
-                f"--sweep {text} lacks a value.", f"Give some: --sweep {name}=0.5,1,2."
-            )
-    for combination in product(*values.values()):
-        chosen = dict(zip(values, combination, strict=True))
-        over = {name: _setting(config, name, value) for name, value in chosen.items()}
-        yield chosen, load_config(over=config.model_dump() | over)
-
-
-def _value(text: str) -> float | str:
-    try:
-        return float(text)
-    except ValueError:
-        return text
-
-
-def _setting(config: Config, name: str, value: float | str) -> Any:
-    if name not in _GAINS:
-        return int(value) if isinstance(value, float) and value.is_integer() else value
-    if isinstance(value, str):
-        raise ConfigError(f"{name} cannot be {value} times the gains.", "Give a number.")
-    kp, kd = resolve_gains(config.gains)
-    gains = value * (kp if name == "gains.kp" else kd)
-    return dict(zip(JOINT_NAMES, gains.tolist(), strict=True))

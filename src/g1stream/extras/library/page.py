@@ -26,23 +26,18 @@ PAGE: Final = "index.html"
 #: Where the page has the data, which are written in pieces of so many rows.
 _DATA: Final = "\0"
 _ROWS: Final = 500
-#: Before the values of a sweep, and after them. The page has a reason in place of what is behind.
-_FIRST: Final = ["picture", "name", "status", "support", "variant"]
-_THEN: Final = ["reason", "rmse", "report", "output"]
+#: The page has a reason in place of what is behind.
+_FIRST: Final = [
+    *("picture", "name", "status", "support", "variant"),
+    *("reason", "rmse", "report", "output"),
+]
 _LEFT_OUT: Final = {"key", "sha256", "command", "limits"}
 #: The same for many rows, or told by another column.
 _LAST: Final = ["frames", "fps", "path", "seconds", "memory"]
 
 
 def write_page(directory: Path) -> Path:
-    """Write the page of a library, which needs no network.
-
-    Args:
-        directory: of the library.
-
-    Raises:
-        RecordingError: there is no library, or the page cannot be written.
-    """
+    """Write the page of a library, which needs no network."""
     motions = newest_motions(directory)
     text = Template(_resource("page.html")).substitute(
         title=escape(printable(directory.absolute().name)),
@@ -65,22 +60,16 @@ def write_page(directory: Path) -> Path:
 def _shown(motions: pandas.DataFrame) -> Iterator[str]:
     """JSON of the columns that have values and of the rows, worst first, in pieces."""
     motions = motions.assign(name=_distinct(motions["name"], motions["path"]))
-    sweep = [name for name in motions if name not in MotionRow.model_fields]
     motions = motions.iloc[(-_badness(motions)).argsort(kind="stable")]
     told = motions.replace("", None).notna().any()
-    told["variant"] &= not told["support"]  # and values of a sweep, which have their columns
+    told["variant"] &= not told["support"]
     used = [name for name in motions if name not in _LEFT_OUT and told[name]]
-    ahead = [*_FIRST, *sweep, *_THEN]
-    names = [name for name in ahead if name in used]
-    names += [name for name in used if name not in {*ahead, *_LAST}]
+    names = [name for name in _FIRST if name in used]
+    names += [name for name in used if name not in {*_FIRST, *_LAST}]
     names += [name for name in _LAST if name in used]
-    about = {name: MotionRow.model_fields.get(name) for name in names}
+    about: dict[str, Any] = {name: MotionRow.model_fields[name] for name in names}
     columns = [
-        {
-            "name": name,
-            "about": field.description if field else "value of the sweep",
-            "unit": field.json_schema_extra["unit"] if field else "",  # type: ignore[index]
-        }
+        {"name": name, "about": field.description, "unit": field.json_schema_extra["unit"]}
         for name, field in about.items()
     ]
     yield f'{{"columns":{json.dumps(columns)},"rows":['

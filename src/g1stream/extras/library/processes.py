@@ -58,17 +58,6 @@ def limited(limits: Limits, function: Callable[..., T], *args: Any) -> T:
 
     Where the process ends, because of the call or because somebody killed it, the call is made once
     more.
-
-    Args:
-        limits: of time and memory.
-        function: of a module; it, its arguments and what it returns are pickled.
-        args: of the function.
-
-    Raises:
-        TooSlowError: it took longer than it may.
-        CrashedError: its process ended, twice.
-        CancelledError: `end_processes` was called meanwhile.
-        ConfigError: the extra `library` is not installed.
     """
     pebble = import_extra("pebble", "library", "A library needs")
     for _ in range(2):

@@ -281,18 +281,7 @@ def open_executor(
     warn: Callable[[str], None] = lambda text: None,
     stop: Callable[[], bool] = lambda: False,
 ) -> Iterator[Executor]:
-    """What calls are submitted to.
-
-    Args:
-        workers: processes on this machine.
-        cluster: address of a Dask scheduler, such as `tcp://host:8786`, that is used instead.
-        warn: called with what keeps it waiting, and what to do.
-        stop: asked now and then; whether not to wait for workers.
-
-    Raises:
-        ConfigError: the extra `cluster` is not installed, there is no scheduler, or its workers
-            lack g1stream, have another version, or cannot start processes.
-    """
+    """What calls are submitted to."""
     if cluster:
         with _client(cluster, warn, stop) as client:
             yield client.get_executor(pure=False)
@@ -375,14 +364,7 @@ def completed(
     items: Iterable[T],
     stop: Callable[[], bool] = lambda: False,
 ) -> Iterator[list[tuple[T, Future[R]]]]:
-    """Call a function with each item; yields those that are done, some together.
-
-    Args:
-        executor: makes the calls.
-        function: called with an item.
-        items: taken as calls are done, so that there may be many.
-        stop: asked now and then; what is not done then is not waited for.
-    """
+    """Call a function with each item; yields those that are done, some together."""
     done: SimpleQueue[Future[R]] = SimpleQueue()
     left = iter(items)
     running: dict[Future[R], T] = {}

@@ -71,7 +71,7 @@ class MotionRow(Record):
     path: str = column("of the file, or its URL", default=...)
     sha256: str = column("of its content", default=...)
     command: Command = column("that computed the row", default=...)
-    variant: str = column("support and values of a sweep, or the format", default="")
+    variant: str = column("the support, or the format", default="")
     support: str | None = column("how the pelvis was held")
     status: Status = column("what became of it", default="ok")
     reason: str | None = column("why it is not ok")
@@ -143,12 +143,7 @@ CONDITION_NAMES: Final = (
 
 
 def condition_value(row: Mapping[str, Any], name: str) -> float | None:
-    """What a condition names, as a number; None for what is not known.
-
-    Args:
-        row: of the table of motions, with None or NaN for what was not computed.
-        name: of `CONDITION_NAMES`.
-    """
+    """What a condition names, as a number; None for what is not known."""
     value = row["status"] == "ok" if name == "ok" else row[name]
     unknown = value is None or (isinstance(value, float) and isnan(value))
     return None if unknown else float(_PLAYABLE.get(value, value))
@@ -178,11 +173,10 @@ class JointRow(Record):
 
 
 class Rows(Record):
-    """The rows of one motion, and the values of a sweep that go into columns of their own."""
+    """The rows of one motion."""
 
     motion: MotionRow
     joints: list[JointRow] = Field(default_factory=list)
-    sweep: dict[str, float | str] = Field(default_factory=dict)
 
 
 _EXTRA: Final = "library", "A library's tables need"
@@ -267,16 +261,13 @@ def _parts(directory: Path) -> list[Path]:
 
 
 def _read(directory: Path) -> Any:
-    """The table in a directory, oldest rows first; None where there is none.
-
-    Raises:
-        FileNotFoundError: a part was removed meanwhile.
-        RecordingError: a part is damaged.
-    """
+    """The table in a directory, oldest rows first; None where there is none."""
     arrow = import_extra("pyarrow", *_EXTRA)
     import_extra("pandas", *_EXTRA)
     parts = _parts(directory)
-    return _concatenated(arrow, [_read_part(part) for part in parts]) if parts else None
+    # An older version may have had fewer columns.
+    tables = [_read_part(part) for part in parts]
+    return arrow.concat_tables(tables, promote_options="default") if tables else None
 
 
 def _read_part(path: Path) -> Any:
@@ -312,26 +303,6 @@ def _damage_named(path: Path) -> Iterator[None]:
         ) from error
 
 
-def _concatenated(arrow: Any, tables: Sequence[Any]) -> Any:
-    """Tables below one another; sweeps have columns that others do not have.
-
-    A column with words in one and numbers in another has the numbers as words, too.
-    """
-    kinds: dict[str, set[Any]] = {}
-    for field in (field for table in tables for field in table.schema):
-        kinds.setdefault(field.name, set()).add(field.type)
-    for name in [name for name, several in kinds.items() if len(several) > 1]:
-        tables = [_as_words(arrow, table, name) for table in tables]
-    return arrow.concat_tables(tables, promote_options="default")
-
-
-def _as_words(arrow: Any, table: Any, name: str) -> Any:
-    place = table.schema.get_field_index(name)
-    if place < 0:
-        return table
-    return table.set_column(place, name, table.column(place).cast(arrow.string()))
-
-
 class TableWriter:
     """Adds rows to a library. Use `writing`."""
 
@@ -353,12 +324,7 @@ class TableWriter:
         self._n_small = len(_small_parts(self._directories["motions"]))
 
     def has(self, key: str, limits: str) -> bool:
-        """Whether a row is there that need not be computed.
-
-        Args:
-            key: of the row.
-            limits: one that failed within other limits than these does.
-        """
+        """Whether a row is there that need not be computed."""
         row = self._known.get(key)
         if row is None or row["status"] == "error":
             return False
@@ -368,10 +334,9 @@ class TableWriter:
         """Write rows as a new part of each table."""
         self._number += 1
         joints = [joint.model_dump() for rows in several for joint in rows.joints]
-        motions = [{**rows.motion.model_dump(), **rows.sweep} for rows in several]
-        own = {name: type(value) for rows in several for name, value in rows.sweep.items()}
+        motions = [rows.motion.model_dump() for rows in several]
         self._write("joints", _table(self._arrow, JointRow, joints))
-        self._write("motions", _table(self._arrow, MotionRow, motions, own))
+        self._write("motions", _table(self._arrow, MotionRow, motions))
         self._n_small += len(several) < _SMALL
         if self._n_small >= _MOST_PARTS:
             self.merge()
@@ -382,7 +347,8 @@ class TableWriter:
         for name, directory in self._directories.items():
             small = _small_parts(directory)
             if len(small) > 1:
-                self._write(name, _concatenated(self._arrow, [_read_part(part) for part in small]))
+                tables = [_read_part(part) for part in small]
+                self._write(name, self._arrow.concat_tables(tables, promote_options="default"))
                 for part in small:
                     part.unlink()
         self._n_small = len(_small_parts(self._directories["motions"]))
@@ -397,12 +363,7 @@ class TableWriter:
 
 @contextmanager
 def writing(directory: Path) -> Iterator[TableWriter]:
-    """Write to a library, as the only one that does.
-
-    Raises:
-        ConfigError: the extra `library` is not installed.
-        RecordingError: another process writes to it, or it cannot be written.
-    """
+    """Write to a library, as the only one that does."""
     with output_errors(directory):
         directory.mkdir(parents=True, exist_ok=True)
         lock = (directory / LIBRARY).open("w")
@@ -421,18 +382,12 @@ def writing(directory: Path) -> Iterator[TableWriter]:
             writer.merge()
 
 
-def _table(
-    arrow: Any,
-    kind: type[Record],
-    rows: list[dict[str, Any]],
-    own: Mapping[str, type] | None = None,
-) -> Any:
-    """Rows as a table with the columns of a record, and with `own` ones of a sweep."""
+def _table(arrow: Any, kind: type[Record], rows: list[dict[str, Any]]) -> Any:
+    """Rows as a table with the columns of a record."""
     fields = [
         arrow.field(name, _type(arrow, one.annotation), metadata=_about(one))
         for name, one in kind.model_fields.items()
     ]
-    fields += [arrow.field(name, _type(arrow, values)) for name, values in (own or {}).items()]
     return arrow.Table.from_pylist(rows, arrow.schema(fields))
 
 

@@ -611,9 +611,6 @@ def write_page(
         joints: motor indices of those that are compared.
         path: of the page.
         force: replace a file that is there.
-
-    Raises:
-        RecordingError: a session is damaged, or the page cannot be written.
     """
     with complete_file(path, force=force) as temporary:
         drawn = _drawn(comparison, sources, list(joints))

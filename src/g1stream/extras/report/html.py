@@ -24,11 +24,6 @@ def render_page(template: str, drawn: Sequence[Mapping[str, Any]], **values: Any
     """A page with the script that draws its figures.
 
     Text is escaped, what a terminal would obey in it too: it may come from a file or a peer.
-
-    Args:
-        template: a file of this directory that extends `page.html`.
-        drawn: what the script draws, for JSON; a figure names the one that it is of by its index.
-        values: of the template.
     """
     jinja = import_extra("jinja2", "report", "A report needs")
     plotly = import_extra("plotly.offline", "report", "A report needs")

@@ -230,12 +230,7 @@ _PUNCTUALITY: Final = {
 
 
 def tables(metrics: Mapping[str, Any], key: str) -> dict[str, Table | None]:
-    """The tables of a session's metrics, by name; None where there is nothing to show.
-
-    Args:
-        metrics: as `Session.metrics` dumps them to JSON.
-        key: where they are in the JSON of the report, such as `sessions.0.metrics`.
-    """
+    """The tables of a session's metrics, by name; None where there is nothing to show."""
 
     def table_of(head: str, columns: Sequence[Column], rows: Mapping[str, str]) -> Table | None:
         shown = [(name, path, _at(metrics, path)) for path, name in rows.items()]
@@ -286,12 +281,7 @@ def difference_tables(comparison: Mapping[str, Any]) -> dict[str, Table | None]:
 
 
 def physics_tables(physics: MotionPhysics, key: str) -> dict[str, Any]:
-    """The tables of what the motion asks of a robot, and how many links are inside each other.
-
-    Args:
-        physics: of the motion.
-        key: where they are in the JSON of the report.
-    """
+    """The tables of what the motion asks of a robot, and how many links are inside each other."""
     values = physics.model_dump(mode="json")
 
     def each(path: str) -> list[tuple[str, str, Any]]:
@@ -328,13 +318,7 @@ def physics_tables(physics: MotionPhysics, key: str) -> dict[str, Any]:
 def table(
     head: str, columns: Sequence[Column], rows: Iterable[tuple[str, str, Any]]
 ) -> Table | None:
-    """A table; columns without a value are left out, and without any there is none.
-
-    Args:
-        head: of the first column.
-        columns: the others.
-        rows: name, key in the JSON, and values there.
-    """
+    """A table; columns without a value are left out, and without any there is none."""
     rows = list(rows)
     columns = [c for c in columns if any(_at(row, c.key) not in (None, "") for _, _, row in rows)]
     if not columns:

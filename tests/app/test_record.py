@@ -38,8 +38,7 @@ def test_a_missing_stream_is_an_error(config, tmp_path, monkeypatch):
     assert not (tmp_path / "s.mcap").exists()
 
 
-@pytest.mark.parametrize("split", [None, 60.0])
-@pytest.mark.parametrize("before", [False, True])
+@pytest.mark.parametrize(("split", "before"), [(None, False), (60.0, True)])
 def test_a_recording_without_a_sample_is_removed_and_an_older_one_is_kept(
     config, tmp_path, split, before
 ):

@@ -8,7 +8,6 @@ import pytest
 
 from g1stream.app.arming import ArmingReport, LimbDistance
 from g1stream.cli.arming import arming, render
-from g1stream.cli.main import main
 from g1stream.doctor.facts import ok, problem, warning
 from g1stream.errors import ConfigError
 
@@ -46,12 +45,6 @@ def test_yes_names_the_interface(report, capsys):
         other(report)
 
 
-def test_a_silent_motion_service_is_the_last_line_before_the_question(report):
-    silent = warning("motion service", "It does not answer.", "Look.")
-    lines = render(replace(report, motion_service=silent)).splitlines()
-    assert lines[-1] == "WARNING: It does not answer. Look."
-
-
 def test_what_a_terminal_obeys_is_escaped(report, capsys):
     hostile = warning("motion service", "mode \x1b[2J", "Look.")
     ask = arming(True, "eth9")
@@ -75,11 +68,3 @@ def test_unarmed_asks_nothing():
     assert arming(False, None) is None
     with pytest.raises(ConfigError):
         arming(False, "eth9")
-
-
-@pytest.mark.parametrize("command", [["stream", "demo"], ["replay", "no-such.mcap"]])
-def test_anything_but_loopback_is_refused_unarmed(command, monkeypatch, capsys):
-    monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
-    monkeypatch.setattr("g1stream.dds.domain.interfaces", lambda: ["lo", "eth9"])
-    assert main([*command, "--interface", "eth9", "--domain", "0"]) == 2
-    assert "--arm" in capsys.readouterr().err

@@ -13,7 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from g1stream.cli.progress import ProgressDisplay, RecorderStatus, loop_status, sim_status
+from g1stream.cli.progress import RecorderStatus, loop_status, sim_status
 from g1stream.control.command import Prepared
 from g1stream.control.report import LoopReport
 from g1stream.control.schedule import PhaseState
@@ -74,19 +74,19 @@ def test_on_a_terminal_events_appear_above_the_status_which_is_removed_at_the_en
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("no_color", "coloured"), [("", True), ("1", False)])
-def test_no_color_is_honoured(no_color, coloured):
-    colour = "\x1b[38;" in on_terminal(
-        NO_COLOR=no_color, COLORTERM="truecolor", TERM="xterm-256color"
-    )
-    assert colour is coloured
-
-
-@pytest.mark.slow
-def test_a_dumb_terminal_gets_no_status():
-    shown = on_terminal(TERM="dumb")
-    assert EVENTS in shown
-    assert "37 %" not in shown
+@pytest.mark.parametrize(
+    ("terminal", "status", "coloured"),
+    [
+        ({"TERM": "xterm-256color", "NO_COLOR": ""}, True, True),
+        ({"TERM": "xterm-256color", "NO_COLOR": "1"}, True, False),
+        ({"TERM": "dumb"}, False, False),
+    ],
+)
+def test_status_and_colours_are_what_the_terminal_can_show(terminal, status, coloured):
+    shown = on_terminal(COLORTERM="truecolor", **terminal)
+    assert "HOLD -> DAMP\n" in shown
+    assert ("37 %" in shown) == status
+    assert ("\x1b[38;" in shown) == coloured
 
 
 @pytest.mark.slow
@@ -157,8 +157,3 @@ def test_the_status_of_a_recorder_has_the_rates_of_the_last_second(monkeypatch):
 def test_the_status_of_a_simulator():
     simulated = SimReport(states=500, commands=1, refused={"its CRC is wrong": 2}, simulated=1.0)
     assert "500 states, 1 command, 2 refused" in sim_status(simulated)[1]
-
-
-def test_a_display_without_a_terminal_starts_no_thread():
-    with ProgressDisplay(lambda: pytest.fail("drawn")):
-        pass

@@ -293,9 +293,6 @@ def frame_timestamps(base_ns: int, frames: Iterable[int], fps: float) -> Ints:
         base_ns: time of frame 0, ns since the epoch, not negative.
         frames: frame numbers, not negative, rising.
         fps: frames per second, above 0.
-
-    Raises:
-        ConfigError: a time lies after the year 2262, where 64 bits end.
     """
     rate = Fraction(repr(float(fps)))
     numerator, denominator = 2 * _NS_PER_S * rate.denominator, 2 * rate.numerator
@@ -314,9 +311,6 @@ def parse_time(text: str) -> int:
     Args:
         text: whole nanoseconds since 1970-01-01T00:00Z, or ISO 8601 with a time zone, such as
             `2026-03-01T12:00:00.123456789Z` or `2026-03-01 12:00+01:00`.
-
-    Raises:
-        ConfigError: it is neither, or before 1970 or after 2262.
     """
     time = int(text) if _WHOLE.fullmatch(text) else _parse_iso(text)
     if not 0 <= time <= _LAST_NS:

@@ -43,21 +43,6 @@ def demo(
     """Play a motion on our own bridge and record it, all on this machine.
 
     Returns the summary of the session; where no command was sent, what the stream counted.
-
-    Args:
-        motion: a motion, a motion file, or the name of a bundled motion.
-        out: directory for session.mcap and tracking.png, the figure of `Session.plot`; made where
-            it is missing.
-        config: all settings; the defaults if left out. Where it sets no domain, the first one from
-            1 on in which nobody publishes a robot's topics.
-        force: replace files that are there already.
-        on_loop: is given the loop before it runs, and the settings with the domain.
-
-    Raises:
-        ConfigError: the domain is not this machine's alone.
-        WireError: there is a robot or simulator in the domain already.
-        RecordingError: a file is there already and `force` is off, or none can be made there.
-        G1StreamError: another setting or the wire does not allow it.
     """
     from g1stream.analysis.plots import draw
     from g1stream.app.session import open_session
@@ -106,11 +91,7 @@ def _check_local_only(interface: str) -> None:
 
 
 def check_absent(*paths: Path) -> None:
-    """Refuse to replace files.
-
-    Raises:
-        RecordingError: one of them is there.
-    """
+    """Refuse to replace files."""
     for path in paths:
         if path.exists():
             raise RecordingError(

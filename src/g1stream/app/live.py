@@ -70,13 +70,6 @@ class _Server:
     """The channels of a session file on a WebSocket server, until the process ends.
 
     `WebSocketServer.stop` is never called: it would wait for a client that does not read.
-
-    Args:
-        latched: the messages that every client is sent when it subscribes.
-        port: of the server.
-
-    Raises:
-        ConfigError: the port cannot be opened.
     """
 
     def __init__(self, latched: list[MessageBatch], port: int) -> None:
@@ -138,16 +131,6 @@ def observe(
     needs them too, and `record.channels` raw counts as standard. After that comes a list every
     `record.batch`, which may be empty. What the caller does with one may take its time: samples are
     received in a thread of their own.
-
-    Args:
-        config: all settings.
-        should_stop: asked before each list.
-
-    Raises:
-        RobotError: the URDF has a shape that cannot be read.
-        ConfigError: a link of the robot has the name of the world's frame.
-        WireError: DDS does not allow it.
-        RecordingError: samples cannot be received any more.
     """
     settings = config.record
     if settings.channels == "raw":  # to keep a file small; viewers would show nothing

@@ -107,11 +107,7 @@ def _priority(config: Config) -> int:
 
 
 def make_world(robot: G1, settings: SimConfig) -> World:
-    """The simulated robot as the settings have it.
-
-    Raises:
-        SimError: the robot cannot be simulated.
-    """
+    """The simulated robot as the settings have it."""
     return World(
         robot,
         settings.support,
@@ -149,9 +145,6 @@ def open_viewer(world: World) -> Any:
     The window shows the world at the last `sync()`, which copies it and should be called some 50
     times a second, from the thread that steps. `is_running()` is False once the user has closed
     the window; `close()` closes it.
-
-    Raises:
-        SimError: there is no display, or no OpenGL on it.
     """
     _check_display()
     from mujoco import viewer

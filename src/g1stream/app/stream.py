@@ -158,9 +158,6 @@ class _RecorderChild:
 
     If it fails while the motion is played, that is logged at once, and ends the motion if
     `safety.require_record` is set.
-
-    Raises:
-        ChildError: it cannot record.
     """
 
     def __init__(self, path: Path, force: bool, planned: Plan, loop: StreamLoop) -> None:
@@ -190,9 +187,6 @@ class _RecorderChild:
         """End the recording, and return its summary; if the recorder failed, only why.
 
         A signal that comes meanwhile ends the recorder at once.
-
-        Args:
-            stream: for the file's metadata.
         """
         summary: RecorderSummary
         final = {"stream": stream.model_dump(mode="json"), "stopped": self._failure}

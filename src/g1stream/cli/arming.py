@@ -22,11 +22,7 @@ _WIDTH: Final = 98
 
 
 def arming(arm: bool, yes: str | None) -> Callable[[ArmingReport], bool] | None:
-    """What `stream` calls to be armed; None without --arm.
-
-    Raises:
-        ConfigError: --yes without --arm.
-    """
+    """What `stream` calls to be armed; None without --arm."""
     if not arm:
         if yes is not None:
             raise ConfigError("The flag --yes has no effect without --arm.", "Add --arm.")

@@ -79,11 +79,7 @@ class SettingsCommand(Command):
     )
 
     def resolve(self) -> Config:
-        """The config file, if any, with the flags over it.
-
-        Raises:
-            ConfigError: the file or a value does not fit.
-        """
+        """The config file, if any, with the flags over it."""
         from g1stream.config import load_config
 
         return load_config(self.config, self.overrides())
@@ -94,12 +90,7 @@ class SettingsCommand(Command):
 
 
 def announce_wire(config: Config, *, commands: bool = True) -> None:
-    """Print on standard error where on DDS this goes; with a warning, where a robot may be.
-
-    Args:
-        config: where.
-        commands: whether what is published moves a robot.
-    """
+    """Print on standard error where on DDS this goes; with a warning, where a robot may be."""
     from g1stream.dds.domain import is_local_only
     from g1stream.dds.messages import COMMANDS
 
@@ -121,16 +112,7 @@ def yes_flag() -> Any:
 
 
 def confirmed(interface: str, yes: str | None) -> bool:
-    """Whether the user wants to command what is on an interface: asks on the terminal.
-
-    Args:
-        interface: what has to be typed.
-        yes: confirmation that was given beforehand, by `yes_flag`.
-
-    Raises:
-        ConfigError: `yes` names another interface, or there is no terminal to ask on.
-        SystemExit: a signal came instead of an answer; its code is 128 + n.
-    """
+    """Whether the user wants to command what is on an interface: asks on the terminal."""
     from g1stream.errors import ConfigError
 
     if yes is not None:

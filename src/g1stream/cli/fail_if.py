@@ -33,16 +33,7 @@ class FailIf(NamedTuple):
 
     @classmethod
     def parse(cls, text: str, names: Sequence[str], with_base: Sequence[str] = ()) -> FailIf:
-        """Read a condition.
-
-        Args:
-            text: the condition.
-            names: what it can name.
-            with_base: those of them that have a base.
-
-        Raises:
-            ConfigError: it is of another form, names something else, or a base that is not there.
-        """
+        """Read a condition."""
         match = _FORM.fullmatch(text)
         if not match or not isfinite(number := float(match[3])):
             remedy = "Give NAME OP NUMBER with OP one of < <= > >=, such as 'rmse > 0.02'"

@@ -31,11 +31,7 @@ class LiveCommand(SettingsCommand):
     )
 
     def resolve(self) -> Config:
-        """The config file, if any, with the flags over it.
-
-        Raises:
-            ConfigError: the file or a value does not fit, or a flag has no effect.
-        """
+        """The config file, if any, with the flags over it."""
         if not self.live and "live_port" in self.settings:
             raise ConfigError(
                 "The flag --live-port has no effect without --live.", "Add --live, or leave it out."
@@ -44,11 +40,7 @@ class LiveCommand(SettingsCommand):
 
     @contextmanager
     def serving(self, config: Config) -> Iterator[None]:
-        """Serve for the length of a `with`, if asked to, and print the address to open.
-
-        Raises:
-            G1StreamError: it was asked to, and cannot be done.
-        """
+        """Serve for the length of a `with`, if asked to, and print the address to open."""
         if not self.live:
             yield
             return

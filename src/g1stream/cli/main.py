@@ -112,14 +112,7 @@ exit codes:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command.
-
-    Args:
-        arguments: what follows `g1stream`; the process's own if left out.
-
-    Returns:
-        The exit code: 0 as asked, 1 stopped, 2 bad input, 128 + n after signal n.
-    """
+    """Run a command."""
     # Our matrices are small; a pool of BLAS threads would only cost every start 50 ms of CPU.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     arguments = sys.argv[1:] if arguments is None else list(arguments)

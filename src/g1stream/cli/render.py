@@ -76,11 +76,7 @@ class Render(Command):
 
 
 def parse_size(text: str) -> tuple[int, int]:
-    """Width and height of a size such as `640x480`.
-
-    Raises:
-        ConfigError: it is none.
-    """
+    """Width and height of a size such as `640x480`."""
     width, _, height = text.partition("x")
     if not (width.isascii() and width.isdigit() and height.isascii() and height.isdigit()):
         raise ConfigError(f"{text} is not a size.", "Give width and height such as 640x480.")

@@ -96,11 +96,7 @@ class PlayCommand(LiveCommand):
     json: bool = flag(False, "Print the summary as JSON on standard output.")
 
     def resolve(self) -> Config:
-        """The config file, if any, with the flags over it.
-
-        Raises:
-            ConfigError: the file or a value does not fit, or a flag has no effect.
-        """
+        """The config file, if any, with the flags over it."""
         if self.record is None:
             for_recording = [
                 name

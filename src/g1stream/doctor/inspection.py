@@ -77,11 +77,7 @@ _DURABILITIES = (
 def inspect_domain(
     domain: int, interface: str, interfaces: Iterable[Interface], seconds: float
 ) -> WireFacts:
-    """Listen in a domain and, where LowState is not published, in others nearby.
-
-    Raises:
-        WireError: the domain cannot be joined on the interface.
-    """
+    """Listen in a domain and, where LowState is not published, in others nearby."""
     with Participant(domain, interface) as participant:
         facts = inspect_participant(participant, seconds)
     if facts.writers_of(LOWSTATE.name):
@@ -272,11 +268,6 @@ def diagnose(config: Config, seconds: float = 1.0) -> list[Finding]:
     """Check this machine and the domain; each check has a finding, also where all is well.
 
     Only listens: nothing is published, so that no other program is disturbed.
-
-    Args:
-        config: where to look (`dds`), which robots may be commanded (`safety`), and what the loop
-            requests of the system (`realtime`, and `stream.rate`).
-        seconds: how long to listen for LowState.
     """
     domain, interface = config.dds.domain, config.dds.interface
     host = inspect_host(config.realtime)

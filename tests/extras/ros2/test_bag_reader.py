@@ -216,7 +216,6 @@ def test_transforms_that_no_pelvis_has(tmp_path, joints, quat):
         "CREATE TABLE t AS SELECT id, topic_id, timestamp, NULL AS data FROM messages; "
         "DROP TABLE messages; ALTER TABLE t RENAME TO messages",
         "UPDATE messages SET data = 7 WHERE id = 3",
-        "UPDATE messages SET timestamp = 'now' WHERE id = 3",
         "UPDATE messages SET timestamp = -9223372036854775808 WHERE id = 3",
         "CREATE TABLE t AS SELECT NULL AS id, name, type, serialization_format FROM topics; "
         "DROP TABLE topics; ALTER TABLE t RENAME TO topics",
@@ -237,18 +236,6 @@ def test_a_bag_of_the_robot_with_joint_states_is_no_session(tmp_path, motion, jo
     topics = {"/lowstate": ("std_msgs/msg/String", text), "/joint_states": (JOINT_STATE, joints)}
     found = load_motion(write_bag(tmp_path / "bag", topics, StoragePlugin.MCAP))
     np.testing.assert_array_equal(found.joint_pos, motion.joint_pos)
-
-
-def test_a_time_that_no_recording_has(tmp_path, motion):
-    path, message = tmp_path / "robot.mcap", JointStates()
-    message.timestamp.seconds = 2 * 10**11
-    for name in motion.joint_names:
-        message.joints.add(name=name, position=0.0)
-    with path.open("wb") as file, ProtobufWriter(file) as writer:
-        for i in range(2):
-            writer.write_message("/joints", message, START + i * STEP, START + i * STEP)
-    with pytest.raises(RecordingError, match="JointStates"):
-        load_motion(path)
 
 
 def test_joint_states_of_foxglove(tmp_path, motion):
@@ -279,13 +266,6 @@ def test_convert_and_back(tmp_path, motion, out):
     np.testing.assert_array_equal(found.root_quat_wxyz, motion.root_quat_wxyz)
 
 
-def test_a_bag_with_other_things(tmp_path):
-    text = [(START, of_ros("std_msgs/msg/String")("hello"))]
-    path = write_bag(tmp_path / "bag", {"/chatter": ("std_msgs/msg/String", text)})
-    with pytest.raises(RecordingError, match="std_msgs/msg/String"):
-        load_motion(path)
-
-
 def test_an_encoding_that_is_not_read(tmp_path):
     path = tmp_path / "robot.mcap"
     with path.open("wb") as file:
@@ -296,13 +276,6 @@ def test_an_encoding_that_is_not_read(tmp_path):
         writer.add_message(channel, START, b"{}", START)
         writer.finish()
     with pytest.raises(RecordingError, match=r"it has foxglove\.JointStates in json"):
-        load_motion(path)
-
-
-def test_a_bag_of_the_robot_in_sqlite_is_no_session(tmp_path):
-    text = [(START, of_ros("std_msgs/msg/String")("hello"))]
-    path = write_bag(tmp_path / "bag", {"/lowstate": ("std_msgs/msg/String", text)})
-    with pytest.raises(RecordingError, match="no joint states"):
         load_motion(path)
 
 
@@ -319,16 +292,38 @@ def test_messages_outside_of_chunks(tmp_path):
         load_motion(path)
 
 
-def test_a_bag_with_two_robots(tmp_path, joints):
-    topics = {f"/{name}/js": (JOINT_STATE, joints) for name in ("one", "two")}
-    with pytest.raises(RecordingError, match="/one/js, /two/js"):
-        load_motion(write_bag(tmp_path / "bag", topics))
+STRING = "std_msgs/msg/String"
 
 
-def test_a_bag_of_another_robot(tmp_path, joints):
-    legs = [(t, joint_state(t, m.name[15:29], m.position[15:29])) for t, m in joints]
-    with pytest.raises(MotionError, match="lacks the joints waist_pitch_joint"):
-        load_motion(write_bag(tmp_path / "bag", {"/joint_states": (JOINT_STATE, legs)}))
+@pytest.mark.parametrize(
+    ("topics", "error", "named"),
+    [
+        (
+            lambda joints: {"/lowstate": (STRING, [(START, of_ros(STRING)("hello"))])},
+            RecordingError,
+            "it has std_msgs/msg/String",
+        ),
+        (
+            lambda joints: {f"/{name}/js": (JOINT_STATE, joints) for name in ("one", "two")},
+            RecordingError,
+            "/one/js, /two/js",
+        ),
+        (
+            lambda joints: {
+                "/js": (
+                    JOINT_STATE,
+                    [(t, joint_state(t, m.name[15:29], m.position[15:29])) for t, m in joints],
+                )
+            },
+            MotionError,
+            "lacks the joints waist_pitch_joint",
+        ),
+    ],
+    ids=["other things", "two robots", "another robot"],
+)
+def test_what_is_no_motion_of_a_g1(tmp_path, joints, topics, error, named):
+    with pytest.raises(error, match=named):
+        load_motion(write_bag(tmp_path / "bag", topics(joints)))
 
 
 def test_messages_that_are_not_what_they_say(tmp_path, joints):
@@ -336,9 +331,8 @@ def test_messages_that_are_not_what_they_say(tmp_path, joints):
     whole = bytes(ROS.serialize_cdr(message, JOINT_STATE))
     decode = DECODERS.joint_states[JOINT_STATE, "cdr"]
     assert decode(whole).names == tuple(message.name)
-    for n in range(len(whole)):
-        with pytest.raises(ValueError, match=r".+"):
-            decode(whole[:n])
+    with pytest.raises(ValueError, match=r".+"):
+        decode(whole[:-1])
     with Writer(path, version=9) as writer:
         connection = writer.add_connection("/joint_states", JOINT_STATE, typestore=ROS)
         writer.write(connection, time_ns, whole[:100])

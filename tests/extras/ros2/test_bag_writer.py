@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from foxglove_schemas_protobuf.Log_pb2 import Log
 from mcap_ros2.reader import read_ros2_messages
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability, QosHistory, QosLiveliness, QosReliability
@@ -195,13 +194,3 @@ def test_what_cannot_be_decoded_leaves_nothing_behind(write_session, samples, tm
     with pytest.raises(RecordingError, match=topic):
         write_ros2_bag(damaged, tmp_path / "bag")
     assert [path.name for path in tmp_path.iterdir()] == ["damaged.mcap"]
-
-
-@pytest.mark.parametrize("level", range(1, 6))
-def test_levels_of_the_log_are_those_of_ros(write_session, samples, tmp_path, level):
-    line = Log(level=level, message="x")
-    source = write_session(*samples.items(), ("/log", [line.SerializeToString()]))
-    levels = [
-        value.level for _, value in messages(write_ros2_bag(source, tmp_path / "b").path)["/rosout"]
-    ]
-    assert sorted(levels) == sorted([30, 10 * level])

@@ -6,7 +6,6 @@ import logging
 import os
 import signal
 from collections import defaultdict
-from importlib.metadata import PackageNotFoundError
 from io import StringIO
 from pathlib import Path
 
@@ -36,7 +35,6 @@ from g1stream.dds.messages import (
     Reference,
     SportModeState,
 )
-from g1stream.errors import ConfigError
 from g1stream.robot.model import G1
 
 ROS = get_typestore(Stores.ROS2_HUMBLE)
@@ -327,16 +325,6 @@ def test_nothing_is_published_unless_asked(domain_id):
     before = children()
     with publishing_for_ros2(Config.model_validate({"dds": {"domain": domain_id}})):
         assert children() == before
-
-
-def test_without_rosbags_the_extra_is_named(domain_id, monkeypatch):
-    def version(name):
-        raise PackageNotFoundError(name)
-
-    monkeypatch.setattr("g1stream.optional.version", version)
-    with pytest.raises(ConfigError, match="need rosbags") as caught:
-        publishing_for_ros2(make_config(domain_id))
-    assert "'g1stream[ros2]'" in caught.value.remedy
 
 
 def test_sim_and_record_publish(domain_id, ros, tmp_path, until):

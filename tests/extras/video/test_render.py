@@ -156,18 +156,6 @@ def test_no_opengl_is_an_error(sessions, tmp_path):
     assert not out.exists()
 
 
-def test_shapes_of_another_robot_stand_for_meshes_that_are_missing():
-    robot = G1.default()
-    root = ElementTree.fromstring(robot.urdf)
-    for visual in list(root.iter("visual")):
-        geometry = visual.find("geometry")
-        geometry.clear()
-        ElementTree.SubElement(geometry, "mesh", filename="nowhere.stl")
-    meshes = G1.from_urdf(ElementTree.tostring(root, encoding="unicode"), "meshes.urdf")
-    assert set(with_shapes(meshes).link_names) == set(robot.link_names)
-    assert with_shapes(meshes) is not meshes
-
-
 def test_a_robot_without_shapes_is_an_error(sessions, tmp_path, monkeypatch):
     root = ElementTree.fromstring(G1.default().urdf)
     for link in root.iter("link"):

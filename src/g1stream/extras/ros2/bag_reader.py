@@ -38,11 +38,7 @@ _ROWS: Final = 100
 
 
 def open_bag(file: MotionFile) -> RecordedMotion:
-    """A bag: an MCAP or SQLite file, or a directory with metadata.yaml.
-
-    Raises:
-        RecordingError: there is no such bag, or it is damaged.
-    """
+    """A bag: an MCAP or SQLite file, or a directory with metadata.yaml."""
     parts = parts_of(file.path)
     # The reader of sessions, unlike rosbags', reads what was written before a recorder was killed.
     in_mcap = begins_with(parts[0], b"\x89MCAP")

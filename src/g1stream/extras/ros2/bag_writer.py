@@ -74,18 +74,7 @@ def write_ros2_bag(
     compression: Compression = "zstd",
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> Ros2Report:
-    """Write a session as a ROS 2 bag. A failure leaves nothing behind.
-
-    Args:
-        session: file or directory of a session.
-        out: the directory to write; `.mcap` at its end is left out.
-        force: replace a directory that g1stream wrote.
-        compression: of the file's chunks.
-        on_progress: called with the fraction done, 0 to 1.
-
-    Raises:
-        RecordingError: the session cannot be read, or the directory not be written.
-    """
+    """Write a session as a ROS 2 bag. A failure leaves nothing behind."""
     source, out = SessionFiles(session), parts_directory(out)
     if any(part.resolve().is_relative_to(out.resolve()) for part in source.paths):
         raise RecordingError(f"The output {out} holds the session.", "Choose another directory.")

@@ -22,11 +22,7 @@ STORE: Final = get_typestore(Stores.ROS2_HUMBLE)
 
 
 def encode(message: Any) -> bytes:
-    """A message in CDR.
-
-    Raises:
-        struct.error: a number of it is out of its field's range.
-    """
+    """A message in CDR."""
     return bytes(STORE.serialize_cdr(message, message.__msgtype__, little_endian=True))
 
 

@@ -67,10 +67,6 @@ class Scene:
 
     Attributes:
         meshes: it draws meshes, not primitive shapes.
-
-    Raises:
-        RobotError: MuJoCo does not accept the URDF or a mesh.
-        SimError: there is no OpenGL to draw with.
     """
 
     def __init__(

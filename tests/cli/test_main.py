@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +11,8 @@ import pytest
 
 from cli_help import check_help
 from g1stream.cli.main import COMMANDS, main
+from g1stream.session.writer import SessionWriter
+from g1stream.testing import SyntheticSession
 
 DEMO = Path(__file__).parents[2] / "src" / "g1stream" / "motion" / "demo.csv"
 
@@ -143,3 +146,28 @@ def test_help_needs_no_heavy_imports():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("command", ["doctor", "stream demo", "info", "plot"])
+def test_without_cyclonedds_files_are_read_and_the_rest_says_how_to_install_it(command, tmp_path):
+    """As where it is not installed, or where its library is another one."""
+    stub = tmp_path / "stub" / "cyclonedds"
+    stub.mkdir(parents=True)
+    (stub / "__init__.py").write_text("raise ImportError('undefined symbol: dds_x')")
+    words, reads = command.split(), command in ("info", "plot")
+    if reads:
+        with SessionWriter(tmp_path / "s.mcap") as writer:
+            SyntheticSession(1.0).write(writer)
+        words.append("s.mcap")
+    path = os.pathsep.join([str(stub.parent), os.environ.get("PYTHONPATH", "")])
+    done = subprocess.run(
+        [sys.executable, "-m", "g1stream", *words],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": path},
+    )
+    assert done.returncode == (0 if reads else 2), done.stderr
+    assert ("pip install 'cyclonedds" in done.stderr) == (not reads)
+    assert "Traceback" not in done.stderr

@@ -51,6 +51,7 @@ CASES = {
     "old cyclone": ({"host": {"cyclonedds": "0.9.1"}}, WARNING, "cyclonedds", "0.9.1"),
     "small buffers": ({"host": {"rmem_max": 212_992}}, WARNING, "sockets", "208 KiB"),
     "slow clock": ({"host": {"clock_source": "hpet"}}, WARNING, "clock", "hpet"),
+    "domain of ROS 2": ({"ros_domain": 7}, WARNING, "domain", "ROS_DOMAIN_ID"),
     "not real time": ({"host": {"grants": (NOT_GRANTED,)}}, WARNING, "real time", "delays"),
     "late wake-ups": ({"wakeup_latency": LATE}, WARNING, "wake-up", "3 of 250"),
     "wrong domain": (

@@ -24,12 +24,13 @@ SHOWS_TYPES = not version("cyclonedds").startswith("0.10.")
 LO = Interface("lo", loopback=True)
 
 
-def test_an_empty_domain(domain_id):
+def test_an_empty_domain(domain_id, monkeypatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", "77")
     facts = inspect_domain(domain_id, "lo", [LO], 0.2)
     assert not facts.writers
     assert not facts.state.received
     assert domain_id not in {domain for domain, _, _ in facts.elsewhere}
-    assert {(0, "lo"), (1, "lo")} <= set(facts.searched)
+    assert {(0, "lo"), (1, "lo"), (77, "lo")} <= set(facts.searched)
 
 
 def test_silent_publisher(domain_id):

@@ -128,6 +128,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except G1StreamError as error:
         print(_error_text(error), file=sys.stderr)
         return 2
+    except Exception:
+        if not (fault := _fault_of_cyclonedds()):
+            raise
+        print(_error_text(fault), file=sys.stderr)
+        return 2
     finally:
         output.flush()
         errors.flush()
@@ -173,6 +178,19 @@ class _Output:
             # What is buffered must not fail again at exit.
             with suppress(OSError), Path(os.devnull).open("w") as nothing:
                 os.dup2(nothing.fileno(), self.stream.fileno())
+
+
+def _fault_of_cyclonedds() -> G1StreamError | None:
+    """Why all that needs DDS fails; None where cyclonedds can be imported."""
+    try:
+        import_module("cyclonedds.core")
+    except Exception as error:  # its own, where it does not find its library
+        return ConfigError(
+            f"cyclonedds, which DDS needs, cannot be imported: {error}.",
+            "Install it: pip install 'cyclonedds>=0.10.2,<12'; where it is installed, a "
+            "LD_LIBRARY_PATH or CYCLONEDDS_HOME, as ROS 2 sets them, may lead to another library.",
+        )
+    return None
 
 
 def _error_text(error: G1StreamError) -> str:

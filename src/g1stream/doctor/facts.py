@@ -185,3 +185,4 @@ class Facts:
     join_error: str = ""  # why it could not be joined
     wakeup_latency: WakeupLatency | None = None  # None where it was not measured
     via: Via = "lowcmd"  # what is to be commanded
+    ros_domain: int | None = None  # ROS_DOMAIN_ID, where no domain was given

@@ -34,6 +34,12 @@ _ROBOT_READS: Final = {"rt/arm_sdk"}
 def evaluate(facts: Facts) -> list[Finding]:
     """All findings, in the order in which to fix them."""
     found = [*_interface(facts), *_host(facts.host)]
+    if facts.ros_domain not in (None, facts.domain):
+        cause = (
+            f"ROS_DOMAIN_ID is {facts.ros_domain}, and g1stream, which does not read it, looks in "
+        )
+        remedy = f"Give --domain {facts.ros_domain} to look where ROS 2 is."
+        found.append(warning("domain", f"{cause}domain {facts.domain}", remedy))
     if facts.wakeup_latency:
         found.append(_wakeup(facts.wakeup_latency))
     if facts.wire is None:

@@ -133,10 +133,17 @@ def _listen(reader: RawReader, seconds: float) -> StateFacts:
 
 
 def _nearby(domain: int, interface: str, interfaces: Iterable[Interface]) -> list[tuple[int, str]]:
-    """Other places to search: domains nearby, then other interfaces."""
-    nearby = sorted({0, 1, domain - 1, domain + 1} - {domain, -1, MAX_DOMAIN + 1})
+    """Other places to search: domains nearby, and that of ROS 2, then other interfaces."""
+    others = {0, 1, domain - 1, domain + 1, ros_domain() or 0}
+    nearby = sorted(one for one in others - {domain} if 0 <= one <= MAX_DOMAIN)
     usable = [i.name for i in interfaces if i.up and i.address and i.name != interface]
     return [(other, interface) for other in nearby] + [(domain, name) for name in usable]
+
+
+def ros_domain() -> int | None:
+    """The DDS domain of ROS 2 in this environment, where it is set."""
+    text = os.environ.get("ROS_DOMAIN_ID", "")
+    return int(text) if text.isdecimal() else None
 
 
 def _publishers(places: Iterable[tuple[int, str]]) -> Iterator[tuple[int, str, str]]:
@@ -279,4 +286,6 @@ def diagnose(config: Config, seconds: float = 1.0) -> list[Finding]:
         join_error = error.cause
     robots = G1.load(config.robot).joint_set.allowed(config.safety.mode_machine)
     via = config.stream.via
-    return evaluate(Facts(domain, interface, robots, host, wire, join_error, latency, via))
+    of_ros = None if "domain" in config.dds.model_fields_set else ros_domain()
+    known = Facts(domain, interface, robots, host, wire, join_error, latency, via, of_ros)
+    return evaluate(known)

@@ -262,33 +262,6 @@ def test_another_suffix_is_refused(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-HOUR = """
-import resource, sys
-from g1stream.cli.main import main
-code = main(["convert", sys.argv[1], sys.argv[2]])
-print(code, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)
-"""
-
-
-@pytest.mark.slow
-def test_a_long_motion_needs_little_more_memory_than_a_short_one(tmp_path):
-    """Twenty minutes and one: the difference is the motion itself, 36 doubles a frame, not what
-    is written for it, which is twenty times as much.
-    """
-    header, *lines = Path(load_motion("demo").source).read_text().splitlines()
-    peak = {}
-    for minutes in (1, 20):
-        motion = tmp_path / f"{minutes}.csv"
-        rows = (f"{i},{lines[i % len(lines)].split(',', 1)[1]}" for i in range(minutes * 60 * 30))
-        motion.write_text("\n".join((header, *rows)))
-        command = [sys.executable, "-c", HOUR, str(motion), str(tmp_path / f"{minutes}.mcap")]
-        done = subprocess.run(command, check=True, capture_output=True, text=True)
-        code, peak[minutes] = map(int, done.stdout.splitlines()[-1].split())
-        assert code == 0
-    frames = 19 * 60 * 30
-    assert (peak[20] - peak[1]) * 2**20 < 5 * frames * 36 * 8
-
-
 IMPORTS = """
 import sys
 from g1stream.cli.main import main

@@ -104,13 +104,7 @@ def test_latency_below_a_period(changed):
     late = WakeupLatency(500.0, 250, missed=0, median_ns=5_000, worst_ns=1_990_000)
     (found,) = [one for one in evaluate(changed(wakeup_latency=late)) if one.about == "wake-up"]
     assert found.level is Level.OK
-    assert found.figures == {
-        "rate_hz": 500.0,
-        "deadlines": 250,
-        "missed_deadlines": 0,
-        "median_lateness_us": 5.0,
-        "worst_lateness_us": 1990.0,
-    }
+    assert found.figures["worst_lateness_us"] == 1990.0
 
 
 @pytest.mark.parametrize(("interface", "about"), [("lo", "domain"), ("wlan9", "interface")])
@@ -214,24 +208,11 @@ def test_a_robot_that_appears_too_late():
 def test_the_controller_that_moves_the_arms_for_us_is_not_to_be_ended(changed):
     """It publishes on rt/lowcmd, keeps the robot on its feet, and reads rt/arm_sdk."""
     wire = {"writers": (STATE, SPORT, COMMANDS), "readers": (READER, ARM)}
-    found = evaluate(changed(wire=wire, via="arm_sdk"))
-    assert {one.level for one in found} == {Level.OK}
-    (command,) = [one for one in evaluate(changed(wire=wire)) if one.level]
-    assert "rt/lowcmd" in command.cause
-
-
-def test_another_publisher_of_targets_for_the_arms(changed):
-    wire = {"writers": (STATE, SPORT, replace(ARM, owner="policy")), "readers": (ARM,)}
-    (found,) = [one for one in evaluate(changed(wire=wire, via="arm_sdk")) if one.level]
-    assert "rt/arm_sdk, policy" in found.cause
-
-
-def test_a_controller_that_takes_no_targets_for_the_arms(changed):
-    (found,) = [one for one in evaluate(changed(via="arm_sdk")) if one.level]
-    assert (found.level, found.about) == (PROBLEM, "LowCmd")
-    assert "rt/arm_sdk" in found.cause
-    wire = WireFacts((STATE,), (READER,), COMING, 1)
-    (waited,) = explain_no_robot(7, "eth0", wire, "rt/arm_sdk")
+    assert {one.level for one in evaluate(changed(wire=wire, via="arm_sdk"))} == {Level.OK}
+    for wrong in ({"writers": (STATE, SPORT, replace(ARM, owner="policy"))}, {"readers": ()}):
+        (found,) = [one for one in evaluate(changed(wire=wire | wrong, via="arm_sdk")) if one.level]
+        assert "rt/arm_sdk" in found.cause
+    (waited,) = explain_no_robot(7, "eth0", WireFacts((STATE,), (READER,), COMING, 1), "rt/arm_sdk")
     assert "rt/arm_sdk" in waited.cause
 
 

@@ -87,19 +87,6 @@ def test_two_robots_at_once_are_a_problem(domain_id, running, tmp_path, until):
     assert all(name in problem for name in names)
 
 
-def test_a_robot_that_takes_over_from_another_is_none(domain_id, running, tmp_path, until):
-    path = tmp_path / "s.mcap"
-    with running("record", path, "--domain", domain_id, "--json") as process:
-        for _ in range(2):
-            with robot(domain_id) as sent:
-                until(lambda: len(sent) > 300, "samples")
-        process.send_signal(signal.SIGINT)
-        said, _ = process.communicate(timeout=20)
-    recorder = json.loads(said)["recorder"]
-    assert recorder["counts"]["/lowstate"] >= 400
-    assert recorder["publishers"] == {}
-
-
 def test_a_closed_standard_output_does_not_end_the_recording(domain_id, running, tmp_path, until):
     path = tmp_path / "s.mcap"
     reading, writing = os.pipe()

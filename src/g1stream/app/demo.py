@@ -4,22 +4,20 @@ from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
+from g1stream.analysis.summary import Summary
 from g1stream.app.stream import stream
 from g1stream.child_process import Child
 from g1stream.config import Config
+from g1stream.control.loop import StreamLoop
 from g1stream.dds.domain import DISCOVERY, Participant, is_local_only, is_loopback
 from g1stream.dds.messages import LOWSTATE
 from g1stream.errors import ConfigError, RecordingError, WireError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from g1stream.analysis.summary import Summary
-    from g1stream.control.loop import StreamLoop
-    from g1stream.motion.motion import Motion
+from g1stream.files import output_errors
+from g1stream.motion.motion import Motion
 
 __all__ = ["FIGURE", "SESSION", "check_absent", "demo"]
 
@@ -53,7 +51,8 @@ def demo(
     if not force:
         named_anew = config.record.auto_name  # with the time in it
         check_absent(*([] if named_anew else [session_path]), figure_path)
-    _make_directory(out)
+    with output_errors(out):
+        out.mkdir(parents=True, exist_ok=True)
     config = _with_free_domain(config)
     # What is published for ROS 2 is published once, for the stream.
     quiet = config.dds.model_copy(update={"ros_tf": False})
@@ -98,15 +97,6 @@ def check_absent(*paths: Path) -> None:
                 f"The file {path} exists already.",
                 "Give --force to replace it, or choose another --out.",
             )
-
-
-def _make_directory(out: Path) -> None:
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RecordingError(
-            f"The directory {out} cannot be created: {error.strerror}.", "Choose another --out."
-        ) from error
 
 
 def _with_free_domain(config: Config) -> Config:

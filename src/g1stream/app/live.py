@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, contextmanager
 from typing import TYPE_CHECKING, Any, Final
 
-from g1stream.child_process import optional_child, run_child
+from g1stream.child_process import Parent, optional_child, run_child
 from g1stream.config import Config
 from g1stream.dds.domain import Participant
 from g1stream.dds.messages import TOPICS
@@ -23,16 +24,11 @@ from g1stream.realtime import lower_priority, quick_thread_switches
 from g1stream.recorder.receiver import Receiver
 from g1stream.recorder.recorder import raw_messages
 from g1stream.robot.model import G1
-from g1stream.session.format import CHANNELS
+from g1stream.session.format import CHANNELS, MessageBatch
 from g1stream.view.pipeline import MessagePipeline
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterator
-
     from foxglove.websocket import ChannelView, Client
-
-    from g1stream.child_process import Parent
-    from g1stream.session.format import MessageBatch
 
 __all__ = ["live", "observe"]
 

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+from g1stream.config import DdsConfig
 from g1stream.dds.domain import Participant
 from g1stream.dds.messages import LOWCMD
-from g1stream.dds.motion_switcher import MotionSwitcherClient
+from g1stream.dds.motion_switcher import MotionSwitcherClient, OnboardStatus
 from g1stream.errors import SafetyError
-
-if TYPE_CHECKING:
-    from g1stream.config import DdsConfig
-    from g1stream.dds.motion_switcher import OnboardStatus
 
 __all__ = ["onboard_status", "release_mode", "restore_mode"]
 

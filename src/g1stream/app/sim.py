@@ -8,12 +8,13 @@ import os
 import sys
 import time
 import warnings
+from collections.abc import Callable
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from g1stream.child_process import publishing_for_ros2, run_child
+from g1stream.child_process import Parent, publishing_for_ros2, run_child
 from g1stream.clock import SystemClock
-from g1stream.config import Config
+from g1stream.config import Config, SimConfig
 from g1stream.dds.domain import Participant
 from g1stream.dds.log_handler import dds_log_handler
 from g1stream.errors import SimError
@@ -22,16 +23,8 @@ from g1stream.realtime import describe, on_time
 from g1stream.robot.model import G1
 from g1stream.sim.bridge import Bridge
 from g1stream.sim.model import BASE_BODY
-from g1stream.sim.robot import SimulatedRobot
+from g1stream.sim.robot import SimReport, SimulatedRobot
 from g1stream.sim.world import World
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from g1stream.child_process import Parent
-    from g1stream.config import SimConfig
-    from g1stream.sim.robot import SimReport
-    from g1stream.sim.world import World
 
 __all__ = ["follow", "make_world", "open_viewer", "physics_timestep", "simulate"]
 

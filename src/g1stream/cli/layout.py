@@ -51,8 +51,7 @@ class Layout(Command):
     def run(self) -> int:
         """Write the layout, and return the exit code."""
         from g1stream.analysis.tracking import worst_joints
-        from g1stream.errors import ConfigError
-        from g1stream.files import complete_file
+        from g1stream.files import complete_file, output_errors
         from g1stream.session.recording import open_recording
         from g1stream.view.layouts import (
             DEFAULT_JOINTS,
@@ -69,13 +68,8 @@ class Layout(Command):
             content = json.dumps(foxglove_layout(joints), indent=1).encode() + b"\n"
         name, how = _VIEWERS[self.viewer]
         path = self.dir / name
-        try:
+        with output_errors(self.dir):
             self.dir.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise ConfigError(
-                f"The directory {self.dir} cannot be created: {error.strerror}.",
-                "Choose another directory with --dir.",
-            ) from error
         with complete_file(path, force=self.force) as temporary:
             temporary.write_bytes(content)
         print(f"{path}\n{how}")

@@ -54,7 +54,7 @@ COMMANDS: Final = {
         ),
         "library": (
             "extras.library.library_cli:Library",
-            "Check, simulate or convert many motions at once.",
+            "Check or simulate many motions at once.",
         ),
         "info": ("cli.info:Info", "Print what is in a session file, and how well it went."),
         "report": (

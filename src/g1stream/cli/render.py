@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from g1stream.cli.command import EXIT_OK, Command
 from g1stream.cli.flags import argument, flag
-from g1stream.cli.progress import ProgressDisplay
+from g1stream.cli.progress import showing_progress
 from g1stream.errors import ConfigError
 from g1stream.optional import extension
 from g1stream.text import counted
@@ -48,14 +49,8 @@ class Render(Command):
         """Write the video, and return the exit code."""
         from g1stream.app.session import open_session
 
-        done = 0.0
-
-        def progress(fraction: float) -> None:
-            nonlocal done
-            done = fraction
-
         started = time.monotonic()
-        with ProgressDisplay(lambda: (done, f"{100 * done:3.0f} %")):
+        with showing_progress() as progress:
             video = extension("render")(
                 open_session(self.session),
                 self.out,
@@ -65,7 +60,7 @@ class Render(Command):
                 size=parse_size(self.size),
                 camera=self.camera,
                 force=self.force,
-                progress=progress,
+                progress=partial(progress, "rendered"),
             )
         took = time.monotonic() - started
         print(

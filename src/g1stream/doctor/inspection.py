@@ -7,20 +7,23 @@ import os
 import socket
 import struct
 import time
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from statistics import median
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from cyclonedds.core import Policy
 
-from g1stream.clock import SystemClock, Ticker
+from g1stream.clock import Clock, SystemClock, Ticker
+from g1stream.config import Config, RealtimeConfig
 from g1stream.control.report import Lateness
 from g1stream.dds.domain import (
     MAX_DOMAIN,
     OBSERVER,
+    Endpoint,
     InterfaceFlags,
     Participant,
     interface_flags,
@@ -32,6 +35,7 @@ from g1stream.dds.messages import LOWSTATE, TOPICS, LowState
 from g1stream.dds.ticks import TickGaps
 from g1stream.doctor.facts import (
     Facts,
+    Finding,
     HostFacts,
     Interface,
     Peer,
@@ -44,14 +48,6 @@ from g1stream.doctor.findings import evaluate
 from g1stream.errors import WireError
 from g1stream.realtime import on_time
 from g1stream.robot.model import G1
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
-    from g1stream.clock import Clock
-    from g1stream.config import Config, RealtimeConfig
-    from g1stream.dds.domain import Endpoint
-    from g1stream.doctor.facts import Finding, Interface
 
 __all__ = [
     "diagnose",

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import threading
-import time
 
 import pandas as pd
 import pytest
 
 import g1stream
-from g1stream.extras.library.run import completed, open_executor
 from g1stream.testing import dask_cluster
 
 pytestmark = pytest.mark.slow
@@ -43,31 +41,6 @@ def test_a_worker_that_is_killed_loses_nothing(many, tmp_path):
         )
     assert (run.complete, run.failed, run.lost) == (True, 0, {})
     assert list(g1stream.open_library(tmp_path / "out").motions["status"]) == ["ok"] * 20
-
-
-def test_a_scheduler_without_workers_is_waited_for(motions, tmp_path):
-    said = []
-    case = g1stream.LibraryCase("check", tmp_path)
-    with dask_cluster(workers=0) as (address, _, _):
-        run = g1stream.run_library(
-            [str(motions)], [case], cluster=address, warn=said.append, stop=lambda: bool(said)
-        )
-    assert not run.complete
-    assert address in said[0]
-
-
-def test_a_result_that_is_on_its_way_when_the_scheduler_is_killed_is_lost():
-    class SlowToSend:
-        def __reduce__(self):
-            time.sleep(4.0)
-            return str, ()
-
-    with dask_cluster() as (address, head, _), open_executor(1, address) as executor:
-        threading.Timer(2.0, head.kill).start()
-        ((_, future),) = (
-            pair for pairs in completed(executor, lambda _: SlowToSend(), [0]) for pair in pairs
-        )
-    assert future.cancelled()
 
 
 def test_a_scheduler_that_is_killed_ends_the_run_and_keeps_its_rows(many, tmp_path):

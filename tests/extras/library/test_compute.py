@@ -1,8 +1,7 @@
-"""What `simulate` and `convert` make of a motion, and the values of a sweep."""
+"""What `simulate` makes of a motion."""
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
 import g1stream
@@ -47,16 +46,3 @@ def test_a_motion_beyond_the_limits_is_refused(tmp_path):
     assert (run.failed, row["status"]) == (1, "refused")
     assert "rad/s" in row["reason"]
     assert row["frames"] == motion.n_frames
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("suffix", ["csv", "mcap"])
-def test_converted_files_are_the_same_motions(motions, tmp_path, suffix):
-    case = g1stream.LibraryCase("convert", tmp_path, format=suffix)
-    run = g1stream.run_library([str(motions)], [case], workers=1)
-    assert (run.done, run.failed) == (4, 1)
-    for row in g1stream.open_library(tmp_path).motions.to_dict("records"):
-        if row["status"] == "ok":
-            before, after = map(g1stream.load_motion, (row["path"], tmp_path / row["output"]))
-            assert np.abs(before.joint_pos - after.joint_pos).max() < 1e-6
-            assert after.n_frames == before.n_frames == row["frames"]

@@ -7,7 +7,6 @@ import re
 import shutil
 import subprocess
 from html import unescape
-from pathlib import Path
 
 import pytest
 
@@ -79,25 +78,6 @@ def test_the_worst_is_first(library):
     speed = next(column for column in check["columns"] if column["name"] == "max_speed")
     assert speed["unit"] == "rad/s"
     assert [row[columns.index("max_speed")] for row in check["rows"]] == [None, 3.0, 1.0]
-
-
-def test_files_of_one_name_are_told_apart(tmp_path):
-    paths = ["/motions/day1/a/wave.csv", "/motions/day2/a/wave.csv", "/motions/walk.csv"]
-    with writing(tmp_path) as writer:
-        writer.add(
-            [
-                Rows(
-                    motion=MotionRow(
-                        key=path, name=Path(path).stem, path=path, sha256=path, command="check"
-                    )
-                )
-                for path in paths
-            ]
-        )
-    check = data_of(write_page(tmp_path))["check"]
-    place = [column["name"] for column in check["columns"]].index("name")
-    names = {row[place] for row in check["rows"]}
-    assert names == {"day1/a/wave.csv", "day2/a/wave.csv", "walk"}
 
 
 @pytest.mark.slow

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import mujoco
@@ -14,9 +13,7 @@ from g1stream.extras.physics.example_motions import squatting
 from g1stream.extras.physics.ground import FRICTION, zero_moment_point
 from g1stream.extras.physics.measure import motion_physics, movement_loads
 from g1stream.motion.motion import Motion
-from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
-from g1stream.robot.hulls import SelfCollision
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1
@@ -26,7 +23,6 @@ from g1stream.sim.model import build_model
 
 G = 9.81
 FPS = 30.0
-LAFAN = Path(__file__).parents[4] / "shared" / "lafan1" / "joints_labeled.csv"
 UP = np.array([0.0, 0.0, 1.0])
 UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
 ROBOT = G1.default()
@@ -319,21 +315,6 @@ def test_an_arm_inside_the_torso():
     assert set(answers(physics).values()) == {"no"}
 
 
-def test_links_that_only_touch_do_not_forbid_a_motion():
-    q, root_pos = stance(0.6)
-    roll = JOINT_NAMES.index("left_shoulder_roll_joint")
-    low, high = -0.3, 0.2
-    collision = SelfCollision(ROBOT)
-    for _ in range(12):  # the angle at which it is 3 mm inside
-        q[roll] = (low + high) / 2
-        depth = max(map(np.max, collision.depths(q[np.newaxis]).values()), default=0.0)
-        low, high = (q[roll], high) if depth > 0.003 else (low, q[roll])
-    physics = motion_physics(still(q, root_pos, frames=2))
-    assert answers(physics)["bolted"] == "inexact"
-    excess = of(physics, "bolted")["self-collision"]
-    assert (excess.limit, excess.worst) == (1.0, pytest.approx(3.0, abs=0.2))
-
-
 def test_knees_on_the_floor_are_told():
     q = joints(left_knee=2.0, right_knee=2.0)
     knees = [ROBOT.link_index(f"{side}_knee_link") for side in ("left", "right")]
@@ -343,15 +324,6 @@ def test_knees_on_the_floor_are_told():
     assert "knee" in contact.where
     assert 30.0 < contact.worst < 90.0  # the radius of a knee
     assert contact.forbids
-
-
-@pytest.mark.skipif(not LAFAN.exists(), reason="../shared/lafan1 is not there")
-def test_the_dance_presses_its_arm_on_the_torso():
-    """From 4.07 s on; tests/robot/test_hulls.py compares these depths with unitree_mujoco's."""
-    (touch,) = motion_physics(load_motion(LAFAN).frames(90, 132)).collisions
-    assert (touch.link, touch.other) == ("torso_link", "left_shoulder_yaw_link")
-    assert touch.spans == ((122 - 90, 128 - 90),)
-    assert touch.depth_mm == pytest.approx(17.8, abs=1.0)
 
 
 def test_feet_that_stay_and_feet_that_walk():

@@ -8,7 +8,6 @@ import sys
 import numpy as np
 import pytest
 from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
-from mcap.writer import Writer as McapWriter
 from mcap_protobuf.writer import Writer as ProtobufWriter
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
@@ -17,7 +16,6 @@ import g1stream
 from g1stream.cli.main import main
 from g1stream.errors import ConfigError, MotionError, RecordingError
 from g1stream.extras.ros2.bag_reader import DECODERS, open_bag
-from g1stream.extras.ros2.messages import joint_state as in_cdr
 from g1stream.motion.readers import MotionFile, check_motion_file, load_motion
 
 ROS = get_typestore(Stores.ROS2_HUMBLE)
@@ -264,32 +262,6 @@ def test_convert_and_back(tmp_path, motion, out):
     np.testing.assert_array_equal(found.joint_pos, motion.joint_pos)
     np.testing.assert_array_equal(found.root_pos, motion.root_pos)
     np.testing.assert_array_equal(found.root_quat_wxyz, motion.root_quat_wxyz)
-
-
-def test_an_encoding_that_is_not_read(tmp_path):
-    path = tmp_path / "robot.mcap"
-    with path.open("wb") as file:
-        writer = McapWriter(file)
-        writer.start()
-        schema = writer.register_schema("foxglove.JointStates", "jsonschema", b"{}")
-        channel = writer.register_channel("/joint_states", "json", schema)
-        writer.add_message(channel, START, b"{}", START)
-        writer.finish()
-    with pytest.raises(RecordingError, match=r"it has foxglove\.JointStates in json"):
-        load_motion(path)
-
-
-def test_messages_outside_of_chunks(tmp_path):
-    path = tmp_path / "plain.mcap"
-    with path.open("wb") as file:
-        writer = McapWriter(file, use_chunking=False)
-        writer.start()
-        schema = writer.register_schema(JOINT_STATE, "ros2msg", b"")
-        channel = writer.register_channel("/joint_states", "cdr", schema)
-        writer.add_message(channel, START, in_cdr(START, ["a"], [0.0], [], []), START)
-        writer.finish()
-    with pytest.raises(MotionError, match="lacks the joints left_hip_pitch_joint"):  # it is read
-        load_motion(path)
 
 
 STRING = "std_msgs/msg/String"

@@ -20,7 +20,6 @@ from cyclonedds.topic import Topic
 from rosbags.typesys import Stores, get_typestore
 from yourdfpy import URDF
 
-from g1stream.app.demo import demo
 from g1stream.app.record import record
 from g1stream.app.sim import simulate
 from g1stream.child_process import publishing_for_ros2
@@ -332,15 +331,3 @@ def test_sim_and_record_publish(domain_id, ros, tmp_path, until):
     simulate(config, should_stop=ros.publications)
     until(lambda: not ros.publications(), "the end of the publisher")
     record(tmp_path / "session.mcap", config, should_stop=ros.publications)
-
-
-def test_a_demo_publishes_once(domain_id, ros, tmp_path):
-    short = {"ramp": 0.2, "duration": 0.2, "hold": 0.0, "damp": 0.5}
-    publishers = []
-
-    def on_loop(*_):
-        publishers.extend(ros.publications()["rt/tf"])
-
-    demo("demo", tmp_path, make_config(domain_id, stream=short), on_loop=on_loop)
-    assert len(publishers) == 1
-    assert any(map(of_frame("ghost/pelvis"), ros.take("rt/tf")))

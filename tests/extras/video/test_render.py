@@ -15,7 +15,6 @@ from g1stream.cli.render import parse_size
 from g1stream.errors import ConfigError, RecordingError, RobotError
 from g1stream.extras.video.render import AZIMUTHS, render
 from g1stream.robot.model import G1
-from g1stream.robot.shapes import with_shapes
 
 SIZE = (96, 96)
 
@@ -105,15 +104,6 @@ def test_a_gif_lasts_as_long_as_the_session(sessions, tmp_path):
             gif.seek(frame)
             durations.append(gif.info["duration"])
     assert sum(durations) == 500
-
-
-@pytest.mark.slow
-def test_the_real_meshes_are_drawn_where_they_are_installed(sessions, tmp_path, monkeypatch):
-    if with_shapes(G1.default()) is G1.default():
-        pytest.skip("needs the extra `meshes`")
-    monkeypatch.undo()
-    video, _ = _picture(sessions["same"], tmp_path / "out.png")
-    assert video.meshes
 
 
 @pytest.mark.parametrize(

@@ -9,16 +9,19 @@ and arms follow the reference by their servos. docs/feet.md has the formulas.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
+from g1stream.control.reading import Reading
+from g1stream.control.targets import Target
 from g1stream.extras.feet.base_estimate import BaseEstimate
-from g1stream.extras.feet.standing import BodyState, StandingDynamics
+from g1stream.extras.feet.standing import BodyState, Movement, StandingDynamics, Terms
 from g1stream.extras.physics.ground import TRUSTED_FRICTION, beyond_hull
 from g1stream.optional import import_extra
 from g1stream.robot.dynamics import GRAVITY
 from g1stream.robot.joints import LEGS
+from g1stream.robot.model import G1
 from g1stream.robot.rotations import (
     quat_conj,
     quat_mul,
@@ -31,12 +34,6 @@ from g1stream.robot.rotations import (
 from g1stream.robot.soles import OFF_FLOOR
 from g1stream.session.records import BalanceSummary
 from g1stream.types import Floats
-
-if TYPE_CHECKING:
-    from g1stream.control.reading import Reading
-    from g1stream.control.targets import Target
-    from g1stream.extras.feet.standing import Movement, Terms
-    from g1stream.robot.model import G1
 
 __all__ = ["Balance"]
 
@@ -91,10 +88,6 @@ _UNSOLVED: Final = 0.05
 
 class Balance:
     """Finds the torques of a robot that stands on its feet, or on one while the other is lifted.
-
-    Args:
-        robot: the G1.
-        period: s between commands.
 
     Attributes:
         base: where the pelvis is.
@@ -159,8 +152,8 @@ class Balance:
 
         Args:
             target: the reference when the command takes effect.
-            measured: the newest LowState.
-            age: s since that was received.
+            measured: the newest LowState, received `age` s ago.
+            age: see above.
             share: of the weight that the feet shall carry while something else holds the robot;
                 None: what the feet do not carry is found from the measured torques.
             planted: the feet stand; otherwise they are still on their way to where they shall.

@@ -1,4 +1,4 @@
-"""What is computed of one motion: its rows, and with `simulate` and `convert` its files.
+"""What is computed of one motion: its rows, and with `simulate` its files.
 
 `rows_of` is what every process runs. Whatever is wrong with a motion becomes its row.
 """
@@ -13,18 +13,20 @@ from functools import cache, cached_property
 from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from g1stream._version import __version__
+from g1stream.analysis.metrics import Metrics
 from g1stream.config import Config
 from g1stream.errors import G1StreamError, MotionError, RecordingError
-from g1stream.extras.library.files import content_hash, local_copy, stem
+from g1stream.extras.library.files import content_hash
 from g1stream.extras.library.table import FORMAT, Command, JointRow, MotionRow, Rows, Status
 from g1stream.extras.physics.measure import motion_physics
+from g1stream.extras.physics.result import MotionPhysics
 from g1stream.motion.check import check_motion
-from g1stream.motion.motion import MOTION_SUFFIXES, Motion
+from g1stream.motion.motion import Motion
 from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.joints import JOINT_NAMES
@@ -36,16 +38,12 @@ from g1stream.robot.rotations import (
     quat_rotate_inverse,
     yaw_of,
 )
+from g1stream.types import StreamSupport
 
-if TYPE_CHECKING:
-    from g1stream.analysis.metrics import Metrics
-    from g1stream.extras.physics.result import MotionPhysics
-    from g1stream.types import StreamSupport
+__all__ = ["SESSIONS", "Content", "LibraryCase", "Task", "contents_of", "rows_of"]
 
-__all__ = ["OUTPUTS", "Content", "LibraryCase", "Task", "contents_of", "rows_of"]
-
-OUTPUTS: Final = {"simulate": "sessions", "convert": "converted"}
-"""The directory of a library with the files that a command writes."""
+SESSIONS: Final = "sessions"
+"""The directory of a library with the sessions of `simulate`, and their reports."""
 
 #: Settings that change nothing in a simulation: where on DDS, when on the CPU, what is recorded.
 _WITHOUT_EFFECT: Final = {"dds", "realtime", "record", "live_port"}
@@ -67,10 +65,9 @@ class LibraryCase:
     """What is computed of each motion.
 
     Attributes:
-        command: check, simulate or convert.
+        command: check or simulate.
         config: all settings.
         support: how the pelvis is held; of `simulate`.
-        format: ending of the files of `convert`: csv, npz or mcap.
         out: the library's directory.
         sessions: `simulate` keeps each session and its report.
     """
@@ -79,30 +76,23 @@ class LibraryCase:
     out: Path
     config: Config = field(default_factory=Config)
     support: StreamSupport | None = None
-    format: str = ""
     sessions: bool = False
-
-    @property
-    def variant(self) -> str:
-        """What tells the rows of one motion and one command apart."""
-        return self.support or self.format
 
     @cached_property
     def fingerprint(self) -> str:
-        """Equal where command, variant, settings and versions are."""
+        """Equal where command, support, settings and versions are."""
         about: dict[str, Any] = {
             "command": self.command,
-            "variant": self.variant,
+            "support": self.support,
             "table": FORMAT,
             "robot": _robot(self.config).urdf,
             "g1stream": __version__,
+            "mujoco": version("mujoco"),
         }
-        if self.command != "convert":
-            about["mujoco"] = version("mujoco")
         if self.command == "check":
             safety = self.config.safety
             about["settings"] = (*_limits(self.config), safety.max_tilt, safety.urdf_limits)
-        elif self.command == "simulate":
+        else:
             settings = self.config.model_dump(mode="json", exclude=_WITHOUT_EFFECT)
             about |= {"settings": settings, "sessions": self.sessions}
         return sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()
@@ -125,7 +115,7 @@ class Task:
 
     @property
     def key(self) -> str:
-        """Of the row: the same where content, variant, settings and versions are."""
+        """Of the row: the same where content, support, settings and versions are."""
         return self._key(self.case.fingerprint)
 
     @property
@@ -142,11 +132,10 @@ class Task:
         broken, case = status == "broken", self.case
         row = MotionRow(
             key=self.key_if_broken if broken else self.key,
-            name=stem(self.location),
+            name=Path(self.location).stem,
             path=self.location,
             sha256=self.content.sha256,
             command=case.command,
-            variant="" if broken else case.variant,
             support=None if broken else case.support,
             status=status,
             reason=reason,
@@ -169,13 +158,13 @@ def _limits(config: Config) -> tuple[float, float]:
 
 
 def contents_of(locations: list[str]) -> list[Content]:
-    """What is at each of some paths and URLs."""
-    return [_content(location) for location in locations]
+    """What is in each of some files."""
+    return [_content(Path(location)) for location in locations]
 
 
-def _content(location: str) -> Content:
+def _content(path: Path) -> Content:
     try:
-        return Content(content_hash(location))
+        return Content(content_hash(path))
     except MotionError as error:
         return Content("", error.cause)
 
@@ -188,11 +177,10 @@ def rows_of(task: Task) -> Rows:
     try:
         if task.content.fault:
             raise MotionError(task.content.fault, "")
-        with local_copy(task.location) as path:
-            motion = _load(path)
-            row.frames, row.fps, row.duration = motion.n_frames, motion.fps, motion.duration
-            row.picture = picture(motion, _robot(case.config))
-            _COMPUTE[case.command](motion, case, rows)
+        motion = _load(path)
+        row.frames, row.fps, row.duration = motion.n_frames, motion.fps, motion.duration
+        row.picture = picture(motion, _robot(case.config))
+        _COMPUTE[case.command](motion, case, rows)
         row.status = "ok"
     except RecordingError as error:  # a file of ours cannot be written now
         row.status, row.reason = "error", error.cause
@@ -206,7 +194,8 @@ def rows_of(task: Task) -> Rows:
     except Exception as error:  # a fault of ours ends no other motion
         row.status, row.reason = "error", f"{type(error).__name__}: {error}"
     row.seconds = time.perf_counter() - begun
-    row.memory = _resident() / 1e6
+    resident = int(Path("/proc/self/statm").read_text().split()[1])
+    row.memory = resident * resource.getpagesize() / 1e6
     return rows
 
 
@@ -218,14 +207,9 @@ def _load(path: Path) -> Motion:
 
 
 def _without_name(cause: str, path: Path) -> str:
-    """A cause without the path of the file, which the row has, or that of its copy."""
+    """A cause without the path of the file, which the row has."""
     shorter = cause.removeprefix(path.name).lstrip(":, ")
     return shorter.replace(f"The file {path}", "The file").replace(str(path), "the file")
-
-
-def _resident() -> int:
-    """Bytes of memory of this process."""
-    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
 
 
 def _check(motion: Motion, case: LibraryCase, rows: Rows) -> None:
@@ -297,7 +281,9 @@ def _simulate(motion: Motion, case: LibraryCase, rows: Rows) -> None:
     if case.sessions:
         from g1stream.extras.report.page import report
 
-        path = _output(motion, case, row.key, "mcap")
+        directory = case.out / SESSIONS
+        directory.mkdir(parents=True, exist_ok=True)
+        path = directory / f"{motion.name}-{row.key[:8]}.mcap"  # keys of one name differ
         page = path.with_suffix(".html")
         session.save(path, force=True)
         report(path, page, force=True)
@@ -326,25 +312,7 @@ def _joint_rows(key: str, metrics: Metrics) -> list[JointRow]:
     return rows
 
 
-def _convert(motion: Motion, case: LibraryCase, rows: Rows) -> None:
-    from g1stream.app.convert import Conversion, convert
-
-    path = _output(motion, case, rows.motion.key, case.format)
-    if path.suffix in MOTION_SUFFIXES:
-        motion.save(path, force=True)
-    else:
-        convert(motion, path, Conversion(force=True), robot=_robot(case.config))
-    rows.motion.output = str(path.relative_to(case.out))
-
-
-def _output(motion: Motion, case: LibraryCase, key: str, suffix: str) -> Path:
-    """Where the file of a row goes: motions of one name have different keys."""
-    directory = case.out / OUTPUTS[case.command]
-    directory.mkdir(parents=True, exist_ok=True)
-    return directory / f"{motion.name}-{key[:8]}.{suffix}"
-
-
-_COMPUTE: Final = {"check": _check, "simulate": _simulate, "convert": _convert}
+_COMPUTE: Final = {"check": _check, "simulate": _simulate}
 
 
 def picture(motion: Motion, robot: G1) -> str:

@@ -1,23 +1,17 @@
-"""Motion files below paths and URLs, and what they contain; URLs are those of fsspec."""
+"""Motion files below directories, and what they contain."""
 
 from __future__ import annotations
 
 import hashlib
 import os
-import tempfile
-from contextlib import contextmanager
-from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Final
 
-from g1stream.errors import ConfigError, MotionError, RecordingError
-from g1stream.files import output_errors
+from g1stream.errors import ConfigError, MotionError
 from g1stream.input_limits import MOTION_FILE
-from g1stream.optional import import_extra
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-
-__all__ = ["LIBRARY", "content_hash", "find_motions", "local_copy", "stem"]
+__all__ = ["LIBRARY", "content_hash", "find_motions"]
 
 #: Of the files in a directory that may be motions; a file that is named is read whatever its name.
 _SUFFIXES: Final = {
@@ -32,24 +26,19 @@ LIBRARY: Final = ".g1stream-library"
 
 
 def find_motions(places: Sequence[str]) -> list[str]:
-    """The motion files below directories, files and URLs, in order, each location once.
+    """The absolute paths of the motion files below directories and files, in order, each once.
 
     A directory stands for the files below it whose names end like those of motion files, and for
     its recordings in parts; libraries and hidden files and directories are left out, links to
     directories not followed.
     """
-    found: list[str] = []
-    for place in places:
-        found += _below_url(place) if "://" in place else _below(place)
-    return list(dict.fromkeys(found))
+    return list(dict.fromkeys(path for place in places for path in _below(place)))
 
 
 def _below(place: str) -> Iterator[str]:
     path = Path(place).absolute()
     if not path.exists():
-        raise ConfigError(
-            f"There is no {place}.", "Give motion files, directories with some, or URLs."
-        )
+        raise ConfigError(f"There is no {place}.", "Give motion files, or directories with some.")
     if not path.is_dir():
         yield str(path)
         return
@@ -60,105 +49,32 @@ def _below(place: str) -> Iterator[str]:
             if _BAG in files:
                 yield directory
             continue
-        for name in _motions_among(files):
-            if (one := Path(directory, name)).is_file():
+        for name in sorted(files):
+            one = Path(directory, name)
+            if one.suffix.lower() in _SUFFIXES and not name.startswith(".") and one.is_file():
                 yield str(one)
 
 
-def _motions_among(names: Iterable[str]) -> list[str]:
-    paths = ((name, PurePosixPath(name)) for name in names)
-    return sorted(
-        name
-        for name, path in paths
-        if path.suffix.lower() in _SUFFIXES and not path.name.startswith(".")
-    )
+def content_hash(path: Path) -> str:
+    """SHA-256 of a file, in hex; of a directory, of its files in order.
 
-
-def _below_url(url: str) -> list[str]:
-    fsspec = import_extra("fsspec", "library", "URLs need")
-    try:
-        files, root = fsspec.core.url_to_fs(url)
-        if _motions_among([root]) and files.isfile(root):
-            return [url]
-        if not files.exists(root):
-            raise FileNotFoundError("there is nothing")
-        _, inside, archive = url.partition("::")  # zip://motions::s3://bucket/all.zip
-        found = _motions_among(files.find(root))
-        if not found and files.isfile(root):  # a web server's directory is a file, too
-            return [url]
-        return [f"{files.unstrip_protocol(path)}{inside}{archive}" for path in found]
-    except ImportError as error:  # s3 needs s3fs, http aiohttp, and so on
-        raise ConfigError(f"{url} cannot be read: {error}.", "Install that package.") from error
-    except Exception as error:  # what a file system raises is its own
-        raise ConfigError(
-            f"{url} cannot be listed: {type(error).__name__}: {error}.",
-            "Check the URL, and whether this machine may read there.",
-        ) from error
-
-
-def stem(location: str) -> str:
-    """The name of the motion at a path or URL."""
-    return _path(location).stem
-
-
-def _path(location: str) -> PurePosixPath:
-    """The path in a URL, which may be followed by that of an archive: `zip://a.npz::file:///b`."""
-    return PurePosixPath(location.partition("::")[0] if "://" in location else location)
-
-
-def content_hash(location: str) -> str:
-    """SHA-256 of what is at a path or URL, in hex; of a directory, of its files in order."""
+    Raises:
+        MotionError: it cannot be read, is too large, or is not a file.
+    """
     digest = hashlib.sha256()
-    path = Path(location)
-    parts = [location]
-    if "://" not in location and path.is_dir():
-        parts = [str(part) for part in sorted(path.iterdir()) if part.is_file()]
-    for part in parts:
-        with _opened(part) as file:
-            while block := file.read(2**20):
-                digest.update(block)
-    return digest.hexdigest()
-
-
-@contextmanager
-def local_copy(location: str) -> Iterator[Path]:
-    """A path at which the motion can be read: its own or, of a URL, that of a temporary copy."""
-    if "://" not in location:
-        yield Path(location)
-        return
-    with output_errors(Path(tempfile.gettempdir())):
-        scratch = tempfile.TemporaryDirectory(prefix="g1stream-")
-    with scratch as directory:
-        copy = Path(directory, _path(location).name)
-        with output_errors(copy), copy.open("wb") as out, _opened(location) as file:
-            while block := file.read(2**20):
-                with output_errors(copy):  # no fault of the URL
-                    out.write(block)
-        yield copy
-
-
-@contextmanager
-def _opened(location: str) -> Iterator[Any]:
-    """A regular file of bounded size, or one at a URL."""
+    parts = sorted(one for one in path.iterdir() if one.is_file()) if path.is_dir() else [path]
     try:
-        if "://" in location:
-            import fsspec
-
-            files, path = fsspec.core.url_to_fs(location)
-            size, opened = files.size(path), files.open
-        else:
-            path, opened = Path(location), Path.open
-            if not path.is_file():
+        for part in parts:
+            if not part.is_file():
                 raise OSError("it is not a file")
-            size = path.stat().st_size
-        if size is not None and size > MOTION_FILE:
-            raise OSError(f"it has more than {MOTION_FILE / 2**20:g} MiB")
-        with opened(path, "rb") as file:
-            yield file
-    except (MemoryError, RecordingError):  # of who reads it
-        raise
-    except Exception as error:  # what a file system raises is its own
+            if part.stat().st_size > MOTION_FILE:
+                raise OSError(f"it has more than {MOTION_FILE / 2**20:g} MiB")
+            with part.open("rb") as file:
+                while block := file.read(2**20):
+                    digest.update(block)
+    except OSError as error:
         raise MotionError(
-            f"{location} cannot be read: {getattr(error, 'strerror', None) or error}.",
+            f"{path} cannot be read: {error.strerror or error}.",
             "Check that it is there and that you may read it.",
         ) from error
+    return digest.hexdigest()

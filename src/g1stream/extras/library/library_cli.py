@@ -40,11 +40,10 @@ _IN_PIPE_S: Final = 30.0
 
 @dataclass(frozen=True, kw_only=True)
 class Library(SettingsCommand):
-    """Checks, simulates or converts all motion files in directories, copies of a file once.
+    """Checks or simulates all motion files in directories, copies of a file once.
 
     check: what `g1stream physics` says. simulate: plays each motion on a simulated robot,
-    faster than real time, once for each support. convert: writes motion files, or MCAP files for
-    viewers.
+    faster than real time, once for each support.
 
     The result is a directory with Parquet tables, a row for each motion and one for each of its
     joints, and index.html. A file that is broken, or takes too much time or memory, is a row with
@@ -54,7 +53,7 @@ class Library(SettingsCommand):
 
     Examples:
       g1stream library check motions -o library
-      g1stream library simulate s3://lab/motions --support bolted,hanging
+      g1stream library simulate motions --support bolted,hanging
       g1stream library check motions --fail-if 'max_collision > 10'
       g1stream library check motions --cluster tcp://head:8786
 
@@ -66,15 +65,12 @@ class Library(SettingsCommand):
       128 + n  ended by signal n; what was computed is kept
     """
 
-    action: Literal["check", "simulate", "convert"] = argument(
-        "check limits and physics of the motions, simulate a robot that plays them, or convert "
-        "their files. Flags that begin with an action go with that one only.",
+    action: Literal["check", "simulate"] = argument(
+        "check limits and physics of the motions, or simulate a robot that plays them. Flags that "
+        "begin with an action go with that one only.",
         "ACTION",
     )
-    places: tuple[str, ...] = argument(
-        "Directories, motion files, or URLs such as s3://bucket/motions (extra `library`).",
-        "PATH...",
-    )
+    places: tuple[str, ...] = argument("Directories, or motion files.", "PATH...")
     out: Path = flag(Path("library"), "Directory of the tables.", "DIR", aliases=("-o",))
     support: str | None = flag(
         None,
@@ -84,7 +80,6 @@ class Library(SettingsCommand):
         shown="bolted",
     )
     sessions: bool = flag(False, "simulate: keep each session, and its report.")
-    to: Literal["npz", "csv", "mcap"] = flag("npz", "convert: format of the files.")
     workers: int | None = flag(None, "Processes on this machine.", "N", shown="CPUs", gt=0)
     cluster: str | None = flag(
         None, "Use the workers of this Dask scheduler instead (extra `cluster`).", "ADDRESS"
@@ -126,8 +121,8 @@ class Library(SettingsCommand):
             )
         found = newest_motions(self.out) if run.done or run.known else None
         rows = [] if found is None else found[found["key"].isin(run.keys)].to_dict("records")
-        variants = {case.variant: i for i, case in enumerate(cases)}
-        rows.sort(key=lambda row: (variants.get(row["variant"], -1), row["path"]))
+        supports = {case.support: i for i, case in enumerate(cases)}
+        rows.sort(key=lambda row: (supports.get(row["support"], -1), row["path"]))
         out = sys.stderr if self.json else None
         lines = [*_about(run, self.out), *_results(rows), *_problems(run, rows)]
         print_lines("\n".join(lines), out)
@@ -140,13 +135,8 @@ class Library(SettingsCommand):
         return EXIT_STOPPED if failed or not run.complete else EXIT_OK
 
     def _check_flags(self) -> None:
-        only = {
-            "--support": (self.support, "simulate"),
-            "--sessions": (self.sessions, "simulate"),
-            "--to": (self.to != "npz", "convert"),
-        }
-        for name, (given, action) in only.items():
-            if given and self.action != action:
+        for name, given in (("--support", self.support), ("--sessions", self.sessions)):
+            if given and self.action != "simulate":
                 raise ConfigError(
                     f"{name} has no effect on library {self.action}.", "Leave it out."
                 )
@@ -159,8 +149,6 @@ class Library(SettingsCommand):
         config, out = self.resolve(), self.out
         if self.action == "check":
             return [LibraryCase("check", out, config)]
-        if self.action == "convert":
-            return [LibraryCase("convert", out, config, format=self.to)]
         asked = dict.fromkeys((self.support or config.sim.support).split(","))
         if unknown := asked.keys() - set(get_args(StreamSupport)):
             raise ConfigError(
@@ -216,11 +204,11 @@ def _about(run: LibraryRun, out: Path) -> list[str]:
 
 
 def _results(rows: list[dict[str, Any]]) -> list[str]:
-    """What can be played with each support, or how closely each variant was followed."""
+    """What can be played with each support, or how closely they were followed with each."""
     from g1stream.extras.physics.result import Playable
 
     ok = [row for row in rows if row["status"] == "ok"]
-    if not ok or ok[0]["command"] == "convert":
+    if not ok:
         return []
     if ok[0]["command"] == "check":
         answers = get_args(Playable)
@@ -229,32 +217,24 @@ def _results(rows: list[dict[str, Any]]) -> list[str]:
         return ["", *table([("can be played", *answers), *cells], left=(0,))]
     lines = [("simulated", "rows", "success", "median RMSE rad", "worst", "motion")]
     played = [row for row in ok if not isnan(row["rmse"])]
-    for variant in dict.fromkeys(row["variant"] for row in played):
-        of = sorted((r for r in played if r["variant"] == variant), key=lambda row: row["rmse"])
+    for support in dict.fromkeys(row["support"] for row in played):
+        of = sorted((r for r in played if r["support"] == support), key=lambda row: row["rmse"])
         successes = sum(row["success"] is True for row in of)
         median, worst = of[len(of) // 2], of[-1]
         figures = f"{median['rmse']:.4f}", f"{worst['rmse']:.4f}", worst["name"]
-        lines.append((variant, str(len(of)), str(successes), *figures))
+        lines.append((support, str(len(of)), str(successes), *figures))
     return ["", *table(lines, left=(0, 5))]
 
 
 def _problems(run: LibraryRun, rows: list[dict[str, Any]]) -> list[str]:
-    """What failed, and why; some of each kind. And what a file that was written lacks."""
-    from g1stream.motion.motion import DEFAULT_FPS
-
+    """What failed, and why; some of each kind."""
     failed = [row for row in rows if row["status"] != "ok"]
     kinds = ", ".join(f"{n} {kind}" for kind, n in Counter(r["status"] for r in failed).items())
     lines = ["", f"failed: {kinds}"] if failed else []
     for row in failed[:_NAMED]:
-        of = f" ({row['variant']})" if row["variant"] else ""
+        of = f" ({row['support']})" if row["support"] else ""
         lines.append(labelled("  ", f"{row['path']}{of}: {row['reason']}"))
     if len(failed) > _NAMED:
         lines.append(f"  and {len(failed) - _NAMED} more: column `reason` of the table")
-    csv = [row for row in rows if row["variant"] == "csv" and row["status"] == "ok"]
-    if rated := [row for row in csv if row["fps"] != DEFAULT_FPS]:
-        lines.append(
-            f"CSV files keep no rate: read {counted(len(rated), 'file')} of these with --fps, such "
-            f"as {rated[0]['output']} with --fps {rated[0]['fps']:g}; column `fps` has the others'"
-        )
     lost = list(run.lost.items())[:_NAMED]
     return lines + [labelled("  ", f"{path}: not computed: {why}") for path, why in lost]

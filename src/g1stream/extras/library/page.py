@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from html import escape
 from importlib import resources
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from string import Template
 from typing import TYPE_CHECKING, Any, Final, get_args
 
@@ -15,8 +16,6 @@ from g1stream.text import printable
 from g1stream.types import Support
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     import pandas
 
 __all__ = ["PAGE", "write_page"]
@@ -28,7 +27,7 @@ _DATA: Final = "\0"
 _ROWS: Final = 500
 #: The page has a reason in place of what is behind.
 _FIRST: Final = [
-    *("picture", "name", "status", "support", "variant"),
+    *("picture", "name", "status", "support"),
     *("reason", "rmse", "report", "output"),
 ]
 _LEFT_OUT: Final = {"key", "sha256", "command", "limits"}
@@ -59,10 +58,8 @@ def write_page(directory: Path) -> Path:
 
 def _shown(motions: pandas.DataFrame) -> Iterator[str]:
     """JSON of the columns that have values and of the rows, worst first, in pieces."""
-    motions = motions.assign(name=_distinct(motions["name"], motions["path"]))
     motions = motions.iloc[(-_badness(motions)).argsort(kind="stable")]
     told = motions.replace("", None).notna().any()
-    told["variant"] &= not told["support"]
     used = [name for name in motions if name not in _LEFT_OUT and told[name]]
     names = [name for name in _FIRST if name in used]
     names += [name for name in used if name not in {*_FIRST, *_LAST}]
@@ -78,25 +75,6 @@ def _shown(motions: pandas.DataFrame) -> Iterator[str]:
         text = rows.to_json(orient="values", double_precision=9)
         yield f"{',' if first else ''}{text[1:-1]}"
     yield "]}"
-
-
-def _distinct(names: Sequence[str], paths: Sequence[str]) -> list[str]:
-    """Names, with as much of the path before those of several files as tells them apart."""
-    files: dict[str, set[str]] = {}
-    for name, path in zip(names, paths, strict=True):
-        files.setdefault(name, set()).add(path)
-    return [
-        name if len(files[name]) == 1 else _end(path, files[name])
-        for name, path in zip(names, paths, strict=True)
-    ]
-
-
-def _end(path: str, others: set[str]) -> str:
-    parts = {one: PurePosixPath(one).parts for one in others}
-    for n in range(2, len(parts[path])):
-        if len({one[-n:] for one in parts.values()}) == len(parts):
-            return "/".join(parts[path][-n:])
-    return path
 
 
 def _badness(motions: pandas.DataFrame) -> Any:

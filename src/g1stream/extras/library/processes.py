@@ -10,30 +10,26 @@ import os
 import resource
 import signal
 import threading
+from collections.abc import Callable
 from concurrent.futures import TimeoutError as FutureTimeoutError
 from dataclasses import dataclass
 from importlib import import_module
 from multiprocessing import connection, get_context, parent_process
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import Any, Final, Literal, TypeVar
 
 from g1stream.errors import G1StreamError
 from g1stream.optional import import_extra
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-__all__ = ["CrashedError", "Limits", "TooSlowError", "end_processes", "limited"]
+__all__ = ["LimitError", "Limits", "end_processes", "limited"]
 
 T = TypeVar("T")
 
 
-class TooSlowError(G1StreamError):
-    """A call took longer than its limit."""
+class LimitError(G1StreamError):
+    """A call took longer than its limit, or its process ended, twice."""
 
-
-class CrashedError(G1StreamError):
-    """The process of a call ended, twice."""
+    status: Literal["slow", "crashed"] = "slow"
 
 
 @dataclass(frozen=True)
@@ -66,18 +62,19 @@ def limited(limits: Limits, function: Callable[..., T], *args: Any) -> T:
         try:
             result: T = future.result()
         except FutureTimeoutError:
-            raise TooSlowError(
-                f"It took longer than {limits.seconds:g} s.", "Raise --time-limit."
-            ) from None
+            cause = f"It took longer than {limits.seconds:g} s."
+            raise LimitError(cause, "Raise --time-limit.") from None
         except pebble.ProcessExpired:
             continue
         finally:
             _RUNNING.discard(future)
         return result
-    raise CrashedError(
+    crashed = LimitError(
         "The process that computed it crashed, twice.",
         "Read the file with `g1stream motion`, and report what happens.",
     )
+    crashed.status = "crashed"
+    raise crashed
 
 
 _THREAD = threading.local()

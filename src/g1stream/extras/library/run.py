@@ -6,7 +6,8 @@ import asyncio
 import multiprocessing
 import os
 import time
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -14,30 +15,22 @@ from itertools import islice
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Thread
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import Any, Final, TypeVar
 
 from g1stream._version import __version__
 from g1stream.errors import ConfigError
-from g1stream.extras.library.compute import Content, Task, contents_of, rows_of
+from g1stream.extras.library.compute import Content, LibraryCase, Task, contents_of, rows_of
 from g1stream.extras.library.files import find_motions
 from g1stream.extras.library.page import write_page
 from g1stream.extras.library.processes import (
-    CrashedError,
+    LimitError,
     Limits,
-    TooSlowError,
     end_processes,
     limited,
 )
-from g1stream.extras.library.table import writing
+from g1stream.extras.library.table import MotionRow, Rows, TableWriter, writing
 from g1stream.optional import import_extra
 from g1stream.text import counted
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
-    from concurrent.futures import Executor, Future
-
-    from g1stream.extras.library.compute import LibraryCase
-    from g1stream.extras.library.table import MotionRow, Rows, TableWriter
 
 __all__ = ["LibraryRun", "completed", "open_executor", "run_library"]
 
@@ -122,7 +115,7 @@ def run_library(
     that calls this needs `if __name__ == "__main__":`, because its processes import it.
 
     Args:
-        places: directories, files and URLs.
+        places: directories and files.
         cases: what to compute of each motion, all with the same directory.
         workers: processes on this machine; one for each CPU if None.
         cluster: address of a Dask scheduler whose workers are used instead.
@@ -179,7 +172,7 @@ def _require_apart(places: Sequence[str], out: Path) -> None:
     """A library's directory is not searched for motions, so that it must not hold them."""
     for place in places:
         path = Path(place).resolve()
-        if "://" not in place and path.exists() and out.resolve() in (path, *path.parents):
+        if path.exists() and out.resolve() in (path, *path.parents):
             raise ConfigError(
                 f"The library {out} would hold the motions in {place}, and hide them.",
                 "Choose another directory for the library.",
@@ -189,7 +182,7 @@ def _require_apart(places: Sequence[str], out: Path) -> None:
 def _contents(
     executor: Executor, locations: list[str], run: LibraryRun, stop: Callable[[], bool]
 ) -> Iterator[tuple[str, Content]]:
-    """What is at each location that can be told."""
+    """What is in each file that can be told."""
     batches = [locations[i : i + _BATCH] for i in range(0, len(locations), _BATCH)]
     for pairs in completed(executor, contents_of, batches, stop):
         for batch, future in pairs:
@@ -234,8 +227,8 @@ def _compute(task: Task, limits: Limits) -> Rows:
     """Made where the task is computed, by a thread; the work is that of its process."""
     try:
         rows = limited(limits, rows_of, task)
-    except (TooSlowError, CrashedError) as error:
-        rows = task.rows("slow" if isinstance(error, TooSlowError) else "crashed", error.cause)
+    except LimitError as error:
+        rows = task.rows(error.status, error.cause)
     rows.motion.limits = str(limits)
     return rows
 
@@ -305,12 +298,7 @@ def _client(cluster: str, warn: Callable[[str], None], stop: Callable[[], bool])
         with ThreadPoolExecutor(1) as thread:  # a notebook has a loop of its own in this one
             thread.submit(asyncio.run, _connected(cluster)).result()
         client = distributed.Client(cluster, timeout=_TIMEOUT, set_as_default=False)
-    except TypeError as error:  # which it raises for TLS without certificates
-        raise ConfigError(
-            f"The Dask scheduler {cluster} takes TLS connections only: {error}.",
-            "Name its certificates in Dask's configuration, distributed.comm.tls.",
-        ) from error
-    except (OSError, ValueError) as error:
+    except (OSError, TypeError, ValueError) as error:  # of TLS without certificates, too
         raise ConfigError(
             f"There is no Dask scheduler at {cluster}: {error}.",
             "Start one, `dask scheduler`, and give the address that it prints.",

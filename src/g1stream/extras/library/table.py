@@ -1,16 +1,17 @@
 """The tables of a library: Parquet files that are readable while they grow.
 
-    library/motions/part-000012.parquet    one row a motion and variant
+    library/motions/part-000012.parquet    one row a motion and support
     library/joints/part-000012.parquet     one row a joint of it
 
 What was computed is written as soon as the last write is done, as a part of each table; the parts
-appear complete, that of the joints first. Many small parts become one. A row that was computed
+appear complete, that of the joints first. Many parts become one. A row that was computed
 anew, as settings or versions are others, replaces the older one for who reads.
 """
 
 from __future__ import annotations
 
 import fcntl
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from math import isnan
@@ -28,8 +29,6 @@ from g1stream.session.records import Int, Record
 from g1stream.text import counted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
     import pandas
 
 __all__ = [
@@ -48,13 +47,13 @@ __all__ = [
     "writing",
 ]
 
-Command = Literal["check", "simulate", "convert"]
+Command = Literal["check", "simulate"]
 Status = Literal["ok", "broken", "refused", "huge", "slow", "crashed", "error"]
 """What became of a motion: computed; no motion can be read from the file; a motion that is not
 played so; it took too much memory, or time; its process ended; or we failed."""
 
 
-FORMAT: Final = 2
+FORMAT: Final = 3
 """Of the tables: another number where a column changes, so that rows are computed again."""
 
 
@@ -66,12 +65,11 @@ def column(description: str, unit: str = "", default: Any = None) -> Any:
 class MotionRow(Record):
     """What is known of a motion. What was not computed is None."""
 
-    key: str = column("of this row: content, variant, settings and versions", default=...)
+    key: str = column("of this row: content, support, settings and versions", default=...)
     name: str = column("of the file, without its ending", default=...)
     path: str = column("of the file, or its URL", default=...)
     sha256: str = column("of its content", default=...)
     command: Command = column("that computed the row", default=...)
-    variant: str = column("the support, or the format", default="")
     support: str | None = column("how the pelvis was held")
     status: Status = column("what became of it", default="ok")
     reason: str | None = column("why it is not ok")
@@ -181,9 +179,8 @@ class Rows(Record):
 
 _EXTRA: Final = "library", "A library's tables need"
 _TABLES: Final[dict[str, type[Record]]] = {"joints": JointRow, "motions": MotionRow}
-#: So many small parts are made one; a part with more rows than this is not small.
-_MOST_PARTS: Final = 64
-_SMALL: Final = 5_000
+#: So many parts are made one.
+_MOST_PARTS: Final = 256
 
 
 @dataclass(frozen=True)
@@ -192,7 +189,7 @@ class Library:
 
     Attributes:
         path: of its directory.
-        motions: a row for each motion and variant, with a column `key`.
+        motions: a row for each motion and support, with a column `key`.
         joints: a row for each joint of those, with the `key` of its motion.
     """
 
@@ -248,8 +245,8 @@ def _read_tables(path: Path, *names: str) -> list[Any]:
 def _newest(table: Any) -> pandas.DataFrame:
     motions: pandas.DataFrame = table.to_pandas()
     same = motions["path"].where(motions["sha256"] == "", motions["sha256"])
-    newest = ~motions.assign(sha256=same).duplicated(["sha256", "command", "variant"], keep="last")
-    # A broken file has no variant, and may have become whole.
+    newest = ~motions.assign(sha256=same).duplicated(["sha256", "command", "support"], keep="last")
+    # A broken file has no support, and may have become whole.
     newest &= (motions["status"] != "broken") | ~motions.duplicated(
         ["path", "command"], keep="last"
     )
@@ -278,17 +275,6 @@ def _read_part(path: Path) -> Any:
         return parquet.read_table(path, partitioning=None, use_threads=False)
 
 
-def _small_parts(directory: Path) -> list[Path]:
-    return [part for part in _parts(directory) if _rows_in(part) < _SMALL]
-
-
-def _rows_in(path: Path) -> int:
-    from pyarrow import parquet
-
-    with _damage_named(path):
-        return int(parquet.read_metadata(path).num_rows)
-
-
 @contextmanager
 def _damage_named(path: Path) -> Iterator[None]:
     import pyarrow
@@ -315,13 +301,12 @@ class TableWriter:
             for left in table.glob(".*.part"):  # of a process that was killed
                 left.unlink()
         known = _read(self._directories["motions"])
-        columns = ["sha256", "path", "command", "variant", "key", "status", "limits"]
+        columns = ["sha256", "path", "command", "support", "key", "status", "limits"]
         rows = _newest(known.select(columns)).to_dict("records") if known else []
         self._known = {row["key"]: row for row in rows}
-        names = [part.stem for part in _parts(self._directories["motions"])]
-        names += [part.stem for part in _parts(self._directories["joints"])]
-        self._number = max((int(name.partition("-")[2]) for name in names), default=0)
-        self._n_small = len(_small_parts(self._directories["motions"]))
+        parts = [part for table in self._directories.values() for part in _parts(table)]
+        self._number = max((int(part.stem.partition("-")[2]) for part in parts), default=0)
+        self._n_parts = len(parts)
 
     def has(self, key: str, limits: str) -> bool:
         """Whether a row is there that need not be computed."""
@@ -337,21 +322,19 @@ class TableWriter:
         motions = [rows.motion.model_dump() for rows in several]
         self._write("joints", _table(self._arrow, JointRow, joints))
         self._write("motions", _table(self._arrow, MotionRow, motions))
-        self._n_small += len(several) < _SMALL
-        if self._n_small >= _MOST_PARTS:
+        self._n_parts += 1
+        if self._n_parts >= _MOST_PARTS:
             self.merge()
 
     def merge(self) -> None:
-        """Make the small parts of each table one."""
+        """Make the parts of each table one."""
         self._number += 1
         for name, directory in self._directories.items():
-            small = _small_parts(directory)
-            if len(small) > 1:
-                tables = [_read_part(part) for part in small]
-                self._write(name, self._arrow.concat_tables(tables, promote_options="default"))
-                for part in small:
+            if len(parts := _parts(directory)) > 1:
+                self._write(name, _read(directory))
+                for part in parts:
                     part.unlink()
-        self._n_small = len(_small_parts(self._directories["motions"]))
+        self._n_parts = 1
 
     def _write(self, name: str, table: Any) -> None:
         from pyarrow import parquet

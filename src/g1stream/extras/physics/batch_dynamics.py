@@ -8,22 +8,19 @@ fixed to it; body 0 is the pelvis. Inner arrays have components first and frames
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from g1stream.robot.dynamics import GRAVITY, compiled_dynamics, friction_torque
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
+from g1stream.robot.kinematics import LinkPoses
+from g1stream.robot.model import G1
 from g1stream.robot.rotations import rotation_matrices
 from g1stream.robot.urdf import KEPT_ROBOTS
 from g1stream.types import Floats
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from g1stream.robot.kinematics import LinkPoses
-    from g1stream.robot.model import G1
 
 __all__ = ["BatchInverseDynamics", "BatchLoads", "MovementBatch", "cross"]
 
@@ -33,31 +30,15 @@ _NO_LEVER: Final = 1e-9
 
 
 class BatchLoads(NamedTuple):
-    """What T frames take.
+    """What T frames take."""
 
-    Attributes:
-        tau: (T, 29) N·m, motor order, friction included.
-        force: (T, 3) N, world, that acts on the robot for its pelvis to move so.
-        moment: (T, 3) N·m, world, of that force about the pelvis's origin.
-    """
-
-    tau: Floats
-    force: Floats
-    moment: Floats
+    tau: Floats  # (T, 29) N·m, motor order, friction included
+    force: Floats  # (T, 3) N, world, that acts on the robot for its pelvis to move so
+    moment: Floats  # (T, 3) N·m, world, of that force about the pelvis's origin
 
 
 class BatchInverseDynamics:
-    """The bodies of one robot.
-
-    Args:
-        robot: has the URDF.
-        carrier: the link that a hanging robot hangs from.
-        gravity: m/s², downward.
-
-    Attributes:
-        mass: kg, of the whole robot.
-        gravity: as given.
-    """
+    """The bodies of a robot of `mass` kg that hangs from its link `carrier`; gravity in m/s²."""
 
     def __init__(self, robot: G1, *, carrier: str = "torso_link", gravity: float = GRAVITY) -> None:
         import mujoco
@@ -98,12 +79,9 @@ class BatchInverseDynamics:
         return cls(robot)
 
     def batch(self, poses: LinkPoses, joint_vel: Floats, joint_acc: Floats) -> MovementBatch:
-        """Frames whose loads are wanted; `BLOCK` at once are fastest.
+        """Frames whose loads are wanted: poses in the world, rad/s and rad/s² (T, 29), motor order.
 
-        Args:
-            poses: of T frames, in the world.
-            joint_vel: (T, 29) rad/s, motor order.
-            joint_acc: (T, 29) rad/s².
+        `BLOCK` frames at once are fastest.
         """
         return MovementBatch(self, poses, joint_vel, joint_acc)
 
@@ -166,12 +144,9 @@ class MovementBatch:
         return self._loads(forces, moments).tau, tilt
 
     def follow(self, ang_vel: Floats, ang_acc: Floats, lin_acc: Floats) -> BatchLoads:
-        """What the frames take if the pelvis moves as given.
+        """What the frames take if the pelvis moves as given (T, 3).
 
-        Args:
-            ang_vel: (T, 3) rad/s, pelvis frame.
-            ang_acc: (T, 3) rad/s², its time derivative.
-            lin_acc: (T, 3) m/s², of the pelvis's origin, world, without gravity.
+        Its rad/s and rad/s² are in its frame, the m/s² of its origin in the world, without gravity.
         """
         moving = self._moving(
             _times(self._pelvis, ang_vel.T),
@@ -183,10 +158,7 @@ class MovementBatch:
     def torques_of(self, links: Sequence[int], points: Floats, contact_forces: Floats) -> Floats:
         """The torques (T, 29), N·m, that forces on links exert on the joints: J^T f.
 
-        Args:
-            links: P of them, each moved by a joint.
-            points: (T, P, 3) m, world, where the forces act.
-            contact_forces: (T, P, 3) N, world.
+        They act on P links, each moved by a joint, at points (T, P, 3), m, with (T, P, 3) N, world.
         """
         forces = np.zeros_like(self._pos)
         moments = np.zeros_like(self._pos)

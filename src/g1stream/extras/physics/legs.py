@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import ceil
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from g1stream.extras.physics.batch_dynamics import cross
 from g1stream.extras.physics.footing import CannotStandError
+from g1stream.extras.physics.ground import Flags
+from g1stream.motion.motion import Motion
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
 from g1stream.robot.kinematics import BLOCK, forward_kinematics
+from g1stream.robot.model import G1
 from g1stream.robot.rotations import (
     quat_conj,
     quat_mul,
@@ -21,13 +25,6 @@ from g1stream.robot.rotations import (
 )
 from g1stream.robot.soles import OFF_FLOOR, SIDES, Soles
 from g1stream.types import Floats
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from g1stream.extras.physics.ground import Flags
-    from g1stream.motion.motion import Motion
-    from g1stream.robot.model import G1
 
 __all__ = ["Legs", "LegsTooShortError"]
 
@@ -52,14 +49,7 @@ class LegsTooShortError(CannotStandError):
 
 
 class Legs:
-    """The joints of the legs for given feet.
-
-    Args:
-        robot: the G1.
-        soles: of its feet.
-        feet: (T, 2, 3) m, world, the links of the feet.
-        turns: (T, 2, 4) wxyz, foot to world.
-        fps: frames per second.
+    """The joints of the legs for given feet: links (T, 2, 3), m, world, and turns (T, 2, 4) wxyz.
 
     Attributes:
         corners: (T, 8, 3) m, world, of the soles.

@@ -6,10 +6,12 @@ the spline through the frames. docs/physics.md has the formulas, thresholds and 
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Final, NamedTuple, get_args
+from typing import Any, Final, NamedTuple, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from g1stream.config import SafetyConfig
 from g1stream.errors import ConfigError
@@ -17,6 +19,7 @@ from g1stream.extras.physics.batch_dynamics import BatchInverseDynamics
 from g1stream.extras.physics.footing import CannotStandError
 from g1stream.extras.physics.ground import (
     FRICTION,
+    Flags,
     beyond_support,
     floor_forces,
     stretches,
@@ -34,25 +37,15 @@ from g1stream.extras.physics.result import (
 )
 from g1stream.extras.physics.stance import stand_part
 from g1stream.extras.physics.stand import find_instead
+from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
-from g1stream.robot.hulls import SelfCollision, read_hulls
+from g1stream.robot.hulls import Hull, SelfCollision, read_hulls
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
-from g1stream.robot.kinematics import pose_blocks
+from g1stream.robot.kinematics import LinkPoses, pose_blocks
 from g1stream.robot.model import G1
 from g1stream.robot.rotations import rotation_matrices
 from g1stream.robot.soles import SIDES, Soles
 from g1stream.types import Floats, Support
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-    from typing import Any
-
-    from numpy.typing import NDArray
-
-    from g1stream.extras.physics.ground import Flags
-    from g1stream.motion.motion import Motion
-    from g1stream.robot.hulls import Hull
-    from g1stream.robot.kinematics import LinkPoses
 
 __all__ = ["Loads", "motion_physics", "movement_loads"]
 
@@ -69,23 +62,16 @@ _SWINGS: Final = 0.5  # time in which a hanging pelvis turns, s
 
 
 class _Frames(NamedTuple):
-    """What is known of T frames without dynamics.
+    """What is known of T frames without dynamics."""
 
-    Attributes:
-        fps: frames per second.
-        corners: (T, 8, 3) m, world, of the soles.
-        touches: (T, 8) whether a corner touches the floor.
-        speeds: (T, 8) m/s, horizontal.
-        heights: by link but the feet, (T,) m from the floor to its lowest point, infinite where it
-            is above the floor.
-        depths: by pair of links, (T,) m that they are inside each other.
-    """
-
-    fps: float
-    corners: Floats
-    touches: Flags
-    speeds: Floats
+    fps: float  # frames per second
+    corners: Floats  # (T, 8, 3) m, world, of the soles
+    touches: Flags  # (T, 8) whether a corner touches the floor
+    speeds: Floats  # (T, 8) m/s, horizontal
+    # by link but the feet, (T,) m from the floor to its lowest point, infinite where it is above
+    # the floor
     heights: dict[str, Floats]
+    # by pair of links, (T,) m that they are inside each other
     depths: dict[tuple[str, str], Floats]
 
 
@@ -397,24 +383,16 @@ def _peaks(frames: _Frames, tau: Floats, limit: Floats) -> tuple[TorquePeak, ...
 
 
 class Loads(NamedTuple):
-    """What T frames take.
+    """What T frames take."""
 
-    Attributes:
-        mass: kg, of the robot.
-        weight: N.
-        tau: by support, (T, 29) N·m, motor order.
-        force: (T, 3) N, world, that has to act on the robot for its pelvis to move as in the
-            motion; at rest its weight, upward.
-        moment: (T, 3) N·m, world, of that force about the world's origin.
-        hanging_tilt: (T,) rad, of the pelvis of a robot that hangs at rest.
-    """
-
-    mass: float
-    weight: float
-    tau: dict[Support, Floats]
+    mass: float  # kg, of the robot
+    weight: float  # N
+    tau: dict[Support, Floats]  # by support, (T, 29) N·m, motor order
+    # (T, 3) N, world, that has to act on the robot for its pelvis to move as in the motion; at rest
+    # its weight, upward
     force: Floats
-    moment: Floats
-    hanging_tilt: Floats
+    moment: Floats  # (T, 3) N·m, world, of that force about the world's origin
+    hanging_tilt: Floats  # (T,) rad, of the pelvis of a robot that hangs at rest
 
 
 def movement_loads(
@@ -429,16 +407,9 @@ def movement_loads(
 
     Joints move as the spline through the frames, whose accelerations are greatest at frames. With
     `bolted` the pelvis is upright. With `hanging` it is at rest as the pose lets it hang: the mass
-    centre below the carrier's. With `free` the floor exerts the force on the corners that touch it,
-    as far as it can (`floor_forces`); the rest is left to an outer force on the pelvis.
-
-    Args:
-        trajectory: through T frames.
-        robot: the G1.
-        soles: of its feet.
-        corners: (T, 8, 3) m, world, of the soles.
-        touches: (T, 8) whether a corner touches the floor.
-        look: called with some frames at a time, and the poses of the links in them.
+    centre below the carrier's. With `free` the floor exerts the force on the corners (T, 8, 3) that
+    touch it (T, 8), as far as it can (`floor_forces`); the rest is left to an outer force on the
+    pelvis. `look` is called with some frames at a time, and the poses of the links in them.
     """
     dynamics, motion = BatchInverseDynamics.of(robot), trajectory.motion
     n_frames, feet = motion.n_frames, np.repeat(soles.links, 4).tolist()

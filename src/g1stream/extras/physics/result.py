@@ -6,16 +6,14 @@ frames are inclusive.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal, get_args
+from collections.abc import Mapping
+from typing import Literal, get_args
 
 from pydantic import computed_field
 
 from g1stream.session.records import Record
 from g1stream.text import counted, labelled, ranges, table
 from g1stream.types import StreamSupport, Support
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 __all__ = [
     "Collision",

@@ -10,28 +10,29 @@ method.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from g1stream.errors import ConfigError
 from g1stream.extras.physics.batch_dynamics import BatchInverseDynamics
 from g1stream.extras.physics.footing import CannotStandError, find_footing
-from g1stream.extras.physics.ground import TRUSTED_FRICTION, beyond_support, zero_moment_point
+from g1stream.extras.physics.ground import (
+    TRUSTED_FRICTION,
+    Flags,
+    beyond_support,
+    zero_moment_point,
+)
 from g1stream.extras.physics.legs import Legs, LegsTooShortError
 from g1stream.motion.limits import POSITION_TOLERANCE
+from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.dynamics import GRAVITY
 from g1stream.robot.joints import JOINT_NAMES, LEGS
 from g1stream.robot.kinematics import BLOCK, LinkPoses, forward_kinematics
+from g1stream.robot.model import G1
 from g1stream.robot.soles import Soles, bent_legs
 from g1stream.types import Floats
-
-if TYPE_CHECKING:
-    from g1stream.extras.physics.ground import Flags
-    from g1stream.motion.motion import Motion
-    from g1stream.robot.model import G1
-    from g1stream.types import Floats
 
 __all__ = ["Standing", "on_standing_legs", "stand", "stand_part"]
 
@@ -105,12 +106,8 @@ def stand(
 ) -> Standing:
     """The motion as a robot on its feet can play it: its feet stand, or step one at a time.
 
-    Args:
-        motion: whose feet stand, or are lifted one at a time.
-        robot: the G1.
-        played: (29,) the joints that play it; all if None. Without the legs, these stand
-            (`on_standing_legs`); with both, other joints keep the pose of its beginning.
-        trajectory: through its frames; made if None.
+    Without the legs among the joints that are `played` (29,), these stand (`on_standing_legs`);
+    with both, other joints keep the pose of the beginning.
     """
     if played is not None and 0 < np.count_nonzero(played[:LEGS]) < LEGS:
         raise ConfigError(

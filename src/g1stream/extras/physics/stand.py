@@ -3,26 +3,21 @@
 from __future__ import annotations
 
 from math import ceil, floor
-from typing import TYPE_CHECKING, Final
+from pathlib import Path
+from typing import Final
 
 import numpy as np
 from scipy.ndimage import binary_dilation
 
 from g1stream.errors import ConfigError, MotionError
 from g1stream.extras.physics.footing import CannotStandError
-from g1stream.extras.physics.ground import stretches
-from g1stream.extras.physics.stance import stand_part
+from g1stream.extras.physics.ground import Flags, stretches
+from g1stream.extras.physics.stance import Standing, stand_part
 from g1stream.motion.limits import Interval
 from g1stream.motion.motion import Motion
 from g1stream.motion.readers import load_motion
 from g1stream.robot.joints import LEGS
 from g1stream.robot.model import G1
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from g1stream.extras.physics.ground import Flags
-    from g1stream.extras.physics.stance import Standing
 
 __all__ = ["find_instead", "stand", "stand_or_explain"]
 

@@ -8,24 +8,20 @@ from __future__ import annotations
 
 import base64
 import math
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Container, Mapping
+from typing import Any, Final
 
 import numpy as np
 
+from g1stream.analysis.metrics import Metrics
 from g1stream.analysis.plots import COLOURS, SHADES
-from g1stream.analysis.signals import min_max, signal
+from g1stream.analysis.signals import Quantity, Signal, min_max, signal
+from g1stream.analysis.summary import Summary
+from g1stream.app.session import Session
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
 from g1stream.session.streams import Command, Measured
 from g1stream.text import printable
-
-if TYPE_CHECKING:
-    from collections.abc import Container, Mapping
-
-    from g1stream.analysis.metrics import Metrics
-    from g1stream.analysis.signals import Quantity, Signal
-    from g1stream.analysis.summary import Summary
-    from g1stream.app.session import Session
-    from g1stream.types import Floats
+from g1stream.types import Floats
 
 __all__ = ["curve", "figures"]
 

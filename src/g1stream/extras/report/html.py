@@ -5,17 +5,15 @@ from __future__ import annotations
 import base64
 import gzip
 import json
+from collections.abc import Container, Mapping, Sequence
 from datetime import datetime, timezone
 from importlib import resources
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from g1stream._version import __version__
 from g1stream.optional import import_extra
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
 from g1stream.text import printable, short_name
-
-if TYPE_CHECKING:
-    from collections.abc import Container, Mapping, Sequence
 
 __all__ = ["joints_by_limb", "render_page"]
 

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import base64
 import os
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from mimetypes import guess_type
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, cast
+from typing import TYPE_CHECKING, Any, Final, TypeAlias, cast
 
+from g1stream.analysis.metrics import Metrics
 from g1stream.analysis.summarise import played
-from g1stream.analysis.summary import outcome, session_facts, stream_facts
+from g1stream.analysis.summary import Summary, outcome, session_facts, stream_facts
 from g1stream.app.session import Session, open_session
 from g1stream.errors import ConfigError, MotionError, RecordingError, RobotError
 from g1stream.extras.physics.measure import motion_physics
+from g1stream.extras.physics.result import MotionPhysics
 from g1stream.extras.report.figures import figures
 from g1stream.extras.report.html import joints_by_limb, render_page
 from g1stream.extras.report.tables import overview, physics_tables, tables
@@ -22,13 +25,6 @@ from g1stream.robot.joints import JOINT_NAMES
 from g1stream.session.motions import attached_motion
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
-    from typing import TypeAlias
-
-    from g1stream.analysis.metrics import Metrics
-    from g1stream.analysis.summary import Summary
-    from g1stream.extras.physics.result import MotionPhysics
-
     Given: TypeAlias = Session | str | os.PathLike[str]
     Progress: TypeAlias = Callable[[str, float], None]
 

@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
-from g1stream.extras.physics.result import reasons
+from g1stream.extras.physics.result import MotionPhysics, reasons
 from g1stream.text import counted, short_name
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
-    from g1stream.extras.physics.result import MotionPhysics
 
 __all__ = ["Column", "difference_tables", "overview", "physics_tables", "table", "tables"]
 
@@ -26,20 +22,13 @@ _MOST_PAIRS: Final = 12
 
 @dataclass(frozen=True)
 class Column:
-    """A column of a table.
+    """A column of a table."""
 
-    Attributes:
-        title, unit: of its head.
-        key: of the value in what the row shows; with dots where it is deeper.
-        form: of a number, as `format` takes it.
-        scale: from the unit of the JSON to that shown.
-    """
-
-    title: str
+    title: str  # of its head
     unit: str
-    key: str
-    form: str = ".0f"
-    scale: float = 1.0
+    key: str  # of the value in what the row shows; with dots where it is deeper
+    form: str = ".0f"  # of a number, as `format` takes it
+    scale: float = 1.0  # from the unit of the JSON to that shown
 
 
 class Cell(NamedTuple):
@@ -51,16 +40,11 @@ class Cell(NamedTuple):
 
 
 class Table(NamedTuple):
-    """A table of values, as the template `macros.html` draws it.
+    """A table of values, as the template `macros.html` draws it."""
 
-    Attributes:
-        head: of the first column, which has names.
-        columns: the others.
-        rows: a name, and a cell for each column; None where the value is not known.
-    """
-
-    head: str
-    columns: Sequence[Column]
+    head: str  # of the first column, which has names
+    columns: Sequence[Column]  # the others
+    # a name, and a cell for each column; None where the value is not known
     rows: Sequence[tuple[str, Sequence[Cell | None]]]
 
 

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Iterable
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.stores import ros2_humble as ros
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from numpy.typing import ArrayLike
-
-    from g1stream.session.recorded_motion import FramePose
+from g1stream.session.recorded_motion import FramePose
 
 __all__ = ["STORE", "encode", "joint_state", "tf_message", "time_message"]
 
@@ -32,13 +29,7 @@ def time_message(time_ns: int) -> Any:
 
 
 def joint_state(time_ns: int, names: Iterable[str], *columns: ArrayLike) -> bytes:
-    """A sensor_msgs/JointState.
-
-    Args:
-        time_ns: of the stamp.
-        names: of J joints.
-        columns: positions, rad, velocities, rad/s, and efforts, N·m, (J) each, or empty.
-    """
+    """A sensor_msgs/JointState: positions, rad, velocities, rad/s, efforts, N·m, (J) or empty."""
     header = ros.std_msgs__msg__Header(time_message(time_ns), "")
     arrays = (np.asarray(column, np.float64) for column in columns)
     return encode(ros.sensor_msgs__msg__JointState(header, list(names), *arrays))

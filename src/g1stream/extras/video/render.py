@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import chain
-from typing import TYPE_CHECKING, Final
+from pathlib import Path
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from g1stream.dds.messages import played_joints
@@ -18,19 +21,10 @@ from g1stream.files import check_suffix, complete_file
 from g1stream.input_limits import FRAMES
 from g1stream.optional import import_extra
 from g1stream.robot.shapes import with_shapes
-from g1stream.session.streams import Base, Measured, Reference
-from g1stream.types import Floats, Ints, Phase
+from g1stream.session.recording import Recording
+from g1stream.session.streams import Base, Measured, Reference, Stream
+from g1stream.types import Camera, Floats, Ints, Phase
 from g1stream.view.measured_base import MeasuredBase
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from g1stream.session.recording import Recording
-    from g1stream.session.streams import Stream
-    from g1stream.types import Camera
 
 __all__ = ["AZIMUTHS", "Poses", "Video", "render"]
 
@@ -47,23 +41,14 @@ _LARGEST_SIDE, _HIGHEST_FPS = 4096, 240.0
 
 @dataclass(frozen=True)
 class Video:
-    """What was rendered.
+    """What was rendered."""
 
-    Attributes:
-        path: of the file.
-        frames: how many pictures are in it.
-        start: s on the motion's clock, of the first.
-        duration: s.
-        shown: "measured and ghost", "measured", or "reference".
-        meshes: the robot was drawn with meshes, not with primitive shapes.
-    """
-
-    path: Path
-    frames: int
-    start: float
-    duration: float
-    shown: str
-    meshes: bool
+    path: Path  # of the file
+    frames: int  # how many pictures are in it
+    start: float  # s on the motion's clock, of the first
+    duration: float  # s
+    shown: str  # "measured and ghost", "measured", or "reference"
+    meshes: bool  # the robot was drawn with meshes, not with primitive shapes
 
 
 def render(
@@ -166,11 +151,7 @@ def _frame_times(
 
 
 class Poses:
-    """The robots of T frames, and what is written beside them.
-
-    Args:
-        session: has a reference, a measured state, or both.
-        times: (T,) s on the motion's clock.
+    """The robots of frames at T times, s on the motion's clock, and what is written beside them.
 
     Attributes:
         shown: what the robots are.

@@ -73,18 +73,6 @@ def test_every_phase_and_channel_is_there(session):
     assert "RAMP -> PLAY" in {event.text for event in session.log}
 
 
-@pytest.mark.slow
-def test_noise_is_measured(session):
-    rng = np.random.default_rng(3)
-
-    def noise(state):
-        state.q[:] = rng.normal(state.q, 0.01)
-
-    noisy = rollout("demo", seconds=0.5, config=config(), noise=noise)
-    q = noisy.sel("PLAY").measured.q
-    assert np.std(q - session.sel("PLAY").measured.q[: len(q)]) == pytest.approx(0.01, rel=0.1)
-
-
 @pytest.mark.parametrize(
     ("settings", "how", "named"),
     [

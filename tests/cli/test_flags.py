@@ -9,7 +9,6 @@ import pytest
 from g1stream.cli.command import Command, announce_wire
 from g1stream.cli.flags import argument, flag, flag_name, parse_flags
 from g1stream.cli.record import Record
-from g1stream.cli.robot import Robot
 from g1stream.cli.sim import Sim
 from g1stream.cli.stream import Replay, Stream
 from g1stream.config import Config, settings
@@ -110,24 +109,6 @@ def test_flags_are_also_known_with_underscores_and_values_after_an_equals_sign()
     assert config.record.split_size == 5.0
     assert config.stream.beyond_limits == "scale-time"
     assert config.stream.start == 0.5
-
-
-def test_an_argument_with_a_default_is_optional_in_the_help(capsys):
-    with pytest.raises(SystemExit):
-        parse_flags(Robot, "robot", "", ["--help"])
-    assert "{status,release,restore} [MODE]" in capsys.readouterr().out
-    with pytest.raises(ConfigError) as caught:
-        parse_flags(Robot, "robot", "", ["start"])
-    assert caught.value.cause.startswith("ACTION cannot be start")
-
-
-def test_a_default_is_in_the_help_but_of_what_a_flag_switches_off(capsys):
-    with pytest.raises(SystemExit):
-        parse_flags(Sim, "sim", "", ["--help"])
-    shown = "".join(capsys.readouterr().out.split()).replace("│", "")
-    assert "--no-self-collision" in shown
-    assert "default:1)" in shown  # of --domain
-    assert "default:True" not in shown
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,12 +13,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from g1stream.cli.progress import RecorderStatus, loop_status, sim_status
+from g1stream.cli.progress import RecorderStatus, loop_status
 from g1stream.control.command import Prepared
 from g1stream.control.report import LoopReport
 from g1stream.control.schedule import PhaseState
 from g1stream.session.records import RecorderSummary
-from g1stream.sim.robot import SimReport
 from g1stream.types import Phase
 
 RUN = """
@@ -129,14 +128,6 @@ def test_the_status_of_a_loop(played):
     assert max(map(len, (first, second, third))) <= 80
 
 
-def test_where_no_position_is_commanded_there_is_no_error(played):
-    played.state = PhaseState(Phase.DAMP, 0)
-    _, text = loop_status(played, SimpleNamespace(duration=24.0))
-    assert "error" not in text
-    played.newest = None
-    assert loop_status(played, SimpleNamespace(duration=24.0))[1].count("\n") == 0
-
-
 def test_the_status_of_a_recorder_has_the_rates_of_the_last_second(monkeypatch):
     now = 100.0
     monkeypatch.setattr("g1stream.cli.progress.time.monotonic", lambda: now)
@@ -152,8 +143,3 @@ def test_the_status_of_a_recorder_has_the_rates_of_the_last_second(monkeypatch):
         now += seconds
         recorder.received = received
         assert status()[1].split("\n") == ["recorded 2.0 s; samples per second:", shown]
-
-
-def test_the_status_of_a_simulator():
-    simulated = SimReport(states=500, commands=1, refused={"its CRC is wrong": 2}, simulated=1.0)
-    assert "500 states, 1 command, 2 refused" in sim_status(simulated)[1]

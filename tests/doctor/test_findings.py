@@ -5,12 +5,7 @@ from dataclasses import replace
 import pytest
 
 from g1stream.doctor.facts import Interface, Level, Peer, Qos, StateFacts, WakeupLatency, WireFacts
-from g1stream.doctor.findings import (
-    evaluate,
-    explain_no_robot,
-    identify_publisher,
-    qos_mismatch,
-)
+from g1stream.doctor.findings import evaluate, explain_no_robot, identify_publisher, qos_mismatch
 from g1stream.realtime import Grant
 
 STATE = Peer("rt/lowstate", "LowState_", owner="bridge (pid 7 on here)", participant="bridge")

@@ -70,9 +70,7 @@ def played(
     domain_id = module_domain_id
     path = tmp_path_factory.mktemp("played") / "session.mcap"
     with running("sim", "--domain", domain_id):
-        done = run(
-            stream_arguments(domain_id, "--duration", PLAY, "--record", path, "--json"),
-        )
+        done = run(stream_arguments(domain_id, "--duration", PLAY, "--record", path, "--json"))
     assert done.returncode == 0, done.stderr
     return path, json.loads(done.stdout)
 

@@ -84,12 +84,6 @@ def test_the_reference_is_played_again(sessions, name, slower):
     assert {"RAMP -> PLAY", "PLAY -> HOLD", "HOLD -> DAMP", "DAMP -> DONE"} <= {*told}
 
 
-def test_a_replay_does_not_carry_the_first_session_along(sessions):
-    session = sessions["slow"][0]
-    assert "first.mcap" not in session.attachments
-    assert session.metadata["motion"]["source"].endswith("first.mcap")
-
-
 def test_a_session_is_a_motion_to_look_at(sessions):
     done = run("motion", sessions["first"][0].path, "--json")
     assert done.returncode == 0, done.stderr

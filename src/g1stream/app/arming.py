@@ -26,13 +26,7 @@ from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
 from g1stream.robot.rotations import tilt_of
 from g1stream.types import Floats
 
-__all__ = [
-    "ArmingReport",
-    "LimbDistance",
-    "confirm_arming",
-    "inspect_for_arming",
-    "require_arming",
-]
+__all__ = ["ArmingReport", "LimbDistance", "confirm_arming", "inspect_for_arming", "require_arming"]
 
 #: Longest wait for the motion service, discovery included, s.
 _SERVICE_TIMEOUT: Final = 3.0
@@ -92,12 +86,7 @@ def require_arming(interface: str, *, armed: bool) -> None:
 def confirm_arming(
     participant: Participant, plan: Plan, arm: Callable[[ArmingReport], bool] | None
 ) -> None:
-    """Ask before anything is sent, if there is somebody to ask.
-
-    Args:
-        participant: of the robot's domain.
-        plan: what is about to be played.
-        arm: says whether it shall be; None: nobody is asked, as on loopback.
+    """Ask before anything is sent, if there is somebody to ask: no `arm` on loopback.
 
     Raises:
         SafetyError: the answer is no, or the robot's own controller is in the way or missing.
@@ -115,10 +104,6 @@ def confirm_arming(
 
 def inspect_for_arming(participant: Participant, plan: Plan) -> ArmingReport:
     """Look at the robot, its motion service and the network; publishes no command.
-
-    Args:
-        participant: of the robot's domain.
-        plan: what is about to be played.
 
     Raises:
         SafetyError: a mode of the motion service is active, which would fight our commands, or with

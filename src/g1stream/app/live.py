@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Generator, Iterator
-from contextlib import closing, contextmanager
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final
 
 from g1stream.child_process import Parent, optional_child, run_child
@@ -30,7 +30,7 @@ from g1stream.view.pipeline import MessagePipeline
 if TYPE_CHECKING:
     from foxglove.websocket import ChannelView, Client
 
-__all__ = ["live", "observe"]
+__all__ = ["live"]
 
 #: Programs on other hosts cannot connect.
 _HOST: Final = "127.0.0.1"
@@ -118,49 +118,34 @@ class _Server:
         """Called by the SDK."""
 
 
-def observe(
-    config: Config, should_stop: Callable[[], bool]
-) -> Generator[list[MessageBatch], None, None]:
-    """Yield the messages that a recorder on this domain would write, until told to stop.
-
-    Scenes and URDF come first, when samples are already being received; a viewer that joins later
-    needs them too, and `record.channels` raw counts as standard. After that comes a list every
-    `record.batch`, which may be empty. What the caller does with one may take its time: samples are
-    received in a thread of their own.
-    """
+def _run_child(parent: Parent) -> None:
+    """Serve for a parent, whose startup message is the config, what a recorder would write."""
+    lower_priority()
+    # The SDK logs how clients come and go; the viewer shows that itself.
+    logging.getLogger("foxglove").addHandler(logging.NullHandler())
+    config: Config = parent.startup_message
     settings = config.record
     if settings.channels == "raw":  # to keep a file small; viewers would show nothing
         settings = settings.model_copy(update={"channels": "standard"})
     pipeline = MessagePipeline(G1.load(config.robot), settings)
     header = pipeline.file_header(time.time_ns())
-    with Participant(config.dds.domain, config.dds.interface) as participant:
+    with (
+        handled_by(ConsoleHandler(logging.WARNING, "live")),
+        Participant(config.dds.domain, config.dds.interface) as participant,
+        quick_thread_switches(),  # else log times would be late while messages are made
+    ):
         receiver = Receiver(participant, TOPICS)
         receiver.start()
         try:
-            with quick_thread_switches():  # else log times would be late while messages are made
-                yield header
-                while not should_stop():
-                    time.sleep(settings.batch)
-                    batches = receiver.drain()
-                    yield [*raw_messages(batches), *pipeline.encode(batches)]
+            server = _Server(header, config.live_port)
+            parent.ready()
+            while not parent.done.is_set():
+                time.sleep(settings.batch)
+                batches = receiver.drain()
+                for messages in (*raw_messages(batches), *pipeline.encode(batches)):
+                    server.send(messages)
         finally:
             receiver.stop()
-
-
-def _run_child(parent: Parent) -> None:
-    """Serve for a parent: the startup message is the config."""
-    lower_priority()
-    # The SDK logs how clients come and go; the viewer shows that itself.
-    logging.getLogger("foxglove").addHandler(logging.NullHandler())
-    with (
-        handled_by(ConsoleHandler(logging.WARNING, "live")),
-        closing(observe(parent.startup_message, parent.done.is_set)) as lists,
-    ):
-        server = _Server(next(lists), parent.startup_message.live_port)
-        parent.ready()
-        for made in lists:
-            for messages in made:
-                server.send(messages)
 
 
 if __name__ == "__main__":

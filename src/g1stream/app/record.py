@@ -94,10 +94,7 @@ def record(
         for messages in pipeline.file_header(time.time_ns()):
             writer.write_batch(*messages)
 
-    with (
-        Participant(config.dds.domain, config.dds.interface) as participant,
-        ExitStack() as stack,
-    ):
+    with Participant(config.dds.domain, config.dds.interface) as participant, ExitStack() as stack:
         if not session:  # else the stream has it published
             stack.enter_context(publishing_for_ros2(config, should_stop))
         writer = SessionWriter(

@@ -14,9 +14,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from g1stream.app.arming import ArmingReport
-    from g1stream.doctor.facts import Finding
-
-__all__ = ["arming", "render"]
 
 _WIDTH: Final = 98
 
@@ -47,18 +44,15 @@ def render(report: ArmingReport) -> str:
     for limb in report.limbs:
         kp, kd = (f"{low:g} to {high:g}" for low, high in (limb.kp, limb.kd))
         lines.append(f"  {limb.limb:<10} {limb.distance:+.2f} rad  {limb.joint}, kp {kp}, kd {kd}")
+    service = report.motion_service
+    said = f"{service.about}: {service.cause}"
+    if service.remedy:  # a warning stands right above the question
+        said = textwrap.fill(f"WARNING: {service.cause} {service.remedy}", _WIDTH)
     lines += [
         f"  furthest   {worst.distance:+.2f} rad  {worst.joint}",
         f"ramp: {report.ramp:.1f} s, at up to {report.peak_speed:.2f} rad/s",
         textwrap.fill(f"limits: {limits}", _WIDTH, subsequent_indent="  "),
         render_findings(report.findings),
-        _motion_service(report.motion_service),
+        said,
     ]
     return "\n".join(lines)
-
-
-def _motion_service(found: Finding) -> str:
-    """The last lines of the report, so that a warning stands right above the question."""
-    if found.remedy:
-        return textwrap.fill(f"WARNING: {found.cause} {found.remedy}", _WIDTH)
-    return f"{found.about}: {found.cause}"

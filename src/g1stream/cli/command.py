@@ -19,24 +19,6 @@ if TYPE_CHECKING:
     from g1stream.analysis.summary import Summary
     from g1stream.config import Config
 
-__all__ = [
-    "EXIT_BAD_INPUT",
-    "EXIT_OK",
-    "EXIT_STOPPED",
-    "Command",
-    "SettingsCommand",
-    "announce_wire",
-    "confirmed",
-    "exit_code",
-    "exit_code_of_signal",
-    "on_signals",
-    "print_json",
-    "print_lines",
-    "print_summary",
-    "print_warning",
-    "yes_flag",
-]
-
 EXIT_OK, EXIT_STOPPED, EXIT_BAD_INPUT = 0, 1, 2
 
 _S = signal.Signals
@@ -73,9 +55,7 @@ class SettingsCommand(Command):
     settings: dict[str, Any] = field(default_factory=dict)
 
     config: str | None = flag(
-        None,
-        "File with settings, or a name: robot, sim. Flags override it.",
-        "TOML",
+        None, "File with settings, or a name: robot, sim. Flags override it.", "TOML"
     )
 
     def resolve(self) -> Config:

@@ -28,19 +28,10 @@ from g1stream.text import counted
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from g1stream.app.convert import ConvertReport
-
-__all__ = ["Convert"]
 
 #: Flags that go with --ros2, and with a motion file as output, those of the motion aside.
 _OF_ROS2: Final = {"files", "ros2", "compression", "force", "json"}
-_OF_MOTION_FILE: Final = {
-    "files",
-    "frames",
-    "resample",
-    "force",
-    "json",
-}
+_OF_MOTION_FILE: Final = {"files", "frames", "resample", "force", "json"}
 
 
 class _StoppedError(BaseException):
@@ -239,13 +230,13 @@ class Convert(MotionFlags):
         )
         robot = G1.load(self.urdf)
         report = convert(
-            self.load(self.motions, robot),
-            self.out,
-            options,
-            robot=robot,
-            on_progress=on_progress,
+            self.load(self.motions, robot), self.out, options, robot=robot, on_progress=on_progress
         )
-        return report.as_dict(), _summary(report), report.warnings
+        text = (
+            f"{report.path}: {counted(report.frames, 'frame')} at {report.rate:g} Hz, "
+            f"{(report.end_ns - report.start_ns) / 1e9:.2f} s, {report.size / 1e6:.1f} MB"
+        )
+        return report.as_dict(), text, report.warnings
 
 
 def _frames(text: str) -> tuple[int | None, int | None]:
@@ -256,10 +247,3 @@ def _frames(text: str) -> tuple[int | None, int | None]:
         )
     first, behind = (int(number) if number else None for number in match.groups())
     return first, behind
-
-
-def _summary(report: ConvertReport) -> str:
-    return (
-        f"{report.path}: {counted(report.frames, 'frame')} at {report.rate:g} Hz, "
-        f"{(report.end_ns - report.start_ns) / 1e9:.2f} s, {report.size / 1e6:.1f} MB"
-    )

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from g1stream.config import Config
     from g1stream.control.loop import StreamLoop
 
-__all__ = ["Demo"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Demo(LiveCommand, MotionFlags):

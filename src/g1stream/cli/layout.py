@@ -10,8 +10,6 @@ from typing import Final, Literal
 from g1stream.cli.command import EXIT_OK, Command
 from g1stream.cli.flags import argument, flag
 
-__all__ = ["Layout"]
-
 #: By viewer: the file's name, and how to load it.
 _VIEWERS: Final = {
     "foxglove": ("g1stream-foxglove.json", "Layouts menu > Import from file."),
@@ -53,11 +51,7 @@ class Layout(Command):
         from g1stream.analysis.tracking import worst_joints
         from g1stream.files import complete_file, output_errors
         from g1stream.session.recording import open_recording
-        from g1stream.view.layouts import (
-            DEFAULT_JOINTS,
-            foxglove_layout,
-            plotjuggler_layout,
-        )
+        from g1stream.view.layouts import DEFAULT_JOINTS, foxglove_layout, plotjuggler_layout
 
         joints: tuple[str, ...] = DEFAULT_JOINTS
         if self.session:

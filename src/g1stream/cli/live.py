@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
     from g1stream.config import Config
 
-__all__ = ["LiveCommand"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class LiveCommand(SettingsCommand):

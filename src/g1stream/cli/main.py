@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
     from g1stream.cli.command import Command
 
-__all__ = ["COMMANDS", "load_command", "main"]
-
 
 class _Row(NamedTuple):
     """A command.
@@ -70,10 +68,7 @@ COMMANDS: Final = {
             "cli.render:Render",
             "Make a video of a session: the robot, and its reference as a ghost.",
         ),
-        "repair": (
-            "cli.repair:Repair",
-            "Write the index of a session whose recorder was killed.",
-        ),
+        "repair": ("cli.repair:Repair", "Write the index of a session whose recorder was killed."),
         "layout": ("cli.layout:Layout", "Write a layout of a viewer that shows sessions."),
         "motion": ("cli.motion:Inspect", "Check a motion file: frames, joints, limits."),
         "physics": (

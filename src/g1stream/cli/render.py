@@ -15,8 +15,6 @@ from g1stream.optional import extension
 from g1stream.text import counted
 from g1stream.types import Camera
 
-__all__ = ["Render", "parse_size"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Render(Command):

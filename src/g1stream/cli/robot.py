@@ -6,21 +6,13 @@ import sys
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Literal
 
-from g1stream.cli.command import (
-    EXIT_OK,
-    SettingsCommand,
-    confirmed,
-    print_json,
-    yes_flag,
-)
+from g1stream.cli.command import EXIT_OK, SettingsCommand, confirmed, print_json, yes_flag
 from g1stream.cli.flags import argument, flag
 from g1stream.errors import ConfigError, SafetyError
 from g1stream.events import ConsoleHandler, handled_by
 
 if TYPE_CHECKING:
     from g1stream.config import Config
-
-__all__ = ["Robot"]
 
 Action = Literal["status", "release", "restore"]
 

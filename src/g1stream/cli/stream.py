@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from g1stream.control.loop import StreamLoop
     from g1stream.motion.motion import Motion
 
-__all__ = ["PlayCommand", "Replay", "Stream", "playing"]
-
 
 @contextmanager
 def playing() -> Iterator[Callable[[StreamLoop, Motion, Config], None]]:

@@ -14,22 +14,6 @@ from g1stream.realtime import Grant
 from g1stream.session import records
 from g1stream.types import Via
 
-__all__ = [
-    "Facts",
-    "Finding",
-    "HostFacts",
-    "Interface",
-    "Level",
-    "Peer",
-    "Qos",
-    "StateFacts",
-    "WakeupLatency",
-    "WireFacts",
-    "ok",
-    "problem",
-    "warning",
-]
-
 
 class Level(IntEnum):
     """Severity of a finding; the highest one is the exit code."""

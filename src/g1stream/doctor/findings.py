@@ -23,8 +23,6 @@ from g1stream.doctor.facts import (
 from g1stream.robot.joints import JointSet
 from g1stream.text import counted
 
-__all__ = ["evaluate", "explain_no_robot", "identify_publisher", "qos_mismatch"]
-
 #: Room for a hundred LowStates, with the kernel's overhead of each.
 _ENOUGH_BUFFER: Final = 1 << 20
 _SLOW_CLOCKS: Final = ("hpet", "acpi_pm", "jiffies", "refined-jiffies")

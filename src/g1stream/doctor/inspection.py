@@ -49,16 +49,6 @@ from g1stream.errors import WireError
 from g1stream.realtime import on_time
 from g1stream.robot.model import G1
 
-__all__ = [
-    "diagnose",
-    "inspect_domain",
-    "inspect_host",
-    "inspect_participant",
-    "measure_wakeup_latency",
-    "qos_facts",
-    "wakeup_latency",
-]
-
 _POLL_S = 0.001
 #: How long discovery of the participants in another domain may take, s.
 _DISCOVERY_S = 0.6

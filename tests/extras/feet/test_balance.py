@@ -202,17 +202,6 @@ def test_forces_stay_within_what_the_floor_can_give(balance, first):
                 assert np.all(pressure <= corners.max(axis=0) - 0.0099)
 
 
-@pytest.mark.parametrize("turn", [100.0, -100.0])
-def test_arms_that_swing_round_do_not_make_it_hop(balance, first, turn):
-    """Friction turns the pelvis, and is greater where the soles push harder than is wanted."""
-    settle(balance, first, 0.5)
-    acc = {"root_ang_acc": [0.0, 0.0, turn], "root_lin_acc": [0.0, 0.0, -5.0]}
-    swung = first._replace(**{name: np.array(value) for name, value in acc.items()})
-    balance.torque(swung, reading(first), 0.0)
-    assert balance.wrench[[2, 8]].sum() / WEIGHT == pytest.approx(1.0 - 5.0 / 9.81, abs=0.1)
-    assert np.sign(balance.wrench[[5, 11]].sum()) == np.sign(turn)
-
-
 def test_a_foot_that_the_reference_lifts_carries_nothing(balance, demo):
     planted, lifting = demo
     balance.begin(planted)

@@ -10,12 +10,7 @@ from concurrent.futures import CancelledError
 
 import pytest
 
-from g1stream.extras.library.processes import (
-    LimitError,
-    Limits,
-    end_processes,
-    limited,
-)
+from g1stream.extras.library.processes import LimitError, Limits, end_processes, limited
 
 
 @pytest.fixture(autouse=True)

@@ -204,17 +204,3 @@ def test_a_library_does_not_hide_its_motions(tmp_path):
         with pytest.raises(ConfigError):
             run_library([str(motions)], [LibraryCase("check", out)])
         assert not (out / LIBRARY).exists()
-
-
-@pytest.mark.slow
-def test_a_file_that_cannot_be_written_is_tried_again(tmp_path):
-    source, out = tmp_path / "a.csv", tmp_path / "library"
-    g1stream.load_motion("demo").trim(0.0, 1.0).save(source)
-    short = load_config(over={"stream.ramp": 0.5, "stream.hold": 0.0, "stream.damp": 0.5})
-    case = LibraryCase("simulate", out, short, "bolted", sessions=True)
-    out.mkdir()
-    (out / "sessions").write_text("in the way")
-    assert run_library([str(source)], [case], workers=1).failed == 1
-    (out / "sessions").unlink()
-    again = run_library([str(source)], [case], workers=1)
-    assert (again.known, again.done, again.failed) == (0, 1, 0)

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-import pandas as pd
 import pytest
-from pyarrow import parquet
 
 import g1stream
 from g1stream.errors import RecordingError
@@ -69,19 +67,6 @@ def test_a_condition_takes_numbers_and_answers():
     others = {"status": "ok", "feet": "false"}  # as an older version wrote it
     found = {name: condition_value(row | others, name) for name in ("ok", *row)}
     assert found == {"ok": 1.0, "frames": 30.0, "free": 0.5, "rmse": None, "success": 1.0}
-
-
-def test_columns_have_units_and_types_for_every_reader(tmp_path):
-    with writing(tmp_path) as writer:
-        writer.add([rows()])
-    (part,) = (tmp_path / "motions").glob("*.parquet")
-    schema = parquet.read_schema(part)
-    assert schema.names == list(MotionRow.model_fields)
-    assert schema.field("max_tilt").metadata[b"unit"] == b"rad"
-    assert str(schema.field("max_tilt").type) == "double"
-    assert str(schema.field("success").type) == "bool"
-    assert str(schema.field("bolted").type) == "string"
-    assert str(pd.read_parquet(part)["frames"].dtype) in ("Int64", "float64", "object")
 
 
 def test_what_need_not_be_computed(tmp_path):

@@ -67,21 +67,6 @@ def test_a_robot_without_joints_at_its_feet_is_refused():
         Soles(G1.load("g1_dual_arm"))
 
 
-@pytest.mark.parametrize(
-    ("point", "beyond"),
-    [
-        ((0.0, 0.0), -1.0),
-        ((0.7, 0.2), -0.3),
-        ((1.0, 0.5), 0.0),
-        ((1.5, 0.0), 0.5),
-        ((4.0, 5.0), 5.0),
-    ],
-)
-def test_distance_from_a_square(point, beyond):
-    found = beyond_support(np.array([point]), SQUARE[np.newaxis], ALL)
-    assert found == pytest.approx([beyond], abs=1e-12)
-
-
 def test_distance_from_any_polygon():
     """Against the support function in 20,000 directions."""
     points, corners = 0.7 * RNG.normal(size=(50, 2)), RNG.normal(size=(50, 8, 3))
@@ -114,14 +99,6 @@ def test_contact_ends_where_a_corner_is_clearly_off():
     assert touches[:, 0].astype(int).tolist() == [1, 1, 1, 1, 1, 1, 0, 0, 0, 1, 1]
 
 
-def test_a_fast_corner_does_not_touch():
-    corners = np.zeros((40, 1, 3))
-    corners[20:, 0, 0] = 0.03 * np.arange(20)  # 0.9 m/s
-    touches, _ = touching(corners, 30.0)
-    assert touches[:19].all()
-    assert not touches[21:].any()
-
-
 def test_the_zero_moment_point_is_where_the_force_acts():
     point, force = np.array([0.3, -0.2, 0.0]), np.array([20.0, -10.0, 300.0])
     twist = np.array([0.0, 0.0, 4.0])
@@ -137,13 +114,6 @@ def test_forces_add_up_and_push_within_the_friction_cone():
     assert np.cross(corners, forces).sum(axis=0) == pytest.approx(moment, rel=1e-4)
     assert (forces[:, 2] >= 0).all()
     assert (np.hypot(*forces[:, :2].T) <= FRICTION * forces[:, 2] + 1e-9).all()
-
-
-def test_what_a_floor_cannot_do_it_does_not():
-    pull = pushes(SQUARE, np.array([0.0, 0.0, -100.0]), np.zeros(3))
-    assert pull == pytest.approx(np.zeros((4, 3)), abs=1e-9)
-    slips = pushes(SQUARE, np.array([300.0, 0.0, 100.0]), np.zeros(3)).sum(axis=0)
-    assert slips[0] <= FRICTION * slips[2] + 1e-9
 
 
 def test_forces_of_many_frames_are_those_of_lawson_and_hanson():

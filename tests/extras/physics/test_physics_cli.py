@@ -50,13 +50,6 @@ def test_it_uses_the_settings(tmp_path):
     assert physics.verdicts["feet"].playable == "no"
 
 
-def test_a_file_that_is_no_motion_is_refused(tmp_path):
-    path = tmp_path / "broken.csv"
-    path.write_text("1,2\n3,nan\n")
-    done = run(path, "--json")
-    assert (done.returncode, done.stdout) == (2, "")
-
-
 def test_a_motion_in_degrees_is_refused(tmp_path):
     motion, path = load_motion("demo").frames(0, 12), tmp_path / "degrees.csv"
     replace(motion, joint_pos=motion.joint_pos * 180).save(path)

@@ -150,16 +150,6 @@ def test_a_foot_that_steps_stands_where_the_motion_puts_it():
         assert np.ptp(stood, axis=0) == pytest.approx(np.zeros(3), abs=1e-4)
 
 
-def test_a_motion_that_turns_around_once_by_steps_stands():
-    """The headings pass pi, where their numbers jump."""
-    around = np.repeat(np.linspace(0.0, 2.0 * np.pi, 13)[1:], 2)
-    standing = stand(stepping(np.outer(around, [0.0, 0.0, 1.0])), ROBOT)
-    assert standing.turned_deg < 5.0
-    assert corners_of(standing.motion)[-1] == pytest.approx(
-        corners_of(standing.motion)[0], abs=5e-3
-    )
-
-
 def test_steps_without_time_on_both_feet_are_refused_with_their_frames():
     with pytest.raises(
         MotionError, match=r"both feet are lifted within 0\.1 s in frames \d+ to \d+"
@@ -280,12 +270,3 @@ def test_legs_beyond_a_limit_are_refused_with_their_frames(squat):
         stand(deep, ROBOT)
     named = [int(number) for number in re.findall(r"\d+", raised.value.cause)]
     assert named == pytest.approx([beyond[0], beyond[-1]], abs=3)
-
-
-@pytest.mark.parametrize("length", [0.01, 0.12])
-def test_steps_of_any_length_are_walked(length):
-    """Three steps with each foot: the feet come as far as the robot does."""
-    ahead = length * np.repeat([1.0, 2.0, 3.0], 2)
-    walk = stepping(np.stack([ahead, 0.0 * ahead, 0.0 * ahead], axis=1))
-    x = corners_of(stand(walk, ROBOT).motion).reshape(-1, 2, 4, 3)[..., 0].mean(axis=2)
-    assert x[-1] - x[0] == pytest.approx(3.0 * np.array([length, length]), rel=0.01)

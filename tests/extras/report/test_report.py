@@ -108,14 +108,6 @@ def test_the_figures_lose_no_peak(play, write_session, tmp_path):
     assert drawn["first_joint"] == int(open_session(path).tracking().rmse.argmax())
 
 
-def test_the_lateness_histogram_keeps_every_tick(play, write_session, tmp_path):
-    histogram = {"0": 5, "12": 7, "19": 1, "20": 2, "4999": 1}
-    path = write_session(*play(), {"stream": {"lateness_histogram_us": histogram}})
-    (drawn,) = figures(g1stream.report(path, tmp_path / "report.html").read_text())
-    bins = {one["us"]: one["ticks"] for one in drawn["lateness"] if one["ticks"]}
-    assert bins == {"0–1": 5, "10–20": 8, "20–30": 2, "3000–5000": 1}
-
-
 @pytest.mark.slow
 def test_the_physics_of_what_was_played(tmp_path):
     path = tmp_path / "walk.csv"
@@ -146,16 +138,6 @@ def test_the_physics_of_nothing(play, write_session, tmp_path):
         page = g1stream.report(path, path.with_suffix(".html")).read_text()
         section = page.partition("Physics of the motion")[2].partition("<h3>")[0]
         assert reason in section
-
-
-def test_several_sessions_share_the_script(path, play, write_session, tmp_path):
-    other = write_session(*play(0.02), name="other.mcap")
-    text = g1stream.report([path, open_session(other)], tmp_path / "report.html").read_text()
-    page = Page(text)
-    assert page.scripts == ["plotly", "figures", None]
-    assert len(figures(text)) == 2
-    assert_values(page, numbers([path, other]))
-    assert "sessions.1.metrics.tracking.all_joints.rmse_rad" in page.values
 
 
 @pytest.mark.parametrize("lacks", ["reference", "measured"])

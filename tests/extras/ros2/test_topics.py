@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import logging
 import os
-import signal
 from collections import defaultdict
 from io import StringIO
 from pathlib import Path
@@ -62,10 +60,7 @@ POSE = struct(
     rotation=vector("Quaternion", "xyzw"),
 )
 STAMPED = struct(
-    "geometry_msgs.msg.dds_.TransformStamped_",
-    header=HEADER,
-    child_frame_id=str,
-    transform=POSE,
+    "geometry_msgs.msg.dds_.TransformStamped_", header=HEADER, child_frame_id=str, transform=POSE
 )
 TYPES = {
     "rt/tf": struct("tf2_msgs.msg.dds_.TFMessage_", transforms=sequence[STAMPED]),
@@ -303,16 +298,6 @@ def test_topics_types_and_qos_are_announced_as_ros_announces_them(receive, wire)
         assert kept in qos
         assert qos[Policy.Reliability].max_blocking_time == 0
         assert isinstance(qos[Policy.History], Policy.History.KeepLast)
-
-
-def test_that_the_publisher_was_killed_is_only_logged(domain_id, ros, until, caplog):
-    before = children()
-    with caplog.at_level(logging.WARNING), publishing_for_ros2(make_config(domain_id)):
-        until(ros.publications, "the publisher")
-        (pid,) = children() - before
-        os.kill(pid, signal.SIGKILL)
-        until(lambda: caplog.records, "a warning")
-    assert "SIGKILL" in caplog.text
 
 
 def children():

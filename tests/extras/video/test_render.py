@@ -128,13 +128,6 @@ def test_what_cannot_be_written_leaves_nothing(sessions, tmp_path, name, how, er
     assert (tmp_path / "there.png").read_text() == "mine"
 
 
-def test_without_av_the_extra_is_named(sessions, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "av", None)
-    with pytest.raises(ConfigError, match="needs av") as caught:
-        render(sessions["same"], tmp_path / "out.mp4")
-    assert "'g1stream[video]'" in caught.value.remedy
-
-
 @pytest.mark.slow
 def test_no_opengl_is_an_error(sessions, tmp_path):
     out = tmp_path / "out.png"

@@ -35,8 +35,6 @@ from g1stream.robot.soles import OFF_FLOOR
 from g1stream.session.records import BalanceSummary
 from g1stream.types import Floats
 
-__all__ = ["Balance"]
-
 #: Wanted acceleration for an error, 1/s², and for the error of its rate, 1/s: of the centre of mass
 #: along x, y and z, and of the pelvis's attitude.
 _CENTRE: Final = np.array([25.0, 25.0, 60.0]), np.array([10.0, 10.0, 12.0])

@@ -17,8 +17,6 @@ from g1stream.robot.dynamics import GRAVITY
 from g1stream.robot.rotations import quat_from_yaw, quat_mul, quat_rotate, wrap_angle
 from g1stream.types import Floats
 
-__all__ = ["BaseEstimate"]
-
 #: Time constants, s: of the velocity; of the heading, which a gyroscope lets drift by degrees a
 #: minute; of a sole that does not stand where it was put, because it slipped.
 _FOLLOWS: Final = 0.03

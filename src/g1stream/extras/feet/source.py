@@ -29,8 +29,6 @@ from g1stream.robot.soles import SIDES
 from g1stream.session.records import BalanceSummary
 from g1stream.types import Floats, Phase, StreamSupport
 
-__all__ = ["StandingTorques"]
-
 #: The feet stand once they carry this share of the weight, and no more below this one.
 _LANDS, _LIFTS = 0.1, 0.05
 #: Between these shares, the torque changes from that of a hanging robot to that of a standing one.

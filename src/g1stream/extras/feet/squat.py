@@ -20,8 +20,6 @@ from g1stream.robot.model import G1
 from g1stream.robot.soles import OFF_FLOOR, bent_legs
 from g1stream.types import Floats
 
-__all__ = ["Squat"]
-
 #: By how much the legs are bent in the squat, see `bent_legs`, rad.
 _BENT: Final = 0.85
 #: Steps of Newton's method from standing to the squat, and the times that the centre of mass is

@@ -22,8 +22,6 @@ from g1stream.robot.model import G1
 from g1stream.robot.soles import Soles
 from g1stream.types import Floats
 
-__all__ = ["BodyState", "Movement", "StandingDynamics", "Terms"]
-
 _BASE: Final = 6
 _ROOT: Final = 1  # the base, after the world
 _WRENCHES: Final = 12

@@ -32,12 +32,7 @@ from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1
-from g1stream.robot.rotations import (
-    quat_from_yaw,
-    quat_rotate,
-    quat_rotate_inverse,
-    yaw_of,
-)
+from g1stream.robot.rotations import quat_from_yaw, quat_rotate, quat_rotate_inverse, yaw_of
 from g1stream.types import StreamSupport
 
 __all__ = ["SESSIONS", "Content", "LibraryCase", "Task", "contents_of", "rows_of"]
@@ -188,7 +183,8 @@ def rows_of(task: Task) -> Rows:
         if row.frames is None:
             rows = task.rows("broken")
         row = rows.motion
-        row.reason = _without_name(error.cause, path)
+        cause = error.cause.removeprefix(path.name).lstrip(":, ")  # the row has the path
+        row.reason = cause.replace(f"The file {path}", "The file").replace(str(path), "the file")
     except MemoryError:
         row.status, row.reason = "huge", "It takes more memory than --memory-limit."
     except Exception as error:  # a fault of ours ends no other motion
@@ -204,12 +200,6 @@ def _load(path: Path) -> Motion:
         return load_motion(path)
     except RecordingError as error:  # a session of others is damaged: no file of ours
         raise MotionError(error.cause, error.remedy) from error
-
-
-def _without_name(cause: str, path: Path) -> str:
-    """A cause without the path of the file, which the row has."""
-    shorter = cause.removeprefix(path.name).lstrip(":, ")
-    return shorter.replace(f"The file {path}", "The file").replace(str(path), "the file")
 
 
 def _check(motion: Motion, case: LibraryCase, rows: Rows) -> None:

@@ -11,8 +11,6 @@ from typing import Final
 from g1stream.errors import ConfigError, MotionError
 from g1stream.input_limits import MOTION_FILE
 
-__all__ = ["LIBRARY", "content_hash", "find_motions"]
-
 #: Of the files in a directory that may be motions; a file that is named is read whatever its name.
 _SUFFIXES: Final = {
     *(".csv", ".npz", ".npy"),

@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from g1stream.extras.library.run import LibraryRun
     from g1stream.extras.library.table import MotionRow
 
-__all__ = ["Library"]
-
 #: Motions that are named where several failed.
 _NAMED: Final = 5
 #: Between two lines of progress where there is no terminal, s.
@@ -107,6 +105,11 @@ class Library(SettingsCommand):
         conditions = [FailIf.parse(text, CONDITION_NAMES) for text in self.fail_if]
         cases = self._cases()
         run, reasons = LibraryRun(), list[str]()
+
+        def print_row(row: MotionRow) -> None:
+            if self.json:
+                print(row.model_dump_json(exclude={"picture"}), flush=True)
+
         with on_signals(reasons.append), ProgressDisplay(run.status, in_pipe=_IN_PIPE_S):
             run_library(
                 self.places,
@@ -115,7 +118,7 @@ class Library(SettingsCommand):
                 cluster=self.cluster,
                 limits=Limits(self.time_limit, self.memory_limit),
                 run=run,
-                on_row=_print_row if self.json else lambda row: None,
+                on_row=print_row,
                 stop=lambda: bool(reasons),
                 warn=print_warning,
             )
@@ -181,10 +184,6 @@ def _verdict(condition: FailIf, rows: list[dict[str, Any]], *, complete: bool) -
     there = "" if complete else f" of the {counted(len(rows), 'row')} that are there"
     verdict = verdict or f"holds for no row{there}"
     return failed, labelled(label, f"{condition.text} {verdict}")
-
-
-def _print_row(row: MotionRow) -> None:
-    print(row.model_dump_json(exclude={"picture"}), flush=True)
 
 
 def _about(run: LibraryRun, out: Path) -> list[str]:

@@ -18,18 +18,13 @@ from g1stream.types import Support
 if TYPE_CHECKING:
     import pandas
 
-__all__ = ["PAGE", "write_page"]
-
 PAGE: Final = "index.html"
 
 #: Where the page has the data, which are written in pieces of so many rows.
 _DATA: Final = "\0"
 _ROWS: Final = 500
 #: The page has a reason in place of what is behind.
-_FIRST: Final = [
-    *("picture", "name", "status", "support"),
-    *("reason", "rmse", "report", "output"),
-]
+_FIRST: Final = [*("picture", "name", "status", "support"), *("reason", "rmse", "report", "output")]
 _LEFT_OUT: Final = {"key", "sha256", "command", "limits"}
 #: The same for many rows, or told by another column.
 _LAST: Final = ["frames", "fps", "path", "seconds", "memory"]

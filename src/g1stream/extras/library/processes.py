@@ -21,8 +21,6 @@ from typing import Any, Final, Literal, TypeVar
 from g1stream.errors import G1StreamError
 from g1stream.optional import import_extra
 
-__all__ = ["LimitError", "Limits", "end_processes", "limited"]
-
 T = TypeVar("T")
 
 

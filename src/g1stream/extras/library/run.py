@@ -22,12 +22,7 @@ from g1stream.errors import ConfigError
 from g1stream.extras.library.compute import Content, LibraryCase, Task, contents_of, rows_of
 from g1stream.extras.library.files import find_motions
 from g1stream.extras.library.page import write_page
-from g1stream.extras.library.processes import (
-    LimitError,
-    Limits,
-    end_processes,
-    limited,
-)
+from g1stream.extras.library.processes import LimitError, Limits, end_processes, limited
 from g1stream.extras.library.table import MotionRow, Rows, TableWriter, writing
 from g1stream.optional import import_extra
 from g1stream.text import counted

@@ -367,9 +367,14 @@ def writing(directory: Path) -> Iterator[TableWriter]:
 
 def _table(arrow: Any, kind: type[Record], rows: list[dict[str, Any]]) -> Any:
     """Rows as a table with the columns of a record."""
+    columns: dict[str, Any] = dict(kind.model_fields)
     fields = [
-        arrow.field(name, _type(arrow, one.annotation), metadata=_about(one))
-        for name, one in kind.model_fields.items()
+        arrow.field(
+            name,
+            _type(arrow, one.annotation),
+            metadata={"description": one.description, "unit": one.json_schema_extra["unit"]},
+        )
+        for name, one in columns.items()
     ]
     return arrow.Table.from_pylist(rows, arrow.schema(fields))
 
@@ -380,7 +385,3 @@ def _type(arrow: Any, annotation: Any) -> Any:
     while annotation not in kinds:
         annotation = get_args(annotation)[0] if get_args(annotation) else type(annotation)
     return kinds[annotation]
-
-
-def _about(one: Any) -> dict[str, str]:
-    return {"description": one.description, "unit": one.json_schema_extra["unit"]}

@@ -22,9 +22,9 @@ from g1stream.robot.rotations import rotation_matrices
 from g1stream.robot.urdf import KEPT_ROBOTS
 from g1stream.types import Floats
 
-__all__ = ["BatchInverseDynamics", "BatchLoads", "MovementBatch", "cross"]
-
 _UP: Final = np.array([[0.0], [0.0], [1.0]])
+#: The link that a hanging robot hangs from.
+_CARRIER: Final = "torso_link"
 #: A carrier so near to the mass centre hangs in no direction, m.
 _NO_LEVER: Final = 1e-9
 
@@ -38,23 +38,21 @@ class BatchLoads(NamedTuple):
 
 
 class BatchInverseDynamics:
-    """The bodies of a robot of `mass` kg that hangs from its link `carrier`; gravity in m/s²."""
+    """The bodies of a robot of `mass` kg, which hangs from its torso, if it hangs."""
 
-    def __init__(self, robot: G1, *, carrier: str = "torso_link", gravity: float = GRAVITY) -> None:
+    def __init__(self, robot: G1) -> None:
         import mujoco
 
-        robot.link_index(carrier)
-        model = compiled_dynamics(robot, gravity)
+        model = compiled_dynamics(robot, GRAVITY)
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
-        self.gravity = gravity
         self.mass = float(model.body_mass.sum())
         moved_with = model.body_weldid
         bodies = np.unique(moved_with[1:])
         self.links = [robot.link_index(model.body(body).name) for body in bodies]
         self.joints = robot.joint_of_link[self.links[1:]]
         self.parents = np.searchsorted(bodies, moved_with[model.body_parentid[bodies[1:]]])
-        self.carrier = int(np.searchsorted(bodies, moved_with[model.body(carrier).id]))
+        self.carrier = int(np.searchsorted(bodies, moved_with[model.body(_CARRIER).id]))
         self.axes = robot.axis[self.links[1:]].T[..., np.newaxis]
         dofs = [model.joint(JOINT_NAMES[joint]).dofadr[0] for joint in self.joints]
         self.armature = model.dof_armature[dofs, np.newaxis]
@@ -75,7 +73,7 @@ class BatchInverseDynamics:
     @classmethod
     @lru_cache(maxsize=KEPT_ROBOTS)
     def of(cls, robot: G1) -> BatchInverseDynamics:
-        """Of a robot that hangs from its torso, in standard gravity; the same object every time."""
+        """Of a robot; the same object every time."""
         return cls(robot)
 
     def batch(self, poses: LinkPoses, joint_vel: Floats, joint_acc: Floats) -> MovementBatch:
@@ -116,7 +114,7 @@ class MovementBatch:
 
     def bolted(self) -> Floats:
         """The torques (T, 29), N·m, with an upright pelvis at rest."""
-        return self._loads(*self._held(self._robot.gravity * self._upright)).tau
+        return self._loads(*self._held(GRAVITY * self._upright)).tau
 
     def hanging(self) -> tuple[Floats, Floats]:
         """The torques (T, 29), N·m, of a robot that hangs, and the tilt (T,), rad, of its pelvis.
@@ -136,9 +134,9 @@ class MovementBatch:
         away = self._centre - centre[:, np.newaxis]
         inertia = self._inertia.sum(axis=2) + _of_points(robot.masses, away)
         ang_acc = np.linalg.solve(inertia.T, moment.T[..., np.newaxis])[..., 0].T
-        acc = robot.gravity * up - force / robot.mass - cross(ang_acc, centre)
+        acc = GRAVITY * up - force / robot.mass - cross(ang_acc, centre)
         forces, moments = self._held(acc, ang_acc)
-        weight = robot.mass * robot.gravity * up
+        weight = robot.mass * GRAVITY * up
         forces[:, robot.carrier] -= weight
         moments[:, robot.carrier] -= cross(self._centre[:, robot.carrier], weight)
         return self._loads(forces, moments).tau, tilt
@@ -151,7 +149,7 @@ class MovementBatch:
         moving = self._moving(
             _times(self._pelvis, ang_vel.T),
             _times(self._pelvis, ang_acc.T),
-            lin_acc.T + self._robot.gravity * _UP,
+            lin_acc.T + GRAVITY * _UP,
         )
         return self._loads(*moving)
 

@@ -14,8 +14,6 @@ from g1stream.robot.rotations import quat_from_yaw, quat_rotate
 from g1stream.robot.soles import Soles, bent_legs
 from g1stream.types import Floats
 
-__all__ = ["squatting", "stepping"]
-
 
 def squatting(seconds: float, *, arms: float = 0.6, fps: float = 50.0) -> Motion:
     """A motion that squats every 4 s, swings both arms by so many rad and turns the waist."""

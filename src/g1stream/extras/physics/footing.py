@@ -22,8 +22,6 @@ from g1stream.robot.soles import SIDES, Soles
 from g1stream.text import ranges
 from g1stream.types import Floats
 
-__all__ = ["CannotStandError", "Footing", "find_footing"]
-
 #: A foot that is so much higher than the other is lifted, from when it was higher by the second
 #: figure until it is not, m.
 _LIFTED: Final = 0.03, 0.01

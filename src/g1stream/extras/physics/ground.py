@@ -14,17 +14,6 @@ from g1stream.types import Floats
 
 Flags = NDArray[np.bool_]
 
-__all__ = [
-    "FRICTION",
-    "TRUSTED_FRICTION",
-    "beyond_hull",
-    "beyond_support",
-    "floor_forces",
-    "stretches",
-    "touching",
-    "zero_moment_point",
-]
-
 FRICTION: Final = 0.6
 """Coefficient of friction between sole and floor: rubber on a dry floor. Simulators have 1."""
 

@@ -26,8 +26,6 @@ from g1stream.robot.rotations import (
 from g1stream.robot.soles import OFF_FLOOR, SIDES, Soles
 from g1stream.types import Floats
 
-__all__ = ["Legs", "LegsTooShortError"]
-
 #: A foot carries nothing from so long before it is lifted, s, and from a frame before it at least:
 #: between two frames the centre of pressure is on its way.
 _UNLOADED: Final = 0.03

@@ -39,13 +39,14 @@ from g1stream.extras.physics.stance import stand_part
 from g1stream.extras.physics.stand import find_instead
 from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
+from g1stream.robot.dynamics import GRAVITY
 from g1stream.robot.hulls import Hull, SelfCollision, read_hulls
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.kinematics import LinkPoses, pose_blocks
 from g1stream.robot.model import G1
 from g1stream.robot.rotations import rotation_matrices
 from g1stream.robot.soles import SIDES, Soles
-from g1stream.types import Floats, Support
+from g1stream.types import Floats, StreamSupport, Support
 
 __all__ = ["Loads", "motion_physics", "movement_loads"]
 
@@ -125,6 +126,11 @@ def motion_physics(
         over = partial(_excess, known.fps, longest=_TIPS if support == "free" else _SAGS)
         tau, limit = np.abs(loads.tau[support]), robot.torque_limit
         excesses.append(over("torque", "N·m", tau, limit, JOINT_NAMES))
+    verdicts: dict[StreamSupport, Verdict] = {}
+    for support, excesses in found.items():
+        against = sorted(filter(None, excesses), key=lambda excess: not excess.forbids)
+        verdicts[support] = Verdict(support=support, excesses=tuple(against))
+    verdicts["feet"] = _on_planted_feet(trajectory, robot, played, frames, suggest)
     stands = known.touches.any(axis=1)
     pressed = np.isfinite(beyond)
     worst = int(np.nanargmax(beyond)) if pressed.any() else None
@@ -134,10 +140,7 @@ def motion_physics(
         fps=motion.fps,
         robot=robot.name,
         mass_kg=loads.mass,
-        verdicts={
-            **{support: _verdict(support, excesses) for support, excesses in found.items()},
-            "feet": _on_planted_feet(trajectory, robot, played, frames, suggest),
-        },
+        verdicts=verdicts,
         tilt_rad=float(tilt.max()),
         hanging_tilt_rad=float(loads.hanging_tilt.max()),
         feet=tuple(_foot(known, robot.link_names[link], i) for i, link in enumerate(soles.links)),
@@ -153,11 +156,7 @@ def motion_physics(
 
 
 def _on_planted_feet(
-    trajectory: Trajectory,
-    robot: G1,
-    played: Flags | None,
-    frames: range | None,
-    suggest: bool,
+    trajectory: Trajectory, robot: G1, played: Flags | None, frames: range | None, suggest: bool
 ) -> Verdict:
     motion = trajectory.motion
     frames = frames or range(motion.n_frames)
@@ -321,11 +320,6 @@ def _spans(flags: Flags) -> tuple[tuple[int, int], ...]:
     return tuple((int(first), int(stop) - 1) for first, stop in stretches(flags))
 
 
-def _verdict(support: Support, found: Sequence[Excess | None]) -> Verdict:
-    excesses = sorted((e for e in found if e is not None), key=lambda e: not e.forbids)
-    return Verdict(support=support, excesses=tuple(excesses))
-
-
 def _foot(frames: _Frames, link: str, number: int) -> Foot:
     own = slice(4 * number, 4 * number + 4)
     touches, heights = frames.touches[:, own], frames.corners[:, own, 2].min(axis=1)
@@ -430,4 +424,4 @@ def movement_loads(
         moment[part] = led.moment + np.cross(point.root_pos, led.force)
         pushes = floor_forces(corners[part], touches[part], force[part], moment[part])
         tau["free"][part] = led.tau - frames.torques_of(feet, corners[part], pushes)
-    return Loads(dynamics.mass, dynamics.mass * dynamics.gravity, tau, force, moment, hanging_tilt)
+    return Loads(dynamics.mass, dynamics.mass * GRAVITY, tau, force, moment, hanging_tilt)

@@ -10,8 +10,6 @@ from g1stream.cli.flags import argument, flag
 from g1stream.cli.motion_flags import MOTIONS, MotionFlags
 from g1stream.cli.progress import showing_progress
 
-__all__ = ["Physics"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Physics(SettingsCommand, MotionFlags):

@@ -99,10 +99,7 @@ class Standing:
 
 
 def stand(
-    motion: Motion,
-    robot: G1,
-    played: Flags | None = None,
-    trajectory: Trajectory | None = None,
+    motion: Motion, robot: G1, played: Flags | None = None, trajectory: Trajectory | None = None
 ) -> Standing:
     """The motion as a robot on its feet can play it: its feet stand, or step one at a time.
 
@@ -261,11 +258,7 @@ def _balanced(motion: Motion, trajectory: Trajectory, robot: G1, legs: Legs) -> 
 
 
 def _update_wrench(
-    wrench: Floats,
-    moved: Flags,
-    trajectory: Trajectory,
-    robot: G1,
-    dynamics: BatchInverseDynamics,
+    wrench: Floats, moved: Flags, trajectory: Trajectory, robot: G1, dynamics: BatchInverseDynamics
 ) -> None:
     """Compute the force and the moment (T, 6) on the robot anew in frames that moved (T,)."""
     motion, frames = trajectory.motion, np.flatnonzero(moved)

@@ -75,11 +75,7 @@ def stand_or_explain(motion: Motion, robot: G1, frames: range, played: Flags) ->
 
 
 def find_instead(
-    motion: Motion,
-    robot: G1,
-    frames: range,
-    refused: CannotStandError,
-    played: Flags | None = None,
+    motion: Motion, robot: G1, frames: range, refused: CannotStandError, played: Flags | None = None
 ) -> str:
     """What can be played on the feet instead of some frames: slower, a part, or arms and waist.
 

@@ -169,7 +169,9 @@ def compare(
     if page is not None:
         check_suffix(Path(page), "a page", ".html")
         check_output_path(Path(page), force=force)  # before all sessions are read
-    several = [_several(side) for side in (base, other)]
+    several = [[side] if isinstance(side, (Session, str, Path)) else side for side in (base, other)]
+    if not all(several):
+        raise RecordingError("There is nothing to compare.", "Give sessions on both sides.")
     total, sides = sum(map(len, several)), list[list[_Run]]()
     for side in several:
         sides.append([])
@@ -247,15 +249,6 @@ class _Run(NamedTuple):
             if part.tracking:
                 return part
         raise _nothing_in_common(self, start, stop)
-
-
-def _several(
-    side: Sequence[Session | str | Path] | Session | str | Path,
-) -> Sequence[Session | str | Path]:
-    several = [side] if isinstance(side, (Session, str, Path)) else side
-    if not several:
-        raise RecordingError("There is nothing to compare.", "Give sessions on both sides.")
-    return several
 
 
 def _opened(source: Session | str | Path) -> Session:

@@ -15,8 +15,6 @@ from g1stream.optional import import_extra
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
 from g1stream.text import printable, short_name
 
-__all__ = ["joints_by_limb", "render_page"]
-
 
 def render_page(template: str, drawn: Sequence[Mapping[str, Any]], **values: Any) -> str:
     """A page with the script that draws its figures.

@@ -71,12 +71,7 @@ def numbers(
     sessions: Given | Iterable[Given], progress: Progress = lambda what, fraction: None
 ) -> dict[str, Any]:
     """The numbers of a report as values for JSON: summary, metrics and physics of each session."""
-    found = []
-    for session in _opened(sessions):
-        metrics, summary = session.metrics(), session.summary()
-        physics = session_physics(session, summary, partial(progress, "physics"))
-        found.append(_values(session, metrics, summary, physics))
-    return {"sessions": found}
+    return {"sessions": [_told(session, progress)[-1] for session in _opened(sessions)]}
 
 
 def _opened(sessions: Given | Iterable[Given], page: Path | None = None) -> Iterator[Session]:
@@ -94,27 +89,30 @@ def _opened(sessions: Given | Iterable[Given], page: Path | None = None) -> Iter
     return (opened.pop(0) for _ in range(len(opened)))
 
 
-def _values(
-    session: Session, metrics: Metrics, summary: Summary, physics: MotionPhysics | str
-) -> dict[str, Any]:
-    return {
+def _told(
+    session: Session, progress: Progress
+) -> tuple[Metrics, Summary, MotionPhysics | str, dict[str, Any]]:
+    """What is told of a session, and the same as values for JSON."""
+    # The metrics read all columns that are needed, the summary alone only some.
+    metrics, summary = session.metrics(), session.summary()
+    physics = session_physics(session, summary, partial(progress, "physics"))
+    values = {
         "path": str(session.path),
         "verdict": outcome(summary),
         "summary": summary.model_dump(mode="json"),
         "metrics": metrics.model_dump(mode="json"),
         "physics": None if isinstance(physics, str) else physics.model_dump(mode="json"),
     }
+    return metrics, summary, physics, values
 
 
 def _page(sessions: Iterable[Session], progress: Progress) -> str:
     values, sections, drawn = [], [], []
     for number, session in enumerate(sessions):
-        # The metrics read all columns that are needed, the summary alone only some.
-        metrics, summary = session.metrics(), session.summary()
-        physics = session_physics(session, summary, partial(progress, "physics"))
-        values.append(_values(session, metrics, summary, physics))
+        metrics, summary, physics, told = _told(session, progress)
+        values.append(told)
         drawn.append(figures(session, summary, metrics))
-        section = _section(f"sessions.{number}", values[-1]["metrics"], drawn[-1], summary, physics)
+        section = _section(f"sessions.{number}", told["metrics"], drawn[-1], summary, physics)
         sections.append({**section, "name": session.path.name, "picture": _picture(session)})
     one = len(values) == 1
     title = Path(values[0]["path"]).name if one else f"{len(values)} sessions"

@@ -10,8 +10,6 @@ from g1stream.cli.command import EXIT_OK, Command, print_json
 from g1stream.cli.flags import argument, flag
 from g1stream.cli.progress import showing_progress
 
-__all__ = ["Report"]
-
 #: The page that is written if none is named.
 _PAGE: Final = Path("report.html")
 

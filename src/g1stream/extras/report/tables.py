@@ -12,8 +12,6 @@ from typing import Any, Final, NamedTuple
 from g1stream.extras.physics.result import MotionPhysics, reasons
 from g1stream.text import counted, short_name
 
-__all__ = ["Column", "difference_tables", "overview", "physics_tables", "table", "tables"]
-
 _DEG: Final = 180.0 / math.pi
 #: Torques of each support, and pairs of links, that are shown.
 _MOST_PEAKS: Final = 3

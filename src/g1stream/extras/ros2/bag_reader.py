@@ -28,8 +28,6 @@ from g1stream.session.recorded_motion import (
     RecordingFile,
 )
 
-__all__ = ["DECODERS", "open_bag"]
-
 #: Messages that are taken at once.
 _ROWS: Final = 100
 

@@ -39,8 +39,6 @@ from g1stream.session.source import SessionFiles
 from g1stream.session.writer import SessionWriter
 from g1stream.view.encoders import MEASURED_PREFIX
 
-__all__ = ["Ros2Report", "write_ros2_bag"]
-
 
 @dataclass(frozen=True)
 class Ros2Report:

@@ -12,8 +12,6 @@ from rosbags.typesys.stores import ros2_humble as ros
 
 from g1stream.session.recorded_motion import FramePose
 
-__all__ = ["STORE", "encode", "joint_state", "tf_message", "time_message"]
-
 STORE: Final = get_typestore(Stores.ROS2_HUMBLE)
 """The definitions of ROS 2's messages; those used here are the same in every ROS 2 since Foxy."""
 

@@ -37,8 +37,6 @@ from g1stream.types import Floats
 from g1stream.view.encoders import GHOST_PREFIX, IDENTITY_POSE, WORLD_FRAME, link_frames
 from g1stream.view.measured_base import MeasuredBase
 
-__all__ = ["JOINT_STATES", "ROBOT_DESCRIPTION", "TF", "Ros2Topic"]
-
 
 @dataclass(frozen=True)
 class Ros2Topic:
@@ -103,7 +101,8 @@ class _Publisher:
         self._frames = link_frames(robot, "", WORLD_FRAME)
         self._ghost_frames = link_frames(robot, GHOST_PREFIX, robot.link_names[0])
         self._tf, self._joint_states, self._description = (
-            _writer(participant, topic) for topic in (TF, JOINT_STATES, ROBOT_DESCRIPTION)
+            RawWriter(participant, topic, topic.depth, latched=topic.latched)
+            for topic in (TF, JOINT_STATES, ROBOT_DESCRIPTION)
         )
         self._description.write(encode_string(robot.urdf))
 
@@ -144,10 +143,6 @@ class _Publisher:
         poses = local_transforms(self._robot, joint_pos[np.newaxis], root_pos, root_quat_wxyz)
         rows = zip(*frames, poses.pos[0].tolist(), poses.quat_wxyz[0].tolist(), strict=True)
         self._tf.write(tf_message(FramePose(time_ns, *row) for row in rows))
-
-
-def _writer(participant: Participant, topic: Ros2Topic) -> RawWriter:
-    return RawWriter(participant, topic, topic.depth, latched=topic.latched)
 
 
 def _run_child(parent: Parent) -> None:

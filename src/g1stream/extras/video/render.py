@@ -26,8 +26,6 @@ from g1stream.session.streams import Base, Measured, Reference, Stream
 from g1stream.types import Camera, Floats, Ints, Phase
 from g1stream.view.measured_base import MeasuredBase
 
-__all__ = ["AZIMUTHS", "Poses", "Video", "render"]
-
 AZIMUTHS: Final = {"front": 0.0, "oblique": 35.0, "left": 90.0, "back": 180.0, "right": 270.0}
 """Where each `Camera` stands, degrees around the robot, 0 in front of it, 90 on its left."""
 

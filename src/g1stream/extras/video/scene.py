@@ -21,8 +21,6 @@ from g1stream.robot.shapes import find_mesh, has_meshes, read_visuals
 from g1stream.sim.model import add_floor_and_light
 from g1stream.types import Floats
 
-__all__ = ["PosedRobot", "Scene"]
-
 #: How far behind the robot a ghost is drawn, m: surfaces that coincide would flicker.
 _BEHIND: Final = 0.004
 _SKY: Final = ([0.95, 0.96, 0.98], [0.75, 0.8, 0.87])

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from g1stream.app.arming import ArmingReport, LimbDistance
-from g1stream.cli.arming import arming, render
+from g1stream.cli.stream import arming, render_arming
 from g1stream.doctor.facts import ok, problem, warning
 from g1stream.errors import ConfigError
 
@@ -31,7 +31,7 @@ def report():
 
 
 def test_the_text_is_the_snapshot(report, matches_snapshot):
-    matches_snapshot("arming", render(report))
+    matches_snapshot("arming", render_arming(report))
 
 
 def test_yes_names_the_interface(report, capsys):

@@ -26,8 +26,6 @@ from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
 from g1stream.robot.rotations import tilt_of
 from g1stream.types import Floats
 
-__all__ = ["ArmingReport", "LimbDistance", "confirm_arming", "inspect_for_arming", "require_arming"]
-
 #: Longest wait for the motion service, discovery included, s.
 _SERVICE_TIMEOUT: Final = 3.0
 #: How long LowState is listened to for the findings, s.

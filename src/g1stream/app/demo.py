@@ -19,8 +19,6 @@ from g1stream.errors import ConfigError, RecordingError, WireError
 from g1stream.files import output_errors
 from g1stream.motion.motion import Motion
 
-__all__ = ["FIGURE", "SESSION", "check_absent", "demo"]
-
 _LOGGER = logging.getLogger(__name__)
 
 SESSION, FIGURE = "session.mcap", "tracking.png"

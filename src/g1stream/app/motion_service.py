@@ -8,8 +8,6 @@ from g1stream.dds.messages import LOWCMD
 from g1stream.dds.motion_switcher import MotionSwitcherClient, OnboardStatus
 from g1stream.errors import SafetyError
 
-__all__ = ["onboard_status", "release_mode", "restore_mode"]
-
 
 def onboard_status(where: DdsConfig, timeout: float = 5.0) -> OnboardStatus:
     """The form of the robot and the mode that is active."""

@@ -215,8 +215,7 @@ class Session(Recording):
         for name in stream.wire_fields():
             columns |= _by_joint_or_axis(name, getattr(stream, name))
         index = table.to_datetime(stream.publish_time, unit="ns", utc=True)
-        frame: pandas.DataFrame = table.DataFrame(columns, index=index.rename("publish_time"))
-        return frame
+        return table.DataFrame(columns, index=index.rename("publish_time"))
 
     def to_parquet(self, directory: str | os.PathLike[str]) -> list[Path]:
         """Write the tables of all topics: /lowstate into lowstate.parquet, and so on.

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TextIO
 
 from g1stream.cli.flags import flag
+from g1stream.errors import ConfigError
 from g1stream.text import printable
 
 if TYPE_CHECKING:
@@ -69,6 +70,39 @@ class SettingsCommand(Command):
         return dict(self.settings)
 
 
+@dataclass(frozen=True, kw_only=True)
+class LiveCommand(SettingsCommand):
+    """A subcommand that can serve what it does to a viewer."""
+
+    # The port has a flag of its own: in `stream --live dance.csv` the motion would be taken for it.
+    live: bool = flag(
+        False,
+        "Serve what is on the DDS domain to Foxglove and Lichtblick on this machine "
+        "(extra `live`).",
+    )
+
+    def resolve(self) -> Config:
+        """The config file, if any, with the flags over it."""
+        if not self.live and "live_port" in self.settings:
+            raise ConfigError(
+                "The flag --live-port has no effect without --live.", "Add --live, or leave it out."
+            )
+        return super().resolve()
+
+    @contextmanager
+    def serving(self, config: Config) -> Iterator[None]:
+        """Serve for the length of a `with`, if asked to, and print the address to open."""
+        if not self.live:
+            yield
+            return
+        from g1stream.app.live import live
+
+        with live(config) as address:
+            where = f"Open connection > Foxglove WebSocket > {address}"
+            print(f"Live in Foxglove and Lichtblick: {where}", file=sys.stderr)
+            yield
+
+
 def announce_wire(config: Config, *, commands: bool = True) -> None:
     """Print on standard error where on DDS this goes; with a warning, where a robot may be."""
     from g1stream.dds.domain import is_local_only
@@ -93,8 +127,6 @@ def yes_flag() -> Any:
 
 def confirmed(interface: str, yes: str | None) -> bool:
     """Whether the user wants to command what is on an interface: asks on the terminal."""
-    from g1stream.errors import ConfigError
-
     if yes is not None:
         if yes == interface:
             return True

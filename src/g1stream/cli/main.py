@@ -218,8 +218,7 @@ def _run(arguments: Sequence[str]) -> int:
         raise ConfigError(f"There is no command {name}.", f"Choose from {', '.join(close)}.")
     from g1stream.cli.flags import parse_flags
 
-    code: int = parse_flags(load_command(name), name, COMMANDS[name].purpose, rest).run()
-    return code
+    return parse_flags(load_command(name), name, COMMANDS[name].purpose, rest).run()
 
 
 def load_command(name: str) -> type[Command]:

@@ -7,9 +7,15 @@ from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
-from g1stream.cli.command import EXIT_OK, announce_wire, on_signals, print_json, print_lines
+from g1stream.cli.command import (
+    EXIT_OK,
+    LiveCommand,
+    announce_wire,
+    on_signals,
+    print_json,
+    print_lines,
+)
 from g1stream.cli.flags import flag
-from g1stream.cli.live import LiveCommand
 from g1stream.cli.progress import ProgressDisplay, sim_status
 from g1stream.events import ConsoleHandler, handled_by
 

@@ -108,34 +108,26 @@ class Balance:
         self._most, self._kinds = np.full(n_rows, _UNBOUNDED), np.zeros(n_rows, np.int32)
         self._least[: 2 * len(self._cone)] = np.tile(self._cone_least, 2)
         self.base = BaseEstimate()
-        self._planted = np.zeros((2, 3)), np.zeros(2)  # where the reference begins
-        self._stood = np.zeros((2, 3))  # where each foot of the reference has stood last
-        self._stands = True, True
-        self._root_pos = np.zeros(3)
-        self.carried = 0.0
-        self.fall = ""
-        self.wrench: Floats | None = None
         self.terms: Terms | None = None
+        self._restart(np.zeros(3), np.zeros((2, 3)), np.zeros(2))
+
+    def _restart(self, root_pos: Floats, soles: Floats, headings: Floats) -> None:
+        self._root_pos = root_pos
+        self._planted = soles, headings  # where the reference begins
+        self._stood = soles.copy()  # where each foot of the reference has stood last
+        self._stands = self._stood_before = True, True
+        self.wrench: Floats | None = None
+        self.fall, self.carried = "", 0.0
         self._other = np.zeros(3)
         self._lasted = dict.fromkeys(("below", "unloaded", "outside", "unsolved"), 0.0)
         self._worst: dict[str, float] = {}
-        self._stood_before = True, True
         self._lifts = self._unsolved = 0
 
     def begin(self, first: Target) -> None:
         """The reference begins with a target, on whose soles the robot is to stand."""
         pos, headings = self._dynamics.soles(_state_of(first))
-        self._planted = pos + first.root_pos, headings
-        self._root_pos = first.root_pos
-        self._stood = self._planted[0].copy()
+        self._restart(first.root_pos, pos + first.root_pos, headings)
         self.base.begin(*self._planted)
-        self._stands = True, True
-        self.wrench, self.fall, self.carried = None, "", 0.0
-        self._other = np.zeros(3)
-        self._lasted = dict.fromkeys(self._lasted, 0.0)
-        self._worst = {}
-        self._stood_before = True, True
-        self._lifts = self._unsolved = 0
 
     def torque(
         self,
@@ -169,7 +161,9 @@ class Balance:
         if not planted:
             base.begin(*self._planted)
             target = target._replace(root_pos=self._root_pos)  # the target's may be lifted
-        reference = self._reference(target)
+        acc = target.root_lin_acc, target.root_ang_acc, target.ddq
+        pose = _state_of(target), target.root_pos, target.root_lin_vel
+        reference = self._dynamics.movement(*pose, acc)
         lifted = reference.soles[:, 2] > self._planted[0][:, 2] + OFF_FLOOR
         self._stands = tuple(~lifted) if planted else (True, True)
         self._stood[~lifted] = reference.soles[~lifted]
@@ -182,8 +176,7 @@ class Balance:
         wanted_force, wanted_turn = self._wanted(target, reference, state, terms)
         wrench = self._distribute(terms, wanted_force, wanted_turn)
         legs, others = terms.leg_tau, terms.other_tau
-        tau: Floats = np.concatenate([legs[0] @ wrench + legs[1], others[0] @ wrench + others[1]])
-        return tau
+        return np.concatenate([legs[0] @ wrench + legs[1], others[0] @ wrench + others[1]])
 
     @property
     def fault(self) -> str:
@@ -220,11 +213,13 @@ class Balance:
 
     def _keep_worst(self, margin: float, tilt: float, height_error: float) -> None:
         """Take a tick that was watched into account for the summary."""
+        # How far the one foot stands from its place beside the other.
+        apart = np.diff(self.base.soles - self._stood, axis=0)[0, :2] * all(self._stands)
         now = {
             "capture_margin_m": (min, margin),
             "tilt_rad": (max, tilt),
             "height_error_m": (max, height_error),
-            "feet_error_m": (max, self._feet_error()),
+            "feet_error_m": (max, float(np.hypot(*apart))),
             "carried": (min, self.carried),
         }
         worst = self._worst
@@ -233,11 +228,6 @@ class Balance:
         self._lifts += sum(stood and not stands for stood, stands in feet)
         self._stood_before = self._stands
         self._unsolved += self._lasted["unsolved"] > 0.0
-
-    def _feet_error(self) -> float:
-        """How far the one foot stands from its place beside the other, m; 0 while one is lifted."""
-        apart = np.diff(self.base.soles - self._stood, axis=0)[0, :2]
-        return float(np.hypot(*apart)) if all(self._stands) else 0.0
 
     def _capture_point_outside(self, terms: Terms) -> float:
         """How far the capture point is outside of the soles, m; inside it is negative.
@@ -257,11 +247,6 @@ class Balance:
         corners = soles[:, np.newaxis, :2] + self._dynamics.sole @ turns
         x, y = (corners.reshape(-1, 2) - point).T[..., np.newaxis]
         return float(beyond_hull(x, y)[0])
-
-    def _reference(self, target: Target) -> Movement:
-        acc = target.root_lin_acc, target.root_ang_acc, target.ddq
-        state = _state_of(target)
-        return self._dynamics.movement(state, target.root_pos, target.root_lin_vel, acc)
 
     def _load(self) -> Floats:
         """What each foot carries (2,), in sum 1; 0 of a foot that is lifted."""

@@ -60,13 +60,13 @@ class Terms(NamedTuple):
     sole_vel: Floats  # (2, 3) m/s
     centre: Floats  # (3,) m, the centre of mass
     centre_vel: Floats  # (3,) m/s
-    # (6, 12) and (6,): the base's acceleration is B w + b, m/s², world, and rad/s², pelvis frame
+    # (6, 12) and (6,): B w + b is the base's acceleration, m/s², world, and rad/s², pelvis frame.
     base_acc: tuple[Floats, Floats]
-    leg_tau: tuple[Floats, Floats]  # (12, 12) and (12,): the torques of the legs, N·m
-    other_tau: tuple[Floats, Floats]  # (17, 12) and (17,): those of waist and arms, N·m
+    leg_tau: tuple[Floats, Floats]  # (12, 12) and (12,), N·m, of the legs
+    other_tau: tuple[Floats, Floats]  # (17, 12) and (17,), N·m, of waist and arms
     gravity_tau: Floats  # (29,) N·m, that hold the joints against gravity if the base is held
     # (2, 6, 6) how the joints of a leg move with its sole: the inverse of its Jacobian, damped.
-    # Transposed it gives the wrench on a sole from the torques of its leg
+    # Transposed it gives the wrench on a sole from the torques of its leg.
     by_sole: Floats
 
 
@@ -121,8 +121,7 @@ class StandingDynamics:
     def sole_poses(self, state: BodyState) -> tuple[Floats, Floats]:
         """The middle of each sole (2, 3), m from the base's origin, and foot to world (2, 3, 3)."""
         self._place(self._reference, state)
-        found: tuple[Floats, Floats] = self._find_soles(self._reference)
-        return found
+        return self._find_soles(self._reference)
 
     def soles(self, state: BodyState) -> tuple[Floats, Floats]:
         """The middle of each sole (2, 3), m from the base's origin, world, and its heading (2,)."""
@@ -261,8 +260,7 @@ class StandingDynamics:
 
 def _of_legs(jac: Floats) -> Floats:
     """The parts (2, 6, 6) of the soles' Jacobian (12, 35) that are of the joints of their legs."""
-    parts: Floats = np.stack([jac[:6, _BASE : _BASE + 6], jac[6:, _BASE + 6 : _BASE + 12]])
-    return parts
+    return np.stack([jac[:6, _BASE : _BASE + 6], jac[6:, _BASE + 6 : _BASE + 12]])
 
 
 def _inverse(jac: Floats) -> Floats:

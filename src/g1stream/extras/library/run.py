@@ -371,14 +371,8 @@ def completed(
             pairs = [(running.pop(future), future) for future in futures]
             submit(len(pairs))
             yield pairs
-        elif _has_lost_scheduler(executor):
-            for future in running:
+        elif getattr(getattr(executor, "_client", None), "status", "") == "closed":
+            for future in running:  # its result was on its way when the scheduler was lost
                 future.cancel()  # which puts it into `done`
     for future in running:
         future.cancel()
-
-
-def _has_lost_scheduler(executor: Executor) -> bool:
-    """Whether its Dask client is closed: a result that was on its way then is never set."""
-    client = getattr(executor, "_client", None)
-    return client is not None and client.status == "closed"

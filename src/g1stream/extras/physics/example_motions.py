@@ -21,8 +21,7 @@ def squatting(seconds: float, *, arms: float = 0.6, fps: float = 50.0) -> Motion
     begun = minimum_jerk(time / 2.0)[0]
 
     def swing(hertz: float, phase: float = 0.0) -> Floats:
-        wave: Floats = begun * np.sin(2.0 * np.pi * hertz * time + phase)
-        return wave
+        return begun * np.sin(2.0 * np.pi * hertz * time + phase)
 
     knee = 0.75 + 0.25 * swing(0.25)
     angles: dict[str, Floats | float] = {"waist_yaw": 0.4 * swing(0.2)}

@@ -189,8 +189,7 @@ def _leaving(lifted: Flags, fps: float) -> Floats:
     if not lifted.any():
         return np.zeros(len(lifted))
     frames: Floats = distance_transform_edt(~lifted)  # to the nearest one in which it is
-    away: Floats = 1.0 - minimum_jerk(frames / (fps * _LEAVES))[0]
-    return away
+    return 1.0 - minimum_jerk(frames / (fps * _LEAVES))[0]
 
 
 def _mean_angle(angles: Floats) -> Floats:

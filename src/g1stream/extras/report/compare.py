@@ -220,13 +220,12 @@ def compare(
 class _Run(NamedTuple):
     """What is kept of a session; its samples are not, as many sessions would fill the memory."""
 
-    source: Session | str | Path  # the session, or its file
-    path: str  # their names
+    source: Session | str | Path
+    path: str
     motion: str
     start: float  # motion time that was played, s
     stop: float
-    # (T,) motion times of `reference`, in steps of the grid that all runs share
-    rows: NDArray[np.intp]
+    rows: NDArray[np.intp]  # (T,) motion times of `reference`, in steps of a grid that runs share
     reference: Floats  # (T, 29) rad
     joints: tuple[int, ...]  # motor indices of those that played
     metrics: Metrics  # of the whole session

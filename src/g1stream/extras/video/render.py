@@ -144,8 +144,7 @@ def _frame_times(
             f"A video of {length:.0f} s would have {frames} frames.",
             "Render a part of the session, with a start and a duration.",
         )
-    times: Floats = start + np.arange(frames) / fps
-    return times
+    return start + np.arange(frames) / fps
 
 
 class Poses:

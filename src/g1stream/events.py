@@ -19,7 +19,10 @@ from g1stream.text import printable
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["ConsoleHandler", "handled_by", "severity"]
+__all__ = ["GUARD", "ConsoleHandler", "handled_by", "severity"]
+
+GUARD: Final = "guard"
+"""The guard process logs under this name, and only when it damps."""
 
 _LOGGER = logging.getLogger("g1stream")
 _LOGGER.addHandler(logging.NullHandler())

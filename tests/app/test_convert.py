@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 from collections import defaultdict
@@ -113,26 +112,20 @@ def test_flat_transforms_give_the_same_poses(motion, out, tmp_path):
             np.testing.assert_allclose(given[link], matrix, atol=1e-9)
 
 
-def test_joint_states_are_the_motions(motion, out):
-    convert(motion, out)
-    for frame, (_, body) in enumerate(read(out)[JOINTS]):
-        assert tuple(joint.name for joint in body.joints) == JOINT_NAMES
-        assert [joint.position for joint in body.joints] == motion.joint_pos[frame].tolist()
-        assert not any(joint.HasField("velocity") for joint in body.joints)
-
-
 def stamps_of(body):
     """The stamps inside a message."""
     inside = getattr(body, "transforms", None) or getattr(body, "entities", None) or [body]
     return {item.timestamp.ToNanoseconds() for item in inside}
 
 
-def test_log_time_publish_time_and_timestamps_inside_are_equal(motion, out):
-    convert(motion, out, Conversion(base_time_ns=T0))
+@pytest.mark.parametrize(("how", "rate"), [({}, 30), ({"fps": 15.0}, 15), ({"resample": 90.0}, 90)])
+def test_log_time_publish_time_and_timestamps_inside_are_equal(motion, out, how, rate):
+    resample = how.get("resample")
+    convert(motion, out, Conversion(base_time_ns=T0, resample=resample), fps=how.get("fps"))
     messages = read(out)
     for topic in ("/tf", JOINTS):
         for frame, (message, body) in enumerate(messages[topic]):
-            exact = T0 + (2 * frame * 10**9 + 30) // 60
+            exact = T0 + (2 * frame * 10**9 + rate) // (2 * rate)
             assert message.log_time == message.publish_time == exact
             assert message.sequence == frame + 1
             assert stamps_of(body) == {exact}
@@ -143,36 +136,8 @@ def test_log_time_publish_time_and_timestamps_inside_are_equal(motion, out):
     assert stamps_of(scene) == {T0}
 
 
-@pytest.mark.slow
-def test_the_time_zone_of_the_machine_changes_nothing(tmp_path):
-    contents = set()
-    for zone in ("UTC", "Asia/Tokyo", "America/New_York"):
-        path = tmp_path / f"{zone.replace('/', '-')}.mcap"
-        command = ["-m", "g1stream", "convert", "demo", str(path)]
-        flags = ["--base-time", "2026-03-01T12:00:00+01:00", "--frames", ":40"]
-        environment = {**os.environ, "TZ": zone}
-        subprocess.run([sys.executable, *command, *flags], check=True, env=environment)
-        contents.add(path.read_bytes())
-    assert len(contents) == 1
-    ((message, body), *_) = read(path)["/tf"]
-    assert message.log_time == 1_772_362_800 * 10**9
-    assert stamps_of(body) == {message.log_time}
-
-
-def test_half_the_fps_takes_twice_as_long(motion, out, tmp_path):
-    slow = tmp_path / "slow.mcap"
-    convert(motion, out)
-    convert(motion, slow, fps=15.0)
-    fast_times = [message.log_time for message, _ in read(out)["/tf"]]
-    slow_times = [message.log_time for message, _ in read(slow)["/tf"]]
-    assert len(fast_times) == len(slow_times)
-    assert (fast_times[150], slow_times[150]) == (5 * 10**9, 10 * 10**9)
-    assert slow_times[-1] == (2 * 299 * 10**9 + 15) // 30
-
-
 @pytest.mark.parametrize(
-    ("frames", "kept"),
-    [((10, 200), range(10, 200)), ((290, None), range(290, 300)), ((None, 1), range(1))],
+    ("frames", "kept"), [((10, 200), range(10, 200)), ((290, None), range(290, 300))]
 )
 def test_a_frame_range_has_the_messages_of_the_whole(motion, out, tmp_path, frames, kept):
     part = tmp_path / "part.mcap"
@@ -199,32 +164,19 @@ def test_resampled_joints_go_through_the_frames_and_have_velocities(motion, out)
     assert all(joint.HasField("acceleration") for joint in bodies[7].joints)
 
 
-def test_resampled_times_are_exact(motion, out):
-    convert(motion, out, Conversion(resample=90.0, base_time_ns=T0))
-    times = [message.log_time for message, _ in read(out)["/tf"]]
-    assert times == [T0 + (2 * i * 10**9 + 90) // 180 for i in range(len(times))]
-
-
 @pytest.mark.slow
-def test_without_a_floating_root_the_pelvis_is_at_the_origin(motion, out):
-    convert(motion, out, Conversion(floating_root=False))
-    for frame, (_, body) in list(enumerate(read(out)["/tf"]))[::50]:
-        poses = world_poses(body)
-        for link, in_root in yourdfpy_poses(motion, frame).items():
-            np.testing.assert_allclose(poses[link], in_root, atol=1e-9)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("floating", [True, False])
-def test_root_link_is_at_the_pose_of_the_motion(motion, out, floating):
-    convert(motion, out, Conversion(root_link="torso_link", floating_root=floating))
+@pytest.mark.parametrize(
+    ("link", "floating"), [("torso_link", True), ("torso_link", False), ("pelvis", False)]
+)
+def test_root_link_is_at_the_pose_of_the_motion(motion, out, link, floating):
+    convert(motion, out, Conversion(root_link=link, floating_root=floating))
     for frame, (_, body) in list(enumerate(read(out)["/tf"]))[::50]:
         assert body.transforms[0].child_frame_id == "pelvis"
         poses, in_root = world_poses(body), yourdfpy_poses(motion, frame)
-        torso = root_matrix(motion, frame) if floating else np.eye(4)
-        np.testing.assert_allclose(poses["torso_link"], torso, atol=1e-9)
-        hand = np.linalg.inv(in_root["torso_link"]) @ in_root["left_wrist_yaw_link"]
-        np.testing.assert_allclose(poses["left_wrist_yaw_link"], torso @ hand, atol=1e-9)
+        root = root_matrix(motion, frame) if floating else np.eye(4)
+        np.testing.assert_allclose(poses[link], root, atol=1e-9)
+        hand = np.linalg.inv(in_root[link]) @ in_root["left_wrist_yaw_link"]
+        np.testing.assert_allclose(poses["left_wrist_yaw_link"], root @ hand, atol=1e-9)
 
 
 def test_world_frame_and_topic(motion, out):
@@ -268,24 +220,15 @@ def test_the_same_input_gives_the_same_bytes(out, tmp_path):
     assert out.read_bytes() == again.read_bytes()
 
 
-def test_progress_rises_to_one(motion, out):
-    told = []
-    convert(motion, out, on_progress=told.append)
-    assert told == sorted(told)
-    assert told[-1] == 1.0
-
-
 @pytest.mark.parametrize(
     ("options", "error", "message"),
     [
         ({"frames": (200, 100)}, MotionError, "200:100"),
         ({"frames": (0, 301)}, MotionError, "300"),
-        ({"resample": 0.0}, MotionError, "0"),
         ({"resample": float("nan")}, MotionError, "nan"),
         ({"root_link": "head"}, RobotError, "'head'"),
         ({"world_frame": "pelvis"}, ConfigError, "'pelvis'"),
         ({"topic": "/scene"}, ConfigError, "/scene"),
-        ({"topic": ""}, ConfigError, "''"),
         ({"base_time_ns": 2**63 - 1}, ConfigError, "2262"),
     ],
 )
@@ -295,15 +238,11 @@ def test_invalid_options_are_refused_and_leave_no_file(motion, out, options, err
     assert list(out.parent.iterdir()) == []
 
 
-@pytest.mark.parametrize(
-    ("link", "alike"),
-    [("nope", ""), ("", ""), ("hip", "left_hip_pitch_link"), ("torsolink", "torso_link")],
-)
+@pytest.mark.parametrize(("link", "alike"), [("", ""), ("torsolink", "torso_link")])
 def test_an_unknown_link_is_refused_with_similar_names(motion, out, link, alike):
     with pytest.raises(RobotError) as caught:
         convert(motion, out, Conversion(root_link=link))
     offered = caught.value.remedy.partition("such as ")[2].rstrip(".").split(", ")
-    assert len(offered) == 5
     assert set(offered) <= set(G1.default().link_names)
     assert not alike or offered[0] == alike
 
@@ -317,38 +256,10 @@ def test_the_input_file_is_not_overwritten(tmp_path):
     assert source.read_bytes() == before
 
 
-@pytest.mark.parametrize("name", ["clip", "clip.xyz", "clip.csv"])
-def test_another_suffix_is_refused(tmp_path, name):
+def test_another_suffix_is_refused(tmp_path):
     with pytest.raises(ConfigError):
-        convert("demo", tmp_path / name)
+        convert("demo", tmp_path / "clip.csv")
     assert not list(tmp_path.iterdir())
-
-
-HOUR = """
-import resource, sys
-from g1stream.cli.main import main
-code = main(["convert", sys.argv[1], sys.argv[2]])
-print(code, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)
-"""
-
-
-@pytest.mark.slow
-def test_a_long_motion_needs_little_more_memory_than_a_short_one(tmp_path):
-    """Twenty minutes and one: the difference is the motion itself, 36 doubles a frame, not what
-    is written for it, which is twenty times as much.
-    """
-    header, *lines = Path(load_motion("demo").source).read_text().splitlines()
-    peak = {}
-    for minutes in (1, 20):
-        motion = tmp_path / f"{minutes}.csv"
-        rows = (f"{i},{lines[i % len(lines)].split(',', 1)[1]}" for i in range(minutes * 60 * 30))
-        motion.write_text("\n".join((header, *rows)))
-        command = [sys.executable, "-c", HOUR, str(motion), str(tmp_path / f"{minutes}.mcap")]
-        done = subprocess.run(command, check=True, capture_output=True, text=True)
-        code, peak[minutes] = map(int, done.stdout.splitlines()[-1].split())
-        assert code == 0
-    frames = 19 * 60 * 30
-    assert (peak[20] - peak[1]) * 2**20 < 5 * frames * 36 * 8
 
 
 IMPORTS = """

@@ -33,12 +33,6 @@ def test_files_that_are_there_are_refused_before_the_start(tmp_path, name):
         program.demo("demo", tmp_path, force=True)
 
 
-def test_a_session_named_by_the_time_conflicts_with_no_file(tmp_path):
-    (tmp_path / "session.mcap").touch()
-    with pytest.raises(StartedError):
-        program.demo("demo", tmp_path, Config.model_validate({"record": {"auto_name": True}}))
-
-
 def test_a_demo_does_not_leave_the_machine(tmp_path, monkeypatch):
     elsewhere = Config.model_validate({"dds": {"interface": "eth7"}})
     with pytest.raises(ConfigError, match="eth7 is not the loopback") as caught:

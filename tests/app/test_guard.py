@@ -15,7 +15,6 @@ from pathlib import Path
 
 import pytest
 from cyclonedds.core import DDSException
-from pydantic import ValidationError
 
 from g1stream.app.session import open_session
 from g1stream.app.stream import stream
@@ -83,12 +82,7 @@ def debug(pid):
 
 
 @pytest.mark.parametrize(
-    "fault",
-    [
-        lambda pid: os.kill(pid, signal.SIGKILL),
-        debug,
-    ],
-    ids=["SIGKILL", "debugger"],
+    "fault", [lambda pid: os.kill(pid, signal.SIGKILL), debug], ids=["SIGKILL", "debugger"]
 )
 def test_a_stream_that_can_no_longer_damp_is_replaced(
     streaming, tmp_path, until, fault, record_property
@@ -257,11 +251,3 @@ def test_the_guard_goes_on_damping_after_an_error_of_dds(domain_id, until, tap, 
     heartbeat.close()
     assert len(commands) > 1
     assert all(map(is_limp, commands))
-
-
-def test_the_guard_has_a_priority_above_the_highest_of_a_loop():
-    highest = Config.model_validate({"realtime": {"priority": 98}})
-    assert _settings(highest, 0).priority == 99
-    with pytest.raises(ValidationError):
-        Config.model_validate({"realtime": {"priority": 99}})
-    assert _settings(Config.model_validate({"realtime": {"priority": 0}}), 0).priority == 0

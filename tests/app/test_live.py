@@ -10,7 +10,6 @@ import threading
 import time
 from base64 import b64decode
 from contextlib import ExitStack, contextmanager, suppress
-from importlib.metadata import PackageNotFoundError
 
 import numpy as np
 import pytest
@@ -30,7 +29,6 @@ from g1stream.config import Config, RecordConfig
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import LOWCMD, LOWSTATE, LowState, Samples
-from g1stream.errors import ConfigError
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.session.format import CHANNELS
 
@@ -205,13 +203,3 @@ def test_a_server_that_fails_is_logged_and_ends_nothing(config, children, caplog
         children[0]._process.kill()
         until(lambda: caplog.records, "the warning")
     assert [record.levelno for record in caplog.records] == [logging.WARNING]
-
-
-def test_a_missing_extra_is_named(monkeypatch):
-    def version(name):
-        raise PackageNotFoundError(name)
-
-    monkeypatch.setattr("g1stream.optional.version", version)
-    with pytest.raises(ConfigError) as caught, program.live():
-        pass
-    assert "'g1stream[live]'" in caught.value.remedy

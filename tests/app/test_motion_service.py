@@ -13,13 +13,7 @@ from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawWriter
 from g1stream.dds.messages import LOWCMD
 from g1stream.dds.motion_switcher import OnboardStatus
-from g1stream.errors import ConfigError, SafetyError, WireError
-
-
-@pytest.fixture(autouse=True)
-def state_directory(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    return tmp_path / "state"
+from g1stream.errors import SafetyError, WireError
 
 
 @pytest.fixture
@@ -40,22 +34,10 @@ def test_what_was_released_is_restored(robot):
     assert onboard_status(robot) == OnboardStatus(form="0", name="advanced")
     assert release_mode(robot) == "advanced"
     assert onboard_status(robot).name == ""
-    assert release_mode(robot) == ""  # which does not forget the mode
-    assert restore_mode(robot) == "advanced"
-    assert onboard_status(robot).name == "advanced"
-    assert restore_mode(robot, "normal") == "normal"
-    assert onboard_status(robot).name == "normal"
-
-
-def test_a_state_directory_that_cannot_be_written_does_not_keep_a_mode_active(
-    robot, state_directory, caplog
-):
-    state_directory.write_text("a file")
-    assert release_mode(robot) == "advanced"
-    assert onboard_status(robot).name == ""
-    assert len([one for one in caplog.records if one.levelname == "WARNING"]) >= 1
-    with pytest.raises(ConfigError):
-        restore_mode(robot)
+    assert release_mode(robot) == ""
+    for mode in ("advanced", "normal"):
+        restore_mode(robot, mode)
+        assert onboard_status(robot).name == mode
 
 
 def test_a_mode_is_not_restored_beside_a_publisher(robot, until):
@@ -64,13 +46,8 @@ def test_a_mode_is_not_restored_beside_a_publisher(robot, until):
         writer = RawWriter(theirs, LOWCMD)
         until(lambda: writer.matched, "the bridge")
         with pytest.raises(SafetyError):
-            restore_mode(robot)
+            restore_mode(robot, "advanced")
     assert onboard_status(robot).name == ""
-
-
-def test_nothing_to_restore_is_an_error_before_the_wire_is_used():
-    with pytest.raises(ConfigError):
-        restore_mode(DdsConfig(interface="no such interface"))
 
 
 def test_without_a_service_there_is_no_status(domain_id):

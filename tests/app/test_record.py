@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import threading
 from pathlib import Path
 
@@ -13,7 +12,6 @@ from g1stream.cli.command import EXIT_STOPPED, exit_code
 from g1stream.config import Config
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawWriter
-from g1stream.dds.log_handler import dds_log_handler
 from g1stream.dds.messages import LOWCMD, LOWSTATE, REFERENCE, LowState
 from g1stream.errors import ConfigError, WireError
 from g1stream.robot.model import G1
@@ -38,8 +36,7 @@ def test_a_missing_stream_is_an_error(config, tmp_path, monkeypatch):
     assert not (tmp_path / "s.mcap").exists()
 
 
-@pytest.mark.parametrize("split", [None, 60.0])
-@pytest.mark.parametrize("before", [False, True])
+@pytest.mark.parametrize(("split", "before"), [(None, False), (60.0, True)])
 def test_a_recording_without_a_sample_is_removed_and_an_older_one_is_kept(
     config, tmp_path, split, before
 ):
@@ -61,25 +58,6 @@ def test_a_recording_without_a_sample_is_removed_and_an_older_one_is_kept(
     assert not before or old.read_bytes() == content
 
 
-def test_the_events_of_a_program_alone_are_no_recording(config, domain_id, tmp_path):
-    with Participant(domain_id, "lo") as participant:
-        stop = iter([False] * 20 + [True] * 100)
-        events = dds_log_handler(participant, "sim")
-        logger = logging.getLogger("g1stream.sim")
-        logger.addHandler(events)
-        try:
-
-            def should_stop():
-                logger.error("here")
-                return next(stop)
-
-            summary = program.record(tmp_path / "s.mcap", config, should_stop=should_stop)
-        finally:
-            logger.removeHandler(events)
-    assert summary.recorder.counts["/log"]
-    assert summary.recorder.removed
-
-
 def test_a_stream_names_its_recording_and_its_recorder_takes_the_name(config, tmp_path):
     config = Config.model_validate(config.model_dump() | {"record": {"auto_name": True}})
     stop = {"should_stop": lambda: True}
@@ -88,19 +66,6 @@ def test_a_stream_names_its_recording_and_its_recorder_takes_the_name(config, tm
         for session in (SESSION, None)
     ]
     assert [path.name == "s.mcap" for path in named] == [True, False]
-
-
-def test_it_stops_while_it_waits_for_the_stream(config, tmp_path):
-    ready = threading.Event()
-    summary = program.record(
-        tmp_path / "s.mcap",
-        config,
-        session=SESSION,
-        should_stop=lambda: True,
-        on_ready=ready.set,
-    )
-    assert not ready.is_set()
-    assert summary.recorder.stopped == ""
 
 
 def test_samples_are_received_while_waiting_for_the_stream(config, domain_id, tmp_path, until):

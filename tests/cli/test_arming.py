@@ -7,8 +7,7 @@ from dataclasses import replace
 import pytest
 
 from g1stream.app.arming import ArmingReport, LimbDistance
-from g1stream.cli.arming import arming, render
-from g1stream.cli.main import main
+from g1stream.cli.stream import arming, render_arming
 from g1stream.doctor.facts import ok, problem, warning
 from g1stream.errors import ConfigError
 
@@ -32,7 +31,7 @@ def report():
 
 
 def test_the_text_is_the_snapshot(report, matches_snapshot):
-    matches_snapshot("arming", render(report))
+    matches_snapshot("arming", render_arming(report))
 
 
 def test_yes_names_the_interface(report, capsys):
@@ -44,12 +43,6 @@ def test_yes_names_the_interface(report, capsys):
     assert other is not None
     with pytest.raises(ConfigError):
         other(report)
-
-
-def test_a_silent_motion_service_is_the_last_line_before_the_question(report):
-    silent = warning("motion service", "It does not answer.", "Look.")
-    lines = render(replace(report, motion_service=silent)).splitlines()
-    assert lines[-1] == "WARNING: It does not answer. Look."
 
 
 def test_what_a_terminal_obeys_is_escaped(report, capsys):
@@ -75,11 +68,3 @@ def test_unarmed_asks_nothing():
     assert arming(False, None) is None
     with pytest.raises(ConfigError):
         arming(False, "eth9")
-
-
-@pytest.mark.parametrize("command", [["stream", "demo"], ["replay", "no-such.mcap"]])
-def test_anything_but_loopback_is_refused_unarmed(command, monkeypatch, capsys):
-    monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
-    monkeypatch.setattr("g1stream.dds.domain.interfaces", lambda: ["lo", "eth9"])
-    assert main([*command, "--interface", "eth9", "--domain", "0"]) == 2
-    assert "--arm" in capsys.readouterr().err

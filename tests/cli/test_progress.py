@@ -13,12 +13,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from g1stream.cli.progress import ProgressDisplay, RecorderStatus, loop_status, sim_status
+from g1stream.cli.progress import RecorderStatus, loop_status
 from g1stream.control.command import Prepared
 from g1stream.control.report import LoopReport
 from g1stream.control.schedule import PhaseState
 from g1stream.session.records import RecorderSummary
-from g1stream.sim.robot import SimReport
 from g1stream.types import Phase
 
 RUN = """
@@ -74,19 +73,19 @@ def test_on_a_terminal_events_appear_above_the_status_which_is_removed_at_the_en
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("no_color", "coloured"), [("", True), ("1", False)])
-def test_no_color_is_honoured(no_color, coloured):
-    colour = "\x1b[38;" in on_terminal(
-        NO_COLOR=no_color, COLORTERM="truecolor", TERM="xterm-256color"
-    )
-    assert colour is coloured
-
-
-@pytest.mark.slow
-def test_a_dumb_terminal_gets_no_status():
-    shown = on_terminal(TERM="dumb")
-    assert EVENTS in shown
-    assert "37 %" not in shown
+@pytest.mark.parametrize(
+    ("terminal", "status", "coloured"),
+    [
+        ({"TERM": "xterm-256color", "NO_COLOR": ""}, True, True),
+        ({"TERM": "xterm-256color", "NO_COLOR": "1"}, True, False),
+        ({"TERM": "dumb"}, False, False),
+    ],
+)
+def test_status_and_colours_are_what_the_terminal_can_show(terminal, status, coloured):
+    shown = on_terminal(COLORTERM="truecolor", **terminal)
+    assert "HOLD -> DAMP\n" in shown
+    assert ("37 %" in shown) == status
+    assert ("\x1b[38;" in shown) == coloured
 
 
 @pytest.mark.slow
@@ -129,14 +128,6 @@ def test_the_status_of_a_loop(played):
     assert max(map(len, (first, second, third))) <= 80
 
 
-def test_where_no_position_is_commanded_there_is_no_error(played):
-    played.state = PhaseState(Phase.DAMP, 0)
-    _, text = loop_status(played, SimpleNamespace(duration=24.0))
-    assert "error" not in text
-    played.newest = None
-    assert loop_status(played, SimpleNamespace(duration=24.0))[1].count("\n") == 0
-
-
 def test_the_status_of_a_recorder_has_the_rates_of_the_last_second(monkeypatch):
     now = 100.0
     monkeypatch.setattr("g1stream.cli.progress.time.monotonic", lambda: now)
@@ -152,13 +143,3 @@ def test_the_status_of_a_recorder_has_the_rates_of_the_last_second(monkeypatch):
         now += seconds
         recorder.received = received
         assert status()[1].split("\n") == ["recorded 2.0 s; samples per second:", shown]
-
-
-def test_the_status_of_a_simulator():
-    simulated = SimReport(states=500, commands=1, refused={"its CRC is wrong": 2}, simulated=1.0)
-    assert "500 states, 1 command, 2 refused" in sim_status(simulated)[1]
-
-
-def test_a_display_without_a_terminal_starts_no_thread():
-    with ProgressDisplay(lambda: pytest.fail("drawn")):
-        pass

@@ -51,7 +51,7 @@ def test_restore_takes_a_name(calls):
     "arguments",
     [
         ["dance"],
-        [],
+        ["restore"],
         ["status", "ai"],
         ["release", "--json"],
         ["status", "--yes", "lo"],
@@ -68,12 +68,7 @@ def test_bad_flags_and_no_confirmation_call_nothing(arguments, calls):
     assert calls == []
 
 
-def test_confirmed_beforehand(calls):
-    assert main(["robot", "release", "--interface", "eth9", "--yes", "eth9"]) == 0
-    assert len(calls) == 1
-
-
-@pytest.mark.parametrize(("typed", "code"), [("eth9\n", 0), ("yes\n", 2), ("", 2)])
+@pytest.mark.parametrize(("typed", "code"), [("eth9\n", 0), ("yes\n", 2)])
 def test_confirmed_on_the_terminal(typed, code, calls, monkeypatch):
     terminal = type("Terminal", (), {"isatty": lambda _: True, "readline": lambda _: typed})
     monkeypatch.setattr("sys.stdin", terminal())

@@ -5,12 +5,7 @@ from dataclasses import replace
 import pytest
 
 from g1stream.doctor.facts import Interface, Level, Peer, Qos, StateFacts, WakeupLatency, WireFacts
-from g1stream.doctor.findings import (
-    evaluate,
-    explain_no_robot,
-    identify_publisher,
-    qos_mismatch,
-)
+from g1stream.doctor.findings import evaluate, explain_no_robot, identify_publisher, qos_mismatch
 from g1stream.realtime import Grant
 
 STATE = Peer("rt/lowstate", "LowState_", owner="bridge (pid 7 on here)", participant="bridge")
@@ -51,6 +46,7 @@ CASES = {
     "old cyclone": ({"host": {"cyclonedds": "0.9.1"}}, WARNING, "cyclonedds", "0.9.1"),
     "small buffers": ({"host": {"rmem_max": 212_992}}, WARNING, "sockets", "208 KiB"),
     "slow clock": ({"host": {"clock_source": "hpet"}}, WARNING, "clock", "hpet"),
+    "domain of ROS 2": ({"ros_domain": 7}, WARNING, "domain", "ROS_DOMAIN_ID"),
     "not real time": ({"host": {"grants": (NOT_GRANTED,)}}, WARNING, "real time", "delays"),
     "late wake-ups": ({"wakeup_latency": LATE}, WARNING, "wake-up", "3 of 250"),
     "wrong domain": (
@@ -75,6 +71,7 @@ CASES = {
     "wrong CRC": ({"state": {"crc_right": 490}}, PROBLEM, "CRC", "10 of 500"),
     "other robot": ({"state": {"mode_machine": 4}}, PROBLEM, "mode_machine", "4"),
     "no subscriber": (readers(), PROBLEM, "LowCmd", "rt/lowcmd"),
+    "only a recorder": (readers(RECORDER), PROBLEM, "LowCmd", "rt/lowcmd"),
     "demanding subscriber": (
         readers(replace(COMMANDS, qos=Qos(durability=1))),
         PROBLEM,
@@ -83,13 +80,6 @@ CASES = {
     ),
     "other publisher": (writers(STATE, SPORT, COMMANDS), WARNING, "LowCmd", COMMANDS.owner),
 }
-
-
-def test_jumping_ticks_of_another_publisher_are_no_problem(changed):
-    facts = changed(state={"missed": None, "tick_jumps": 55})
-    (found,) = [one for one in evaluate(facts) if one.about == "tick"]
-    assert found.level is Level.OK
-    assert "55" in found.cause
 
 
 def test_no_problem(healthy):
@@ -109,25 +99,14 @@ def test_latency_below_a_period(changed):
     late = WakeupLatency(500.0, 250, missed=0, median_ns=5_000, worst_ns=1_990_000)
     (found,) = [one for one in evaluate(changed(wakeup_latency=late)) if one.about == "wake-up"]
     assert found.level is Level.OK
-    assert found.figures == {
-        "rate_hz": 500.0,
-        "deadlines": 250,
-        "missed_deadlines": 0,
-        "median_lateness_us": 5.0,
-        "worst_lateness_us": 1990.0,
-    }
+    assert found.figures["worst_lateness_us"] == 1990.0
 
 
-def test_a_domain_that_cannot_be_joined(healthy):
-    facts = replace(healthy, wire=None, join_error="Ten others are there.")
+@pytest.mark.parametrize(("interface", "about"), [("lo", "domain"), ("wlan9", "interface")])
+def test_a_domain_that_cannot_be_joined_is_one_problem(healthy, interface, about):
+    facts = replace(healthy, interface=interface, wire=None, join_error="Ten others are there.")
     (found,) = [one for one in evaluate(facts) if one.level]
-    assert (found.about, found.cause) == ("domain", "Ten others are there.")
-
-
-def test_a_missing_interface_is_one_problem(healthy):
-    facts = replace(healthy, interface="wlan9", wire=None, join_error="No such interface.")
-    (found,) = [one for one in evaluate(facts) if one.level]
-    assert found.about == "interface"
+    assert found.about == about
 
 
 def test_the_searched_places_are_named(changed):
@@ -146,12 +125,6 @@ def test_the_base_is_missing_only_where_there_is_a_publisher(changed):
 
     assert "base" not in abouts(**EMPTY)
     assert "base" in abouts(writers=(STATE,))
-
-
-def test_json_has_the_name_of_the_level(healthy):
-    values = evaluate(healthy)[0].model_dump(mode="json")
-    assert values.keys() == {"level", "about", "cause", "remedy", "figures"}
-    assert values["level"] == "ok"
 
 
 # What is in the domain; what the finding is about, and values that it must name.
@@ -230,30 +203,12 @@ def test_a_robot_that_appears_too_late():
 def test_the_controller_that_moves_the_arms_for_us_is_not_to_be_ended(changed):
     """It publishes on rt/lowcmd, keeps the robot on its feet, and reads rt/arm_sdk."""
     wire = {"writers": (STATE, SPORT, COMMANDS), "readers": (READER, ARM)}
-    found = evaluate(changed(wire=wire, via="arm_sdk"))
-    assert {one.level for one in found} == {Level.OK}
-    (command,) = [one for one in evaluate(changed(wire=wire)) if one.level]
-    assert "rt/lowcmd" in command.cause
-
-
-def test_another_publisher_of_targets_for_the_arms(changed):
-    wire = {"writers": (STATE, SPORT, replace(ARM, owner="policy")), "readers": (ARM,)}
-    (found,) = [one for one in evaluate(changed(wire=wire, via="arm_sdk")) if one.level]
-    assert "rt/arm_sdk, policy" in found.cause
-
-
-def test_a_controller_that_takes_no_targets_for_the_arms(changed):
-    (found,) = [one for one in evaluate(changed(via="arm_sdk")) if one.level]
-    assert (found.level, found.about) == (PROBLEM, "LowCmd")
-    assert "rt/arm_sdk" in found.cause
-    wire = WireFacts((STATE,), (READER,), COMING, 1)
-    (waited,) = explain_no_robot(7, "eth0", wire, "rt/arm_sdk")
+    assert {one.level for one in evaluate(changed(wire=wire, via="arm_sdk"))} == {Level.OK}
+    for wrong in ({"writers": (STATE, SPORT, replace(ARM, owner="policy"))}, {"readers": ()}):
+        (found,) = [one for one in evaluate(changed(wire=wire | wrong, via="arm_sdk")) if one.level]
+        assert "rt/arm_sdk" in found.cause
+    (waited,) = explain_no_robot(7, "eth0", WireFacts((STATE,), (READER,), COMING, 1), "rt/arm_sdk")
     assert "rt/arm_sdk" in waited.cause
-
-
-def test_a_recorder_does_not_act_on_commands(changed):
-    (found,) = [one for one in evaluate(changed(wire={"readers": (RECORDER,)})) if one.level]
-    assert (found.level, found.about) == (Level.PROBLEM, "LowCmd")
 
 
 @pytest.mark.parametrize(

@@ -15,38 +15,29 @@ MS = 1_000_000
 PERIOD = 2 * MS
 
 
-def late_clock(late=None):
+def late_clock(late):
     """A clock that oversleeps the k-th deadline, ns."""
     clock = FakeClock()
-    clock.oversleeps = {clock.time + (k + 1) * PERIOD: ns for k, ns in (late or {}).items()}
+    clock.oversleeps = {clock.time + (k + 1) * PERIOD: ns for k, ns in late.items()}
     return clock
 
 
-def test_a_clock_without_latency():
-    found = wakeup_latency(late_clock(), PERIOD, 250)
-    assert (found.rate, found.deadlines, found.missed, found.worst_ns) == (500.0, 250, 0, 0)
-
-
-def test_latency_below_a_period_misses_no_deadline():
-    found = wakeup_latency(late_clock({9: PERIOD - 1}), PERIOD, 250)
-    assert (found.missed, found.worst_ns) == (0, PERIOD - 1)
+@pytest.mark.parametrize(
+    ("late", "deadlines", "missed", "worst"),
+    [
+        ({}, 250, 0, 0),
+        ({9: PERIOD - 1}, 250, 0, PERIOD - 1),
+        ({9: 7 * MS}, 250, 3, 7 * MS),
+        # It counts from the deadline that was slept for; one beyond the last ends the measurement.
+        ({9: PERIOD, 21: 3 * PERIOD + 1}, 250, 4, 3 * PERIOD + 1),
+        ({9: 10_000 * MS}, 5010, 5000, 10_000 * MS),
+    ],
+)
+def test_latency_and_missed_deadlines_of_a_clock(late, deadlines, missed, worst):
+    found = wakeup_latency(late_clock(late), PERIOD, 250)
+    assert (found.rate, found.deadlines) == (500.0, deadlines)
+    assert (found.missed, found.worst_ns) == (missed, worst)
     assert found.median_ns <= 1000  # to the microsecond
-
-
-def test_a_stall_misses_every_deadline_in_it():
-    found = wakeup_latency(late_clock({9: 7 * MS}), PERIOD, 250)
-    assert (found.deadlines, found.missed, found.worst_ns) == (250, 3, 7 * MS)
-
-
-def test_latency_of_a_stall_counts_from_the_deadline_slept_for():
-    found = wakeup_latency(late_clock({9: PERIOD, 21: 3 * PERIOD + 1}), PERIOD, 250)
-    assert (found.missed, found.worst_ns) == (4, 3 * PERIOD + 1)
-
-
-def test_a_stall_beyond_the_last_deadline_ends_the_measurement():
-    found = wakeup_latency(late_clock({9: 10_000 * MS}), PERIOD, 250)
-    assert found.deadlines == 5010
-    assert found.missed == 5000
 
 
 def test_this_machine():

@@ -66,28 +66,24 @@ def assert_sdk_sees(fields, writer, data, peer):
     assert seen == fields, peer.errors()
 
 
-@either_order
-def test_sdk_reads_our_lowstate(first, sdk_as, domain_zero, golden):
-    peer = sdk_as("controller") if first == "sdk" else None
-    with Participant(domain_zero, "lo") as participant:
-        writer = RawWriter(participant, LOWSTATE)
-        peer = peer or sdk_as("controller")
-        for sample in golden["lowstate"]:
-            state = sealed(LowState, sample)
-            assert_sdk_sees(state_as_the_sdk_names_it(state), writer, state.seal(), peer)
-    assert "CRC Error" not in peer.errors()
+SENT = {
+    "controller": (LOWSTATE, state_as_the_sdk_names_it),
+    "robot": (LOWCMD, command_as_the_sdk_names_it),
+}
 
 
 @either_order
-def test_sdk_reads_our_lowcmd(first, sdk_as, domain_zero, golden):
-    peer = sdk_as("robot") if first == "sdk" else None
+@pytest.mark.parametrize("role", SENT)
+def test_sdk_reads_ours(first, role, sdk_as, domain_zero, golden):
+    topic, named = SENT[role]
+    peer = sdk_as(role) if first == "sdk" else None
     with Participant(domain_zero, "lo") as participant:
-        writer = RawWriter(participant, LOWCMD)
-        peer = peer or sdk_as("robot")
+        writer = RawWriter(participant, topic)
+        peer = peer or sdk_as(role)
         # The first sample is all zeros, as what the SDK shows before it has any; so it comes last.
-        for sample in reversed(golden["lowcmd"]):
-            command = sealed(LowCmd, sample)
-            assert_sdk_sees(command_as_the_sdk_names_it(command), writer, command.seal(), peer)
+        for sample in reversed(golden[topic.name.removeprefix("rt/")]):
+            message = sealed(topic.message, sample)
+            assert_sdk_sees(named(message), writer, message.seal(), peer)
     assert "CRC Error" not in peer.errors()
 
 
@@ -136,16 +132,10 @@ def test_we_read_every_byte_of_the_sdks_lowstate(first, sdk_as, domain_zero, gol
             until(lambda data=data: data in {s.data for s in reader.take()}, "that state")
 
 
-@pytest.mark.parametrize(
-    ("topic", "role", "shown"),
-    [
-        (LOWSTATE, "controller", state_as_the_sdk_names_it),
-        (LOWCMD, "robot", command_as_the_sdk_names_it),
-    ],
-    ids=["lowstate", "lowcmd"],
-)
-def test_sdk_rejects_a_wrong_checksum(topic, role, shown, sdk_as, domain_zero, golden, until):
+@pytest.mark.parametrize("role", SENT)
+def test_sdk_rejects_a_wrong_checksum(role, sdk_as, domain_zero, golden, until):
     """So that its taking over of our samples elsewhere proves our checksum right."""
+    topic, shown = SENT[role]
     samples = golden[topic.name.removeprefix("rt/")]
     first, second = (sealed(topic.message, sample) for sample in samples[1:3])
     peer = sdk_as(role)

@@ -70,9 +70,7 @@ def played(
     domain_id = module_domain_id
     path = tmp_path_factory.mktemp("played") / "session.mcap"
     with running("sim", "--domain", domain_id):
-        done = run(
-            stream_arguments(domain_id, "--duration", PLAY, "--record", path, "--json"),
-        )
+        done = run(stream_arguments(domain_id, "--duration", PLAY, "--record", path, "--json"))
     assert done.returncode == 0, done.stderr
     return path, json.loads(done.stdout)
 
@@ -107,29 +105,19 @@ def test_a_robot_stands_on_its_feet_and_squats_at_the_end(running, tmp_path, dom
 
 
 def test_every_message_was_published_before_it_was_received(played):
-    recorders_own = {
-        *("/scene", "/measured/scene", "/ghost/scene"),
-        "/measured/robot_description",
-    }
-    for topic, pairs in times(played[0]).items():  # its own at one instant
+    recorders_own = {"/scene", "/measured/scene", "/ghost/scene", "/measured/robot_description"}
+    recorded = times(played[0])
+    for topic, pairs in recorded.items():  # its own at one instant
         later = pairs[:, 0] - pairs[:, 1]
         assert (later == 0 if topic in recorders_own else later > 0).all(), topic
-
-
-def test_reference_and_command_pair_up_by_publish_time(played):
-    recorded = times(played[0])
     assert np.array_equal(recorded["/lowcmd"][:, 1], recorded["/reference"][:, 1])
 
 
 def test_the_robot_follows_in_every_phase(played):
     session = open_session(played[0])
     phases = session.reference.phase
-    assert list(dict.fromkeys(phases.tolist())) == [
-        Phase.RAMP,
-        Phase.PLAY,
-        Phase.HOLD,
-        Phase.DAMP,
-    ]
+    order = [Phase.RAMP, Phase.PLAY, Phase.HOLD, Phase.DAMP]
+    assert list(dict.fromkeys(phases.tolist())) == order
     play = phases == Phase.PLAY
     # The motion is sampled at the deadlines: two ticks are a period, or several, apart.
     steps = np.diff(session.reference.motion_time[play]) * 500
@@ -157,16 +145,6 @@ def test_damping_ends_every_session(played):
     assert (last.kd > 0).all()
 
 
-def test_the_file_carries_what_a_session_needs(played):
-    session = open_session(played[0])
-    assert {"robot.urdf", "config.json", "demo.csv"} <= set(session.attachments)
-    metadata = session.metadata
-    assert metadata["motion"]["fps"] == 30
-    assert len(metadata["gains"]["kp"]) == 29
-    assert metadata["stream"]["lateness_us"]["max"] > 0
-    assert metadata["recorder"]["lost"]["/reference"] == 0
-
-
 def test_a_second_writer_is_refused_by_name_and_the_first_plays_on(domain_id, running, tmp_path):
     with (
         running("sim", "--domain", domain_id),
@@ -181,14 +159,6 @@ def test_a_second_writer_is_refused_by_name_and_the_first_plays_on(domain_id, ru
         first.send_signal(signal.SIGINT)
         printed, _ = first.communicate(timeout=20)
         assert "SIGINT" in printed
-
-
-def test_nobody_there_ends_without_a_command(domain_id, tmp_path):
-    config = tmp_path / "short.toml"
-    config.write_text("[stream]\nwait = 1.0\n")
-    done = run(["stream", "demo", "--domain", domain_id, "--config", config])
-    assert done.returncode == 1
-    assert "none sent" in done.stdout
 
 
 def test_a_demo_makes_session_picture_and_summary(domain_id, tmp_path):

@@ -105,15 +105,6 @@ def test_we_read_every_byte_of_the_sdks(name, first, sdk_on, domain_id, golden, 
     assert received == {bytes.fromhex(sample["cdr"]) for sample in golden[name]}
 
 
-def test_sdk_outlives_our_coming_and_going(sdk_on, domain_id, golden):
-    peer = sdk_on("lowcmd-reader")
-    for sample in golden["lowcmd"][:3]:
-        with Participant(domain_id, "lo") as participant:
-            writer = RawWriter(participant, LOWCMD)
-            report = send_until_seen(writer, bytes.fromhex(sample["cdr"]), peer)
-            assert report["fields"]["crc"] == sample["crc"]
-
-
 @each_topic
 def test_discovery_shows_the_sdks_process(name, sdk_on, domain_id, until):
     with Participant(domain_id, "lo") as participant:

@@ -15,10 +15,10 @@ from g1stream.analysis.summary import MessageStats, Summary, Termination, most
 from g1stream.analysis.tracking import NothingToCompareError, tracking
 from g1stream.config import Config
 from g1stream.control.command_delay import DELAY_REMEDY
-from g1stream.control.guard import LOG_NAME
 from g1stream.control.lowstate import STATE_TIMEOUT
 from g1stream.dds.messages import LowCmd
 from g1stream.errors import RecordingError
+from g1stream.events import GUARD
 from g1stream.input_limits import NUMBER
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.rotations import is_unit
@@ -375,7 +375,7 @@ def _warnings(session: Recording) -> list[str]:
     """The warnings in /log; of those that differ in their numbers only, the last."""
     alike: dict[str, list[str]] = {}
     for event in session.log:
-        if event.level in {"WARNING", "ERROR", "FATAL"} and event.name != LOG_NAME:
+        if event.level in {"WARNING", "ERROR", "FATAL"} and event.name != GUARD:
             text = f"{event.name}: {event.text}"
             alike.setdefault(re.sub(r"\d+", "#", text), []).append(text)
     return [
@@ -394,7 +394,7 @@ def _termination(
     phases = session.phases
     settings = (info.config or {}).get("stream")
     start = settings.get("start") if isinstance(settings, dict) else None
-    guard = next((event.text for event in session.log if event.name == LOG_NAME), None)
+    guard = next((event.text for event in session.log if event.name == GUARD), None)
     undamped = None if guard else _undamped_in(phases, info, stream, recorder, streams)
     reason = guard if undamped is None else "the stream process ended without DAMP"
     values = {

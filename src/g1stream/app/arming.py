@@ -3,43 +3,28 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Any, Final
 
 import numpy as np
 
 from g1stream.control.lowstate import LowStateChecks
+from g1stream.control.plan import Plan
+from g1stream.control.reading import Reading
 from g1stream.control.targets import Ramp
-from g1stream.dds.domain import is_local_only, network_name, require_interface
+from g1stream.dds.domain import Participant, is_local_only, network_name, require_interface
 from g1stream.dds.endpoints import RawReader
 from g1stream.dds.messages import ARM_SDK, LOWSTATE, LowState
 from g1stream.dds.motion_switcher import MotionSwitcherClient
-from g1stream.doctor.facts import Facts, ok, warning
+from g1stream.doctor.facts import Facts, Finding, ok, warning
 from g1stream.doctor.findings import evaluate
 from g1stream.doctor.inspection import inspect_host, inspect_participant
 from g1stream.errors import SafetyError, WireError
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
 from g1stream.robot.rotations import tilt_of
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from typing import Any
-
-    from g1stream.control.plan import Plan
-    from g1stream.control.reading import Reading
-    from g1stream.dds.domain import Participant
-    from g1stream.doctor.facts import Finding
-    from g1stream.robot.joints import JointSet
-    from g1stream.types import Floats
-
-__all__ = [
-    "ArmingReport",
-    "LimbDistance",
-    "confirm_arming",
-    "inspect_for_arming",
-    "require_arming",
-]
+from g1stream.types import Floats
 
 #: Longest wait for the motion service, discovery included, s.
 _SERVICE_TIMEOUT: Final = 3.0
@@ -50,48 +35,30 @@ _POLL: Final = 0.005  # s
 
 @dataclass(frozen=True)
 class LimbDistance:
-    """How far a limb is from the motion's first frame, and how stiffly it is moved there.
+    """How far a limb is from the motion's first frame, and how stiffly it is moved there."""
 
-    Attributes:
-        limb: its name, such as `left arm`.
-        joint: the one that is furthest.
-        distance: of that joint, first frame minus measured, rad.
-        kp, kd: the lowest and the highest gain, N·m/rad and N·m·s/rad.
-    """
-
-    limb: str
-    joint: str
-    distance: float
-    kp: tuple[float, float]
+    limb: str  # its name, such as `left arm`
+    joint: str  # the one that is furthest
+    distance: float  # of that joint, first frame minus measured, rad
+    kp: tuple[float, float]  # the lowest and the highest gain, N·m/rad and N·m·s/rad
     kd: tuple[float, float]
 
 
 @dataclass(frozen=True)
 class ArmingReport:
-    """What is about to be done to which robot.
+    """What is about to be done to which robot."""
 
-    Attributes:
-        domain: DDS domain.
-        interface: in use; `CYCLONEDDS_URI` where that selects it.
-        tilt: of the pelvis, rad.
-        limbs: distances from the measured pose to the first frame.
-        ramp: length of RAMP, s.
-        peak_speed: the highest speed of a joint in RAMP, rad/s.
-        limits: the safety settings in force, by name.
-        motion_service: that no mode is active, or with `stream.via` = arm_sdk which one is; a
-            warning where that is not known.
-        findings: the doctor's.
-    """
-
-    domain: int
-    interface: str
-    tilt: float
-    limbs: tuple[LimbDistance, ...]
-    ramp: float
-    peak_speed: float
-    limits: dict[str, Any]
+    domain: int  # DDS domain
+    interface: str  # in use; `CYCLONEDDS_URI` where that selects it
+    tilt: float  # of the pelvis, rad
+    limbs: tuple[LimbDistance, ...]  # distances from the measured pose to the first frame
+    ramp: float  # length of RAMP, s
+    peak_speed: float  # the highest speed of a joint in RAMP, rad/s
+    limits: dict[str, Any]  # the safety settings in force, by name
+    # that no mode is active, or with `stream.via` = arm_sdk which one is; a warning where that is
+    # not known
     motion_service: Finding
-    findings: tuple[Finding, ...]
+    findings: tuple[Finding, ...]  # the doctor's
 
     @property
     def furthest(self) -> LimbDistance:
@@ -117,12 +84,7 @@ def require_arming(interface: str, *, armed: bool) -> None:
 def confirm_arming(
     participant: Participant, plan: Plan, arm: Callable[[ArmingReport], bool] | None
 ) -> None:
-    """Ask before anything is sent, if there is somebody to ask.
-
-    Args:
-        participant: of the robot's domain.
-        plan: what is about to be played.
-        arm: says whether it shall be; None: nobody is asked, as on loopback.
+    """Ask before anything is sent, if there is somebody to ask: no `arm` on loopback.
 
     Raises:
         SafetyError: the answer is no, or the robot's own controller is in the way or missing.
@@ -141,10 +103,6 @@ def confirm_arming(
 def inspect_for_arming(participant: Participant, plan: Plan) -> ArmingReport:
     """Look at the robot, its motion service and the network; publishes no command.
 
-    Args:
-        participant: of the robot's domain.
-        plan: what is about to be played.
-
     Raises:
         SafetyError: a mode of the motion service is active, which would fight our commands, or with
             `stream.via` = arm_sdk none is.
@@ -162,7 +120,12 @@ def inspect_for_arming(participant: Participant, plan: Plan) -> ArmingReport:
     allowed = kind.allowed(config.safety.mode_machine)
     findings = evaluate(Facts(*where, allowed, host, wire, via=config.stream.via))
     if kind.absent:
-        findings.append(_motor_numbering(kind))
+        cause = (
+            f"On a {kind}, each joint is taken to have the motor number that it has with "
+            f"{N_JOINTS}; no such robot has confirmed this."
+        )
+        play_one = "play one joint first (--joints left_elbow_joint), and see that this one moves."
+        findings.append(warning("motors", cause, f"Hang it, {play_one}"))
     return ArmingReport(
         domain=participant.domain,
         interface=network_name(participant.interface),
@@ -173,15 +136,6 @@ def inspect_for_arming(participant: Participant, plan: Plan) -> ArmingReport:
         limits=config.safety.model_dump(),
         motion_service=service,
         findings=tuple(findings),
-    )
-
-
-def _motor_numbering(kind: JointSet) -> Finding:
-    return warning(
-        "motors",
-        f"On a {kind}, each joint is taken to have the motor number that it has with {N_JOINTS}; "
-        "no such robot has confirmed this.",
-        "Hang it, play one joint first (--joints left_elbow_joint), and see that this one moves.",
     )
 
 

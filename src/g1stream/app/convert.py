@@ -152,7 +152,10 @@ def convert(
     out = Path(out)
     check_suffix(out, "a session file; motion files end in .csv or .npz", ".mcap")
     robot = robot or G1.default()
-    motion = _load(motion, robot, fps)
+    if isinstance(motion, str | Path):
+        motion = load_motion(motion, fps=fps)
+    elif fps is not None:
+        motion = replace(motion, fps=fps)
     start, stop = _frame_range(motion, options.frames)
     first, last = frame_timestamps(options.base_time_ns, (start, stop - 1), motion.fps).tolist()
     transforms = TransformsEncoder(
@@ -191,12 +194,6 @@ def convert(
         counts=writer.counts,
         warnings=warnings,
     )
-
-
-def _load(motion: Motion | str | Path, robot: G1, fps: float | None) -> Motion:
-    if isinstance(motion, str | Path):
-        return load_motion(motion, fps=fps)
-    return motion if fps is None else replace(motion, fps=fps)
 
 
 def _frame_range(motion: Motion, frames: tuple[int | None, int | None]) -> tuple[int, int]:
@@ -284,18 +281,10 @@ def _metadata(motion: Motion, robot: G1, options: Conversion) -> dict[str, Any]:
 
 
 def frame_timestamps(base_ns: int, frames: Iterable[int], fps: float) -> Ints:
-    """Times of frames: base + frame / fps, to the nearest nanosecond, halves up; (T,) int64.
+    """Times of rising frames: base + frame / fps, to the nearest nanosecond, halves up; (T,) int64.
 
     The frame rate is taken as the decimal number that it prints as, so that 29.97 is 2997/100; the
     division is one of whole numbers, so that no rounding adds up however long the motion is.
-
-    Args:
-        base_ns: time of frame 0, ns since the epoch, not negative.
-        frames: frame numbers, not negative, rising.
-        fps: frames per second, above 0.
-
-    Raises:
-        ConfigError: a time lies after the year 2262, where 64 bits end.
     """
     rate = Fraction(repr(float(fps)))
     numerator, denominator = 2 * _NS_PER_S * rate.denominator, 2 * rate.numerator
@@ -309,14 +298,9 @@ def frame_timestamps(base_ns: int, frames: Iterable[int], fps: float) -> Ints:
 
 
 def parse_time(text: str) -> int:
-    """A time as ns since the epoch.
+    """A time as ns since the epoch, of whole nanoseconds or ISO 8601 with a time zone.
 
-    Args:
-        text: whole nanoseconds since 1970-01-01T00:00Z, or ISO 8601 with a time zone, such as
-            `2026-03-01T12:00:00.123456789Z` or `2026-03-01 12:00+01:00`.
-
-    Raises:
-        ConfigError: it is neither, or before 1970 or after 2262.
+    Such as `2026-03-01T12:00:00.123456789Z` or `2026-03-01 12:00+01:00`.
     """
     time = int(text) if _WHOLE.fullmatch(text) else _parse_iso(text)
     if not 0 <= time <= _LAST_NS:

@@ -4,24 +4,20 @@ from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
+from g1stream.analysis.summary import Summary
 from g1stream.app.stream import stream
 from g1stream.child_process import Child
 from g1stream.config import Config
+from g1stream.control.loop import StreamLoop
 from g1stream.dds.domain import DISCOVERY, Participant, is_local_only, is_loopback
 from g1stream.dds.messages import LOWSTATE
 from g1stream.errors import ConfigError, RecordingError, WireError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from g1stream.analysis.summary import Summary
-    from g1stream.control.loop import StreamLoop
-    from g1stream.motion.motion import Motion
-
-__all__ = ["FIGURE", "SESSION", "check_absent", "demo"]
+from g1stream.files import output_errors
+from g1stream.motion.motion import Motion
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -43,21 +39,6 @@ def demo(
     """Play a motion on our own bridge and record it, all on this machine.
 
     Returns the summary of the session; where no command was sent, what the stream counted.
-
-    Args:
-        motion: a motion, a motion file, or the name of a bundled motion.
-        out: directory for session.mcap and tracking.png, the figure of `Session.plot`; made where
-            it is missing.
-        config: all settings; the defaults if left out. Where it sets no domain, the first one from
-            1 on in which nobody publishes a robot's topics.
-        force: replace files that are there already.
-        on_loop: is given the loop before it runs, and the settings with the domain.
-
-    Raises:
-        ConfigError: the domain is not this machine's alone.
-        WireError: there is a robot or simulator in the domain already.
-        RecordingError: a file is there already and `force` is off, or none can be made there.
-        G1StreamError: another setting or the wire does not allow it.
     """
     from g1stream.analysis.plots import draw
     from g1stream.app.session import open_session
@@ -68,7 +49,8 @@ def demo(
     if not force:
         named_anew = config.record.auto_name  # with the time in it
         check_absent(*([] if named_anew else [session_path]), figure_path)
-    _make_directory(out)
+    with output_errors(out):
+        out.mkdir(parents=True, exist_ok=True)
     config = _with_free_domain(config)
     # What is published for ROS 2 is published once, for the stream.
     quiet = config.dds.model_copy(update={"ros_tf": False})
@@ -106,26 +88,13 @@ def _check_local_only(interface: str) -> None:
 
 
 def check_absent(*paths: Path) -> None:
-    """Refuse to replace files.
-
-    Raises:
-        RecordingError: one of them is there.
-    """
+    """Refuse to replace files."""
     for path in paths:
         if path.exists():
             raise RecordingError(
                 f"The file {path} exists already.",
                 "Give --force to replace it, or choose another --out.",
             )
-
-
-def _make_directory(out: Path) -> None:
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RecordingError(
-            f"The directory {out} cannot be created: {error.strerror}.", "Choose another --out."
-        ) from error
 
 
 def _with_free_domain(config: Config) -> Config:

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import logging
 import time
-from contextlib import closing, contextmanager
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final
 
-from g1stream.child_process import optional_child, run_child
+from g1stream.child_process import Parent, optional_child, run_child
 from g1stream.config import Config
 from g1stream.dds.domain import Participant
 from g1stream.dds.messages import TOPICS
@@ -23,18 +24,13 @@ from g1stream.realtime import lower_priority, quick_thread_switches
 from g1stream.recorder.receiver import Receiver
 from g1stream.recorder.recorder import raw_messages
 from g1stream.robot.model import G1
-from g1stream.session.format import CHANNELS
+from g1stream.session.format import CHANNELS, MessageBatch
 from g1stream.view.pipeline import MessagePipeline
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterator
-
     from foxglove.websocket import ChannelView, Client
 
-    from g1stream.child_process import Parent
-    from g1stream.session.format import MessageBatch
-
-__all__ = ["live", "observe"]
+__all__ = ["live"]
 
 #: Programs on other hosts cannot connect.
 _HOST: Final = "127.0.0.1"
@@ -70,13 +66,6 @@ class _Server:
     """The channels of a session file on a WebSocket server, until the process ends.
 
     `WebSocketServer.stop` is never called: it would wait for a client that does not read.
-
-    Args:
-        latched: the messages that every client is sent when it subscribes.
-        port: of the server.
-
-    Raises:
-        ConfigError: the port cannot be opened.
     """
 
     def __init__(self, latched: list[MessageBatch], port: int) -> None:
@@ -129,59 +118,34 @@ class _Server:
         """Called by the SDK."""
 
 
-def observe(
-    config: Config, should_stop: Callable[[], bool]
-) -> Generator[list[MessageBatch], None, None]:
-    """Yield the messages that a recorder on this domain would write, until told to stop.
-
-    Scenes and URDF come first, when samples are already being received; a viewer that joins later
-    needs them too, and `record.channels` raw counts as standard. After that comes a list every
-    `record.batch`, which may be empty. What the caller does with one may take its time: samples are
-    received in a thread of their own.
-
-    Args:
-        config: all settings.
-        should_stop: asked before each list.
-
-    Raises:
-        RobotError: the URDF has a shape that cannot be read.
-        ConfigError: a link of the robot has the name of the world's frame.
-        WireError: DDS does not allow it.
-        RecordingError: samples cannot be received any more.
-    """
+def _run_child(parent: Parent) -> None:
+    """Serve for a parent, whose startup message is the config, what a recorder would write."""
+    lower_priority()
+    # The SDK logs how clients come and go; the viewer shows that itself.
+    logging.getLogger("foxglove").addHandler(logging.NullHandler())
+    config: Config = parent.startup_message
     settings = config.record
     if settings.channels == "raw":  # to keep a file small; viewers would show nothing
         settings = settings.model_copy(update={"channels": "standard"})
     pipeline = MessagePipeline(G1.load(config.robot), settings)
     header = pipeline.file_header(time.time_ns())
-    with Participant(config.dds.domain, config.dds.interface) as participant:
+    with (
+        handled_by(ConsoleHandler(logging.WARNING, "live")),
+        Participant(config.dds.domain, config.dds.interface) as participant,
+        quick_thread_switches(),  # else log times would be late while messages are made
+    ):
         receiver = Receiver(participant, TOPICS)
         receiver.start()
         try:
-            with quick_thread_switches():  # else log times would be late while messages are made
-                yield header
-                while not should_stop():
-                    time.sleep(settings.batch)
-                    batches = receiver.drain()
-                    yield [*raw_messages(batches), *pipeline.encode(batches)]
+            server = _Server(header, config.live_port)
+            parent.ready()
+            while not parent.done.is_set():
+                time.sleep(settings.batch)
+                batches = receiver.drain()
+                for messages in (*raw_messages(batches), *pipeline.encode(batches)):
+                    server.send(messages)
         finally:
             receiver.stop()
-
-
-def _run_child(parent: Parent) -> None:
-    """Serve for a parent: the startup message is the config."""
-    lower_priority()
-    # The SDK logs how clients come and go; the viewer shows that itself.
-    logging.getLogger("foxglove").addHandler(logging.NullHandler())
-    with (
-        handled_by(ConsoleHandler(logging.WARNING, "live")),
-        closing(observe(parent.startup_message, parent.done.is_set)) as lists,
-    ):
-        server = _Server(next(lists), parent.startup_message.live_port)
-        parent.ready()
-        for made in lists:
-            for messages in made:
-                server.send(messages)
 
 
 if __name__ == "__main__":

@@ -5,15 +5,17 @@ from __future__ import annotations
 import logging
 import socket
 import time
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 from uuid import uuid4
 
 from g1stream._version import __version__
 from g1stream.analysis.summarise import summarise_run
-from g1stream.child_process import publishing_for_ros2, run_child
+from g1stream.analysis.summary import Summary
+from g1stream.child_process import Parent, publishing_for_ros2, run_child
 from g1stream.config import Config
 from g1stream.dds.domain import Participant
 from g1stream.dds.messages import COMMANDS, REFERENCE
@@ -25,16 +27,9 @@ from g1stream.recorder.recorder import Recorder
 from g1stream.robot.model import G1
 from g1stream.session.format import CHANNELS
 from g1stream.session.parts import remove_recording
-from g1stream.session.records import SessionInfo
+from g1stream.session.records import RecorderSummary, SessionInfo
 from g1stream.session.writer import SessionWriter, attach_motion
 from g1stream.view.pipeline import MessagePipeline
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    from g1stream.analysis.summary import Summary
-    from g1stream.child_process import Parent
-    from g1stream.session.records import RecorderSummary
 
 __all__ = ["record"]
 
@@ -99,10 +94,7 @@ def record(
         for messages in pipeline.file_header(time.time_ns()):
             writer.write_batch(*messages)
 
-    with (
-        Participant(config.dds.domain, config.dds.interface) as participant,
-        ExitStack() as stack,
-    ):
+    with Participant(config.dds.domain, config.dds.interface) as participant, ExitStack() as stack:
         if not session:  # else the stream has it published
             stack.enter_context(publishing_for_ros2(config, should_stop))
         writer = SessionWriter(

@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from math import isfinite
-from typing import TYPE_CHECKING
+from pathlib import Path
 
-from g1stream.app.arming import require_arming
+from g1stream.analysis.summary import Summary
+from g1stream.app.arming import ArmingReport, require_arming
 from g1stream.app.session import Session, open_session
 from g1stream.app.stream import stream
 from g1stream.config import Config
+from g1stream.control.loop import StreamLoop
 from g1stream.errors import ConfigError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from g1stream.analysis.summary import Summary
-    from g1stream.app.arming import ArmingReport
-    from g1stream.control.loop import StreamLoop
-    from g1stream.motion.motion import Motion
+from g1stream.motion.motion import Motion
 
 __all__ = ["replay"]
 

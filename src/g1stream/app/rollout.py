@@ -5,36 +5,30 @@ from __future__ import annotations
 import logging
 import threading
 from collections import defaultdict
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Final, get_args
+from pathlib import Path
+from typing import Final, get_args
 
 from g1stream._version import __version__
 from g1stream.app.session import Session
 from g1stream.app.sim import make_world
 from g1stream.config import Config, load_config
 from g1stream.control.loop import make_loop
-from g1stream.control.plan import plan
+from g1stream.control.plan import Plan, plan
 from g1stream.dds.log_handler import LogHandler
-from g1stream.dds.messages import LOG, Batch
+from g1stream.dds.messages import LOG, Batch, LowState, Topic
 from g1stream.errors import ConfigError
+from g1stream.motion.motion import Motion
 from g1stream.recorder.recorder import raw_messages
 from g1stream.session.records import RecorderSummary
 from g1stream.session.source import MemorySource
 from g1stream.session.writer import attach_motion
 from g1stream.sim.lockstep import EPOCH, Lockstep
 from g1stream.sim.robot import SimulatedRobot
-from g1stream.types import StreamSupport
+from g1stream.types import FeedForwardKind, StreamSupport, Support
 from g1stream.view.pipeline import MessagePipeline
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
-
-    from g1stream.control.plan import Plan
-    from g1stream.dds.messages import LowState, Topic
-    from g1stream.motion.motion import Motion
-    from g1stream.types import FeedForwardKind, Support
 
 __all__ = ["LATENCY", "rollout"]
 

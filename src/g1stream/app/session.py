@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from g1stream.analysis.summary import Summary
     from g1stream.analysis.tracking import Tracking
     from g1stream.motion.motion import Motion
-    from g1stream.types import Camera, Floats
+    from g1stream.types import Camera
 
 __all__ = ["Session", "open_session"]
 
@@ -84,18 +84,6 @@ class Session(Recording):
         from g1stream.analysis.metrics import metrics
 
         return metrics(self)
-
-    def commanded_torque(self) -> Floats:
-        """(M, 29) N·m, float32, that the newest command asked for at each of the M LowStates.
-
-        nan where it is more than 100 ms old, or where command or state is not finite.
-
-        Raises:
-            RecordingError: there are no states or no commands.
-        """
-        from g1stream.analysis.torque import commanded_torque
-
-        return commanded_torque(self)
 
     def plot(
         self, joints: Sequence[str] | str | None = None, what: Sequence[str] | None = None
@@ -227,8 +215,7 @@ class Session(Recording):
         for name in stream.wire_fields():
             columns |= _by_joint_or_axis(name, getattr(stream, name))
         index = table.to_datetime(stream.publish_time, unit="ns", utc=True)
-        frame: pandas.DataFrame = table.DataFrame(columns, index=index.rename("publish_time"))
-        return frame
+        return table.DataFrame(columns, index=index.rename("publish_time"))
 
     def to_parquet(self, directory: str | os.PathLike[str]) -> list[Path]:
         """Write the tables of all topics: /lowstate into lowstate.parquet, and so on.

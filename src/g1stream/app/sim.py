@@ -8,12 +8,13 @@ import os
 import sys
 import time
 import warnings
+from collections.abc import Callable
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from g1stream.child_process import publishing_for_ros2, run_child
+from g1stream.child_process import Parent, publishing_for_ros2, run_child
 from g1stream.clock import SystemClock
-from g1stream.config import Config
+from g1stream.config import Config, SimConfig
 from g1stream.dds.domain import Participant
 from g1stream.dds.log_handler import dds_log_handler
 from g1stream.errors import SimError
@@ -22,18 +23,10 @@ from g1stream.realtime import describe, on_time
 from g1stream.robot.model import G1
 from g1stream.sim.bridge import Bridge
 from g1stream.sim.model import BASE_BODY
-from g1stream.sim.robot import SimulatedRobot
+from g1stream.sim.robot import SimReport, SimulatedRobot
 from g1stream.sim.world import World
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from g1stream.child_process import Parent
-    from g1stream.config import SimConfig
-    from g1stream.sim.robot import SimReport
-    from g1stream.sim.world import World
-
-__all__ = ["follow", "make_world", "open_viewer", "physics_timestep", "simulate"]
+__all__ = ["follow", "make_world", "open_viewer", "simulate"]
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -67,7 +60,12 @@ def simulate(
         participant = stack.enter_context(Participant(config.dds.domain, config.dds.interface))
         stack.enter_context(handled_by(dds_log_handler(participant, "sim")))
         stack.enter_context(publishing_for_ros2(config, should_stop))
-        view = _viewer(world, stack) if settings.viewer else None
+        window: Any = stack.enter_context(open_viewer(world)) if settings.viewer else None
+
+        def view() -> bool:
+            window.sync()
+            return bool(window.is_running())
+
         robot = SimulatedRobot(world, settings, mode_machine=model.joint_set.mode_machine)
         bridge = Bridge(
             participant,
@@ -76,7 +74,7 @@ def simulate(
             SystemClock(),
             model=model.name,
             onboard=settings.onboard,
-            view=view,
+            view=view if window else None,
         )
         granted = stack.enter_context(on_time(_priority(config)))
         on_ready()
@@ -107,37 +105,11 @@ def _priority(config: Config) -> int:
 
 
 def make_world(robot: G1, settings: SimConfig) -> World:
-    """The simulated robot as the settings have it.
-
-    Raises:
-        SimError: the robot cannot be simulated.
-    """
-    return World(
-        robot,
-        settings.support,
-        self_collision=settings.self_collision,
-        timestep=physics_timestep(settings.rate),
-    )
-
-
-def physics_timestep(rate: float) -> float:
-    """The largest physics step of a millisecond or less that divides the period of LowState."""
-    return 1.0 / (rate * math.ceil(1000.0 / rate))
-
-
-def _viewer(world: World, stack: ExitStack) -> Callable[[], bool]:
-
-    window = stack.enter_context(open_viewer(world))
-
-    def view() -> bool:
-        window.sync()
-        return bool(window.is_running())
-
-    return view
-
-
-if __name__ == "__main__":
-    run_child(_run_child)
+    """The simulated robot as the settings have it."""
+    # The largest step of a millisecond or less that divides the period of LowState.
+    timestep = 1.0 / (settings.rate * math.ceil(1000.0 / settings.rate))
+    collides = settings.self_collision
+    return World(robot, settings.support, self_collision=collides, timestep=timestep)
 
 
 _REMEDY = "Run it on a desktop, or without the viewer."
@@ -149,9 +121,6 @@ def open_viewer(world: World) -> Any:
     The window shows the world at the last `sync()`, which copies it and should be called some 50
     times a second, from the thread that steps. `is_running()` is False once the user has closed
     the window; `close()` closes it.
-
-    Raises:
-        SimError: there is no display, or no OpenGL on it.
     """
     _check_display()
     from mujoco import viewer
@@ -192,3 +161,7 @@ def _check_display() -> None:
         glfw.terminate()
     if not shown:
         raise SimError("MuJoCo's viewer needs a display with OpenGL, and none was found.", _REMEDY)
+
+
+if __name__ == "__main__":
+    run_child(_run_child)

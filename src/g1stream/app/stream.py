@@ -4,46 +4,37 @@ from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from g1stream.analysis.summarise import summarise_run
-from g1stream.analysis.summary import Termination
-from g1stream.app.arming import confirm_arming, require_arming
+from g1stream.analysis.summary import Summary, Termination
+from g1stream.app.arming import ArmingReport, confirm_arming, require_arming
 from g1stream.app.session import open_session
 from g1stream.child_process import Child, ChildError, publishing_for_ros2
 from g1stream.clock import SystemClock
-from g1stream.config import Config
+from g1stream.config import Config, RecordConfig
 from g1stream.control.guard import Guard
 from g1stream.control.link import DdsLink
-from g1stream.control.loop import make_loop
-from g1stream.control.plan import plan
+from g1stream.control.loop import StreamLoop, make_loop
+from g1stream.control.plan import Plan, plan
+from g1stream.control.report import LoopReport
 from g1stream.dds.domain import DISCOVERY, Participant
 from g1stream.dds.log_handler import dds_log_handler
 from g1stream.dds.messages import LOWCMD
+from g1stream.doctor.facts import Finding
 from g1stream.doctor.findings import explain_no_robot
 from g1stream.doctor.inspection import inspect_participant
 from g1stream.errors import G1StreamError, SafetyError, WireError
 from g1stream.events import handled_by
 from g1stream.files import timestamped
+from g1stream.motion.motion import Motion
 from g1stream.realtime import describe, on_time
 from g1stream.session.parts import check_recording_path
-from g1stream.session.records import MotionInfo, RecorderSummary
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from g1stream.analysis.summary import Summary
-    from g1stream.app.arming import ArmingReport
-    from g1stream.config import RecordConfig
-    from g1stream.control.loop import StreamLoop
-    from g1stream.control.plan import Plan
-    from g1stream.control.report import LoopReport
-    from g1stream.doctor.facts import Finding
-    from g1stream.motion.motion import Motion
-    from g1stream.session.records import StreamSummary
+from g1stream.session.records import MotionInfo, RecorderSummary, StreamSummary
 
 __all__ = ["stream"]
 
@@ -158,9 +149,6 @@ class _RecorderChild:
 
     If it fails while the motion is played, that is logged at once, and ends the motion if
     `safety.require_record` is set.
-
-    Raises:
-        ChildError: it cannot record.
     """
 
     def __init__(self, path: Path, force: bool, planned: Plan, loop: StreamLoop) -> None:
@@ -190,9 +178,6 @@ class _RecorderChild:
         """End the recording, and return its summary; if the recorder failed, only why.
 
         A signal that comes meanwhile ends the recorder at once.
-
-        Args:
-            stream: for the file's metadata.
         """
         summary: RecorderSummary
         final = {"stream": stream.model_dump(mode="json"), "stopped": self._failure}

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TextIO
 
 from g1stream.cli.flags import flag
+from g1stream.errors import ConfigError
 from g1stream.text import printable
 
 if TYPE_CHECKING:
@@ -18,24 +19,6 @@ if TYPE_CHECKING:
 
     from g1stream.analysis.summary import Summary
     from g1stream.config import Config
-
-__all__ = [
-    "EXIT_BAD_INPUT",
-    "EXIT_OK",
-    "EXIT_STOPPED",
-    "Command",
-    "SettingsCommand",
-    "announce_wire",
-    "confirmed",
-    "exit_code",
-    "exit_code_of_signal",
-    "on_signals",
-    "print_json",
-    "print_lines",
-    "print_summary",
-    "print_warning",
-    "yes_flag",
-]
 
 EXIT_OK, EXIT_STOPPED, EXIT_BAD_INPUT = 0, 1, 2
 
@@ -73,17 +56,11 @@ class SettingsCommand(Command):
     settings: dict[str, Any] = field(default_factory=dict)
 
     config: str | None = flag(
-        None,
-        "File with settings, or a name: robot, sim. Flags override it.",
-        "TOML",
+        None, "File with settings, or a name: robot, sim. Flags override it.", "TOML"
     )
 
     def resolve(self) -> Config:
-        """The config file, if any, with the flags over it.
-
-        Raises:
-            ConfigError: the file or a value does not fit.
-        """
+        """The config file, if any, with the flags over it."""
         from g1stream.config import load_config
 
         return load_config(self.config, self.overrides())
@@ -93,13 +70,41 @@ class SettingsCommand(Command):
         return dict(self.settings)
 
 
-def announce_wire(config: Config, *, commands: bool = True) -> None:
-    """Print on standard error where on DDS this goes; with a warning, where a robot may be.
+@dataclass(frozen=True, kw_only=True)
+class LiveCommand(SettingsCommand):
+    """A subcommand that can serve what it does to a viewer."""
 
-    Args:
-        config: where.
-        commands: whether what is published moves a robot.
-    """
+    # The port has a flag of its own: in `stream --live dance.csv` the motion would be taken for it.
+    live: bool = flag(
+        False,
+        "Serve what is on the DDS domain to Foxglove and Lichtblick on this machine "
+        "(extra `live`).",
+    )
+
+    def resolve(self) -> Config:
+        """The config file, if any, with the flags over it."""
+        if not self.live and "live_port" in self.settings:
+            raise ConfigError(
+                "The flag --live-port has no effect without --live.", "Add --live, or leave it out."
+            )
+        return super().resolve()
+
+    @contextmanager
+    def serving(self, config: Config) -> Iterator[None]:
+        """Serve for the length of a `with`, if asked to, and print the address to open."""
+        if not self.live:
+            yield
+            return
+        from g1stream.app.live import live
+
+        with live(config) as address:
+            where = f"Open connection > Foxglove WebSocket > {address}"
+            print(f"Live in Foxglove and Lichtblick: {where}", file=sys.stderr)
+            yield
+
+
+def announce_wire(config: Config, *, commands: bool = True) -> None:
+    """Print on standard error where on DDS this goes; with a warning, where a robot may be."""
     from g1stream.dds.domain import is_local_only
     from g1stream.dds.messages import COMMANDS
 
@@ -121,18 +126,7 @@ def yes_flag() -> Any:
 
 
 def confirmed(interface: str, yes: str | None) -> bool:
-    """Whether the user wants to command what is on an interface: asks on the terminal.
-
-    Args:
-        interface: what has to be typed.
-        yes: confirmation that was given beforehand, by `yes_flag`.
-
-    Raises:
-        ConfigError: `yes` names another interface, or there is no terminal to ask on.
-        SystemExit: a signal came instead of an answer; its code is 128 + n.
-    """
-    from g1stream.errors import ConfigError
-
+    """Whether the user wants to command what is on an interface: asks on the terminal."""
     if yes is not None:
         if yes == interface:
             return True

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import signal
 import sys
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -13,13 +12,14 @@ from g1stream.cli.command import (
     EXIT_OK,
     EXIT_STOPPED,
     exit_code_of_signal,
+    on_signals,
     print_json,
     print_lines,
     print_warning,
 )
 from g1stream.cli.flags import argument, flag, flag_name
 from g1stream.cli.motion_flags import MOTIONS, MotionFlags
-from g1stream.cli.progress import ProgressDisplay
+from g1stream.cli.progress import showing_progress
 from g1stream.errors import ConfigError
 from g1stream.files import check_not_input, is_session
 from g1stream.optional import extension
@@ -28,19 +28,10 @@ from g1stream.text import counted
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from g1stream.app.convert import ConvertReport
-
-__all__ = ["Convert"]
 
 #: Flags that go with --ros2, and with a motion file as output, those of the motion aside.
 _OF_ROS2: Final = {"files", "ros2", "compression", "force", "json"}
-_OF_MOTION_FILE: Final = {
-    "files",
-    "frames",
-    "resample",
-    "force",
-    "json",
-}
+_OF_MOTION_FILE: Final = {"files", "frames", "resample", "force", "json"}
 
 
 class _StoppedError(BaseException):
@@ -145,13 +136,8 @@ class Convert(MotionFlags):
             of_motion = {f.name for f in fields(MotionFlags)}
             self._require(_OF_MOTION_FILE | of_motion, f"a motion file ({self.out.name})")
             return self._motion_file()
-        # Checked between chunks: an exception in a signal handler could come between creating the
-        # temporary file and the code that removes it.
-        stopped_by: list[str] = []
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            signal.signal(number, lambda got, _: stopped_by.append(signal.Signals(got).name))
         try:
-            return self._convert(stopped_by)
+            return self._convert()
         except _StoppedError as stopped:
             print(f"\nStopped by {stopped}; nothing was written.", file=sys.stderr)
             return exit_code_of_signal(str(stopped)) or EXIT_STOPPED
@@ -184,16 +170,17 @@ class Convert(MotionFlags):
             print_lines(f"{path}: {counted(motion.n_frames, 'frame')} at {motion.fps:g} fps")
         return EXIT_OK
 
-    def _convert(self, stopped_by: list[str]) -> int:
-        done = 0.0
+    def _convert(self) -> int:
+        # Checked between chunks: an exception in a signal handler could come between creating the
+        # temporary file and the code that removes it.
+        stopped: list[str] = []
+        with on_signals(stopped.append), showing_progress() as progress:
 
-        def on_progress(fraction: float) -> None:
-            nonlocal done
-            if stopped_by:
-                raise _StoppedError(stopped_by[0])
-            done = fraction
+            def on_progress(fraction: float) -> None:
+                if stopped:
+                    raise _StoppedError(stopped[0])
+                progress("converted", fraction)
 
-        with ProgressDisplay(lambda: (done, f"{100 * done:3.0f} %")):
             make = self._ros2_bag if self.ros2 else self._session_file
             about, text, warnings = make(on_progress)
         for warning in warnings:
@@ -243,13 +230,13 @@ class Convert(MotionFlags):
         )
         robot = G1.load(self.urdf)
         report = convert(
-            self.load(self.motions, robot),
-            self.out,
-            options,
-            robot=robot,
-            on_progress=on_progress,
+            self.load(self.motions, robot), self.out, options, robot=robot, on_progress=on_progress
         )
-        return report.as_dict(), _summary(report), report.warnings
+        text = (
+            f"{report.path}: {counted(report.frames, 'frame')} at {report.rate:g} Hz, "
+            f"{(report.end_ns - report.start_ns) / 1e9:.2f} s, {report.size / 1e6:.1f} MB"
+        )
+        return report.as_dict(), text, report.warnings
 
 
 def _frames(text: str) -> tuple[int | None, int | None]:
@@ -260,10 +247,3 @@ def _frames(text: str) -> tuple[int | None, int | None]:
         )
     first, behind = (int(number) if number else None for number in match.groups())
     return first, behind
-
-
-def _summary(report: ConvertReport) -> str:
-    return (
-        f"{report.path}: {counted(report.frames, 'frame')} at {report.rate:g} Hz, "
-        f"{(report.end_ns - report.start_ns) / 1e9:.2f} s, {report.size / 1e6:.1f} MB"
-    )

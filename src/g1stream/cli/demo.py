@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from g1stream.cli.command import exit_code, print_summary, print_warning
+from g1stream.cli.command import LiveCommand, exit_code, print_summary, print_warning
 from g1stream.cli.flags import flag
-from g1stream.cli.live import LiveCommand
 from g1stream.cli.main import load_command
 from g1stream.cli.motion_flags import MOTION, MotionFlags
 from g1stream.cli.stream import playing
@@ -19,8 +18,6 @@ from g1stream.errors import ConfigError
 if TYPE_CHECKING:
     from g1stream.config import Config
     from g1stream.control.loop import StreamLoop
-
-__all__ = ["Demo"]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     from g1stream.doctor.facts import Finding
 
-__all__ = ["Doctor", "render"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Doctor(SettingsCommand):

@@ -13,8 +13,6 @@ from g1stream.errors import ConfigError
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-__all__ = ["FailIf"]
-
 _OPERATORS: Final = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}
 _FORM: Final = re.compile(
     r"\s*([\w.]+)\s*([<>]=?)\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)\s*(\*\s*base)?\s*",
@@ -33,16 +31,7 @@ class FailIf(NamedTuple):
 
     @classmethod
     def parse(cls, text: str, names: Sequence[str], with_base: Sequence[str] = ()) -> FailIf:
-        """Read a condition.
-
-        Args:
-            text: the condition.
-            names: what it can name.
-            with_base: those of them that have a base.
-
-        Raises:
-            ConfigError: it is of another form, names something else, or a base that is not there.
-        """
+        """Read a condition."""
         match = _FORM.fullmatch(text)
         if not match or not isfinite(number := float(match[3])):
             remedy = "Give NAME OP NUMBER with OP one of < <= > >=, such as 'rmse > 0.02'"
@@ -52,9 +41,11 @@ class FailIf(NamedTuple):
         if name not in names:
             close = ", ".join(get_close_matches(name, names))
             meant = f"Close matches: {close}. " * bool(close)
+            whole = ", ".join(one for one in names if "." not in one)
+            joint = "" if whole.count(",") == len(names) - 1 else f", or one such as {names[-1]}"
             raise ConfigError(
                 f"The condition {text!r:.200} names {name}, which is not known here.",
-                f"{meant}Choose from {_listed(names)}.",
+                f"{meant}Choose from {whole}{joint}.",
             )
         if of_base and name not in with_base:
             raise ConfigError(
@@ -69,15 +60,3 @@ class FailIf(NamedTuple):
         if value is None or factor is None or not (isfinite(value) and isfinite(factor)):
             return None
         return self.holds_for(value, self.number * factor)
-
-
-def _listed(names: Sequence[str]) -> str:
-    """The names, of those with a dot only how many there are and two of them."""
-    parts: dict[str, list[str]] = {}
-    for name in names:
-        metric, dot, _ = name.partition(".")
-        if dot:
-            parts.setdefault(metric, []).append(name)
-    whole = ", ".join(name for name in names if "." not in name)
-    several = (f"; {len(of)} such as {of[0]} and {of[-1]}" for of in parts.values())
-    return whole + "".join(several)

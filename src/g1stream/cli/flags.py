@@ -38,8 +38,6 @@ if TYPE_CHECKING:
 
     from pydantic.fields import FieldInfo
 
-__all__ = ["argument", "flag", "flag_name", "parse_flags"]
-
 CommandT = TypeVar("CommandT")
 
 
@@ -67,16 +65,10 @@ def flag(
     gt: float | None = None,
     aliases: tuple[str, ...] = (),
 ) -> Any:
-    """A flag of a command, as a field of its dataclass.
+    """A flag of a command, as a field of its dataclass; MISSING as its default must be given.
 
-    Args:
-        default: without the flag; MISSING for one that must be given.
-        text: its help.
-        metavar: what stands for its value in the help.
-        shown: the default, in words where it needs some.
-        positional: whether it is given by position, without its name.
-        gt: the value must be greater than this.
-        aliases: other names, such as `-o`.
+    `metavar` stands for its value in the help, and `shown` for its default; `positional`: it is
+    given without its name; `gt`: its value is greater than this; `aliases`: such as `-o`.
     """
     required = default is MISSING
     if not shown and default not in (None, False, MISSING):
@@ -108,14 +100,10 @@ def parse_flags(
 ) -> CommandT:
     """Make a command of its arguments; ends the process on --help.
 
-    Args:
-        kind: the command's class, a dataclass with a `flag` or an `argument` in each field. Its
-            docstring is shown below the flags, its paragraphs wrapped. One with the field
-            `settings` also gets a flag for each setting that has one on this command; the field
-            holds those that were given, keyed like `stream.rate`.
-        name: as the user writes it.
-        purpose: one sentence.
-        arguments: what follows the name.
+    The class `kind` is a dataclass with a `flag` or an `argument` in each field; its docstring is
+    shown below the flags, its paragraphs wrapped. One with the field `settings` also gets a flag
+    for each setting that has one on this command; the field holds those that were given, keyed like
+    `stream.rate`.
 
     Raises:
         ConfigError: a flag or an argument that does not exist or is missing, or a value that its
@@ -165,12 +153,7 @@ class _Parser(ArgumentParser):
         self._usage = [f"g1stream {command} [-h] [OPTIONS]"]
 
     def add_flag(
-        self,
-        group: _ActionsContainer,
-        key: str,
-        option: _Option,
-        kind: Any,
-        default: Any = None,
+        self, group: _ActionsContainer, key: str, option: _Option, kind: Any, default: Any = None
     ) -> None:
         """Add a flag, or a positional argument, whose value is of a type.
 

@@ -8,8 +8,6 @@ from pathlib import Path
 from g1stream.cli.command import EXIT_OK, Command, print_summary
 from g1stream.cli.flags import argument, flag
 
-__all__ = ["Info"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Info(Command):

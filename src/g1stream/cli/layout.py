@@ -10,8 +10,6 @@ from typing import Final, Literal
 from g1stream.cli.command import EXIT_OK, Command
 from g1stream.cli.flags import argument, flag
 
-__all__ = ["Layout"]
-
 #: By viewer: the file's name, and how to load it.
 _VIEWERS: Final = {
     "foxglove": ("g1stream-foxglove.json", "Layouts menu > Import from file."),
@@ -51,14 +49,9 @@ class Layout(Command):
     def run(self) -> int:
         """Write the layout, and return the exit code."""
         from g1stream.analysis.tracking import worst_joints
-        from g1stream.errors import ConfigError
-        from g1stream.files import complete_file
+        from g1stream.files import complete_file, output_errors
         from g1stream.session.recording import open_recording
-        from g1stream.view.layouts import (
-            DEFAULT_JOINTS,
-            foxglove_layout,
-            plotjuggler_layout,
-        )
+        from g1stream.view.layouts import DEFAULT_JOINTS, foxglove_layout, plotjuggler_layout
 
         joints: tuple[str, ...] = DEFAULT_JOINTS
         if self.session:
@@ -69,13 +62,8 @@ class Layout(Command):
             content = json.dumps(foxglove_layout(joints), indent=1).encode() + b"\n"
         name, how = _VIEWERS[self.viewer]
         path = self.dir / name
-        try:
+        with output_errors(self.dir):
             self.dir.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise ConfigError(
-                f"The directory {self.dir} cannot be created: {error.strerror}.",
-                "Choose another directory with --dir.",
-            ) from error
         with complete_file(path, force=self.force) as temporary:
             temporary.write_bytes(content)
         print(f"{path}\n{how}")

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
     from g1stream.cli.command import Command
 
-__all__ = ["COMMANDS", "load_command", "main"]
-
 
 class _Row(NamedTuple):
     """A command.
@@ -54,7 +52,7 @@ COMMANDS: Final = {
         ),
         "library": (
             "extras.library.library_cli:Library",
-            "Check, simulate or convert many motions at once.",
+            "Check or simulate many motions at once.",
         ),
         "info": ("cli.info:Info", "Print what is in a session file, and how well it went."),
         "report": (
@@ -70,10 +68,7 @@ COMMANDS: Final = {
             "cli.render:Render",
             "Make a video of a session: the robot, and its reference as a ghost.",
         ),
-        "repair": (
-            "cli.repair:Repair",
-            "Write the index of a session whose recorder was killed.",
-        ),
+        "repair": ("cli.repair:Repair", "Write the index of a session whose recorder was killed."),
         "layout": ("cli.layout:Layout", "Write a layout of a viewer that shows sessions."),
         "motion": ("cli.motion:Inspect", "Check a motion file: frames, joints, limits."),
         "physics": (
@@ -112,14 +107,7 @@ exit codes:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command.
-
-    Args:
-        arguments: what follows `g1stream`; the process's own if left out.
-
-    Returns:
-        The exit code: 0 as asked, 1 stopped, 2 bad input, 128 + n after signal n.
-    """
+    """Run a command."""
     # Our matrices are small; a pool of BLAS threads would only cost every start 50 ms of CPU.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     arguments = sys.argv[1:] if arguments is None else list(arguments)
@@ -134,6 +122,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 128 + signal.SIGINT
     except G1StreamError as error:
         print(_error_text(error), file=sys.stderr)
+        return 2
+    except Exception:
+        if not (fault := _fault_of_cyclonedds()):
+            raise
+        print(_error_text(fault), file=sys.stderr)
         return 2
     finally:
         output.flush()
@@ -182,6 +175,19 @@ class _Output:
                 os.dup2(nothing.fileno(), self.stream.fileno())
 
 
+def _fault_of_cyclonedds() -> G1StreamError | None:
+    """Why all that needs DDS fails; None where cyclonedds can be imported."""
+    try:
+        import_module("cyclonedds.core")
+    except Exception as error:  # its own, where it does not find its library
+        return ConfigError(
+            f"cyclonedds, which DDS needs, cannot be imported: {error}.",
+            "Install it: pip install 'cyclonedds>=0.10.2,<12'; where it is installed, a "
+            "LD_LIBRARY_PATH or CYCLONEDDS_HOME, as ROS 2 sets them, may lead to another library.",
+        )
+    return None
+
+
 def _error_text(error: G1StreamError) -> str:
     """Cause and remedy: wrapped on a terminal; elsewhere a line each, for scripts to search."""
     lines = [f"error: {error.cause}", f"       {error.remedy}"]
@@ -212,8 +218,7 @@ def _run(arguments: Sequence[str]) -> int:
         raise ConfigError(f"There is no command {name}.", f"Choose from {', '.join(close)}.")
     from g1stream.cli.flags import parse_flags
 
-    code: int = parse_flags(load_command(name), name, COMMANDS[name].purpose, rest).run()
-    return code
+    return parse_flags(load_command(name), name, COMMANDS[name].purpose, rest).run()
 
 
 def load_command(name: str) -> type[Command]:

@@ -8,8 +8,6 @@ from pathlib import Path
 from g1stream.cli.command import EXIT_OK, Command
 from g1stream.cli.flags import argument, flag
 
-__all__ = ["Plot"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Plot(Command):

@@ -24,14 +24,6 @@ if TYPE_CHECKING:
     from g1stream.recorder.recorder import Recorder
     from g1stream.sim.robot import SimReport
 
-__all__ = [
-    "ProgressDisplay",
-    "RecorderStatus",
-    "loop_status",
-    "showing_progress",
-    "sim_status",
-]
-
 _PERIOD_S: Final = 0.1
 _JOIN_TIMEOUT_S: Final = 1.0
 _BAR: Final = 20

@@ -9,22 +9,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from g1stream.cli.command import (
-    announce_wire,
-    exit_code,
-    on_signals,
-    print_summary,
-)
+from g1stream.cli.command import LiveCommand, announce_wire, exit_code, on_signals, print_summary
 from g1stream.cli.flags import argument, flag
-from g1stream.cli.live import LiveCommand
 from g1stream.cli.progress import ProgressDisplay, RecorderStatus
 from g1stream.events import ConsoleHandler, handled_by
 from g1stream.realtime import lower_priority
 
 if TYPE_CHECKING:
     from g1stream.recorder.recorder import Recorder
-
-__all__ = ["Record"]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from g1stream.cli.command import EXIT_OK, Command
 from g1stream.cli.flags import argument, flag
-from g1stream.cli.progress import ProgressDisplay
+from g1stream.cli.progress import showing_progress
 from g1stream.errors import ConfigError
 from g1stream.optional import extension
 from g1stream.text import counted
 from g1stream.types import Camera
-
-__all__ = ["Render", "parse_size"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,14 +47,8 @@ class Render(Command):
         """Write the video, and return the exit code."""
         from g1stream.app.session import open_session
 
-        done = 0.0
-
-        def progress(fraction: float) -> None:
-            nonlocal done
-            done = fraction
-
         started = time.monotonic()
-        with ProgressDisplay(lambda: (done, f"{100 * done:3.0f} %")):
+        with showing_progress() as progress:
             video = extension("render")(
                 open_session(self.session),
                 self.out,
@@ -65,7 +58,7 @@ class Render(Command):
                 size=parse_size(self.size),
                 camera=self.camera,
                 force=self.force,
-                progress=progress,
+                progress=partial(progress, "rendered"),
             )
         took = time.monotonic() - started
         print(
@@ -76,11 +69,7 @@ class Render(Command):
 
 
 def parse_size(text: str) -> tuple[int, int]:
-    """Width and height of a size such as `640x480`.
-
-    Raises:
-        ConfigError: it is none.
-    """
+    """Width and height of a size such as `640x480`."""
     width, _, height = text.partition("x")
     if not (width.isascii() and width.isdigit() and height.isascii() and height.isdigit()):
         raise ConfigError(f"{text} is not a size.", "Give width and height such as 640x480.")

@@ -9,8 +9,6 @@ from g1stream.cli.command import EXIT_OK, Command, print_lines
 from g1stream.cli.flags import argument
 from g1stream.text import counted
 
-__all__ = ["Repair"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Repair(Command):

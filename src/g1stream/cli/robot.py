@@ -6,21 +6,13 @@ import sys
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Literal
 
-from g1stream.cli.command import (
-    EXIT_OK,
-    SettingsCommand,
-    confirmed,
-    print_json,
-    yes_flag,
-)
+from g1stream.cli.command import EXIT_OK, SettingsCommand, confirmed, print_json, yes_flag
 from g1stream.cli.flags import argument, flag
 from g1stream.errors import ConfigError, SafetyError
 from g1stream.events import ConsoleHandler, handled_by
 
 if TYPE_CHECKING:
     from g1stream.config import Config
-
-__all__ = ["Robot"]
 
 Action = Literal["status", "release", "restore"]
 
@@ -31,7 +23,7 @@ class Robot(SettingsCommand):
 
     That controller publishes rt/lowcmd too, so that it has to be released before a motion is
     streamed. status: form and active mode. release: ends the mode; the robot goes limp, so support
-    it first. restore: starts the mode that was released here, or MODE.
+    it first, and prints how to restore the mode. restore: starts MODE.
 
     Anything but loopback has to be confirmed: on the terminal, or by --yes INTERFACE.
 
@@ -47,13 +39,7 @@ class Robot(SettingsCommand):
     """
 
     action: Action = argument("What to do.", "ACTION")
-    mode: str | None = flag(
-        None,
-        "Mode to restore, such as ai.",
-        "MODE",
-        shown="the one that was released here",
-        positional=True,
-    )
+    mode: str | None = flag(None, "Mode to restore, such as ai.", "MODE", positional=True)
     timeout: float = flag(5.0, "Longest wait for an answer, discovery included.", "S", gt=0)
     yes: str | None = yes_flag()
     json: bool = flag(False, "Print the status as JSON on standard output.")
@@ -75,6 +61,8 @@ class Robot(SettingsCommand):
         }
         for name in filter(unused.get, unused):
             raise ConfigError(f"{name} has no effect on robot {self.action}.", "Leave it out.")
+        if self.action == "restore" and not self.mode:
+            raise ConfigError("The mode to restore is missing.", "Name it, such as ai.")
 
     def _status(self, config: Config) -> int:
         from g1stream.app.motion_service import onboard_status
@@ -100,8 +88,9 @@ class Robot(SettingsCommand):
                     "It was not confirmed; nothing was done.",
                     "Run it again, and type the name of the interface.",
                 )
-        if self.action == "restore":
-            print(f"mode {restore_mode(config.dds, self.mode, self.timeout)} is active")
+        if self.mode:
+            restore_mode(config.dds, self.mode, self.timeout)
+            print(f"mode {self.mode} is active")
         elif released := release_mode(config.dds, self.timeout):
             print(
                 f"mode {released} is released; restore it with: g1stream robot restore {released}"

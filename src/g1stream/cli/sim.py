@@ -9,20 +9,18 @@ from typing import TYPE_CHECKING
 
 from g1stream.cli.command import (
     EXIT_OK,
+    LiveCommand,
     announce_wire,
     on_signals,
     print_json,
     print_lines,
 )
 from g1stream.cli.flags import flag
-from g1stream.cli.live import LiveCommand
 from g1stream.cli.progress import ProgressDisplay, sim_status
 from g1stream.events import ConsoleHandler, handled_by
 
 if TYPE_CHECKING:
     from g1stream.sim.robot import SimReport
-
-__all__ = ["Sim", "render"]
 
 _SUPPORT = {
     "bolted": "its pelvis bolted to the world",
@@ -74,10 +72,7 @@ class Sim(LiveCommand):
                 stack.enter_context(ProgressDisplay(lambda: sim_status(report)))
 
             report = simulate(
-                config,
-                should_stop=lambda: bool(stopped),
-                on_ready=on_ready,
-                on_report=on_report,
+                config, should_stop=lambda: bool(stopped), on_ready=on_ready, on_report=on_report
             )
         if self.json:
             print_json(asdict(report))

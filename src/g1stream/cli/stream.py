@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import logging
+import sys
+import textwrap
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
-from g1stream.cli.arming import arming
 from g1stream.cli.command import (
+    LiveCommand,
     announce_wire,
+    confirmed,
     exit_code,
     on_signals,
+    print_lines,
     print_summary,
     print_warning,
     yes_flag,
 )
+from g1stream.cli.doctor import render as render_findings
 from g1stream.cli.flags import argument, flag, flag_name
-from g1stream.cli.live import LiveCommand
 from g1stream.cli.motion_flags import MOTIONS, MotionFlags
 from g1stream.cli.progress import ProgressDisplay, loop_status
 from g1stream.errors import ConfigError
@@ -28,11 +32,53 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from g1stream.analysis.summary import Summary
+    from g1stream.app.arming import ArmingReport
     from g1stream.config import Config
     from g1stream.control.loop import StreamLoop
     from g1stream.motion.motion import Motion
 
-__all__ = ["PlayCommand", "Replay", "Stream", "playing"]
+#: Of the report before the question.
+_WIDTH: Final = 98
+
+
+def arming(arm: bool, yes: str | None) -> Callable[[ArmingReport], bool] | None:
+    """What `stream` calls to be armed; None without --arm."""
+    if not arm:
+        if yes is not None:
+            raise ConfigError("The flag --yes has no effect without --arm.", "Add --arm.")
+        return None
+
+    def ask(report: ArmingReport) -> bool:
+        print_lines(render_arming(report), sys.stderr)
+        return confirmed(report.interface, yes)
+
+    return ask
+
+
+def render_arming(report: ArmingReport) -> str:
+    """What is about to happen, as text."""
+    worst = report.furthest
+    limits = ", ".join(f"{name} = {value}" for name, value in report.limits.items())
+    lines = [
+        f"ARMING: domain {report.domain} on {report.interface}",
+        f"pose: pelvis tilted by {report.tilt:.2f} rad",
+        "to the first frame:",
+    ]
+    for limb in report.limbs:
+        kp, kd = (f"{low:g} to {high:g}" for low, high in (limb.kp, limb.kd))
+        lines.append(f"  {limb.limb:<10} {limb.distance:+.2f} rad  {limb.joint}, kp {kp}, kd {kd}")
+    service = report.motion_service
+    said = f"{service.about}: {service.cause}"
+    if service.remedy:  # a warning stands right above the question
+        said = textwrap.fill(f"WARNING: {service.cause} {service.remedy}", _WIDTH)
+    lines += [
+        f"  furthest   {worst.distance:+.2f} rad  {worst.joint}",
+        f"ramp: {report.ramp:.1f} s, at up to {report.peak_speed:.2f} rad/s",
+        textwrap.fill(f"limits: {limits}", _WIDTH, subsequent_indent="  "),
+        render_findings(report.findings),
+        said,
+    ]
+    return "\n".join(lines)
 
 
 @contextmanager
@@ -96,11 +142,7 @@ class PlayCommand(LiveCommand):
     json: bool = flag(False, "Print the summary as JSON on standard output.")
 
     def resolve(self) -> Config:
-        """The config file, if any, with the flags over it.
-
-        Raises:
-            ConfigError: the file or a value does not fit, or a flag has no effect.
-        """
+        """The config file, if any, with the flags over it."""
         if self.record is None:
             for_recording = [
                 name

@@ -36,7 +36,7 @@ from g1stream.dds.layout import Layout
 from g1stream.dds.log_handler import dds_log_handler
 from g1stream.dds.messages import COMMANDS, LowCmd
 from g1stream.errors import ConfigError, SafetyError
-from g1stream.events import ConsoleHandler, handled_by
+from g1stream.events import GUARD, ConsoleHandler, handled_by
 from g1stream.realtime import allow_all_cpus, on_time
 
 if TYPE_CHECKING:
@@ -46,7 +46,6 @@ if TYPE_CHECKING:
     from g1stream.config import Config
 
 __all__ = [
-    "LOG_NAME",
     "Guard",
     "Heartbeat",
     "Takeover",
@@ -56,9 +55,6 @@ __all__ = [
 ]
 
 _LOGGER = logging.getLogger("g1stream.guard")  # as a child process, this module is __main__
-
-LOG_NAME: Final = "guard"
-"""The guard process logs under this name, and only when it damps."""
 
 #: Silence after which the guard looks whether the stream is stopped or gone, ns.
 _STATE_CHECK: Final = 20_000_000
@@ -414,7 +410,7 @@ def _run_child(parent: Parent) -> None:
     with Participant(settings.domain, settings.interface) as participant:
         topic = COMMANDS["arm_sdk" if settings.arm_sdk else "lowcmd"]
         commands = RawWriter(participant, topic, user_data=IDLE)
-        events = dds_log_handler(participant, LOG_NAME)
+        events = dds_log_handler(participant, GUARD)
         with handled_by(events, ConsoleHandler()), on_time(settings.priority):
             parent.ready()
             subscribers = partial(count_subscribers, participant, commands)

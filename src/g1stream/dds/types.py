@@ -1,12 +1,16 @@
 """The types of the robot's topics as cyclonedds classes, kept in step with idl/ by a test.
 
 They exist to give topics their names and type information, and to derive the fixed layouts from.
-No sample is ever built from them: see `g1stream.dds.endpoints`.
+No sample is ever built from them: see `g1stream.dds.endpoints`. Where cyclonedds cannot be
+imported, plain classes give the layouts, with which files can be read.
 """
 
 from typing import Any, Final
 
-from cyclonedds.idl import annotations, make_idl_struct, types
+try:
+    from cyclonedds.idl import annotations, make_idl_struct, types
+except Exception:  # not installed, or it cannot load its library
+    from g1stream.dds.no_cyclone import annotations, make_idl_struct, types
 
 __all__ = [
     "IMUState_",

@@ -14,22 +14,6 @@ from g1stream.realtime import Grant
 from g1stream.session import records
 from g1stream.types import Via
 
-__all__ = [
-    "Facts",
-    "Finding",
-    "HostFacts",
-    "Interface",
-    "Level",
-    "Peer",
-    "Qos",
-    "StateFacts",
-    "WakeupLatency",
-    "WireFacts",
-    "ok",
-    "problem",
-    "warning",
-]
-
 
 class Level(IntEnum):
     """Severity of a finding; the highest one is the exit code."""
@@ -185,3 +169,4 @@ class Facts:
     join_error: str = ""  # why it could not be joined
     wakeup_latency: WakeupLatency | None = None  # None where it was not measured
     via: Via = "lowcmd"  # what is to be commanded
+    ros_domain: int | None = None  # ROS_DOMAIN_ID, where no domain was given

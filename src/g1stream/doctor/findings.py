@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from collections.abc import Iterable, Iterator
+from typing import Final
 
 from g1stream.dds.messages import COMMANDS, LOG, LOWCMD, LOWSTATE, SPORTMODESTATE
-from g1stream.doctor.facts import Facts, Finding, Level, Peer, Qos, ok, problem, warning
+from g1stream.doctor.facts import (
+    Facts,
+    Finding,
+    HostFacts,
+    Level,
+    Peer,
+    Qos,
+    StateFacts,
+    WakeupLatency,
+    WireFacts,
+    ok,
+    problem,
+    warning,
+)
 from g1stream.robot.joints import JointSet
 from g1stream.text import counted
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
-    from g1stream.doctor.facts import HostFacts, StateFacts, WakeupLatency, WireFacts
-
-__all__ = ["evaluate", "explain_no_robot", "identify_publisher", "qos_mismatch"]
 
 #: Room for a hundred LowStates, with the kernel's overhead of each.
 _ENOUGH_BUFFER: Final = 1 << 20
@@ -34,6 +41,10 @@ _ROBOT_READS: Final = {"rt/arm_sdk"}
 def evaluate(facts: Facts) -> list[Finding]:
     """All findings, in the order in which to fix them."""
     found = [*_interface(facts), *_host(facts.host)]
+    if facts.ros_domain not in (None, facts.domain):
+        cause = f"ROS_DOMAIN_ID is {facts.ros_domain}, and g1stream looks in {facts.domain}"
+        remedy = f"Give --domain {facts.ros_domain} to look where ROS 2 is."
+        found.append(warning("domain", cause, remedy))
     if facts.wakeup_latency:
         found.append(_wakeup(facts.wakeup_latency))
     if facts.wire is None:

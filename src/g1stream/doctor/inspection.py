@@ -7,21 +7,24 @@ import os
 import socket
 import struct
 import time
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from statistics import median
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from cyclonedds.core import Policy
 
-from g1stream.clock import SystemClock, Ticker
+from g1stream.clock import Clock, SystemClock, Ticker
+from g1stream.config import Config, RealtimeConfig
 from g1stream.control.report import Lateness
 from g1stream.dds.domain import (
     MAX_DOMAIN,
     OBSERVER,
     AnnouncedBridge,
+    Endpoint,
     InterfaceFlags,
     Participant,
     interface_flags,
@@ -32,6 +35,7 @@ from g1stream.dds.messages import LOWSTATE, TOPICS, LowState
 from g1stream.dds.ticks import TickGaps
 from g1stream.doctor.facts import (
     Facts,
+    Finding,
     HostFacts,
     Interface,
     Peer,
@@ -44,24 +48,6 @@ from g1stream.doctor.findings import evaluate
 from g1stream.errors import WireError
 from g1stream.realtime import on_time
 from g1stream.robot.model import G1
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
-    from g1stream.clock import Clock
-    from g1stream.config import Config, RealtimeConfig
-    from g1stream.dds.domain import Endpoint
-    from g1stream.doctor.facts import Finding, Interface
-
-__all__ = [
-    "diagnose",
-    "inspect_domain",
-    "inspect_host",
-    "inspect_participant",
-    "measure_wakeup_latency",
-    "qos_facts",
-    "wakeup_latency",
-]
 
 _POLL_S = 0.001
 #: How long discovery of the participants in another domain may take, s.
@@ -77,11 +63,7 @@ _DURABILITIES = (
 def inspect_domain(
     domain: int, interface: str, interfaces: Iterable[Interface], seconds: float
 ) -> WireFacts:
-    """Listen in a domain and, where LowState is not published, in others nearby.
-
-    Raises:
-        WireError: the domain cannot be joined on the interface.
-    """
+    """Listen in a domain and, where LowState is not published, in others nearby."""
     with Participant(domain, interface) as participant:
         facts = inspect_participant(participant, seconds)
     if facts.writers_of(LOWSTATE.name):
@@ -136,10 +118,17 @@ def _listen(reader: RawReader, gaps: TickGaps, seconds: float) -> StateFacts:
 
 
 def _nearby(domain: int, interface: str, interfaces: Iterable[Interface]) -> list[tuple[int, str]]:
-    """Other places to search: domains nearby, then other interfaces."""
-    nearby = sorted({0, 1, domain - 1, domain + 1} - {domain, -1, MAX_DOMAIN + 1})
+    """Other places to search: domains nearby, and that of ROS 2, then other interfaces."""
+    others = {0, 1, domain - 1, domain + 1, ros_domain() or 0}
+    nearby = sorted(one for one in others - {domain} if 0 <= one <= MAX_DOMAIN)
     usable = [i.name for i in interfaces if i.up and i.address and i.name != interface]
     return [(other, interface) for other in nearby] + [(domain, name) for name in usable]
+
+
+def ros_domain() -> int | None:
+    """The DDS domain of ROS 2 in this environment, where it is set."""
+    text = os.environ.get("ROS_DOMAIN_ID", "")
+    return int(text) if text.isdecimal() else None
 
 
 def _publishers(places: Iterable[tuple[int, str]]) -> Iterator[tuple[int, str, str]]:
@@ -271,11 +260,6 @@ def diagnose(config: Config, seconds: float = 1.0) -> list[Finding]:
     """Check this machine and the domain; each check has a finding, also where all is well.
 
     Only listens: nothing is published, so that no other program is disturbed.
-
-    Args:
-        config: where to look (`dds`), which robots may be commanded (`safety`), and what the loop
-            requests of the system (`realtime`, and `stream.rate`).
-        seconds: how long to listen for LowState.
     """
     domain, interface = config.dds.domain, config.dds.interface
     host = inspect_host(config.realtime)
@@ -287,4 +271,6 @@ def diagnose(config: Config, seconds: float = 1.0) -> list[Finding]:
         join_error = error.cause
     robots = G1.load(config.robot).joint_set.allowed(config.safety.mode_machine)
     via = config.stream.via
-    return evaluate(Facts(domain, interface, robots, host, wire, join_error, latency, via))
+    of_ros = None if "domain" in config.dds.model_fields_set else ros_domain()
+    known = Facts(domain, interface, robots, host, wire, join_error, latency, via, of_ros)
+    return evaluate(known)

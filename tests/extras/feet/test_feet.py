@@ -82,14 +82,6 @@ def test_the_feet_take_the_weight_before_the_robot_is_let_go(session):
     assert np.abs(session.base.velocity[after, 2]).max() < 0.05
 
 
-def test_a_motion_that_walks_is_refused():
-    walk = squatting(1.0)
-    forward = np.outer(np.linspace(0.0, 1.0, walk.n_frames), [1.0, 0.0, 0.0])
-    walk = replace(walk, root_pos=walk.root_pos + forward)
-    with pytest.raises(MotionError, match="slides in frames"):
-        rollout(walk, support="feet")
-
-
 def flags_in(remedy):
     """The settings of each way in a remedy that gives flags."""
     for way in remedy.split("; or "):
@@ -141,15 +133,6 @@ def test_a_motion_is_made_to_stand_by_name_and_for_some_joints(tmp_path):
 
 
 @pytest.mark.slow
-def test_it_stands_long_on_one_foot():
-    """At half its speed, the demo stands on either foot for 0.8 s, with 15 frames a second."""
-    slow = load_motion("demo").trim(7.5, 12.5).at_speed(0.5)
-    session = rollout(slow, support="feet", config=config(noise=1.0, hold=0.0))
-    assert session.metadata["stream"]["reason"] == ""
-    assert session.tracking().overall < 0.01
-
-
-@pytest.mark.slow
 def test_it_lifts_one_foot_and_then_the_other():
     """The right one of the demo at 8.6 s, the left one at 9.5 s."""
     session = rollout("demo", support="feet", seconds=2.5, config=config(noise=1.0, start=7.8))
@@ -159,9 +142,9 @@ def test_it_lifts_one_foot_and_then_the_other():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("goal", [(0.24, 0.0, 0.0), (0.1, 0.1, 0.8)])
-def test_it_steps_to_where_the_motion_goes(goal):
-    """Two steps of each foot: forward; to the left in a turn; measured in the simulator."""
+def test_it_steps_to_where_the_motion_goes():
+    """Two steps of each foot, to the left in a turn; measured in the simulator."""
+    goal = (0.1, 0.1, 0.8)
     steps = np.outer([1, 1, 2, 2], goal) / 2
     world = World(G1.default(), "free")
     feet = [world.model.body(f"{side}_ankle_roll_link").id for side in ("left", "right")]
@@ -192,48 +175,19 @@ def test_it_steps_to_where_the_motion_goes(goal):
     assert np.linalg.norm(apart) - 2e-3 < loop.report.summary().balance.feet_error_m < 0.015
 
 
-def test_it_needs_torques():
-    with pytest.raises(ConfigError, match="torques"):
-        rollout(squatting(1.0), support="feet", feedforward="velocity")
-
-
-def test_off_loopback_the_torques_have_to_be_asked_for_as_the_remedy_says():
+def test_where_there_may_be_a_robot_it_has_to_be_allowed_with_its_torques():
     def made(**stream):
-        given = {"support": "feet", "experimental_feet": True} | stream
-        off_loopback = Config.model_validate({"dds": {"interface": "eth0"}, "stream": given})
-        settings = with_robot_limits(off_loopback)
+        asked = {"dds": {"interface": "eth0"}, "stream": {"support": "feet"} | stream}
+        settings = with_robot_limits(Config.model_validate(asked))
         return load_source(settings, G1.default(), simulated=False, complete=True)
 
-    with pytest.raises(ConfigError) as refused:
-        made()
-    assert "--feedforward dynamics" in refused.value.remedy
-    assert isinstance(made(feedforward="dynamics"), StandingTorques)
-
-
-def test_where_there_may_be_a_robot_it_has_to_be_allowed():
-    def asked(**stream):
-        return Config.model_validate(
-            {"dds": {"interface": "eth0"}, "stream": {"support": "feet"} | stream}
-        )
-
-    def load(settings, *, simulated):
-        return load_source(settings, G1.default(), simulated=simulated, complete=True)
-
     with pytest.raises(SafetyError, match="eth0"):
-        load(asked(), simulated=False)
-    load(asked(experimental_feet=True), simulated=False)
-    load(asked(support="hanging"), simulated=False)
-    load(config(support="feet"), simulated=True)
-
-
-@pytest.mark.slow
-def test_it_ends_in_a_squat(session):
-    base, reference = session.base, session.reference
-    squat = base.time[-1] - 0.5 - 0.05  # just before DAMP
-    before = np.searchsorted(base.time, squat)
-    assert base.position[before, 2] < 0.65
-    assert np.linalg.norm(base.velocity[before]) < 0.02
-    assert set(np.unique(reference.phase)) >= {Phase.PLAY, Phase.HOLD, Phase.DAMP}
+        made()
+    with pytest.raises(ConfigError) as refused:
+        made(experimental_feet=True)
+    assert "--feedforward dynamics" in refused.value.remedy
+    allowed = made(experimental_feet=True, feedforward="dynamics")
+    assert isinstance(allowed, StandingTorques)
 
 
 def play(world, motion, announced, on_state, **stream):
@@ -291,29 +245,9 @@ def test_a_robot_that_hangs_is_lowered_onto_its_feet_and_stands():
     assert min(heights) > 0.68
 
 
-def test_legs_play_without_the_arms():
-    motion, _ = source(joints="legs", start=0.5).change(squatting(1.0))
-    assert np.ptp(motion.joint_pos[:, 12:], axis=0).max() == 0.0
-    assert np.ptp(motion.joint_pos[:, :12], axis=0).max() > 0.05
-
-
 def test_the_legs_play_as_a_whole_or_not_at_all():
     with pytest.raises(ConfigError, match="both legs"):
         rollout(squatting(1.0), support="feet", joints="left_leg,arms")
-
-
-@pytest.mark.slow
-def test_arms_of_a_motion_that_steps_play_on_planted_feet():
-    session = rollout(
-        "demo",
-        support="feet",
-        joints="arms",
-        seconds=1.0,
-        config=config(noise=1.0, start=8.0),
-    )
-    assert session.metadata["stream"]["reason"] == ""
-    assert session.tracking().overall < 0.01
-    assert len(session.tracking().joints) == 14
 
 
 @pytest.mark.slow

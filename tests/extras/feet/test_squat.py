@@ -70,14 +70,6 @@ def test_speeds_and_accelerations_are_the_derivatives_of_the_angles(way):
     assert np.abs(dq).max() > 0.1
 
 
-def test_a_robot_that_is_lower_already_does_not_rise(way):
-    squat = Squat(ROBOT)
-    lower = way[-1]
-    assert squat.plan(lower)(squat.length, lower.q).root_pos[2] == pytest.approx(
-        lower.root_pos[2], abs=1e-3
-    )
-
-
 def test_there_is_no_way_down_while_a_foot_is_lifted():
     """The demo lifts its right foot at 8.6 s, for 0.4 s."""
     trajectory = Trajectory(stand(load_motion("demo"), ROBOT).motion)

@@ -52,9 +52,3 @@ def test_a_robot_on_its_feet_squats_down_from_ramp(schedule):
     assert phases.count(Phase.RAMP) <= 101  # it waits no longer than it takes to end at rest
     assert schedule.state.reason == "asked"
     assert before.root_pos[2] < schedule.first.root_pos[2] - 0.1
-
-
-def test_one_that_hangs_does_not(schedule):
-    assert not schedule.go_down(600 * MS, "asked", schedule.first, stands=False)
-    go(schedule, 600 * MS, schedule.first)
-    assert schedule.state == PhaseState(Phase.RAMP, 0)

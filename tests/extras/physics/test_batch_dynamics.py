@@ -18,15 +18,14 @@ TORQUE = 1e-9  # N·m, N
 STILL = np.zeros(3)
 
 
-@pytest.fixture(params=["default", "g1_29dof", "g1_23dof", "with hands", "carrier"])
+@pytest.fixture(params=["default", "g1_29dof", "g1_23dof", "with hands"])
 def pair(request, robot, reference_urdf):
     """A robot, its dynamics in frames, and MuJoCo's."""
-    how = {"carrier": "pelvis"} if request.param == "carrier" else {"gravity": 3.7}
     if request.param == "with hands":
         robot = G1.load(reference_urdf("g1_29dof_with_hand_rev_1_0.urdf"))
-    elif request.param != "carrier":
+    else:
         robot = G1.load(None if request.param == "default" else request.param)
-    return robot, BatchInverseDynamics(robot, **how), InverseDynamics(robot, **how)
+    return robot, BatchInverseDynamics(robot), InverseDynamics(robot)
 
 
 @pytest.fixture

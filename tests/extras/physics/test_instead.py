@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
 from g1stream.extras.physics.example_motions import squatting
 from g1stream.extras.physics.footing import CannotStandError
-from g1stream.extras.physics.instead import Part, longest_part
 from g1stream.extras.physics.stance import stand, stand_part
+from g1stream.extras.physics.stand import find_instead
 from g1stream.motion.motion import Motion
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.model import G1
@@ -28,20 +30,22 @@ def obstructed():
     return Motion.from_arrays(pos, root, fps=squat.fps)
 
 
-def found_in(motion, frames):
-    """The part that is found in frames that cannot be played as a whole."""
-    with pytest.raises(CannotStandError) as raised:
-        stand_part(motion, ROBOT, frames)
-    return longest_part(motion, ROBOT, frames, raised.value.frames)
-
-
 def test_the_longest_part_is_found_behind_several_obstacles(obstructed):
-    part = found_in(obstructed, range(obstructed.n_frames))
-    assert (part.start_s, part.start_s + part.duration_s) == pytest.approx((2.4, 4.0), abs=0.041)
-    stand(obstructed.trim(part.start_s, part.start_s + part.duration_s), ROBOT)
-    early = found_in(obstructed, range(110))
-    assert (early.start_s, early.start_s + early.duration_s) == pytest.approx((0, 1.3), abs=0.041)
-    assert found_in(obstructed, range(60, 130)) is None  # shorter than a second
+    """In all of it, before the hop, and in what is too short."""
+    for frames, expected in (
+        (range(obstructed.n_frames), (2.4, 4.0)),
+        (range(110), (0.0, 1.3)),
+        (range(60, 130), None),
+    ):
+        with pytest.raises(CannotStandError) as raised:
+            stand_part(obstructed, ROBOT, frames)
+        found = find_instead(obstructed, ROBOT, frames, raised.value)
+        part = re.search(r"--start (\S+) --duration (\S+), the longest part", found)
+        assert bool(part) == bool(expected)
+        if part:
+            start, duration = map(float, part.groups())
+            assert (start, start + duration) == pytest.approx(expected, abs=0.041)
+            stand(obstructed.trim(start, start + duration), ROBOT)
 
 
 def test_what_is_not_played_says_nothing_about_the_feet():
@@ -62,38 +66,3 @@ def test_what_is_not_played_says_nothing_about_the_feet():
     assert standing.moved_mm < 60.0  # from the middle of the drift, half of it for each foot
     changed = np.abs(played.joint_pos[:201] - motion.joint_pos[:201]).max()
     assert np.degrees(changed) == pytest.approx(standing.joint_deg)
-
-
-def test_frames_that_forbid_a_part_are_in_it(obstructed):
-    """A hop began before: a pause in its middle stands for what is not played."""
-    with pytest.raises(CannotStandError, match="no foot is on the floor") as raised:
-        stand_part(obstructed, ROBOT, range(112, 200))
-    assert np.flatnonzero(raised.value.frames).tolist() == [112, 113, 114]
-
-
-def test_a_part_in_which_nothing_moves_is_not_named():
-    """The robot rests for 3 s before it squats, and slides in between."""
-    squat = squatting(1.5)
-    rows = np.concatenate([np.zeros(150, int), np.arange(squat.n_frames)])
-    resting = squat.at_frames(rows)
-    root = resting.root_pos.copy()
-    root[150:160, 0] += 0.3
-    motion = Motion.from_arrays(resting.joint_pos, root, fps=50.0)
-    assert found_in(motion, range(len(rows))).start_s >= 3.2
-    still = Motion.from_arrays(resting.joint_pos[:150], root[:150], fps=50.0)
-    waving = still.joint_pos.copy()
-    waving[:, JOINT_NAMES.index("left_elbow_joint")] = np.linspace(0.0, 1.0, 150)
-    waving = Motion.from_arrays(waving, root[:150], fps=50.0)
-    none, waist = np.zeros(150, np.bool_), ROBOT.select("waist")
-    assert longest_part(still, ROBOT, range(150), none) is None
-    assert longest_part(waving, ROBOT, range(150), none) is not None
-    assert longest_part(waving, ROBOT, range(150), none, waist) is None
-
-
-@pytest.mark.parametrize("fps", [24.0, 30.0, 50.0, 60.0, 119.88, 120.0])
-def test_a_part_is_within_its_frames(fps):
-    for first in range(200):
-        part = Part.of_frames(range(first, first + 100), fps)
-        assert part.start_s >= first / fps - 1e-9
-        assert part.start_s + part.duration_s <= (first + 99) / fps + 1e-9
-        assert part.duration_s > 99 / fps - 0.02

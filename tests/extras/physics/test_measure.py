@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+import re
 from xml.etree import ElementTree as ET
 
 import mujoco
@@ -13,9 +13,7 @@ from g1stream.extras.physics.example_motions import squatting
 from g1stream.extras.physics.ground import FRICTION, zero_moment_point
 from g1stream.extras.physics.measure import motion_physics, movement_loads
 from g1stream.motion.motion import Motion
-from g1stream.motion.readers import load_motion
 from g1stream.motion.trajectory import Trajectory
-from g1stream.robot.hulls import SelfCollision
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
 from g1stream.robot.kinematics import forward_kinematics
 from g1stream.robot.model import G1
@@ -25,7 +23,6 @@ from g1stream.sim.model import build_model
 
 G = 9.81
 FPS = 30.0
-LAFAN = Path(__file__).parents[4] / "shared" / "lafan1" / "joints_labeled.csv"
 UP = np.array([0.0, 0.0, 1.0])
 UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
 ROBOT = G1.default()
@@ -318,21 +315,6 @@ def test_an_arm_inside_the_torso():
     assert set(answers(physics).values()) == {"no"}
 
 
-def test_links_that_only_touch_do_not_forbid_a_motion():
-    q, root_pos = stance(0.6)
-    roll = JOINT_NAMES.index("left_shoulder_roll_joint")
-    low, high = -0.3, 0.2
-    collision = SelfCollision(ROBOT)
-    for _ in range(12):  # the angle at which it is 3 mm inside
-        q[roll] = (low + high) / 2
-        depth = max(map(np.max, collision.depths(q[np.newaxis]).values()), default=0.0)
-        low, high = (q[roll], high) if depth > 0.003 else (low, q[roll])
-    physics = motion_physics(still(q, root_pos, frames=2))
-    assert answers(physics)["bolted"] == "inexact"
-    excess = of(physics, "bolted")["self-collision"]
-    assert (excess.limit, excess.worst) == (1.0, pytest.approx(3.0, abs=0.2))
-
-
 def test_knees_on_the_floor_are_told():
     q = joints(left_knee=2.0, right_knee=2.0)
     knees = [ROBOT.link_index(f"{side}_knee_link") for side in ("left", "right")]
@@ -342,22 +324,6 @@ def test_knees_on_the_floor_are_told():
     assert "knee" in contact.where
     assert 30.0 < contact.worst < 90.0  # the radius of a knee
     assert contact.forbids
-
-
-def test_progress_goes_up_to_all():
-    told = []
-    motion_physics(still(*stance(0.6), frames=1500), progress=told.append)
-    assert told == sorted(told)
-    assert (told[0] < 1.0, told[-1]) == (True, 1.0)
-
-
-@pytest.mark.skipif(not LAFAN.exists(), reason="../shared/lafan1 is not there")
-def test_the_dance_presses_its_arm_on_the_torso():
-    """From 4.07 s on; tests/robot/test_hulls.py compares these depths with unitree_mujoco's."""
-    (touch,) = motion_physics(load_motion(LAFAN).frames(90, 132)).collisions
-    assert (touch.link, touch.other) == ("torso_link", "left_shoulder_yaw_link")
-    assert touch.spans == ((122 - 90, 128 - 90),)
-    assert touch.depth_mm == pytest.approx(17.8, abs=1.0)
 
 
 def test_feet_that_stay_and_feet_that_walk():
@@ -378,18 +344,18 @@ def test_the_part_that_can_be_played_on_the_feet_is_looked_for_if_asked():
     root_pos = squat.root_pos.copy()
     root_pos[100:, 0] += np.linspace(0.0, 1.0, len(root_pos) - 100)
     sliding = moving(squat.joint_pos, root_pos)
-    assert motion_physics(sliding).verdicts["feet"].instead is None
+    assert motion_physics(sliding).verdicts["feet"].instead == ""
     found = motion_physics(sliding, suggest=True).verdicts["feet"]
-    part = found.instead.part
-    assert part.start_s == 0.0
-    assert part.duration_s == pytest.approx(100 / sliding.fps, abs=0.4)
-    assert found.instead.upper_body == found.instead.asked
-    assert found.instead.asked.duration_s == pytest.approx(sliding.duration, abs=0.01)
-    assert found.instead.speed is None
-    assert str(part) in str(found)
+    start, duration = map(
+        float, re.search(r"--start (\S+) --duration (\S+),", found.instead).groups()
+    )
+    assert start == 0.0
+    assert duration == pytest.approx(100 / sliding.fps, abs=0.4)
+    assert "--joints arms,waist" in found.instead
+    assert found.instead in str(found)
     assert motion_physics(sliding, frames=range(90)).verdicts["feet"].playable == "yes"
     arms = motion_physics(sliding, played=ROBOT.select("arms"), suggest=True).verdicts["feet"]
-    assert (arms.playable, arms.instead) == ("yes", None)
+    assert (arms.playable, arms.instead) == ("yes", "")
     leg = motion_physics(sliding, played=ROBOT.select("left_leg")).verdicts["feet"]
     assert leg.playable == "no"
 

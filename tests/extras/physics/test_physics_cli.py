@@ -50,27 +50,6 @@ def test_it_uses_the_settings(tmp_path):
     assert physics.verdicts["feet"].playable == "no"
 
 
-@pytest.mark.slow
-def test_how_a_motion_is_changed_for_the_feet_is_drawn(tmp_path):
-    path, figure = tmp_path / "start.csv", tmp_path / "feet.png"
-    load_motion("demo").frames(0, 12).save(path)
-    assert run(path, "--feet-figure", figure).returncode == 0
-    assert figure.read_bytes().startswith(b"\x89PNG")
-    assert run(path, "--feet-figure", figure).returncode == 2
-    assert run(path, "--feet-figure", figure, "--force").returncode == 0
-    part = run("demo", "--trim", "6.7:8.7", "--feet-figure", tmp_path / "part.png")
-    assert part.returncode == 2
-    assert "lifted" in part.stderr
-    assert sorted(tmp_path.iterdir()) == [figure, path]
-
-
-def test_a_file_that_is_no_motion_is_refused(tmp_path):
-    path = tmp_path / "broken.csv"
-    path.write_text("1,2\n3,nan\n")
-    done = run(path, "--json")
-    assert (done.returncode, done.stdout) == (2, "")
-
-
 def test_a_motion_in_degrees_is_refused(tmp_path):
     motion, path = load_motion("demo").frames(0, 12), tmp_path / "degrees.csv"
     replace(motion, joint_pos=motion.joint_pos * 180).save(path)

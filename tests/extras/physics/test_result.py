@@ -125,17 +125,3 @@ def test_the_text_is_the_snapshot():
 )
 def test_what_forbids_a_motion_decides(excesses, answer):
     assert Verdict(support="free", excesses=excesses).playable == answer
-
-
-def test_json_has_the_answers():
-    values = PHYSICS.model_dump(mode="json")
-    assert {k: v["playable"] for k, v in values["verdicts"].items()} == {
-        "bolted": "yes",
-        "hanging": "inexact",
-        "follow": "inexact",
-        "free": "no",
-        "feet": "no",
-    }
-    assert YES.verdicts["feet"].playable == "yes"
-    assert values["verdicts"]["free"]["excesses"][0]["spans"][2] == [20, 20]
-    assert MotionPhysics.model_validate(values) == PHYSICS

@@ -71,24 +71,12 @@ def test_joints_are_ranked_by_the_difference_and_not_by_its_share():
     assert next(iter(ranked(found))) == "waist_yaw_joint"
 
 
-def test_the_joints_of_a_comparison_are_ranked(worse):
-    assert list(worse.joints) == list(ranked(worse.joints))
-
-
-@pytest.mark.parametrize(
-    ("base", "other", "figures"),
-    [
-        (0.05523, 0.05501, {"0.05523", "0.05501"}),
-        (1.20001, 1.20002, {"1.20001", "1.20002"}),
-        (0.5, 0.50000001, {"0.5"}),
-    ],
-)
-def test_the_verdict_has_the_digits_that_a_difference_needs(base, other, figures):
+def test_the_verdict_has_the_digits_that_a_difference_needs():
     found = g1stream.compare(session(bias=0.01), session(bias=0.02))
-    found.metrics = differences([[{"rmse": one}] for one in (base, other)], {})
-    assert set(re.findall(r"\d\.\d+(?= rad| \()", verdict(found))) == figures
-    found.metrics = differences([[{"rmse": np.radians(one)}] for one in (base, other)], {})
-    assert set(re.findall(r"\d\.\d+(?= deg| \()", verdict(found, "deg"))) == figures
+    for base, other, figures in ((0.05523, 0.05501, 2), (1.20001, 1.20002, 2), (0.5, 0.5, 1)):
+        found.metrics = differences([[{"rmse": one}] for one in (base, other)], {})
+        shown = {float(one) for one in re.findall(r"\d\.\d+(?= rad| \()", verdict(found))}
+        assert len(shown) == figures
 
 
 def test_a_share_of_what_has_a_sign_or_is_zero_says_nothing():
@@ -97,19 +85,6 @@ def test_a_share_of_what_has_a_sign_or_is_zero_says_nothing():
     assert found.difference == pytest.approx(0.003, abs=2e-4)
     assert differences([[{"x": 0.0}], [{"x": 2.0}]], {})["x"].change is None
     assert differences([[{"x": 4.0}], [{"x": 2.0}]], {})["x"].change == -0.5
-
-
-def test_settings_that_one_side_lacks_are_no_difference():
-    config = {"stream": {"preview": 0.004}}
-    first, other = session(metadata={"config": config}), session()
-    assert g1stream.compare(first, other).differs == {}
-    default = session(metadata={"config": {}})
-    assert g1stream.compare(first, default).differs == {"stream.preview": ("0.004", "not set")}
-
-
-def test_what_is_the_same_in_every_run():
-    found = differences([[{"a": 1.0, "b": 1.0}] * 2, [{"a": 2.0, "b": 1.0}] * 2], {})
-    assert [one.p for one in found.values()] == [0.0, 1.0]
 
 
 def test_a_run_counts_once(tmp_path):
@@ -162,10 +137,10 @@ def test_what_differs_is_said():
     other = session(metadata={"gains": soft, "stream": stream | {"feedforward": "velocity"}})
     assert g1stream.compare(first, other).differs == {
         "feed-forward": ("dynamics", "velocity"),
-        "gains.kp of legs": ("60", "50"),
-        "gains.kp of left_arm, waist_roll, waist_pitch, "
-        "right_shoulder_pitch, right_shoulder_roll, right_shoulder_yaw, "
-        "right_wrist_roll, right_wrist_pitch, right_wrist_yaw": ("60", "40"),
+        **dict.fromkeys(("gains.kp of left_leg", "gains.kp of right_leg"), ("60", "50")),
+        "gains.kp of waist": ("60", "60, 40"),
+        "gains.kp of left_arm": ("60", "40"),
+        "gains.kp of right_arm": ("60", "40, 60"),
     }
 
 
@@ -198,19 +173,13 @@ def test_the_command(tmp_path, capsys):
     assert '"failed": true' in capsys.readouterr().out
 
 
-def test_three_sessions_without_a_common_part_are_refused():
-    whole = session(seconds=4.0)
+def test_sessions_without_a_common_part_are_refused():
+    whole = session(seconds=4.0, bias=0.01)
     early, late = whole.sel(time=slice(0.0, 1.0)), whole.sel(time=slice(3.0, None))
     with pytest.raises(RecordingError):
         g1stream.compare(whole, [early, late])
-    touching = whole.sel(time=slice(0.95, None))
-    with pytest.raises(RecordingError):
-        g1stream.compare(early, touching)
-
-
-def test_a_short_common_part_is_compared():
-    whole = session(seconds=4.0, bias=0.01)
-    early, late = whole.sel(time=slice(0.0, 1.0)), whole.sel(time=slice(0.85, None))
-    found = g1stream.compare(early, late)
+    with pytest.raises(RecordingError):  # they only touch
+        g1stream.compare(early, whole.sel(time=slice(0.95, None)))
+    found = g1stream.compare(early, whole.sel(time=slice(0.85, None)))
     assert found.stop_s - found.start_s == pytest.approx(0.15, abs=0.01)
     assert found.metrics["rmse"].base == pytest.approx(0.01, rel=0.1)

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import sqlite3
-import sys
 
 import numpy as np
 import pytest
 from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
-from mcap.writer import Writer as McapWriter
 from mcap_protobuf.writer import Writer as ProtobufWriter
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 import g1stream
 from g1stream.cli.main import main
-from g1stream.errors import ConfigError, MotionError, RecordingError
+from g1stream.errors import MotionError, RecordingError
 from g1stream.extras.ros2.bag_reader import DECODERS, open_bag
-from g1stream.extras.ros2.messages import joint_state as in_cdr
 from g1stream.motion.readers import MotionFile, find_motion, load_motion
 
 ROS = get_typestore(Stores.ROS2_HUMBLE)
@@ -139,34 +136,10 @@ def test_a_file_without_its_end_is_read_to_the_cut(tmp_path, motion, joints):
     assert 500 < int(found.evidence.used["file"].split()[1].replace(",", "")) < 10_000
 
 
-def test_without_rosbags_the_extra_is_named(tmp_path, joints, monkeypatch):
-    path = write_bag(tmp_path / "bag", {"/joint_states": (JOINT_STATE, joints)})
-    for name in list(sys.modules):
-        if name.startswith("g1stream.extras.ros2"):
-            monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setitem(sys.modules, "rosbags.rosbag2", None)
-    monkeypatch.setitem(sys.modules, "rosbags.typesys", None)
-    with pytest.raises(ConfigError, match="needs rosbags") as caught:
-        load_motion(path)
-    assert "g1stream[ros2]" in caught.value.remedy
-
-
 def test_without_transforms_the_pelvis_is_upright(tmp_path, joints):
     found = load_motion(write_bag(tmp_path / "bag", {"/joint_states": (JOINT_STATE, joints)}))
     assert not found.root_pos.any()
     assert (found.root_quat_wxyz == [1, 0, 0, 0]).all()
-
-
-def test_transforms_at_another_rate(tmp_path, motion, joints, transforms):
-    some = [one for i, one in enumerate(transforms) if i % 6 == 0]
-    topics = {"/joint_states": (JOINT_STATE, joints), "/tf": (TF, some)}
-    found = load_motion(write_bag(tmp_path / "bag", topics))
-    frames = np.arange(50)  # behind the last transform, at frame 48, it rests
-    for axis, expected in enumerate(motion.root_pos[::3].T):
-        between = np.interp(frames, frames[::3], expected)
-        np.testing.assert_allclose(found.root_pos[:, axis], between, rtol=0, atol=1e-9)
-    same = np.sum(found.root_quat_wxyz * motion.root_quat_wxyz, axis=1)[:49]
-    np.testing.assert_allclose(np.abs(same), 1.0, rtol=0, atol=1e-5)
 
 
 def test_stamps_that_do_not_rise_are_not_taken(tmp_path, motion, joints):
@@ -216,7 +189,6 @@ def test_transforms_that_no_pelvis_has(tmp_path, joints, quat):
         "CREATE TABLE t AS SELECT id, topic_id, timestamp, NULL AS data FROM messages; "
         "DROP TABLE messages; ALTER TABLE t RENAME TO messages",
         "UPDATE messages SET data = 7 WHERE id = 3",
-        "UPDATE messages SET timestamp = 'now' WHERE id = 3",
         "UPDATE messages SET timestamp = -9223372036854775808 WHERE id = 3",
         "CREATE TABLE t AS SELECT NULL AS id, name, type, serialization_format FROM topics; "
         "DROP TABLE topics; ALTER TABLE t RENAME TO topics",
@@ -237,18 +209,6 @@ def test_a_bag_of_the_robot_with_joint_states_is_no_session(tmp_path, motion, jo
     topics = {"/lowstate": ("std_msgs/msg/String", text), "/joint_states": (JOINT_STATE, joints)}
     found = load_motion(write_bag(tmp_path / "bag", topics, StoragePlugin.MCAP))
     np.testing.assert_array_equal(found.joint_pos, motion.joint_pos)
-
-
-def test_a_time_that_no_recording_has(tmp_path, motion):
-    path, message = tmp_path / "robot.mcap", JointStates()
-    message.timestamp.seconds = 2 * 10**11
-    for name in motion.joint_names:
-        message.joints.add(name=name, position=0.0)
-    with path.open("wb") as file, ProtobufWriter(file) as writer:
-        for i in range(2):
-            writer.write_message("/joints", message, START + i * STEP, START + i * STEP)
-    with pytest.raises(RecordingError, match="JointStates"):
-        load_motion(path)
 
 
 def test_joint_states_of_foxglove(tmp_path, motion):
@@ -279,56 +239,38 @@ def test_convert_and_back(tmp_path, motion, out):
     np.testing.assert_array_equal(found.root_quat_wxyz, motion.root_quat_wxyz)
 
 
-def test_a_bag_with_other_things(tmp_path):
-    text = [(START, of_ros("std_msgs/msg/String")("hello"))]
-    path = write_bag(tmp_path / "bag", {"/chatter": ("std_msgs/msg/String", text)})
-    with pytest.raises(RecordingError, match="std_msgs/msg/String"):
-        load_motion(path)
+STRING = "std_msgs/msg/String"
 
 
-def test_an_encoding_that_is_not_read(tmp_path):
-    path = tmp_path / "robot.mcap"
-    with path.open("wb") as file:
-        writer = McapWriter(file)
-        writer.start()
-        schema = writer.register_schema("foxglove.JointStates", "jsonschema", b"{}")
-        channel = writer.register_channel("/joint_states", "json", schema)
-        writer.add_message(channel, START, b"{}", START)
-        writer.finish()
-    with pytest.raises(RecordingError, match=r"foxglove\.JointStates in json"):
-        load_motion(path)
-
-
-def test_a_bag_of_the_robot_in_sqlite_is_no_session(tmp_path):
-    text = [(START, of_ros("std_msgs/msg/String")("hello"))]
-    path = write_bag(tmp_path / "bag", {"/lowstate": ("std_msgs/msg/String", text)})
-    with pytest.raises(RecordingError, match="no joint states"):
-        load_motion(path)
-
-
-def test_messages_outside_of_chunks(tmp_path):
-    path = tmp_path / "plain.mcap"
-    with path.open("wb") as file:
-        writer = McapWriter(file, use_chunking=False)
-        writer.start()
-        schema = writer.register_schema(JOINT_STATE, "ros2msg", b"")
-        channel = writer.register_channel("/joint_states", "cdr", schema)
-        writer.add_message(channel, START, in_cdr(START, ["a"], [0.0], [], []), START)
-        writer.finish()
-    with pytest.raises(MotionError, match="lacks the joints left_hip_pitch_joint"):  # it is read
-        load_motion(path)
-
-
-def test_a_bag_with_two_robots(tmp_path, joints):
-    topics = {f"/{name}/js": (JOINT_STATE, joints) for name in ("one", "two")}
-    with pytest.raises(RecordingError, match="/one/js, /two/js"):
-        load_motion(write_bag(tmp_path / "bag", topics))
-
-
-def test_a_bag_of_another_robot(tmp_path, joints):
-    legs = [(t, joint_state(t, m.name[15:29], m.position[15:29])) for t, m in joints]
-    with pytest.raises(MotionError, match="lacks the joints waist_pitch_joint"):
-        load_motion(write_bag(tmp_path / "bag", {"/joint_states": (JOINT_STATE, legs)}))
+@pytest.mark.parametrize(
+    ("topics", "error", "named"),
+    [
+        (
+            lambda joints: {"/lowstate": (STRING, [(START, of_ros(STRING)("hello"))])},
+            RecordingError,
+            "it has std_msgs/msg/String",
+        ),
+        (
+            lambda joints: {f"/{name}/js": (JOINT_STATE, joints) for name in ("one", "two")},
+            RecordingError,
+            "/one/js, /two/js",
+        ),
+        (
+            lambda joints: {
+                "/js": (
+                    JOINT_STATE,
+                    [(t, joint_state(t, m.name[15:29], m.position[15:29])) for t, m in joints],
+                )
+            },
+            MotionError,
+            "lacks the joints waist_pitch_joint",
+        ),
+    ],
+    ids=["other things", "two robots", "another robot"],
+)
+def test_what_is_no_motion_of_a_g1(tmp_path, joints, topics, error, named):
+    with pytest.raises(error, match=named):
+        load_motion(write_bag(tmp_path / "bag", topics(joints)))
 
 
 def test_messages_that_are_not_what_they_say(tmp_path, joints):
@@ -336,23 +278,10 @@ def test_messages_that_are_not_what_they_say(tmp_path, joints):
     whole = bytes(ROS.serialize_cdr(message, JOINT_STATE))
     decode = DECODERS.joint_states[JOINT_STATE, "cdr"]
     assert decode(whole).names == tuple(message.name)
-    for n in range(len(whole)):
-        with pytest.raises(ValueError, match=r".+"):
-            decode(whole[:n])
+    with pytest.raises(ValueError, match=r".+"):
+        decode(whole[:-1])
     with Writer(path, version=9) as writer:
         connection = writer.add_connection("/joint_states", JOINT_STATE, typestore=ROS)
         writer.write(connection, time_ns, whole[:100])
     with pytest.raises(RecordingError, match="is not a sensor_msgs/msg/JointState"):
         load_motion(path)
-
-
-def test_sqlite_files_that_are_no_bags(tmp_path):
-    path = tmp_path / "other.db3"
-    with sqlite3.connect(path) as database:
-        database.execute("CREATE TABLE topics (id INTEGER)")
-    database.close()
-    with pytest.raises(RecordingError, match="missing tables"):
-        load_motion(path)
-    path.write_bytes(path.read_bytes()[:1000])
-    with pytest.raises(RecordingError, match="cannot be read as a bag of ROS 2"):
-        open_bag(MotionFile(path))

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import logging
 import os
-import signal
 from collections import defaultdict
-from importlib.metadata import PackageNotFoundError
 from io import StringIO
 from pathlib import Path
 
@@ -21,7 +18,6 @@ from cyclonedds.topic import Topic
 from rosbags.typesys import Stores, get_typestore
 from yourdfpy import URDF
 
-from g1stream.app.demo import demo
 from g1stream.app.record import record
 from g1stream.app.sim import simulate
 from g1stream.child_process import publishing_for_ros2
@@ -36,7 +32,6 @@ from g1stream.dds.messages import (
     Reference,
     SportModeState,
 )
-from g1stream.errors import ConfigError
 from g1stream.robot.model import G1
 
 ROS = get_typestore(Stores.ROS2_HUMBLE)
@@ -65,10 +60,7 @@ POSE = struct(
     rotation=vector("Quaternion", "xyzw"),
 )
 STAMPED = struct(
-    "geometry_msgs.msg.dds_.TransformStamped_",
-    header=HEADER,
-    child_frame_id=str,
-    transform=POSE,
+    "geometry_msgs.msg.dds_.TransformStamped_", header=HEADER, child_frame_id=str, transform=POSE
 )
 TYPES = {
     "rt/tf": struct("tf2_msgs.msg.dds_.TFMessage_", transforms=sequence[STAMPED]),
@@ -308,16 +300,6 @@ def test_topics_types_and_qos_are_announced_as_ros_announces_them(receive, wire)
         assert isinstance(qos[Policy.History], Policy.History.KeepLast)
 
 
-def test_that_the_publisher_was_killed_is_only_logged(domain_id, ros, until, caplog):
-    before = children()
-    with caplog.at_level(logging.WARNING), publishing_for_ros2(make_config(domain_id)):
-        until(ros.publications, "the publisher")
-        (pid,) = children() - before
-        os.kill(pid, signal.SIGKILL)
-        until(lambda: caplog.records, "a warning")
-    assert "SIGKILL" in caplog.text
-
-
 def children():
     text = Path(f"/proc/self/task/{os.getpid()}/children").read_text()
     return set(map(int, text.split()))
@@ -329,30 +311,8 @@ def test_nothing_is_published_unless_asked(domain_id):
         assert children() == before
 
 
-def test_without_rosbags_the_extra_is_named(domain_id, monkeypatch):
-    def version(name):
-        raise PackageNotFoundError(name)
-
-    monkeypatch.setattr("g1stream.optional.version", version)
-    with pytest.raises(ConfigError, match="need rosbags") as caught:
-        publishing_for_ros2(make_config(domain_id))
-    assert "'g1stream[ros2]'" in caught.value.remedy
-
-
 def test_sim_and_record_publish(domain_id, ros, tmp_path, until):
     config = make_config(domain_id)
     simulate(config, should_stop=ros.publications)
     until(lambda: not ros.publications(), "the end of the publisher")
     record(tmp_path / "session.mcap", config, should_stop=ros.publications)
-
-
-def test_a_demo_publishes_once(domain_id, ros, tmp_path):
-    short = {"ramp": 0.2, "duration": 0.2, "hold": 0.0, "damp": 0.5}
-    publishers = []
-
-    def on_loop(*_):
-        publishers.extend(ros.publications()["rt/tf"])
-
-    demo("demo", tmp_path, make_config(domain_id, stream=short), on_loop=on_loop)
-    assert len(publishers) == 1
-    assert any(map(of_frame("ghost/pelvis"), ros.take("rt/tf")))

@@ -15,7 +15,6 @@ from g1stream.cli.render import parse_size
 from g1stream.errors import ConfigError, RecordingError, RobotError
 from g1stream.extras.video.render import AZIMUTHS, render
 from g1stream.robot.model import G1
-from g1stream.robot.shapes import with_shapes
 
 SIZE = (96, 96)
 
@@ -107,15 +106,6 @@ def test_a_gif_lasts_as_long_as_the_session(sessions, tmp_path):
     assert sum(durations) == 500
 
 
-@pytest.mark.slow
-def test_the_real_meshes_are_drawn_where_they_are_installed(sessions, tmp_path, monkeypatch):
-    if with_shapes(G1.default()) is G1.default():
-        pytest.skip("needs the extra `meshes`")
-    monkeypatch.undo()
-    video, _ = _picture(sessions["same"], tmp_path / "out.png")
-    assert video.meshes
-
-
 @pytest.mark.parametrize(
     ("name", "how", "error"),
     [
@@ -138,13 +128,6 @@ def test_what_cannot_be_written_leaves_nothing(sessions, tmp_path, name, how, er
     assert (tmp_path / "there.png").read_text() == "mine"
 
 
-def test_without_av_the_extra_is_named(sessions, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "av", None)
-    with pytest.raises(ConfigError, match="needs av") as caught:
-        render(sessions["same"], tmp_path / "out.mp4")
-    assert "'g1stream[video]'" in caught.value.remedy
-
-
 @pytest.mark.slow
 def test_no_opengl_is_an_error(sessions, tmp_path):
     out = tmp_path / "out.png"
@@ -154,18 +137,6 @@ def test_no_opengl_is_an_error(sessions, tmp_path):
     assert ended.returncode == 2
     assert "Traceback" not in ended.stderr
     assert not out.exists()
-
-
-def test_shapes_of_another_robot_stand_for_meshes_that_are_missing():
-    robot = G1.default()
-    root = ElementTree.fromstring(robot.urdf)
-    for visual in list(root.iter("visual")):
-        geometry = visual.find("geometry")
-        geometry.clear()
-        ElementTree.SubElement(geometry, "mesh", filename="nowhere.stl")
-    meshes = G1.from_urdf(ElementTree.tostring(root, encoding="unicode"), "meshes.urdf")
-    assert set(with_shapes(meshes).link_names) == set(robot.link_names)
-    assert with_shapes(meshes) is not meshes
 
 
 def test_a_robot_without_shapes_is_an_error(sessions, tmp_path, monkeypatch):

@@ -9,16 +9,19 @@ and arms follow the reference by their servos. docs/feet.md has the formulas.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
+from g1stream.control.reading import Reading
+from g1stream.control.targets import Target
 from g1stream.extras.feet.base_estimate import BaseEstimate
-from g1stream.extras.feet.standing import BodyState, StandingDynamics
+from g1stream.extras.feet.standing import BodyState, Movement, StandingDynamics, Terms
 from g1stream.extras.physics.ground import TRUSTED_FRICTION, beyond_hull
 from g1stream.optional import import_extra
 from g1stream.robot.dynamics import GRAVITY
 from g1stream.robot.joints import LEGS
+from g1stream.robot.model import G1
 from g1stream.robot.rotations import (
     quat_conj,
     quat_mul,
@@ -31,14 +34,6 @@ from g1stream.robot.rotations import (
 from g1stream.robot.soles import OFF_FLOOR
 from g1stream.session.records import BalanceSummary
 from g1stream.types import Floats
-
-if TYPE_CHECKING:
-    from g1stream.control.reading import Reading
-    from g1stream.control.targets import Target
-    from g1stream.extras.feet.standing import Movement, Terms
-    from g1stream.robot.model import G1
-
-__all__ = ["Balance"]
 
 #: Wanted acceleration for an error, 1/s², and for the error of its rate, 1/s: of the centre of mass
 #: along x, y and z, and of the pelvis's attitude.
@@ -92,10 +87,6 @@ _UNSOLVED: Final = 0.05
 class Balance:
     """Finds the torques of a robot that stands on its feet, or on one while the other is lifted.
 
-    Args:
-        robot: the G1.
-        period: s between commands.
-
     Attributes:
         base: where the pelvis is.
         carried: share of the weight that the feet carry, measured.
@@ -103,10 +94,6 @@ class Balance:
         wrench: (12,) force, N, and moment, N·m, of the floor on each sole, world; None before the
             first solution.
         terms: of the last state; None before it.
-
-    Raises:
-        ConfigError: the solver is not installed.
-        RobotError: the soles of this robot are not known.
     """
 
     def __init__(self, robot: G1, period: float) -> None:
@@ -121,34 +108,26 @@ class Balance:
         self._most, self._kinds = np.full(n_rows, _UNBOUNDED), np.zeros(n_rows, np.int32)
         self._least[: 2 * len(self._cone)] = np.tile(self._cone_least, 2)
         self.base = BaseEstimate()
-        self._planted = np.zeros((2, 3)), np.zeros(2)  # where the reference begins
-        self._stood = np.zeros((2, 3))  # where each foot of the reference has stood last
-        self._stands = True, True
-        self._root_pos = np.zeros(3)
-        self.carried = 0.0
-        self.fall = ""
-        self.wrench: Floats | None = None
         self.terms: Terms | None = None
+        self._restart(np.zeros(3), np.zeros((2, 3)), np.zeros(2))
+
+    def _restart(self, root_pos: Floats, soles: Floats, headings: Floats) -> None:
+        self._root_pos = root_pos
+        self._planted = soles, headings  # where the reference begins
+        self._stood = soles.copy()  # where each foot of the reference has stood last
+        self._stands = self._stood_before = True, True
+        self.wrench: Floats | None = None
+        self.fall, self.carried = "", 0.0
         self._other = np.zeros(3)
         self._lasted = dict.fromkeys(("below", "unloaded", "outside", "unsolved"), 0.0)
         self._worst: dict[str, float] = {}
-        self._stood_before = True, True
         self._lifts = self._unsolved = 0
 
     def begin(self, first: Target) -> None:
         """The reference begins with a target, on whose soles the robot is to stand."""
         pos, headings = self._dynamics.soles(_state_of(first))
-        self._planted = pos + first.root_pos, headings
-        self._root_pos = first.root_pos
-        self._stood = self._planted[0].copy()
+        self._restart(first.root_pos, pos + first.root_pos, headings)
         self.base.begin(*self._planted)
-        self._stands = True, True
-        self.wrench, self.fall, self.carried = None, "", 0.0
-        self._other = np.zeros(3)
-        self._lasted = dict.fromkeys(self._lasted, 0.0)
-        self._worst = {}
-        self._stood_before = True, True
-        self._lifts = self._unsolved = 0
 
     def torque(
         self,
@@ -163,8 +142,8 @@ class Balance:
 
         Args:
             target: the reference when the command takes effect.
-            measured: the newest LowState.
-            age: s since that was received.
+            measured: the newest LowState, received `age` s ago.
+            age: see above.
             share: of the weight that the feet shall carry while something else holds the robot;
                 None: what the feet do not carry is found from the measured torques.
             planted: the feet stand; otherwise they are still on their way to where they shall.
@@ -182,7 +161,9 @@ class Balance:
         if not planted:
             base.begin(*self._planted)
             target = target._replace(root_pos=self._root_pos)  # the target's may be lifted
-        reference = self._reference(target)
+        acc = target.root_lin_acc, target.root_ang_acc, target.ddq
+        pose = _state_of(target), target.root_pos, target.root_lin_vel
+        reference = self._dynamics.movement(*pose, acc)
         lifted = reference.soles[:, 2] > self._planted[0][:, 2] + OFF_FLOOR
         self._stands = tuple(~lifted) if planted else (True, True)
         self._stood[~lifted] = reference.soles[~lifted]
@@ -195,8 +176,7 @@ class Balance:
         wanted_force, wanted_turn = self._wanted(target, reference, state, terms)
         wrench = self._distribute(terms, wanted_force, wanted_turn)
         legs, others = terms.leg_tau, terms.other_tau
-        tau: Floats = np.concatenate([legs[0] @ wrench + legs[1], others[0] @ wrench + others[1]])
-        return tau
+        return np.concatenate([legs[0] @ wrench + legs[1], others[0] @ wrench + others[1]])
 
     @property
     def fault(self) -> str:
@@ -233,11 +213,13 @@ class Balance:
 
     def _keep_worst(self, margin: float, tilt: float, height_error: float) -> None:
         """Take a tick that was watched into account for the summary."""
+        # How far the one foot stands from its place beside the other.
+        apart = np.diff(self.base.soles - self._stood, axis=0)[0, :2] * all(self._stands)
         now = {
             "capture_margin_m": (min, margin),
             "tilt_rad": (max, tilt),
             "height_error_m": (max, height_error),
-            "feet_error_m": (max, self._feet_error()),
+            "feet_error_m": (max, float(np.hypot(*apart))),
             "carried": (min, self.carried),
         }
         worst = self._worst
@@ -246,11 +228,6 @@ class Balance:
         self._lifts += sum(stood and not stands for stood, stands in feet)
         self._stood_before = self._stands
         self._unsolved += self._lasted["unsolved"] > 0.0
-
-    def _feet_error(self) -> float:
-        """How far the one foot stands from its place beside the other, m; 0 while one is lifted."""
-        apart = np.diff(self.base.soles - self._stood, axis=0)[0, :2]
-        return float(np.hypot(*apart)) if all(self._stands) else 0.0
 
     def _capture_point_outside(self, terms: Terms) -> float:
         """How far the capture point is outside of the soles, m; inside it is negative.
@@ -270,11 +247,6 @@ class Balance:
         corners = soles[:, np.newaxis, :2] + self._dynamics.sole @ turns
         x, y = (corners.reshape(-1, 2) - point).T[..., np.newaxis]
         return float(beyond_hull(x, y)[0])
-
-    def _reference(self, target: Target) -> Movement:
-        acc = target.root_lin_acc, target.root_ang_acc, target.ddq
-        state = _state_of(target)
-        return self._dynamics.movement(state, target.root_pos, target.root_lin_vel, acc)
 
     def _load(self) -> Floats:
         """What each foot carries (2,), in sum 1; 0 of a foot that is lifted."""

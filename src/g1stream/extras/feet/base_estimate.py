@@ -7,19 +7,15 @@ speeds: the velocity follows it at once, and the legs within `_FOLLOWS` (a compl
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
+from g1stream.control.reading import ImuReading
+from g1stream.extras.feet.standing import Terms
 from g1stream.robot.dynamics import GRAVITY
 from g1stream.robot.rotations import quat_from_yaw, quat_mul, quat_rotate, wrap_angle
-
-if TYPE_CHECKING:
-    from g1stream.control.reading import ImuReading
-    from g1stream.extras.feet.standing import Terms
-    from g1stream.types import Floats
-
-__all__ = ["BaseEstimate"]
+from g1stream.types import Floats
 
 #: Time constants, s: of the velocity; of the heading, which a gyroscope lets drift by degrees a
 #: minute; of a sole that does not stand where it was put, because it slipped.
@@ -61,13 +57,10 @@ class BaseEstimate:
         return self.quat_wxyz
 
     def update(self, terms: Terms, imu: ImuReading, load: Floats, passed: float) -> None:
-        """Take a LowState into account.
+        """Take a LowState into account, `passed` s after the last one.
 
-        Args:
-            terms: of the pelvis as turned last.
-            imu: the reading.
-            load: (2,) what each foot carries, in sum 1; 0 of a foot that is lifted.
-            passed: s since the last one.
+        The terms are of the pelvis as turned last; `load` (2,) is what each foot carries, in sum 1;
+        0 of a foot that is lifted.
         """
         headings = np.arctan2(terms.turns[:, 1, 0], terms.turns[:, 0, 0])
         turned = wrap_angle(headings - self._headings)

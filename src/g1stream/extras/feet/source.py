@@ -6,35 +6,28 @@ docs/feet.md explains how the feet take the weight.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
-from g1stream.control.sources import HeldTorques, Source, other_revision
-from g1stream.control.targets import LOWERED
+from g1stream.config import Config
+from g1stream.control.reading import ImuReading, Reading
+from g1stream.control.sources import HeldTorques, Moment, Source, other_revision
+from g1stream.control.targets import LOWERED, Target
 from g1stream.errors import ConfigError, SafetyError
 from g1stream.extras.feet.balance import Balance
 from g1stream.extras.feet.squat import Squat
 from g1stream.extras.physics.stand import stand_or_explain
 from g1stream.motion.blend import minimum_jerk
 from g1stream.motion.limits import Interval
+from g1stream.motion.motion import Motion
 from g1stream.robot.dynamics import InverseDynamics
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
+from g1stream.robot.model import G1
 from g1stream.robot.rotations import quat_rotate_inverse
 from g1stream.robot.soles import SIDES
-from g1stream.types import Phase
-
-if TYPE_CHECKING:
-    from g1stream.config import Config
-    from g1stream.control.reading import ImuReading, Reading
-    from g1stream.control.sources import Moment
-    from g1stream.control.targets import Target
-    from g1stream.motion.motion import Motion
-    from g1stream.robot.model import G1
-    from g1stream.session.records import BalanceSummary
-    from g1stream.types import Floats, StreamSupport
-
-__all__ = ["StandingTorques"]
+from g1stream.session.records import BalanceSummary
+from g1stream.types import Floats, Phase, StreamSupport
 
 #: The feet stand once they carry this share of the weight, and no more below this one.
 _LANDS, _LIFTS = 0.1, 0.05
@@ -67,18 +60,6 @@ class StandingTorques(Source):
 
     At the end of HOLD the robot squats down, in which it can be damped. The part of a motion that
     is not played need not be able to stand: it becomes a pause.
-
-    Args:
-        config: the settings in force.
-        robot: the G1.
-        simulated: nothing but a simulator is reached.
-        complete: every joint gets its torque; here that is checked from the settings.
-
-    Raises:
-        ConfigError: the solver is not installed, or a robot cannot be kept on its feet with these
-            settings.
-        SafetyError: there may be a robot, and stream.experimental_feet is not set.
-        RobotError: the soles of a robot are not known.
     """
 
     needed = True

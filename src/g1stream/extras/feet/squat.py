@@ -7,23 +7,18 @@ joints of the legs follow by inverse kinematics; waist and arms do not move.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from collections.abc import Callable
+from typing import Final
 
 import numpy as np
 
+from g1stream.control.targets import Target
 from g1stream.extras.feet.standing import BodyState, StandingDynamics
 from g1stream.motion.blend import minimum_jerk
 from g1stream.robot.joints import N_JOINTS
+from g1stream.robot.model import G1
 from g1stream.robot.soles import OFF_FLOOR, bent_legs
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from g1stream.control.targets import Target
-    from g1stream.robot.model import G1
-    from g1stream.types import Floats
-
-__all__ = ["Squat"]
+from g1stream.types import Floats
 
 #: By how much the legs are bent in the squat, see `bent_legs`, rad.
 _BENT: Final = 0.85
@@ -34,17 +29,7 @@ _SHIFTS: Final = 3
 
 
 class Squat:
-    """Targets on the way down: a `g1stream.control.targets.WayDown`.
-
-    Args:
-        robot: the G1.
-
-    Attributes:
-        length: of the way down, s.
-
-    Raises:
-        RobotError: the soles of this robot are not known.
-    """
+    """Targets on the way down, of `length` s: a `g1stream.control.targets.WayDown`."""
 
     def __init__(self, robot: G1) -> None:
         self.length = 2.0

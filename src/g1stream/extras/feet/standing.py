@@ -12,19 +12,15 @@ is free, and everything else is linear in them.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from g1stream.robot.dynamics import GRAVITY, friction_torque, mujoco_spec
 from g1stream.robot.joints import JOINT_NAMES, LEGS
+from g1stream.robot.model import G1
 from g1stream.robot.soles import Soles
 from g1stream.types import Floats
-
-if TYPE_CHECKING:
-    from g1stream.robot.model import G1
-
-__all__ = ["BodyState", "Movement", "StandingDynamics", "Terms"]
 
 _BASE: Final = 6
 _ROOT: Final = 1  # the base, after the world
@@ -35,35 +31,21 @@ _DAMPING: Final = 1e-6 * np.eye(6)
 
 
 class BodyState(NamedTuple):
-    """Where the robot is and how it moves, but for the position and velocity of its base.
+    """Where the robot is and how it moves, but for the position and velocity of its base."""
 
-    Attributes:
-        quat_wxyz: (4,) pelvis to world.
-        ang_vel: (3,) rad/s, pelvis frame.
-        q: (29,) rad, motor order.
-        dq: (29,) rad/s.
-    """
-
-    quat_wxyz: Floats
-    ang_vel: Floats
-    q: Floats
-    dq: Floats
+    quat_wxyz: Floats  # (4,) pelvis to world
+    ang_vel: Floats  # (3,) rad/s, pelvis frame
+    q: Floats  # (29,) rad, motor order
+    dq: Floats  # (29,) rad/s
 
 
 class Movement(NamedTuple):
-    """How a reference moves.
+    """How a reference moves."""
 
-    Attributes:
-        pos: (3,) m, world, of the centre of mass.
-        vel: (3,) m/s, world.
-        force: (3,) N, world, of the floor that this takes, the weight included.
-        soles: (2, 3) m, world, the middle of each sole.
-    """
-
-    pos: Floats
-    vel: Floats
-    force: Floats
-    soles: Floats
+    pos: Floats  # (3,) m, world, of the centre of mass
+    vel: Floats  # (3,) m/s, world
+    force: Floats  # (3,) N, world, of the floor that this takes, the weight included
+    soles: Floats  # (2, 3) m, world, the middle of each sole
 
 
 class Terms(NamedTuple):
@@ -71,47 +53,27 @@ class Terms(NamedTuple):
 
     Accelerations and torques are linear in the wrenches w (12,): force, N, and moment about the
     middle of the sole, N·m, world, left foot first.
-
-    Attributes:
-        soles: (2, 3) m, the middle of each sole.
-        turns: (2, 3, 3) foot to world.
-        sole_vel: (2, 3) m/s.
-        centre: (3,) m, the centre of mass.
-        centre_vel: (3,) m/s.
-        base_acc: (6, 12) and (6,): the base's acceleration is B w + b, m/s², world, and rad/s²,
-            pelvis frame.
-        leg_tau: (12, 12) and (12,): the torques of the legs, N·m.
-        other_tau: (17, 12) and (17,): those of waist and arms, N·m.
-        gravity_tau: (29,) N·m, that hold the joints against gravity if the base is held.
-        by_sole: (2, 6, 6) how the joints of a leg move with its sole: the inverse of its Jacobian,
-            damped. Transposed it gives the wrench on a sole from the torques of its leg.
     """
 
-    soles: Floats
-    turns: Floats
-    sole_vel: Floats
-    centre: Floats
-    centre_vel: Floats
+    soles: Floats  # (2, 3) m, the middle of each sole
+    turns: Floats  # (2, 3, 3) foot to world
+    sole_vel: Floats  # (2, 3) m/s
+    centre: Floats  # (3,) m, the centre of mass
+    centre_vel: Floats  # (3,) m/s
+    # (6, 12) and (6,): B w + b is the base's acceleration, m/s², world, and rad/s², pelvis frame.
     base_acc: tuple[Floats, Floats]
-    leg_tau: tuple[Floats, Floats]
-    other_tau: tuple[Floats, Floats]
-    gravity_tau: Floats
+    leg_tau: tuple[Floats, Floats]  # (12, 12) and (12,), N·m, of the legs
+    other_tau: tuple[Floats, Floats]  # (17, 12) and (17,), N·m, of waist and arms
+    gravity_tau: Floats  # (29,) N·m, that hold the joints against gravity if the base is held
+    # (2, 6, 6) how the joints of a leg move with its sole: the inverse of its Jacobian, damped.
+    # Transposed it gives the wrench on a sole from the torques of its leg.
     by_sole: Floats
 
 
 class StandingDynamics:
-    """The equations of one robot.
+    """The equations of one robot, of `mass` kg and `weight` N.
 
-    Args:
-        robot: the G1.
-
-    Attributes:
-        mass: kg.
-        weight: N.
-        sole: (4, 2) m, the corners of a sole about its middle, in the foot's frame.
-
-    Raises:
-        RobotError: the soles of this robot are not known.
+    `sole` (4, 2), m, has the corners of a sole about its middle, in the foot's frame.
     """
 
     def __init__(self, robot: G1) -> None:
@@ -139,13 +101,9 @@ class StandingDynamics:
     def movement(
         self, state: BodyState, pos: Floats, lin_vel: Floats, acc: tuple[Floats, Floats, Floats]
     ) -> Movement:
-        """How a reference moves.
+        """How a reference moves whose base is at `pos` and has `lin_vel`, world.
 
-        Args:
-            state: of the reference.
-            pos: (3,) m, of its base, world.
-            lin_vel: (3,) m/s, world.
-            acc: of its base, (3,) m/s² world and (3,) rad/s² pelvis frame, and its joints (29,).
+        `acc` is of its base, (3,) m/s² world and (3,) rad/s² pelvis frame, and its joints (29,).
         """
         mujoco, model, data = self._mujoco, self._model, self._reference
         self._place(data, state)
@@ -163,8 +121,7 @@ class StandingDynamics:
     def sole_poses(self, state: BodyState) -> tuple[Floats, Floats]:
         """The middle of each sole (2, 3), m from the base's origin, and foot to world (2, 3, 3)."""
         self._place(self._reference, state)
-        found: tuple[Floats, Floats] = self._find_soles(self._reference)
-        return found
+        return self._find_soles(self._reference)
 
     def soles(self, state: BodyState) -> tuple[Floats, Floats]:
         """The middle of each sole (2, 3), m from the base's origin, world, and its heading (2,)."""
@@ -174,10 +131,7 @@ class StandingDynamics:
     def towards(self, state: BodyState, soles: Floats, turns: Floats) -> Floats:
         """The joints (29,), rad, one step of Newton's method nearer to where the soles shall be.
 
-        Args:
-            state: of which waist and arms are kept.
-            soles: (2, 3) m from the base's origin, world.
-            turns: (2, 3, 3) foot to world.
+        That is (2, 3) m from the base's origin, world, and (2, 3, 3) foot to world.
         """
         now, turned = self.sole_poses(state)
         self._find_sole_jacobians(self._reference, now)
@@ -191,10 +145,7 @@ class StandingDynamics:
     def joint_motion(self, state: BodyState, vel: Floats, acc: Floats) -> tuple[Floats, Floats]:
         """Speeds (29,), rad/s, and accelerations, rad/s², of the legs over soles that stand.
 
-        Args:
-            state: its base does not turn, and its waist and arms rest.
-            vel: (3,) m/s of its base, world.
-            acc: (3,) m/s² likewise.
+        The base has `vel` and `acc` (3,), world, and does not turn; waist and arms rest.
         """
         dq, ddq = np.zeros((2, len(JOINT_NAMES)))
         still = np.zeros((2, 3))
@@ -309,8 +260,7 @@ class StandingDynamics:
 
 def _of_legs(jac: Floats) -> Floats:
     """The parts (2, 6, 6) of the soles' Jacobian (12, 35) that are of the joints of their legs."""
-    parts: Floats = np.stack([jac[:6, _BASE : _BASE + 6], jac[6:, _BASE + 6 : _BASE + 12]])
-    return parts
+    return np.stack([jac[:6, _BASE : _BASE + 6], jac[6:, _BASE + 6 : _BASE + 12]])
 
 
 def _inverse(jac: Floats) -> Floats:

@@ -8,75 +8,51 @@ fixed to it; body 0 is the pelvis. Inner arrays have components first and frames
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from g1stream.robot.dynamics import GRAVITY, compiled_dynamics, friction_torque
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
+from g1stream.robot.kinematics import LinkPoses
+from g1stream.robot.model import G1
 from g1stream.robot.rotations import rotation_matrices
 from g1stream.robot.urdf import KEPT_ROBOTS
 from g1stream.types import Floats
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from g1stream.robot.kinematics import LinkPoses
-    from g1stream.robot.model import G1
-
-__all__ = ["BatchInverseDynamics", "BatchLoads", "MovementBatch", "cross"]
-
 _UP: Final = np.array([[0.0], [0.0], [1.0]])
+#: The link that a hanging robot hangs from.
+_CARRIER: Final = "torso_link"
 #: A carrier so near to the mass centre hangs in no direction, m.
 _NO_LEVER: Final = 1e-9
 
 
 class BatchLoads(NamedTuple):
-    """What T frames take.
+    """What T frames take."""
 
-    Attributes:
-        tau: (T, 29) N·m, motor order, friction included.
-        force: (T, 3) N, world, that acts on the robot for its pelvis to move so.
-        moment: (T, 3) N·m, world, of that force about the pelvis's origin.
-    """
-
-    tau: Floats
-    force: Floats
-    moment: Floats
+    tau: Floats  # (T, 29) N·m, motor order, friction included
+    force: Floats  # (T, 3) N, world, that acts on the robot for its pelvis to move so
+    moment: Floats  # (T, 3) N·m, world, of that force about the pelvis's origin
 
 
 class BatchInverseDynamics:
-    """The bodies of one robot.
+    """The bodies of a robot of `mass` kg, which hangs from its torso, if it hangs."""
 
-    Args:
-        robot: has the URDF.
-        carrier: the link that a hanging robot hangs from.
-        gravity: m/s², downward.
-
-    Attributes:
-        mass: kg, of the whole robot.
-        gravity: as given.
-
-    Raises:
-        RobotError: MuJoCo does not accept the URDF, or there is no link `carrier`.
-    """
-
-    def __init__(self, robot: G1, *, carrier: str = "torso_link", gravity: float = GRAVITY) -> None:
+    def __init__(self, robot: G1) -> None:
         import mujoco
 
-        robot.link_index(carrier)
-        model = compiled_dynamics(robot, gravity)
+        model = compiled_dynamics(robot, GRAVITY)
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
-        self.gravity = gravity
         self.mass = float(model.body_mass.sum())
         moved_with = model.body_weldid
         bodies = np.unique(moved_with[1:])
         self.links = [robot.link_index(model.body(body).name) for body in bodies]
         self.joints = robot.joint_of_link[self.links[1:]]
         self.parents = np.searchsorted(bodies, moved_with[model.body_parentid[bodies[1:]]])
-        self.carrier = int(np.searchsorted(bodies, moved_with[model.body(carrier).id]))
+        self.carrier = int(np.searchsorted(bodies, moved_with[model.body(_CARRIER).id]))
         self.axes = robot.axis[self.links[1:]].T[..., np.newaxis]
         dofs = [model.joint(JOINT_NAMES[joint]).dofadr[0] for joint in self.joints]
         self.armature = model.dof_armature[dofs, np.newaxis]
@@ -97,16 +73,13 @@ class BatchInverseDynamics:
     @classmethod
     @lru_cache(maxsize=KEPT_ROBOTS)
     def of(cls, robot: G1) -> BatchInverseDynamics:
-        """Of a robot that hangs from its torso, in standard gravity; the same object every time."""
+        """Of a robot; the same object every time."""
         return cls(robot)
 
     def batch(self, poses: LinkPoses, joint_vel: Floats, joint_acc: Floats) -> MovementBatch:
-        """Frames whose loads are wanted; `BLOCK` at once are fastest.
+        """Frames whose loads are wanted: poses in the world, rad/s and rad/s² (T, 29), motor order.
 
-        Args:
-            poses: of T frames, in the world.
-            joint_vel: (T, 29) rad/s, motor order.
-            joint_acc: (T, 29) rad/s².
+        `BLOCK` frames at once are fastest.
         """
         return MovementBatch(self, poses, joint_vel, joint_acc)
 
@@ -141,7 +114,7 @@ class MovementBatch:
 
     def bolted(self) -> Floats:
         """The torques (T, 29), N·m, with an upright pelvis at rest."""
-        return self._loads(*self._held(self._robot.gravity * self._upright)).tau
+        return self._loads(*self._held(GRAVITY * self._upright)).tau
 
     def hanging(self) -> tuple[Floats, Floats]:
         """The torques (T, 29), N·m, of a robot that hangs, and the tilt (T,), rad, of its pelvis.
@@ -161,35 +134,29 @@ class MovementBatch:
         away = self._centre - centre[:, np.newaxis]
         inertia = self._inertia.sum(axis=2) + _of_points(robot.masses, away)
         ang_acc = np.linalg.solve(inertia.T, moment.T[..., np.newaxis])[..., 0].T
-        acc = robot.gravity * up - force / robot.mass - cross(ang_acc, centre)
+        acc = GRAVITY * up - force / robot.mass - cross(ang_acc, centre)
         forces, moments = self._held(acc, ang_acc)
-        weight = robot.mass * robot.gravity * up
+        weight = robot.mass * GRAVITY * up
         forces[:, robot.carrier] -= weight
         moments[:, robot.carrier] -= cross(self._centre[:, robot.carrier], weight)
         return self._loads(forces, moments).tau, tilt
 
     def follow(self, ang_vel: Floats, ang_acc: Floats, lin_acc: Floats) -> BatchLoads:
-        """What the frames take if the pelvis moves as given.
+        """What the frames take if the pelvis moves as given (T, 3).
 
-        Args:
-            ang_vel: (T, 3) rad/s, pelvis frame.
-            ang_acc: (T, 3) rad/s², its time derivative.
-            lin_acc: (T, 3) m/s², of the pelvis's origin, world, without gravity.
+        Its rad/s and rad/s² are in its frame, the m/s² of its origin in the world, without gravity.
         """
         moving = self._moving(
             _times(self._pelvis, ang_vel.T),
             _times(self._pelvis, ang_acc.T),
-            lin_acc.T + self._robot.gravity * _UP,
+            lin_acc.T + GRAVITY * _UP,
         )
         return self._loads(*moving)
 
     def torques_of(self, links: Sequence[int], points: Floats, contact_forces: Floats) -> Floats:
         """The torques (T, 29), N·m, that forces on links exert on the joints: J^T f.
 
-        Args:
-            links: P of them, each moved by a joint.
-            points: (T, P, 3) m, world, where the forces act.
-            contact_forces: (T, P, 3) N, world.
+        They act on P links, each moved by a joint, at points (T, P, 3), m, with (T, P, 3) N, world.
         """
         forces = np.zeros_like(self._pos)
         moments = np.zeros_like(self._pos)

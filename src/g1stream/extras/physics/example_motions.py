@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import ArrayLike
 
 from g1stream.extras.physics.legs import Legs
 from g1stream.motion.blend import minimum_jerk
@@ -15,26 +14,14 @@ from g1stream.robot.rotations import quat_from_yaw, quat_rotate
 from g1stream.robot.soles import Soles, bent_legs
 from g1stream.types import Floats
 
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-__all__ = ["squatting", "stepping"]
-
 
 def squatting(seconds: float, *, arms: float = 0.6, fps: float = 50.0) -> Motion:
-    """A motion that squats every 4 s, waves both arms and turns the waist, from rest.
-
-    Args:
-        seconds: its length.
-        arms: how far the shoulders swing, rad.
-        fps: frames per second.
-    """
+    """A motion that squats every 4 s, swings both arms by so many rad and turns the waist."""
     time = np.arange(round(seconds * fps) + 1) / fps
     begun = minimum_jerk(time / 2.0)[0]
 
     def swing(hertz: float, phase: float = 0.0) -> Floats:
-        wave: Floats = begun * np.sin(2.0 * np.pi * hertz * time + phase)
-        return wave
+        return begun * np.sin(2.0 * np.pi * hertz * time + phase)
 
     knee = 0.75 + 0.25 * swing(0.25)
     angles: dict[str, Floats | float] = {"waist_yaw": 0.4 * swing(0.2)}
@@ -61,18 +48,9 @@ def stepping(
 ) -> Motion:
     """A motion that steps: first the left foot, then the right one, and so on, from rest to rest.
 
-    A foot is lifted by 6 cm. The pelvis stays midway between the feet, and not over the one that
-    stands.
-
-    Args:
-        places: (N, 3) x and y, m, and heading, rad: where the robot would stand if both feet had
-            come as far as the one that makes step k. It begins at 0, 0, 0.
-        period: s from step to step.
-        swing: s of it in which the foot is lifted.
-        fps: frames per second.
-
-    Raises:
-        MotionError: the legs do not reach the places.
+    A foot is lifted by 6 cm, for `swing` s in each `period`. The pelvis stays midway between the
+    feet, and not over the one that stands. `places` (N, 3) has x and y, m, and heading, rad: where
+    the robot would stand if both feet had come as far as the one that makes step k, from 0, 0, 0.
     """
     goals = np.concatenate([np.zeros((1, 3)), np.asarray(places, dtype=np.float64)])
     robot = G1.default()

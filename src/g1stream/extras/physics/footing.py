@@ -7,26 +7,20 @@ the other foot, is the average while both stand, until the next lift of either.
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from g1stream.errors import MotionError
-from g1stream.extras.physics.ground import stretches
+from g1stream.extras.physics.ground import Flags, stretches
 from g1stream.motion.blend import minimum_jerk
+from g1stream.motion.motion import Motion
 from g1stream.robot.kinematics import pose_blocks
+from g1stream.robot.model import G1
 from g1stream.robot.rotations import quat_conj, quat_from_yaw, quat_mul, wrap_angle, yaw_of
-from g1stream.robot.soles import SIDES
+from g1stream.robot.soles import SIDES, Soles
 from g1stream.text import ranges
 from g1stream.types import Floats
-
-if TYPE_CHECKING:
-    from g1stream.extras.physics.ground import Flags
-    from g1stream.motion.motion import Motion
-    from g1stream.robot.model import G1
-    from g1stream.robot.soles import Soles
-
-__all__ = ["CannotStandError", "Footing", "find_footing"]
 
 #: A foot that is so much higher than the other is lifted, from when it was higher by the second
 #: figure until it is not, m.
@@ -42,17 +36,9 @@ _NAMED: Final = 3
 
 
 class CannotStandError(MotionError):
-    """A motion that cannot be played on the robot's own feet.
+    """A motion that cannot be played on the robot's own feet: `what` forbids it, in `frames` (T,).
 
-    Args:
-        motion: that cannot.
-        what: forbids it.
-        frames: (T,) in which.
-        slower: it may be possible to play it slower.
-
-    Attributes:
-        why: `what` and the first frames.
-        what, frames, slower: as above.
+    `why` is both in words; `slower` says that it may be possible to play it slower.
     """
 
     def __init__(self, motion: Motion, what: str, frames: Flags, *, slower: bool = False) -> None:
@@ -67,23 +53,14 @@ class CannotStandError(MotionError):
 
 
 class Footing(NamedTuple):
-    """Where the feet of a motion of T frames are put.
+    """Where the feet of a motion of T frames are put."""
 
-    Attributes:
-        feet: (T, 2, 3) m, world, the links of the feet.
-        turns: (T, 2, 4) wxyz, foot to world; the feet are level.
-        shift: (T, 3) m, by how much the feet that stand were moved on average.
-        moved: m, how far a foot that stands was moved, seen from between both feet, at most.
-        turned: rad, by how much a foot was turned at most.
-        levelled: m, how far the lower foot was from where it mostly is, at most.
-    """
-
-    feet: Floats
-    turns: Floats
-    shift: Floats
-    moved: float
-    turned: float
-    levelled: float
+    feet: Floats  # (T, 2, 3) m, world, the links of the feet
+    turns: Floats  # (T, 2, 4) wxyz, foot to world; the feet are level
+    shift: Floats  # (T, 3) m, by how much the feet that stand were moved on average
+    moved: float  # m, how far a foot that stands was moved, seen from between both feet, at most
+    turned: float  # rad, by how much a foot was turned at most
+    levelled: float  # m, how far the lower foot was from where it mostly is, at most
 
 
 class _Lift(NamedTuple):
@@ -95,12 +72,7 @@ class _Lift(NamedTuple):
 
 
 def find_footing(motion: Motion, robot: G1, soles: Soles) -> Footing:
-    """Find where the feet of a motion stand; a lifted one follows the motion relative to the other.
-
-    Raises:
-        CannotStandError: a foot slides, or is lifted in the first or the last frame, or both are
-            lifted.
-    """
+    """Where the feet of a motion stand; a lifted one follows the motion relative to the other."""
     of_feet = [
         (poses.pos[:, soles.links], poses.quat_wxyz[:, soles.links], soles.positions(poses))
         for _, poses in pose_blocks(
@@ -172,11 +144,7 @@ def _find_lifted(above: Floats) -> Flags:
 
 
 def _in_order(motion: Motion, lifted: Flags) -> list[_Lift]:
-    """The lifts of both feet; on both stands the robot before and after each of them.
-
-    Raises:
-        CannotStandError: it does not.
-    """
+    """The lifts of both feet; on both stands the robot before and after each of them."""
     ends = np.zeros(len(lifted), np.bool_)
     for first, stop in stretches(np.asarray(lifted.any(axis=1))):
         ends[first:stop] = first == 0 or stop == len(lifted)
@@ -221,8 +189,7 @@ def _leaving(lifted: Flags, fps: float) -> Floats:
     if not lifted.any():
         return np.zeros(len(lifted))
     frames: Floats = distance_transform_edt(~lifted)  # to the nearest one in which it is
-    away: Floats = 1.0 - minimum_jerk(frames / (fps * _LEAVES))[0]
-    return away
+    return 1.0 - minimum_jerk(frames / (fps * _LEAVES))[0]
 
 
 def _mean_angle(angles: Floats) -> Floats:

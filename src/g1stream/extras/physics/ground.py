@@ -5,27 +5,14 @@ The floor is at height 0. docs/physics.md has the formulas and their sources.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from g1stream.types import Floats
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Flags = NDArray[np.bool_]
-
-__all__ = [
-    "FRICTION",
-    "TRUSTED_FRICTION",
-    "beyond_hull",
-    "beyond_support",
-    "floor_forces",
-    "stretches",
-    "touching",
-    "zero_moment_point",
-]
+Flags = NDArray[np.bool_]
 
 FRICTION: Final = 0.6
 """Coefficient of friction between sole and floor: rubber on a dry floor. Simulators have 1."""
@@ -56,17 +43,10 @@ _LEVERS: Final = np.cross(np.eye(3)[:, np.newaxis], _EDGES).reshape(3, -1)
 
 
 def touching(corners: Floats, fps: float) -> tuple[Flags, Floats]:
-    """Which corners touch the floor, and how fast each slides.
+    """Which corners (T, C, 3), m, world, touch the floor (T, C), and their horizontal speed, m/s.
 
     With hysteresis, in height and in speed, so that noise about a threshold does not count as
     steps. Until a corner is first clearly on the floor or off it, it counts as it does then.
-
-    Args:
-        corners: (T, C, 3) m, world.
-        fps: frames per second.
-
-    Returns:
-        (T, C) whether it touches; (T, C) horizontal speed, m/s, by central differences.
     """
     velocity = np.gradient(corners, axis=0) * fps
     height, speed = corners[..., 2], np.linalg.norm(velocity, axis=-1)
@@ -80,14 +60,10 @@ def touching(corners: Floats, fps: float) -> tuple[Flags, Floats]:
 
 
 def zero_moment_point(force: Floats, moment: Floats) -> Floats:
-    """Where on the floor a force would have no moment about a horizontal axis.
+    """Where on the floor (..., 2), m, a force would have no moment about a horizontal axis.
 
-    Args:
-        force: (..., 3) N, world, of the floor on the robot.
-        moment: (..., 3) N·m, world, about the world's origin.
-
-    Returns:
-        (..., 2) m; not finite where the force has no vertical part.
+    The force (..., 3), N, is that of the floor on the robot, and the moment about the world's
+    origin. It is not finite where the force has no vertical part.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         point: Floats = np.stack([-moment[..., 1], moment[..., 0]], axis=-1) / force[..., 2:]
@@ -95,17 +71,10 @@ def zero_moment_point(force: Floats, moment: Floats) -> Floats:
 
 
 def beyond_support(points: Floats, corners: Floats, touches: Flags) -> Floats:
-    """How far points are outside of the convex hull of the corners that touch, seen from above.
+    """How far points (T, 2), m, are outside of the convex hull of the corners (T, C, 3) that touch.
 
-    Inside it is negative, and says how far the nearest edge is.
-
-    Args:
-        points: (T, 2) m.
-        corners: (T, C, 3) m.
-        touches: (T, C); of a frame in which none does the result means nothing.
-
-    Returns:
-        (T,) m.
+    As seen from above; inside it is negative, and says how far the nearest edge is. Of a frame in
+    which no corner touches (T, C) it means nothing.
     """
     n_corners = corners.shape[1]
     # A corner that does not touch stands where one that does stands: the hull is the same.
@@ -135,24 +104,16 @@ def beyond_hull(x: Floats, y: Floats) -> Floats:
 
 
 def floor_forces(corners: Floats, touches: Flags, force: Floats, moment: Floats) -> Floats:
-    """Distribute a force and a moment, as far as they can be, over corners that touch the floor.
+    """The forces (T, C, 3), N, world, with which a floor pushes at corners (T, C, 3) that touch it.
 
-    Each corner pushes within a friction pyramid of four edges, inscribed in the cone of `FRICTION`.
-    Of all distributions with the same sum this is the one with the least squared forces
+    Their sum is a force (T, 3), N, and a moment (T, 3), N·m, about the world's origin, as far as
+    can be: each corner pushes within a friction pyramid of four edges, inscribed in the cone of
+    `FRICTION`. Of all distributions with the same sum this is the one with the least squared forces
     (non-negative least squares), so that feet that stand alike carry alike.
 
     Along which edges the floor pushes is found for all frames at once: it is those along which the
     solution for these alone pushes (Newton's method for the dual problem). In the few frames in
     which that goes in circles the method is that of Lawson and Hanson (1974).
-
-    Args:
-        corners: (T, C, 3) m, world.
-        touches: (T, C); where none does, no force acts.
-        force: (T, 3) N, world, that the floor should exert.
-        moment: (T, 3) N·m, world, about the world's origin.
-
-    Returns:
-        (T, C, 3) N, world, of the floor on each corner.
     """
     count = np.maximum(touches.sum(axis=1, keepdims=True), 1)
     centre = (touches[..., np.newaxis] * corners).sum(axis=1) / count

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import ceil
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from g1stream.extras.physics.batch_dynamics import cross
 from g1stream.extras.physics.footing import CannotStandError
+from g1stream.extras.physics.ground import Flags
+from g1stream.motion.motion import Motion
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
 from g1stream.robot.kinematics import BLOCK, forward_kinematics
+from g1stream.robot.model import G1
 from g1stream.robot.rotations import (
     quat_conj,
     quat_mul,
@@ -21,15 +25,6 @@ from g1stream.robot.rotations import (
 )
 from g1stream.robot.soles import OFF_FLOOR, SIDES, Soles
 from g1stream.types import Floats
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from g1stream.extras.physics.ground import Flags
-    from g1stream.motion.motion import Motion
-    from g1stream.robot.model import G1
-
-__all__ = ["Legs", "LegsTooShortError"]
 
 #: A foot carries nothing from so long before it is lifted, s, and from a frame before it at least:
 #: between two frames the centre of pressure is on its way.
@@ -52,14 +47,7 @@ class LegsTooShortError(CannotStandError):
 
 
 class Legs:
-    """The joints of the legs for given feet.
-
-    Args:
-        robot: the G1.
-        soles: of its feet.
-        feet: (T, 2, 3) m, world, the links of the feet.
-        turns: (T, 2, 4) wxyz, foot to world.
-        fps: frames per second.
+    """The joints of the legs for given feet: links (T, 2, 3), m, world, and turns (T, 2, 4) wxyz.
 
     Attributes:
         corners: (T, 8, 3) m, world, of the soles.
@@ -94,9 +82,6 @@ class Legs:
 
         Newton's method with damped steps, many frames at once, in each until its feet are there.
         Frames in which the pelvis is not `moved` (T,) have them there already.
-
-        Raises:
-            LegsTooShortError: they do not reach, or only with a knee all but stretched.
         """
         q, quat, error = motion.joint_pos.copy(), motion.root_quat_wxyz, np.zeros(motion.n_frames)
         left = np.arange(len(q)) if moved is None else np.flatnonzero(moved)

@@ -6,9 +6,12 @@ the spline through the frames. docs/physics.md has the formulas, thresholds and 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple, get_args
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from typing import Any, Final, NamedTuple, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from g1stream.config import SafetyConfig
 from g1stream.errors import ConfigError
@@ -16,13 +19,13 @@ from g1stream.extras.physics.batch_dynamics import BatchInverseDynamics
 from g1stream.extras.physics.footing import CannotStandError
 from g1stream.extras.physics.ground import (
     FRICTION,
+    Flags,
     beyond_support,
     floor_forces,
     stretches,
     touching,
     zero_moment_point,
 )
-from g1stream.extras.physics.instead import find_instead
 from g1stream.extras.physics.result import (
     Cause,
     Collision,
@@ -33,28 +36,17 @@ from g1stream.extras.physics.result import (
     Verdict,
 )
 from g1stream.extras.physics.stance import stand_part
+from g1stream.extras.physics.stand import find_instead
+from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
-from g1stream.robot.hulls import SelfCollision, read_hulls
+from g1stream.robot.dynamics import GRAVITY
+from g1stream.robot.hulls import Hull, SelfCollision, read_hulls
 from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
-from g1stream.robot.kinematics import pose_blocks
+from g1stream.robot.kinematics import LinkPoses, pose_blocks
 from g1stream.robot.model import G1
 from g1stream.robot.rotations import rotation_matrices
 from g1stream.robot.soles import SIDES, Soles
-from g1stream.types import Floats, Support
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-    from typing import Any
-
-    from numpy.typing import NDArray
-
-    from g1stream.extras.physics.ground import Flags
-    from g1stream.motion.motion import Motion
-    from g1stream.motion.trajectory import Trajectory
-    from g1stream.robot.hulls import Hull
-    from g1stream.robot.kinematics import LinkPoses
-    from g1stream.robot.model import G1
-    from g1stream.robot.soles import Soles
+from g1stream.types import Floats, StreamSupport, Support
 
 __all__ = ["Loads", "motion_physics", "movement_loads"]
 
@@ -71,23 +63,16 @@ _SWINGS: Final = 0.5  # time in which a hanging pelvis turns, s
 
 
 class _Frames(NamedTuple):
-    """What is known of T frames without dynamics.
+    """What is known of T frames without dynamics."""
 
-    Attributes:
-        fps: frames per second.
-        corners: (T, 8, 3) m, world, of the soles.
-        touches: (T, 8) whether a corner touches the floor.
-        speeds: (T, 8) m/s, horizontal.
-        heights: by link but the feet, (T,) m from the floor to its lowest point, infinite where it
-            is above the floor.
-        depths: by pair of links, (T,) m that they are inside each other.
-    """
-
-    fps: float
-    corners: Floats
-    touches: Flags
-    speeds: Floats
+    fps: float  # frames per second
+    corners: Floats  # (T, 8, 3) m, world, of the soles
+    touches: Flags  # (T, 8) whether a corner touches the floor
+    speeds: Floats  # (T, 8) m/s, horizontal
+    # by link but the feet, (T,) m from the floor to its lowest point, infinite where it is above
+    # the floor
     heights: dict[str, Floats]
+    # by pair of links, (T,) m that they are inside each other
     depths: dict[tuple[str, str], Floats]
 
 
@@ -138,17 +123,14 @@ def motion_physics(
         "free": [everywhere, tilted(tilt, 0.0), *_on_its_feet(known, loads, beyond)],
     }
     for support, excesses in found.items():
-        excesses.append(
-            _excess(
-                known.fps,
-                "torque",
-                "N·m",
-                np.abs(loads.tau[support]),
-                robot.torque_limit,
-                JOINT_NAMES,
-                longest=_TIPS if support == "free" else _SAGS,
-            )
-        )
+        over = partial(_excess, known.fps, longest=_TIPS if support == "free" else _SAGS)
+        tau, limit = np.abs(loads.tau[support]), robot.torque_limit
+        excesses.append(over("torque", "N·m", tau, limit, JOINT_NAMES))
+    verdicts: dict[StreamSupport, Verdict] = {}
+    for support, excesses in found.items():
+        against = sorted(filter(None, excesses), key=lambda excess: not excess.forbids)
+        verdicts[support] = Verdict(support=support, excesses=tuple(against))
+    verdicts["feet"] = _on_planted_feet(trajectory, robot, played, frames, suggest)
     stands = known.touches.any(axis=1)
     pressed = np.isfinite(beyond)
     worst = int(np.nanargmax(beyond)) if pressed.any() else None
@@ -158,10 +140,7 @@ def motion_physics(
         fps=motion.fps,
         robot=robot.name,
         mass_kg=loads.mass,
-        verdicts={
-            **{support: _verdict(support, excesses) for support, excesses in found.items()},
-            "feet": _on_planted_feet(trajectory, robot, played, frames, suggest),
-        },
+        verdicts=verdicts,
         tilt_rad=float(tilt.max()),
         hanging_tilt_rad=float(loads.hanging_tilt.max()),
         feet=tuple(_foot(known, robot.link_names[link], i) for i, link in enumerate(soles.links)),
@@ -177,11 +156,7 @@ def motion_physics(
 
 
 def _on_planted_feet(
-    trajectory: Trajectory,
-    robot: G1,
-    played: Flags | None,
-    frames: range | None,
-    suggest: bool,
+    trajectory: Trajectory, robot: G1, played: Flags | None, frames: range | None, suggest: bool
 ) -> Verdict:
     motion = trajectory.motion
     frames = frames or range(motion.n_frames)
@@ -190,7 +165,7 @@ def _on_planted_feet(
     try:
         standing = stand_part(motion, robot, frames, played, trajectory)
     except CannotStandError as error:
-        instead = find_instead(motion, robot, frames, error, played) if suggest else None
+        instead = find_instead(motion, robot, frames, error, played) if suggest else ""
         return Verdict(support="feet", refused=error.why, instead=instead)
     except ConfigError:
         return Verdict(support="feet", refused="only some joints of the legs play it")
@@ -258,7 +233,7 @@ def _self_collision(frames: _Frames) -> Excess | None:
 
 def _on_its_feet(frames: _Frames, loads: Loads, beyond: Floats) -> list[Excess | None]:
     """What speaks against a motion on the robot's own feet, but tilt, torque and self-collision."""
-    fps, stands = frames.fps, frames.touches.any(axis=1)
+    stands, over = frames.touches.any(axis=1), partial(_excess, frames.fps)
     force, up = loads.force, loads.force[:, 2]
     pull = np.where(stands, np.maximum(-up, 0.0), np.linalg.norm(force, axis=1))
     sideways = np.linalg.norm(force[:, :2], axis=1)
@@ -268,20 +243,14 @@ def _on_its_feet(frames: _Frames, loads: Loads, beyond: Floats) -> list[Excess |
     sinks = np.maximum(-1e3 * frames.corners[..., 2], 0.0)
     slides = 1e3 * np.where(frames.touches, frames.speeds, 0.0)
     below = np.maximum(-1e3 * _columns(frames.heights, len(force)), 0.0)
+    outside = 1e3 * np.where(pressed, beyond, 0.0)
     return [
-        _excess(fps, "support", "of the weight", pull / loads.weight, _UNSUPPORTED, longest=_TIPS),
-        _excess(
-            fps,
-            "centre of pressure",
-            "mm",
-            1e3 * np.where(pressed, beyond, 0.0),
-            _OUTSIDE,
-            longest=_TIPS,
-        ),
-        _excess(fps, "friction", "", grip, FRICTION, longest=_TIPS),
-        _excess(fps, "floor contact", "mm", below, _SUNK, list(frames.heights), longest=_TIPS),
-        _excess(fps, "penetration", "mm", sinks, _SUNK, feet),
-        _excess(fps, "skating", "mm/s", slides, _SKATING, feet),
+        over("support", "of the weight", pull / loads.weight, _UNSUPPORTED, longest=_TIPS),
+        over("centre of pressure", "mm", outside, _OUTSIDE, longest=_TIPS),
+        over("friction", "", grip, FRICTION, longest=_TIPS),
+        over("floor contact", "mm", below, _SUNK, list(frames.heights), longest=_TIPS),
+        over("penetration", "mm", sinks, _SUNK, feet),
+        over("skating", "mm/s", slides, _SKATING, feet),
     ]
 
 
@@ -351,11 +320,6 @@ def _spans(flags: Flags) -> tuple[tuple[int, int], ...]:
     return tuple((int(first), int(stop) - 1) for first, stop in stretches(flags))
 
 
-def _verdict(support: Support, found: Sequence[Excess | None]) -> Verdict:
-    excesses = sorted((e for e in found if e is not None), key=lambda e: not e.forbids)
-    return Verdict(support=support, excesses=tuple(excesses))
-
-
 def _foot(frames: _Frames, link: str, number: int) -> Foot:
     own = slice(4 * number, 4 * number + 4)
     touches, heights = frames.touches[:, own], frames.corners[:, own, 2].min(axis=1)
@@ -413,24 +377,16 @@ def _peaks(frames: _Frames, tau: Floats, limit: Floats) -> tuple[TorquePeak, ...
 
 
 class Loads(NamedTuple):
-    """What T frames take.
+    """What T frames take."""
 
-    Attributes:
-        mass: kg, of the robot.
-        weight: N.
-        tau: by support, (T, 29) N·m, motor order.
-        force: (T, 3) N, world, that has to act on the robot for its pelvis to move as in the
-            motion; at rest its weight, upward.
-        moment: (T, 3) N·m, world, of that force about the world's origin.
-        hanging_tilt: (T,) rad, of the pelvis of a robot that hangs at rest.
-    """
-
-    mass: float
-    weight: float
-    tau: dict[Support, Floats]
+    mass: float  # kg, of the robot
+    weight: float  # N
+    tau: dict[Support, Floats]  # by support, (T, 29) N·m, motor order
+    # (T, 3) N, world, that has to act on the robot for its pelvis to move as in the motion; at rest
+    # its weight, upward
     force: Floats
-    moment: Floats
-    hanging_tilt: Floats
+    moment: Floats  # (T, 3) N·m, world, of that force about the world's origin
+    hanging_tilt: Floats  # (T,) rad, of the pelvis of a robot that hangs at rest
 
 
 def movement_loads(
@@ -445,19 +401,9 @@ def movement_loads(
 
     Joints move as the spline through the frames, whose accelerations are greatest at frames. With
     `bolted` the pelvis is upright. With `hanging` it is at rest as the pose lets it hang: the mass
-    centre below the carrier's. With `free` the floor exerts the force on the corners that touch it,
-    as far as it can (`floor_forces`); the rest is left to an outer force on the pelvis.
-
-    Args:
-        trajectory: through T frames.
-        robot: the G1.
-        soles: of its feet.
-        corners: (T, 8, 3) m, world, of the soles.
-        touches: (T, 8) whether a corner touches the floor.
-        look: called with some frames at a time, and the poses of the links in them.
-
-    Raises:
-        RobotError: the dynamics of this robot are not known.
+    centre below the carrier's. With `free` the floor exerts the force on the corners (T, 8, 3) that
+    touch it (T, 8), as far as it can (`floor_forces`); the rest is left to an outer force on the
+    pelvis. `look` is called with some frames at a time, and the poses of the links in them.
     """
     dynamics, motion = BatchInverseDynamics.of(robot), trajectory.motion
     n_frames, feet = motion.n_frames, np.repeat(soles.links, 4).tolist()
@@ -478,4 +424,4 @@ def movement_loads(
         moment[part] = led.moment + np.cross(point.root_pos, led.force)
         pushes = floor_forces(corners[part], touches[part], force[part], moment[part])
         tau["free"][part] = led.tau - frames.torques_of(feet, corners[part], pushes)
-    return Loads(dynamics.mass, dynamics.mass * dynamics.gravity, tau, force, moment, hanging_tilt)
+    return Loads(dynamics.mass, dynamics.mass * GRAVITY, tau, force, moment, hanging_tilt)

@@ -1,17 +1,14 @@
-"""`g1stream physics`: what it would take to play a motion, and how feet change it."""
+"""`g1stream physics`: what it would take to play a motion."""
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
-from pathlib import Path
+from functools import partial
 
 from g1stream.cli.command import EXIT_OK, SettingsCommand, print_json, print_lines, print_warning
 from g1stream.cli.flags import argument, flag
 from g1stream.cli.motion_flags import MOTIONS, MotionFlags
-from g1stream.cli.progress import ProgressDisplay
-
-__all__ = ["Physics"]
+from g1stream.cli.progress import showing_progress
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,25 +22,18 @@ class Physics(SettingsCommand, MotionFlags):
     Examples:
       g1stream physics dance.csv
       g1stream physics dance.csv --joints arms,waist --start 10 --json
-      g1stream physics steps.npz --feet-figure steps.png
 
     Exit codes:
       0  printed, whatever the answer
-      2  bad input: not a motion, or no --feet-figure
+      2  bad input: not a motion
     """
 
     motions: tuple[str, ...] = argument(MOTIONS, "MOTION...")
-    feet_figure: Path | None = flag(
-        None, "Draw how `--support feet` changes the motion: a .png, .svg or .pdf.", "OUT"
-    )
-    force: bool = flag(False, "Replace a figure that is there.")
     json: bool = flag(False, "Print what was found as JSON.")
 
     def run(self) -> int:
-        """Print what was found, draw the figure, and return the exit code."""
+        """Print what was found, and return the exit code."""
         from g1stream.extras.physics.measure import motion_physics
-        from g1stream.extras.physics.stand import stand_or_explain
-        from g1stream.files import save_figure
         from g1stream.motion.check import check_motion
         from g1stream.motion.fit import require_si_units
         from g1stream.motion.limits import Interval
@@ -57,13 +47,7 @@ class Physics(SettingsCommand, MotionFlags):
         require_si_units(check_motion(motion, robot, rate=config.stream.rate))
         frames = Interval.from_config(config.stream, motion).frames(motion)
         played = robot.select(config.stream.played_joints)
-        done = 0.0
-
-        def progress(fraction: float) -> None:
-            nonlocal done
-            done = fraction
-
-        with ProgressDisplay(lambda: (done, f"physics {100 * done:3.0f} %")):
+        with showing_progress() as progress:
             physics = motion_physics(
                 motion,
                 robot,
@@ -71,15 +55,10 @@ class Physics(SettingsCommand, MotionFlags):
                 played=played,
                 frames=frames,
                 suggest=True,
-                progress=progress,
+                progress=partial(progress, "physics"),
             )
         if self.json:
             print_json(physics.model_dump(mode="json"))
         else:
             print_lines(str(physics))
-        if self.feet_figure:
-            standing = stand_or_explain(motion, robot, frames, played)
-            save_figure(standing.plot, self.feet_figure, force=self.force)
-            how = str(standing) or "as it is"
-            print_lines(f"\n{self.feet_figure}: how it is played on the feet, {how}", sys.stderr)
         return EXIT_OK

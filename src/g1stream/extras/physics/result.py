@@ -6,17 +6,14 @@ frames are inclusive.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal, get_args
+from collections.abc import Mapping
+from typing import Literal, get_args
 
 from pydantic import computed_field
 
-from g1stream.extras.physics.instead import Instead
 from g1stream.session.records import Record
 from g1stream.text import counted, labelled, ranges, table
 from g1stream.types import StreamSupport, Support
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 __all__ = [
     "Collision",
@@ -99,14 +96,14 @@ class Verdict(Record, frozen=True):
         excesses: what speaks against it, what forbids it first; none for `feet`.
         changed: for `feet`: what is changed, or "as it is".
         refused: for `feet`: why it cannot be played, and the frames.
-        instead: for `feet`: what can be played, where that was looked for.
+        instead: for `feet`: what can be played, as flags of `stream`, where that was looked for.
     """
 
     support: StreamSupport
     excesses: tuple[Excess, ...] = ()
     changed: str = ""
     refused: str = ""
-    instead: Instead | None = None
+    instead: str = ""
 
     @computed_field  # type: ignore[prop-decorator]
     @property
@@ -118,8 +115,7 @@ class Verdict(Record, frozen=True):
 
     def __str__(self) -> str:
         if self.refused:
-            said = (self.refused, str(self.instead or ""))
-            return f"cannot be played: {'; '.join(filter(None, said))}"
+            return f"cannot be played: {'; '.join(filter(None, (self.refused, self.instead)))}"
         against = [e.cause for e in self.excesses if e.forbids]
         harmless = [e.cause for e in self.excesses if not e.forbids]
         answers = [f"cannot be played as it is: {', '.join(against)}"] if against else []

@@ -10,33 +10,31 @@ method.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from g1stream.errors import ConfigError
 from g1stream.extras.physics.batch_dynamics import BatchInverseDynamics
 from g1stream.extras.physics.footing import CannotStandError, find_footing
-from g1stream.extras.physics.ground import TRUSTED_FRICTION, beyond_support, zero_moment_point
+from g1stream.extras.physics.ground import (
+    TRUSTED_FRICTION,
+    Flags,
+    beyond_support,
+    zero_moment_point,
+)
 from g1stream.extras.physics.legs import Legs, LegsTooShortError
 from g1stream.motion.limits import POSITION_TOLERANCE
+from g1stream.motion.motion import Motion
 from g1stream.motion.trajectory import Trajectory
 from g1stream.robot.dynamics import GRAVITY
 from g1stream.robot.joints import JOINT_NAMES, LEGS
 from g1stream.robot.kinematics import BLOCK, LinkPoses, forward_kinematics
-from g1stream.robot.soles import OFF_FLOOR, SIDES, Soles, bent_legs
+from g1stream.robot.model import G1
+from g1stream.robot.soles import Soles, bent_legs
 from g1stream.types import Floats
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    from g1stream.extras.physics.ground import Flags
-    from g1stream.motion.motion import Motion
-    from g1stream.robot.model import G1
-    from g1stream.types import Floats
-
-__all__ = ["Standing", "draw_standing", "on_standing_legs", "stand", "stand_part"]
+__all__ = ["Standing", "on_standing_legs", "stand", "stand_part"]
 
 #: Before and after a part the robot stands still for so long, s: what shall not be played does not
 #: say where the feet stand.
@@ -64,10 +62,6 @@ class Standing:
 
     Attributes:
         motion: the changed motion, its feet flat, on a floor at height 0 unless they are lifted.
-        before: the motion before that; joints that do not play are still, and where the legs do
-            not, they stand and the pelvis is upright.
-        robot: the G1.
-        frames: of both, that are played.
         upper_body: the legs stand, because only waist and arms play the motion.
         levelled_mm: how far the lower foot was from the floor, which is where it mostly is.
         moved_mm: how far a foot that stands was moved, seen from between both feet, at most.
@@ -79,9 +73,6 @@ class Standing:
     """
 
     motion: Motion = field(repr=False)
-    before: Motion = field(repr=False)
-    robot: G1 = field(repr=False)
-    frames: range
     upper_body: bool
     levelled_mm: float
     moved_mm: float
@@ -91,9 +82,7 @@ class Standing:
     joint_deg: float
     joint: str
 
-    @property
-    def changes(self) -> list[str]:
-        """What was changed by a millimetre or a tenth of a degree."""
+    def __str__(self) -> str:
         sizes = (
             ("floor levelled by up to", f"{self.levelled_mm:.0f}", " mm"),
             ("feet moved by up to", f"{self.moved_mm:.0f}", " mm"),
@@ -102,37 +91,20 @@ class Standing:
             ("pelvis shifted by up to", f"{self.shifted_mm:.0f}", " mm"),
             (f"{self.joint} turned by up to", f"{self.joint_deg:.1f}", "°"),
         )
-        return [f"{what} {size}{unit}" for what, size, unit in sizes if float(size)]
-
-    def __str__(self) -> str:
+        # What is less than a millimetre or a tenth of a degree is no change.
+        changes = [f"{what} {size}{unit}" for what, size, unit in sizes if float(size)]
         how = ["on legs that stand"] if self.upper_body else []
-        how += [f"with changes to stand: {', '.join(self.changes)}"] if self.changes else []
+        how += [f"with changes to stand: {', '.join(changes)}"] if changes else []
         return ", ".join(how)
-
-    def plot(self) -> Figure:
-        """Draw the soles and the pelvis from above, heights over time, and what joints changed."""
-        return draw_standing(self)
 
 
 def stand(
-    motion: Motion,
-    robot: G1,
-    played: Flags | None = None,
-    trajectory: Trajectory | None = None,
+    motion: Motion, robot: G1, played: Flags | None = None, trajectory: Trajectory | None = None
 ) -> Standing:
     """The motion as a robot on its feet can play it: its feet stand, or step one at a time.
 
-    Args:
-        motion: whose feet stand, or are lifted one at a time.
-        robot: the G1.
-        played: (29,) the joints that play it; all if None. Without the legs, these stand
-            (`on_standing_legs`); with both, other joints keep the pose of its beginning.
-        trajectory: through its frames; made if None.
-
-    Raises:
-        CannotStandError: it cannot be played on the feet; the frames are named.
-        ConfigError: some joints of the legs play it, and others do not.
-        RobotError: the soles of this robot are not known.
+    Without the legs among the joints that are `played` (29,), these stand (`on_standing_legs`);
+    with both, other joints keep the pose of the beginning.
     """
     if played is not None and 0 < np.count_nonzero(played[:LEGS]) < LEGS:
         raise ConfigError(
@@ -169,9 +141,6 @@ def stand(
     joint = int(change.max(axis=0).argmax())
     return Standing(
         motion=shifted,
-        before=motion,
-        robot=robot,
-        frames=range(motion.n_frames),
         upper_body=upper_body,
         levelled_mm=1e3 * footing.levelled,
         moved_mm=1e3 * footing.moved,
@@ -192,19 +161,7 @@ def stand_part(
 ) -> Standing:
     """Some frames of a motion as `stand` has them; before and after them the robot stands still.
 
-    The changed motion is as long as it was.
-
-    Args:
-        motion: of which some frames are played.
-        robot: the G1.
-        frames: two or more.
-        played: (29,) the joints that play it; all if None.
-        trajectory: through all frames; made if it is needed and None.
-
-    Raises:
-        CannotStandError: they cannot be played on the feet; it has their numbers in the motion.
-        ConfigError: some joints of the legs play it, and others do not.
-        RobotError: the soles of this robot are not known.
+    The changed motion is as long as it was; an error has the numbers of its frames.
     """
     if len(frames) == motion.n_frames:
         return stand(motion, robot, played, trajectory)
@@ -218,18 +175,11 @@ def stand_part(
         forbidden[shown[error.frames]] = True
         raise CannotStandError(motion, error.what, forbidden, slower=error.slower) from None
     rows = everywhere.clip(around[0], around[-1]) - around[0]
-    changed, before = (one.at_frames(rows) for one in (standing.motion, standing.before))
-    return replace(standing, motion=changed, before=before, frames=frames)
+    return replace(standing, motion=standing.motion.at_frames(rows))
 
 
 def on_standing_legs(motion: Motion, robot: G1, played: Flags) -> Motion:
-    """The motion of some joints of an upright robot, whose legs stand with bent knees.
-
-    Args:
-        motion: its pelvis is not used.
-        robot: the G1.
-        played: (29,) the joints that play it; waist and arms that do not are at 0.
-    """
+    """The motion of the joints that are `played` (29,), on legs that stand; others are at 0."""
     pose = bent_legs(_STANCE)
     upright = np.tile([1.0, 0.0, 0.0, 0.0], (motion.n_frames, 1))
     soles = Soles(robot)
@@ -271,10 +221,6 @@ def _balanced(motion: Motion, trajectory: Trajectory, robot: G1, legs: Legs) -> 
     pressure by s - (h/g) s''. So a wanted shift of the
     centre of pressure gives s as the solution of a tridiagonal system: the mass begins to move
     before the centre of pressure has to. `trajectory` has the pelvis's attitude.
-
-    Raises:
-        CannotStandError: it cannot be, because the motion is too fast.
-        LegsTooShortError: the legs are too short for that.
     """
     from scipy.linalg import solveh_banded
 
@@ -312,11 +258,7 @@ def _balanced(motion: Motion, trajectory: Trajectory, robot: G1, legs: Legs) -> 
 
 
 def _update_wrench(
-    wrench: Floats,
-    moved: Flags,
-    trajectory: Trajectory,
-    robot: G1,
-    dynamics: BatchInverseDynamics,
+    wrench: Floats, moved: Flags, trajectory: Trajectory, robot: G1, dynamics: BatchInverseDynamics
 ) -> None:
     """Compute the force and the moment (T, 6) on the robot anew in frames that moved (T,)."""
     motion, frames = trajectory.motion, np.flatnonzero(moved)
@@ -363,81 +305,3 @@ def _pressure(wrench: Floats, fps: float, legs: Legs) -> tuple[Floats, Floats]:
         points[far] = np.where(nearer, others, points[far])
         outside[far] = np.minimum(outside[far], beyond)
     return points, outside
-
-
-_COLOURS: Final = ("#0072b2", "#d55e00")
-_PELVIS: Final = "#1a1a1a"
-_THIN, _THICK = 0.8, 1.8
-#: Joints of the legs that are drawn: those that were changed most.
-_JOINTS: Final = 4
-#: The least height of a diagram, mm, so that noise looks like none; of that of joints, degrees.
-_LEAST: Final = 20.0
-_LEAST_CHANGE: Final = 1.0
-
-
-def draw_standing(standing: Standing) -> Figure:
-    """See `Standing.plot`."""
-    from matplotlib.figure import Figure
-
-    soles = Soles(standing.robot)
-    before, after, frames = standing.before, standing.motion, standing.frames
-    paths = [
-        soles.path(one.joint_pos, one.root_pos, one.root_quat_wxyz).reshape(-1, 2, 4, 3)
-        for one in (before, after)
-    ]
-    figure = Figure(figsize=(11.0, 7.0), layout="constrained")
-    legs = ", on legs that stand" * standing.upper_body
-    figure.suptitle(f"{after.name}{legs}: as it was (thin), and as it is played on the feet")
-    axes = figure.subplot_mosaic(
-        [["top", "soles"], ["top", "height"], ["top", "joints"]], width_ratios=[1.0, 1.3]
-    )
-    played = slice(frames.start, frames.stop)
-    _draw_from_above(axes["top"], standing, *(path[played] for path in paths))
-    times = np.arange(after.n_frames) / after.fps
-    for one, path, width in ((before, paths[0], _THIN), (after, paths[1], _THICK)):
-        lowest = 1e3 * path[..., 2].min(axis=2)
-        for foot, side in enumerate(SIDES):
-            label = f"{side} foot" if width == _THICK else None
-            axes["soles"].plot(times, lowest[:, foot], _COLOURS[foot], lw=width, label=label)
-        axes["height"].plot(times, 1e3 * one.root_pos[:, 2], _PELVIS, lw=width)
-    axes["soles"].set(title="lowest point of each sole above the floor", ylabel="mm")
-    axes["height"].set(title="height of the pelvis", ylabel="mm")
-    change = np.degrees(after.joint_pos - before.joint_pos)[:, :LEGS]
-    for joint in np.argsort(-np.abs(change).max(axis=0))[:_JOINTS]:
-        name = JOINT_NAMES[joint].removesuffix("_joint")
-        style = "--" if name.startswith("right") else "-"  # both legs often do the same
-        axes["joints"].plot(times, change[:, joint], style, lw=1.2, label=name)
-    axes["joints"].set(
-        title="joints of the legs that were changed most", xlabel="time, s", ylabel="change, °"
-    )
-    for name, least in (("soles", _LEAST), ("height", _LEAST), ("joints", _LEAST_CHANGE)):
-        low, high = axes[name].get_ylim()
-        more = max(0.0, least - (high - low)) / 2.0
-        axes[name].set(xlim=times[[frames[0], frames[-1]]], ylim=(low - more, high + more))
-        axes[name].grid(alpha=0.3)
-    for name in ("soles", "joints"):
-        axes[name].legend(fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))
-    return figure
-
-
-def _draw_from_above(axis: Axes, standing: Standing, before: Floats, after: Floats) -> None:
-    """The soles where they stand, (T, 2, 4, 3), and the ways of the pelvis, m."""
-    for foot, side in enumerate(SIDES):
-        stands = np.flatnonzero(after[:, foot, :, 2].min(axis=1) < OFF_FLOOR)
-        places = after[stands, foot, :, :2].round(3)
-        for k, place in enumerate(np.unique(places, axis=0)):
-            there = stands[(places == place).all(axis=(1, 2))]
-            was = before[there[len(there) // 2], foot, :, :2]
-            for corners, width in ((was, _THIN), (place, _THICK)):
-                label = f"{side} sole" if k == 0 and width == _THICK else None
-                edge = _COLOURS[foot]
-                axis.fill(*corners.T, facecolor="none", edgecolor=edge, lw=width, label=label)
-    for one, width, label in (
-        (standing.before, _THIN, None),
-        (standing.motion, _THICK, "pelvis"),
-    ):
-        axis.plot(*one.root_pos[:, :2].T, _PELVIS, lw=width, label=label)
-    axis.set(title="from above", xlabel="x, m", ylabel="y, m", aspect="equal")
-    axis.locator_params(nbins=6)
-    axis.grid(alpha=0.3)
-    axis.legend(fontsize="small", loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=3)

@@ -2,49 +2,35 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from math import ceil, floor
+from pathlib import Path
+from typing import Final
 
 import numpy as np
+from scipy.ndimage import binary_dilation
 
 from g1stream.errors import ConfigError, MotionError
 from g1stream.extras.physics.footing import CannotStandError
-from g1stream.extras.physics.instead import find_instead
-from g1stream.extras.physics.stance import stand_part
+from g1stream.extras.physics.ground import Flags, stretches
+from g1stream.extras.physics.stance import Standing, stand_part
+from g1stream.motion.limits import Interval
 from g1stream.motion.motion import Motion
 from g1stream.motion.readers import load_motion
+from g1stream.robot.joints import LEGS
 from g1stream.robot.model import G1
 
-if TYPE_CHECKING:
-    from pathlib import Path
+__all__ = ["find_instead", "stand", "stand_or_explain"]
 
-    from g1stream.extras.physics.ground import Flags
-    from g1stream.extras.physics.stance import Standing
-
-__all__ = ["stand", "stand_or_explain"]
-
-
-def stand_or_explain(motion: Motion, robot: G1, frames: range, played: Flags) -> Standing:
-    """Some frames of a motion, as a robot on its feet can play them.
-
-    Raises:
-        ConfigError: the robot lacks joints, or some of the legs are `played` (29,), and others are
-            not.
-        MotionError: it cannot; its remedy names what it can play.
-        RobotError: the soles of this robot are not known.
-    """
-    if not robot.present.all():
-        raise ConfigError(
-            f"A robot on its feet needs all 29 joints, and {robot.name} has "
-            f"{np.count_nonzero(robot.present)}.",
-            "Give another robot, or hold it otherwise.",
-        )
-    try:
-        return stand_part(motion, robot, frames, played)
-    except CannotStandError as error:
-        instead = find_instead(motion, robot, frames, error, played)
-        hanging = "hold the robot and give --support hanging"
-        remedy = "; or ".join(filter(None, (str(instead), hanging)))
-        raise MotionError(error.cause, f"{remedy[0].upper()}{remedy[1:]}.") from None
+#: The joints that almost any motion can be played with, on legs that stand.
+_UPPER_BODY: Final = "arms,waist"
+#: No part is shorter, s. Frames this near to one that forbids a part are not in it, s.
+_LEAST, _NEAR = 1.0, 0.1
+#: Each try takes a check; a dance of two minutes needs 43.
+_TRIES: Final = 60
+#: A part in which no joint moves by more is not worth playing, rad.
+_MOVES: Final = 0.05
+#: Speeds that are tried where a motion is too fast.
+_SPEEDS: Final = (0.7, 0.5, 0.25)
 
 
 def stand(
@@ -69,3 +55,86 @@ def stand(
     if not isinstance(motion, Motion):
         motion = load_motion(motion)
     return stand_or_explain(motion, robot, range(motion.n_frames), robot.select(joints))
+
+
+def stand_or_explain(motion: Motion, robot: G1, frames: range, played: Flags) -> Standing:
+    """Some frames of a motion, `played` by joints (29,); errors are those of `stand`."""
+    if not robot.present.all():
+        raise ConfigError(
+            f"A robot on its feet needs all 29 joints, and {robot.name} has "
+            f"{np.count_nonzero(robot.present)}.",
+            "Give another robot, or hold it otherwise.",
+        )
+    try:
+        return stand_part(motion, robot, frames, played)
+    except CannotStandError as error:
+        instead = find_instead(motion, robot, frames, error, played)
+        hanging = "hold the robot and give --support hanging"
+        remedy = "; or ".join(filter(None, (instead, hanging)))
+        raise MotionError(error.cause, f"{remedy[0].upper()}{remedy[1:]}.") from None
+
+
+def find_instead(
+    motion: Motion, robot: G1, frames: range, refused: CannotStandError, played: Flags | None = None
+) -> str:
+    """What can be played on the feet instead of some frames: slower, a part, or arms and waist.
+
+    That it stands has been tried. It is said with the flags of `stream`; empty if nothing is found.
+    """
+    ways = []
+    whole = len(frames) == motion.n_frames  # of a part, the seconds would be others, too
+    for speed in _SPEEDS if refused.slower and whole else ():
+        if not _refusal(motion.at_speed(speed), robot, frames, played):
+            ways.append(f"play it at {speed:g} times this speed (--speed)")
+            break
+    if part := _longest_part(motion, robot, frames, refused.frames, played):
+        ways.append(f"give {part}, the longest part found")
+    if played is None or played[:LEGS].any():
+        upper = robot.select(_UPPER_BODY)
+        error = _refusal(motion, robot, frames, upper)
+        part = _longest_part(motion, robot, frames, error.frames, upper) if error else ""
+        if part or not error:
+            ways.append(f"give --joints {_UPPER_BODY} {part}".rstrip())
+    return "; or ".join(ways)
+
+
+def _refusal(
+    motion: Motion, robot: G1, frames: range, played: Flags | None
+) -> CannotStandError | None:
+    try:
+        stand_part(motion, robot, frames, played)
+    except CannotStandError as error:
+        return error
+    return None
+
+
+def _longest_part(
+    motion: Motion, robot: G1, frames: range, forbidden: Flags, played: Flags | None
+) -> str:
+    """Flags of the longest part that is found, in hundredths of a second; empty if there is none.
+
+    Where a foot stands is an average over a part, so that a longer one may exist.
+    """
+    near = max(1, round(_NEAR * motion.fps))
+    playing = motion.joint_pos if played is None else motion.joint_pos[:, played]
+    forbidden = forbidden.copy()
+    for _ in range(_TRIES):
+        free = ~binary_dilation(forbidden, iterations=near)
+        free[: frames.start] = free[frames.stop :] = False
+        spans = [
+            (stop - first, -first)
+            for first, stop in stretches(free).tolist()
+            if stop - first > _LEAST * motion.fps
+            and np.ptp(playing[first:stop], axis=0).max() > _MOVES
+        ]
+        if not spans:
+            break
+        length, first = max(spans)
+        start = ceil(100.0 * -first / motion.fps)
+        hundredths = floor(100.0 * (length - 1 - first) / motion.fps) - start
+        tried = Interval(start / 100.0, hundredths / 100.0, motion.duration).frames(motion)
+        error = _refusal(motion, robot, tried, played)
+        if not error:
+            return f"--start {start / 100.0:g} --duration {hundredths / 100.0:g}"
+        forbidden |= error.frames
+    return ""

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from statistics import fmean
-from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import computed_field
 
-from g1stream.analysis.metrics import NAMED_METRICS, metrics
+from g1stream.analysis.metrics import NAMED_METRICS, Metrics, metrics
 from g1stream.analysis.signals import Line
 from g1stream.analysis.summarise import flat, played
+from g1stream.analysis.summary import Summary
 from g1stream.analysis.tracking import interpolated
 from g1stream.app.session import Session, open_session
 from g1stream.config import Config
@@ -22,18 +25,10 @@ from g1stream.extras.report.figures import curve
 from g1stream.extras.report.html import joints_by_limb, render_page
 from g1stream.extras.report.tables import difference_tables
 from g1stream.files import check_not_input, check_output_path, check_suffix, complete_file
-from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS, matching_joints
+from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
 from g1stream.session.records import Record, SessionInfo, read_record
 from g1stream.text import counted, labelled, printable, table
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from g1stream.analysis.metrics import Metrics
-    from g1stream.analysis.summary import Summary
-    from g1stream.types import Floats
+from g1stream.types import Floats
 
 __all__ = [
     "CONDITION_NAMES",
@@ -42,7 +37,6 @@ __all__ = [
     "Difference",
     "compare",
     "compared",
-    "comparison_table",
     "differences",
     "ranked",
     "significance",
@@ -80,7 +74,7 @@ class Comparison(Record):
         metrics: of all joints that played in every session, by the name that --fail-if takes.
         limbs, joints: RMSE, rad, by name; the joints that differ most first, significantly at the
             top.
-        differs: what else differs between the sides, such as `gains.kp of knee` -> what it was in
+        differs: what else differs between the sides, such as `gains.kp of waist` -> what it was in
             each.
     """
 
@@ -95,7 +89,38 @@ class Comparison(Record):
     differs: dict[str, tuple[str, str]]
 
     def __str__(self) -> str:
-        return comparison_table(self)
+        """The verdict, what is compared, what else differs, and the differences."""
+        kinds: tuple[dict[str, Difference], ...] = (
+            self.metrics,
+            {f"RMSE {name.replace('_', ' ')}": one for name, one in self.limbs.items()},
+            {
+                name.removesuffix("_joint"): one
+                for name, one in list(self.joints.items())[:_MOST_JOINTS]
+            },
+        )
+        rows: list[tuple[str, ...]] = [("", "base", "other", "unit", "change", "p (Holm)")]
+        for kind in kinds:
+            rows += [_row(name, one) for name, one in kind.items()]
+            rows.append(("",) * len(rows[0]))
+        lines = [
+            labelled("verdict   ", verdict(self)),
+            labelled("motion    ", compared(self)),
+            labelled("base      ", ", ".join(self.base)),
+            labelled("other     ", ", ".join(self.other)),
+        ]
+        lines += [
+            labelled("differs   ", f"{name}: {base}; {other}")
+            for name, (base, other) in self.differs.items()
+        ]
+        below = (
+            "change: other - base, in % of base or, from tenfold on, other / base; in the unit "
+            f"where a share says nothing; joints: the {_MOST_JOINTS} whose RMSE differs most, "
+            "significant ones first; *: significant. "
+            f"{significance(self)}"
+        )
+        return "\n".join(
+            [*lines, "", *map(printable, table(rows, left=(0, 3, 5))), labelled("", below)]
+        )
 
     def named(self) -> tuple[dict[str, float], dict[str, float]]:
         """What a condition can name, and what `base` stands for beside it.
@@ -144,7 +169,9 @@ def compare(
     if page is not None:
         check_suffix(Path(page), "a page", ".html")
         check_output_path(Path(page), force=force)  # before all sessions are read
-    several = [_several(side) for side in (base, other)]
+    several = [[side] if isinstance(side, (Session, str, Path)) else side for side in (base, other)]
+    if not all(several):
+        raise RecordingError("There is nothing to compare.", "Give sessions on both sides.")
     total, sides = sum(map(len, several)), list[list[_Run]]()
     for side in several:
         sides.append([])
@@ -191,31 +218,19 @@ def compare(
 
 
 class _Run(NamedTuple):
-    """What is kept of a session; its samples are not, as many sessions would fill the memory.
-
-    Attributes:
-        source: the session, or its file.
-        path, motion: their names.
-        start, stop: motion time that was played, s.
-        rows: (T,) motion times of `reference`, in steps of the grid that all runs share.
-        reference: (T, 29) rad.
-        joints: motor indices of those that played.
-        metrics: of the whole session.
-        measured: hash of all joint positions and their times.
-        facts: what may make a difference, beside the motion.
-    """
+    """What is kept of a session; its samples are not, as many sessions would fill the memory."""
 
     source: Session | str | Path
     path: str
     motion: str
-    start: float
+    start: float  # motion time that was played, s
     stop: float
-    rows: NDArray[np.intp]
-    reference: Floats
-    joints: tuple[int, ...]
-    metrics: Metrics
-    measured: bytes
-    facts: dict[str, str]
+    rows: NDArray[np.intp]  # (T,) motion times of `reference`, in steps of a grid that runs share
+    reference: Floats  # (T, 29) rad
+    joints: tuple[int, ...]  # motor indices of those that played
+    metrics: Metrics  # of the whole session
+    measured: bytes  # hash of all joint positions and their times
+    facts: dict[str, str]  # what may make a difference, beside the motion
 
     def metrics_of(self, start: float, stop: float, joints: tuple[int, ...]) -> Metrics:
         """Of some joints in a part of the motion; in the whole session if it played little else."""
@@ -233,15 +248,6 @@ class _Run(NamedTuple):
             if part.tracking:
                 return part
         raise _nothing_in_common(self, start, stop)
-
-
-def _several(
-    side: Sequence[Session | str | Path] | Session | str | Path,
-) -> Sequence[Session | str | Path]:
-    several = [side] if isinstance(side, (Session, str, Path)) else side
-    if not several:
-        raise RecordingError("There is nothing to compare.", "Give sessions on both sides.")
-    return several
 
 
 def _opened(source: Session | str | Path) -> Session:
@@ -326,36 +332,7 @@ def _circumstances(base: Sequence[_Run], other: Sequence[_Run]) -> dict[str, tup
         for name in every[0]
         if all(name in one for one in every)
     }
-    return _by_part({name: (a, b) for name, (a, b) in shown.items() if a != b})
-
-
-def _by_part(differs: dict[str, tuple[str, str]]) -> dict[str, tuple[str, str]]:
-    """What is of a joint, such as `gains.kp.left_knee_joint`, with that of others like it."""
-    joints: dict[tuple[str, tuple[str, str]], set[int]] = {}
-    for name, sides in differs.items():
-        setting, _, joint = name.rpartition(".")
-        if joint in JOINT_NAMES:
-            joints.setdefault((setting, sides), set()).add(JOINT_NAMES.index(joint))
-        else:
-            joints[name, sides] = set()
-    return {
-        name + (f" of {_in_words(several)}" if several else ""): sides
-        for (name, sides), several in joints.items()
-    }
-
-
-def _in_words(joints: set[int]) -> str:
-    """Motors by the names of limbs and of joints on both sides: `legs, waist_yaw, elbow`."""
-    if len(joints) == N_JOINTS:
-        return "all joints"
-    limbs = ("legs", "arms", *JOINT_GROUPS)
-    pairs = [name.replace("left_", "*_") for name in JOINT_NAMES if name.startswith("left_")]
-    words, left = list[str](), set(joints)
-    for pattern in (*limbs, *pairs, *JOINT_NAMES):
-        if left.issuperset(named := matching_joints(pattern, pattern)):
-            words.append(pattern.removeprefix("*_").removesuffix("_joint"))
-            left.difference_update(named)
-    return ", ".join(words)
+    return {name: (a, b) for name, (a, b) in shown.items() if a != b}
 
 
 def _facts(session: Session, summary: Summary) -> Iterator[tuple[str, str]]:
@@ -371,9 +348,9 @@ def _facts(session: Session, summary: Summary) -> Iterator[tuple[str, str]]:
         yield from ((name, str(value)) for name, value in known.items() if value is not None)
         yield "slowed", f"{stream.slowed or 1.0:g}"
     for name, gains in (info.gains or {}).items():
-        yield from (
-            (f"gains.{name}.{j}", f"{k:g}") for j, k in zip(JOINT_NAMES, gains, strict=False)
-        )
+        for limb, joints in JOINT_GROUPS.items():
+            values = (f"{gains[joint]:g}" for joint in joints if joint < len(gains))
+            yield f"gains.{name} of {limb}", ", ".join(dict.fromkeys(values))
     yield from ((f"version of {name}", v) for name, v in summary.versions.items())
     if summary.host:
         yield "host", summary.host
@@ -428,12 +405,9 @@ def differences(
     units: Mapping[str, str],
     signed: Collection[str] = (),
 ) -> dict[str, Difference]:
-    """Of the figures that all sessions of both sides have, tested together.
+    """Of the figures that all sessions of both sides have, by name, tested together.
 
-    Args:
-        sides: of base and other, the figures of each session by name.
-        units: by name; what has none is in rad.
-        signed: names of those that can have either sign.
+    What has no unit is in rad; `signed` figures can have either sign.
     """
     found: dict[str, Difference] = {}
     for name in sides[0][0]:
@@ -491,41 +465,6 @@ _MOST_JOINTS: Final = 8
 _MANY_TIMES: Final = 9.0
 #: Significant digits of an RMSE, and with how many it can be told from another.
 _FEWEST_DIGITS, _MOST_DIGITS = 4, 7
-
-
-def comparison_table(comparison: Comparison) -> str:
-    """The verdict, what is compared, what else differs, and the differences."""
-    kinds: tuple[dict[str, Difference], ...] = (
-        comparison.metrics,
-        {f"RMSE {name.replace('_', ' ')}": one for name, one in comparison.limbs.items()},
-        {
-            name.removesuffix("_joint"): one
-            for name, one in list(comparison.joints.items())[:_MOST_JOINTS]
-        },
-    )
-    rows: list[tuple[str, ...]] = [("", "base", "other", "unit", "change", "p (Holm)")]
-    for kind in kinds:
-        rows += [_row(name, one) for name, one in kind.items()]
-        rows.append(("",) * len(rows[0]))
-    lines = [
-        labelled("verdict   ", verdict(comparison)),
-        labelled("motion    ", compared(comparison)),
-        labelled("base      ", ", ".join(comparison.base)),
-        labelled("other     ", ", ".join(comparison.other)),
-    ]
-    lines += [
-        labelled("differs   ", f"{name}: {base}; {other}")
-        for name, (base, other) in comparison.differs.items()
-    ]
-    below = (
-        "change: other - base, in % of base or, from tenfold on, other / base; in the unit where a "
-        "share says nothing; joints: "
-        f"the {_MOST_JOINTS} whose RMSE differs most, significant ones first; *: significant. "
-        f"{significance(comparison)}"
-    )
-    return "\n".join(
-        [*lines, "", *map(printable, table(rows, left=(0, 3, 5))), labelled("", below)]
-    )
 
 
 def _share(change: float) -> str:
@@ -603,18 +542,7 @@ def write_page(
     *,
     force: bool = False,
 ) -> None:
-    """Write the page of a comparison.
-
-    Args:
-        comparison: of these sessions.
-        sources: the sessions of base and other, or their files.
-        joints: motor indices of those that are compared.
-        path: of the page.
-        force: replace a file that is there.
-
-    Raises:
-        RecordingError: a session is damaged, or the page cannot be written.
-    """
+    """Write the page of a comparison of sessions, or of their files, for these motor indices."""
     with complete_file(path, force=force) as temporary:
         drawn = _drawn(comparison, sources, list(joints))
         rmse = comparison.metrics["rmse"]

@@ -10,8 +10,6 @@ from g1stream.cli.flags import argument, flag
 from g1stream.cli.progress import showing_progress
 from g1stream.errors import ConfigError
 
-__all__ = ["Compare"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Compare(Command):

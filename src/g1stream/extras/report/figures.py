@@ -8,26 +8,20 @@ from __future__ import annotations
 
 import base64
 import math
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Container, Mapping
+from typing import Any, Final
 
 import numpy as np
 
+from g1stream.analysis.metrics import Metrics
 from g1stream.analysis.plots import COLOURS, SHADES
-from g1stream.analysis.signals import min_max, signal
+from g1stream.analysis.signals import Quantity, Signal, min_max, signal
+from g1stream.analysis.summary import Summary
+from g1stream.app.session import Session
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
 from g1stream.session.streams import CommandStream, MeasuredStream
 from g1stream.text import printable
-
-if TYPE_CHECKING:
-    from collections.abc import Container, Mapping
-
-    from g1stream.analysis.metrics import Metrics
-    from g1stream.analysis.signals import Quantity, Signal
-    from g1stream.analysis.summary import Summary
-    from g1stream.app.session import Session
-    from g1stream.types import Floats
-
-__all__ = ["curve", "figures"]
+from g1stream.types import Floats
 
 _MOST_POINTS: Final = 2000
 _MOST_EVENTS: Final = 500
@@ -48,16 +42,20 @@ def figures(session: Session, summary: Summary, metrics: Metrics) -> dict[str, A
             played = summary.tracking.joints if summary.tracking else JOINT_NAMES
             limbs = _limb_errors(shown, played)
         del shown
+    tracking, torque = summary.tracking, metrics.torque
+    errors = (
+        {name: math.degrees(one.rmse_rad) for name, one in tracking.joints.items()}
+        if tracking
+        else {}
+    )
+    limits = {name: one.limit_nm for name, one in torque.joints.items()} if torque else {}
+    worst = tracking and tracking.all_joints.worst_joint
     return {
         "joints": [name.removesuffix("_joint") for name in JOINT_NAMES],
         "colours": [COLOURS[limb] for limb, joints in JOINT_GROUPS.items() for _ in joints],
-        "rmse_deg": _rmse_deg(summary),
-        "torque_limits": _of_each_joint(
-            {name: one.limit_nm for name, one in metrics.torque.joints.items()}
-            if metrics.torque
-            else {}
-        ),
-        "first_joint": _first_joint(summary),
+        "rmse_deg": _of_each_joint(errors),
+        "torque_limits": _of_each_joint(limits),
+        "first_joint": JOINT_NAMES.index(worst) if worst else 0,  # until another is chosen
         "phases": [
             {
                 "name": one.phase.name,
@@ -75,20 +73,9 @@ def figures(session: Session, summary: Summary, metrics: Metrics) -> dict[str, A
     }
 
 
-def _rmse_deg(summary: Summary) -> list[float | None]:
-    joints = summary.tracking.joints if summary.tracking else {}
-    return _of_each_joint({name: math.degrees(one.rmse_rad) for name, one in joints.items()})
-
-
 def _of_each_joint(values: Mapping[str, float]) -> list[float | None]:
     """In motor order; None for a joint that has none, empty where no joint has."""
     return [values.get(name) for name in JOINT_NAMES] if values else []
-
-
-def _first_joint(summary: Summary) -> int:
-    """The joint that is shown until another is chosen: the worst."""
-    worst = summary.tracking and summary.tracking.all_joints.worst_joint
-    return JOINT_NAMES.index(worst) if worst else 0
 
 
 def _events(session: Session) -> list[dict[str, Any]]:

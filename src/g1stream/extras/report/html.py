@@ -5,30 +5,21 @@ from __future__ import annotations
 import base64
 import gzip
 import json
+from collections.abc import Container, Mapping, Sequence
 from datetime import datetime, timezone
 from importlib import resources
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from g1stream._version import __version__
 from g1stream.optional import import_extra
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
 from g1stream.text import printable, short_name
 
-if TYPE_CHECKING:
-    from collections.abc import Container, Mapping, Sequence
-
-__all__ = ["joints_by_limb", "render_page"]
-
 
 def render_page(template: str, drawn: Sequence[Mapping[str, Any]], **values: Any) -> str:
     """A page with the script that draws its figures.
 
     Text is escaped, what a terminal would obey in it too: it may come from a file or a peer.
-
-    Args:
-        template: a file of this directory that extends `page.html`.
-        drawn: what the script draws, for JSON; a figure names the one that it is of by its index.
-        values: of the template.
     """
     jinja = import_extra("jinja2", "report", "A report needs")
     plotly = import_extra("plotly.offline", "report", "A report needs")

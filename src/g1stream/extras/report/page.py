@@ -3,40 +3,32 @@
 from __future__ import annotations
 
 import base64
-import csv
-import io
 import os
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from mimetypes import guess_type
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, Final, cast
+from typing import TYPE_CHECKING, Any, Final, TypeAlias, cast
 
-from g1stream.analysis.summarise import flat, played
-from g1stream.analysis.summary import outcome, session_facts, stream_facts
+from g1stream.analysis.metrics import Metrics
+from g1stream.analysis.summarise import played
+from g1stream.analysis.summary import Summary, outcome, session_facts, stream_facts
 from g1stream.app.session import Session, open_session
 from g1stream.errors import ConfigError, MotionError, RecordingError, RobotError
 from g1stream.extras.physics.measure import motion_physics
+from g1stream.extras.physics.result import MotionPhysics
 from g1stream.extras.report.figures import figures
 from g1stream.extras.report.html import joints_by_limb, render_page
 from g1stream.extras.report.tables import overview, physics_tables, tables
 from g1stream.files import check_not_input, check_suffix, complete_file, read_file
-from g1stream.optional import extension
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.session.motions import attached_motion
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
-    from typing import TypeAlias
-
-    from g1stream.analysis.metrics import Metrics
-    from g1stream.analysis.summary import Summary
-    from g1stream.extras.physics.result import MotionPhysics
-
     Given: TypeAlias = Session | str | os.PathLike[str]
     Progress: TypeAlias = Callable[[str, float], None]
 
-__all__ = ["numbers", "report", "to_csv"]
+__all__ = ["numbers", "report"]
 
 #: A video or picture beside a session, of the same name, is shown; the first of these.
 _PICTURES: Final = (".mp4", ".gif", ".png")
@@ -51,7 +43,6 @@ def report(
     sessions: Given | Iterable[Given],
     path: str | os.PathLike[str],
     *,
-    video: bool = False,
     force: bool = False,
     progress: Progress = lambda what, fraction: None,
 ) -> Path:
@@ -62,21 +53,17 @@ def report(
     Args:
         sessions: sessions, or their paths.
         path: of the page.
-        video: render each session for the page, see `Session.render`; needs the extra `video`.
         force: replace a file that is there.
         progress: called with what takes its time, and the fraction of it that is done, 0 to 1.
 
     Raises:
-        ConfigError: there are no sessions, the path does not end in .html, or a package for the
-            video is not installed.
+        ConfigError: there are no sessions, or the path does not end in .html.
         RecordingError: a session is damaged, or the page cannot be written.
-        SimError: there is no OpenGL to draw the video with.
     """
     check_suffix(Path(path), "a page", ".html")
     opened = _opened(sessions, Path(path))
     with complete_file(Path(path), force=force) as temporary:
-        page = _page(opened, _rendered if video else _beside, progress)
-        temporary.write_text(page, encoding="utf-8")
+        temporary.write_text(_page(opened, progress), encoding="utf-8")
     return Path(path)
 
 
@@ -84,23 +71,7 @@ def numbers(
     sessions: Given | Iterable[Given], progress: Progress = lambda what, fraction: None
 ) -> dict[str, Any]:
     """The numbers of a report as values for JSON: summary, metrics and physics of each session."""
-    found = []
-    for session in _opened(sessions):
-        metrics, summary = session.metrics(), session.summary()
-        physics = session_physics(session, summary, partial(progress, "physics"))
-        found.append(_values(session, metrics, summary, physics))
-    return {"sessions": found}
-
-
-def to_csv(sessions: Given | Iterable[Given]) -> str:
-    """The metrics of sessions as CSV: a row for each, by session and key."""
-    text = io.StringIO()
-    rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(("session", "key", "value"))
-    for session in _opened(sessions):
-        values = flat(session.metrics().model_dump(mode="json"))
-        rows.writerows((session.path, key, v) for key, v in values.items() if v is not None)
-    return text.getvalue()
+    return {"sessions": [_told(session, progress)[-1] for session in _opened(sessions)]}
 
 
 def _opened(sessions: Given | Iterable[Given], page: Path | None = None) -> Iterator[Session]:
@@ -118,33 +89,31 @@ def _opened(sessions: Given | Iterable[Given], page: Path | None = None) -> Iter
     return (opened.pop(0) for _ in range(len(opened)))
 
 
-def _values(
-    session: Session, metrics: Metrics, summary: Summary, physics: MotionPhysics | str
-) -> dict[str, Any]:
-    return {
+def _told(
+    session: Session, progress: Progress
+) -> tuple[Metrics, Summary, MotionPhysics | str, dict[str, Any]]:
+    """What is told of a session, and the same as values for JSON."""
+    # The metrics read all columns that are needed, the summary alone only some.
+    metrics, summary = session.metrics(), session.summary()
+    physics = session_physics(session, summary, partial(progress, "physics"))
+    values = {
         "path": str(session.path),
         "verdict": outcome(summary),
         "summary": summary.model_dump(mode="json"),
         "metrics": metrics.model_dump(mode="json"),
         "physics": None if isinstance(physics, str) else physics.model_dump(mode="json"),
     }
+    return metrics, summary, physics, values
 
 
-def _page(
-    sessions: Iterable[Session],
-    picture: Callable[[Session, Callable[[float], None]], dict[str, str]],
-    progress: Progress,
-) -> str:
+def _page(sessions: Iterable[Session], progress: Progress) -> str:
     values, sections, drawn = [], [], []
     for number, session in enumerate(sessions):
-        # The metrics read all columns that are needed, the summary alone only some.
-        metrics, summary = session.metrics(), session.summary()
-        physics = session_physics(session, summary, partial(progress, "physics"))
-        values.append(_values(session, metrics, summary, physics))
+        metrics, summary, physics, told = _told(session, progress)
+        values.append(told)
         drawn.append(figures(session, summary, metrics))
-        section = _section(f"sessions.{number}", values[-1]["metrics"], drawn[-1], summary, physics)
-        shown = picture(session, partial(progress, "video"))
-        sections.append({**section, "name": session.path.name, "picture": {**_NO_PICTURE, **shown}})
+        section = _section(f"sessions.{number}", told["metrics"], drawn[-1], summary, physics)
+        sections.append({**section, "name": session.path.name, "picture": _picture(session)})
     one = len(values) == 1
     title = Path(values[0]["path"]).name if one else f"{len(values)} sessions"
     return render_page(
@@ -164,15 +133,7 @@ def _section(
     summary: Summary,
     physics: MotionPhysics | str,
 ) -> dict[str, Any]:
-    """What the template shows of a session.
-
-    Args:
-        key: where the session is in the JSON of the report.
-        metrics: of the session, as JSON has them.
-        drawn: its figures.
-        summary: of it.
-        physics: of its motion, or why they are not told.
-    """
+    """What the template shows of a session."""
     support = summary.stream.support if summary.stream else None
     held = ""
     if metrics["body"] and support in {"bolted", "hanging"}:
@@ -221,11 +182,6 @@ def session_physics(
 
     It is that of the attached motion where that was played as it is, else that of the reference; or
     of what `convert` made of a motion.
-
-    Args:
-        session: any.
-        summary: of it.
-        progress: called with the fraction that is done, 0 to 1.
     """
     if played(summary.phases) > 1:
         return "Several motions were played."
@@ -250,31 +206,15 @@ def session_physics(
         return error.cause
 
 
-_NO_PICTURE: Final = {"missing": "", "video": "", "image": ""}
-
-
-def _beside(session: Session, _: Callable[[float], None]) -> dict[str, str]:
+def _picture(session: Session) -> dict[str, str]:
     """The video or picture beside a session file; none beside a session in memory."""
+    shown = {"missing": "", "video": "", "image": ""}
     paths = [session.path.with_suffix(suffix) for suffix in _PICTURES] if session.paths else []
-    path = next(filter(Path.is_file, paths), None)
-    return _picture(path) if path else {}
-
-
-def _rendered(session: Session, progress: Callable[[float], None]) -> dict[str, str]:
-    """A video of the session, if there is something in it to show."""
-    with TemporaryDirectory() as directory:
-        path = Path(directory) / "session.mp4"
+    if path := next(filter(Path.is_file, paths), None):
         try:
-            extension("render")(session, path, progress=progress)
-        except RecordingError as error:
-            return {"missing": error.cause}
-        return _picture(path)
-
-
-def _picture(path: Path) -> dict[str, str]:
-    try:
-        data = base64.b64encode(read_file(path, _LARGEST_PICTURE)).decode()
-    except OSError as error:
-        return {"missing": f"{path.name} is not shown: {error.strerror}."}
-    kind = guess_type(path.name)[0] or ""
-    return {kind.partition("/")[0]: f"data:{kind};base64,{data}"}
+            data = base64.b64encode(read_file(path, _LARGEST_PICTURE)).decode()
+        except OSError as error:
+            return shown | {"missing": f"{path.name} is not shown: {error.strerror}."}
+        kind = guess_type(path.name)[0] or ""
+        shown[kind.partition("/")[0]] = f"data:{kind};base64,{data}"
+    return shown

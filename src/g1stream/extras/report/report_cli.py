@@ -1,4 +1,4 @@
-"""`g1stream report`: how sessions went, as a page, JSON or CSV."""
+"""`g1stream report`: how sessions went, as a page or JSON."""
 
 from __future__ import annotations
 
@@ -10,8 +10,6 @@ from g1stream.cli.command import EXIT_OK, Command, print_json
 from g1stream.cli.flags import argument, flag
 from g1stream.cli.progress import showing_progress
 
-__all__ = ["Report"]
-
 #: The page that is written if none is named.
 _PAGE: Final = Path("report.html")
 
@@ -20,12 +18,11 @@ _PAGE: Final = Path("report.html")
 class Report(Command):
     """The page needs no network: what ran, tracking by joint and limb, body space, torque, what
     the motion asks of a robot, timing, events, and figures of every joint. A video or picture
-    beside a session, of the same name, is shown in it; --video renders one.
+    beside a session, of the same name, is shown in it.
 
     Examples:
       g1stream report session.mcap
       g1stream report monday.mcap tuesday.mcap -o both.html
-      g1stream report session.mcap --video
       g1stream report session.mcap --json | jq '.sessions[0].metrics.tracking'
 
     Exit codes:
@@ -37,38 +34,23 @@ class Report(Command):
         "Session files, or directories of split recordings.", "SESSION..."
     )
     out: Path | None = flag(None, "The page to write.", "HTML", shown=str(_PAGE), aliases=("-o",))
-    video: bool = flag(False, "Render each session into the page (extra `video`).")
     force: bool = flag(False, "Replace a file that is there.")
     json: bool = flag(False, "Print summary, metrics, physics as JSON; no page.")
-    csv: bool = flag(False, "Print the metrics as CSV, and write no page.")
 
     def run(self) -> int:
         """Write the page or print the numbers, and return the exit code."""
         from g1stream.errors import ConfigError
-        from g1stream.extras.report.page import numbers, report, to_csv
+        from g1stream.extras.report.page import numbers, report
 
-        page = self.video or self.out is not None
-        if self.json + self.csv + page > 1:
-            raise ConfigError(
-                "Two of --json, --csv and a page (--out, --video) are asked for.",
-                "Ask for one of them.",
-            )
-        if self.csv:
-            print(to_csv(self.sessions), end="")
-            return EXIT_OK
+        if self.json and self.out:
+            raise ConfigError("--json and a page (--out) are asked for.", "Ask for one of them.")
         with showing_progress() as progress:
             if self.json:
                 found = numbers(self.sessions, progress)
             else:
-                path = report(
-                    self.sessions,
-                    self.out or _PAGE,
-                    video=self.video,
-                    force=self.force,
-                    progress=progress,
-                )
+                page = report(self.sessions, self.out or _PAGE, force=self.force, progress=progress)
         if self.json:
             print_json(found)
         else:
-            print(path)
+            print(page)
         return EXIT_OK

@@ -4,19 +4,13 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
-from g1stream.extras.physics.result import reasons
+from g1stream.extras.physics.result import MotionPhysics, reasons
 from g1stream.text import counted, short_name
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
-    from g1stream.extras.physics.result import MotionPhysics
-
-__all__ = ["Column", "difference_tables", "overview", "physics_tables", "table", "tables"]
 
 _DEG: Final = 180.0 / math.pi
 #: Torques of each support, and pairs of links, that are shown.
@@ -26,20 +20,13 @@ _MOST_PAIRS: Final = 12
 
 @dataclass(frozen=True)
 class Column:
-    """A column of a table.
+    """A column of a table."""
 
-    Attributes:
-        title, unit: of its head.
-        key: of the value in what the row shows; with dots where it is deeper.
-        form: of a number, as `format` takes it.
-        scale: from the unit of the JSON to that shown.
-    """
-
-    title: str
+    title: str  # of its head
     unit: str
-    key: str
-    form: str = ".0f"
-    scale: float = 1.0
+    key: str  # of the value in what the row shows; with dots where it is deeper
+    form: str = ".0f"  # of a number, as `format` takes it
+    scale: float = 1.0  # from the unit of the JSON to that shown
 
 
 class Cell(NamedTuple):
@@ -51,16 +38,11 @@ class Cell(NamedTuple):
 
 
 class Table(NamedTuple):
-    """A table of values, as the template `macros.html` draws it.
+    """A table of values, as the template `macros.html` draws it."""
 
-    Attributes:
-        head: of the first column, which has names.
-        columns: the others.
-        rows: a name, and a cell for each column; None where the value is not known.
-    """
-
-    head: str
-    columns: Sequence[Column]
+    head: str  # of the first column, which has names
+    columns: Sequence[Column]  # the others
+    # a name, and a cell for each column; None where the value is not known
     rows: Sequence[tuple[str, Sequence[Cell | None]]]
 
 
@@ -230,12 +212,7 @@ _PUNCTUALITY: Final = {
 
 
 def tables(metrics: Mapping[str, Any], key: str) -> dict[str, Table | None]:
-    """The tables of a session's metrics, by name; None where there is nothing to show.
-
-    Args:
-        metrics: as `Session.metrics` dumps them to JSON.
-        key: where they are in the JSON of the report, such as `sessions.0.metrics`.
-    """
+    """The tables of a session's metrics, by name; None where there is nothing to show."""
 
     def table_of(head: str, columns: Sequence[Column], rows: Mapping[str, str]) -> Table | None:
         shown = [(name, path, _at(metrics, path)) for path, name in rows.items()]
@@ -286,12 +263,7 @@ def difference_tables(comparison: Mapping[str, Any]) -> dict[str, Table | None]:
 
 
 def physics_tables(physics: MotionPhysics, key: str) -> dict[str, Any]:
-    """The tables of what the motion asks of a robot, and how many links are inside each other.
-
-    Args:
-        physics: of the motion.
-        key: where they are in the JSON of the report.
-    """
+    """The tables of what the motion asks of a robot, and how many links are inside each other."""
     values = physics.model_dump(mode="json")
 
     def each(path: str) -> list[tuple[str, str, Any]]:
@@ -328,13 +300,7 @@ def physics_tables(physics: MotionPhysics, key: str) -> dict[str, Any]:
 def table(
     head: str, columns: Sequence[Column], rows: Iterable[tuple[str, str, Any]]
 ) -> Table | None:
-    """A table; columns without a value are left out, and without any there is none.
-
-    Args:
-        head: of the first column.
-        columns: the others.
-        rows: name, key in the JSON, and values there.
-    """
+    """A table; columns without a value are left out, and without any there is none."""
     rows = list(rows)
     columns = [c for c in columns if any(_at(row, c.key) not in (None, "") for _, _, row in rows)]
     if not columns:

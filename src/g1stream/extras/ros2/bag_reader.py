@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import islice
-from typing import TYPE_CHECKING, Any, Final
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 from rosbags.rosbag2 import Reader
@@ -14,6 +16,7 @@ from g1stream.errors import RecordingError
 from g1stream.extras.ros2.messages import STORE
 from g1stream.files import begins_with
 from g1stream.input_limits import LATEST_NS
+from g1stream.motion.readers import MotionFile
 from g1stream.session.mcap_reader import McapFile, Messages
 from g1stream.session.parts import parts_of
 from g1stream.session.recorded_motion import (
@@ -22,27 +25,15 @@ from g1stream.session.recorded_motion import (
     FramePose,
     JointAngles,
     RecordedMotion,
+    RecordingFile,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from g1stream.motion.readers import MotionFile
-    from g1stream.session.recorded_motion import RecordingFile
-
-__all__ = ["DECODERS", "open_bag"]
 
 #: Messages that are taken at once.
 _ROWS: Final = 100
 
 
 def open_bag(file: MotionFile) -> RecordedMotion:
-    """A bag: an MCAP or SQLite file, or a directory with metadata.yaml.
-
-    Raises:
-        RecordingError: there is no such bag, or it is damaged.
-    """
+    """A bag: an MCAP or SQLite file, or a directory with metadata.yaml."""
     parts = parts_of(file.path)
     # The reader of sessions, unlike rosbags', reads what was written before a recorder was killed.
     in_mcap = begins_with(parts[0], b"\x89MCAP")

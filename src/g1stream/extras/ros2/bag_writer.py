@@ -8,10 +8,11 @@ where its tools look for them. Every message keeps its log and publish time.
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from mimetypes import guess_type
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 from foxglove_schemas_protobuf.Log_pb2 import Log
@@ -23,6 +24,7 @@ from g1stream.errors import RecordingError
 from g1stream.extras.ros2.messages import STORE, encode, joint_state, tf_message, time_message
 from g1stream.files import output_errors
 from g1stream.session.format import CHANNELS, Channel, encode_string
+from g1stream.session.mcap_writer import Compression
 from g1stream.session.parts import (
     check_recording_path,
     part_path,
@@ -37,28 +39,15 @@ from g1stream.session.source import SessionFiles
 from g1stream.session.writer import SessionWriter
 from g1stream.view.encoders import MEASURED_PREFIX
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from g1stream.session.mcap_writer import Compression
-
-__all__ = ["Ros2Report", "write_ros2_bag"]
-
 
 @dataclass(frozen=True)
 class Ros2Report:
-    """What was written.
+    """What was written."""
 
-    Attributes:
-        path: the directory.
-        size: of its MCAP file, bytes.
-        counts: messages by topic.
-        left_out: messages by topic of the session that no message of ROS's was made of.
-    """
-
-    path: Path
-    size: int
-    counts: dict[str, int]
+    path: Path  # the directory
+    size: int  # of its MCAP file, bytes
+    counts: dict[str, int]  # messages by topic
+    # messages by topic of the session that no message of ROS's was made of
     left_out: dict[str, int]
 
     def as_dict(self) -> dict[str, Any]:
@@ -74,18 +63,7 @@ def write_ros2_bag(
     compression: Compression = "zstd",
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> Ros2Report:
-    """Write a session as a ROS 2 bag. A failure leaves nothing behind.
-
-    Args:
-        session: file or directory of a session.
-        out: the directory to write; `.mcap` at its end is left out.
-        force: replace a directory that g1stream wrote.
-        compression: of the file's chunks.
-        on_progress: called with the fraction done, 0 to 1.
-
-    Raises:
-        RecordingError: the session cannot be read, or the directory not be written.
-    """
+    """Write a session as a ROS 2 bag. A failure leaves nothing behind."""
     source, out = SessionFiles(session), parts_directory(out)
     if any(part.resolve().is_relative_to(out.resolve()) for part in source.paths):
         raise RecordingError(f"The output {out} holds the session.", "Choose another directory.")

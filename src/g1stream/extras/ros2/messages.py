@@ -2,31 +2,22 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Iterable
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.stores import ros2_humble as ros
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from numpy.typing import ArrayLike
-
-    from g1stream.session.recorded_motion import FramePose
-
-__all__ = ["STORE", "encode", "joint_state", "tf_message", "time_message"]
+from g1stream.session.recorded_motion import FramePose
 
 STORE: Final = get_typestore(Stores.ROS2_HUMBLE)
 """The definitions of ROS 2's messages; those used here are the same in every ROS 2 since Foxy."""
 
 
 def encode(message: Any) -> bytes:
-    """A message in CDR.
-
-    Raises:
-        struct.error: a number of it is out of its field's range.
-    """
+    """A message in CDR."""
     return bytes(STORE.serialize_cdr(message, message.__msgtype__, little_endian=True))
 
 
@@ -36,13 +27,7 @@ def time_message(time_ns: int) -> Any:
 
 
 def joint_state(time_ns: int, names: Iterable[str], *columns: ArrayLike) -> bytes:
-    """A sensor_msgs/JointState.
-
-    Args:
-        time_ns: of the stamp.
-        names: of J joints.
-        columns: positions, rad, velocities, rad/s, and efforts, N·m, (J) each, or empty.
-    """
+    """A sensor_msgs/JointState: positions, rad, velocities, rad/s, efforts, N·m, (J) or empty."""
     header = ros.std_msgs__msg__Header(time_message(time_ns), "")
     arrays = (np.asarray(column, np.float64) for column in columns)
     return encode(ros.sensor_msgs__msg__JointState(header, list(names), *arrays))

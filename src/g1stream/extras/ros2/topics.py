@@ -8,16 +8,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from cyclonedds.idl.types import sequence
 from rosbags.interfaces import Nodetype
 
-from g1stream.child_process import run_child
+from g1stream.child_process import Parent, run_child
+from g1stream.config import Config
 from g1stream.dds import types
 from g1stream.dds.domain import Participant
-from g1stream.dds.endpoints import RawReader, RawWriter
+from g1stream.dds.endpoints import RawReader, RawSample, RawWriter
 from g1stream.dds.messages import (
     LOWSTATE,
     REFERENCE,
@@ -32,16 +33,9 @@ from g1stream.robot.kinematics import local_transforms
 from g1stream.robot.model import G1
 from g1stream.session.format import encode_string
 from g1stream.session.recorded_motion import FramePose
+from g1stream.types import Floats
 from g1stream.view.encoders import GHOST_PREFIX, IDENTITY_POSE, WORLD_FRAME, link_frames
 from g1stream.view.measured_base import MeasuredBase
-
-if TYPE_CHECKING:
-    from g1stream.child_process import Parent
-    from g1stream.config import Config
-    from g1stream.dds.endpoints import RawSample
-    from g1stream.types import Floats
-
-__all__ = ["JOINT_STATES", "ROBOT_DESCRIPTION", "TF", "Ros2Topic"]
 
 
 @dataclass(frozen=True)
@@ -51,18 +45,12 @@ class Ros2Topic:
     There it has the prefix `rt`, and the type of `tf2_msgs/msg/TFMessage` is called
     `tf2_msgs::msg::dds_::TFMessage_`
     (https://design.ros2.org/articles/topic_and_service_names.html).
-
-    Attributes:
-        name: on DDS.
-        message: its type, such as `std_msgs/msg/String`.
-        depth: how many messages a publisher of ROS keeps for slow subscribers.
-        latched: the last message is kept for subscribers that come later, too.
     """
 
-    name: str
-    message: str
-    depth: int
-    latched: bool = False
+    name: str  # on DDS
+    message: str  # its type, such as `std_msgs/msg/String`
+    depth: int  # how many messages a publisher of ROS keeps for slow subscribers
+    latched: bool = False  # the last message is kept for subscribers that come later, too
 
     @property
     def idl_type(self) -> Any:
@@ -113,7 +101,8 @@ class _Publisher:
         self._frames = link_frames(robot, "", WORLD_FRAME)
         self._ghost_frames = link_frames(robot, GHOST_PREFIX, robot.link_names[0])
         self._tf, self._joint_states, self._description = (
-            _writer(participant, topic) for topic in (TF, JOINT_STATES, ROBOT_DESCRIPTION)
+            RawWriter(participant, topic, topic.depth, latched=topic.latched)
+            for topic in (TF, JOINT_STATES, ROBOT_DESCRIPTION)
         )
         self._description.write(encode_string(robot.urdf))
 
@@ -155,10 +144,6 @@ class _Publisher:
         poses = local_transforms(self._robot, joint_pos[np.newaxis], root_pos, root_quat_wxyz)
         rows = zip(*frames, poses.pos[0].tolist(), poses.quat_wxyz[0].tolist(), strict=True)
         self._tf.write(tf_message(FramePose(time_ns, *row) for row in rows))
-
-
-def _writer(participant: Participant, topic: Ros2Topic) -> RawWriter:
-    return RawWriter(participant, topic, topic.depth, latched=topic.latched)
 
 
 def _run_child(parent: Parent) -> None:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import chain
-from typing import TYPE_CHECKING, Final
+from pathlib import Path
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from g1stream.dds.messages import played_joints
@@ -18,21 +21,10 @@ from g1stream.files import check_suffix, complete_file
 from g1stream.input_limits import FRAMES
 from g1stream.optional import import_extra
 from g1stream.robot.shapes import with_shapes
-from g1stream.session.streams import BaseStream, MeasuredStream, ReferenceStream
-from g1stream.types import Floats, Ints, Phase
+from g1stream.session.recording import Recording
+from g1stream.session.streams import BaseStream, MeasuredStream, ReferenceStream, Stream
+from g1stream.types import Camera, Floats, Ints, Phase
 from g1stream.view.measured_base import MeasuredBase
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from g1stream.session.recording import Recording
-    from g1stream.session.streams import Stream
-    from g1stream.types import Camera
-
-__all__ = ["AZIMUTHS", "Poses", "Video", "render"]
 
 AZIMUTHS: Final = {"front": 0.0, "oblique": 35.0, "left": 90.0, "back": 180.0, "right": 270.0}
 """Where each `Camera` stands, degrees around the robot, 0 in front of it, 90 on its left."""
@@ -47,23 +39,14 @@ _LARGEST_SIDE, _HIGHEST_FPS = 4096, 240.0
 
 @dataclass(frozen=True)
 class Video:
-    """What was rendered.
+    """What was rendered."""
 
-    Attributes:
-        path: of the file.
-        frames: how many pictures are in it.
-        start: s on the motion's clock, of the first.
-        duration: s.
-        shown: "measured and ghost", "measured", or "reference".
-        meshes: the robot was drawn with meshes, not with primitive shapes.
-    """
-
-    path: Path
-    frames: int
-    start: float
-    duration: float
-    shown: str
-    meshes: bool
+    path: Path  # of the file
+    frames: int  # how many pictures are in it
+    start: float  # s on the motion's clock, of the first
+    duration: float  # s
+    shown: str  # "measured and ghost", "measured", or "reference"
+    meshes: bool  # the robot was drawn with meshes, not with primitive shapes
 
 
 def render(
@@ -161,16 +144,11 @@ def _frame_times(
             f"A video of {length:.0f} s would have {frames} frames.",
             "Render a part of the session, with a start and a duration.",
         )
-    times: Floats = start + np.arange(frames) / fps
-    return times
+    return start + np.arange(frames) / fps
 
 
 class Poses:
-    """The robots of T frames, and what is written beside them.
-
-    Args:
-        session: has a reference, a measured state, or both.
-        times: (T,) s on the motion's clock.
+    """The robots of frames at T times, s on the motion's clock, and what is written beside them.
 
     Attributes:
         shown: what the robots are.

@@ -4,28 +4,22 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib import reload
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from g1stream.errors import RobotError, SimError
 from g1stream.robot.dynamics import mujoco_spec
 from g1stream.robot.joints import JOINT_NAMES
 from g1stream.robot.kinematics import pose_blocks
+from g1stream.robot.model import G1
 from g1stream.robot.shapes import find_mesh, has_meshes, read_visuals
 from g1stream.sim.model import add_floor_and_light
 from g1stream.types import Floats
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from numpy.typing import NDArray
-
-    from g1stream.robot.model import G1
-
-__all__ = ["PosedRobot", "Scene"]
 
 #: How far behind the robot a ghost is drawn, m: surfaces that coincide would flicker.
 _BEHIND: Final = 0.004
@@ -40,37 +34,20 @@ _SOLE: Final = 0.03
 
 
 class PosedRobot(NamedTuple):
-    """A robot's pose in each of T frames.
+    """A robot's pose in each of T frames."""
 
-    Attributes:
-        q: (T, 29) rad, motor order.
-        pos: (T, 3) m, pelvis in the world.
-        quat_wxyz: (T, 4) pelvis to world; zero is taken for upright.
-        tint: red, green, blue and opacity of all shapes, 0 to 1; the robot's colours if None.
-    """
-
-    q: Floats
-    pos: Floats
-    quat_wxyz: Floats
+    q: Floats  # (T, 29) rad, motor order
+    pos: Floats  # (T, 3) m, pelvis in the world
+    quat_wxyz: Floats  # (T, 4) pelvis to world; zero is taken for upright
+    # red, green, blue and opacity of all shapes, 0 to 1; the robot's colours if None
     tint: tuple[float, float, float, float] | None = None
 
 
 class Scene:
     """Draws a robot in several poses at once, with a camera that follows the first of them.
 
-    Args:
-        robot: whose shapes to draw: its meshes where they are found, else its primitive shapes.
-        robots: at least one, of T frames each.
-        size: width and height of a picture, pixels.
-        azimuth: where the camera stands, degrees around the robot: 0 in front of how it stands in
-            the first frame, 90 on its left.
-
-    Attributes:
-        meshes: it draws meshes, not primitive shapes.
-
-    Raises:
-        RobotError: MuJoCo does not accept the URDF or a mesh.
-        SimError: there is no OpenGL to draw with.
+    It draws `meshes` where they are found, else primitive shapes. The camera stands at `azimuth`
+    degrees around the robot: 0 in front of how it stands in the first frame, 90 on its left.
     """
 
     def __init__(

@@ -1,7 +1,9 @@
 """The page says what the JSON says, of whatever there is, and trusts no text of a file."""
 
 import base64
+import csv
 import gzip
+import io
 import json
 import re
 from html.parser import HTMLParser
@@ -13,7 +15,7 @@ import g1stream
 from g1stream.app.session import open_session
 from g1stream.config import Config
 from g1stream.errors import ConfigError, RecordingError
-from g1stream.extras.report.page import numbers
+from g1stream.extras.report.page import numbers, to_csv
 
 
 class Page(HTMLParser):
@@ -91,6 +93,11 @@ def test_the_numbers_are_the_sessions(path):
     session = open_session(path)
     assert one["metrics"] == json.loads(session.metrics().model_dump_json())
     assert one["summary"] == json.loads(session.summary().model_dump_json())
+    rows = list(csv.DictReader(io.StringIO(to_csv(path))))
+    assert {row["session"] for row in rows} == {str(path)}
+    told = {row["key"]: row["value"] for row in rows}
+    knee = one["metrics"]["tracking"]["joints"]["left_knee_joint"]
+    assert float(told["tracking.joints.left_knee_joint.rmse_rad"]) == knee["rmse_rad"]
 
 
 @pytest.mark.slow

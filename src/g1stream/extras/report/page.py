@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import base64
+import csv
+import io
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
@@ -11,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeAlias, cast
 
 from g1stream.analysis.metrics import Metrics
-from g1stream.analysis.summarise import played
+from g1stream.analysis.summarise import flat, played
 from g1stream.analysis.summary import Summary, outcome, session_facts, stream_facts
 from g1stream.app.session import Session, open_session
 from g1stream.errors import ConfigError, MotionError, RecordingError, RobotError
@@ -72,6 +74,17 @@ def numbers(
 ) -> dict[str, Any]:
     """The numbers of a report as values for JSON: summary, metrics and physics of each session."""
     return {"sessions": [_told(session, progress)[-1] for session in _opened(sessions)]}
+
+
+def to_csv(sessions: Given | Iterable[Given]) -> str:
+    """The metrics of sessions as CSV: a row for each, by session and key."""
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(("session", "key", "value"))
+    for session in _opened(sessions):
+        values = flat(session.metrics().model_dump(mode="json"))
+        rows.writerows((session.path, key, v) for key, v in values.items() if v is not None)
+    return text.getvalue()
 
 
 def _opened(sessions: Given | Iterable[Given], page: Path | None = None) -> Iterator[Session]:

@@ -1,4 +1,4 @@
-"""`g1stream report`: how sessions went, as a page or JSON."""
+"""`g1stream report`: how sessions went, as a page, JSON or CSV."""
 
 from __future__ import annotations
 
@@ -36,14 +36,20 @@ class Report(Command):
     out: Path | None = flag(None, "The page to write.", "HTML", shown=str(_PAGE), aliases=("-o",))
     force: bool = flag(False, "Replace a file that is there.")
     json: bool = flag(False, "Print summary, metrics, physics as JSON; no page.")
+    csv: bool = flag(False, "Print the metrics as CSV; no page.")
 
     def run(self) -> int:
         """Write the page or print the numbers, and return the exit code."""
         from g1stream.errors import ConfigError
-        from g1stream.extras.report.page import numbers, report
+        from g1stream.extras.report.page import numbers, report, to_csv
 
-        if self.json and self.out:
-            raise ConfigError("--json and a page (--out) are asked for.", "Ask for one of them.")
+        if self.json + self.csv + bool(self.out) > 1:
+            raise ConfigError(
+                "Two of --json, --csv and a page (--out) are asked for.", "Ask for one of them."
+            )
+        if self.csv:
+            print(to_csv(self.sessions), end="")
+            return EXIT_OK
         with showing_progress() as progress:
             if self.json:
                 found = numbers(self.sessions, progress)

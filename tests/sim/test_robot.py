@@ -7,6 +7,7 @@ import logging
 import numpy as np
 import pytest
 
+from g1stream.app.sim import make_world
 from g1stream.config import SimConfig
 from g1stream.dds.messages import LowCmd, LowState, SecondaryImu, SportModeState
 from g1stream.robot.rotations import quat_to_rpy
@@ -62,10 +63,8 @@ def test_base_and_torso(simulated, world):
 
 @pytest.mark.parametrize("rate", [100, 300, 500, 1000])
 def test_simulated_time_is_a_multiple_of_the_period(robot, rate):
-    from g1stream.app.sim import physics_timestep
-
-    world = World(robot, timestep=physics_timestep(rate))
-    simulated = SimulatedRobot(world, SimConfig(rate=rate))
+    settings = SimConfig(rate=rate, support="bolted")
+    simulated = SimulatedRobot(make_world(robot, settings), settings)
     run(simulated, range(30))
     assert simulated.report.simulated == pytest.approx(30 / rate)
 

@@ -41,7 +41,8 @@ class Inspect(SettingsCommand, MotionFlags):
 
     Exit codes:
       0  within the limits
-      1  a frame is beyond a position limit, the spline beyond a speed limit, or a unit is wrong
+      1  a frame is beyond a position limit, the spline beyond a speed limit, or
+         a unit is wrong
       2  bad input: not a motion
     """
 

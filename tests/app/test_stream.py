@@ -48,6 +48,7 @@ def test_a_simulator_whose_first_states_are_zeros_is_waited_for(domain_id, confi
             state = LowState()
             if ready and len(published) > 25:
                 state.quaternion[0] = 1.0
+                state.gyroscope[0] = 1e-3 * (len(published) % 2)  # a real one has noise
             published.append(state.tobytes())
             states.write(published[-1])
 

@@ -248,7 +248,7 @@ STRING = "std_msgs/msg/String"
         (
             lambda joints: {"/lowstate": (STRING, [(START, of_ros(STRING)("hello"))])},
             RecordingError,
-            "it has std_msgs/msg/String",
+            "only std_msgs/msg/String",
         ),
         (
             lambda joints: {f"/{name}/js": (JOINT_STATE, joints) for name in ("one", "two")},

@@ -32,7 +32,7 @@ from table import FAULTS
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-AT_ONCE: Final = 3
+AT_ONCE: Final = 4
 
 
 def run(faults: Iterable[Fault], first_domain: int, rounds: int) -> list[Outcome]:
@@ -129,7 +129,7 @@ def table(outcomes: list[Outcome], separator: str = "  ") -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--match", default="", help="rows whose name contains this")
-    parser.add_argument("--domain", type=int, default=80, help="the first of three DDS domains")
+    parser.add_argument("--domain", type=int, default=80, help="the first of four DDS domains")
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--markdown", action="store_true")

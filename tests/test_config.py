@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from hatchling.builders.wheel import WheelBuilder
+from pydantic import ValidationError
 
 from g1stream.config import SHIPPED, Config, load_config, settings
 from g1stream.control.lowstate import STATE_TIMEOUT
@@ -294,3 +295,9 @@ def test_robot_toml_is_more_careful_than_the_defaults():
     assert robot.safety.max_joint_speed < default.safety.max_joint_speed
     assert robot.safety.mode_machine == (5,)
     assert not robot.safety.allow_second_writer
+
+
+@pytest.mark.parametrize("name", ["wait", "ramp", "hold", "damp"])
+def test_no_phase_is_longer_than_a_day(name):
+    with pytest.raises(ValidationError):
+        Config.model_validate({"stream": {name: 1e300}})

@@ -140,6 +140,7 @@ class StreamConfig(Table):
         "take 2 s",
         "s",
         ge=1.0,
+        le=86_400.0,
     )
     ramp: float = setting(
         3.0,
@@ -159,7 +160,7 @@ class StreamConfig(Table):
         gt=0.0,
         le=10.0,
     )
-    hold: float = setting(1.0, "time at the last frame", "s", ge=0.0)
+    hold: float = setting(1.0, "time at the last frame", "s", ge=0.0, le=86_400.0)
     damp: float = setting(1.0, "time of damping at the end", "s", ge=0.5, le=10.0)
     start: float = setting(
         0.0, "where in the motion to start", "s", flag=(*PLAY_FLAG, "physics"), ge=0.0

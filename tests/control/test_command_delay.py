@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -79,3 +80,14 @@ def test_nothing_is_said_before_commands_and_readings_are_enough():
 
 def test_nothing_is_found_of_a_robot_at_rest():
     assert found(0.4, noise=0.5, moving=False).longest == 0.0
+
+
+def test_a_state_that_stands_still_is_not_compared():
+    """It may match some old command; that its robot is frozen is for the checks of LowState."""
+    delay, command, rng = CommandDelay(), LowCmd(), np.random.default_rng(1)
+    measured = Reading(*np.zeros((3, 29), np.float32), IMU, content=b"frozen")
+    for tick in range(2000):
+        command.tau[:] = rng.normal(size=29) if tick < 1200 else 5.0 + tick / 100
+        delay.sent(0.002 * tick, command.seal())
+        delay.add(replace(measured, received=round(2e6 * tick)))
+    assert delay.longest is None

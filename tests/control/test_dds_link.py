@@ -4,7 +4,7 @@ import pytest
 
 from g1stream.control.guard import Heartbeat, Takeover, damping_command
 from g1stream.control.link import DdsLink
-from g1stream.dds.domain import AnnouncedBridge, Participant
+from g1stream.dds.domain import IDLE, AnnouncedBridge, Participant
 from g1stream.dds.endpoints import RawReader, RawWriter
 from g1stream.dds.messages import LOWCMD, LOWSTATE, LowCmd, LowState, Reference
 
@@ -102,3 +102,31 @@ def test_a_command_that_was_being_written_is_followed_by_the_guards(guarded, mon
     monkeypatch.setattr(RawWriter, "write", interrupted)
     link.send(STIFF, Reference().tobytes(), 1)
     assert commands(2) == [STIFF, DAMPING]
+
+
+def test_publishers_of_low_state_by_turns_are_several_and_a_restarted_one_is_not(domain_id, until):
+    state = LowState()
+    with Participant(domain_id, "lo") as ours, Participant(domain_id, "lo") as theirs:
+        link = DdsLink(ours)
+        first, second = (RawWriter(theirs, LOWSTATE, depth=10) for _ in range(2))
+        until(lambda: first.matched and second.matched, "both to match")
+        assert "several publishers" in link.unready()
+
+        def heard(writer, tick):
+            publish(writer, [tick])
+            until(lambda: link.receive(state) and int(state.tick) == tick, "a state")
+            return bool(link.state_publishers())
+
+        assert [heard(first, 2), heard(second, 4), heard(second, 6)] == [False, False, False]
+        assert heard(first, 8)
+
+
+def test_what_announces_to_be_idle_and_publishes_is_another_publisher(domain_id, until):
+    with Participant(domain_id, "lo") as ours, Participant(domain_id, "lo") as theirs:
+        link = DdsLink(ours)
+        writer = RawWriter(theirs, LOWCMD, user_data=IDLE)
+        until(lambda: writer.matched, "a match")
+        until(lambda: ours.writers(LOWCMD.name), "its discovery")
+        assert link.other_publishers() == []
+        writer.write(STIFF)
+        until(link.other_publishers, "another publisher")

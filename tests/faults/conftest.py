@@ -18,7 +18,7 @@ from judge import Outcome
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-AT_ONCE = 3
+AT_ONCE = 4
 
 
 @pytest.fixture(scope="module")

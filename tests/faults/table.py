@@ -189,7 +189,7 @@ STATES: Final = [
         reason="rt/lowstate",
         sent=False,
     ),
-    Fault("second publisher of LowState", "LowState", does("twin"), reason="rt/lowstate"),
+    Fault("second publisher of LowState", "LowState", does("twin"), reason="publisher"),
     Fault(
         "second publisher of LowState at 2 Hz from the start",
         "LowState",

@@ -20,19 +20,17 @@ import tempfile
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import sides
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "faults"))
-from engine import Fault, Session, play
+from engine import AT_ONCE, Fault, Session, play
 from judge import Outcome
 from table import FAULTS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
-
-AT_ONCE: Final = 4
 
 
 def run(faults: Iterable[Fault], first_domain: int, rounds: int) -> list[Outcome]:

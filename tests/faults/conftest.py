@@ -12,13 +12,11 @@ from typing import TYPE_CHECKING
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
-from engine import Fault, play
+from engine import AT_ONCE, Fault, play
 from judge import Outcome
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-
-AT_ONCE = 4
 
 
 @pytest.fixture(scope="module")

@@ -33,6 +33,9 @@ PATIENCE: Final = 100.0
 #: Of every process that a row starts. pytest changes os.environ between two tests, and a process
 #: that another thread starts with it meanwhile may fail with EFAULT.
 ENVIRONMENT: Final = {k: v for k, v in os.environ.items() if k != "CYCLONEDDS_URI"}
+#: Rows that run at the same time: they mostly wait.
+AT_ONCE: Final = 4
+
 CONFIG: Final = f"""
 [stream]
 rate = {RATE}.0

@@ -356,6 +356,7 @@ ROBOT: Final = [
         [{"at": AT, "set": buttons(L2, B)}],
         reason="safety.stop_buttons",
     ),
+    Fault("stop button select", "robot", [{"at": AT, "set": buttons(SELECT)}], reason="select"),
     Fault(
         "starts 2 rad from the first frame",
         "robot",
@@ -366,10 +367,6 @@ ROBOT: Final = [
     ),
 ]
 
-
-ROBOT.append(
-    Fault("stop button select", "robot", [{"at": AT, "set": buttons(SELECT)}], reason="select")
-)
 
 DEADMAN: Final = [
     Fault(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 from g1stream.control.guard import Takeover, count_subscribers
 from g1stream.dds.domain import IDLE, OBSERVER, PUBLISHING, AnnouncedBridge
-from g1stream.dds.endpoints import RawReader, RawWriter
+from g1stream.dds.endpoints import PublishersByTurns, RawReader, RawWriter
 from g1stream.dds.layout import CDR_HEADER, Layout
 from g1stream.dds.messages import LOWCMD, LOWSTATE, REFERENCE, Topic
 from g1stream.dds.ticks import TickGaps
@@ -93,7 +93,7 @@ class DdsLink:
         self._states = RawReader(participant, LOWSTATE, depth=_STATE_DEPTH)
         self._others = RawReader(participant, topic, ignore_own=True, user_data=OBSERVER)
         self._gaps = TickGaps()
-        self._by_recency: list[int] = []  # publishers of LowState
+        self._state_turns = PublishersByTurns()
         self._several = False
         self._since = time.monotonic()
         self._bridge: AnnouncedBridge | None = None
@@ -147,21 +147,10 @@ class DdsLink:
             return None
         for sample in samples:
             self._gaps.add(int.from_bytes(sample.data[self._tick_bytes], "little"))
-            self._hear(sample.sample_info.publication_handle)
+            if self._state_turns.hear(sample.sample_info.publication_handle):
+                self._several = True
         state.load(samples[-1].data)
         return int(samples[-1].sample_info.publication_handle)
-
-    def _hear(self, publisher: int) -> None:
-        """Note a publisher of LowState; several publish once one is heard again after another.
-
-        One that was started anew is another publisher, and its predecessor is heard no more.
-        """
-        if self._by_recency and publisher == self._by_recency[-1]:
-            return
-        if publisher in self._by_recency:
-            self._several = True
-            self._by_recency.remove(publisher)
-        self._by_recency.append(publisher)
 
     def state_publishers(self) -> list[str]:
         if not self._several:

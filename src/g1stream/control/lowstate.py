@@ -31,6 +31,7 @@ __all__ = ["STATE_TIMEOUT", "LowStateChecks", "state_timeout"]
 STATE_TIMEOUT: Final = 0.1
 """Age of the last LowState that stops, s, where `safety.state_timeout` is unset: of a robot."""
 
+_SELDOM: Final = f"LowState comes less often than every {STATE_TIMEOUT:g} s"
 #: How far beyond its limits a joint may be where RAMP starts, rad: the play of an end stop.
 _START_TOLERANCE: Final = 0.1
 #: Ticks beyond this say nothing of how far a joint may have moved, ms.
@@ -130,10 +131,8 @@ class LowStateChecks:
         if measured is None:
             return None
         buttons = state.buttons
-        seldom = f"LowState comes less often than every {STATE_TIMEOUT:g} s"
-        self.missing = self._operator.missing(buttons) or (
-            seldom if self._interval > STATE_TIMEOUT else ""
-        )
+        seldom = _SELDOM if self._interval > STATE_TIMEOUT else ""
+        self.missing = self._operator.missing(buttons) or seldom
         if self.unknown(now, target):
             self.stop_reason = ""
             return measured

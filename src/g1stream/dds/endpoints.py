@@ -21,7 +21,7 @@ from cyclonedds.topic import Topic as CycloneTopic
 from g1stream.dds.domain import Participant
 from g1stream.dds.layout import Layout
 
-__all__ = ["AnyTopic", "RawReader", "RawSample", "RawWriter"]
+__all__ = ["AnyTopic", "PublishersByTurns", "RawReader", "RawSample", "RawWriter"]
 
 
 class AnyTopic(Protocol):
@@ -188,6 +188,27 @@ class RawWriter:
         status = dds_c_t.publication_matched_status()
         _STATUSES.readers(self._writer._ref, ctypes.byref(status))
         return int(status.current_count)
+
+
+class PublishersByTurns:
+    """Tells publishers that publish by turns from one that was started anew.
+
+    A program that is started anew has another publisher, and its predecessor is heard no more.
+    """
+
+    def __init__(self) -> None:
+        self._by_recency: list[int] = []  # the newest last
+
+    def hear(self, publisher: int) -> bool:
+        """Note the publisher of a sample; whether it was heard before another one, too."""
+        heard = self._by_recency
+        if heard and publisher == heard[-1]:
+            return False
+        again = publisher in heard
+        if again:
+            heard.remove(publisher)
+        heard.append(publisher)
+        return again
 
 
 class RawReader:

@@ -108,7 +108,7 @@ class Peer:
     owner: str = "an unnamed participant"  # its process, or its participant
     participant: str = ""  # GUID
     observer: bool = False  # announces that it does not act on what it reads
-    idle_guard: bool = False  # announces that it publishes only if its stream fails
+    idle: bool = False  # announces that it has published no command, as a guard
 
 
 @dataclass(frozen=True)

@@ -283,7 +283,7 @@ def _commands(wire: WireFacts, topic: str) -> Iterator[Finding]:
         yield problem("LowCmd", cause, remedy)
     elif readers and not mismatches:
         yield ok("LowCmd", f"subscriber: {_owners(readers)}")
-    if writers := [one for one in wire.writers_of(topic) if not one.idle_guard]:
+    if writers := [one for one in wire.writers_of(topic) if not one.idle]:
         yield warning(
             "LowCmd",
             f"another publisher on {topic}, {_owners(writers)}: g1stream stream will refuse to "

@@ -153,7 +153,7 @@ def _peers(participant: Participant, endpoints: Iterable[Endpoint]) -> Iterator[
                 owner=participant.owner(endpoint),
                 participant=endpoint.participant,
                 observer=endpoint.user_data == OBSERVER,
-                idle_guard=endpoint.idle,
+                idle=endpoint.idle,
             )
 
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from g1stream.dds.domain import GUARD_PROGRAM, AnnouncedBridge
+from g1stream.dds.endpoints import PublishersByTurns
 from g1stream.dds.messages import ARM_SDK, LOG, LOWCMD, LOWSTATE, TOPICS, Log
 from g1stream.errors import RecordingError
 from g1stream.events import severity
@@ -138,7 +139,7 @@ class Recorder:
         self._delays: dict[str, array[int]] = defaultdict(lambda: array("q"))
         self._publishers: dict[str, Publishers] = {}
         self._late_hosts: set[tuple[str, ...]] = set()
-        self._by_recency: dict[str, list[int]] = defaultdict(list)  # writers, the newest last
+        self._turns: dict[str, PublishersByTurns] = defaultdict(PublishersByTurns)
         self._drops_due = 0.0
         self._aligned = False
         self.report = RecorderSummary()
@@ -244,14 +245,8 @@ class Recorder:
         """Report two programs that publish by turns; one that takes over from another may."""
         if name not in _SINGLE or CHANNEL_OF[name] in self.report.publishers:
             return
-        writers, again = self._by_recency[name], False
-        for writer in batch.writers:
-            if writers and writer == writers[-1]:
-                continue
-            if writer in writers:
-                writers.remove(writer)
-                again = True
-            writers.append(writer)
+        turns = self._turns[name]
+        again = [writer for writer in batch.writers if turns.hear(writer)]
         # A guard damps the robot beside a stream that has not ended yet.
         names = Publishers.from_participant(self._participant, name).names if again else []
         names = [one for one in names if not one.startswith(GUARD_PROGRAM)]

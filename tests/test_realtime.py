@@ -4,9 +4,11 @@ import _thread
 import ctypes
 import gc
 import os
+import re
 import subprocess
 import sys
 import threading
+from pathlib import Path
 
 import pytest
 
@@ -89,6 +91,27 @@ def test_threads_of_others_keep_theirs(until):
         inside = os.sched_getscheduler(threads[0]) & POLICY
     done.set()
     assert inside == os.SCHED_OTHER
+
+
+def test_without_the_priority_the_time_slice_is_short():
+    """Beside threads that compute, a thread with a long one waits for milliseconds."""
+    own = _slice()
+    with on_time(priority=0) as grants:
+        if not by_name(grants)["time slice"].granted:
+            pytest.skip("Linux before 6.12")
+        inside, of_new = _slice(), []
+        thread = threading.Thread(target=lambda: of_new.append(_slice()))
+        thread.start()
+        thread.join()
+    assert inside == 100_000 < own
+    assert of_new == [own]
+    assert _slice() == own
+
+
+def _slice():
+    """Of the calling thread, ns, as the kernel tells it."""
+    text = Path(f"/proc/self/task/{threading.get_native_id()}/sched").read_text()
+    return int(re.search(r"se.slice\s*:\s*(\d+)", text)[1])
 
 
 def test_threads_do_not_inherit_the_priority():

@@ -157,7 +157,7 @@ class StreamConfig(Table):
         1.5,
         "highest speed of a joint on the way to the first frame, which takes longer for it",
         "rad/s",
-        gt=0.0,
+        ge=0.01,
         le=10.0,
     )
     hold: float = setting(1.0, "time at the last frame", "s", ge=0.0, le=86_400.0)
@@ -172,6 +172,7 @@ class StreamConfig(Table):
         flag=(*PLAY_FLAG, "demo", "physics"),
         example=10.0,
         gt=0.0,
+        le=86_400.0,
     )
     loop: bool = setting(False, "play again and again until stopped", flag=PLAY_FLAG)
     via: Via = setting(
@@ -259,7 +260,11 @@ class RealtimeConfig(Table):
     # The guard process needs one above the loop's, and 99 is the highest.
     priority: int = setting(50, "SCHED_FIFO priority; 0: an ordinary process", ge=0, le=98)
     cpu: int | None = setting(
-        None, "the only CPU of the loop; an isolated one, or any, if unset", example=3, ge=0
+        None,
+        "the only CPU of the loop; an isolated one, or any, if unset",
+        example=3,
+        ge=0,
+        le=8191,
     )
 
 
@@ -332,7 +337,11 @@ class SimConfig(Table):
     )
     rate: float = setting(500.0, "LowState per second", "Hz", flag=("sim",), ge=50.0, le=1000.0)
     command_timeout: float = setting(
-        0.5, "time without a LowCmd after which the motors only damp; 0: never", "s", ge=0.0
+        0.5,
+        "time without a LowCmd after which the motors only damp; 0: never",
+        "s",
+        ge=0.0,
+        le=3600.0,
     )
     command_delay: float = setting(
         0.0,

@@ -226,10 +226,11 @@ def test_the_same_input_gives_the_same_bytes(out, tmp_path):
         ({"frames": (200, 100)}, MotionError, "200:100"),
         ({"frames": (0, 301)}, MotionError, "300"),
         ({"resample": float("nan")}, MotionError, "nan"),
+        ({"frames": (0, 1), "resample": 100.0}, MotionError, "no sample"),
         ({"root_link": "head"}, RobotError, "'head'"),
         ({"world_frame": "pelvis"}, ConfigError, "'pelvis'"),
         ({"topic": "/scene"}, ConfigError, "/scene"),
-        ({"base_time_ns": 2**63 - 1}, ConfigError, "2262"),
+        ({"base_time_ns": 2**63 - 1}, ConfigError, "2116"),
     ],
 )
 def test_invalid_options_are_refused_and_leave_no_file(motion, out, options, error, message):

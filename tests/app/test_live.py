@@ -23,8 +23,7 @@ from g1stream.app import live as program
 from g1stream.app.record import record
 from g1stream.app.session import open_session
 from g1stream.child_process import Child, ChildError
-from g1stream.cli.command import EXIT_BAD_INPUT
-from g1stream.cli.main import main
+from g1stream.cli.main import EXIT_BAD_INPUT, main
 from g1stream.config import Config, RecordConfig
 from g1stream.dds.domain import Participant
 from g1stream.dds.endpoints import RawReader, RawWriter

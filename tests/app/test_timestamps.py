@@ -25,7 +25,7 @@ def test_every_timestamp_is_within_half_a_nanosecond_of_the_exact_time(base, fra
 
 
 def test_a_motion_that_ends_after_64_bits_is_refused():
-    with pytest.raises(ConfigError, match="2262"):
+    with pytest.raises(ConfigError, match="2116"):
         frame_timestamps(2**63 - 10, range(3), 30.0)
 
 
@@ -47,7 +47,7 @@ def test_times_people_write(text, expected):
 
 
 @given(
-    st.datetimes(datetime(1970, 1, 2), datetime(2261, 1, 1)),
+    st.datetimes(datetime(1970, 1, 2), datetime(2115, 1, 1)),
     st.integers(-14 * 60, 14 * 60),
 )
 def test_iso_times_are_what_datetime_takes_them_for(moment, offset_minutes):

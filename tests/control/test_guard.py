@@ -1,11 +1,12 @@
 """When the guard takes over, what it then sends, and what it shares with its stream."""
 
 import os
+import subprocess
 
 import numpy as np
 import pytest
 
-from g1stream.control.guard import Heartbeat, Takeover, Watch, damping_command
+from g1stream.control.guard import Heartbeat, Takeover, Watch, _fence, damping_command
 from g1stream.dds.messages import LowCmd
 
 MS = 1_000_000
@@ -116,3 +117,12 @@ def test_damping_leaves_the_slots_of_absent_motors_zero():
     last.motor_mode = np.where(np.arange(29) % 7, 1, 0).astype(np.uint8)
     damping.load(damping_command(last.seal(), 3.0))
     assert damping.kd.tolist() == [3.0 if i % 7 else 0.0 for i in range(29)]
+
+
+@pytest.mark.parametrize("why", [Takeover.STOPPED, Takeover.SILENT])
+def test_a_stream_that_is_killed_in_a_write_is_not_waited_for(heartbeat, why):
+    with subprocess.Popen(["true"]) as process:
+        process.wait()
+    heartbeat.begin_write(LowCmd().seal(), START)
+    _fence(heartbeat, process.pid, why)  # returns, so that the guard damps
+    assert heartbeat.writing

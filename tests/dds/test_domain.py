@@ -5,6 +5,7 @@ import os
 import socket
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from cyclonedds.core import Entity
@@ -262,3 +263,17 @@ def test_two_that_contradict_each_other_say_nothing(domain_id, until):
             RawWriter(bridge, LOWSTATE, user_data=AnnouncedBridge(support).user_data)
         until(lambda: len(ours.writers(LOWSTATE.name)) == 2, "both writers to be discovered")
         assert announced_in(ours) is None
+
+
+@pytest.mark.parametrize("rate", ["0", "0.5", "-1", "inf", "nan", "fast"])
+def test_a_rate_that_no_bridge_has_says_nothing(rate):
+    assert AnnouncedBridge.by([_announces(f"g1stream.bridge=bolted;{rate};g1")]) is None
+
+
+def test_a_robot_may_have_any_name():
+    announced = AnnouncedBridge("hanging", "my;own;robot", 700.0)
+    assert AnnouncedBridge.by([_announces(announced.user_data.decode())]) == announced
+
+
+def _announces(text):
+    return SimpleNamespace(user_data=text.encode())

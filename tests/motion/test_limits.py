@@ -70,7 +70,7 @@ def test_a_joint_at_its_limit_is_held_beyond_the_tolerance_only(make_motion, rob
     ],
 )
 def test_only_what_is_played_counts(spike, robot, start, length, loop, n):
-    interval = Interval(start, length, spike.duration, loop)
+    interval = Interval(start, length, loop)
     report = measured(spike, robot, interval, loop=loop)
     assert len(report.warnings) == n
     assert len(report.held) == len(report.too_fast) == n
@@ -84,7 +84,7 @@ def test_the_seam_of_a_loop_counts(spike, robot):
     angles[:, KNEE] = robot.upper[KNEE] - 2.5 * (1.0 - (np.arange(121) / 120) ** 4)
     rising = replace(spike, joint_pos=angles)
     assert measured(rising, robot).held == ()
-    once = Interval(0.0, rising.duration, rising.duration, loop=True)
+    once = Interval(0.0, rising.duration, loop=True)
     assert measured(rising, robot, once, loop=True).held == ()
     report = measured(rising, robot, replace(once, length=None), loop=True)
     (knee,) = report.held
@@ -155,7 +155,7 @@ def test_peaks_are_those_of_all_targets(wild_motion, robot, loop, interval):
     joints = wild_motion.joint_pos * np.linspace(0.0, 9.0, len(JOINT_NAMES))
     trajectory = Trajectory(replace(wild_motion, joint_pos=joints), loop=loop)
     start, length = interval or (0.0, trajectory.period)
-    played = Interval(start, length, wild_motion.duration, loop)
+    played = Interval(start, length, loop)
     times = start + np.arange(int(length * 500 + 1e-6) + 1) / 500
     asked = trajectory.sample_many(times)
     report = measure_limits(trajectory, robot, played)
@@ -176,11 +176,11 @@ def test_peaks_are_those_of_all_targets(wild_motion, robot, loop, interval):
 
 def test_the_frames_of_an_interval_are_those_between_which_it_is_interpolated(wild_motion):
     """0.58 * 50 is a little less than 29, and 0.14 * 50 a little more than 7."""
-    fps, length = wild_motion.fps, wild_motion.duration
+    fps = wild_motion.fps
     for first, last in ((0, 7), (29, 36), (1, wild_motion.n_frames - 1)):
-        interval = Interval(first / fps, (last - first) / fps, length)
+        interval = Interval(first / fps, (last - first) / fps)
         assert interval.frames(wild_motion) == range(first, last + 1)
-    between = Interval(1.5 / fps, 2.0 / fps, length)
+    between = Interval(1.5 / fps, 2.0 / fps)
     assert between.frames(wild_motion) == range(1, 5)
-    endless = Interval(1.0, None, length, loop=True)
+    endless = Interval(1.0, None, loop=True)
     assert endless.frames(wild_motion) == range(wild_motion.n_frames)

@@ -123,6 +123,18 @@ def test_limits_of_a_urdf_that_are_wider_than_a_robots_are_narrowed(tmp_path, ro
     assert own.warning == ""
 
 
+def test_a_range_outside_that_of_a_g1_is_refused(tmp_path, robot):
+    root = ET.fromstring(robot.urdf)
+    for joint in root.iter("joint"):
+        if joint.get("name") == "left_elbow_joint":
+            joint.find("limit").attrib.update(lower="3", upper="4")
+    path = tmp_path / "elsewhere.urdf"
+    path.write_text(ET.tostring(root, encoding="unicode"))
+    with pytest.raises(RobotError, match="left_elbow_joint"):
+        G1.load(path)
+    assert G1.load(path, own_limits=True).lower[18] == 3.0
+
+
 @pytest.fixture(params=VARIANTS)
 def variant(request) -> G1:
     return G1.load(request.param)

@@ -18,6 +18,7 @@ from g1stream.dds.messages import LOWCMD, LOWSTATE
 from g1stream.errors import RecordingError
 from g1stream.session.mcap_reader import McapFile
 from g1stream.session.repair import repair_session
+from g1stream.session.writer import SessionWriter
 
 TOPICS = {"/lowcmd": LOWCMD, "/lowstate": LOWSTATE}
 
@@ -212,3 +213,20 @@ def test_the_parts_of_a_killed_recorder_are_mended_but_not_while_it_records(tmp_
     assert about["message_count"] == len(times) == sum(one.messages for one in done)
     assert about["duration"]["nanoseconds"] == times[-1]
     assert len(times) > 650
+
+
+def test_a_part_that_cannot_be_read_keeps_no_other_from_its_index(tmp_path):
+    with SessionWriter(tmp_path / "s.mcap", split_ns=1_000_000_000) as writer:
+        for i in range(500):
+            writer.write("/lowcmd", bytes(1008), i * 5_000_000, i * 5_000_000)
+            writer.flush_if_due(i * 5_000_000)
+    first, empty, cut = sorted((tmp_path / "s").glob("*.mcap"))
+    empty.write_bytes(b"")
+    cut.write_bytes(cut.read_bytes()[:-200])
+    with pytest.raises(RecordingError, match=empty.name):
+        repair_session(tmp_path / "s")
+    assert McapFile(first).indexed
+    assert McapFile(cut).indexed
+    text = (tmp_path / "s" / "metadata.yaml").read_text()
+    about = yaml.safe_load(text)["rosbag2_bagfile_information"]
+    assert about["message_count"] == McapFile(first).counts.total() + McapFile(cut).counts.total()

@@ -22,6 +22,7 @@ from g1stream.robot.rotations import (
     quat_normalize,
     quat_rotate,
     quat_rotate_inverse,
+    sign_continuous,
     yaw_of,
 )
 from g1stream.session.records import Int, Record
@@ -246,7 +247,7 @@ def frames(session: Recording, tracking: Tracking) -> Frames | None:
     robot = target._replace(
         q=states.interpolate(tracking.measured), dq=done.interpolate(measured.dq)
     )
-    quat = done.interpolate(measured.imu_quat_wxyz)
+    quat = done.interpolate(sign_continuous(measured.imu_quat_wxyz))
     # An IMU that is not there sends zeros.
     has_attitude = bool(is_unit(quat).all())
     has_attitude &= bool(np.isfinite(measured.gyroscope).all())

@@ -14,6 +14,7 @@ import numpy as np
 from g1stream._version import __version__
 from g1stream.errors import ConfigError, MotionError
 from g1stream.files import check_not_input, check_suffix, complete_file
+from g1stream.input_limits import LATEST_NS
 from g1stream.motion.readers import load_motion
 from g1stream.robot.model import G1
 from g1stream.robot.shapes import missing_meshes, robot_with_meshes
@@ -49,8 +50,6 @@ _TF, _JOINTS, _SCENE, _DESCRIPTION = (
 _RESAMPLED_FIELDS: Final = ("position", "velocity", "acceleration")
 
 _NS_PER_S: Final = 1_000_000_000
-#: The last time that a signed 64-bit number holds, in the year 2262.
-_LAST_NS: Final = 2**63 - 1
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=timezone.utc)
 #: At most 40 digits: Python refuses to convert thousands of them.
 _WHOLE: Final = re.compile(r"[+-]?[0-9]{1,40}")
@@ -289,9 +288,9 @@ def frame_timestamps(base_ns: int, frames: Iterable[int], fps: float) -> Ints:
     rate = Fraction(repr(float(fps)))
     numerator, denominator = 2 * _NS_PER_S * rate.denominator, 2 * rate.numerator
     times = [base_ns + (frame * numerator + rate.numerator) // denominator for frame in frames]
-    if times and times[-1] > _LAST_NS:
+    if times and times[-1] >= LATEST_NS:
         raise ConfigError(
-            "The motion would end after the year 2262, where nanoseconds in 64 bits end.",
+            "The motion would end after the year 2116, the last that a session can have.",
             "Give an earlier base time.",
         )
     return np.array(times, dtype=np.int64)
@@ -303,10 +302,10 @@ def parse_time(text: str) -> int:
     Such as `2026-03-01T12:00:00.123456789Z` or `2026-03-01 12:00+01:00`.
     """
     time = int(text) if _WHOLE.fullmatch(text) else _parse_iso(text)
-    if not 0 <= time <= _LAST_NS:
+    if not 0 <= time < LATEST_NS:
         raise ConfigError(
-            f"The time {text} is {'before 1970' if time < 0 else 'after 2262'}.",
-            "Give one between 0 and 2^63 - 1 ns since the epoch.",
+            f"The time {text} is {'before 1970' if time < 0 else 'after 2116'}.",
+            "Give one between 0 and 2^62 - 1 ns since the epoch.",
         )
     return time
 

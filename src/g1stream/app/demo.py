@@ -68,7 +68,7 @@ def demo(
     finally:
         sim.kill()
     recorder = played.recorder
-    if not (played.stream and played.stream.commands and recorder):
+    if not (played.stream and played.stream.commands and recorder) or recorder.removed:
         return played
     session = open_session(recorder.path)  # it may have the time in its name
     draw(session, figure_path)

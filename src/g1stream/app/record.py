@@ -137,7 +137,8 @@ def _close(
 ) -> None:
     """Write the final metadata and the index, for which a full disk may not have room."""
     final = dict(final_metadata)
-    report.stopped = report.stopped or final.pop("stopped", "")
+    told = final.pop("stopped", "")
+    report.stopped = report.stopped or told
     try:
         recorder = report.model_dump(mode="json", exclude={"removed"})
         values = {**final, "recorder": recorder, "measured_tf": recorder["measured_tf"]}

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
-from math import isfinite
 from pathlib import Path
 
 from g1stream.analysis.summary import Summary
@@ -13,7 +11,6 @@ from g1stream.app.session import Session, open_session
 from g1stream.app.stream import stream
 from g1stream.config import Config
 from g1stream.control.loop import StreamLoop
-from g1stream.errors import ConfigError
 from g1stream.motion.motion import Motion
 
 __all__ = ["replay"]
@@ -49,12 +46,11 @@ def replay(
     """
     config = config or Config()
     require_arming(config.dds.interface, armed=arm is not None)
-    if not (isfinite(speed) and speed > 0):
-        raise ConfigError(f"The speed {speed} is not above 0.", "Give a --speed such as 0.5.")
     if not isinstance(session, Session):
         session = open_session(session)
     motion = session.motion()
-    motion = replace(motion, fps=motion.fps * speed)
+    if speed != 1.0:
+        motion = motion.at_speed(speed)
     return stream(
         motion,
         config,

@@ -18,13 +18,12 @@ from g1stream.child_process import Child, ChildError, publishing_for_ros2
 from g1stream.clock import SystemClock
 from g1stream.config import Config, RecordConfig
 from g1stream.control.guard import Guard
-from g1stream.control.link import DdsLink
+from g1stream.control.link import END_OTHER, DdsLink
 from g1stream.control.loop import StreamLoop, make_loop
 from g1stream.control.plan import Plan, plan
 from g1stream.control.report import LoopReport
 from g1stream.dds.domain import DISCOVERY, Participant
 from g1stream.dds.log_handler import dds_log_handler
-from g1stream.dds.messages import LOWCMD
 from g1stream.doctor.facts import Finding
 from g1stream.doctor.findings import explain_no_robot
 from g1stream.doctor.inspection import inspect_participant
@@ -213,9 +212,7 @@ def _refuse_if_commanded(participant: Participant, planned: Plan) -> None:
         raise SafetyError(
             f"There is another publisher on {topic.name}: "
             f"{', '.join(map(participant.owner, others))}.",
-            "Stop it; `g1stream robot release` releases the robot's own controller."
-            if topic is LOWCMD
-            else "Stop it: one program at a time can move the arms.",
+            END_OTHER[topic],
         )
 
 

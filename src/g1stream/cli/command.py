@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from g1stream.analysis.summary import Summary
     from g1stream.config import Config
 
-EXIT_OK, EXIT_STOPPED, EXIT_BAD_INPUT = 0, 1, 2
+EXIT_OK, EXIT_STOPPED = 0, 1
 
 _S = signal.Signals
 _HANDLED = tuple(

@@ -84,6 +84,9 @@ COMMANDS: Final = {
 }
 """The commands. To add one, add a row."""
 
+#: A file, a flag, a setting or the wire is not as it must be.
+EXIT_BAD_INPUT: Final = 2
+
 _HELP: Final = """\
 usage: g1stream [-h] [--version] COMMAND ...
 
@@ -122,12 +125,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 128 + signal.SIGINT
     except G1StreamError as error:
         print(_error_text(error), file=sys.stderr)
-        return 2
+        return EXIT_BAD_INPUT
     except Exception:
         if not (fault := _fault_of_cyclonedds()):
             raise
         print(_error_text(fault), file=sys.stderr)
-        return 2
+        return EXIT_BAD_INPUT
     finally:
         output.flush()
         errors.flush()

@@ -15,6 +15,7 @@ from g1stream.cli.command import (
 )
 from g1stream.cli.flags import argument, flag
 from g1stream.cli.motion_flags import MOTIONS, MotionFlags
+from g1stream.robot.joints import N_JOINTS
 from g1stream.text import counted, labelled, listed
 
 if TYPE_CHECKING:
@@ -115,7 +116,7 @@ def _motion_lines(report: MotionReport) -> list[str]:
         _line("frames", f"{report.n_frames} at {report.fps:g} fps, {report.duration:.2f} s"),
         _line("root", travel),
         _line("feet", _feet(report.floor)),
-        _line("joints", str(len(report.streamed.speeds))),
+        _line("joints", str(N_JOINTS - len(report.dropped.joints if report.dropped else ()))),
     ]
     if report.dropped and not report.dropped.moved:
         lines.append(_line("left out", f"{report.dropped}"))
@@ -129,7 +130,7 @@ def _motion_lines(report: MotionReport) -> list[str]:
 def _feet(floor: float | None) -> str:
     """Where the feet stand."""
     if floor is None:
-        return "none stands"
+        return "none stands, or the robot's soles are not known"
     if abs(floor) < _ON_FLOOR:
         return f"stand on the floor, within {abs(floor) * 1e3:.1f} mm"
     side = "above" if floor > 0 else "below"

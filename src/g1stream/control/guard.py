@@ -453,7 +453,7 @@ def _fence(heartbeat: Heartbeat, stream: int, why: Takeover) -> None:
     time.sleep(_VISIBLE)
     if why is Takeover.ENDED or not heartbeat.writing:
         return
-    with _any_cpu(stream), suppress(ProcessLookupError):
+    with suppress(OSError), _any_cpu(stream):  # it may be killed meanwhile
         if why is Takeover.STOPPED:
             os.kill(stream, signal.SIGCONT)
         end = time.monotonic() + _WRITE_TIMEOUT

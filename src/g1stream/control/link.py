@@ -9,7 +9,7 @@ from g1stream.control.guard import Takeover, count_subscribers
 from g1stream.dds.domain import IDLE, OBSERVER, PUBLISHING, AnnouncedBridge
 from g1stream.dds.endpoints import PublishersByTurns, RawReader, RawWriter
 from g1stream.dds.layout import CDR_HEADER, Layout
-from g1stream.dds.messages import LOWCMD, LOWSTATE, REFERENCE, Topic
+from g1stream.dds.messages import ARM_SDK, LOWCMD, LOWSTATE, REFERENCE, Topic
 from g1stream.dds.ticks import TickGaps
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from g1stream.dds.domain import Participant
     from g1stream.dds.messages import LowState
 
-__all__ = ["DdsLink", "Link", "OtherPublishers"]
+__all__ = ["END_OTHER", "DdsLink", "Link", "OtherPublishers"]
 
 #: LowStates that are queued while the loop is not scheduled: 64 ms at 1 kHz without a loss.
 _STATE_DEPTH: Final = 64
@@ -208,6 +208,14 @@ class DdsLink:
             "state_restarts": self._gaps.restarts,
             "commands_dropped": self._commands.dropped,
         }
+
+
+END_OTHER: Final = {
+    LOWCMD: "Stop it; `g1stream robot release` releases the robot's own controller.",
+    ARM_SDK: "Stop it: one program at a time can move the arms.",
+}
+"""By topic of commands, what to do about another publisher. The robot's own controller carries it
+while a stream has its arms."""
 
 
 class OtherPublishers:

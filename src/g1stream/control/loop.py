@@ -15,7 +15,7 @@ from g1stream.control.command import ArmSdkComposer, Composer, NextCommand
 from g1stream.control.command_delay import CommandDelay
 from g1stream.control.feedforward import FeedForward
 from g1stream.control.limits import MAX_STEP_TIME, CommandLimits
-from g1stream.control.link import OtherPublishers
+from g1stream.control.link import END_OTHER, OtherPublishers
 from g1stream.control.lowstate import LowStateChecks
 from g1stream.control.report import LoopReport, Overruns
 from g1stream.control.schedule import Inputs, PhaseState, Schedule
@@ -63,7 +63,7 @@ class StreamLoop:
 
     Attributes:
         damped: whether the last command damped; also true before the first one.
-        stop_requests: how often `request_stop` was called, also after the end.
+        stop_requests: how often `request_stop` asked for an end, also after it.
         report: counts and timing so far, and in the end of the whole run.
     """
 
@@ -127,7 +127,8 @@ class StreamLoop:
     def request_stop(self, reason: str, level: int = logging.ERROR) -> None:
         """End the run through DAMP; may be called from a signal handler or another thread.
 
-        A robot on its feet goes down before; a second request damps it at once.
+        A robot on its feet goes down before. A second request damps it at once, but for an error,
+        which does not hasten an end that has begun.
 
         Args:
             reason: why, logged when DAMP begins.
@@ -135,6 +136,8 @@ class StreamLoop:
         """
         if not self._requested:
             self._requested, self._requested_level = reason, level
+        elif level >= logging.ERROR:
+            return
         self.stop_requests += 1
 
     def run(self) -> LoopReport:
@@ -306,8 +309,7 @@ class StreamLoop:
         if other and phase is Phase.WAIT:
             raise SafetyError(
                 f"There is {other}; nothing was sent.",
-                "End the program that must not publish there, or choose another --domain; "
-                "`g1stream robot release` releases the robot's own controller.",
+                f"{END_OTHER[self._topic]} Or choose another --domain.",
             )
         return other
 

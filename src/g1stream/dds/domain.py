@@ -12,6 +12,7 @@ import os
 import socket
 from dataclasses import dataclass, field, replace
 from enum import IntFlag
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
@@ -164,16 +165,17 @@ class AnnouncedBridge(NamedTuple):
         if len(found) != 1:
             return None
         text = found.pop().decode(errors="replace").removeprefix(_BRIDGE)
-        support, robot, rate = (*text.split(";"), "", "")[:3]
+        support, rate, robot = (*text.split(";", 2), "", "")[:3]
         try:
-            return cls(support, robot, float(rate))
+            announced = cls(support, robot, float(rate))
         except ValueError:
             return None
+        return announced if 1.0 <= announced.rate < inf else None
 
     @property
     def user_data(self) -> bytes:
         """The announcement."""
-        return f"{_BRIDGE}{self.support};{self.robot};{self.rate}".encode()
+        return f"{_BRIDGE}{self.support};{self.rate};{self.robot}".encode()
 
     @property
     def tick_step(self) -> float:

@@ -208,7 +208,7 @@ class ArrayFile:
             used["pelvis"] = root.source
         else:
             assumed["pelvis"] = "upright at the origin"
-        if self._fps:
+        if self._file.fps is None and self._fps:
             used["frame rate"] = f"{self._fps:g} fps, as the file says"
         elif self._file.fps is None:
             assumed["frame rate"] = f"{DEFAULT_FPS:g} fps"

@@ -95,6 +95,7 @@ class _Reader:
             tail = self._data[start : self._end].rstrip()
             self._end = start + len(tail)
         header, self._named, line = "", False, ""
+        self._header_line = 0
         self._columns: tuple[str, ...] = ()
         for number, line in enumerate(islice(self._lines(), _HEADER), 1):
             self._first_line = number
@@ -102,6 +103,7 @@ class _Reader:
             if not comment and (self._named or any(map(_is_number, _cells(line)))):
                 break
             header, self._named = line.lstrip("# "), self._named or not comment
+            self._header_line = number
         else:
             cause = "there is a header but no frame" if header else "the file is empty"
             raise self._error(cause, "Give a CSV file with a line per frame, or a session file.")
@@ -189,7 +191,7 @@ class _Reader:
                 raise self._error(
                     "another column has the same name" if name else "the header has an empty name",
                     "Give each column a name of its own, and end no line with a comma.",
-                    1,
+                    self._header_line,
                     column,
                 )
             seen.add(name)
@@ -201,11 +203,11 @@ class _Reader:
                 f"the root is in Euler angles ({', '.join(euler)}), as in BONES-SEED, whose angles "
                 "are in degrees and whose positions are in centimetres",
                 "Convert them to a quaternion QX,QY,QZ,QW, to radians and to metres.",
-                1,
+                self._header_line,
             )
         if not _JOINTS & seen or (missing and named):
             lacks = ", ".join(missing) if named else "the names of the joints"
-            raise self._error(f"the header lacks {lacks}", _LAYOUT, 1)
+            raise self._error(f"the header lacks {lacks}", _LAYOUT, self._header_line)
 
     def _first_fault(self) -> MotionError:
         """The error about the first cell or line that is not what it should be."""

@@ -55,7 +55,6 @@ class Interval:
 
     start: float  # where in the motion it begins, s
     length: float | None  # s; None: without end
-    motion: float  # duration of the whole motion, s
     loop: bool = False  # the motion repeats
 
     @classmethod
@@ -75,7 +74,7 @@ class Interval:
         if not settings.loop:
             rest = motion.duration - start
             length = rest if length is None else min(length, rest)
-        return cls(start, length, motion.duration, settings.loop)
+        return cls(start, length, settings.loop)
 
     def frames(self, motion: Motion) -> range:
         """The frames of a motion between which it is interpolated; all of one that repeats."""
@@ -169,7 +168,7 @@ def measure_limits(
         position_margin: rad, kept from the position limits, as `safety.position_margin`.
     """
     motion = trajectory.motion
-    interval = interval or Interval(0.0, motion.duration, motion.duration)
+    interval = interval or Interval(0.0, motion.duration)
     lower, upper = robot.lower + position_margin, robot.upper - position_margin
 
     positions = _Peaks(robot, lower, upper)

@@ -265,7 +265,7 @@ class Motion:
         samples_per_frame = Fraction(repr(float(rate))) / Fraction(repr(self.fps))
         last = stop - 1
         end = floor(last * samples_per_frame) + 1
-        if ceil(start * samples_per_frame) >= end:
+        if last <= start or ceil(start * samples_per_frame) >= end:
             raise MotionError(
                 f"At {rate:g} Hz there is no sample between the frames {start} and {last} of "
                 f"{self.name}.",

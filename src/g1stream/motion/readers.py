@@ -188,7 +188,7 @@ def _is_recording(file: MotionFile) -> bool:
 def _is_bag(file: MotionFile) -> bool:
     """Whether it is one in SQLite, or compressed as a whole."""
     starts = (b"SQLite format 3\0", b"\x28\xb5\x2f\xfd")
-    return any(begins_with(file.path, start) for start in starts)
+    return file.data is None and any(begins_with(file.path, start) for start in starts)
 
 
 def _is_table(file: MotionFile) -> bool:

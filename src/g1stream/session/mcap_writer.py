@@ -193,8 +193,10 @@ class McapWriter:
         self.counts[topic] += number - sequence
         for batch in batches:
             first, final = int(batch.log_times.min()), int(batch.log_times.max())
-            self.first_log_time = min(first, self.first_log_time or first)
-            self.last_log_time = max(final, self.last_log_time or final)
+            if self.first_log_time is None or self.last_log_time is None:
+                self.first_log_time, self.last_log_time = first, final
+            self.first_log_time = min(first, self.first_log_time)
+            self.last_log_time = max(final, self.last_log_time)
 
     def attach(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
         """Add a file; see `SessionWriter.attach`."""

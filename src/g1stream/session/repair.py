@@ -41,7 +41,7 @@ def repair_session(path: Path) -> list[Repair]:
 
     Args:
         path: of a session file, or of the directory of a split recording; files in it that are
-            absent or cannot be read stay as they are.
+            absent or cannot be read stay as they are, and the others are repaired.
 
     Returns:
         What was done, file by file.
@@ -54,23 +54,29 @@ def repair_session(path: Path) -> list[Repair]:
     if files == [path]:
         return [_repair_file(path)]
     done, parts = [], []
+    unread: RecordingError | None = None
     for file in files:
         part = Part(file.name, {}, None, None)
-        if file.is_file():
-            done.append(_repair_file(file))
-            about = McapFile(file)
-            part = Part(file.name, about.counts, *about.log_times)
+        try:
+            if file.is_file():
+                done.append(_repair_file(file))
+                about = McapFile(file)
+                part = Part(file.name, about.counts, *about.log_times)
+        except RecordingError as error:
+            unread = unread or error
         parts.append(part)
     if any(one.dropped is not None for one in done):
         write_metadata_yaml(path, parts, CHANNELS)
+    if unread:
+        raise unread
     return done
 
 
 def _repair_file(path: Path) -> Repair:
-    source = McapFile(path)
-    messages = source.counts.total()
-    with path.open("rb") as file:
-        _lock(file, path)
+    with _opened(path) as file:
+        _lock(file, path)  # first: a recorder that ends now still writes
+        source = McapFile(path)
+        messages = source.counts.total()
         if source.indexed:
             return Repair(path, messages, None)
         with complete_file(path) as temporary:
@@ -102,6 +108,15 @@ def _copy(source: McapFile, path: Path) -> None:
             written[topic] += len(messages.data)
     finally:
         writer.close()
+
+
+def _opened(path: Path) -> IO[bytes]:
+    try:
+        return path.open("rb")
+    except OSError as error:
+        raise RecordingError(
+            f"Cannot read {path}: {error.strerror or error}.", "Give a session file."
+        ) from error
 
 
 def _lock(file: IO[bytes], path: Path) -> None:

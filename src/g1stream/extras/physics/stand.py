@@ -132,7 +132,7 @@ def _longest_part(
         length, first = max(spans)
         start = ceil(100.0 * -first / motion.fps)
         hundredths = floor(100.0 * (length - 1 - first) / motion.fps) - start
-        tried = Interval(start / 100.0, hundredths / 100.0, motion.duration).frames(motion)
+        tried = Interval(start / 100.0, hundredths / 100.0).frames(motion)
         error = _refusal(motion, robot, tried, played)
         if not error:
             return f"--start {start / 100.0:g} --duration {hundredths / 100.0:g}"

@@ -29,6 +29,7 @@ __all__ = [
     "output_errors",
     "read_file",
     "save_figure",
+    "temporary_path",
     "timestamped",
 ]
 
@@ -172,6 +173,11 @@ def check_directory(directory: Path) -> None:
         raise PermissionError(errno.EACCES, f"no permission to create files in {directory}")
 
 
+def temporary_path(path: Path) -> Path:
+    """Where a file is written until it replaces the one at `path`."""
+    return path.with_name(f".{path.name}.{os.getpid()}.part")
+
+
 @contextmanager
 def complete_file(path: Path, *, force: bool = True) -> Iterator[Path]:
     """Write a file under a temporary name beside its own, and rename it when it is complete.
@@ -189,7 +195,7 @@ def complete_file(path: Path, *, force: bool = True) -> Iterator[Path]:
         RecordingError: the path cannot be written.
     """
     check_output_path(path, force=force)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    temporary = temporary_path(path)
     try:
         with output_errors(path):
             temporary.unlink(missing_ok=True)  # left by a killed process with the same id

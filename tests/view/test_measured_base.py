@@ -102,3 +102,12 @@ def test_yaw_is_aligned_at_the_first_state_with_a_valid_quaternion(bad):
 def test_without_any_attitude_the_robot_is_upright(bad):
     _, quats = posed(MeasuredBase(), TIMES, np.full((5, 4), bad))
     np.testing.assert_array_equal(quats, np.tile([1.0, 0, 0, 0], (5, 1)))
+
+
+def test_an_attitude_that_is_not_valid_is_the_last_valid_one_however_batches_are_cut():
+    sent = wxyz(spin([0.0, 0.2, 0.4, 0.6, 0.8]))
+    sent[2] = 0.0
+    for cut in range(1, 5):
+        base = MeasuredBase()
+        parts = [posed(base, TIMES[part], sent[part])[1] for part in (slice(0, cut), slice(cut, 5))]
+        same(np.concatenate(parts), spin([0.0, 0.2, 0.2, 0.6, 0.8]))

@@ -420,7 +420,7 @@ class Delays:
             seconds=shift * _STEP,
             ci95=self._ci95(shift, moving),
             correlation=float(np.sqrt(np.clip(explained, 0.0, 1.0))),
-            rmse=np.sqrt(np.mean(np.square(error), axis=0)),
+            rmse=rms(error),
             std=error.std(axis=0),
         )
 

@@ -81,7 +81,6 @@ class Composer:
         commanded: NDArray[np.bool_] | None = None,
     ) -> None:
         self.limits = limits
-        self._gains = gains
         self._damp_kd = damp_kd
         self._servo: Floats = np.stack(gains)
         self._wire = np.zeros((3, N_JOINTS), np.float32)
@@ -100,7 +99,7 @@ class Composer:
         command.motor_mode = self._commanded.astype(np.uint8)
         command.mode_pr[()] = 0  # the other mode changes the meaning of ankle and waist joints
         command.mode_machine[()] = mode_machine
-        command.kp[:], command.kd[:] = self._gains
+        command.kp[:], command.kd[:] = self._servo
         command.q[:] = q
 
     def damp(self) -> None:

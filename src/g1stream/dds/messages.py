@@ -350,8 +350,7 @@ class Samples:
                     layout.check(row.tobytes())
         else:
             for sample in data:
-                if not layout.matches(sample):
-                    layout.check(sample)
+                layout.check(sample)
             octets = np.frombuffer(b"".join(data), np.uint8)
             rows = octets.reshape(len(data), layout.sample_size)
         self._payloads = rows[:, len(CDR_HEADER) : len(CDR_HEADER) + layout.size]

@@ -1,15 +1,12 @@
 """The robot's own remote control, as LowState's `wireless_remote` shows it; pure.
 
-40 bytes, of which these are used: bytes 2 and 3, one bit for each button, little endian; then four
-sticks as little-endian floats of -1 to 1: lx at 4, rx at 8, ry at 12, ly at 20. Source: the
+40 bytes, of which bytes 2 and 3 are the buttons, one bit for each, little endian. Source: the
 joystick classes of Unitree's SDK. Where there is no remote, as in a simulator without a joystick,
 all are zero.
 """
 
 from __future__ import annotations
 
-import struct
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from g1stream.errors import ConfigError
@@ -17,7 +14,7 @@ from g1stream.errors import ConfigError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["BUTTONS", "BUTTONS_AT", "Operator", "Remote", "button_mask"]
+__all__ = ["BUTTONS", "BUTTONS_AT", "Operator", "button_mask"]
 
 BUTTONS: Final = (
     "R1",
@@ -41,35 +38,6 @@ BUTTONS: Final = (
 
 BUTTONS_AT: Final = slice(2, 4)
 """The bytes of the buttons."""
-
-_STICKS: Final = struct.Struct("<4x3f4xf")
-
-
-@dataclass(frozen=True)
-class Remote:
-    """What the remote control shows.
-
-    Attributes:
-        pressed: names of the buttons that are pressed, in the order of `BUTTONS`.
-        lx, ly, rx, ry: left and right stick, -1 to 1, to the right and up.
-    """
-
-    pressed: tuple[str, ...]
-    lx: float
-    ly: float
-    rx: float
-    ry: float
-
-    @classmethod
-    def decode(cls, data: bytes) -> Remote:
-        """Of the 40 bytes of `wireless_remote`."""
-        buttons = int.from_bytes(data[BUTTONS_AT], "little")
-        lx, rx, ry, ly = _STICKS.unpack_from(data)
-        return cls(_names(buttons), lx, ly, rx, ry)
-
-
-def _names(buttons: int) -> tuple[str, ...]:
-    return tuple(name for bit, name in enumerate(BUTTONS) if buttons >> bit & 1)
 
 
 def button_mask(combination: str, setting: str) -> int:

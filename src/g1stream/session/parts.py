@@ -43,7 +43,6 @@ __all__ = [
     "parts_of",
     "remove_recording",
     "replace_recording",
-    "temporary_path",
     "write_metadata_yaml",
 ]
 
@@ -129,11 +128,6 @@ def check_recording_path(path: Path, *, split: bool, force: bool) -> None:
             else f"{directory} was not recorded by g1stream.",
             "Move it away, or choose another name.",
         )
-
-
-def temporary_path(path: Path) -> Path:
-    """Where a recording is written until it replaces the one at `path`."""
-    return path.with_name(f".{path.name}.{os.getpid()}.part")
 
 
 def replace_recording(new: Path, path: Path) -> None:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from g1stream.errors import RecordingError
-from g1stream.files import is_session, output_errors
+from g1stream.files import is_session, output_errors, temporary_path
 from g1stream.session.format import CHANNELS, MessageBatch
 from g1stream.session.mcap_writer import McapWriter, max_size
 from g1stream.session.parts import (
@@ -25,7 +25,6 @@ from g1stream.session.parts import (
     parts_directory,
     remove_recording,
     replace_recording,
-    temporary_path,
     write_metadata_yaml,
 )
 

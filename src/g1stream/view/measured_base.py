@@ -12,6 +12,7 @@ from g1stream.robot.rotations import (
     quat_mul,
     quat_normalize,
     quat_rotate,
+    wrap_angle,
     yaw_of,
 )
 from g1stream.session.records import MeasuredTf
@@ -44,7 +45,8 @@ class MeasuredBase:
         self._times: Ints = np.zeros(1, dtype=np.int64)
         self._positions: Floats = np.zeros((1, 3))
         self._measured = False
-        self._attitude: Floats = np.array([1.0, 0.0, 0.0, 0.0])
+        # Of the newest valid state, and of the one before the newest states.
+        self._attitude = self._before = np.array([1.0, 0.0, 0.0, 0.0])
 
     def add_references(self, times: Ints, positions: Floats, quats_wxyz: Floats) -> None:
         """Take in references: (T,) ns, (T, 3) m in the world, (T, 4)."""
@@ -67,11 +69,12 @@ class MeasuredBase:
     def add_states(self, times: Ints, imu_quats_wxyz: Floats) -> None:
         """Take in states: (T,) ns, (T, 4); the first valid one after a reference aligns the yaw."""
         valid = np.flatnonzero(is_unit(imu_quats_wxyz))
+        self._before = self._attitude
         if not len(valid):
             return
         if self.yaw_offset is None and self._reference_yaw is not None:
             turn = self._reference_yaw - float(yaw_of(imu_quats_wxyz[valid[0]]))
-            self.yaw_offset = float(np.angle(np.exp(1j * turn)))
+            self.yaw_offset = float(wrap_angle(np.asarray(turn)))
             self._start = self._positions_at(times[valid[:1]])[0]
         self._measured = True
         self._attitude = quat_normalize(quat_mul(self._turn, imu_quats_wxyz[valid[-1]]))
@@ -80,18 +83,17 @@ class MeasuredBase:
         """Positions (T, 3) m and attitudes (T, 4) wxyz of the pelvis in the world.
 
         Args:
-            times: (T,) ns, publish times of states that have been taken in.
+            times: (T,) ns, publish times of the states that were taken in last.
             imu_quats_wxyz: (T, 4) attitude by the IMU.
         """
         positions = self._positions_at(times)
         if self.source == "sportmodestate" and self._start is not None:
             positions = self._start + quat_rotate(self._turn, positions - self._start)
         valid = is_unit(imu_quats_wxyz)
-        if not valid.any():
-            return positions, np.tile(self._attitude, (len(times), 1))
-        # The last valid one of each row, or before that the first.
-        last = np.maximum.accumulate(np.where(valid, np.arange(len(times)), valid.argmax()))
-        return positions, quat_normalize(quat_mul(self._turn, imu_quats_wxyz[last]))
+        last = np.maximum.accumulate(np.where(valid, np.arange(len(times)), -1))
+        turned = quat_mul(self._turn, imu_quats_wxyz[last])
+        attitudes = np.where((last < 0)[:, np.newaxis], self._before, turned)
+        return positions, quat_normalize(attitudes)
 
     def summary(self) -> MeasuredTf:
         """The alignment, as a record."""

@@ -22,7 +22,7 @@ from rosbags.typesys.stores import ros2_humble as ros
 
 from g1stream.errors import RecordingError
 from g1stream.extras.ros2.messages import STORE, encode, joint_state, tf_message, time_message
-from g1stream.files import output_errors
+from g1stream.files import output_errors, temporary_path
 from g1stream.session.format import CHANNELS, Channel, encode_string
 from g1stream.session.mcap_writer import Compression
 from g1stream.session.parts import (
@@ -31,7 +31,6 @@ from g1stream.session.parts import (
     parts_directory,
     remove_recording,
     replace_recording,
-    temporary_path,
     write_metadata_yaml,
 )
 from g1stream.session.recorded_motion import FOXGLOVE

@@ -490,12 +490,3 @@ def test_an_error_before_the_first_command_sends_nothing(make_loop, link, events
     assert loop.state.phase is Phase.DONE
     assert loop.report.reason == "BrokenError: no wire"
     assert events() == []  # the error is told by who gets it
-
-
-def test_an_error_does_not_hasten_an_end_that_has_begun(make_loop):
-    loop = make_loop()
-    loop.request_stop("SIGINT", logging.INFO)
-    loop.request_stop("the recording failed")
-    assert loop.stop_requests == 1
-    loop.request_stop("SIGINT", logging.INFO)
-    assert loop.stop_requests == 2

@@ -165,10 +165,11 @@ def test_tracking_error_is_averaged(make):
     assert passed == pytest.approx(np.log(2), abs=0.05)
 
 
-def test_a_target_beyond_the_limits_is_no_tracking_error(make, robot):
+@pytest.mark.parametrize(("side", "beyond"), [("upper", 1), ("lower", -1)])
+def test_a_target_beyond_the_limits_is_no_tracking_error(make, robot, side, beyond):
     it = make(max_tracking_error=0.3)
-    it.target[KNEE] = 100.0
-    it.state.q[KNEE] = robot.upper[KNEE]
+    it.target[KNEE] = 100.0 * beyond
+    it.state.q[KNEE] = getattr(robot, side)[KNEE]
     assert it.after(3.0)[0] == ""
 
 

@@ -80,4 +80,4 @@ def test_a_robot_that_does_not_move_is_not_judged(support):
         imu = ImuReading(np.array([1.0, 0, 0, 0]), turning, np.array([0, 0, 9.81]))
         measured = Reading(rest, rng.normal(0.0, 0.01, 29), rest, imu, received=2_000_000 * k)
         check.add(measured, np.zeros(3))
-    assert not check.wrong or support == "hanging"  # which a pose that does not hang level is not
+    assert check.wrong == (support == "hanging")  # which a pose that does not hang level is not

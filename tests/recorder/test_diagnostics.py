@@ -52,6 +52,14 @@ def test_ticks_of_another_bridge_are_no_loss():
     assert losses.update({LOWSTATE.name: 2}, state_step=None) == {LOWSTATE.name: 2}
 
 
+def test_a_writer_of_few_samples_has_no_losses_yet():
+    losses = Losses()
+    losses.add(LOWSTATE.name, batch(LowState(), range(0, 100, 10)))
+    assert losses.update({LOWSTATE.name: 0}, state_step=1.0) == {}
+    losses.add(LOWSTATE.name, batch(LowState(), [100]))
+    assert losses.update({LOWSTATE.name: 0}, state_step=1.0) == {LOWSTATE.name: 90}
+
+
 def test_commands_without_references_are_no_loss_and_are_not_kept_for_ever():
     losses, step = Losses(), 10_000_000
     for start in range(0, 10**10, 10 * step):

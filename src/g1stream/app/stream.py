@@ -170,7 +170,7 @@ class _RecorderChild:
     def _fail(self, cause: str) -> None:
         self._failure = cause
         _LOGGER.error("the recording failed: %s", cause)
-        if self._required:
+        if self._required and not self._loop.stop_requests:  # else it would end at once
             self._loop.request_stop(f"the recording failed: {cause.rstrip('.')}")
 
     def finish(self, stream: StreamSummary) -> RecorderSummary:

@@ -261,9 +261,11 @@ class GuardedLoop(Protocol):
 
     Attributes:
         damped: whether the last command damped; also true before the first one.
+        stop_requests: how often an end was asked for.
     """
 
     damped: bool
+    stop_requests: int
 
     def request_stop(self, reason: str) -> None:
         """End the run through DAMP."""
@@ -348,6 +350,8 @@ class Guard:
         self._failure = cause
         loop = self._loop
         if loop is None or (self._heartbeat and self._heartbeat.takeover):
+            return
+        if loop.stop_requests:  # a second request would not let the robot go down on its feet
             return
         loop.request_stop(f"no guard process any more: {cause.rstrip('.')}")
 

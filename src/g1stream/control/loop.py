@@ -63,7 +63,7 @@ class StreamLoop:
 
     Attributes:
         damped: whether the last command damped; also true before the first one.
-        stop_requests: how often `request_stop` asked for an end, also after it.
+        stop_requests: how often `request_stop` was called, also after the end.
         report: counts and timing so far, and in the end of the whole run.
     """
 
@@ -127,8 +127,7 @@ class StreamLoop:
     def request_stop(self, reason: str, level: int = logging.ERROR) -> None:
         """End the run through DAMP; may be called from a signal handler or another thread.
 
-        A robot on its feet goes down before. A second request damps it at once, but for an error,
-        which does not hasten an end that has begun.
+        A robot on its feet goes down before; a second request damps it at once.
 
         Args:
             reason: why, logged when DAMP begins.
@@ -136,8 +135,6 @@ class StreamLoop:
         """
         if not self._requested:
             self._requested, self._requested_level = reason, level
-        elif level >= logging.ERROR:
-            return
         self.stop_requests += 1
 
     def run(self) -> LoopReport:

@@ -10,6 +10,7 @@ from concurrent.futures import CancelledError
 
 import pytest
 
+from g1stream.extras.library import processes
 from g1stream.extras.library.processes import (
     CrashedError,
     Limits,
@@ -73,3 +74,12 @@ def test_processes_can_be_ended():
 def test_what_it_raises_is_raised():
     with pytest.raises(ZeroDivisionError):
         limited(Limits(), divmod, 1, 0)
+
+
+def test_a_broken_pool_is_replaced():
+    """pebble gives a pool up where its process is killed at a bad moment."""
+    from pebble.pool.base_pool import PoolStatus
+
+    pid = limited(Limits(), os.getpid)
+    processes._THREAD.pool[0]._context.status = PoolStatus.ERROR
+    assert limited(Limits(), os.getpid) not in (pid, os.getpid())

@@ -72,15 +72,21 @@ def limited(limits: Limits, function: Callable[..., T], *args: Any) -> T:
     """
     pebble = import_extra("pebble", "library", "A library needs")
     for _ in range(2):
-        future = _pool_of_thread(limits).schedule(function, args=args, timeout=limits.seconds)
-        _RUNNING.add(future)
+        pool, future = _pool_of_thread(limits), None
         try:
+            future = pool.schedule(function, args=args, timeout=limits.seconds)
+            _RUNNING.add(future)
             result: T = future.result()
         except FutureTimeoutError:
             raise TooSlowError(
                 f"It took longer than {limits.seconds:g} s.", "Raise --time-limit."
             ) from None
         except pebble.ProcessExpired:
+            continue
+        except RuntimeError:
+            if pool.active or pool not in _POOLS:
+                raise
+            _end(pool)  # its process was killed while it started, which breaks a pool for good
             continue
         finally:
             _RUNNING.discard(future)

@@ -302,12 +302,12 @@ def _plot_joints(session: Recording, joints: Sequence[int], what: Sequence[Quant
     from matplotlib.figure import Figure
 
     signals = [signal(session, quantity) for quantity in what]
-    if not any(len(line.time) for one in signals for line in one.lines):
+    ends = [line.time[[0, -1]] for one in signals for line in one.lines if len(line.time)]
+    if not ends:
         raise RecordingError(
             f"{session.path} has nothing to plot of {', '.join(one.title for one in signals)}.",
             "Record while a robot, or a simulator, publishes its state and a motion is streamed.",
         )
-    ends = [line.time[[0, -1]] for one in signals for line in one.lines if len(line.time)]
     first, last = min(float(one[0]) for one in ends), max(float(one[1]) for one in ends)
     phases = session.phases
     with style.context(["default", dict(_STYLE)]):

@@ -170,8 +170,8 @@ class _RecorderChild:
     def _fail(self, cause: str) -> None:
         self._failure = cause
         _LOGGER.error("the recording failed: %s", cause)
-        if self._required and not self._loop.stop_requests:  # else it would end at once
-            self._loop.request_stop(f"the recording failed: {cause.rstrip('.')}")
+        if self._required:
+            self._loop.end_for_error(f"the recording failed: {cause.rstrip('.')}")
 
     def finish(self, stream: StreamSummary) -> RecorderSummary:
         """End the recording, and return its summary; if the recorder failed, only why.

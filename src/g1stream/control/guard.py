@@ -261,14 +261,12 @@ class GuardedLoop(Protocol):
 
     Attributes:
         damped: whether the last command damped; also true before the first one.
-        stop_requests: how often an end was asked for.
     """
 
     damped: bool
-    stop_requests: int
 
-    def request_stop(self, reason: str) -> None:
-        """End the run through DAMP."""
+    def end_for_error(self, reason: str) -> None:
+        """End the run through DAMP, unless its end has begun."""
 
 
 class Guard:
@@ -351,9 +349,7 @@ class Guard:
         loop = self._loop
         if loop is None or (self._heartbeat and self._heartbeat.takeover):
             return
-        if loop.stop_requests:  # a second request would not let the robot go down on its feet
-            return
-        loop.request_stop(f"no guard process any more: {cause.rstrip('.')}")
+        loop.end_for_error(f"no guard process any more: {cause.rstrip('.')}")
 
 
 class _Settings(NamedTuple):

@@ -137,6 +137,11 @@ class StreamLoop:
             self._requested, self._requested_level = reason, level
         self.stop_requests += 1
 
+    def end_for_error(self, reason: str) -> None:
+        """Request a stop, unless there is one: a second would not let a robot go down first."""
+        if not self.stop_requests:
+            self.request_stop(reason)
+
     def run(self) -> LoopReport:
         """Play until DONE.
 

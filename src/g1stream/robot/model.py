@@ -193,15 +193,11 @@ class G1:
         for name, limit in limits.items():
             limits[name] = np.where(self.present, limit, getattr(self, name))
             wider |= np.abs(getattr(self, name) - limits[name]) > _ROUNDING
-        if outside := [
-            name
-            for name, lower, upper in zip(
-                self.joint_names, limits["lower"], limits["upper"], strict=True
-            )
-            if lower > upper
-        ]:
+        outside = np.flatnonzero(limits["lower"] > limits["upper"])
+        if len(outside):
+            names = listed([self.joint_names[joint] for joint in outside])
             raise RobotError(
-                f"The range of {listed(outside)} in {self.source} is outside that of a G1.",
+                f"The range of {names} in {self.source} is outside that of a G1.",
                 "Mend the URDF; safety.urdf_limits = true takes its limits as they are.",
             )
         capped = tuple(name for name, capped in zip(self.joint_names, wider, strict=True) if capped)

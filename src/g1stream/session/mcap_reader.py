@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["RECOVER", "ChannelInfo", "McapFile", "Messages", "Slices"]
+__all__ = ["RECOVER", "ChannelInfo", "McapFile", "Messages", "Slices", "open_mcap"]
 
 RECOVER: Final = "Recover the rest with a tool such as `pymcap-cli recover`."
 """The remedy for a damaged file."""
@@ -323,6 +323,31 @@ def _messages_at(
     return Messages(*times, Slices(data, starts, ends))
 
 
+def open_mcap(path: Path) -> IO[bytes]:
+    """An MCAP file, behind its first bytes.
+
+    Raises:
+        RecordingError: it cannot be read, or is no MCAP file.
+    """
+    try:
+        mode = path.stat().st_mode
+        if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
+            # Opening a pipe may block, and one cannot seek in it.
+            raise RecordingError(f"{path} is not a file.", "Give an MCAP file.")
+        file = path.open("rb")
+    except OSError as error:
+        raise RecordingError(
+            f"The file {path} cannot be read: {error.strerror}.",
+            "Check the path and its permissions.",
+        ) from error
+    magic = file.read(len(_MAGIC))
+    if magic != _MAGIC:
+        file.close()
+        what = "is not an MCAP file" if magic else "is empty"
+        raise RecordingError(f"{path} {what}.", "Give a file that g1stream recorded.")
+    return file
+
+
 class McapFile:
     """The messages, metadata and attachments of an MCAP file.
 
@@ -361,7 +386,7 @@ class McapFile:
         self._attachments: list[_Span] = []
         self._content_size = 0
         self._statistics: Statistics | None = None
-        with self._open() as file:
+        with open_mcap(self.path) as file:
             last = None
             allowed = UNPACKED + SESSION_RATIO * os.fstat(file.fileno()).st_size
             for last in self._records(file):
@@ -402,7 +427,7 @@ class McapFile:
         """
         channels = {channel for channel, topic in self._topics.items() if topic in topics}
         chunks = [c for c in self._chunks if not c.index or not channels.isdisjoint(c.index)]
-        with self._open() as file:
+        with open_mcap(self.path) as file:
 
             def read(group: list[_Chunk]) -> dict[int, Messages]:
                 records, offsets = [], []
@@ -424,30 +449,11 @@ class McapFile:
         Raises:
             RecordingError: one of them is damaged.
         """
-        with self._open() as file:
+        with open_mcap(self.path) as file:
             for record in self._attachments:
                 with self._damage_at(record):
                     attachment = Attachment.read(_stream_of(file, record))
                 yield attachment
-
-    def _open(self) -> IO[bytes]:
-        try:
-            mode = self.path.stat().st_mode
-            if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
-                # Opening a pipe may block, and one cannot seek in it.
-                raise RecordingError(f"{self.path} is not a file.", "Give an MCAP file.")
-            file = self.path.open("rb")
-        except OSError as error:
-            raise RecordingError(
-                f"The file {self.path} cannot be read: {error.strerror}.",
-                "Check the path and its permissions.",
-            ) from error
-        magic = file.read(len(_MAGIC))
-        if magic != _MAGIC:
-            file.close()
-            what = "is not an MCAP file" if magic else "is empty"
-            raise RecordingError(f"{self.path} {what}.", "Give a file that g1stream recorded.")
-        return file
 
     def _add_record(self, file: IO[bytes], record: _Span) -> None:
         if record.opcode == Opcode.CHUNK:

@@ -15,7 +15,7 @@ from typing import IO, NamedTuple
 from g1stream.errors import RecordingError
 from g1stream.files import complete_file
 from g1stream.session.format import CHANNELS, MessageBatch
-from g1stream.session.mcap_reader import RECOVER, McapFile
+from g1stream.session.mcap_reader import RECOVER, McapFile, open_mcap
 from g1stream.session.mcap_writer import McapWriter
 from g1stream.session.parts import Part, parts_of, write_metadata_yaml
 
@@ -73,7 +73,7 @@ def repair_session(path: Path) -> list[Repair]:
 
 
 def _repair_file(path: Path) -> Repair:
-    with _opened(path) as file:
+    with open_mcap(path) as file:
         _lock(file, path)  # first: a recorder that ends now still writes
         source = McapFile(path)
         messages = source.counts.total()
@@ -108,15 +108,6 @@ def _copy(source: McapFile, path: Path) -> None:
             written[topic] += len(messages.data)
     finally:
         writer.close()
-
-
-def _opened(path: Path) -> IO[bytes]:
-    try:
-        return path.open("rb")
-    except OSError as error:
-        raise RecordingError(
-            f"Cannot read {path}: {error.strerror or error}.", "Give a session file."
-        ) from error
 
 
 def _lock(file: IO[bytes], path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import os
 import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -96,6 +97,31 @@ def test_both_processes_see_the_same_heartbeat(heartbeat):
     heartbeat.clear()
     assert other.last_write == 0
     other.close()
+
+
+_REPLACING = """
+import sys
+from itertools import cycle
+from g1stream.control.guard import Heartbeat, Takeover
+from g1stream.dds.messages import LowCmd
+heartbeat = Heartbeat(int(sys.argv[1]))
+size = len(LowCmd().seal())
+for filled in cycle([bytes([n]) * size for n in range(1, 256)]):
+    heartbeat.replace(filled, Takeover.STOPPED)
+"""
+
+
+def test_a_command_that_the_guard_replaces_meanwhile_is_read_whole(heartbeat):
+    command = [sys.executable, "-c", _REPLACING, str(heartbeat.descriptor)]
+    with subprocess.Popen(command, pass_fds=[heartbeat.descriptor]) as guard:
+        try:
+            while not heartbeat.replacement:
+                assert guard.poll() is None
+            read = {heartbeat.replacement for _ in range(300_000)}
+        finally:
+            guard.kill()
+    assert len(read) > 10
+    assert all(len(set(one)) == 1 for one in read)
 
 
 def test_the_guard_damps_where_the_last_command_was():

@@ -62,8 +62,9 @@ _STATE_CHECK: Final = 20_000_000
 _CHECK_PERIOD: Final = 10_000_000
 
 _COMMAND_SIZE: Final = Layout.of(LowCmd.idl_type).sample_size
-#: The fields of the shared memory, each an int64; the last commands of both follow them.
-_LAST_WRITE, _WRITING, _TAKEOVER, _SUBSCRIBERS, _FIELDS = range(5)
+#: The fields of the shared memory, each an int64. The stream's last command follows them, and the
+#: last two of the guard: it writes one while the stream may read the other.
+_LAST_WRITE, _WRITING, _TAKEOVER, _REPLACEMENTS, _SUBSCRIBERS, _FIELDS = range(6)
 #: Silence of a running stream that ends it where there may be a robot, s.
 _ROBOT_SILENCE: Final = 0.04
 #: How often subscribers are counted before the first command, ns.
@@ -107,7 +108,7 @@ class Heartbeat:
     """
 
     def __init__(self, memory: int | None = None) -> None:
-        size = 8 * _FIELDS + 2 * _COMMAND_SIZE
+        size = 8 * _FIELDS + 3 * _COMMAND_SIZE
         if memory is None:
             if sys.platform != "linux":
                 raise SafetyError(
@@ -119,8 +120,9 @@ class Heartbeat:
         shared = memoryview(mmap.mmap(memory, size))
         # A store of 8 aligned bytes is atomic: neither side ever reads half a number.
         self._fields = shared[: 8 * _FIELDS].cast("q")
-        self._command = shared[8 * _FIELDS :][:_COMMAND_SIZE]
-        self._replacement = shared[8 * _FIELDS + _COMMAND_SIZE :]
+        self._command, *self._replacements = (
+            shared[start:][:_COMMAND_SIZE] for start in range(8 * _FIELDS, size, _COMMAND_SIZE)
+        )
 
     def begin_write(self, command: bytes, now: int) -> None:
         """Note, before a command is written, what it is and when, ns of CLOCK_MONOTONIC."""
@@ -163,12 +165,18 @@ class Heartbeat:
     @property
     def replacement(self) -> bytes:
         """The guard's last command, for the stream to send as well; empty before its first one."""
-        return bytes(self._replacement) if self._fields[_TAKEOVER] else b""
+        number, command = 0, b""
+        while number != self._fields[_REPLACEMENTS]:  # there is a newer one
+            number = self._fields[_REPLACEMENTS]
+            command = bytes(self._replacements[number % 2])
+        return command
 
     def replace(self, command: bytes, why: Takeover) -> None:
         """Note, before the guard writes a command, what it is, and why the guard damps."""
-        self._replacement[:] = command
+        number = self._fields[_REPLACEMENTS] + 1
+        self._replacements[number % 2][:] = command
         self._fields[_TAKEOVER] = why
+        self._fields[_REPLACEMENTS] = number
 
     @property
     def subscribers(self) -> int:

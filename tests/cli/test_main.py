@@ -171,3 +171,25 @@ def test_without_cyclonedds_files_are_read_and_the_rest_says_how_to_install_it(c
     assert done.returncode == (0 if reads else 2), done.stderr
     assert ("pip install 'cyclonedds" in done.stderr) == (not reads)
     assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (MemoryError(), True),
+        (ImportError("libx.so: failed to map segment from shared object"), True),
+        (ModuleNotFoundError("No module named 'x'"), False),
+        (ZeroDivisionError(), False),
+    ],
+)
+def test_too_little_memory_is_no_traceback_and_a_defect_is_one(monkeypatch, capsys, error, told):
+    def fail(_):
+        raise error
+
+    monkeypatch.setattr("g1stream.cli.main._run", fail)
+    if told:
+        assert main([]) == 2
+        assert "ulimit -v" in capsys.readouterr().err
+    else:
+        with pytest.raises(type(error)):
+            main([])

@@ -126,8 +126,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except G1StreamError as error:
         print(_error_text(error), file=sys.stderr)
         return EXIT_BAD_INPUT
-    except Exception:
-        if not (fault := _fault_of_cyclonedds()):
+    except Exception as error:
+        if not (fault := _fault_of_cyclonedds() or _fault_of_memory(error)):
             raise
         print(_error_text(fault), file=sys.stderr)
         return EXIT_BAD_INPUT
@@ -189,6 +189,18 @@ def _fault_of_cyclonedds() -> G1StreamError | None:
             "LD_LIBRARY_PATH or CYCLONEDDS_HOME, as ROS 2 sets them, may lead to another library.",
         )
     return None
+
+
+def _fault_of_memory(error: Exception) -> G1StreamError | None:
+    """Why a library or an array finds no memory; None where that is not the fault."""
+    cannot_load = isinstance(error, ImportError) and not isinstance(error, ModuleNotFoundError)
+    if not (cannot_load or isinstance(error, MemoryError)):
+        return None
+    return ConfigError(
+        f"A library cannot be loaded: {error}." if cannot_load else "There is too little memory.",
+        "Look at the memory that this process may use with `ulimit -v`; where that is unlimited, "
+        "install g1stream into a virtual environment of its own.",
+    )
 
 
 def _error_text(error: G1StreamError) -> str:

@@ -46,7 +46,8 @@ def run(faults: Iterable[Fault], first_domain: int, rounds: int) -> list[Outcome
                 outcome = play(fault, domain, Path(folder))
             finally:
                 domains.put(domain)
-        print(f"{'ok' if not outcome.wrong else 'FAILED':<7}{fault.name}", file=sys.stderr)
+        told = f"FAILED {fault.name}: {'; '.join(outcome.wrong)}"
+        print(told if outcome.wrong else f"ok     {fault.name}", file=sys.stderr, flush=True)
         return outcome
 
     possible = [fault for fault in faults if not fault.impossible]

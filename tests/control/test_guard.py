@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from g1stream.control.guard import Heartbeat, Takeover, Watch, _fence, damping_command
+from g1stream.control.guard import Heartbeat, Takeover, Watch, _fence, _here, damping_command
 from g1stream.dds.messages import LowCmd
 
 MS = 1_000_000
@@ -152,3 +152,17 @@ def test_a_stream_that_is_killed_in_a_write_is_not_waited_for(heartbeat, why):
     heartbeat.begin_write(LowCmd().seal(), START)
     _fence(heartbeat, process.pid, why)  # returns, so that the guard damps
     assert heartbeat.writing
+
+
+def test_a_stream_ends_its_write_on_the_guards_cpu_and_goes_back():
+    with subprocess.Popen(["sleep", "60"]) as stream:
+        before, own = os.sched_getaffinity(stream.pid), os.sched_getaffinity(0)
+        cpu = max(own)
+        try:
+            os.sched_setaffinity(0, {cpu})
+            with _here(stream.pid):
+                assert os.sched_getaffinity(stream.pid) == {cpu}
+            assert os.sched_getaffinity(stream.pid) == before
+        finally:
+            os.sched_setaffinity(0, own)
+            stream.kill()

@@ -461,7 +461,7 @@ def _fence(heartbeat: Heartbeat, stream: int, why: Takeover) -> None:
     time.sleep(_VISIBLE)
     if why is Takeover.ENDED or not heartbeat.writing:
         return
-    with suppress(OSError), _any_cpu(stream):  # it may be killed meanwhile
+    with suppress(OSError), _here(stream):  # it may be killed meanwhile
         if why is Takeover.STOPPED:
             os.kill(stream, signal.SIGCONT)
         end = time.monotonic() + _WRITE_TIMEOUT
@@ -472,13 +472,18 @@ def _fence(heartbeat: Heartbeat, stream: int, why: Takeover) -> None:
 
 
 @contextmanager
-def _any_cpu(pid: int) -> Iterator[None]:
-    """Let every thread of a process run on any CPU, during a `with`."""
-    before = {}
+def _here(pid: int) -> Iterator[None]:
+    """Move every thread of a process to this one's CPU, which has time for it, during a `with`.
+
+    A thread that may also run elsewhere is not moved at once, and waits in the queue of a busy CPU.
+    """
+    # proc(5): the CPU is field 39; the name, field 2, may have spaces.
+    stat = Path("/proc/thread-self/stat").read_text().rpartition(")")[2].split()
+    here, before = {int(stat[39 - 3])}, {}
     for task in Path(f"/proc/{pid}/task").iterdir():
         with suppress(OSError):  # it has ended meanwhile
             before[int(task.name)] = os.sched_getaffinity(int(task.name))
-            allow_all_cpus(int(task.name))
+            os.sched_setaffinity(int(task.name), here)
     try:
         yield
     finally:

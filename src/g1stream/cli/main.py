@@ -71,6 +71,10 @@ COMMANDS: Final = {
         "repair": ("cli.repair:Repair", "Write the index of a session whose recorder was killed."),
         "layout": ("cli.layout:Layout", "Write a layout of a viewer that shows sessions."),
         "motion": ("cli.motion:Inspect", "Check a motion file: frames, joints, limits."),
+        "policy": (
+            "extras.policy.policy_cli:Policy",
+            "Show what a learned policy takes and gives.",
+        ),
         "physics": (
             "extras.physics.physics_cli:Physics",
             "Say what a motion asks of a robot that is held, or that stands.",

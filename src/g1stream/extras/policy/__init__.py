@@ -1,0 +1,1 @@
+"""Learned policies: what one takes and gives, and its commands."""

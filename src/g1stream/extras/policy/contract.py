@@ -1,0 +1,508 @@
+"""What a policy takes and gives, and where each fact came from.
+
+Facts come from, the first that has one: a TOML file beside the policy, the metadata of the ONNX
+file (whole_body_tracking and mjlab; holosoma), Unitree's deploy.yaml beside it. A fact that none
+has is asked for, with the line to write into the TOML file; docs/policy.md lists them.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from fnmatch import fnmatchcase
+from itertools import combinations
+from pathlib import Path
+from typing import Any, Final, Literal, NamedTuple
+
+import numpy as np
+
+from g1stream.config import read_toml
+from g1stream.errors import ConfigError
+from g1stream.extras.policy.network import Network
+from g1stream.extras.policy.observation import ALIASES, TERMS
+from g1stream.files import read_file
+from g1stream.input_limits import SETTINGS_FILE
+from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
+from g1stream.robot.model import G1
+from g1stream.session.records import Record
+from g1stream.text import counted, labelled, listed, table
+from g1stream.types import Floats
+
+__all__ = ["PolicyContract", "Term", "read_contract"]
+
+_LABEL: Final = 16
+#: Above these no policy of a G1 has one: N·m/rad, N·m·s/rad, rad for an action of 1.
+_MOST: Final = {"kp": 500.0, "kd": 50.0, "action_scale": 5.0}
+#: What to write for a fact that is missing.
+_LINES: Final = {
+    "rate": "rate = 50.0",
+    "joint_names": 'joint_names = ["left_hip_pitch_joint", ...]',
+    "default_pos": 'default_pos = { "*_knee_joint" = 0.3, ... }',
+    "action_scale": 'action_scale = { "*" = 0.25 }',
+    "kp": 'kp = { "*_knee_joint" = 99.1, ... }',
+    "kd": 'kd = { "*_knee_joint" = 6.3, ... }',
+    "terms": '[[terms]] with name = "base_ang_vel", and scale = 0.25 where it is not 1',
+    "anchor": 'anchor = "torso_link"',
+}
+#: What need not be told: no limit, and no step.
+_OPTIONAL: Final = ("clip", "lag")
+
+
+class Term(Record, frozen=True):
+    """A part of the observation.
+
+    Attributes:
+        name: that of `TERMS`.
+        named: in the file.
+        size: of it.
+        scale: factor, one for all or one for each of its values.
+        formula: in words; the frame is part of it.
+    """
+
+    name: str
+    named: str
+    size: int
+    scale: list[float]
+    formula: str
+
+
+class PolicyContract(Record, frozen=True):
+    """What a policy takes and gives. Arrays are in its own order of joints, `joint_names`.
+
+    A target is `default_pos + action_scale * action`, rad, with `kp`, N·m/rad, and `kd`,
+    N·m·s/rad.
+
+    Attributes:
+        path: of the ONNX file.
+        rate: steps per second.
+        terms: of the observation, in order.
+        clip: largest magnitude of a value of the observation; None without a limit.
+        anchor: the link whose attitude is compared with the reference's; None where no term does.
+        reference: the motion that is tracked: the network's own, one that is given, or none.
+        lag: steps by which the reference that is observed is behind the present one.
+        origin: by field, where it came from.
+    """
+
+    path: str
+    rate: float
+    joint_names: list[str]
+    default_pos: list[float]
+    action_scale: list[float]
+    kp: list[float]
+    kd: list[float]
+    terms: list[Term]
+    clip: float | None
+    anchor: str | None
+    reference: Literal["in the policy", "a motion", "none"]
+    lag: int
+    origin: dict[str, str]
+
+    @property
+    def order(self) -> np.ndarray[Any, np.dtype[np.intp]]:
+        """Motor index of each of the policy's joints, (29,)."""
+        return np.array([JOINT_NAMES.index(name) for name in self.joint_names])
+
+    def in_motor_order(self, values: Sequence[float] | Floats) -> Floats:
+        """Values of the policy's joints (29,) in motor order."""
+        ordered = np.empty(N_JOINTS)
+        ordered[self.order] = values
+        return ordered
+
+    def __str__(self) -> str:
+        width = sum(term.size for term in self.terms)
+        isaac = "motor order" if self.joint_names == list(JOINT_NAMES) else "an order of its own"
+        facts = {
+            "policy": self.path,
+            "rate": f"{self.rate:g} Hz",
+            "tracks": {
+                "in the policy": "the motion that it holds",
+                "a motion": "a motion that is given",
+                "none": "no motion: it follows a commanded velocity, or stands",
+            }[self.reference]
+            + (f", {counted(self.lag, 'step')} behind" if self.lag else ""),
+            "joints": f"{len(self.joint_names)}, {isaac}",
+            "anchor": self.anchor or "",
+            "observation": f"{counted(width, 'value')}"
+            + (f", clipped to +-{self.clip:g}" if self.clip else ""),
+        }
+        lines = [labelled(f"{k:<{_LABEL}}", v) for k, v in facts.items() if v]
+        rows = [["term", "size", "scale", "formula"]]
+        for term in self.terms:
+            low, high = min(term.scale), max(term.scale)
+            scale = f"{low:g}" if low == high else f"{low:g} to {high:g}"
+            rows.append([term.name, str(term.size), scale, term.formula])
+        lines += ["", *table(rows, {0, 3})]
+        rows = [["joint", "default", "scale", "kp", "kd"]]
+        arrays = self.default_pos, self.action_scale, self.kp, self.kd
+        for name, *values in zip(self.joint_names, *arrays, strict=True):
+            rows.append([name, *(f"{value:.3f}" for value in values)])
+        lines += ["", *table(rows, {0}), ""]
+        for where in dict.fromkeys(self.origin.values()):
+            fields = [name for name, one in self.origin.items() if one == where]
+            lines.append(labelled(f"{'from':<{_LABEL}}", f"{where}: {', '.join(fields)}"))
+        return "\n".join(lines)
+
+
+class _Facts(NamedTuple):
+    """Values by the names of `PolicyContract`, and where they came from."""
+
+    where: str
+    values: dict[str, Any]
+
+
+def read_contract(network: Network, robot: G1 | None = None) -> PolicyContract:
+    """The contract of a policy.
+
+    Args:
+        network: of it.
+        robot: whose limits its default pose must keep; the default one if None.
+
+    Raises:
+        ConfigError: a fact is missing or wrong, or the facts do not fit each other.
+    """
+    path, robot = network.path, robot or G1.default()
+    values: dict[str, Any] = {}
+    origin: dict[str, str] = {}
+    for facts in _sources(network):
+        for name, value in facts.values.items():
+            if value is not None and name not in values:
+                values[name], origin[name] = value, facts.where
+    where = f"the policy {path}"
+    terms = [_term(named, scale, where) for named, scale in values.get("terms", [])]
+    uses_anchor = any(term.name.startswith("motion_anchor") for term in terms)
+    needed = [name for name in _LINES if name != "anchor" or uses_anchor]
+    missing = [name for name in needed if name not in values]
+    if missing:
+        raise ConfigError(
+            f"Of {where} is not known: {', '.join(missing)}.",
+            f"Write into {_beside(path)}: {'; '.join(_LINES[name] for name in missing)}.",
+        )
+    named = values["joint_names"]
+    names = [str(name) for name in (named if isinstance(named, list) else [named])]
+    _check_joints(names, network, where)
+    arrays = {
+        name: _joint_values(values[name], names, name, where)
+        for name in ("default_pos", "action_scale", "kp", "kd")
+    }
+    _check_ranges(arrays, names, robot, where)
+    _check_width(terms, network, where)
+    rate = _number(values["rate"], "rate", where)
+    if not 1.0 <= rate <= 1000.0:
+        raise _wrong("rate", rate, where, "between 1 and 1000 Hz")
+    tracks = any(term.name.startswith("motion_") for term in terms)
+    holds = network.steps and {"joint_pos", "joint_vel"} <= set(network.outputs)
+    if uses_anchor and values["anchor"] not in robot.link_names:
+        raise _wrong("anchor", values["anchor"], where, "a link of the robot, such as torso_link")
+    clip, lag = (_number(values.get(name, 0), name, where) for name in ("clip", "lag"))
+    if clip < 0.0 or lag not in range(10):
+        raise _wrong("clip, lag", f"{clip:g}, {lag:g}", where, "at least 0, and 0 to 9")
+    return PolicyContract(
+        path=str(path),
+        rate=rate,
+        joint_names=names,
+        terms=terms,
+        clip=clip or None,
+        anchor=str(values["anchor"]) if uses_anchor else None,
+        reference=("in the policy" if holds else "a motion") if tracks else "none",
+        lag=int(lag) if tracks else 0,
+        origin={name: one for name, one in origin.items() if name != "anchor" or uses_anchor},
+        **{name: value.tolist() for name, value in arrays.items()},
+    )
+
+
+def _beside(path: Path) -> Path:
+    return path.with_suffix(".toml")
+
+
+def _sources(network: Network) -> Iterator[_Facts]:
+    """What each source says, the first before the others."""
+    own, told = _beside(network.path), "metadata of the ONNX file"
+    if own.exists():
+        yield _facts(str(own), lambda: _of_toml(own))
+    if "observation_names" in network.metadata:
+        yield _facts(told, lambda: _of_tracking(network.metadata))
+        yield _Facts("assumed, as whole_body_tracking and mjlab train", {"rate": 50.0})
+    elif "dof_names" in network.metadata:
+        yield _facts(told, lambda: _of_holosoma(network.metadata))
+    deploy = network.path.with_name("deploy.yaml")
+    if deploy.exists():
+        yield _facts(str(deploy), lambda: _of_deploy(deploy))
+        yield _Facts("assumed, as Unitree's runner", {"anchor": "torso_link"})
+
+
+def _facts(where: str, read: Callable[[], dict[str, Any]]) -> _Facts:
+    """What a reader of a source says; the source may hold anything."""
+    try:
+        return _Facts(where, read())
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        raise ConfigError(
+            f"What a policy needs cannot be read from {where}: {str(error)[:100]}.",
+            "Give it as the training wrote it, or write the facts into a TOML file beside it.",
+        ) from error
+
+
+def _of_toml(path: Path) -> dict[str, Any]:
+    values = read_toml(path, "policy file")
+    unknown = sorted(set(values) - set(_LINES) - set(_OPTIONAL))
+    if unknown:
+        raise ConfigError(
+            f"{path} has {listed(unknown)}, which is no fact of a policy.",
+            f"Choose from {', '.join([*_LINES, *_OPTIONAL])}.",
+        )
+    terms = values.get("terms")
+    if terms is not None:
+        if not (isinstance(terms, list) and all(isinstance(t, dict) for t in terms)):
+            raise ConfigError(
+                f"In {path}, terms is no list of tables.", f"Write {_LINES['terms']}."
+            )
+        values["terms"] = [(str(t.get("name", "")), t.get("scale", 1.0)) for t in terms]
+    return values
+
+
+def _of_tracking(metadata: Mapping[str, str]) -> dict[str, Any]:
+    """Of whole_body_tracking and mjlab: comma-separated lists."""
+
+    def split(key: str) -> list[str] | None:
+        return metadata[key].split(",") if metadata.get(key) else None
+
+    commands = split("command_names") or ["motion"]
+    names = split("observation_names") or []
+    lengths = split("observation_history_lengths") or ["1"] * len(names)
+    if any(float(length) > 1.0 for length in lengths):
+        raise _history("the metadata of the ONNX file")
+    return {
+        "joint_names": split("joint_names"),
+        "default_pos": split("default_joint_pos"),
+        "action_scale": split("action_scale"),
+        "kp": split("joint_stiffness"),
+        "kd": split("joint_damping"),
+        "terms": [(commands[0] if one == "command" else one, 1.0) for one in names],
+        "anchor": metadata.get("anchor_body_name") or None,
+    }
+
+
+def _of_holosoma(metadata: Mapping[str, str]) -> dict[str, Any]:
+    """Of holosoma: values in JSON, and the configuration of the training where it is included.
+
+    Its terms are sorted by name. An action of 1 moves a target by `action_scale` of the deflection
+    at which the servo reaches the joint's torque limit, where the configuration says so.
+    """
+    read = {key: _json(metadata.get(key)) for key in ("dof_names", "kp", "kd")}
+    facts: dict[str, Any] = {"joint_names": read["dof_names"], "kp": read["kp"], "kd": read["kd"]}
+    config = _json(metadata.get("experiment_config"))
+    if not isinstance(config, dict):
+        return facts
+    group = _at(config, "observation", "groups", "actor_obs")
+    terms = _at(group, "terms")
+    if isinstance(terms, dict):
+        if (_at(group, "history_length") or 1) > 1:
+            raise _history("the training configuration in the ONNX file")
+        facts["terms"] = [(name, _scale(terms[name])) for name in sorted(terms)]
+    # Its runner reads the reference of the next step after it has observed.
+    facts["lag"] = 1
+    facts["clip"] = _at(config, "observation", "clip_observations")
+    facts["default_pos"] = _at(config, "robot", "init_state", "default_joint_angles")
+    scale = _at(config, "robot", "control", "action_scale")
+    effort = _at(config, "robot", "dof_effort_limit_list")
+    if _at(config, "robot", "control", "action_scales_by_effort_limit_over_p_gain"):
+        known = all(isinstance(one, list) for one in (effort, read["kp"]))
+        facts["action_scale"] = (
+            [scale * e / p for e, p in zip(effort, read["kp"], strict=True)] if known else None
+        )
+    elif scale is not None:
+        facts["action_scale"] = {"*": scale}
+    fps = _at(config, "simulator", "config", "sim", "fps")
+    every = _at(config, "simulator", "config", "sim", "control_decimation")
+    facts["rate"] = fps / every if fps and every else None
+    motion = ("command", "setup_terms", "motion_command", "params", "motion_config")
+    facts["anchor"] = next(iter(_at(config, *motion, "body_name_ref") or []), None)
+    return facts
+
+
+def _of_deploy(path: Path) -> dict[str, Any]:
+    """Of Unitree's deploy.yaml, as its C++ runner reads it."""
+    import yaml
+
+    try:
+        values = yaml.safe_load(read_file(path, SETTINGS_FILE))
+    except (OSError, yaml.YAMLError, ValueError, RecursionError) as error:
+        raise ConfigError(
+            f"{path} cannot be read: {' '.join(str(error).split())[:200]}.",
+            "Give it as Unitree's training writes it, or remove it.",
+        ) from error
+    period = _at(values, "step_dt")
+    action = _at(values, "actions", "JointPositionAction")
+    observations = _at(values, "observations")
+    motors = _at(values, "joint_ids_map")
+    terms = None
+    if isinstance(observations, dict):
+        if any((_at(one, "history_length") or 1) > 1 for one in observations.values()):
+            raise _history(str(path))
+        terms = [(name, _scale(one)) for name, one in observations.items()]
+    known = isinstance(motors, list) and all(
+        isinstance(motor, int) and 0 <= motor < N_JOINTS for motor in motors
+    )
+    return {
+        "rate": 1.0 / period if isinstance(period, int | float) and period > 0 else None,
+        "joint_names": [JOINT_NAMES[motor] for motor in motors] if known else None,
+        "default_pos": _at(action, "offset") or _at(values, "default_joint_pos"),
+        "action_scale": _at(action, "scale"),
+        "kp": _in_order(_at(values, "stiffness"), motors),
+        "kd": _in_order(_at(values, "damping"), motors),
+        "terms": terms,
+    }
+
+
+def _in_order(values: Any, motors: Any) -> Any:
+    """Values by motor as those of the policy's joints: deploy.yaml has gains by motor."""
+    if isinstance(values, list) and isinstance(motors, list) and len(values) >= len(motors):
+        return [values[motor] for motor in motors]
+    return values
+
+
+def _json(text: str | None) -> Any:
+    return json.loads(text) if text else None
+
+
+def _at(values: Any, *keys: str) -> Any:
+    """What nested tables have there; None where they have nothing."""
+    for key in keys:
+        values = values.get(key) if isinstance(values, dict) else None
+    return values
+
+
+def _scale(term: Any) -> Any:
+    scale = _at(term, "scale")
+    return 1.0 if scale is None else scale
+
+
+def _history(where: str) -> ConfigError:
+    return ConfigError(
+        f"By {where}, the policy observes several steps at once, which is not supported.",
+        "Give a policy with a history length of 1.",
+    )
+
+
+def _term(named: str, scale: Any, where: str) -> Term:
+    name = ALIASES.get(named, named)
+    if name not in TERMS:
+        raise ConfigError(
+            f"The observation of {where} has the unknown term {named!r}.",
+            f"Known are {', '.join(TERMS)}.",
+        )
+    size, formula, _ = TERMS[name]
+    values = scale if isinstance(scale, list) else [scale]
+    factors = [_number(value, f"scale of {named}", where) for value in values]
+    if len(factors) not in (1, size):
+        raise ConfigError(
+            f"In {where}, the term {named} has {counted(size, 'value')} and "
+            f"{counted(len(factors), 'scale')}.",
+            "Give one scale, or one for each value.",
+        )
+    return Term(name=name, named=named, size=size, scale=factors, formula=formula)
+
+
+def _number(value: Any, name: str, where: str) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = np.nan
+    if not np.isfinite(number):
+        raise _wrong(name, value, where, "a finite number")
+    return number
+
+
+def _wrong(name: str, value: Any, where: str, valid: str) -> ConfigError:
+    return ConfigError(
+        f"In {where}, {name} is {str(value)[:60]}.",
+        f"It must be {valid}; what the TOML file beside the policy has comes first.",
+    )
+
+
+def _check_joints(names: list[str], network: Network, where: str) -> None:
+    strange = [name for name in names if name not in JOINT_NAMES]
+    if strange:
+        raise ConfigError(
+            f"{where[0].upper()}{where[1:]} is one of another robot: a G1 has no "
+            f"{listed(strange, 3)}.",
+            f"Give a policy of a G1 with {N_JOINTS} joints.",
+        )
+    if sorted(names) != sorted(JOINT_NAMES) or network.n_actions != N_JOINTS:
+        raise ConfigError(
+            f"{where[0].upper()}{where[1:]} names {counted(len(set(names)), 'joint')} and has "
+            f"{counted(network.n_actions, 'action')}.",
+            f"Give a policy that moves each of the {N_JOINTS} joints of a G1 once.",
+        )
+
+
+def _joint_values(given: Any, names: list[str], what: str, where: str) -> Floats:
+    """A value for each of the policy's joints, of a list or of a table of names and patterns."""
+    if isinstance(given, dict):
+        found = np.full(len(names), np.nan)
+        for pattern, value in given.items():
+            matching = [fnmatchcase(name, pattern) for name in names]
+            if not any(matching):
+                raise ConfigError(
+                    f"In {where}, {what} names {pattern}, which is no joint.",
+                    'Give joints, or patterns such as "*_knee_joint".',
+                )
+            found[matching] = _number(value, what, where)
+        if np.isnan(found).any():
+            lacking = [name for name, value in zip(names, found, strict=True) if np.isnan(value)]
+            raise ConfigError(
+                f"In {where}, {what} has no value for {listed(lacking, 3)}.",
+                'Give one, or one for all others first: "*" = 0.0.',
+            )
+        return found
+    values = given if isinstance(given, list) else [given]
+    if len(values) == 1:
+        values = values * len(names)
+    if len(values) != len(names):
+        raise ConfigError(
+            f"In {where}, {what} has {counted(len(values), 'value')} for "
+            f"{counted(len(names), 'joint')}.",
+            f"Write into the TOML file beside it: {_LINES[what]}.",
+        )
+    return np.array([_number(value, what, where) for value in values])
+
+
+def _check_ranges(arrays: Mapping[str, Floats], names: list[str], robot: G1, where: str) -> None:
+    for what, most in _MOST.items():
+        lowest = -most if what == "action_scale" else 0.0
+        wrong = (arrays[what] < lowest) | (arrays[what] > most)
+        if wrong.any():
+            at = int(wrong.argmax())
+            value = f"{arrays[what][at]:g}"
+            raise _wrong(f"{what} of {names[at]}", value, where, f"{lowest:g} to {most:g}")
+    motors = [JOINT_NAMES.index(name) for name in names]
+    beyond = np.maximum(robot.lower[motors] - arrays["default_pos"], 0.0)
+    beyond = np.maximum(beyond, arrays["default_pos"] - robot.upper[motors])
+    if beyond.max() > 0.0:
+        worst = int(beyond.argmax())
+        low, high = robot.lower[motors[worst]], robot.upper[motors[worst]]
+        value = f"{arrays['default_pos'][worst]:g}"
+        valid = f"within the joint's limits, {low:.3f} to {high:.3f} rad"
+        raise _wrong(f"default_pos of {names[worst]}", value, where, valid)
+
+
+def _check_width(terms: Sequence[Term], network: Network, where: str) -> None:
+    """Whether the terms are as wide as the network's input; otherwise, which terms may differ."""
+    total = sum(term.size for term in terms)
+    if total == network.width:
+        return
+    own = {term.name for term in terms}
+    less = total < network.width
+    candidates = [name for name in TERMS if (name not in own) == less]
+    size: Callable[[str], int] = lambda name: TERMS[name].size  # noqa: E731
+    fitting = [
+        " and ".join(some)
+        for number in (1, 2)
+        for some in combinations(candidates, number)
+        if sum(map(size, some)) == abs(network.width - total)
+    ]
+    guess = f" As wide as the difference: {listed(fitting, 4)}." if fitting else ""
+    raise ConfigError(
+        f"The network of {where} takes {network.width} values, and the terms that are named have "
+        f"{total}: {', '.join(f'{term.named} {term.size}' for term in terms)}.",
+        f"Name the terms that it was trained with, in the TOML file beside it.{guess}",
+    )

@@ -1,0 +1,256 @@
+"""What a policy does where the reference is tracked perfectly, before anything moves."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from g1stream.errors import ConfigError
+from g1stream.extras.policy.observation import Inputs, Pose, ReferenceFrame, RobotState, observe
+from g1stream.robot.kinematics import forward_kinematics
+from g1stream.robot.rotations import (
+    quat_conj,
+    quat_from_yaw,
+    quat_mul,
+    quat_rotate,
+    quat_rotate_inverse,
+    rotation_vector,
+    wxyz_from_xyzw,
+    yaw_of,
+)
+from g1stream.session.records import Record
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from g1stream.extras.policy.contract import PolicyContract
+    from g1stream.extras.policy.network import Network
+    from g1stream.motion.motion import Motion
+    from g1stream.robot.model import G1
+    from g1stream.types import Floats
+
+__all__ = ["FirstActions", "anchor_poses", "begin", "first_actions", "held_frame"]
+
+#: Of the motion, s.
+_LENGTH: Final = 5.0
+#: RMS by which the motion in a policy may differ from the one that is given, rad.
+_SAME: Final = 0.05
+#: RMS distance of targets from the reference, rad, above which something is wrong: 0.16 to 0.22
+#: with three trackers of others; 0.35 to 0.63 with a wrong motion, order, term, scale or pose.
+_FAR: Final = 0.3
+_ORIGIN: Final = np.zeros(3)
+_UPRIGHT: Final = np.array([1.0, 0.0, 0.0, 0.0])
+
+
+class FirstActions(Record, frozen=True):
+    """Targets of the first steps of a motion that is tracked perfectly.
+
+    Attributes:
+        steps: of the policy.
+        rms_rad: of the distance of a target from the reference, all joints.
+        worst_rad: the largest one.
+        worst_joint: whose it is.
+        worst_time_s: and when.
+        beyond_limits: share of the targets beyond a joint's limits.
+        problem: why it is not to be played; empty where nothing is wrong.
+    """
+
+    steps: int
+    rms_rad: float
+    worst_rad: float
+    worst_joint: str
+    worst_time_s: float
+    beyond_limits: float
+    problem: str = ""
+
+    def __str__(self) -> str:
+        return (
+            f"{self.steps} steps of perfect tracking: targets {self.rms_rad:.3f} rad (RMS) from "
+            f"the reference, at most {self.worst_rad:.2f} rad ({self.worst_joint} at "
+            f"{self.worst_time_s:.2f} s); {self.beyond_limits:.1%} of them beyond limits"
+        )
+
+
+def first_actions(
+    contract: PolicyContract, network: Network, robot: G1, motion: Motion | None = None
+) -> FirstActions | None:
+    """The first five seconds of a motion with the robot where the reference is.
+
+    Args:
+        contract: of the policy.
+        network: of the policy.
+        robot: the robot.
+        motion: that is to be tracked; None for the one that the policy holds.
+
+    Returns:
+        None where no motion is known.
+
+    Raises:
+        ConfigError: the policy tracks no motion, or holds another one; or an action is not finite.
+        MotionError: the motion has no sample at the rate of the policy.
+    """
+    if contract.reference == "none":
+        if motion is None:
+            return None
+        raise ConfigError(
+            f"The policy {contract.path} tracks no motion: it observes none.",
+            "Give a policy whose observation has motion_command.",
+        )
+    frames = None
+    if motion is not None:
+        frames = _given_frames(contract, robot, motion)
+    if contract.reference == "in the policy":
+        number = len(frames) if frames else round(_LENGTH * contract.rate)
+        held = [held_frame(contract, network, step) for step in range(number)]
+        if frames:
+            _check_same(contract, held, frames)
+        frames = held
+    if frames is None:
+        return None
+    return _compared(contract, robot, frames, _targets(contract, network, robot, frames))
+
+
+def held_frame(contract: PolicyContract, network: Network, step: int) -> ReferenceFrame:
+    """The reference of a step, of the motion that a policy holds."""
+    out = {
+        name: value.astype(np.float64)
+        for name, value in network.run(np.zeros(network.width), step).items()
+    }
+    joint_pos, joint_vel = map(contract.in_motor_order, (out["joint_pos"], out["joint_vel"]))
+    if "ref_quat_xyzw" in out:  # of holosoma
+        pose = Pose(out["ref_pos_xyz"], wxyz_from_xyzw(out["ref_quat_xyzw"]))
+        return ReferenceFrame(joint_pos, joint_vel, pose)
+    bodies = network.metadata.get("body_names", "").split(",")
+    if "body_quat_w" not in out or contract.anchor not in bodies:
+        raise ConfigError(
+            f"The motion in {contract.path} has no pose of {contract.anchor}.",
+            "Export the policy again, with body_names among its metadata.",
+        )
+    anchor = bodies.index(contract.anchor)
+    pose = Pose(out["body_pos_w"][anchor], out["body_quat_w"][anchor])
+    return ReferenceFrame(joint_pos, joint_vel, pose)
+
+
+def _given_frames(contract: PolicyContract, robot: G1, motion: Motion) -> list[ReferenceFrame]:
+    """The first seconds of a motion at the rate of a policy."""
+    most = round(_LENGTH * contract.rate)
+    _, part = next(iter(motion.samples(contract.rate, 0, motion.n_frames)))
+    joint_pos, joint_vel = part.joint_pos[:most], part.joint_vel[:most]
+    pelvis = part.root_pos[:most], part.root_quat_wxyz[:most]
+    anchors = anchor_poses(contract, robot, joint_pos, *pelvis)
+    return [ReferenceFrame(*one) for one in zip(joint_pos, joint_vel, anchors, strict=True)]
+
+
+def anchor_poses(
+    contract: PolicyContract, robot: G1, joint_pos: Floats, pos: Floats, quat_wxyz: Floats
+) -> list[Pose]:
+    """Poses of the anchor link; joint_pos (T, 29), of the pelvis pos (T, 3), quat_wxyz (T, 4)."""
+    link = robot.link_names.index(contract.anchor or robot.link_names[0])
+    poses = forward_kinematics(robot, joint_pos, pos, quat_wxyz, [link])
+    return [Pose(*one) for one in zip(poses.pos[:, link], poses.quat_wxyz[:, link], strict=True)]
+
+
+def begin(robot: Pose, reference: Pose) -> tuple[Floats, tuple[Floats, Floats]]:
+    """`Inputs.yaw0` and `Inputs.origin`, of the anchors when a motion begins."""
+    own, its = (quat_from_yaw(yaw_of(one.quat_wxyz)) for one in (robot, reference))
+    on_floor = np.array([1.0, 1.0, 0.0])
+    return quat_mul(own, quat_conj(its)), (reference.pos * on_floor, robot.pos * on_floor)
+
+
+def _check_same(
+    contract: PolicyContract, held: Sequence[ReferenceFrame], given: Sequence[ReferenceFrame]
+) -> None:
+    both = ([frame.joint_pos for frame in frames] for frames in (held, given))
+    ours, theirs = map(np.array, both)
+    difference = float(np.sqrt(np.mean((ours - theirs) ** 2)))
+    if difference > _SAME:
+        raise ConfigError(
+            f"The policy {contract.path} holds another motion: it differs by {difference:.2f} rad "
+            "(RMS) in the first seconds.",
+            "Give the motion that it was trained for, or none.",
+        )
+
+
+def _states(
+    contract: PolicyContract, robot: G1, frames: Sequence[ReferenceFrame]
+) -> list[RobotState]:
+    """The robot where the reference is, its velocities by differences."""
+    joint_pos = np.array([frame.joint_pos for frame in frames])
+    local = anchor_poses(contract, robot, joint_pos, _ORIGIN, _UPRIGHT)
+    pelvis = []
+    for frame, anchor in zip(frames, local, strict=True):
+        quat = quat_mul(frame.anchor.quat_wxyz, quat_conj(anchor.quat_wxyz))
+        pelvis.append(Pose(frame.anchor.pos - quat_rotate(quat, anchor.pos), quat))
+    states = []
+    for i, (frame, here) in enumerate(zip(frames, pelvis, strict=True)):
+        low, high = max(0, i - 1), min(i + 1, len(frames) - 1)
+        seconds = (high - low) / contract.rate
+        turned = quat_mul(quat_conj(pelvis[low].quat_wxyz), pelvis[high].quat_wxyz)
+        moved = pelvis[high].pos - pelvis[low].pos
+        states.append(
+            RobotState(
+                frame.joint_pos,
+                frame.joint_vel,
+                here.quat_wxyz,
+                rotation_vector(turned) / seconds,
+                quat_rotate_inverse(here.quat_wxyz, moved) / seconds,
+                frame.anchor,
+            )
+        )
+    return states
+
+
+def _targets(
+    contract: PolicyContract, network: Network, robot: G1, frames: Sequence[ReferenceFrame]
+) -> Floats:
+    """Targets (N, 29) rad, motor order."""
+    terms = [(term.name, np.array(term.scale)) for term in contract.terms]
+    default, scale = np.array(contract.default_pos), np.array(contract.action_scale)
+    yaw0, origin = begin(frames[0].anchor, frames[0].anchor)
+    action, targets = np.zeros(len(default)), []
+    for step, state in enumerate(_states(contract, robot, frames)):
+        inputs = Inputs(
+            state,
+            frames[max(0, step - contract.lag)],
+            yaw0,
+            origin,
+            contract.order,
+            default,
+            action,
+            np.zeros(3),
+            np.full(2, np.pi),
+        )
+        observation = observe(terms, inputs)
+        if contract.clip:
+            observation = np.clip(observation, -contract.clip, contract.clip)
+        action = network.act(observation, step)
+        if not np.isfinite(action).all():
+            raise ConfigError(
+                f"The policy {contract.path} gives an action that is not finite at step {step}.",
+                "Look at its terms, scales and metadata; it cannot be played.",
+            )
+        targets.append(contract.in_motor_order(default + scale * action))
+    return np.array(targets)
+
+
+def _compared(
+    contract: PolicyContract, robot: G1, frames: Sequence[ReferenceFrame], targets: Floats
+) -> FirstActions:
+    distance = np.abs(targets - [frame.joint_pos for frame in frames])
+    step, joint = np.unravel_index(distance.argmax(), distance.shape)
+    rms = float(np.sqrt(np.mean(distance**2)))
+    problem = (
+        f"targets are {rms:.2f} rad (RMS) from a reference that is tracked perfectly, more than "
+        f"{_FAR:g}: the motion is not what it was trained for, or a term, the order of the joints, "
+        "a scale or the default pose is wrong"
+    )
+    return FirstActions(
+        steps=len(targets),
+        rms_rad=rms,
+        problem=problem if rms > _FAR else "",
+        worst_rad=float(distance.max()),
+        worst_joint=robot.joint_names[joint],
+        worst_time_s=float(step / contract.rate),
+        beyond_limits=float(np.mean((targets < robot.lower) | (targets > robot.upper))),
+    )

@@ -1,0 +1,121 @@
+"""A policy's network: an ONNX file, run by onnxruntime on one thread."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from g1stream.errors import ConfigError
+from g1stream.optional import import_extra
+from g1stream.types import Floats
+
+__all__ = ["Network"]
+
+#: Bytes of a file with its external data: a policy has some hundred thousand weights.
+_LARGEST: Final = 256 * 2**20
+
+
+class Network:
+    """A network with an observation and perhaps a time step as inputs, and an action.
+
+    Args:
+        path: of the ONNX file.
+
+    Attributes:
+        path: of the file.
+        metadata: its custom metadata, as text.
+        width: of the observation.
+        n_actions: of the action.
+        outputs: names of all outputs.
+        steps: whether it takes a time step, and so holds a motion of its own.
+
+    Raises:
+        ConfigError: it is no ONNX file, or its inputs and outputs are not those of a policy.
+    """
+
+    def __init__(self, path: Path | str) -> None:
+        self.path = Path(path)
+        runtime = import_extra("onnxruntime", "policy", "A policy needs")
+        self._check_size()
+        options = runtime.SessionOptions()
+        options.intra_op_num_threads = options.inter_op_num_threads = 1
+        options.log_severity_level = 4  # its complaints come as exceptions, too
+        try:
+            self._session = runtime.InferenceSession(
+                str(self.path), options, providers=["CPUExecutionProvider"]
+            )
+        except Exception as error:  # its classes of errors are not public
+            raise ConfigError(
+                f"{self.path} cannot be loaded as a policy: {_reason(error)}.",
+                "Give an ONNX file of standard operators, beside its external data if it has some.",
+            ) from error
+        self.metadata: dict[str, str] = dict(self._session.get_modelmeta().custom_metadata_map)
+        shapes = {one.name: list(one.shape) for one in self._session.get_inputs()}
+        self.steps = "time_step" in shapes
+        self._step = {"time_step": np.zeros((1, 1), np.float32)} if self.steps else {}
+        observations = [name for name in shapes if name != "time_step"]
+        self.outputs = [one.name for one in self._session.get_outputs()]
+        actions = self._session.get_outputs()[0]
+        self._observation = observations[0] if observations else ""
+        wide = [shapes[name][-1] for name in observations if len(shapes[name]) == 2]
+        if len(observations) != 1 or len(wide) != 1 or not isinstance(wide[0], int):
+            raise ConfigError(
+                f"{self.path} takes {_shown(shapes)}, which is not one observation of a known "
+                "width.",
+                "Export the actor alone, with one input (1, width) and perhaps time_step.",
+            )
+        if len(actions.shape) != 2 or not isinstance(actions.shape[1], int):
+            raise ConfigError(
+                f"The first output of {self.path}, {actions.name}, has the shape {actions.shape}, "
+                "which is not that of an action.",
+                "Export the actor so that its first output is the action (1, joints).",
+            )
+        self.width, self.n_actions = wide[0], actions.shape[1]
+
+    def run(self, observation: Floats, step: int = 0) -> dict[str, Floats]:
+        """All outputs for one observation (width,), by name and without the batch.
+
+        Args:
+            observation: in the order of the network.
+            step: of the motion in the file, for one that takes it.
+        """
+        for value in self._step.values():
+            value[:] = step
+        feed = {self._observation: observation.astype(np.float32)[None], **self._step}
+        values = self._session.run(None, feed)
+        return {name: value[0] for name, value in zip(self.outputs, values, strict=True)}
+
+    def act(self, observation: Floats, step: int = 0) -> Floats:
+        """The action (joints,) for one observation (width,)."""
+        action: Floats = self.run(observation, step)[self.outputs[0]].astype(np.float64)
+        return action
+
+    def _check_size(self) -> None:
+        try:
+            size = self.path.stat().st_size
+            data = self.path.with_name(f"{self.path.name}.data")
+            size += data.stat().st_size if data.exists() else 0
+        except OSError as error:
+            raise ConfigError(
+                f"The policy {self.path} cannot be read: {error.strerror}.", "Check the path."
+            ) from error
+        if not self.path.is_file():
+            raise ConfigError(f"The policy {self.path} is not a file.", "Give an ONNX file.")
+        if size > _LARGEST:
+            raise ConfigError(
+                f"The policy {self.path} has {size / 2**20:.0f} MB, more than "
+                f"{_LARGEST / 2**20:.0f}.",
+                "Export the actor alone, without critic and optimiser.",
+            )
+
+
+def _reason(error: Exception) -> str:
+    """The last part of what onnxruntime says, which is the cause, on one line."""
+    text = " ".join(str(error).split())
+    return text.rsplit(" : ", 1)[-1].rstrip(".")[:300]
+
+
+def _shown(shapes: dict[str, list[object]]) -> str:
+    return ", ".join(f"{name} {tuple(shape)}" for name, shape in shapes.items()) or "nothing"

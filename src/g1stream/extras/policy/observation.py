@@ -1,0 +1,165 @@
+"""The terms of a policy's observation: names, sizes and formulas.
+
+R(q) is the rotation from a body's axes to the world's, q_anchor the measured attitude of the anchor
+link, q_ref that of the reference, and yaw0 the heading of the robot's anchor less the reference's,
+taken once when the motion begins; p_ref is turned and moved likewise. Joints are in the policy's
+order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from g1stream.robot.rotations import (
+    quat_conj,
+    quat_mul,
+    quat_rotate,
+    quat_rotate_inverse,
+    rotation_matrices,
+)
+from g1stream.types import Floats
+
+__all__ = ["ALIASES", "TERMS", "Inputs", "Pose", "ReferenceFrame", "RobotState", "observe"]
+
+
+class Pose(NamedTuple):
+    """Of a link in the world: pos (3,) m, quat_wxyz (4,) unit."""
+
+    pos: Floats
+    quat_wxyz: Floats
+
+
+class RobotState(NamedTuple):
+    """What is measured, or estimated, of the robot.
+
+    Attributes:
+        joint_pos: (29,) rad, motor order.
+        joint_vel: (29,) rad/s.
+        quat_wxyz: (4,) pelvis in the world, unit.
+        gyroscope: (3,) angular velocity in the pelvis frame, rad/s.
+        lin_vel: (3,) of the pelvis, in the pelvis frame, m/s.
+        anchor: of the anchor link.
+    """
+
+    joint_pos: Floats
+    joint_vel: Floats
+    quat_wxyz: Floats
+    gyroscope: Floats
+    lin_vel: Floats
+    anchor: Pose
+
+
+class ReferenceFrame(NamedTuple):
+    """The reference of one step: joint_pos (29,) rad, joint_vel (29,) rad/s, motor order."""
+
+    joint_pos: Floats
+    joint_vel: Floats
+    anchor: Pose
+
+
+class Inputs(NamedTuple):
+    """All that a term may depend on.
+
+    Attributes:
+        state: of the robot.
+        reference: None for a policy that tracks no motion.
+        yaw0: (4,) quaternion wxyz, from the reference's world to the robot's.
+        origin: of the reference's world and of the robot's, each (3,), m: where the anchor link
+            was when the motion began, at height 0, because both worlds have their floor there.
+        order: (29,) motor index of each joint of the policy.
+        default_pos: (29,) rad.
+        last_action: (29,), as the network gave it.
+        velocity: (3,) commanded: forward and to the left, m/s, and turning left, rad/s.
+        phase: (2,) of the left and the right leg, rad; pi, pi while standing.
+    """
+
+    state: RobotState
+    reference: ReferenceFrame | None
+    yaw0: Floats
+    origin: tuple[Floats, Floats]
+    order: NDArray[np.intp]
+    default_pos: Floats
+    last_action: Floats
+    velocity: Floats
+    phase: Floats
+
+
+class _Term(NamedTuple):
+    size: int
+    formula: str
+    value: Callable[[Inputs], Floats]
+
+
+def _command(x: Inputs) -> Floats:
+    reference = _reference(x)
+    return np.concatenate([reference.joint_pos[x.order], reference.joint_vel[x.order]])
+
+
+def _anchor_orientation(x: Inputs) -> Floats:
+    turned = quat_mul(x.yaw0, _reference(x).anchor.quat_wxyz)
+    matrix = rotation_matrices(quat_mul(quat_conj(x.state.anchor.quat_wxyz), turned))
+    return matrix[:, :2].ravel()
+
+
+def _anchor_position(x: Inputs) -> Floats:
+    begin, own_begin = x.origin
+    place = own_begin + quat_rotate(x.yaw0, _reference(x).anchor.pos - begin)
+    return quat_rotate_inverse(x.state.anchor.quat_wxyz, place - x.state.anchor.pos)
+
+
+def _gravity(x: Inputs) -> Floats:
+    return quat_rotate_inverse(x.state.quat_wxyz, np.array([0.0, 0.0, -1.0]))
+
+
+def _reference(x: Inputs) -> ReferenceFrame:
+    if x.reference is None:
+        raise ValueError("the observation has a term of a reference")
+    return x.reference
+
+
+TERMS: Final = {
+    "motion_command": _Term(58, "q_ref, dq_ref", _command),
+    "motion_anchor_pos_b": _Term(3, "R(q_anchor)^-1 (p_ref - p_anchor)", _anchor_position),
+    "motion_anchor_ori_b": _Term(
+        6, "R(q_anchor^-1 yaw0 q_ref), 2 columns, by rows", _anchor_orientation
+    ),
+    "base_lin_vel": _Term(3, "velocity of the pelvis, its axes", lambda x: x.state.lin_vel),
+    "base_ang_vel": _Term(3, "gyroscope of the pelvis", lambda x: x.state.gyroscope),
+    "projected_gravity": _Term(3, "R(q_pelvis)^-1 (0, 0, -1)", _gravity),
+    "velocity_commands": _Term(3, "commanded vx, vy, yaw rate", lambda x: x.velocity),
+    "command_lin_vel": _Term(2, "commanded vx, vy", lambda x: x.velocity[:2]),
+    "command_ang_vel": _Term(1, "commanded yaw rate", lambda x: x.velocity[2:]),
+    "sin_phase": _Term(2, "sine of the legs' phase", lambda x: np.sin(x.phase)),
+    "cos_phase": _Term(2, "cosine of the legs' phase", lambda x: np.cos(x.phase)),
+    "joint_pos_rel": _Term(29, "q - default", lambda x: x.state.joint_pos[x.order] - x.default_pos),
+    "joint_vel_rel": _Term(29, "dq", lambda x: x.state.joint_vel[x.order]),
+    "last_action": _Term(29, "the action before", lambda x: x.last_action),
+}
+"""By the names of Isaac Lab and mjlab, as their deploy.yaml has them."""
+
+ALIASES: Final = {
+    "motion_ref_ori_b": "motion_anchor_ori_b",
+    "motion": "motion_command",
+    "joint_pos": "joint_pos_rel",
+    "joint_vel": "joint_vel_rel",
+    "dof_pos": "joint_pos_rel",
+    "dof_vel": "joint_vel_rel",
+    "actions": "last_action",
+    "velocity_command": "velocity_commands",
+    "base_velocity": "velocity_commands",
+}
+"""Other names of the same terms: those of whole_body_tracking and holosoma."""
+
+
+def observe(terms: Sequence[tuple[str, Floats | float]], inputs: Inputs) -> Floats:
+    """The observation: each term times its scale, one after the other.
+
+    Args:
+        terms: name in `TERMS`, and scale.
+        inputs: of this step.
+    """
+    return np.concatenate([scale * TERMS[name].value(inputs) for name, scale in terms])

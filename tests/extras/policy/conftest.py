@@ -1,0 +1,48 @@
+"""A small policy: a tracker of 154 values whose action is a product with the observation."""
+
+import numpy as np
+import onnx
+import pytest
+from onnx import TensorProto, helper, numpy_helper
+
+from g1stream.robot.joints import JOINT_NAMES
+
+#: As whole_body_tracking writes it.
+METADATA = {
+    "joint_names": ",".join(JOINT_NAMES),
+    "joint_stiffness": ",".join(["40.0"] * 29),
+    "joint_damping": ",".join(["2.0"] * 29),
+    "default_joint_pos": ",".join(["0.1"] * 29),
+    "action_scale": "0.5",
+    "command_names": "motion",
+    "observation_names": "command,motion_anchor_ori_b,base_ang_vel,joint_pos,joint_vel,actions",
+    "anchor_body_name": "torso_link",
+}
+
+
+def network_of(width=154, n_actions=29, domain="", batch=1):
+    weights = numpy_helper.from_array(np.full((width, n_actions), 0.01, np.float32), "weights")
+    tensor = helper.make_tensor_value_info
+    graph = helper.make_graph(
+        [helper.make_node("MatMul", ["obs", "weights"], ["actions"], domain=domain)],
+        "policy",
+        [tensor("obs", TensorProto.FLOAT, [batch, width])],
+        [tensor("actions", TensorProto.FLOAT, [batch, n_actions])],
+        [weights],
+    )
+    opsets = [helper.make_opsetid("", 17)] + ([helper.make_opsetid(domain, 1)] if domain else [])
+    return helper.make_model(graph, opset_imports=opsets, ir_version=8)
+
+
+@pytest.fixture
+def policy(tmp_path):
+    """Write a policy: metadata over `METADATA`, None to leave one out, and the network's shape."""
+
+    def write(told=None, **shape):
+        model = network_of(**shape)
+        told = METADATA if told == "all" else METADATA | (told or {})
+        helper.set_model_props(model, {k: v for k, v in told.items() if v is not None})
+        onnx.save(model, path := tmp_path / "policy.onnx")
+        return path
+
+    return write

@@ -1,0 +1,263 @@
+"""What a policy takes and gives is known before anything moves, or refused."""
+
+import json
+from contextlib import suppress
+
+import numpy as np
+import onnx
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from g1stream.cli.main import main
+from g1stream.errors import ConfigError
+from g1stream.extras.policy.contract import read_contract
+from g1stream.extras.policy.network import Network
+from g1stream.robot.joints import JOINT_NAMES
+
+
+def contract_of(path):
+    return read_contract(Network(path))
+
+
+def test_metadata_of_whole_body_tracking(policy):
+    contract = contract_of(policy())
+    assert [(term.name, term.size) for term in contract.terms] == [
+        ("motion_command", 58),
+        ("motion_anchor_ori_b", 6),
+        ("base_ang_vel", 3),
+        ("joint_pos_rel", 29),
+        ("joint_vel_rel", 29),
+        ("last_action", 29),
+    ]
+    assert contract.joint_names == list(JOINT_NAMES)
+    assert contract.action_scale == [0.5] * 29
+    assert (contract.rate, contract.anchor, contract.lag) == (50.0, "torso_link", 0)
+    assert contract.reference == "a motion"
+    assert contract.origin["kp"] == "metadata of the ONNX file"
+    assert contract.origin["rate"].startswith("assumed")
+
+
+def test_a_toml_file_comes_first_and_its_patterns_are_put_over_each_other(policy):
+    path = policy()
+    path.with_suffix(".toml").write_text(
+        'rate = 100.0\nkp = { "*" = 20.0, "left_knee_joint" = 90.0 }\n'
+    )
+    contract = contract_of(path)
+    kp = dict(zip(contract.joint_names, contract.kp, strict=True))
+    assert contract.rate == 100.0
+    assert (kp["left_knee_joint"], kp["right_knee_joint"]) == (90.0, 20.0)
+    assert contract.kd == [2.0] * 29
+    assert contract.origin["rate"] == str(path.with_suffix(".toml"))
+
+
+def test_deploy_yaml_has_gains_by_motor_and_joints_in_the_policys_order(policy):
+    path = policy("all", width=61)
+    onnx.save(model := onnx.load(path), path)
+    del model.metadata_props[:]
+    onnx.save(model, path)
+    motors = [*range(28, -1, -1)]
+    values = {
+        "joint_ids_map": motors,
+        "step_dt": 0.02,
+        "stiffness": [float(motor) for motor in range(29)],
+        "damping": [1.0] * 29,
+        "default_joint_pos": [0.0] * 29,
+        "actions": {"JointPositionAction": {"scale": [0.25] * 29, "offset": [0.01] * 29}},
+        "observations": {
+            "base_ang_vel": {"scale": [0.2] * 3, "history_length": 1},
+            "joint_pos_rel": {"scale": None, "history_length": 1},
+            "last_action": {"history_length": 1},
+        },
+    }
+    path.with_name("deploy.yaml").write_text(json.dumps(values))
+    contract = contract_of(path)
+    assert contract.joint_names == list(JOINT_NAMES[::-1])
+    assert contract.kp == [float(motor) for motor in motors]
+    assert contract.in_motor_order(contract.kp).tolist() == [float(m) for m in range(29)]
+    assert contract.default_pos == [0.01] * 29
+    assert [term.scale for term in contract.terms] == [[0.2] * 3, [1.0], [1.0]]
+    assert contract.rate == pytest.approx(50.0)
+    assert (contract.reference, contract.anchor) == ("none", None)
+
+
+HOLOSOMA = {
+    "dof_names": json.dumps(list(JOINT_NAMES)),
+    "kp": json.dumps([40.0] * 29),
+    "kd": json.dumps([2.0] * 29),
+}
+TRAINING = {
+    "observation": {
+        "clip_observations": 100.0,
+        "groups": {
+            "actor_obs": {"terms": {"dof_vel": {"scale": 0.05}, "actions": {"scale": 1.0}}},
+        },
+    },
+    "robot": {
+        "init_state": {"default_joint_angles": dict.fromkeys(JOINT_NAMES, 0.2)},
+        "dof_effort_limit_list": [80.0] * 29,
+        "control": {"action_scale": 0.25, "action_scales_by_effort_limit_over_p_gain": True},
+    },
+    "simulator": {"config": {"sim": {"fps": 200, "control_decimation": 4}}},
+}
+
+
+def test_metadata_of_holosoma(policy):
+    path = policy("all", width=58)
+    model = onnx.load(path)
+    del model.metadata_props[:]
+    told = HOLOSOMA | {"experiment_config": json.dumps(TRAINING)}
+    onnx.helper.set_model_props(model, told)
+    onnx.save(model, path)
+    contract = contract_of(path)
+    assert [term.named for term in contract.terms] == ["actions", "dof_vel"]
+    assert contract.terms[1].scale == [0.05]
+    assert contract.action_scale == [0.25 * 80.0 / 40.0] * 29
+    assert (contract.rate, contract.clip) == (50.0, 100.0)
+    assert contract.default_pos == [0.2] * 29
+
+
+WRONG = {
+    "no names of terms": ({"observation_names": None}, {}, "terms"),
+    "a term that is missing": (
+        {"observation_names": "command,base_ang_vel,joint_pos,joint_vel,actions"},
+        {},
+        "motion_anchor_ori_b",
+    ),
+    "154 for 160": ({}, {"width": 160}, "motion_anchor_pos_b and base_lin_vel"),
+    "an unknown term": ({"observation_names": "command,height_scan"}, {}, "height_scan"),
+    "another robot": ({"joint_names": "hip,knee"}, {}, "hip, knee"),
+    "23 joints": ({}, {"n_actions": 23}, "23 actions"),
+    "a joint twice": ({"joint_names": ",".join(JOINT_NAMES[:1] * 29)}, {}, "1 joint"),
+    "too stiff": ({"joint_stiffness": ",".join(["501"] * 29)}, {}, "501"),
+    "a negative damping": ({"joint_damping": ",".join(["-1"] * 29)}, {}, "-1"),
+    "too large a scale": ({"action_scale": "6"}, {}, "6"),
+    "a default beyond limits": (
+        {"default_joint_pos": ",".join(["0"] * 3 + ["-1"] + ["0"] * 25)},
+        {},
+        "left_knee_joint",
+    ),
+    "no number": ({"action_scale": "nan"}, {}, "nan"),
+    "an anchor of another robot": ({"anchor_body_name": "head"}, {}, "head"),
+    "28 gains": ({"joint_stiffness": ",".join(["40"] * 28)}, {}, "28 values"),
+    "history": ({"observation_history_lengths": "5,1,1,1,1,1"}, {}, "history"),
+    "a custom operator": ({}, {"domain": "my.own"}, "my.own"),
+    "a width that is not known": ({}, {"width": "wide"}, "width"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_a_wrong_contract_is_refused_and_names_what_is_wrong(policy, capsys, case):
+    told, shape, named = WRONG[case]
+    if shape.get("width") == "wide":
+        path = policy(told)
+        model = onnx.load(path)
+        model.graph.input[0].type.tensor_type.shape.dim[1].dim_param = "any"
+        onnx.save(model, path)
+    else:
+        path = policy(told, **shape)
+    assert main(["policy", str(path)]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("error: ")
+    assert named in said
+
+
+@pytest.mark.parametrize("content", [b"", b"not a network", b"\x08\x08" * 100])
+def test_what_is_no_network_is_refused(tmp_path, content):
+    path = tmp_path / "policy.onnx"
+    path.write_bytes(content)
+    with pytest.raises(ConfigError):
+        Network(path)
+
+
+def test_external_data_that_is_absent_is_refused(policy):
+    path = policy()
+    onnx.save(
+        onnx.load(path), path, save_as_external_data=True, location="w.data", size_threshold=0
+    )
+    assert contract_of(path).rate == 50.0
+    path.with_name("w.data").unlink()
+    with pytest.raises(ConfigError) as raised:
+        Network(path)
+    assert "w.data" in raised.value.cause
+
+
+def test_a_file_that_is_absent_and_a_directory_are_refused(tmp_path):
+    for path in (tmp_path, tmp_path / "nowhere.onnx"):
+        with pytest.raises(ConfigError):
+            Network(path)
+
+
+def test_the_action_is_that_of_the_network(policy):
+    observation = np.linspace(-1.0, 2.0, 154)
+    action = Network(policy()).act(observation)
+    assert action == pytest.approx(np.full(29, 0.01 * observation.sum()), abs=1e-5)
+
+
+def test_json_has_the_contract(policy, capsys):
+    assert main(["policy", str(policy()), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["joint_names"] == list(JOINT_NAMES)
+    assert sum(term["size"] for term in told["terms"]) == 154
+
+
+def test_actions_that_are_not_finite_are_refused(policy, capsys):
+    path = policy()
+    model = onnx.load(path)
+    nothing = onnx.numpy_helper.from_array(np.full((154, 29), np.nan, np.float32), "weights")
+    model.graph.initializer[0].CopyFrom(nothing)
+    onnx.save(model, path)
+    assert main(["policy", str(path), "--motion", "demo"]) == 2
+    assert "not finite" in capsys.readouterr().err
+
+
+def test_targets_far_from_the_reference_are_a_problem(policy, capsys):
+    path = str(policy())  # its targets are all alike
+    assert main(["policy", path, "--motion", "demo", "--json"]) == 1
+    first = json.loads(capsys.readouterr().out)["first_actions"]
+    assert first["steps"] == 250
+    assert first["rms_rad"] > 0.3
+    assert first["problem"]
+    assert main(["policy", path]) == 0
+
+
+ANYTHING = st.recursive(
+    st.one_of(st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=5)),
+    lambda inner: st.one_of(
+        st.lists(inner, max_size=3), st.dictionaries(st.text(max_size=3), inner, max_size=3)
+    ),
+    max_leaves=6,
+)
+
+
+def places(values, before=()):
+    """The keys that lead to every value of nested tables."""
+    yield before
+    if isinstance(values, dict):
+        for key in values:
+            yield from places(values[key], (*before, key))
+
+
+def changed(values, keys, value):
+    if not keys:
+        return value
+    return values | {keys[0]: changed(values[keys[0]], keys[1:], value)}
+
+
+@settings(max_examples=150, derandomize=True, suppress_health_check=list(HealthCheck))
+@given(st.data())
+def test_a_training_configuration_may_hold_anything(policy, data):
+    keys = data.draw(st.sampled_from(sorted(places(TRAINING))))
+    training = changed(TRAINING, keys, data.draw(ANYTHING))
+    told = HOLOSOMA | {"experiment_config": json.dumps(training)}
+    name = data.draw(st.sampled_from(sorted(HOLOSOMA)))
+    if data.draw(st.booleans()):
+        told[name] = json.dumps(data.draw(ANYTHING))
+    path = policy("all", width=58)
+    model = onnx.load(path)
+    del model.metadata_props[:]
+    onnx.helper.set_model_props(model, told)
+    onnx.save(model, path)
+    with suppress(ConfigError):
+        contract = contract_of(path)
+        assert np.isfinite([contract.kp, contract.kd, contract.default_pos]).all()

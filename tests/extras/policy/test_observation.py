@@ -1,0 +1,212 @@
+"""Observations, actions and targets equal those of the programs that the policies came with."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation, Slerp
+
+from g1stream.errors import ConfigError
+from g1stream.extras.policy.contract import read_contract
+from g1stream.extras.policy.first_actions import anchor_poses, begin, first_actions, held_frame
+from g1stream.extras.policy.network import Network
+from g1stream.extras.policy.observation import Inputs, ReferenceFrame, RobotState, observe
+from g1stream.motion.readers import load_motion
+from g1stream.robot.model import G1
+
+SHARED = Path(__file__).parents[4] / "shared"
+POLICIES = SHARED / "policies"
+pytestmark = pytest.mark.skipif(
+    not POLICIES.is_dir(), reason="the policies of others are not there: ../shared/policies"
+)
+BENT = {"*": 0.0, "*_hip_pitch_*": -0.312, "*_knee_*": 0.669, "*_ankle_pitch_*": -0.363} | {
+    "*_shoulder_pitch_*": 0.2,
+    "left_shoulder_roll_*": 0.2,
+    "right_shoulder_roll_*": -0.2,
+    "*_elbow_*": 0.6,
+}
+HIP_PITCH_AND_YAW = ("*_hip_pitch_*", "*_hip_yaw_*", "waist_yaw_*")
+KNEE = ("*_hip_roll_*", "*_knee_*")
+ANKLE = ("*_ankle_*", "waist_roll_*", "waist_pitch_*")
+WRIST = ("*_wrist_pitch_*", "*_wrist_yaw_*")
+
+
+def by_class(arm, *classes):
+    groups = HIP_PITCH_AND_YAW, KNEE, ANKLE, WRIST
+    return {"*": arm} | {
+        name: value for names, value in zip(groups, classes, strict=True) for name in names
+    }
+
+
+SCALE = by_class(0.4386, 0.5475, 0.3507, 0.4386, 0.0745)
+STANCE = "base_lin_vel base_ang_vel projected_gravity velocity_commands joint_pos joint_vel actions"
+LOCOMOTION = "actions base_ang_vel command_ang_vel command_lin_vel cos_phase dof_pos dof_vel"
+#: What the files do not say.
+TOLD: dict[str, dict[str, object]] = {
+    "holosoma_locomotion.onnx": {
+        "rate": 50.0,
+        "default_pos": BENT,
+        "action_scale": {"*": 0.25},
+        "terms": [
+            {"name": name, "scale": {"base_ang_vel": 0.25, "dof_vel": 0.05}.get(name, 1.0)}
+            for name in f"{LOCOMOTION} projected_gravity sin_phase".split()
+        ],
+    },
+    "stance_29dof.onnx": {
+        "rate": 50.0,
+        "default_pos": BENT,
+        "action_scale": SCALE,
+        "kp": by_class(14.251, 40.179, 99.098, 28.501, 16.778),
+        "kd": by_class(0.907, 2.558, 6.309, 1.814, 1.068),
+        "terms": [{"name": name} for name in STANCE.split()],
+    },
+}
+
+
+def toml(facts):
+    def value(one):
+        if isinstance(one, dict):
+            return "{ " + ", ".join(f"{json.dumps(k)} = {v}" for k, v in one.items()) + " }"
+        return json.dumps(one)
+
+    terms = facts.get("terms", [])
+    lines = [f"{name} = {value(one)}" for name, one in facts.items() if name != "terms"]
+    for term in terms:
+        lines += ["[[terms]]", *(f"{k} = {json.dumps(v)}" for k, v in term.items())]
+    return "\n".join(lines)
+
+
+def contract_of(name, directory):
+    """The network and contract of a policy, with what its file does not say beside it."""
+    path = POLICIES / name
+    if path.is_dir():
+        path /= "policy.onnx"
+    elif name in TOLD:
+        facts = dict(TOLD[name])
+        if name.startswith("stance"):
+            isaac = Network(POLICIES / "beyondmimic_29dof.onnx").metadata["joint_names"]
+            facts["joint_names"] = isaac.split(",")
+        copy = directory / name
+        copy.symlink_to(path)
+        copy.with_suffix(".toml").write_text(toml(facts))
+        path = copy
+    network = Network(path)
+    return network, read_contract(network)
+
+
+def references(contract, network, robot):
+    """The reference of a frame: of the motion in the network, or of the dance at 50 fps."""
+    if contract.reference == "in the policy":
+        return lambda frame: held_frame(contract, network, frame)
+    dance = load_motion(SHARED / "lafan1" / "dance1_subject2.csv")
+    times = np.arange(int(dance.duration * 50) + 1) * dance.fps / 50.0
+    joints = np.stack(
+        [np.interp(times, np.arange(dance.n_frames), one) for one in dance.joint_pos.T], axis=1
+    )
+    velocity = np.gradient(joints, 0.02, axis=0)
+    turns = Rotation.from_quat(dance.root_quat_wxyz[:, [1, 2, 3, 0]])
+    quats = Slerp(np.arange(dance.n_frames), turns)(times).as_quat()[:, [3, 0, 1, 2]]
+    return lambda frame: ReferenceFrame(
+        joints[frame],
+        velocity[frame],
+        anchor_poses(contract, robot, joints[[frame]], np.zeros(3), quats[frame])[0],
+    )
+
+
+GOLDEN = json.loads((POLICIES / "golden.json").read_text()) if POLICIES.is_dir() else {}
+
+
+@pytest.mark.parametrize("name", GOLDEN)
+def test_each_policy_observes_and_does_what_it_did_elsewhere(name, tmp_path):
+    network, contract = contract_of(name, tmp_path)
+    robot, golden = G1.default(), GOLDEN[name]
+    reference = None
+    if contract.reference != "none":
+        reference = references(contract, network, robot)
+    terms = [(term.name, np.array(term.scale)) for term in contract.terms]
+    yaw0, origin = np.array([1.0, 0.0, 0.0, 0.0]), (np.zeros(3), np.zeros(3))
+    for number, step in enumerate(golden["steps"]):
+        arrays = {key: np.array(value) for key, value in step.items() if key != "frame"}
+        quat, pos = arrays["quat_wxyz"], arrays["base_pos_w"]
+        state = RobotState(
+            arrays["q"],
+            arrays["dq"],
+            quat,
+            arrays["gyroscope"],
+            arrays["base_lin_vel_b"],
+            # The position that is given is that of the anchor.
+            anchor_poses(contract, robot, arrays["q"][None], pos, quat)[0]._replace(pos=pos),
+        )
+        frame = reference(step["frame"] - contract.lag) if reference else None
+        if frame and not number:
+            yaw0, origin = begin(state.anchor, reference(step["frame"]).anchor)
+        inputs = Inputs(
+            state,
+            frame,
+            yaw0,
+            origin,
+            contract.order,
+            np.array(contract.default_pos),
+            arrays["last_action"],
+            np.zeros(3),
+            np.full(2, np.pi),
+        )
+        observation = observe(terms, inputs)
+        start = 0
+        for term in contract.terms:
+            part = slice(start, start := start + term.size)
+            assert observation[part] == pytest.approx(arrays["observation"][part], abs=1e-5), term
+        action = network.act(observation, step["frame"] or 0)
+        assert action == pytest.approx(arrays["action"], abs=1e-4)
+        target = np.array(contract.default_pos) + np.array(contract.action_scale) * action
+        assert contract.in_motor_order(target) == pytest.approx(
+            arrays["target_q"], abs=1e-3
+        )  # scales have 4 digits
+
+
+@pytest.fixture(scope="module")
+def dance():
+    return load_motion(SHARED / "lafan1" / "dance1_subject2.csv")
+
+
+def in_isaac_order(contract):
+    network = Network(POLICIES / "beyondmimic_29dof.onnx")
+    return contract.model_copy(update={"joint_names": network.metadata["joint_names"].split(",")})
+
+
+def test_a_policy_and_its_motion_pass_and_what_is_wrong_does_not(tmp_path, dance):
+    network, contract = contract_of("unitree_dance1_subject2", tmp_path)
+    right = first_actions(contract, network, G1.default(), dance)
+    assert right
+    assert right.problem == ""
+    terms = [one.name for one in contract.terms]
+    q, dq = terms.index("joint_pos_rel"), terms.index("joint_vel_rel")
+    swapped = list(contract.terms)
+    swapped[q], swapped[dq] = swapped[dq], swapped[q]
+    for changed in (
+        in_isaac_order(contract),
+        contract.model_copy(update={"terms": swapped}),
+        contract.model_copy(update={"default_pos": [0.0] * 29}),
+    ):
+        wrong = first_actions(changed, network, G1.default(), dance)
+        assert wrong
+        assert wrong.problem
+
+
+def test_another_motion_than_that_in_the_policy_is_refused(tmp_path, dance):
+    network, contract = contract_of("holosoma_dance1_subject2.onnx", tmp_path)
+    for motion in (None, dance):
+        right = first_actions(contract, network, G1.default(), motion)
+        assert right
+        assert right.problem == ""
+    for one, motion in ((contract, load_motion("demo")), (in_isaac_order(contract), dance)):
+        with pytest.raises(ConfigError, match="another motion"):
+            first_actions(one, network, G1.default(), motion)
+
+
+def test_a_policy_that_tracks_no_motion_is_refused_for_one(tmp_path):
+    network, contract = contract_of("unitree_velocity", tmp_path)
+    assert first_actions(contract, network, G1.default()) is None
+    with pytest.raises(ConfigError, match="tracks no motion"):
+        first_actions(contract, network, G1.default(), load_motion("demo"))

@@ -52,6 +52,7 @@ pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning", "error::UserWar
 MORE = int(os.environ.get("FUZZ", "0"))
 T0 = 1_700_000_000_000_000_000
 MIB = 2**20
+CASES = Path(__file__).parents[3] / "shared" / "cases"
 
 
 def examples(number):
@@ -311,6 +312,32 @@ def test_bags(path, content):
     with suppress(G1StreamError):
         motion = load_motion(path)
         assert np.isfinite(motion.joint_pos).all()
+
+
+@pytest.fixture(scope="module")
+def published(tmp_path_factory):
+    """Files as other programs write them: name and content."""
+    if not CASES.is_dir():
+        pytest.skip("the files of other programs are not there: ../shared/cases")
+    directory = tmp_path_factory.mktemp("published")
+    for script in ("make_motions.py", "make_mcaps.py"):
+        command = [sys.executable, str(CASES / script), str(directory)]
+        subprocess.run(command, check=True, capture_output=True)
+    return {one.name: one.read_bytes() for one in directory.rglob("*") if one.is_file()}
+
+
+@examples(200)
+@given(st.data())
+def test_files_of_other_programs(path, published, data):
+    name = data.draw(st.sampled_from(sorted(published)))
+    path = path.with_name(f"published{Path(name).suffix}")
+    path.write_bytes(data.draw(edited(published[name])))
+    with suppress(G1StreamError):
+        motion = load_motion(path)
+        assert np.isfinite(motion.joint_pos).all()
+    if path.suffix == ".mcap":
+        with suppress(G1StreamError):
+            use_session(path)
 
 
 @examples(100)

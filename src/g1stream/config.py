@@ -217,6 +217,21 @@ class StreamConfig(Table):
         flag=PLAY_FLAG,
         example="bolted",
     )
+    policy: str | None = setting(
+        None,
+        "ONNX file of a learned policy that plays the motion on the robot's own feet (extra "
+        "`policy`, see `g1stream policy`)",
+        flag=(*PLAY_FLAG, "demo"),
+        example="policy.onnx",
+    )
+    stand: float = setting(
+        3.0,
+        "with a policy, how long the robot stands before and after the motion",
+        "s",
+        flag=(*PLAY_FLAG, "demo"),
+        ge=0.5,
+        le=3600.0,
+    )
     experimental_feet: bool = setting(
         False,
         "allow --support feet on other interfaces than loopback, where there may be a robot; it "

@@ -46,6 +46,7 @@ def rollout(
     joints: str | None = None,
     announced: Support | None = None,
     noise: Callable[[LowState], None] | None = None,
+    policy: str | Path | None = None,
 ) -> Session:
     """Play a motion on a simulated robot, faster than real time, and return the session.
 
@@ -74,6 +75,8 @@ def rollout(
         announced: how the simulated robot announces that it is held, where that shall be wrong.
         noise: called with each `LowState` before it is published, which it may change in place;
             `config.sim.noise` if None.
+        policy: ONNX file of a learned policy that plays the motion on free feet (extra `policy`);
+            `config.stream.policy` if None.
 
     Returns:
         The session in memory, with all channels of a recorded one; `save` writes it into a file.
@@ -81,7 +84,12 @@ def rollout(
     Raises:
         G1StreamError: a file or a setting is not valid, or the robot cannot be simulated.
     """
-    config = _resolve(config or Config(), support, feedforward, seconds, joints)
+    config = config or Config()
+    if policy is not None:
+        config = load_config(over=config.model_dump() | {"stream.policy": str(policy)})
+    if config.stream.policy:
+        support, feedforward = support or "free", feedforward or "dynamics"
+    config = _resolve(config, support, feedforward, seconds, joints)
     planned = plan(motion, config, simulated=True)
     robot = planned.robot
     pipeline = MessagePipeline(robot, config.record)

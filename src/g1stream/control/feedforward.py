@@ -126,8 +126,8 @@ class FeedForward:
         )
         if self.kind is None:
             # Ground contact is in the model of a robot on its feet only.
-            held = self.support not in (None, "free")
-            self.kind = "dynamics" if held and self._torques else "velocity"
+            known = self.support not in (None, "free") or (self._torques and self._torques.needed)
+            self.kind = "dynamics" if known and self._torques else "velocity"
         unknown = self.kind == "dynamics" and not (self._torques and self.support)
         if unknown:
             self.kind = "velocity"
@@ -175,7 +175,9 @@ class FeedForward:
         if self.kind != "dynamics":
             return target
         fault = self.source.fault or _find_fault(moment.measured.imu, moment.age)
-        if not fault:
+        if fault:
+            target = self.source.repeated(target)
+        else:
             target = self.source.command(moment._replace(target=target))
             self._tau = target.tau
         self._weight += (-1.0 if fault else 1.0) * self._period / _FADE

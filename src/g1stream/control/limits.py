@@ -29,8 +29,9 @@ MAX_STEP_TIME: Final = 0.02
 """A joint target may move in one step by what its joint can do in this time, s.
 
 Ten periods at 500 Hz: shorter than a person or a servo notices, and longer than the jitter of a
-loop on an ordinary system. It is also the longest time by which a target may lag behind, because
-its joint is too slow for it, and the most of a motion that is caught up on after a stall.
+loop on an ordinary system. It is also the longest time by which the target of a motion may lag
+behind, because its joint is too slow for it, and the most of a motion that is caught up on after a
+stall.
 """
 
 #: Relative tolerance of a joint's speed: a motion exactly at its limit passes.
@@ -47,6 +48,8 @@ class CommandLimits:
         config: the margin to the position limits.
         beyond: what was asked for a motion beyond the limits: with `refuse`, a target that its
             joint cannot follow ends the session; with `anyway`, speed and torque are not limited.
+        step_time: s for which a target stays, where it is computed at a lower rate than commands:
+            it may move at once by what its joint can do in this time. 0: it moves at every tick.
 
     Attributes:
         clamped: (29,) int64, ticks at which each joint's target was clamped to a position limit; as
@@ -59,7 +62,13 @@ class CommandLimits:
         ConfigError: the margin leaves no range for a joint.
     """
 
-    def __init__(self, robot: G1, config: SafetyConfig, beyond: BeyondLimits = "refuse") -> None:
+    def __init__(
+        self,
+        robot: G1,
+        config: SafetyConfig,
+        beyond: BeyondLimits = "refuse",
+        step_time: float = 0.0,
+    ) -> None:
         self._names = robot.joint_names
         self._lower = robot.lower + config.position_margin
         self._upper = robot.upper - config.position_margin
@@ -73,6 +82,7 @@ class CommandLimits:
             )
         self._velocity, self._effort = robot.velocity, robot.torque_limit
         self._beyond = beyond
+        self._step_time, self._most_lag = step_time, max(MAX_STEP_TIME, 2.0 * step_time)
         self._begun: Floats = (robot.lower + robot.upper) / 2
         #: Largest step, rad, and velocity, rad/s.
         self._reach = np.stack([robot.velocity] * 2) * (1.0 + _SPEED_TOLERANCE)
@@ -123,7 +133,8 @@ class CommandLimits:
             asked = np.stack([limited, dq])
         if self._beyond == "anyway":
             return asked, tau
-        np.multiply(self._fastest, min(elapsed, MAX_STEP_TIME), out=self._reach[0])
+        time = max(min(elapsed, MAX_STEP_TIME), self._step_time)
+        np.multiply(self._fastest, time, out=self._reach[0])
         aimed = eased = self._limit_speed(asked)
         if gains is not None and measured and age <= STALE + min(elapsed, MAX_STEP_TIME):
             eased = self._limit_torque(aimed, tau, gains, measured, age)
@@ -206,11 +217,11 @@ class CommandLimits:
         self.speed_limited += beyond.any(axis=0)
         lag = np.abs(asked[0] - limited[0]) / self._velocity
         joint = int(lag.argmax())
-        if self._beyond == "refuse" and lag[joint] > MAX_STEP_TIME and not self.fault:
+        if self._beyond == "refuse" and lag[joint] > self._most_lag and not self.fault:
             self.fault = (
                 f"{self._names[joint]} cannot follow its target, {asked[0, joint]:.3f} rad: at "
                 f"{self._velocity[joint]:g} rad/s it would be {lag[joint]:.3f} s late "
-                f"(limit {MAX_STEP_TIME:g} s)"
+                f"(limit {self._most_lag:g} s)"
             )
         return limited
 

@@ -390,7 +390,7 @@ def make_loop(
     """
     config, settings, robot, source = plan.config, plan.config.stream, plan.robot, plan.source
     period = settings.period
-    limits = CommandLimits(robot, config.safety, settings.beyond_limits)
+    limits = CommandLimits(robot, config.safety, settings.beyond_limits, source.step_time)
     composer = Composer(limits, plan.gains, settings.damp_kd, plan.played, robot.present)
     if plan.topic is ARM_SDK:
         composer = ArmSdkComposer(limits, plan.gains, plan.played, plan.held, period)
@@ -409,7 +409,7 @@ def make_loop(
     schedule = Schedule(targets, timing, period, settings.ramp_speed)
     feedforward = FeedForward(
         settings.feedforward,
-        settings.support,
+        settings.support or source.support,
         source=source,
         limit=robot.torque_limit * plan.held,
         period=period / 1e9,

@@ -29,8 +29,12 @@ __all__ = ["SOURCES", "HeldTorques", "Moment", "Source", "load_source"]
 
 _LOGGER = logging.getLogger(__name__)
 
-SOURCES: Final = {"feet": "g1stream.extras.feet.source:StandingTorques"}
-"""By `stream.support`: module and class of a source that is an extra. To add one, add a row.
+SOURCES: Final = {
+    "feet": "g1stream.extras.feet.source:StandingTorques",
+    "policy": "g1stream.extras.policy.source:PolicyTargets",
+}
+"""By `stream.support`, and for a `stream.policy`: module and class of a source that is an extra. To
+add one, add a row.
 
 The class takes what `load_source` takes."""
 
@@ -68,13 +72,17 @@ class Source:
     Attributes:
         gains: that the targets of this source need; None: those of the config.
         needed: the robot falls without this torque, so that the run ends where it has faded out.
+        support: of the robot, where that is not asked for; None: as the bridge announces.
         lift: m by which the pelvis is higher when RAMP begins.
+        step_time: s for which its targets stay; 0 where they move at every tick.
         way_down: with which HOLD ends; None: it only rests.
     """
 
     gains: Gains | None = None
     needed: bool = False
+    support: StreamSupport | None = None
     lift: float = 0.0
+    step_time: float = 0.0
     way_down: WayDown | None = None
 
     @property
@@ -138,6 +146,10 @@ class Source:
         """The target of a command, with its torque; that of the servos comes on top."""
         return moment.target
 
+    def repeated(self, target: Target) -> Target:
+        """The target of a command where nothing new can be computed, without torque."""
+        return target
+
 
 def load_source(config: Config, robot: G1, *, simulated: bool, complete: bool) -> Source:
     """The source that a config asks for.
@@ -154,7 +166,7 @@ def load_source(config: Config, robot: G1, *, simulated: bool, complete: bool) -
         RobotError: there are no dynamics of this robot.
     """
     settings = config.stream
-    if place := SOURCES.get(settings.support or ""):
+    if place := SOURCES.get("policy" if settings.policy else settings.support or ""):
         made: Source = load_object(place)(config, robot, simulated=simulated, complete=complete)
         return made
     if settings.feedforward not in (None, "dynamics"):

@@ -1,11 +1,13 @@
-"""`--support feet` over DDS, in simulators: how long it stands there, and how closely.
+"""`--support feet` and `--policy` over DDS: how long the robot stands there, and how closely.
 
     python benchmarks/feet_peers.py [--motion demo] [--seconds 14] [--runs 3] [--simulator Python]
+    python benchmarks/feet_peers.py --policy policy.onnx --motion dance.csv --seconds 132
 
 Every run has a simulator of its own: Unitree's two, and `g1stream sim --support free`. In Unitree's
 the robot hangs from the elastic band. Once RAMP waits, key 8 lengthens the band until PLAY begins,
-and key 9 lets go a second later. A run has stood for as long as PLAY went on and the pelvis was
-above 0.3 m. RMSE is over all joints and PLAY.
+and key 9 lets go a second later. With a policy, which stands for 15 s first, PLAY begins on the
+band; key 8 lengthens it 16 times then, and key 9 lets go. A run has stood for as long as PLAY went
+on and the pelvis was above 0.3 m. RMSE is over all joints and PLAY.
 
 tracking_peers.py says how the simulators are found. `--motion squat`, `shift`, `steps` and `turns`
 are the squats, weight shifts, steps forward and back, and turns of feet.py; for the upper body
@@ -54,6 +56,9 @@ MADE: Final[dict[str, Callable[[float], Motion]]] = {
 _PRESS: Final = 0.5
 _PRESSES: Final = 60
 _LET_GO: Final = 1.0  # s after PLAY began
+#: With a policy: presses of key 8 in PLAY, and flags that let it stand until the band has let go.
+_POLICY_PRESSES: Final = 16
+_STANDING: Final = ("--stand", "15")
 #: What a run takes beside the motion at most, s.
 _MARGIN: Final = 90.0
 
@@ -82,7 +87,9 @@ def press(name: str, key: int) -> None:
     subprocess.run([PEERS / "keys", SIMULATORS[name].removesuffix("sim"), str(key)], check=True)
 
 
-def play(name: str, motion: str, seconds: float, flags: list[str], path: Path) -> str:
+def play(
+    name: str, motion: str, seconds: float, policy: str | None, flags: list[str], path: Path
+) -> str:
     """Play a motion in a running simulator into a session file; why the run ended, if early."""
     last = ""
 
@@ -95,7 +102,8 @@ def play(name: str, motion: str, seconds: float, flags: list[str], path: Path) -
                     event.set()
 
     waits, plays = threading.Event(), threading.Event()
-    command = [sys.executable, "-m", "g1stream", "stream", motion, "--support", "feet", "--json"]
+    how = ["--policy", policy, *_STANDING] if policy else ["--support", "feet"]
+    command = [sys.executable, "-m", "g1stream", "stream", motion, *how, "--json"]
     command += ["--duration", str(seconds), "--record", str(path), *FLAGS[name], *flags]
     stop = time.monotonic() + seconds + _MARGIN
     with (
@@ -112,7 +120,9 @@ def play(name: str, motion: str, seconds: float, flags: list[str], path: Path) -
         reader.start()
         try:
             if name != BRIDGE:
-                waits.wait(_MARGIN)
+                (plays if policy else waits).wait(_MARGIN)
+                for _ in range(_POLICY_PRESSES if policy else 0):
+                    press(name, 8)
                 for _ in range(_PRESSES):
                     if plays.wait(_PRESS) or stream.poll() is not None:
                         break
@@ -148,6 +158,7 @@ def stood(session: Session) -> float:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--motion", default="demo", help="file, demo, squat, shift, steps or turns")
+    parser.add_argument("--policy", help="file of a learned policy")
     parser.add_argument("--seconds", type=float, default=14.0)
     parser.add_argument("--runs", type=int, default=3)
     parser.add_argument("--simulator", choices=FLAGS, help="only this one")
@@ -171,7 +182,7 @@ def main() -> None:
                 if path.exists():
                     parser.error(f"{path} exists already; keep the sessions in another folder")
                 with simulating(name, args.lowered, args.sim.split()):
-                    reason = play(name, motion, args.seconds, args.flags, path)
+                    reason = play(name, motion, args.seconds, args.policy, args.flags, path)
                 session = open_session(path) if path.exists() else None
                 time_stood = stood(session) if session else 0.0
                 rmse = session.tracking().overall if session and time_stood else np.nan

@@ -123,7 +123,11 @@ def plan(motion: Motion | str | Path, config: Config, *, simulated: bool | None 
     if not isinstance(motion, Motion):
         motion = load_motion(motion)
     motion, changed = source.change(motion)
-    fit = fit_to_robot(motion, robot, config, simulated=simulated)
+    asked = config
+    if source.cuts:
+        whole = settings.model_copy(update={"start": 0.0, "duration": None})
+        asked = config.model_copy(update={"stream": whole})
+    fit = fit_to_robot(motion, robot, asked, simulated=simulated)
     return Plan(
         config=config,
         robot=robot,

@@ -76,6 +76,7 @@ class Source:
         lift: m by which the pelvis is higher when RAMP begins.
         step_time: s for which its targets stay; 0 where they move at every tick.
         way_down: with which HOLD ends; None: it only rests.
+        cuts: `change` returns the part that the settings ask for, and that is all played.
     """
 
     gains: Gains | None = None
@@ -84,6 +85,7 @@ class Source:
     lift: float = 0.0
     step_time: float = 0.0
     way_down: WayDown | None = None
+    cuts: bool = False
 
     @property
     def name(self) -> str | None:

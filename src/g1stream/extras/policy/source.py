@@ -18,6 +18,7 @@ from g1stream.extras.policy.contract import PolicyContract, read_contract
 from g1stream.extras.policy.first_actions import anchor_poses, begin, first_actions
 from g1stream.extras.policy.network import Network
 from g1stream.extras.policy.observation import Inputs, ReferenceFrame, RobotState, observe
+from g1stream.motion.limits import Interval
 from g1stream.motion.motion import Motion
 from g1stream.robot.rotations import quat_from_yaw, yaw_of
 from g1stream.types import Phase
@@ -62,6 +63,7 @@ class PolicyTargets(Source):
     needed = True
     support: StreamSupport | None = "free"
     lift = _LIFT
+    cuts = True
 
     def __init__(
         self, config: Config, robot: G1, *, simulated: bool = True, complete: bool = True
@@ -70,7 +72,7 @@ class PolicyTargets(Source):
         _require_free(config, simulated=simulated, complete=complete)
         self._network = Network(settings.policy or "")
         self.contract = contract = read_contract(self._network, robot)
-        self._robot, self._stand = robot, settings.stand
+        self._robot, self._settings = robot, settings
         self._every = _ticks_per_step(contract, settings.rate)
         self.step_time = 1.0 / contract.rate
         self.gains = Gains(
@@ -94,10 +96,13 @@ class PolicyTargets(Source):
         return self._fall
 
     def change(self, motion: Motion) -> tuple[Motion, str]:
+        part = Interval.from_config(self._settings, motion)
+        if self._settings.start or self._settings.duration is not None:
+            motion = motion.trim(part.start, part.start + (part.length or 0.0))
         first_actions(self.contract, self._network, self._robot, motion)
         pose = self.contract.in_motor_order(self.contract.default_pos)
-        changed = with_standing(motion, pose, self._robot, self._stand)
-        return changed, f"{motion.name} is played with {self._stand:g} s of standing at either end"
+        changed = with_standing(motion, pose, self._robot, self._settings.stand)
+        return changed, f"{motion.name} is played with {self._settings.stand:g} s of standing at either end"
 
     def begin(self, support: StreamSupport, announced: str | None, robot: str | None) -> None:
         if announced not in (None, "free"):
@@ -230,10 +235,8 @@ def _require_free(config: Config, *, simulated: bool, complete: bool) -> None:
             "A policy commands a robot that stands freely, at every tick.",
             "Leave out --support and --feedforward.",
         )
-    asked = settings.loop, settings.joints, settings.start, settings.duration
-    if any(asked) or settings.via != "lowcmd" or not complete:
+    if settings.loop or settings.joints or settings.via != "lowcmd" or not complete:
         raise ConfigError(
-            "A policy plays a whole motion with all 29 joints on rt/lowcmd.",
-            "Leave out --loop, --joints, --start, --duration and --via; `g1stream convert` cuts a "
-            "motion.",
+            "A policy plays a motion once, with all 29 joints, on rt/lowcmd.",
+            "Leave out --loop, --joints, --others and --via.",
         )

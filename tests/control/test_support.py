@@ -9,8 +9,8 @@ import pytest
 
 from g1stream.app.rollout import rollout
 from g1stream.config import load_config
-from g1stream.control.feedforward import TimeScale
 from g1stream.control.reading import ImuReading, Reading
+from g1stream.control.robot_time import TimeScale
 from g1stream.control.support import SupportCheck
 from g1stream.robot.dynamics import InverseDynamics
 from g1stream.robot.model import G1

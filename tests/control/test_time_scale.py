@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from g1stream.control.feedforward import TimeScale
 from g1stream.control.reading import ImuReading, Reading
+from g1stream.control.robot_time import TimeScale
 
 IMU = ImuReading(*(np.zeros(n) for n in (4, 3, 3)))
 

@@ -335,7 +335,9 @@ class NextCommand:
             if preview := round(feedforward.preview * 1e9):
                 self.last = schedule.target_ahead(deadline + preview, due)
             age = (now - measured.received) / 1e9
-            moment = Moment(self.phase, schedule.ramped(deadline), self.last, measured, age)
+            time = (deadline - schedule.delayed) / 1e9
+            ramped = schedule.ramped(deadline)
+            moment = Moment(self.phase, ramped, self.last, measured, age, time)
             commanded = feedforward.command(moment)
         self.compose(due, commanded, deadline, measured)
 

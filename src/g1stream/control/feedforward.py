@@ -6,13 +6,12 @@ Pure: time and measurements come in as arguments. docs/tracking.md explains the 
 from __future__ import annotations
 
 import logging
-from collections import deque
-from statistics import median
 from typing import TYPE_CHECKING, Final, get_args
 
 import numpy as np
 
 from g1stream.control.reading import STALE, all_finite, is_unit
+from g1stream.control.robot_time import TimeScale
 from g1stream.control.sources import Source
 from g1stream.motion.blend import minimum_jerk
 from g1stream.robot.joints import N_JOINTS
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
     from g1stream.control.sources import Moment
     from g1stream.control.targets import Target
 
-__all__ = ["FeedForward", "TimeScale"]
+__all__ = ["FeedForward"]
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -171,7 +170,8 @@ class FeedForward:
         target = moment.target
         if self.kind == "none":
             return target._replace(dq=np.zeros(N_JOINTS))
-        target = target.slowed(self.time_scale)
+        if not self.source.own_time:
+            target = target.slowed(self.time_scale)
         if self.kind != "dynamics":
             return target
         fault = self.source.fault or _find_fault(moment.measured.imu, moment.age)
@@ -220,74 +220,3 @@ def _find_fault(imu: ImuReading, age: float) -> str:
     if max(map(abs, imu.gyroscope.tolist())) > _MAX_GYROSCOPE:
         return f"the gyroscope reports more than {_MAX_GYROSCOPE:g} rad/s"
     return ""
-
-
-class TimeScale:
-    """How fast the robot's time passes: a simulator that is short of CPU is slower than the clock.
-
-    Estimates simulated over real time from measured joint positions and velocities.
-
-    In a span of real time a joint moves by d, and its velocity, which is one of simulated time,
-    integrates to x over real time: d = r x. With exponential forgetting over spans,
-
-        r = sum(d . d) / sum(d . x)
-
-    The displacement is the exact one of the two: the times at which velocities are sampled jitter,
-    so that the quotient sum(d . x) / sum(x . x) would be biased.
-
-    Attributes:
-        value: the estimate r, within 0.5 and 1.05; 1 while nothing has moved.
-    """
-
-    _SPAN: Final = 0.1  # s: a simulator that stalls and catches up does both within it
-    #: A span with a longer gap between readings is not used, s. Shorter ones are: a simulator that
-    #: stalls and then catches up must be counted whole.
-    _GAP: Final = 0.2
-    #: Time constant of forgetting, s.
-    _MEMORY: Final = 1.0
-    #: Weight of r = 1 in both sums, rad²: far above the noise of encoders at rest.
-    _PRIOR: Final = 1e-3
-    _LOWEST: Final = 0.5
-    _HIGHEST: Final = 1.05  # no simulator is faster than the clock for long
-    #: Estimates that are kept for the median: an hour of them.
-    _KEPT: Final = 36_000
-
-    def __init__(self) -> None:
-        self.value = 1.0
-        self._estimates: deque[float] = deque(maxlen=self._KEPT)
-        self._squares = self._products = 0.0
-        self._start = self._last = -np.inf
-        self._q = self._dq = self._integral = np.zeros(0)
-
-    def add(self, measured: Reading) -> None:
-        """Add a reading."""
-        time = measured.received / 1e9
-        q, velocity = measured.q.astype(np.float64), measured.dq.astype(np.float64)
-        passed = time - self._last
-        if passed <= 0.0 or passed > self._GAP:
-            self._begin(time, q, velocity)
-            return
-        self._integral += (0.5 * passed) * (self._dq + velocity)
-        self._last, self._dq = time, velocity
-        if time - self._start >= self._SPAN:
-            self._estimate(q, time - self._start)
-
-    @property
-    def median(self) -> float | None:
-        """Of the estimates so far; None before the first one."""
-        return median(self._estimates) if self._estimates else None
-
-    def _begin(self, time: float, q: Floats, dq: Floats) -> None:
-        self._start = self._last = time
-        self._q, self._dq, self._integral = q, dq, np.zeros_like(q)
-
-    def _estimate(self, q: Floats, passed: float) -> None:
-        moved, kept = q - self._q, np.exp(-passed / self._MEMORY)
-        square, product = float(moved @ moved), float(moved @ self._integral)
-        if np.isfinite(square) and np.isfinite(product):
-            self._squares = self._squares * kept + square
-            self._products = self._products * kept + product
-            scale = (self._squares + self._PRIOR) / max(self._products + self._PRIOR, 1e-9)
-            self.value = min(self._HIGHEST, max(self._LOWEST, scale))
-            self._estimates.append(scale)
-        self._begin(self._last, q, self._dq)

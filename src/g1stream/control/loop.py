@@ -18,6 +18,7 @@ from g1stream.control.limits import MAX_STEP_TIME, CommandLimits
 from g1stream.control.link import END_OTHER, OtherPublishers
 from g1stream.control.lowstate import LowStateChecks
 from g1stream.control.report import LoopReport, Overruns
+from g1stream.control.robot_time import RobotTime
 from g1stream.control.schedule import Inputs, PhaseState, Schedule
 from g1stream.control.targets import COAST_NS, Targets, Timing
 from g1stream.dds.domain import SETTLE
@@ -92,6 +93,7 @@ class StreamLoop:
         self._others = OtherPublishers(link, allow_second_writer=allow_second_writer, topic=topic)
         self._topic = topic
         self._command_delay = command_delay
+        self._robot_time = RobotTime()
         self._low_state = LowState()
         self._measured: Reading | None = None
         self._skipped_when_measured = 0
@@ -244,6 +246,7 @@ class StreamLoop:
         self.report.states += 1
         self._skipped_when_measured = self.report.skipped
         self._measured = measured
+        self._robot_time.add(measured, self._feedforward.time_scale)
         self._feedforward.observe(self._commands.phase, measured)
         if self._command_delay:
             self._command_delay.add(measured)
@@ -257,8 +260,12 @@ class StreamLoop:
         if self._requested:
             self._end_as_requested(deadline)
         before = self.state
+        source = self._feedforward.source
         if before.phase is Phase.RAMP:
-            self._schedule.wait_in_ramp(deadline, self._feedforward.source.awaited)
+            self._schedule.wait_in_ramp(deadline, source.awaited)
+        elif source.own_time and before.phase in (Phase.PLAY, Phase.HOLD):
+            self._schedule.delay(self._robot_time.wait(now))
+            self.report.waited = self._robot_time.delay
         unknown = self._robot_unknown(now)
         missing = ""
         if before.phase is Phase.WAIT:
@@ -322,6 +329,8 @@ class StreamLoop:
         if phase is Phase.RAMP and measured is not None:
             self._checks.begin()
             self._commands.begin(measured, self._link.support(), self._link.model())
+        elif phase is Phase.PLAY:
+            self._robot_time.begin(self._clock.now())
         elif phase is Phase.DAMP:
             self._commands.composer.damp()
         change = f"{before.phase.name} -> {phase.name}"

@@ -123,11 +123,11 @@ def plan(motion: Motion | str | Path, config: Config, *, simulated: bool | None 
     if not isinstance(motion, Motion):
         motion = load_motion(motion)
     motion, changed = source.change(motion)
-    asked = config
-    if source.cuts:
+    asked, commanded = config, not source.reference_only
+    if not commanded:
         whole = settings.model_copy(update={"start": 0.0, "duration": None})
         asked = config.model_copy(update={"stream": whole})
-    fit = fit_to_robot(motion, robot, asked, simulated=simulated)
+    fit = fit_to_robot(motion, robot, asked, simulated=simulated, commanded=commanded)
     return Plan(
         config=config,
         robot=robot,

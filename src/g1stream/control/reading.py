@@ -45,6 +45,7 @@ class Reading:
         imu: in the pelvis.
         mode_machine: robot type.
         received: time of reception, ns of the loop's monotonic clock.
+        tick: ms of the robot's time; 0 from Unitree's Python simulator.
         content: the numbers above as bytes.
         finite: none of them is NaN or infinite.
 
@@ -57,6 +58,7 @@ class Reading:
     imu: ImuReading
     mode_machine: int = 0
     received: int = 0
+    tick: int = 0
     content: bytes = b""
     finite: bool = True
 
@@ -71,6 +73,7 @@ class Reading:
             ImuReading(values[87:91], values[91:94], values[94:97]),
             int(state.mode_machine),
             received,
+            int(state.tick),
             values.tobytes(),
             bool(np.isfinite(values).all()),
         )

@@ -84,6 +84,7 @@ class LoopReport:
         first_stamp, last_stamp: publish times of the first and last LowCmd, ns since the epoch.
         played: length of PLAY, ns; 0 until it ends.
         delay: by which the motion ended later because of stalls, ns.
+        waited: by which it ended later because it kept to the robot's time, ns.
         skipped: ticks left out because they were a whole period late or more.
         worst_work: longest time from a write to the end of the tick's computation, ns.
         lateness: of each write against its deadline.
@@ -101,6 +102,7 @@ class LoopReport:
     last_stamp: int = 0
     played: int = 0
     delay: int = 0
+    waited: int | None = None
     skipped: int = 0
     worst_work: int = 0
     lateness: Lateness = field(default_factory=Lateness)
@@ -135,6 +137,7 @@ class LoopReport:
             ramp_speed_rad_s=ramp.peak_speed if ramp else None,
             ramp_joint=ramp.joint if ramp else None,
             delay_s=self.delay / 1e9,
+            waited_s=None if self.waited is None else self.waited / 1e9,
             clamped_ticks=by_joint(self.limits.clamped.tolist()),
             speed_limited_ticks=by_joint(self.limits.speed_limited.tolist()),
             torque_limited_ticks=by_joint(self.limits.torque_limited.tolist()),

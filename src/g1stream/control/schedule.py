@@ -109,6 +109,7 @@ class Schedule:
 
     Attributes:
         state: the current phase. It may be set.
+        delayed: by which all phases so far ended later, ns.
         ramp: the way to the first frame; None until RAMP begins.
     """
 
@@ -121,6 +122,7 @@ class Schedule:
         self._least_ramp, self._ramp_speed = timing.ramp, ramp_speed
         self._told = -_TOLD_AGAIN  # when in RAMP it was said that it waits
         self.state = PhaseState(Phase.WAIT, 0)
+        self.delayed = 0
         self.ramp: Ramp | None = None
 
     @property
@@ -139,7 +141,9 @@ class Schedule:
 
     def delay(self, gap: int) -> None:
         """The phase ends later by `gap`."""
-        self.state = replace(self.state, since=self.state.since + gap)
+        if gap:
+            self.state = replace(self.state, since=self.state.since + gap)
+            self.delayed += gap
 
     def begin_ramp(self, q: NDArray[np.floating]) -> None:
         """RAMP begins at the measured pose `q` (29,), rad."""

@@ -51,6 +51,8 @@ class Moment(NamedTuple):
         target: the desired state when the command takes effect.
         measured: the newest LowState.
         age: s since that was received.
+        time: s of the motion's clock, which goes on in HOLD, and stands still while the motion
+            waits.
     """
 
     phase: Phase
@@ -58,6 +60,7 @@ class Moment(NamedTuple):
     target: Target
     measured: Reading
     age: float
+    time: float = 0.0
 
 
 class Source:
@@ -76,7 +79,9 @@ class Source:
         lift: m by which the pelvis is higher when RAMP begins.
         step_time: s for which its targets stay; 0 where they move at every tick.
         way_down: with which HOLD ends; None: it only rests.
-        cuts: `change` returns the part that the settings ask for, and that is all played.
+        own_time: the motion keeps to the robot's time, and waits where a simulator stalls.
+        reference_only: the motion is followed and not commanded, so that its limits do not matter;
+            `change` returns the part of it that the settings ask for.
     """
 
     gains: Gains | None = None
@@ -85,7 +90,8 @@ class Source:
     lift: float = 0.0
     step_time: float = 0.0
     way_down: WayDown | None = None
-    cuts: bool = False
+    own_time: bool = False
+    reference_only: bool = False
 
     @property
     def name(self) -> str | None:

@@ -42,7 +42,9 @@ class Fit(NamedTuple):
     events: tuple[tuple[int, str], ...] = ()
 
 
-def fit_to_robot(motion: Motion, robot: G1, config: Config, *, simulated: bool) -> Fit:
+def fit_to_robot(
+    motion: Motion, robot: G1, config: Config, *, simulated: bool, commanded: bool = True
+) -> Fit:
     """The motion as it may be played with these settings.
 
     With `stream.beyond_limits` = `scale-time`, a motion that is too fast is slowed evenly, as a
@@ -54,6 +56,7 @@ def fit_to_robot(motion: Motion, robot: G1, config: Config, *, simulated: bool) 
         robot: whose limits apply.
         config: the part to play, the rate, the margin and `stream.beyond_limits`.
         simulated: nothing but a simulator is reached, so that `anyway` is allowed.
+        commanded: the motion's targets are; a reference that is not has no limits.
 
     Raises:
         ConfigError: `anyway` is not allowed here, or the interval is not within the motion.
@@ -66,7 +69,7 @@ def fit_to_robot(motion: Motion, robot: G1, config: Config, *, simulated: bool) 
             f"stream.beyond_limits = anyway on {config.dds.interface}: there may be a robot.",
             "Use --scale-time or --clamp, or the loopback interface lo.",
         )
-    fit, report = _check(motion, robot, config, 1.0)
+    fit, report = _check(motion, robot, config, 1.0, commanded)
     require_si_units(report)
     for _ in range(_ATTEMPTS * (beyond == "scale-time")):
         if report.frames_beyond or report.within_limits:
@@ -79,8 +82,8 @@ def fit_to_robot(motion: Motion, robot: G1, config: Config, *, simulated: bool) 
             key=lambda s: s.value / s.limit,
         )
         factor = ceil(1000.0 * fit.slowed * fastest.value / fastest.limit) / 1000.0
-        fit, report = _check(motion, robot, config, factor)
-    if beyond not in ("clamp", "anyway") and not report.within_limits:
+        fit, report = _check(motion, robot, config, factor, commanded)
+    if commanded and beyond not in ("clamp", "anyway") and not report.within_limits:
         raise _refused(report, slowing=beyond == "scale-time")
     return fit
 
@@ -98,7 +101,9 @@ def require_si_units(report: MotionReport) -> None:
         )
 
 
-def _check(motion: Motion, robot: G1, config: Config, slowed: float) -> tuple[Fit, MotionReport]:
+def _check(
+    motion: Motion, robot: G1, config: Config, slowed: float, commanded: bool
+) -> tuple[Fit, MotionReport]:
     events: list[tuple[int, str]] = []
     if robot.warning:
         events.append((logging.WARNING, robot.warning))
@@ -120,7 +125,9 @@ def _check(motion: Motion, robot: G1, config: Config, slowed: float) -> tuple[Fi
         trajectory=trajectory if checked is motion else Trajectory(checked, loop=trajectory.loop),
         interval=interval,
     )
-    return Fit(trajectory, interval, slowed, (*events, *report.streamed.events)), report
+    if commanded:
+        events += report.streamed.events
+    return Fit(trajectory, interval, slowed, tuple(events)), report
 
 
 def _of_played(motion: Motion, robot: G1, config: Config) -> Motion:

@@ -295,6 +295,8 @@ class StreamSummary(Record):
         ramp_s: length of RAMP.
         ramp_speed_rad_s: highest speed of `ramp_joint`, the joint with the longest way, in it.
         delay_s: by which the motion ended later, because the loop stalled.
+        waited_s: by which it ended later, because it kept to the robot's time; None where it does
+            not.
         clamped_ticks: joint -> ticks at which its target was held at a position limit, most first.
         speed_limited_ticks: joint -> ticks at which its target was held back to its highest speed.
         torque_limited_ticks: joint -> ticks at which its target was brought nearer to the measured
@@ -338,6 +340,7 @@ class StreamSummary(Record):
     ramp_speed_rad_s: float | None = None
     ramp_joint: str | None = None
     delay_s: float | None = None
+    waited_s: float | None = None
     clamped_ticks: dict[str, Int] | None = None
     speed_limited_ticks: dict[str, Int] | None = None
     torque_limited_ticks: dict[str, Int] | None = None

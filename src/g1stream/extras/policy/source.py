@@ -1,11 +1,14 @@
 """The source of targets of a learned policy that keeps the robot on its feet.
 
-The policy runs at its own rate within the loop: in between its target is repeated. The reference
-that it observes is the target of the motion, before which and after which the robot stands.
+The policy runs at its own rate in the robot's time: in between its target is repeated. The
+reference that it observes is the target of the motion, before which and after which the robot
+stands.
 """
 
 from __future__ import annotations
 
+import math
+import time
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
@@ -18,19 +21,31 @@ from g1stream.extras.policy.contract import PolicyContract, read_contract
 from g1stream.extras.policy.first_actions import anchor_poses, begin, first_actions
 from g1stream.extras.policy.network import Network
 from g1stream.extras.policy.observation import Inputs, ReferenceFrame, RobotState, observe
+from g1stream.extras.policy.odometry import LegOdometry
+from g1stream.motion.blend import minimum_jerk
 from g1stream.motion.limits import Interval
 from g1stream.motion.motion import Motion
-from g1stream.robot.rotations import quat_from_yaw, yaw_of
+from g1stream.robot.rotations import (
+    quat_conj,
+    quat_from_axis_angle,
+    quat_from_yaw,
+    quat_mul,
+    quat_rotate_inverse,
+    rotation_vector,
+    yaw_of,
+)
 from g1stream.types import Phase
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from g1stream.config import Config
     from g1stream.control.sources import Moment
     from g1stream.control.targets import Target
     from g1stream.robot.model import G1
     from g1stream.types import Floats, StreamSupport
 
-__all__ = ["PolicyTargets", "with_standing"]
+__all__ = ["BackToStanding", "PolicyTargets"]
 
 #: From the still pose to the motion and back, s.
 _BLEND: Final = 1.0
@@ -38,9 +53,12 @@ _BLEND: Final = 1.0
 _LIFT: Final = 0.4
 #: Terms of what LowState does not have.
 _OF_BASE: Final = ("base_lin_vel", "motion_anchor_pos_b")
-#: How many times in a row an action may be repeated because the new one is not finite.
+#: How many times in a row an action may be repeated, because the new one is late or not finite.
 _REPEATED: Final = 2
-_HERE: Final = np.zeros(3)
+#: The robot falls: its pelvis is tilted by this against the reference, rad. The dances of
+#: docs/policy.md stay below half of it.
+_TILTED: Final = 1.0
+_UP: Final = np.array([0.0, 0.0, 1.0])
 
 
 class PolicyTargets(Source):
@@ -63,7 +81,8 @@ class PolicyTargets(Source):
     needed = True
     support: StreamSupport | None = "free"
     lift = _LIFT
-    cuts = True
+    own_time = True
+    reference_only = True
 
     def __init__(
         self, config: Config, robot: G1, *, simulated: bool = True, complete: bool = True
@@ -72,19 +91,25 @@ class PolicyTargets(Source):
         _require_free(config, simulated=simulated, complete=complete)
         self._network = Network(settings.policy or "")
         self.contract = contract = read_contract(self._network, robot)
-        self._robot, self._settings = robot, settings
-        self._every = _ticks_per_step(contract, settings.rate)
+        _require_multiple(contract, settings.rate)
         self.step_time = 1.0 / contract.rate
+        self._robot, self._settings = robot, settings
         self.gains = Gains(
             contract.in_motor_order(contract.kp), contract.in_motor_order(contract.kd)
         )
+        pose = contract.in_motor_order(contract.default_pos)
+        self._still = _standing(pose, robot)
+        self.way_down = BackToStanding(self._still, settings.stand)
         self._terms = [(term.name, np.array(term.scale)) for term in contract.terms]
+        estimated = any(term.name in _OF_BASE for term in contract.terms)
+        self._odometry = LegOdometry(robot) if estimated else None
         self._default = np.array(contract.default_pos)
         self._scale = np.array(contract.action_scale)
         self._action = np.zeros(len(self._default))
         self._target: Floats | None = None
-        self._ticks = self._repeated = 0
-        self._alignment = np.array([1.0, 0.0, 0.0, 0.0]), (_HERE, _HERE)
+        self._last = self._next = 0.0
+        self._repeated = 0
+        self._alignment = np.array([1.0, 0.0, 0.0, 0.0]), (np.zeros(3), np.zeros(3))
         self._fall = ""
 
     @property
@@ -96,13 +121,18 @@ class PolicyTargets(Source):
         return self._fall
 
     def change(self, motion: Motion) -> tuple[Motion, str]:
-        part = Interval.from_config(self._settings, motion)
-        if self._settings.start or self._settings.duration is not None:
+        settings = self._settings
+        first = first_actions(self.contract, self._network, self._robot, motion)
+        if first and first.problem and settings.beyond_limits != "anyway":
+            raise ConfigError(f"{first.problem}.", "--anyway plays it in a simulator.")
+        part = Interval.from_config(settings, motion)
+        if settings.start or settings.duration is not None:
             motion = motion.trim(part.start, part.start + (part.length or 0.0))
-        first_actions(self.contract, self._network, self._robot, motion)
-        pose = self.contract.in_motor_order(self.contract.default_pos)
-        changed = with_standing(motion, pose, self._robot, self._settings.stand)
-        return changed, f"{motion.name} is played with {self._settings.stand:g} s of standing at either end"
+        changed = _with_standing(motion, self._still, settings.stand)
+        text = f"{motion.name} begins after {settings.stand:g} s of standing, and ends with it"
+        if self._odometry:
+            text += "; the velocity of the pelvis is estimated by leg odometry"
+        return changed, text
 
     def begin(self, support: StreamSupport, announced: str | None, robot: str | None) -> None:
         if announced not in (None, "free"):
@@ -117,11 +147,15 @@ class PolicyTargets(Source):
             self._target = None
             return target
         if self._target is None:
-            self._ticks, self._action = 0, np.zeros(len(self._default))
-            self._alignment = self._aligned(moment)
-        if self._ticks % self._every == 0 or self._target is None:
+            self._last = self._next = moment.time
+            self._action = np.zeros(len(self._default))
+            self._alignment = begin(self._state(moment).anchor, self._reference(target).anchor)
+        if moment.time > self._next - 0.5 / self._settings.rate:
             self._step(moment)
-        self._ticks += 1
+            # Steps that a leap of the motion's clock has left out are not made up for.
+            self._next = max(self._next, moment.time - self.step_time) + self.step_time
+            self._last = moment.time
+        self._watch(moment)
         return self.repeated(target)
 
     def repeated(self, target: Target) -> Target:
@@ -146,30 +180,44 @@ class PolicyTargets(Source):
         observation = observe(self._terms, inputs)
         if self.contract.clip:
             observation = np.clip(observation, -self.contract.clip, self.contract.clip)
+        begun = time.perf_counter()
         action = self._network.act(observation)
+        took = time.perf_counter() - begun
+        problem = "are not finite"
         if np.isfinite(action).all():
-            self._action, self._repeated = action, 0
-        else:
-            self._repeated += 1
-            if self._repeated > _REPEATED:
-                self._fall = self._fall or "the policy's actions are not finite"
+            self._action = action
+            problem = f"take {1e3 * took:.0f} ms" if took > self.step_time else ""
+        self._repeated = self._repeated + 1 if problem else 0
+        if self._repeated > _REPEATED:
+            self._fall = self._fall or f"{self._repeated} actions in a row {problem}"
         self._target = self.contract.in_motor_order(self._default + self._scale * self._action)
 
-    def _aligned(self, moment: Moment) -> tuple[Floats, tuple[Floats, Floats]]:
-        return begin(self._state(moment).anchor, self._reference(moment.target).anchor)
+    def _watch(self, moment: Moment) -> None:
+        """Find out whether the robot falls."""
+        reference = quat_rotate_inverse(moment.target.root_quat_wxyz, _UP)
+        up = quat_rotate_inverse(moment.measured.imu.quat_wxyz.astype(np.float64), _UP)
+        tilt = math.acos(min(1.0, max(-1.0, float(up @ reference))))
+        if tilt > _TILTED and not self._fall:
+            self._fall = (
+                f"the robot falls: the pelvis is tilted by {tilt:.2f} rad against the reference"
+            )
 
     def _state(self, moment: Moment) -> RobotState:
         measured = moment.measured
         quat = measured.imu.quat_wxyz.astype(np.float64)
         quat /= np.sqrt(quat @ quat)
         joint_pos = measured.q.astype(np.float64)
+        pos = vel = np.zeros(3)
+        if self._odometry:
+            self._odometry.update(joint_pos, quat, moment.time - self._last)
+            pos, vel = self._odometry.pos, quat_rotate_inverse(quat, self._odometry.vel)
         return RobotState(
             joint_pos,
             measured.dq.astype(np.float64),
             quat,
             measured.imu.gyroscope.astype(np.float64),
-            _HERE,
-            anchor_poses(self.contract, self._robot, joint_pos[None], _HERE, quat)[0],
+            vel,
+            anchor_poses(self.contract, self._robot, joint_pos[None], pos, quat)[0],
         )
 
     def _reference(self, target: Target) -> ReferenceFrame:
@@ -178,47 +226,92 @@ class PolicyTargets(Source):
         return ReferenceFrame(target.q, target.dq, anchor)
 
 
-def with_standing(motion: Motion, pose: Floats, robot: G1, seconds: float) -> Motion:
-    """A motion that begins and ends with a still pose on the floor.
+class BackToStanding:
+    """Targets from any pose to a still one, in which the robot stands until it is damped.
+
+    A `g1stream.control.targets.WayDown`.
 
     Args:
-        motion: in between, with a second of blend before and after it.
-        pose: (29,) rad, motor order.
-        robot: whose soles stand.
-        seconds: of the pose at either end.
+        still: two frames of the pose, on the floor.
+        seconds: for which it stands.
     """
-    n = max(2, round(seconds * motion.fps) + 1)
-    heading = quat_from_yaw(yaw_of(motion.root_quat_wxyz[0]))
-    place = motion.root_pos[0] * [1.0, 1.0, 0.0]
-    still = replace(
-        motion.frames(0, 2),
+
+    def __init__(self, still: Motion, seconds: float) -> None:
+        self.length = _BLEND + seconds
+        self._pose, self._height = still.joint_pos[0], float(still.root_pos[0, 2])
+
+    def possible(self, target: Target) -> bool:
+        """Always: a policy stands wherever it can go on."""
+        return True
+
+    def plan(self, standing: Target) -> Callable[[float, Floats], Target]:
+        """The way from a target at rest: by the time since it began, s, and joints."""
+        way = self._pose - standing.q
+        rise = np.array([0.0, 0.0, self._height - standing.root_pos[2]])
+        upright = quat_from_yaw(yaw_of(standing.root_quat_wxyz))
+        turn = rotation_vector(quat_mul(quat_conj(standing.root_quat_wxyz), upright))
+        angle = float(np.linalg.norm(turn))
+        axis = turn / angle if angle else _UP
+
+        def target(elapsed: float, near: Floats) -> Target:
+            progress, rate, change = minimum_jerk(min(1.0, elapsed / _BLEND))
+            turned = quat_from_axis_angle(axis, np.asarray(progress * angle))
+            return standing._replace(
+                q=standing.q + progress * way,
+                dq=rate / _BLEND * way,
+                ddq=change / _BLEND**2 * way,
+                root_pos=standing.root_pos + progress * rise,
+                root_quat_wxyz=quat_mul(standing.root_quat_wxyz, turned),
+                root_lin_vel=rate / _BLEND * rise,
+                root_ang_vel=rate / _BLEND * angle * axis,
+                root_lin_acc=change / _BLEND**2 * rise,
+                root_ang_acc=change / _BLEND**2 * angle * axis,
+            )
+
+        return target
+
+
+def _standing(pose: Floats, robot: G1) -> Motion:
+    """Two still frames of a pose (29,), rad, with the soles on the floor."""
+    still = Motion(
         name="stand",
-        joint_pos=np.repeat(pose[None], n, axis=0),
-        root_pos=np.repeat(place[None], n, axis=0),
-        root_quat_wxyz=np.repeat(heading[None], n, axis=0),
-        source=None,
-        sha256=None,
-        operations=(),
+        fps=30.0,
+        joint_pos=np.repeat(pose[None], 2, axis=0),
+        root_pos=np.zeros((2, 3)),
+        root_quat_wxyz=np.array([[1.0, 0.0, 0.0, 0.0]] * 2),
     ).on_floor(robot)
-    # Its operations would be told with those of the motion.
-    still = replace(still, operations=())
-    return still.then(motion, _BLEND).then(still, _BLEND)
+    return replace(still, operations=())  # they would be told with those of the motion
 
 
-def _ticks_per_step(contract: PolicyContract, rate: float) -> int:
+def _with_standing(motion: Motion, still: Motion, seconds: float) -> Motion:
+    """A motion that begins with a still pose for a time, and ends with it.
+
+    The pose has the place and the heading of the motion's first frame; `Motion.then` moves that of
+    the end.
+    """
+    frames = max(2, round(seconds * motion.fps) + 1)
+    heading = quat_from_yaw(yaw_of(motion.root_quat_wxyz[0]))
+    place = motion.root_pos[0] * [1.0, 1.0, 0.0] + still.root_pos[0]
+    before, after = (
+        replace(
+            still,
+            fps=motion.fps,
+            joint_pos=np.repeat(still.joint_pos[:1], n, axis=0),
+            root_pos=np.repeat(place[None], n, axis=0),
+            root_quat_wxyz=np.repeat(heading[None], n, axis=0),
+        )
+        for n in (frames, 2)
+    )
+    return before.then(motion, _BLEND).then(after, _BLEND)
+
+
+def _require_multiple(contract: PolicyContract, rate: float) -> None:
     ticks = rate / contract.rate
     if ticks < 1.0 or abs(ticks - round(ticks)) > 1e-6:
         raise ConfigError(
             f"stream.rate = {rate:g} Hz is no multiple of the {contract.rate:g} Hz of the policy.",
             f"Give a multiple, such as --rate {contract.rate * 10:g}.",
         )
-    base = [term.name for term in contract.terms if term.name in _OF_BASE]
-    if base:
-        raise ConfigError(
-            f"The policy observes {' and '.join(base)}, which LowState does not have.",
-            "Give a policy that was trained without state estimation.",
-        )
-    return round(ticks)
 
 
 def _require_free(config: Config, *, simulated: bool, complete: bool) -> None:

@@ -1,0 +1,49 @@
+"""Where the pelvis is and how fast it moves, by the foot that stands; pure.
+
+Leg odometry, as in Roston and Krotkov, "Dead reckoning navigation for walking robots" (IROS 1992):
+the lowest corner of the soles stands still, so that the pelvis moves as the legs move against it.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from g1stream.robot.soles import Soles
+
+if TYPE_CHECKING:
+    from g1stream.robot.model import G1
+    from g1stream.types import Floats
+
+__all__ = ["LegOdometry"]
+
+
+class LegOdometry:
+    """Position and velocity of the pelvis in the world of the IMU, on a floor at height 0.
+
+    Attributes:
+        pos: (3,) m; x and y are 0 at the first update.
+        vel: (3,) m/s.
+    """
+
+    def __init__(self, robot: G1) -> None:
+        self._soles = Soles(robot)
+        self._before: Floats | None = None
+        self.pos, self.vel = np.zeros(3), np.zeros(3)
+
+    def update(self, joint_pos: Floats, quat_wxyz: Floats, passed: float) -> None:
+        """Take a state into account.
+
+        Args:
+            joint_pos: (29,) rad, motor order.
+            quat_wxyz: (4,) pelvis to world.
+            passed: s since the state before.
+        """
+        corners = self._soles.path(joint_pos[None], np.zeros((1, 3)), quat_wxyz[None])[0]
+        if self._before is not None and passed > 0.0:
+            stands = int(np.argmin((corners + self._before)[:, 2]))
+            moved = self._before[stands] - corners[stands]
+            self.pos, self.vel = self.pos + moved, moved / passed
+        self.pos[2] = -corners[:, 2].min()
+        self._before = corners

@@ -5,9 +5,9 @@
 
 Every run has a simulator of its own: Unitree's two, and `g1stream sim --support free`. In Unitree's
 the robot hangs from the elastic band. Once RAMP waits, key 8 lengthens the band until PLAY begins,
-and key 9 lets go a second later. With a policy, which stands for 15 s first, PLAY begins on the
-band; key 8 lengthens it 16 times then, and key 9 lets go. A run has stood for as long as PLAY went
-on and the pelvis was above 0.3 m. RMSE is over all joints and PLAY.
+and key 9 lets go a second later; with a policy, which stands for 15 s first, after ten more presses
+of key 8. A run has stood for as long as PLAY went on and the pelvis was above 0.3 m. RMSE is over
+all joints and PLAY.
 
 tracking_peers.py says how the simulators are found. `--motion squat`, `shift`, `steps` and `turns`
 are the squats, weight shifts, steps forward and back, and turns of feet.py; for the upper body
@@ -57,7 +57,7 @@ _PRESS: Final = 0.5
 _PRESSES: Final = 60
 _LET_GO: Final = 1.0  # s after PLAY began
 #: With a policy: presses of key 8 in PLAY, and flags that let it stand until the band has let go.
-_POLICY_PRESSES: Final = 16
+_POLICY_PRESSES: Final = 10
 _STANDING: Final = ("--stand", "15")
 #: What a run takes beside the motion at most, s.
 _MARGIN: Final = 90.0
@@ -120,14 +120,14 @@ def play(
         reader.start()
         try:
             if name != BRIDGE:
-                (plays if policy else waits).wait(_MARGIN)
-                for _ in range(_POLICY_PRESSES if policy else 0):
-                    press(name, 8)
+                waits.wait(_MARGIN)
                 for _ in range(_PRESSES):
                     if plays.wait(_PRESS) or stream.poll() is not None:
                         break
                     press(name, 8)
                 if plays.is_set():
+                    for _ in range(_POLICY_PRESSES if policy else 0):
+                        press(name, 8)
                     time.sleep(_LET_GO)
                     press(name, 9)
             stream.wait(max(0.0, stop - time.monotonic()))

@@ -232,6 +232,15 @@ class StreamConfig(Table):
         ge=0.5,
         le=3600.0,
     )
+    rehearse: float = setting(
+        5.0,
+        "with a policy, how much of the motion it plays in the simulator, without DDS, before the "
+        "stream begins; a fall there refuses it; 0 for none",
+        "s",
+        flag=PLAY_FLAG,
+        ge=0.0,
+        le=3600.0,
+    )
     experimental_feet: bool = setting(
         False,
         "allow --support feet on other interfaces than loopback, where there may be a robot; it "

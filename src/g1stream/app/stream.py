@@ -13,6 +13,7 @@ from typing import Any, Final
 from g1stream.analysis.summarise import summarise_run
 from g1stream.analysis.summary import Summary, Termination
 from g1stream.app.arming import ArmingReport, confirm_arming, require_arming
+from g1stream.app.rollout import rollout
 from g1stream.app.session import open_session
 from g1stream.child_process import Child, ChildError, publishing_for_ros2
 from g1stream.clock import SystemClock
@@ -41,6 +42,8 @@ _LOGGER = logging.getLogger(__name__)
 
 #: How long the wire is listened to for a diagnosis when nothing answered, s.
 _LISTEN: Final = 0.2
+#: Standing before and after the motion in a rehearsal, s.
+_REHEARSED_STANDING: Final = 0.5
 
 
 def stream(
@@ -76,6 +79,8 @@ def stream(
     require_arming(config.dds.interface, armed=arm is not None)
     path = None if record is None else _recording_path(Path(record), config.record, force)
     planned = plan(motion, config)
+    if config.stream.policy and config.stream.rehearse:
+        _rehearse(motion, config)
     config, clock = planned.config, SystemClock()
     with (
         Guard(config) as guard,
@@ -202,6 +207,23 @@ def _recording_path(path: Path, settings: RecordConfig, force: bool) -> Path:
     split = settings.split_size is not None or settings.split_duration is not None
     check_recording_path(path, split=split, force=force)
     return path
+
+
+def _rehearse(motion: Motion | str | Path, config: Config) -> None:
+    """Refuse a policy that ends early in the simulator, within the first seconds of the motion."""
+    settings = config.stream
+    seconds = min(settings.rehearse, settings.duration or settings.rehearse)
+    _LOGGER.info("rehearsal: %g s in the simulator", seconds)
+    standing = settings.model_copy(update={"stand": _REHEARSED_STANDING})
+    asked = config.model_copy(update={"stream": standing})
+    reason = rollout(motion, config=asked, seconds=seconds).summary().termination.reason
+    if reason and settings.beyond_limits != "anyway":
+        raise SafetyError(
+            f"The policy does not play {seconds:g} s of the motion in the simulator: {reason}.",
+            "See what `g1stream policy` says of it; --anyway streams it all the same.",
+        )
+    if reason:
+        _LOGGER.warning("rehearsal: %s", reason)
 
 
 def _refuse_if_commanded(participant: Participant, planned: Plan) -> None:

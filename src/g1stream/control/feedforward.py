@@ -174,7 +174,9 @@ class FeedForward:
             target = target.slowed(self.time_scale)
         if self.kind != "dynamics":
             return target
-        fault = self.source.fault or _find_fault(moment.measured.imu, moment.age)
+        # A motion in the robot's time waits while no LowState arrives.
+        age = 0.0 if self.source.own_time else moment.age
+        fault = self.source.fault or _find_fault(moment.measured.imu, age)
         if fault:
             target = self.source.repeated(target)
         else:

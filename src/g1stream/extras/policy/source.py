@@ -18,6 +18,7 @@ from g1stream.control.gains import Gains
 from g1stream.control.sources import Source
 from g1stream.errors import ConfigError, SafetyError
 from g1stream.extras.policy.contract import PolicyContract, read_contract
+from g1stream.extras.policy.feet_load import FeetLoad
 from g1stream.extras.policy.first_actions import anchor_poses, begin, first_actions
 from g1stream.extras.policy.network import Network
 from g1stream.extras.policy.observation import Inputs, ReferenceFrame, RobotState, observe
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from g1stream.config import Config
+    from g1stream.control.reading import Reading
     from g1stream.control.sources import Moment
     from g1stream.control.targets import Target
     from g1stream.robot.model import G1
@@ -53,6 +55,10 @@ _BLEND: Final = 1.0
 _LIFT: Final = 0.4
 #: Terms of what LowState does not have.
 _OF_BASE: Final = ("base_lin_vel", "motion_anchor_pos_b")
+#: PLAY begins when the feet have carried this share of the weight for this time, s: on feet in the
+#: air a policy kicks.
+_CARRIED: Final = 0.1, 0.5
+_LOAD_PERIOD: Final = 0.02
 #: How many times in a row an action may be repeated, because the new one is late or not finite.
 _REPEATED: Final = 2
 #: The robot falls: its pelvis is tilted by this against the reference, rad. The dances of
@@ -63,6 +69,9 @@ _UP: Final = np.array([0.0, 0.0, 1.0])
 
 class PolicyTargets(Source):
     """The targets of a policy in PLAY and HOLD; in RAMP those of the motion.
+
+    The bridge of g1stream lowers the robot in RAMP. Elsewhere it hangs from a band, and RAMP waits
+    until somebody has lowered it onto its feet.
 
     Args:
         config: all settings in force.
@@ -102,6 +111,10 @@ class PolicyTargets(Source):
         self.way_down = BackToStanding(self._still, settings.stand)
         self._terms = [(term.name, np.array(term.scale)) for term in contract.terms]
         estimated = any(term.name in _OF_BASE for term in contract.terms)
+        self._load = FeetLoad(robot)
+        self._lowered_by_bridge = False
+        self._share = self._carried_for = 0.0
+        self._weighed = -_LOAD_PERIOD  # when, s
         self._odometry = LegOdometry(robot) if estimated else None
         self._default = np.array(contract.default_pos)
         self._scale = np.array(contract.action_scale)
@@ -119,6 +132,15 @@ class PolicyTargets(Source):
     @property
     def fall(self) -> str:
         return self._fall
+
+    @property
+    def awaited(self) -> str:
+        if self._lowered_by_bridge or self._carried_for > _CARRIED[1]:
+            return ""
+        return (
+            f"the feet carry {100.0 * max(0.0, self._share):.0f} % of the weight; lower the robot "
+            f"until they carry {100.0 * _CARRIED[0]:.0f} %, and let it go while it stands"
+        )
 
     def change(self, motion: Motion) -> tuple[Motion, str]:
         settings = self._settings
@@ -140,6 +162,16 @@ class PolicyTargets(Source):
                 f"The simulator holds the robot ({announced}); a policy stands on its feet.",
                 "Start it with --support free.",
             )
+        self._lowered_by_bridge = announced == "free"
+
+    def observe(self, phase: Phase, measured: Reading, scale: float) -> None:
+        now = measured.received / 1e9
+        if phase is not Phase.RAMP or not self.awaited or now < self._weighed + _LOAD_PERIOD:
+            return
+        self._weighed = now
+        self._share = self._load.share(measured)
+        carried = self._share > _CARRIED[0]
+        self._carried_for = self._carried_for + _LOAD_PERIOD if carried else 0.0
 
     def command(self, moment: Moment) -> Target:
         target = moment.target

@@ -1,0 +1,55 @@
+"""How much of the weight the feet carry, by the torques of the legs; pure."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from g1stream.robot.dynamics import BaseMotion, InverseDynamics
+from g1stream.robot.joints import JOINT_NAMES, N_JOINTS
+from g1stream.robot.soles import SIDES, Soles
+
+if TYPE_CHECKING:
+    from g1stream.control.reading import Reading
+    from g1stream.robot.model import G1
+
+__all__ = ["FeetLoad"]
+
+_LEGS: Final = ("hip_pitch", "hip_roll", "hip_yaw", "knee", "ankle_pitch", "ankle_roll")
+#: (2, 6) of each leg.
+_JOINTS: Final = np.array(
+    [[JOINT_NAMES.index(f"{side}_{joint}_joint") for joint in _LEGS] for side in SIDES]
+)
+#: By how much a joint is turned, to find out how far that lifts the foot, rad.
+_TURN: Final = 1e-4
+
+
+class FeetLoad:
+    """The share of the weight that the feet of a robot at rest carry.
+
+    At rest, motor torques tau, gravity's torques g and a vertical force F on a foot at the height
+    z balance: tau + F dz/dq = g. The joints of each leg give its force by least squares.
+    """
+
+    def __init__(self, robot: G1) -> None:
+        self._dynamics, self._soles = InverseDynamics(robot), Soles(robot)
+        self._weight = self._dynamics.mass * self._dynamics.gravity
+
+    def share(self, measured: Reading) -> float:
+        """Of both feet together: 0 in the air, and 1 where nothing else carries the robot."""
+        q, quat = (values.astype(np.float64) for values in (measured.q, measured.imu.quat_wxyz))
+        rest = np.zeros(N_JOINTS)
+        gravity = self._dynamics.solve("bolted", q, rest, rest, BaseMotion(quat, np.zeros(3))).tau
+        turned = np.repeat(q[None], 1 + _JOINTS.size, axis=0)
+        turned[np.arange(_JOINTS.size) + 1, _JOINTS.ravel()] += _TURN
+        quats = np.repeat(quat[None], len(turned), axis=0)
+        corners = self._soles.path(turned, np.zeros((len(turned), 3)), quats)
+        heights = corners[..., 2].reshape(len(turned), 2, -1).mean(axis=2)
+        lifts = (heights[1:] - heights[0]) / _TURN
+        missing = gravity - measured.tau
+        force = 0.0
+        for foot, joints in enumerate(_JOINTS):
+            lift = lifts[foot * len(_LEGS) : (foot + 1) * len(_LEGS), foot]
+            force += float(lift @ missing[joints]) / float(lift @ lift)
+        return force / self._weight

@@ -29,5 +29,11 @@ class Info(Command):
         """Print the summary, and return the exit code."""
         from g1stream.app.session import open_session
 
-        print_summary(open_session(self.file).summary(), as_json=self.json)
+        session = open_session(self.file)
+        summary = session.summary()
+        if summary.moves:  # elsewhere the links tell nothing that the joints do not
+            metrics = session.metrics()
+            summary.success = metrics.success
+            summary.terminations = metrics.body and metrics.body.terminations
+        print_summary(summary, as_json=self.json)
         return EXIT_OK

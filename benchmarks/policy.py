@@ -4,8 +4,8 @@
 
 Each policy plays the motion in lockstep with the simulated robot, with each delay that is added to
 its commands (`sim.command_delay`), without noise and with it (`sim.noise` 1). With noise there are
-so many runs, each of another seed (`sim.seed`); without it all would be the same. A cell is the RMSE
-of all joints and, where not all runs came to the end, how many did and the mean time that the
+so many runs, each of another seed (`sim.seed`); without it all would be the same. A cell is the
+RMSE of all joints and, where not all runs came to the end, how many did and the mean time that the
 others survived. Time counts from the beginning of PLAY, `stream.stand` of standing included.
 
 It is `g1stream library simulate` with a sweep: with --out the rows are kept there, and the same
@@ -66,7 +66,7 @@ def pooled(rows: list[dict[str, Any]]) -> dict[str, Any]:
 def cell(of: dict[str, Any]) -> str:
     """RMSE, and how many runs ended early."""
     if "refused" in of:
-        return of["refused"]
+        return str(of["refused"])
     text = f"{of['rmse_rad']:.3f}"
     if of["ended_at_s"] is None:
         return text

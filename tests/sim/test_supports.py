@@ -187,10 +187,7 @@ def test_a_loose_base_is_pushed_every_five_seconds(falling):
     still, pushed = falling(0.0), falling(0.5)
     before = PUSH_PERIOD - 0.01
     assert pushed(before) == pytest.approx(still(before), abs=1e-12)
-    kicks = []
-    for pause in (0.02, PUSH_PERIOD):
-        kicks.append((pushed(pause) - still(pause))[:2])
-    first, both = kicks
+    first, both = ((pushed(pause) - still(pause))[:2] for pause in (0.02, PUSH_PERIOD))
     assert 0.0 < np.abs(first).max() <= 0.5
     assert 0.0 < np.abs(both - first).max() <= 0.5
     assert not np.allclose(both, 2.0 * first)

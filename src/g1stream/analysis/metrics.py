@@ -124,7 +124,8 @@ class TimingMetrics(Record):
     @property
     def state_to_command_p99_s(self) -> float | None:
         """The 99th percentile of `state_to_command_us`, s."""
-        return self.state_to_command_us and self.state_to_command_us.p99 / 1e6
+        delays = self.state_to_command_us
+        return None if delays is None else delays.p99 / 1e6
 
 
 class Metrics(Record):

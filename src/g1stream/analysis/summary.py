@@ -212,7 +212,7 @@ class Summary(Record):
         stream = stream_facts(self.stream) if self.stream else [("feed-forward", "; ".join(log))]
         sections = (
             _lines(session_facts(self)),
-            _tracking_lines(self) if self.tracking else [],
+            _tracking_lines(self.tracking, self) if self.tracking else [],
             _lines(stream),
             _message_lines(self),
             _lines([("problems", text) for text in _problems(self.problems)]),
@@ -430,8 +430,7 @@ def _ended(termination: Termination) -> str:
     )
 
 
-def _tracking_lines(summary: Summary) -> list[str]:
-    tracking, stream = summary.tracking or TrackingSummary(), summary.stream
+def _tracking_lines(tracking: TrackingSummary, summary: Summary) -> list[str]:
     rows = [("limb", "RMSE rad", "RMSE deg", "max deg", "at s", "worst joint by RMSE", "deg")]
     for limb, error in {**tracking.limbs, "all joints": tracking.all_joints}.items():
         worst = error.worst_joint or ""
@@ -451,7 +450,7 @@ def _tracking_lines(summary: Summary) -> list[str]:
         f"{counted(tracking.compared_states, 'state')} over {tracking.compared_s:.2f} s of PLAY"
         + (excluded if tracking.excluded_states else "")
     )
-    delay = _delay(tracking, stream.preview_s if stream else None)
+    delay = _delay(tracking, summary.stream.preview_s if summary.stream else None)
     return [
         *table(rows, left=(0, 5)),
         "",

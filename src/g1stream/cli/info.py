@@ -34,6 +34,6 @@ class Info(Command):
         if summary.moves:  # elsewhere the links tell nothing that the joints do not
             metrics = session.metrics()
             summary.success = metrics.success
-            summary.terminations = metrics.body and metrics.body.terminations
+            summary.terminations = metrics.body.terminations if metrics.body else None
         print_summary(summary, as_json=self.json)
         return EXIT_OK

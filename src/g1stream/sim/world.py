@@ -42,7 +42,7 @@ __all__ = [
 
 
 PUSH_PERIOD: Final = 5.0
-"""From when the base is let go to the first push, and from each to the next, s of simulated time."""
+"""From when the base is let go to the first push, and between two pushes, s of simulated time."""
 
 
 class MotorCommand(NamedTuple):

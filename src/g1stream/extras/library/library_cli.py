@@ -193,7 +193,9 @@ class Library(SettingsCommand):
                 f"--support {self.support} with a policy, which stands on free feet.",
                 "Leave --support out.",
             )
-        asked = dict.fromkeys((self.support or ("free" if files else config.sim.support)).split(","))
+        asked = dict.fromkeys(
+            (self.support or ("free" if files else config.sim.support)).split(",")
+        )
         if unknown := asked.keys() - set(get_args(StreamSupport)):
             raise ConfigError(
                 f"There is no support {min(unknown)!r}.",
@@ -269,7 +271,7 @@ def _results(rows: list[dict[str, Any]]) -> list[str]:
         cells = [(name, *(str(n[answer]) for answer in answers)) for name, n in counts.items()]
         return ["", *table([("can be played", *answers), *cells], left=(0,))]
     played = [row for row in ok if not isnan(row["rmse"])]
-    if any(row["policy"] for row in played):
+    if any(_is_known(row["policy"]) for row in played):
         return ["", *table(_policy_lines(played), left=(0,))]
     lines = [("simulated", "rows", "success", "median RMSE rad", "worst", "motion")]
     for variant in dict.fromkeys(row["variant"] for row in played):
@@ -312,7 +314,9 @@ def _policy_lines(rows: list[dict[str, Any]]) -> list[tuple[str, ...]]:
         of = [row for row in rows if row["variant"] == variant]
         name, sha = of[0]["policy"], of[0]["policy_sha256"]
         label = f"{name}:{sha[:8]}" if name in several else name
-        settings = (f"{of[0][one]:g}" if isinstance(of[0][one], float) else of[0][one] for one in swept)
+        settings = (
+            f"{of[0][one]:g}" if isinstance(of[0][one], float) else of[0][one] for one in swept
+        )
         successes = (sum(row[one] is True for row in of) for one in ("success_sonic", "success"))
         means = []
         for _, column, scale, digits in _OF_POLICIES:

@@ -390,7 +390,7 @@ class SimConfig(Table):
         "of the random numbers of sensor noise and pushes",
         flag=("sim", "demo"),
         ge=0,
-        le=2**32 - 1,
+        le=999_999,
     )
     duration: float | None = setting(
         None,

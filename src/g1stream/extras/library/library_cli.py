@@ -63,7 +63,7 @@ class Library(SettingsCommand):
       g1stream library check motions -o library
       g1stream library simulate s3://lab/motions --support bolted,hanging
       g1stream library simulate motions --sweep gains.kp=0.5,1,2
-      g1stream library simulate motions --policy a.onnx --policy b.onnx --sweep sim.push=0,0.5
+      g1stream library simulate motions --policy a.onnx --sweep sim.push=0,0.5
       g1stream library check motions --fail-if 'max_collision > 10'
       g1stream library check motions --cluster tcp://head:8786
 

@@ -39,6 +39,7 @@ def file(tmp_path):
 def test_the_name_of_a_policy(file):
     assert case(file("walk.onnx")).policy == "walk"
     assert case(file("dance/policy.onnx")).policy == "dance"
+    assert case("/policy.onnx").policy == "policy"
     assert LibraryCase("simulate", Path("out")).policy is None
     assert LibraryCase("simulate", Path("out")).policy_sha256 == ""
     assert LibraryCase("check", Path("out"), case(file("walk.onnx")).config).policy is None
@@ -78,6 +79,7 @@ def test_a_policy_that_cannot_be_read(tmp_path):
         ("simulate", "--policy", "none.onnx"),
         ("simulate", "--policy", "walk.onnx", "--support", "bolted"),
         ("check", "--policy", "walk.onnx"),
+        ("simulate", "--sweep", "stream.policy=walk.onnx"),
     ],
 )
 def test_flags_that_do_not_go_with_a_policy(file, motions, monkeypatch, tmp_path, flags):

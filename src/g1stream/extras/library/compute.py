@@ -10,6 +10,7 @@ import resource
 import time
 from dataclasses import dataclass, field
 from functools import cache, cached_property
+from glob import escape
 from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
@@ -100,7 +101,7 @@ class LibraryCase:
         if self.command != "simulate" or not self.config.stream.policy:
             return None
         path = Path(self.config.stream.policy).absolute()
-        return path.parent.name if path.stem == "policy" else path.stem
+        return (path.stem == "policy" and path.parent.name) or path.stem
 
     @cached_property
     def policy_sha256(self) -> str:
@@ -113,7 +114,7 @@ class LibraryCase:
             return ""
         path = Path(self.config.stream.policy or "")
         # Weights of its own, and what says how it was trained.
-        beside = (*sorted(path.parent.glob(f"{path.name}.*")), path.with_suffix(".toml"))
+        beside = (*sorted(path.parent.glob(f"{escape(path.name)}.*")), path.with_suffix(".toml"))
         digest = sha256()
         for file in (path, *beside, path.with_name("deploy.yaml")):
             if file is path or file.is_file():

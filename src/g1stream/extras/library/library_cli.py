@@ -186,6 +186,8 @@ class Library(SettingsCommand):
             return [LibraryCase("check", out, config)]
         if self.action == "convert":
             return [LibraryCase("convert", out, config, format=self.to)]
+        if any(text.startswith("stream.policy=") for text in self.sweep):
+            raise ConfigError("--sweep has no policies.", "Give --policy for each of them.")
         policies = self.policy or filter(None, [config.stream.policy])
         files = list(dict.fromkeys(str(Path(one).absolute()) for one in policies))
         if files and self.support not in (None, "free"):

@@ -380,10 +380,26 @@ class SimConfig(Table):
         0.0,
         "sensor noise of LowState; at 1 its standard deviations are 0.5 mrad and 0.05 rad/s for "
         "the joints, 0.01 rad/s, 0.1 m/s² and 1 mrad of attitude for the IMU; the same in every "
-        "rollout",
+        "rollout with the same sim.seed",
         flag=("sim", "demo"),
         ge=0.0,
         le=100.0,
+    )
+    push: float = setting(
+        0.0,
+        "greatest speed that is added to the pelvis along x and along y every 5 s while nothing "
+        "holds it, as in the training of policies; 0: no pushes",
+        "m/s",
+        flag=("sim", "demo"),
+        ge=0.0,
+        le=5.0,
+    )
+    seed: int = setting(
+        0,
+        "of the random numbers of sensor noise and pushes",
+        flag=("sim", "demo"),
+        ge=0,
+        le=999_999,
     )
     duration: float | None = setting(
         None,

@@ -12,6 +12,7 @@ from g1stream.analysis.metrics import NAMED_METRICS
 from g1stream.app.session import Session
 from g1stream.config import Config
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
+from g1stream.robot.rotations import quat_mul
 from g1stream.session.source import MemorySource
 from g1stream.testing import SyntheticSession
 
@@ -173,3 +174,132 @@ def test_timing_is_that_of_what_the_arms_were_sent():
     assert timing.rate_hz == pytest.approx(100.0)
     assert timing.interval_us.p50 == pytest.approx(10_000.0)
     assert timing.state_age_us.p50 == pytest.approx(1000.0)
+
+
+@pytest.mark.parametrize(
+    ("latency", "expected_us"), [(100e-6, 3000.0), (900e-6, 3000.0), (1500e-6, 5000.0)]
+)
+def test_the_state_of_a_command_is_the_newest_at_the_one_before(latency, expected_us):
+    source = MemorySource()
+    SyntheticSession(1.0, latency=latency).write(source)
+    metrics = Session(source).metrics()
+    assert metrics.timing.state_to_command_us.p50 == pytest.approx(expected_us)
+    assert metrics.timing.state_to_command_us.max == pytest.approx(expected_us)
+    assert metrics.named()["delay_p99"] == pytest.approx(expected_us / 1e6)
+    assert metrics.timing.state_age_us.p50 == pytest.approx(1000.0)
+
+
+def test_after_ticks_left_out_the_state_is_a_new_one():
+    source, whole = MemorySource(), MemorySource()
+    SyntheticSession(1.0).write(whole)
+    for topic, sent in whole.batches({"/lowcmd", "/lowstate", "/reference"}):
+        parts = [slice(None)] if topic == "/lowstate" else [slice(40), slice(60, None)]
+        for part in parts:
+            columns = (one[part] for one in (sent.data, sent.log_times, sent.publish_times))
+            source.write_batch(topic, *columns)
+    found = Session(source).metrics().timing.state_to_command_us
+    assert (found.p50, found.max) == (pytest.approx(3000.0), pytest.approx(3000.0))
+
+
+def test_another_programs_commands_are_as_old_as_the_newest_state():
+    source = MemorySource()
+    SyntheticSession(1.0).write(source)
+    session = Session(source)
+    session.topics = {name: n for name, n in session.topics.items() if name != "/reference"}
+    timing = session.metrics().timing
+    assert timing.state_to_command_us == timing.state_age_us
+    assert timing.state_to_command_p99_s == pytest.approx(1e-3)
+
+
+@pytest.fixture(scope="module")
+def followed():
+    config = Config.model_validate({"stream": {"ramp": 0.5, "hold": 0.1, "damp": 0.5}})
+    return g1stream.rollout("demo", seconds=1.0, support="follow", config=config)
+
+
+def test_sonics_limits_hold_for_a_robot_that_follows(followed):
+    metrics = followed.metrics()
+    assert metrics.success.success_sonic is True
+    assert metrics.body.terminations.sonic is None
+
+
+@pytest.mark.parametrize(("shift", "excess"), [(0.24, False), (0.26, True)])
+def test_the_first_height_beyond_sonics_limit(followed, monkeypatch, shift, excess):
+    part = followed.sel("PLAY")
+    higher = np.where(part.base.time[:, np.newaxis] > 0.5, [0.0, 0.0, shift], 0.0)
+    monkeypatch.setitem(vars(part.base), "position", part.base.position + higher)
+    metrics = part.metrics()
+    assert metrics.success.success_sonic is not excess
+    first = metrics.body.terminations.sonic
+    assert (first is not None) is excess
+    if first:
+        assert first.at_s == pytest.approx(0.51, abs=0.02)
+        assert first.height_mm == pytest.approx(1e3 * shift, abs=15.0)
+        assert first.rotation_rad is None
+        ends = {f"{side}_{link}" for side in ("left", "right") for link in LINKS}
+        assert first.link in {"pelvis", *ends}
+
+
+LINKS = ("ankle_roll_link", "wrist_yaw_link")
+
+
+@pytest.mark.parametrize("axis", [1, 3])
+def test_the_first_rotation_beyond_sonics_limit(followed, monkeypatch, axis):
+    part = followed.sel("PLAY")
+    turn = np.zeros((len(part.measured), 4))
+    angle = np.where(part.measured.time > 0.5, 1.1, 0.0)
+    turn[:, 0], turn[:, axis] = np.cos(angle / 2), np.sin(angle / 2)
+    quat = quat_mul(part.measured.imu_quat_wxyz, turn)
+    monkeypatch.setitem(vars(part.measured), "imu_quat_wxyz", quat)
+    first = part.metrics().body.terminations.sonic
+    assert part.metrics().success.success_sonic is False
+    assert first.at_s == pytest.approx(0.51, abs=0.02)
+    if axis == 3:  # about the vertical no height changes
+        assert (first.link, first.height_mm) == ("pelvis", None)
+        assert first.rotation_rad == pytest.approx(1.1, abs=0.05)
+
+
+def stalled(*, support, reason="", gaps=()):
+    """The metrics and problems of a robot whose states have gaps."""
+    source = MemorySource()
+    stream = {"support": support, "reason": reason}
+    SyntheticSession(3.0, gaps=gaps, metadata={"stream": stream}).write(source)
+    return Session(source)
+
+
+@pytest.mark.parametrize(
+    ("support", "length", "spoilt"),
+    [("free", 0.06, True), ("free", 0.03, False), ("bolted", 0.06, False)],
+)
+def test_a_simulator_that_stalls_spoils_a_run_on_free_feet(support, length, spoilt):
+    session = stalled(support=support, gaps=((1.0, length),), reason="the pelvis tilts")
+    success, problems = session.metrics().success, session.summary().problems
+    assert success.completed is False
+    assert success.success is (None if spoilt else False)
+    assert success.spoilt_by_ms == (pytest.approx(1e3 * length + 2.0, abs=0.1) if spoilt else None)
+    assert sum("stood still" in one for one in problems) == spoilt
+
+
+def test_a_stall_outside_of_play_spoils_nothing():
+    session = stalled(support="free", gaps=((-0.4, 0.06), (3.1, 0.06)))
+    assert session.summary().spoilt_by_ms is None
+
+
+def test_a_run_that_succeeds_in_spite_of_a_stall_has_succeeded():
+    success = stalled(support="free", gaps=((1.0, 0.06),)).metrics().success
+    assert success.spoilt_by_ms == pytest.approx(62.0, abs=0.1)
+    assert success.success is True
+
+
+@pytest.mark.parametrize(("leap", "spoilt"), [(94, 94.0), (30, None), (2**31, None)])
+def test_ticks_that_leap_spoil_a_run(monkeypatch, leap, spoilt):
+    session = stalled(support="free")
+    ticks = session.measured.tick.astype(np.uint64)
+    ticks[900:] += leap - 1
+    monkeypatch.setitem(vars(session.measured), "tick", ticks.astype(np.uint32))
+    assert session.summary().spoilt_by_ms == spoilt
+
+
+def test_states_that_end_in_play_spoil_it():
+    session = stalled(support="free", gaps=((2.9, 10.0),))
+    assert session.summary().spoilt_by_ms == pytest.approx(98.0, abs=3.0)

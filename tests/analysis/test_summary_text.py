@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from g1stream.analysis.summary import MessageStats, Summary, Termination, outcome
+from g1stream.analysis.body import Excess, TerminationMetrics
+from g1stream.analysis.summary import MessageStats, SuccessMetrics, Summary, Termination, outcome
 from g1stream.analysis.tracking import ErrorStats, TrackingSummary
 from g1stream.realtime import Grant
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES
@@ -159,6 +160,33 @@ CASES = {
         tracking=with_delay(None, excluded_states=0),
         feedforward_log=["dynamics of a robot that is held bolted"],
         problems=[f"problem {i}" for i in range(14)],
+    ),
+    "a policy that failed": Summary(
+        tracking=TRACKING,
+        success=SuccessMetrics(
+            completed=True,
+            links="world",
+            max_link_error_mm=480.4,
+            success=True,
+            success_strict=False,
+            success_sonic=False,
+        ),
+        terminations=TerminationMetrics(
+            max_pelvis_height_mm=80.0,
+            max_gravity_difference=0.1,
+            max_end_effector_height_mm=355.0,
+            sonic=Excess(at_s=38.401, link="left_ankle_roll_link", height_mm=261.2),
+        ),
+    ),
+    "a run that was spoilt": Summary(
+        tracking=TRACKING,
+        success=SuccessMetrics(success=True, spoilt_by_ms=94.0),
+        terminations=TerminationMetrics(
+            max_pelvis_height_mm=80.0,
+            max_gravity_difference=1.1,
+            max_end_effector_height_mm=200.0,
+            sonic=Excess(at_s=3.0, link="pelvis", rotation_rad=1.0049),
+        ),
     ),
     "a robot behind its commands": Summary(
         tracking=with_delay(-0.0002),

@@ -187,3 +187,13 @@ def test_no_commands_after_damp_are_no_fault(world, caplog):
     assert simulated.report.timeouts == 1
     assert {record.levelno for record in caplog.records} == {logging.INFO}
     assert "timeout" in caplog.records[-1].message
+
+
+def test_another_seed_has_other_noise(world):
+    def first(seed):
+        simulated = SimulatedRobot(world, SimConfig(noise=1.0, seed=seed))
+        state = LowState()
+        state.load(simulated.publish().low_state)
+        return state.q.tolist()
+
+    assert first(1) == first(1) != first(2)

@@ -6,8 +6,10 @@ import mujoco
 import numpy as np
 import pytest
 
+from g1stream.app.sim import make_world
+from g1stream.config import SimConfig
 from g1stream.robot.rotations import quat_rotate
-from g1stream.sim.world import Root, World
+from g1stream.sim.world import PUSH_PERIOD, Root, World
 
 GRAVITY = 9.81
 
@@ -157,3 +159,47 @@ def test_only_a_followed_robot_passes_through_the_floor(robot, servo, run):
     run(world, servo(), 0.1)
     assert world.data.ncon == 0
     assert world.state().base_pos[2] == pytest.approx(0.3, abs=0.003)
+
+
+@pytest.fixture
+def falling(robot, servo):
+    """Lets a robot fall from high above the floor, and gives its speed after some seconds."""
+
+    def make(push, seed=0, support="free"):
+        settings = SimConfig(support=support, push=push, seed=seed)
+        world = make_world(robot, settings)
+        high, upright = np.array([0.0, 0.0, 900.0]), np.array([1.0, 0.0, 0.0, 0.0])
+        still = Root(high, upright, *np.zeros((2, 3)), playing=False)
+        world.set_reference(still)
+        world.step(servo(), round(0.5 / world.timestep))
+        world.set_reference(still._replace(playing=True))
+
+        def after(seconds):
+            world.step(servo(), round(seconds / world.timestep))
+            return world.state().base_lin_vel
+
+        return after
+
+    return make
+
+
+def test_a_loose_base_is_pushed_every_five_seconds(falling):
+    still, pushed = falling(0.0), falling(0.5)
+    before = PUSH_PERIOD - 0.01
+    assert pushed(before) == pytest.approx(still(before), abs=1e-12)
+    first, both = ((pushed(pause) - still(pause))[:2] for pause in (0.02, PUSH_PERIOD))
+    assert 0.0 < np.abs(first).max() <= 0.5
+    assert 0.0 < np.abs(both - first).max() <= 0.5
+    assert not np.allclose(both, 2.0 * first)
+
+
+def test_the_pushes_of_a_seed_are_the_same(falling):
+    speeds = [falling(0.5, seed)(PUSH_PERIOD + 0.1) for seed in (3, 3, 4)]
+    assert speeds[0].tolist() == speeds[1].tolist()
+    assert not np.allclose(speeds[0][:2], speeds[2][:2])
+
+
+@pytest.mark.parametrize("support", ["bolted", "hanging", "follow"])
+def test_a_base_that_is_held_is_not_pushed(falling, support):
+    still, pushed = (falling(push, support=support)(PUSH_PERIOD + 0.1) for push in (0.0, 2.0))
+    assert still.tolist() == pushed.tolist()

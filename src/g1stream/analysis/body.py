@@ -44,6 +44,7 @@ __all__ = [
     "REFERENCE_COLUMNS",
     "BodyMetrics",
     "EndEffectorMetrics",
+    "Excess",
     "Frames",
     "LinkMetrics",
     "PelvisMetrics",
@@ -62,6 +63,9 @@ _END_EFFECTORS: Final = (
 )
 _DOWN: Final = np.array([0.0, 0.0, -1.0])
 _MM: Final = 1e3
+#: Errors with which a run has failed for SONIC: of a height, m, and of the pelvis's attitude, rad.
+_SONIC_HEIGHT: Final = 0.25
+_SONIC_ROTATION: Final = 1.0
 
 FPS: Final = 50.0
 _PERIOD: Final = round(1e9 / FPS)
@@ -130,19 +134,44 @@ class PelvisMetrics(Record):
     lin_vel_m_s: float | None = None
 
 
+class Excess(Record):
+    """Where a link was too far from the reference's for the first time.
+
+    Attributes:
+        at_s: since the motion's first frame.
+        link: its name.
+        height_mm: error of its height, where that was too large.
+        rotation_rad: angle between the two attitudes, where that was.
+    """
+
+    at_s: float
+    link: str
+    height_mm: float | None = None
+    rotation_rad: float | None = None
+
+    def __str__(self) -> str:
+        """The link, by how much, and when."""
+        wrong = "" if self.height_mm is None else f"{self.height_mm:.0f} mm in height"
+        wrong = wrong or f"{self.rotation_rad or 0.0:.2f} rad in rotation"
+        return f"{self.link} off by {wrong} at {self.at_s:.2f} s"
+
+
 class TerminationMetrics(Record):
-    """What ends an episode of BeyondMimic, at its greatest.
+    """What ends an episode of BeyondMimic, at its greatest, and where a run fails for SONIC.
 
     Attributes:
         max_pelvis_height_mm: error of the pelvis's height.
         max_gravity_difference: between the z components of the direction of gravity in the two
             pelvis frames, 0 to 2.
         max_end_effector_height_mm: error of the height of a hand or a foot.
+        sonic: where the height of the pelvis, a hand or a foot was off by more than 250 mm, or the
+            pelvis's attitude by more than 1 rad, for the first time; None where neither was.
     """
 
     max_pelvis_height_mm: float
     max_gravity_difference: float
     max_end_effector_height_mm: float
+    sonic: Excess | None = None
 
 
 class BodyMetrics(Record):
@@ -319,6 +348,11 @@ def body_metrics(robot: G1, frames: Frames, joints: Sequence[int] = range(N_JOIN
             max_pelvis_height_mm=float(np.abs(apart[:, 2]).max() * _MM),
             max_gravity_difference=_gravity_difference(reference, measured),
             max_end_effector_height_mm=float(np.abs(world[:, ends, 2]).max(initial=0.0) * _MM),
+            sonic=_first_excess(
+                frames,
+                [robot.link_names[0], *(names[end] for end in ends)],
+                np.abs(np.column_stack([apart[:, 2], world[:, ends, 2]])),
+            ),
         )
     return BodyMetrics(
         fps=FPS,
@@ -420,6 +454,22 @@ def _angle(a: Floats, b: Floats) -> Floats:
         np.linalg.norm(difference[:, 1:], axis=1), np.abs(difference[:, 0])
     )
     return angle
+
+
+def _first_excess(frames: Frames, links: list[str], heights: Floats) -> Excess | None:
+    """Of errors of heights (F, E) m, the pelvis's first, and of its attitude."""
+    rotation = _angle(frames.reference.root_quat_wxyz, frames.measured.root_quat_wxyz)
+    shares = np.column_stack([rotation / _SONIC_ROTATION, heights / _SONIC_HEIGHT])
+    beyond = (shares > 1.0).any(axis=1)
+    if not beyond.any():
+        return None
+    first = int(beyond.argmax())
+    worst = int(shares[first].argmax()) - 1
+    at = float(frames.motion_time[first])
+    if worst < 0:
+        return Excess(at_s=at, link=links[0], rotation_rad=float(rotation[first]))
+    height = float(heights[first, worst] * _MM)
+    return Excess(at_s=at, link=links[worst], height_mm=height)
 
 
 def _gravity_difference(reference: RobotFrames, measured: RobotFrames) -> float:

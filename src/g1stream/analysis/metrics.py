@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from pydantic import computed_field
 
 from g1stream.analysis.body import (
     FPS,
@@ -19,7 +20,7 @@ from g1stream.analysis.body import (
     frames,
 )
 from g1stream.analysis.summarise import percentiles, played, summarise
-from g1stream.analysis.summary import TO_ITS_END, MessageStats
+from g1stream.analysis.summary import TO_ITS_END, MessageStats, SuccessMetrics
 from g1stream.analysis.torque import TorqueMetrics, commanded_torque, torque_metrics
 from g1stream.analysis.tracking import (
     NothingToCompareError,
@@ -39,11 +40,14 @@ from g1stream.session.streams import (
     MeasuredStream,
     ReferenceStream,
     TorsoImuStream,
+    without_steps,
 )
-from g1stream.types import Floats
+from g1stream.types import Floats, Ints
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from numpy.typing import NDArray
 
     from g1stream.analysis.body import Frames
     from g1stream.analysis.summary import Summary
@@ -53,7 +57,6 @@ if TYPE_CHECKING:
 __all__ = [
     "NAMED_METRICS",
     "Metrics",
-    "SuccessMetrics",
     "TimingMetrics",
     "metrics",
     "timing_metrics",
@@ -70,6 +73,8 @@ NAMED_METRICS: Final = {
     "mpjpe": ("mm", "body.pelvis_frame.mpjpe_mm"),
     "mpjpe_root": ("mm", "body.root_relative.mpjpe_mm"),
     "mpjpe_world": ("mm", "body.world.mpjpe_mm"),
+    "e_vel": ("mm/frame", "body.world.vel_mm_per_frame"),
+    "e_acc": ("mm/frame²", "body.world.acc_mm_per_frame2"),
     "torque_rms": ("N·m", "torque.rms_nm"),
     "torque_use": ("", "torque.use"),
     "saturated": ("", "torque.saturated"),
@@ -77,16 +82,17 @@ NAMED_METRICS: Final = {
     "rate": ("Hz", "timing.rate_hz"),
     "lateness_p99": ("us", "timing.lateness_us.p99"),
     "state_age_p99": ("us", "timing.state_age_us.p99"),
+    "delay_p99": ("s", "timing.state_to_command_p99_s"),
 }
 """Metrics of a whole session by the name that a condition has for them: unit and place."""
 
-#: Supports with which the pelvis moves as the robot does, or as the motion does.
-_MOVES: Final = {"follow", "free", "feet"}
 #: A run fails where the links are further away than this on average, mm: PHC, H2O, OmniH2O, ASAP.
 _MOST_LINK_ERROR: Final = 500.0
 #: What ends an episode of BeyondMimic: errors of heights, mm, and of the direction of gravity.
 _MOST_HEIGHT_ERROR: Final = 250.0
 _MOST_GRAVITY_DIFFERENCE: Final = 0.8
+#: Periods between two commands, above which the stream has left out a tick.
+_LEFT_OUT: Final = 1.5
 
 
 class TimingMetrics(Record):
@@ -99,6 +105,8 @@ class TimingMetrics(Record):
         lateness_histogram_us: lower edge of a 1 us bin -> ticks, likewise.
         skipped_ticks: left out because they were a whole period late or more, likewise.
         state_age_us: of the newest LowState at each LowCmd, between the publish times.
+        state_to_command_us: from the publish time of the LowState that a LowCmd was computed from
+            to that LowCmd's; of another program's commands the same as `state_age_us`.
         topics: rate, gaps and wire latency of each topic of DDS.
     """
 
@@ -109,31 +117,15 @@ class TimingMetrics(Record):
     lateness_histogram_us: dict[Int, Int] | None = None
     skipped_ticks: Int | None = None
     state_age_us: Percentiles | None = None
+    state_to_command_us: Percentiles | None = None
     topics: dict[str, MessageStats]
 
-
-class SuccessMetrics(Record):
-    """Whether the motion was played to its end and followed.
-
-    Attributes:
-        completed: whether the stream played what it was asked to; None where that is not known.
-        progress: share of what was asked that was played, 0 to 1.
-        links: what the links' distance is measured by: `world` where nothing holds the pelvis,
-            `root_relative` or `pelvis_frame` else.
-        max_link_error_mm: the greatest of the frames' mean distances of all links.
-        success: completed, and that distance at most 500 mm in every frame, as PHC, OmniH2O and
-            ASAP ask; None where one of the two is not known.
-        success_strict: the same with BeyondMimic's limits on heights of pelvis, hands and feet
-            (250 mm) and the pelvis's tilt (0.8) in place of that distance; None where something
-            holds the pelvis.
-    """
-
-    completed: bool | None = None
-    progress: float | None = None
-    links: str | None = None
-    max_link_error_mm: float | None = None
-    success: bool | None = None
-    success_strict: bool | None = None
+    @computed_field  # type: ignore[prop-decorator]
+    @property
+    def state_to_command_p99_s(self) -> float | None:
+        """The 99th percentile of `state_to_command_us`, s."""
+        delays = self.state_to_command_us
+        return None if delays is None else delays.p99 / 1e6
 
 
 class Metrics(Record):
@@ -279,10 +271,11 @@ def _success(
     summary: Summary, tracking: Tracking | None, body: BodyMetrics | None
 ) -> SuccessMetrics:
     completed, progress = _completed(summary, tracking)
-    found = SuccessMetrics(completed=completed, progress=progress)
+    spoilt = summary.spoilt_by_ms
+    found = SuccessMetrics(completed=completed, progress=progress, spoilt_by_ms=spoilt)
     if body is None:
         return found
-    moves = summary.stream is not None and summary.stream.support in _MOVES
+    moves = summary.moves
     if tracking and len(tracking.joints) + len(summary.absent) < N_JOINTS:
         moves = False  # the base is not the motion's, but that of whoever moves the legs
     links = "pelvis_frame"
@@ -292,14 +285,18 @@ def _success(
     found.links, found.max_link_error_mm = links, followed
     if completed is None:
         return found
-    found.success = completed and followed <= _MOST_LINK_ERROR
+
+    def verdict(*, followed: bool) -> bool | None:
+        return (completed and followed) or (None if spoilt else False)
+
+    found.success = verdict(followed=followed <= _MOST_LINK_ERROR)
     if moves and (most := body.terminations):
-        found.success_strict = (
-            completed
-            and max(most.max_pelvis_height_mm, most.max_end_effector_height_mm)
-            <= _MOST_HEIGHT_ERROR
+        heights = max(most.max_pelvis_height_mm, most.max_end_effector_height_mm)
+        found.success_strict = verdict(
+            followed=heights <= _MOST_HEIGHT_ERROR
             and most.max_gravity_difference <= _MOST_GRAVITY_DIFFERENCE
         )
+        found.success_sonic = verdict(followed=most.sonic is None)
     return found
 
 
@@ -341,10 +338,35 @@ def timing_metrics(session: Recording, summary: Summary) -> TimingMetrics:
     commands = np.sort(session.stream(ours).published)
     found.interval_us = percentiles(np.diff(commands) / 1e3)
     if "/lowstate" in found.topics:
-        states = np.sort(session.measured.published)
-        newest = np.searchsorted(states, commands, side="right") - 1
+        order = np.argsort(session.measured.published, kind="stable")
+        states = session.measured.published[order]
         # Where the recorder was killed, states may be missing that commands in the file had seen.
-        known = (newest >= 0) & (session.complete | (commands <= states[-1]))
-        if known.any():
-            found.state_age_us = percentiles((commands[known] - states[newest[known]]) / 1e3)
+        seen = (commands <= states[-1]) | session.complete
+        newest = np.searchsorted(states, commands, side="right") - 1
+        found.state_age_us = _ages(commands, states, newest, seen)
+        found.state_to_command_us = found.state_age_us
+        if session.topics.get(ReferenceStream.topic) and len(commands) > 1:
+            logged = without_steps(session.measured.log_time, session.clock_steps)
+            received = np.maximum.accumulate(logged[order])
+            used = np.searchsorted(received, _prepared(commands), side="right") - 1
+            used = np.minimum(used, newest[1:])
+            found.state_to_command_us = _ages(commands[1:], states, used, seen[1:])
     return found
+
+
+def _prepared(commands: Ints) -> Ints:
+    """When a stream took the LowState of each command but the first: at the one before, ns.
+
+    After ticks that were left out it took the newest one anew.
+    """
+    intervals = np.diff(commands)
+    late = intervals > _LEFT_OUT * np.median(intervals)
+    return np.where(late, commands[1:], commands[:-1])
+
+
+def _ages(
+    commands: Ints, states: Ints, of: NDArray[np.intp], seen: NDArray[np.bool_]
+) -> Percentiles | None:
+    """Of the states with indices `of`, us, at the commands; -1 where there is none."""
+    known = (of >= 0) & seen
+    return percentiles((commands[known] - states[of[known]]) / 1e3) if known.any() else None

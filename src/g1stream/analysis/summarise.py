@@ -70,6 +70,8 @@ _LONG_OVERRUN: Final = 0.02
 _MOST_SKIPPED: Final = 0.01
 #: Simulated over real time. At 0.8 the joints accelerate 1.6 times as hard as in the motion.
 _SLOW_SIMULATOR: Final = 0.8
+#: A robot's time that stands still or leaps for so long, s, changes what a controller is to do.
+_STALL: Final = 0.04
 #: A recording that goes on for so long, ns, after the last reference has not merely ended first.
 _SILENCE: Final = 500_000_000
 #: Commands whose CRC is checked, evenly spread over a longer session.
@@ -88,7 +90,7 @@ def summarise(session: Recording) -> Summary:
             {
                 ReferenceStream: ("motion_time", "phase", "played", "q"),
                 CommandStream: ("mode_machine",),
-                MeasuredStream: ("q", "imu_quat_wxyz", "mode_machine"),
+                MeasuredStream: ("q", "imu_quat_wxyz", "mode_machine", "tick"),
             }
         )
     info, problems = read_record(SessionInfo, session.metadata)
@@ -153,6 +155,8 @@ def summarise(session: Recording) -> Summary:
         topics=topics,
         attachments_bytes={name: len(data) for name, data in session.attachments.items()},
     )
+    if summary.moves and summary.tracking:
+        summary.spoilt_by_ms = _longest_stall(session)
     summary.problems = [
         *find_problems(summary),
         *_file_problems(session),
@@ -231,6 +235,12 @@ def find_problems(summary: Summary) -> Iterator[str]:
         yield f"The stream process ended in {undamped.name} without DAMP: the robot was not damped."
     if guard := summary.termination.guard:
         yield f"{guard[0].upper()}{guard[1:]}."
+    if spoilt := summary.spoilt_by_ms:
+        yield (
+            f"The robot's time stood still or leapt by {spoilt:.0f} ms in PLAY, where nothing held "
+            "its pelvis: this run tells nothing of the controller or policy. Play it again on a "
+            "machine with nothing else to do."
+        )
     if stream:
         yield from _stream_problems(stream)
     if recorder:
@@ -359,6 +369,25 @@ def _ignored_commands(session: Recording) -> Iterator[str]:
 
 def _share(n: int, of: int) -> str:
     return "All" if n == of else f"{max(1, round(100 * n / of))} %"
+
+
+def _longest_stall(session: Recording) -> float | None:
+    """The longest step in PLAY of the robot's time, by publish times or ticks, ms; None if short.
+
+    After the last state of all, the time to the end of PLAY is a step, too.
+    """
+    reference, measured = session.reference, session.measured.read("tick")
+    playing = reference.published[reference.phase == Phase.PLAY]
+    first, last = playing.min(), playing.max()
+    order = np.argsort(measured.published, kind="stable")
+    order = order[measured.published[order] >= first]
+    times = measured.published[order]
+    n = int(np.searchsorted(times, last)) + 1  # with the state that ends a stall at PLAY's end
+    steps = np.diff(times[:n], append=last).clip(0) / 1e6
+    ticks = np.diff(measured.tick[order][:n].astype(np.int64)) % 2**32
+    ticks = ticks[ticks < 2**31]  # else they began anew
+    longest = max(float(steps.max()), float(ticks.max(initial=0)))
+    return longest if longest > max(1e3 * _STALL, _GAP * float(np.median(steps))) else None
 
 
 def _invalid_attitudes(session: Recording) -> Iterator[str]:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from pydantic import computed_field
 
+from g1stream.analysis.body import TerminationMetrics
 from g1stream.analysis.tracking import TrackingSummary
 from g1stream.robot.joints import JOINT_GROUPS, JOINT_NAMES, N_JOINTS
 from g1stream.session.records import (
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
 __all__ = [
     "TO_ITS_END",
     "MessageStats",
+    "SuccessMetrics",
     "Summary",
     "Termination",
     "most",
@@ -51,6 +53,8 @@ _MOST_JOINTS: Final = 3
 _MOST_PROBLEMS: Final = 10
 #: A time scale this far from 1 is shown.
 _SLOW: Final = 0.02
+#: Supports with which the pelvis moves as the robot does, or as the motion does.
+_MOVES: Final = {"follow", "free", "feet"}
 #: How it ended, where nobody told.
 _UNTOLD: Final = "not recorded"
 
@@ -75,6 +79,36 @@ class Termination(Record):
     played_s: float | None = None
     motion_s: float | None = None
     start_s: float = 0.0
+
+
+class SuccessMetrics(Record):
+    """Whether the motion was played to its end and followed.
+
+    Attributes:
+        completed: whether the stream played what it was asked to; None where that is not known.
+        progress: share of what was asked that was played, 0 to 1.
+        links: what the links' distance is measured by: `world` where nothing holds the pelvis,
+            `root_relative` or `pelvis_frame` else.
+        max_link_error_mm: the greatest of the frames' mean distances of all links.
+        success: completed, and that distance at most 500 mm in every frame, as PHC, OmniH2O and
+            ASAP ask; None where one of the two is not known.
+        success_strict: the same with BeyondMimic's limits on heights of pelvis, hands and feet
+            (250 mm) and the pelvis's tilt (0.8) in place of that distance; None where something
+            holds the pelvis.
+        success_sonic: the same with SONIC's limits on those heights (250 mm) and the pelvis's
+            attitude (1 rad); likewise.
+        spoilt_by_ms: see `Summary`. A run that was spoilt has not failed: of the three, those that
+            would be false are None.
+    """
+
+    completed: bool | None = None
+    progress: float | None = None
+    links: str | None = None
+    max_link_error_mm: float | None = None
+    success: bool | None = None
+    success_strict: bool | None = None
+    success_sonic: bool | None = None
+    spoilt_by_ms: float | None = None
 
 
 class MessageStats(Record):
@@ -122,6 +156,10 @@ class Summary(Record):
         feedforward_log: what was logged of feed-forward, also by a stream that was killed.
         recorder: what the recorder counted.
         tracking: how closely the robot followed.
+        spoilt_by_ms: the longest time for which the robot's own time stood still or leapt in PLAY,
+            above 40 ms and where nothing held the pelvis: the run tells nothing of its controller.
+        success, terminations: of a robot that nothing held; only `g1stream info` fills them in,
+            from `metrics`.
         topics: the messages of each topic.
         attachments_bytes: name -> size.
         problems: what is wrong, a sentence each, the most important first.
@@ -147,10 +185,18 @@ class Summary(Record):
     feedforward_log: list[str] = []
     recorder: RecorderSummary | None = None
     tracking: TrackingSummary | None = None
+    spoilt_by_ms: float | None = None
+    success: SuccessMetrics | None = None
+    terminations: TerminationMetrics | None = None
     topics: dict[str, MessageStats] = {}
     attachments_bytes: dict[str, Int] = {}
     problems: list[str] = []
     stream: StreamSummary | None = None
+
+    @property
+    def moves(self) -> bool:
+        """Whether the pelvis moved as the robot did, or as the motion did, as far as is known."""
+        return self.stream is not None and self.stream.support in _MOVES
 
     @computed_field  # type: ignore[prop-decorator]
     @property
@@ -166,7 +212,7 @@ class Summary(Record):
         stream = stream_facts(self.stream) if self.stream else [("feed-forward", "; ".join(log))]
         sections = (
             _lines(session_facts(self)),
-            _tracking_lines(self.tracking, self.stream) if self.tracking else [],
+            _tracking_lines(self.tracking, self) if self.tracking else [],
             _lines(stream),
             _message_lines(self),
             _lines([("problems", text) for text in _problems(self.problems)]),
@@ -384,7 +430,7 @@ def _ended(termination: Termination) -> str:
     )
 
 
-def _tracking_lines(tracking: TrackingSummary, stream: StreamSummary | None) -> list[str]:
+def _tracking_lines(tracking: TrackingSummary, summary: Summary) -> list[str]:
     rows = [("limb", "RMSE rad", "RMSE deg", "max deg", "at s", "worst joint by RMSE", "deg")]
     for limb, error in {**tracking.limbs, "all joints": tracking.all_joints}.items():
         worst = error.worst_joint or ""
@@ -404,12 +450,32 @@ def _tracking_lines(tracking: TrackingSummary, stream: StreamSummary | None) -> 
         f"{counted(tracking.compared_states, 'state')} over {tracking.compared_s:.2f} s of PLAY"
         + (excluded if tracking.excluded_states else "")
     )
-    delay = _delay(tracking, stream.preview_s if stream else None)
+    delay = _delay(tracking, summary.stream.preview_s if summary.stream else None)
     return [
         *table(rows, left=(0, 5)),
         "",
-        *_lines([("delay", delay), ("compared", compared)]),
+        *_lines([("delay", delay), ("compared", compared), *_success(summary)]),
     ]
+
+
+def _success(summary: Summary) -> list[tuple[str, str]]:
+    """Whether the run is a success, by each of the criteria."""
+    found, ends = summary.success, summary.terminations
+    if found is None:
+        return []
+    far, first = found.max_link_error_mm, ends and ends.sonic
+    criteria = (
+        ("mean link distance", found.success, "" if far is None else f"at most {far:.0f} mm"),
+        ("BeyondMimic", found.success_strict, ""),
+        ("SONIC", found.success_sonic, f"{first}" if first else ""),
+    )
+    void = "void" if found.spoilt_by_ms else "not known"
+    answers = {True: "yes", False: "no", None: void}
+    text = [
+        f"{name} {answers[answer]}" + (f" ({detail})" if detail else "")
+        for name, answer, detail in criteria
+    ]
+    return [("success", "; ".join(text))]
 
 
 def _delay(tracking: TrackingSummary, preview: float | None) -> str:

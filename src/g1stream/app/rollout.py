@@ -74,7 +74,7 @@ def rollout(
         joints: those that play the motion, such as "arms,waist"; `config.stream.joints` if None.
         announced: how the simulated robot announces that it is held, where that shall be wrong.
         noise: called with each `LowState` before it is published, which it may change in place;
-            `config.sim.noise` if None.
+            `config.sim.noise` and `config.sim.seed` if None.
         policy: ONNX file of a learned policy that plays the motion on free feet (extra `policy`);
             `config.stream.policy` if None.
 

@@ -108,8 +108,14 @@ def make_world(robot: G1, settings: SimConfig) -> World:
     """The simulated robot as the settings have it."""
     # The largest step of a millisecond or less that divides the period of LowState.
     timestep = 1.0 / (settings.rate * math.ceil(1000.0 / settings.rate))
-    collides = settings.self_collision
-    return World(robot, settings.support, self_collision=collides, timestep=timestep)
+    return World(
+        robot,
+        settings.support,
+        self_collision=settings.self_collision,
+        timestep=timestep,
+        push=settings.push,
+        seed=settings.seed,
+    )
 
 
 _REMEDY = "Run it on a desktop, or without the viewer."

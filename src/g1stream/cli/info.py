@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from g1stream.cli.command import EXIT_OK, Command, print_summary
 from g1stream.cli.flags import argument, flag
+from g1stream.errors import RecordingError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,5 +31,12 @@ class Info(Command):
         """Print the summary, and return the exit code."""
         from g1stream.app.session import open_session
 
-        print_summary(open_session(self.file).summary(), as_json=self.json)
+        session = open_session(self.file)
+        summary = session.summary()
+        if summary.moves:  # elsewhere the links tell nothing that the joints do not
+            with suppress(RecordingError):  # the problems say what is wrong with the file
+                metrics = session.metrics()
+                summary.success = metrics.success
+                summary.terminations = metrics.body.terminations if metrics.body else None
+        print_summary(summary, as_json=self.json)
         return EXIT_OK

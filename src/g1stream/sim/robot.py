@@ -76,7 +76,8 @@ class SimulatedRobot:
         world: its physics.
         config: rate of LowState, command delay and timeout, noise.
         mode_machine: of the kind of G1 that the world simulates.
-        noise: may change a LowState before it is published; `SensorNoise(config.noise)` if None.
+        noise: may change a LowState before it is published; `SensorNoise` with `config.noise` and
+            `config.seed` if None.
 
     Attributes:
         period: ns between two LowStates.
@@ -95,7 +96,7 @@ class SimulatedRobot:
         self.report = SimReport()
         self._world = world
         self._mode_machine = mode_machine
-        self._noise = noise or SensorNoise(config.noise)
+        self._noise = noise or SensorNoise(config.noise, config.seed)
         self._steps = max(1, round(self.period / 1e9 / world.timestep))
         self._timeout = round(config.command_timeout * 1e9)
         self._delay = round(config.command_delay * 1e9)

@@ -1,7 +1,7 @@
 """A simulated G1: motor commands in, measured state out, one physics step at a time.
 
-Time is simulated, without clocks or DDS, and nothing is random: the same commands give the same
-states, bit for bit.
+Time is simulated, without clocks or DDS, and pushes are those of their seed: the same commands give
+the same states, bit for bit.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from g1stream.types import Support
 
 __all__ = [
+    "PUSH_PERIOD",
     "SUPPORTS",
     "BaseSupport",
     "Bolted",
@@ -38,6 +39,10 @@ __all__ = [
     "World",
     "WorldState",
 ]
+
+
+PUSH_PERIOD: Final = 5.0
+"""From when the base is let go to the first push, and between two pushes, s of simulated time."""
 
 
 class MotorCommand(NamedTuple):
@@ -99,6 +104,9 @@ class World:
         self_collision: links collide with each other, see `g1stream.sim.model.build_model`.
         timestep: s. With 1 ms, half the period of LowState at 500 Hz, a dance differs by 0.3 mrad
             RMS from that with a step twenty times finer.
+        push: greatest speed that is added to the base along x and along y at a push, m/s; 0: none.
+            Each of the two is uniformly distributed between this and its negative.
+        seed: of the pushes.
 
     Attributes:
         model: the `mujoco.MjModel`.
@@ -119,6 +127,8 @@ class World:
         base_height: float | None = None,
         self_collision: bool = True,
         timestep: float = 1e-3,
+        push: float = 0.0,
+        seed: int = 0,
     ) -> None:
         import mujoco
 
@@ -133,6 +143,8 @@ class World:
         )
         self.data: Any = mujoco.MjData(self.model)
         self._support = kind(self.model, self.data)
+        self._push, self._rng = push, np.random.default_rng(seed)
+        self._loose = 0  # timesteps since the base was let go
         self._support.place(self._support.height if base_height is None else base_height)
         self.present = robot.present
         self._motors = np.flatnonzero(self.present)
@@ -175,6 +187,8 @@ class World:
         self._set_motors(command)
         for _ in range(steps):
             self._support.hold()
+            if self._push:
+                self._push_when_due()
             # Split where MuJoCo's own step begins, so that the sensors show the state at its end.
             self._integrate()
             self._look()
@@ -184,6 +198,12 @@ class World:
                 "integrate, or the viewer reset it.",
                 "Check the masses in the URDF, and gains far above Unitree's.",
             )
+
+    def _push_when_due(self) -> None:
+        """Add a velocity to a base that nothing holds, as policies are pushed in training."""
+        self._loose = self._loose + 1 if self._support.loose else 0
+        if self._loose and self._loose % round(PUSH_PERIOD / self.timestep) == 0:
+            self._support.push(self._rng.uniform(-self._push, self._push, 2))
 
     def set_reference(self, root: Root) -> None:
         """Give the support the base pose of the reference."""
@@ -259,6 +279,15 @@ class BaseSupport:
 
     def set_reference(self, root: Root) -> None:
         """Take the base pose of a reference."""
+
+    @property
+    def loose(self) -> bool:
+        """Whether nothing holds the base now."""
+        return False
+
+    def push(self, velocity: NDArray[np.float64]) -> None:
+        """Add a velocity (2,) m/s along x and y to a base that nothing holds."""
+        self._base_vel[:2] += velocity
 
 
 class Bolted(BaseSupport):
@@ -367,6 +396,10 @@ class Free(Follow):
         super().__init__(model, data)
         model.geom_contype[floor], model.geom_conaffinity[floor] = solid
         self._weld = data.eq_active[model.equality(BASE_TARGET).id :][:1]
+
+    @property
+    def loose(self) -> bool:
+        return not self._weld[0]
 
     def hold(self) -> None:
         if self._weld[0]:

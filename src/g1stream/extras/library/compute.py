@@ -10,6 +10,7 @@ import resource
 import time
 from dataclasses import dataclass, field
 from functools import cache, cached_property
+from glob import escape
 from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
@@ -19,7 +20,7 @@ import numpy as np
 
 from g1stream._version import __version__
 from g1stream.config import Config
-from g1stream.errors import G1StreamError, MotionError, RecordingError
+from g1stream.errors import ConfigError, G1StreamError, MotionError, RecordingError
 from g1stream.extras.library.files import content_hash, local_copy, motions_at, stem
 from g1stream.extras.library.table import FORMAT, Command, JointRow, MotionRow, Rows, Status
 from g1stream.extras.physics.measure import motion_physics
@@ -68,7 +69,7 @@ class LibraryCase:
 
     Attributes:
         command: check, simulate or convert.
-        config: all settings.
+        config: all settings; `stream.policy` is that of `simulate`.
         support: how the pelvis is held; of `simulate`.
         sweep: values of settings in this case, by name; they are in `config` already.
         format: ending of the files of `convert`: csv, npz or mcap.
@@ -91,7 +92,34 @@ class LibraryCase:
             f"{name}={value:.12g}" if isinstance(value, float) else f"{name}={value}"
             for name, value in self.sweep.items()
         ]
-        return " ".join(filter(None, [self.support, self.format, *values]))
+        policy = self.policy and f"policy={self.policy}:{self.policy_sha256[:8]}"
+        return " ".join(filter(None, [self.support, self.format, policy, *values]))
+
+    @property
+    def policy(self) -> str | None:
+        """Name of the policy that plays: of its file, or of the directory of a policy.onnx."""
+        if self.command != "simulate" or not self.config.stream.policy:
+            return None
+        path = Path(self.config.stream.policy).absolute()
+        return (path.stem == "policy" and path.parent.name) or path.stem
+
+    @cached_property
+    def policy_sha256(self) -> str:
+        """Of the policy's file and of those beside it that belong to it, in hex; "" without one.
+
+        Raises:
+            ConfigError: it cannot be read.
+        """
+        if not self.policy:
+            return ""
+        path = Path(self.config.stream.policy or "")
+        # Weights of its own, and what says how it was trained.
+        beside = (*sorted(path.parent.glob(f"{escape(path.name)}.*")), path.with_suffix(".toml"))
+        digest = sha256()
+        for file in (path, *beside, path.with_name("deploy.yaml")):
+            if file is path or file.is_file():
+                digest.update(f"{file.name} {_file_hash(file)} ".encode())
+        return digest.hexdigest()
 
     @cached_property
     def fingerprint(self) -> str:
@@ -110,6 +138,7 @@ class LibraryCase:
             about["settings"] = (*_limits(self.config), safety.max_tilt, safety.urdf_limits)
         elif self.command == "simulate":
             settings = self.config.model_dump(mode="json", exclude=_WITHOUT_EFFECT)
+            settings["stream"]["policy"] = self.policy_sha256  # wherever it is
             about |= {"settings": settings, "sessions": self.sessions}
         return sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()
 
@@ -161,10 +190,21 @@ class Task:
             command=case.command,
             variant="" if broken else case.variant,
             support=None if broken else case.support,
+            policy=None if broken else case.policy,
+            policy_sha256=None if broken else case.policy_sha256 or None,
             status=status,
             reason=reason,
         )
         return Rows(motion=row, sweep={} if broken else case.sweep)
+
+
+def _file_hash(path: Path) -> str:
+    try:
+        return sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise ConfigError(
+            f"The policy {path} cannot be read: {error.strerror}.", "Give the path of an ONNX file."
+        ) from error
 
 
 @cache
@@ -309,7 +349,10 @@ def _simulate(motion: Motion, case: LibraryCase, rows: Rows) -> None:
     metrics, summary = session.metrics(), session.summary()
     success, row.ended = metrics.success, summary.termination.reason or None
     row.completed, row.success = success.completed, success.success
-    row.progress = success.progress
+    row.success_sonic, row.progress = success.success_sonic, success.progress
+    row.survived = summary.termination.played_s
+    if metrics.body and (ends := metrics.body.terminations) and ends.sonic:
+        row.failed_at, row.failed_link = ends.sonic.at_s, ends.sonic.link
     for name, value in metrics.named().items():
         if name in MotionRow.model_fields:
             setattr(row, name, value)

@@ -63,6 +63,7 @@ class Library(SettingsCommand):
       g1stream library check motions -o library
       g1stream library simulate s3://lab/motions --support bolted,hanging
       g1stream library simulate motions --sweep gains.kp=0.5,1,2
+      g1stream library simulate motions --policy a.onnx --sweep sim.push=0,0.5
       g1stream library check motions --fail-if 'max_collision > 10'
       g1stream library check motions --cluster tcp://head:8786
 
@@ -96,6 +97,13 @@ class Library(SettingsCommand):
         "simulate: once with each value of a setting, such as stream.rate=250,500; of gains.kp and "
         "gains.kd, with so many times the gains. May be repeated: all combinations.",
         "NAME=A,B",
+        shown="none",
+    )
+    policy: list[str] = flag(
+        (),
+        "simulate: ONNX file of a learned policy that plays on free feet (extra `policy`). May be "
+        "repeated: once with each.",
+        "FILE",
         shown="none",
     )
     sessions: bool = flag(False, "simulate: keep each session, and its report.")
@@ -158,6 +166,7 @@ class Library(SettingsCommand):
         only = {
             "--support": (self.support, "simulate"),
             "--sweep": (self.sweep, "simulate"),
+            "--policy": (self.policy, "simulate"),
             "--sessions": (self.sessions, "simulate"),
             "--to": (self.to != "npz", "convert"),
         }
@@ -177,18 +186,37 @@ class Library(SettingsCommand):
             return [LibraryCase("check", out, config)]
         if self.action == "convert":
             return [LibraryCase("convert", out, config, format=self.to)]
-        asked = dict.fromkeys((self.support or config.sim.support).split(","))
+        if any(text.startswith("stream.policy=") for text in self.sweep):
+            raise ConfigError("--sweep has no policies.", "Give --policy for each of them.")
+        policies = self.policy or filter(None, [config.stream.policy])
+        files = list(dict.fromkeys(str(Path(one).absolute()) for one in policies))
+        if files and self.support not in (None, "free"):
+            raise ConfigError(
+                f"--support {self.support} with a policy, which stands on free feet.",
+                "Leave --support out.",
+            )
+        asked = dict.fromkeys(
+            (self.support or ("free" if files else config.sim.support)).split(",")
+        )
         if unknown := asked.keys() - set(get_args(StreamSupport)):
             raise ConfigError(
                 f"There is no support {min(unknown)!r}.",
                 f"Choose from {', '.join(get_args(StreamSupport))}.",
             )
         supports = cast("list[StreamSupport]", list(asked))
-        return [
+        played = [_with_policy(config, file) for file in files] or [config]
+        cases = [
             LibraryCase("simulate", out, settings, support, values, sessions=self.sessions)
             for support in supports
-            for values, settings in swept(config, self.sweep)
+            for one in played
+            for values, settings in swept(one, self.sweep)
         ]
+        # A policy that cannot be read is named here, before anything is computed.
+        return list({case.variant: case for case in cases}.values())
+
+
+def _with_policy(config: Config, file: str) -> Config:
+    return load_config(over=config.model_dump() | {"stream.policy": file})
 
 
 def _verdict(condition: FailIf, rows: list[dict[str, Any]], *, complete: bool) -> tuple[bool, str]:
@@ -244,8 +272,10 @@ def _results(rows: list[dict[str, Any]]) -> list[str]:
         counts = {one: Counter(row[one] for row in ok) for one in (*get_args(Support), "feet")}
         cells = [(name, *(str(n[answer]) for answer in answers)) for name, n in counts.items()]
         return ["", *table([("can be played", *answers), *cells], left=(0,))]
-    lines = [("simulated", "rows", "success", "median RMSE rad", "worst", "motion")]
     played = [row for row in ok if not isnan(row["rmse"])]
+    if any(_is_known(row["policy"]) for row in played):
+        return ["", *table(_policy_lines(played), left=(0,))]
+    lines = [("simulated", "rows", "success", "median RMSE rad", "worst", "motion")]
     for variant in dict.fromkeys(row["variant"] for row in played):
         of = sorted((r for r in played if r["variant"] == variant), key=lambda row: row["rmse"])
         successes = sum(row["success"] is True for row in of)
@@ -253,6 +283,49 @@ def _results(rows: list[dict[str, Any]]) -> list[str]:
         figures = f"{median['rmse']:.4f}", f"{worst['rmse']:.4f}", worst["name"]
         lines.append((variant, str(len(of)), str(successes), *figures))
     return ["", *table(lines, left=(0, 5))]
+
+
+#: What papers tell of policies: head, column, scale, digits.
+_OF_POLICIES: Final = (
+    ("s survived", "survived", 1.0, 1),
+    ("RMSE rad", "rmse", 1.0, 4),
+    ("MPJPE rad", "mae", 1.0, 4),
+    ("E_mpjpe mm", "mpjpe_root", 1.0, 1),
+    ("E_g-mpjpe mm", "mpjpe_world", 1.0, 1),
+    ("E_vel", "e_vel", 1.0, 2),
+    ("E_acc", "e_acc", 1.0, 2),
+    ("delay p99 ms", "delay_p99", 1e3, 2),
+)
+
+
+def _is_known(value: Any) -> bool:
+    return value is not None and not (isinstance(value, float) and isnan(value))
+
+
+def _policy_lines(rows: list[dict[str, Any]]) -> list[tuple[str, ...]]:
+    """Of each policy and setting how many rows succeeded, and means over its rows."""
+    from g1stream.extras.library.table import MotionRow
+
+    files = {(row["policy"], row["policy_sha256"]) for row in rows}
+    several = {name for name, n in Counter(name for name, _ in files).items() if n > 1}
+    swept = [name for name in rows[0] if name not in MotionRow.model_fields]
+    swept = [name for name in swept if any(_is_known(row[name]) for row in rows)]
+    heads = (head for head, *_ in _OF_POLICIES)
+    lines = [("policy", *swept, "rows", "SONIC", "0.5 m", *heads)]
+    for variant in dict.fromkeys(row["variant"] for row in rows):
+        of = [row for row in rows if row["variant"] == variant]
+        name, sha = of[0]["policy"], of[0]["policy_sha256"]
+        label = f"{name}:{sha[:8]}" if name in several else name
+        settings = (
+            f"{of[0][one]:g}" if isinstance(of[0][one], float) else of[0][one] for one in swept
+        )
+        successes = (sum(row[one] is True for row in of) for one in ("success_sonic", "success"))
+        means = []
+        for _, column, scale, digits in _OF_POLICIES:
+            known = [row[column] for row in of if not isnan(row[column])]
+            means.append(f"{scale * sum(known) / len(known):.{digits}f}" if known else "")
+        lines.append((label, *settings, str(len(of)), *map(str, successes), *means))
+    return lines
 
 
 def _problems(run: LibraryRun, rows: list[dict[str, Any]]) -> list[str]:

@@ -27,11 +27,11 @@ PAGE: Final = "index.html"
 _DATA: Final = "\0"
 _ROWS: Final = 500
 #: Before the values of a sweep, and after them. The page has a reason in place of what is behind.
-_FIRST: Final = ["picture", "name", "status", "support", "variant"]
+_FIRST: Final = ["picture", "name", "status", "support", "policy", "variant"]
 _THEN: Final = ["reason", "rmse", "report", "output"]
 _LEFT_OUT: Final = {"key", "sha256", "command", "limits"}
 #: The same for many rows, or told by another column.
-_LAST: Final = ["frames", "fps", "path", "seconds", "memory"]
+_LAST: Final = ["frames", "fps", "path", "policy_sha256", "seconds", "memory"]
 
 
 def write_page(directory: Path) -> Path:

@@ -54,7 +54,7 @@ Status = Literal["ok", "broken", "refused", "huge", "slow", "crashed", "error"]
 played so; it took too much memory, or time; its process ended; or we failed."""
 
 
-FORMAT: Final = 2
+FORMAT: Final = 3
 """Of the tables: another number where a column changes, so that rows are computed again."""
 
 
@@ -71,8 +71,10 @@ class MotionRow(Record):
     path: str = column("of the file, or its URL", default=...)
     sha256: str = column("of its content", default=...)
     command: Command = column("that computed the row", default=...)
-    variant: str = column("support and values of a sweep, or the format", default="")
+    variant: str = column("support, policy and values of a sweep, or the format", default="")
     support: str | None = column("how the pelvis was held")
+    policy: str | None = column("name of the policy that played it")
+    policy_sha256: str | None = column("of the policy's files")
     status: Status = column("what became of it", default="ok")
     reason: str | None = column("why it is not ok")
     frames: Int | None = column("of the motion")
@@ -104,7 +106,11 @@ class MotionRow(Record):
     completed: bool | None = column("whether it was played to its end")
     ended: str | None = column("why it was not")
     success: bool | None = column("played to its end and followed, as `session.metrics()` has it")
+    success_sonic: bool | None = column("the same within SONIC's limits; None where it is held")
+    failed_at: float | None = column("when it was beyond those limits for the first time", "s")
+    failed_link: str | None = column("the link that was")
     progress: float | None = column("share of the motion that was played")
+    survived: float | None = column("how long it was played, to its end or to a fall", "s")
     rmse: float | None = column("of all joints", "rad")
     mae: float | None = column("mean absolute error of all joints", "rad")
     p99: float | None = column("99th percentile of the absolute error", "rad")
@@ -115,6 +121,9 @@ class MotionRow(Record):
     mpjpe: float | None = column("mean distance of the links, in the pelvis's frame", "mm")
     mpjpe_root: float | None = column("distance of the links, with the pelvis's attitude", "mm")
     mpjpe_world: float | None = column("distance of the links, in the world", "mm")
+    e_vel: float | None = column("mean error of the links' velocities, in the world", "mm/frame")
+    e_acc: float | None = column("of their accelerations", "mm/frame²")
+    delay_p99: float | None = column("from a state to the command that is made of it", "s")
     torque_rms: float | None = column("of all joints", "N·m")
     torque_use: float | None = column("99th percentile of a joint over its limit, the highest")
     saturated: float | None = column("share of the states with a joint at its limit")

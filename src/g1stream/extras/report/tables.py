@@ -134,10 +134,21 @@ _TOPICS: Final = (
 _SUCCESS: Final = (
     Column("success", "", "success"),
     Column("with BeyondMimic's limits", "", "success_strict"),
+    Column("with SONIC's limits", "", "success_sonic"),
     Column("completed", "", "completed"),
     Column("played", "%", "progress", ".1f", 100.0),
     Column("farthest links", "mm", "max_link_error_mm", ".1f"),
     Column("by", "links", "links"),
+    Column("spoilt by", "ms", "spoilt_by_ms"),
+)
+_TERMINATIONS: Final = (
+    Column("pelvis's height", "mm", "max_pelvis_height_mm", ".1f"),
+    Column("hand's or foot's height", "mm", "max_end_effector_height_mm", ".1f"),
+    Column("gravity", "", "max_gravity_difference", ".3f"),
+    Column("beyond SONIC's limits", "first", "sonic.link"),
+    Column("at", "s", "sonic.at_s", ".2f"),
+    Column("height", "mm", "sonic.height_mm", ".1f"),
+    Column("rotation", "deg", "sonic.rotation_rad", ".1f", _DEG),
 )
 _OVERVIEW: Final = (
     Column("RMSE", "deg", "metrics.tracking.all_joints.rmse_rad", ".3f", _DEG),
@@ -207,7 +218,8 @@ _SPACES: Final = {
 _PUNCTUALITY: Final = {
     "lateness_us": "lateness of writes",
     "interval_us": "interval between commands",
-    "state_age_us": "age of the state at a command",
+    "state_age_us": "age of the newest state at a command",
+    "state_to_command_us": "from the state that a command is made of to the command",
 }
 
 
@@ -226,6 +238,7 @@ def tables(metrics: Mapping[str, Any], key: str) -> dict[str, Table | None]:
     limbs = {**each("tracking.limbs"), "tracking.all_joints": "all joints"}
     return {
         "success": table_of("", _SUCCESS, {"success": "motion"}),
+        "terminations": table_of("at most", _TERMINATIONS, {"body.terminations": "off by"}),
         "limbs": table_of("limb", _LIMBS, limbs),
         "joints": table_of("joint", _JOINTS, each("tracking.joints")),
         "links": table_of("links", _LINKS, {f"body.{k}": v for k, v in _SPACES.items()}),

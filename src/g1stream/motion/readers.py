@@ -191,6 +191,10 @@ def _is_bag(file: MotionFile) -> bool:
     return file.data is None and any(begins_with(file.path, start) for start in starts)
 
 
+def _is_onnx(file: MotionFile) -> bool:
+    return file.data is None and file.path.suffix.lower() == ".onnx"
+
+
 def _is_table(file: MotionFile) -> bool:
     """Whether it says that it is a table, or its first line looks like one; an empty file is."""
     named = file.path.suffix.lower() in (".csv", ".txt")
@@ -204,6 +208,7 @@ FORMATS: Final = (
     Format("NPZ, file of PyTorch", _ARRAYS, _begins(b"PK"), several=True),
     Format("NPY", _ARRAYS, _begins(b"\x93NUMPY")),
     Format("pickle", _ARRAYS, _begins(b"\x80", *_COMPRESSED), several=True),
+    Format("policy that holds its motion (ONNX)", EXTENSIONS["read_policy"], _is_onnx),
     Format("CSV", "g1stream.motion.arrays:open_table", _is_table),
 )
 """The formats that are read."""

@@ -1,0 +1,92 @@
+"""The motion that a policy holds, as a motion file."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from g1stream.errors import MotionError
+from g1stream.extras.policy.contract import read_contract
+from g1stream.extras.policy.first_actions import anchor_poses, held_frame
+from g1stream.extras.policy.network import Network
+from g1stream.motion.motion import Motion
+from g1stream.motion.readers import Evidence
+from g1stream.robot.model import G1
+from g1stream.robot.rotations import quat_conj, quat_mul, quat_rotate
+
+if TYPE_CHECKING:
+    from g1stream.motion.readers import MotionFile, MotionReader
+    from g1stream.types import Floats
+
+__all__ = ["open_held_motion"]
+
+#: No policy holds a longer motion, frames.
+_LONGEST: Final = 1 << 20
+_ORIGIN: Final = np.zeros(3)
+_UPRIGHT: Final = np.array([1.0, 0.0, 0.0, 0.0])
+
+
+def open_held_motion(file: MotionFile) -> MotionReader:
+    """An ONNX file whose outputs by time_step are a motion.
+
+    Raises:
+        MotionError: it holds none.
+        ConfigError: it is no policy.
+    """
+    return _HeldMotion(file)
+
+
+class _HeldMotion:
+    def __init__(self, file: MotionFile) -> None:
+        self._file, self._network = file, Network(file.path)
+        self._robot = G1.default()
+        self._contract = read_contract(self._network, self._robot)
+        if self._contract.reference != "in the policy":
+            raise MotionError(
+                f"The policy {file.path.name} holds no motion.",
+                "Give the file of the motion that it was trained for.",
+            )
+
+    @property
+    def evidence(self) -> Evidence:
+        return Evidence(
+            {
+                "joint order": self._contract.origin["joint_names"],
+                "frame rate": self._contract.origin["rate"],
+            }
+        )
+
+    def motion(self) -> Motion:
+        contract, network = self._contract, self._network
+        frames = [held_frame(contract, network, step) for step in range(self._length())]
+        joint_pos = np.array([frame.joint_pos for frame in frames])
+        pos, quat = (np.array(values) for values in zip(*(f.anchor for f in frames), strict=True))
+        # The anchor's pose in the pelvis's frame says where the pelvis is.
+        below = anchor_poses(contract, self._robot, joint_pos, _ORIGIN, _UPRIGHT)
+        offset, turn = (np.array(values) for values in zip(*below, strict=True))
+        pelvis = quat_mul(quat, quat_conj(turn))
+        return Motion(
+            name=self._file.path.stem,
+            fps=self._file.fps or contract.rate,
+            joint_pos=joint_pos,
+            root_pos=pos - quat_rotate(pelvis, offset),
+            root_quat_wxyz=pelvis,
+            source=self._file.path,
+            sha256=self._file.sha256,
+        )
+
+    def _length(self) -> int:
+        """The number of frames: from the last one on, they are all alike."""
+        last, least, most = self._at(_LONGEST), 1, _LONGEST
+        while least < most:
+            middle = (least + most) // 2
+            if np.array_equal(self._at(middle), last):
+                most = middle
+            else:
+                least = middle + 1
+        return least + 1
+
+    def _at(self, step: int) -> Floats:
+        frame = held_frame(self._contract, self._network, step)
+        return np.concatenate([frame.joint_pos, *frame.anchor])

@@ -366,7 +366,7 @@ def test_low_states_that_are_seldom_are_no_start(make, interval, waits):
         assert bool(it.checks.missing) == waits
 
 
-@pytest.mark.parametrize(("speed", "moved", "stops"), [(1.5, 0.0, True), (1.5, 0.6, False)])
+@pytest.mark.parametrize(("speed", "moved", "stops"), [(2.5, 0.0, True), (1.5, 0.6, False)])
 def test_a_speed_that_the_position_does_not_show(begun, robot, speed, moved, stops):
     """One beyond the joint's limit; `moved` is in multiples of what the limit allows."""
     it = begun(max_leap=0.5)

@@ -49,7 +49,8 @@ class CommandLimits:
         beyond: what was asked for a motion beyond the limits: with `refuse`, a target that its
             joint cannot follow ends the session; with `anyway`, speed and torque are not limited.
         step_time: s for which a target stays, where it is computed at a lower rate than commands:
-            it may move at once by what its joint can do in this time. 0: it moves at every tick.
+            it may move at once by what its joint can do in this time, and need not be reached,
+            because it is there for its torque. 0: it moves at every tick.
 
     Attributes:
         clamped: (29,) int64, ticks at which each joint's target was clamped to a position limit; as
@@ -82,7 +83,7 @@ class CommandLimits:
             )
         self._velocity, self._effort = robot.velocity, robot.torque_limit
         self._beyond = beyond
-        self._step_time, self._most_lag = step_time, max(MAX_STEP_TIME, 2.0 * step_time)
+        self._step_time = step_time
         self._begun: Floats = (robot.lower + robot.upper) / 2
         #: Largest step, rad, and velocity, rad/s.
         self._reach = np.stack([robot.velocity] * 2) * (1.0 + _SPEED_TOLERANCE)
@@ -217,11 +218,12 @@ class CommandLimits:
         self.speed_limited += beyond.any(axis=0)
         lag = np.abs(asked[0] - limited[0]) / self._velocity
         joint = int(lag.argmax())
-        if self._beyond == "refuse" and lag[joint] > self._most_lag and not self.fault:
+        must_follow = self._beyond == "refuse" and not self._step_time
+        if must_follow and lag[joint] > MAX_STEP_TIME and not self.fault:
             self.fault = (
                 f"{self._names[joint]} cannot follow its target, {asked[0, joint]:.3f} rad: at "
                 f"{self._velocity[joint]:g} rad/s it would be {lag[joint]:.3f} s late "
-                f"(limit {self._most_lag:g} s)"
+                f"(limit {MAX_STEP_TIME:g} s)"
             )
         return limited
 

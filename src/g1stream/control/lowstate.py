@@ -34,6 +34,8 @@ STATE_TIMEOUT: Final = 0.1
 _SELDOM: Final = f"LowState comes less often than every {STATE_TIMEOUT:g} s"
 #: How far beyond its limits a joint may be where RAMP starts, rad: the play of an end stop.
 _START_TOLERANCE: Final = 0.1
+#: A joint that something hits may be faster than its motor, by this factor.
+_HIT: Final = 2.0
 #: Ticks beyond this say nothing of how far a joint may have moved, ms.
 _LONGEST_BURST: Final = 200
 #: Wrong CRCs are counted over this time, ns.
@@ -280,8 +282,8 @@ class LowStateChecks:
                 f"{passed:.3f} s, {fastest[joint]:g} rad/s allow {allowed[joint]:.3f} "
                 f"(limit safety.max_leap = {most:g} rad)"
             )
-        # Within a step a joint may turn back, at most from its highest speed.
-        unseen = speed - fastest
+        # Within a step a joint may turn back, and what hits it makes it faster than its motor.
+        unseen = speed - _HIT * fastest
         if (unseen * passed > step).any():
             joint = int(np.argmax(unseen * passed - step))
             return (

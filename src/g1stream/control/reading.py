@@ -45,10 +45,13 @@ class Reading:
         imu: in the pelvis.
         mode_machine: robot type.
         received: time of reception, ns of the loop's monotonic clock.
+        stamps: when it was published and when it was received, ns since the epoch; 0 where that is
+            not known.
         content: the numbers above as bytes.
         finite: none of them is NaN or infinite.
 
-    Torques are computed of `q`, `dq`, `tau` and `imu`; the checks need the others.
+    Torques are computed of `q`, `dq`, `tau` and `imu`; the checks need the others, but `stamps`,
+    which are for records.
     """
 
     q: NDArray[np.floating]
@@ -59,6 +62,7 @@ class Reading:
     received: int = 0
     content: bytes = b""
     finite: bool = True
+    stamps: tuple[int, int] = (0, 0)
 
     @classmethod
     def from_low_state(cls, state: LowState, received: int) -> Reading:
@@ -73,6 +77,7 @@ class Reading:
             received,
             values.tobytes(),
             bool(np.isfinite(values).all()),
+            (state.published, state.received),
         )
 
 

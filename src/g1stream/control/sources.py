@@ -7,6 +7,7 @@ Pure but for that.
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -22,8 +23,9 @@ if TYPE_CHECKING:
     from g1stream.control.gains import Gains
     from g1stream.control.reading import Reading
     from g1stream.control.targets import Target, WayDown
+    from g1stream.dds.messages import Topic
     from g1stream.motion.motion import Motion
-    from g1stream.session.records import BalanceSummary
+    from g1stream.session.records import BalanceSummary, PolicyInfo
 
 __all__ = ["SOURCES", "HeldTorques", "Moment", "Source", "load_source"]
 
@@ -51,6 +53,8 @@ class Moment(NamedTuple):
         target: the desired state when the command takes effect.
         measured: the newest LowState.
         age: s since that was received.
+        tick: number of the Reference that is published with it.
+        clock: tells the time, ns, as of `measured.received`, to measure how long something takes.
     """
 
     phase: Phase
@@ -58,6 +62,8 @@ class Moment(NamedTuple):
     target: Target
     measured: Reading
     age: float
+    tick: int = 0
+    clock: Callable[[], int] = lambda: 0
 
 
 class Source:
@@ -77,6 +83,7 @@ class Source:
         step_time: s for which its targets stay; 0 where they move at every tick.
         way_down: with which HOLD ends; None: it only rests.
         cuts: `change` returns the part that the settings ask for, and that is all played.
+        tells: topic of what it tells of its commands; None: nothing.
     """
 
     gains: Gains | None = None
@@ -86,6 +93,7 @@ class Source:
     step_time: float = 0.0
     way_down: WayDown | None = None
     cuts: bool = False
+    tells: Topic | None = None
 
     @property
     def name(self) -> str | None:
@@ -151,6 +159,17 @@ class Source:
     def repeated(self, target: Target) -> Target:
         """The target of a command where nothing new can be computed, without torque."""
         return target
+
+    def told(self) -> bytes:
+        """A message on the topic that it `tells` of what was computed since the last call, or b"".
+
+        It is published with the command that was computed of it.
+        """
+        return b""
+
+    def about(self) -> PolicyInfo | None:
+        """What a session says of the policy that its targets are of."""
+        return None
 
 
 def load_source(config: Config, robot: G1, *, simulated: bool, complete: bool) -> Source:

@@ -13,14 +13,16 @@ import numpy as np
 
 from g1stream.control.gains import Gains
 from g1stream.control.sources import Source
+from g1stream.dds.messages import POLICY, PolicyStep
 from g1stream.errors import ConfigError, SafetyError
 from g1stream.extras.policy.contract import PolicyContract, read_contract
-from g1stream.extras.policy.first_actions import anchor_poses, begin, first_actions
+from g1stream.extras.policy.first_actions import begin, first_actions, frame_of, state_of
 from g1stream.extras.policy.network import Network
 from g1stream.extras.policy.observation import Inputs, ReferenceFrame, RobotState, observe
 from g1stream.motion.limits import Interval
 from g1stream.motion.motion import Motion
 from g1stream.robot.rotations import quat_from_yaw, yaw_of
+from g1stream.session.records import PolicyInfo
 from g1stream.types import Phase
 
 if TYPE_CHECKING:
@@ -40,7 +42,7 @@ _LIFT: Final = 0.4
 _OF_BASE: Final = ("base_lin_vel", "motion_anchor_pos_b")
 #: How many times in a row an action may be repeated because the new one is not finite.
 _REPEATED: Final = 2
-_HERE: Final = np.zeros(3)
+_ORIGIN: Final = np.zeros(3)
 
 
 class PolicyTargets(Source):
@@ -64,6 +66,7 @@ class PolicyTargets(Source):
     support: StreamSupport | None = "free"
     lift = _LIFT
     cuts = True
+    tells = POLICY
 
     def __init__(
         self, config: Config, robot: G1, *, simulated: bool = True, complete: bool = True
@@ -84,8 +87,9 @@ class PolicyTargets(Source):
         self._action = np.zeros(len(self._default))
         self._target: Floats | None = None
         self._ticks = self._repeated = 0
-        self._alignment = np.array([1.0, 0.0, 0.0, 0.0]), (_HERE, _HERE)
+        self._alignment = np.array([1.0, 0.0, 0.0, 0.0]), (_ORIGIN, _ORIGIN)
         self._fall = ""
+        self._told, self._new = PolicyStep(), False
 
     @property
     def name(self) -> str | None:
@@ -102,7 +106,10 @@ class PolicyTargets(Source):
         first_actions(self.contract, self._network, self._robot, motion)
         pose = self.contract.in_motor_order(self.contract.default_pos)
         changed = with_standing(motion, pose, self._robot, self._settings.stand)
-        return changed, f"{motion.name} is played with {self._settings.stand:g} s of standing at either end"
+        return (
+            changed,
+            f"{motion.name} is played with {self._settings.stand:g} s of standing at either end",
+        )
 
     def begin(self, support: StreamSupport, announced: str | None, robot: str | None) -> None:
         if announced not in (None, "free"):
@@ -130,8 +137,22 @@ class PolicyTargets(Source):
         nothing = np.zeros(len(self._target))
         return target._replace(q=self._target, dq=nothing, ddq=nothing, tau=nothing)
 
+    def told(self) -> bytes:
+        new, self._new = self._new, False
+        return self._told.tobytes() if new else b""
+
+    def about(self) -> PolicyInfo | None:
+        network = self._network
+        return PolicyInfo(
+            path=str(network.path.absolute()),
+            sha256=network.sha256,
+            data_sha256=network.data_sha256,
+            contract=self.contract.model_dump(mode="json"),
+        )
+
     def _step(self, moment: Moment) -> None:
         yaw0, origin = self._alignment
+        begun, measured = moment.clock(), moment.measured
         inputs = Inputs(
             self._state(moment),
             self._reference(moment.target),
@@ -146,36 +167,37 @@ class PolicyTargets(Source):
         observation = observe(self._terms, inputs)
         if self.contract.clip:
             observation = np.clip(observation, -self.contract.clip, self.contract.clip)
+        asked = moment.clock()
         action = self._network.act(observation)
+        told = self._told
+        told.inference_time[()] = (moment.clock() - asked) / 1e9
+        told.tick[()], told.step[()] = moment.tick, self._ticks // self._every
+        told.state_published[()], told.state_received[()] = measured.stamps
+        told.state_age[()] = (begun - measured.received) / 1e9
+        told.n_observation[()] = len(observation)
+        told.observation[: len(observation)] = observation
+        told.action[self.contract.order] = action
+        self._new = True
         if np.isfinite(action).all():
             self._action, self._repeated = action, 0
         else:
             self._repeated += 1
             if self._repeated > _REPEATED:
                 self._fall = self._fall or "the policy's actions are not finite"
+        told.repeated[()] = self._repeated
         self._target = self.contract.in_motor_order(self._default + self._scale * self._action)
 
     def _aligned(self, moment: Moment) -> tuple[Floats, tuple[Floats, Floats]]:
         return begin(self._state(moment).anchor, self._reference(moment.target).anchor)
 
     def _state(self, moment: Moment) -> RobotState:
-        measured = moment.measured
-        quat = measured.imu.quat_wxyz.astype(np.float64)
-        quat /= np.sqrt(quat @ quat)
-        joint_pos = measured.q.astype(np.float64)
-        return RobotState(
-            joint_pos,
-            measured.dq.astype(np.float64),
-            quat,
-            measured.imu.gyroscope.astype(np.float64),
-            _HERE,
-            anchor_poses(self.contract, self._robot, joint_pos[None], _HERE, quat)[0],
-        )
+        measured, imu = moment.measured, moment.measured.imu
+        values = (measured.q, measured.dq, imu.quat_wxyz, imu.gyroscope)
+        return state_of(self.contract, self._robot, *values)
 
     def _reference(self, target: Target) -> ReferenceFrame:
-        pelvis = target.root_pos, target.root_quat_wxyz
-        anchor = anchor_poses(self.contract, self._robot, target.q[None], *pelvis)[0]
-        return ReferenceFrame(target.q, target.dq, anchor)
+        pose = target.root_pos, target.root_quat_wxyz
+        return frame_of(self.contract, self._robot, target.q, target.dq, *pose)
 
 
 def with_standing(motion: Motion, pose: Floats, robot: G1, seconds: float) -> Motion:

@@ -279,6 +279,8 @@ class PolicyStep(Message):
             observed was published, 0 where that is not known, and received.
         state_age: () float64, s from then to the observation.
         inference_time: () float64, s in the network.
+        time_scale: () float64, simulated over real time, which velocities of the reference that is
+            observed are divided by.
         step: () uint32, since the policy took the robot over, at 0.
         repeated: () uint32, how often in a row the last finite action has stood in for one that is
             not; 0 for a finite one.
@@ -294,7 +296,9 @@ class PolicyStep(Message):
         self.tick, self.state_published, self.state_received = map(
             self.view, ("tick", "state_published", "state_received")
         )
-        self.state_age, self.inference_time = map(self.view, ("state_age", "inference_time"))
+        self.state_age, self.inference_time, self.time_scale = map(
+            self.view, ("state_age", "inference_time", "time_scale")
+        )
         self.step, self.repeated = map(self.view, ("step", "repeated"))
         self.n_observation = self.view("n_observation")
         self.observation, self.action = map(self.view, ("observation", "action"))

@@ -321,6 +321,8 @@ class PolicyStream(Stream):
         state_received: (N,) uint64, ns since the epoch, when the streamer received it.
         state_age: (N,) s from then to the observation.
         inference_time: (N,) s in the network; 0 in a rollout, where computing takes no time.
+        time_scale: (N,) simulated over real time, which velocities of the reference that was
+            observed are divided by.
         n_observation: (N,) how many values are observed.
         observation: (N, K) float32, as the network took it.
         action: (N, 29) float32, as the network gave it, motor order.
@@ -337,6 +339,7 @@ class PolicyStream(Stream):
     state_received: NDArray[np.uint64]
     state_age: Floats
     inference_time: Floats
+    time_scale: Floats
     n_observation: NDArray[np.uint32]
     observation: NDArray[np.float32]
     action: NDArray[np.float32]

@@ -27,6 +27,7 @@ from g1stream.types import Phase
 
 if TYPE_CHECKING:
     from g1stream.config import Config
+    from g1stream.control.reading import Reading
     from g1stream.control.sources import Moment
     from g1stream.control.targets import Target
     from g1stream.robot.model import G1
@@ -117,6 +118,9 @@ class PolicyTargets(Source):
                 f"The simulator holds the robot ({announced}); a policy stands on its feet.",
                 "Start it with --support free.",
             )
+
+    def observe(self, phase: Phase, measured: Reading, scale: float) -> None:
+        self._told.time_scale[()] = scale
 
     def command(self, moment: Moment) -> Target:
         target = moment.target

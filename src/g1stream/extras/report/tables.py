@@ -276,6 +276,7 @@ def difference_tables(comparison: Mapping[str, Any]) -> dict[str, Table | None]:
         "limbs": table("RMSE of limb", _ANGLE_DIFFERENCES, rows("limbs", angles=True)),
         "joints": table("RMSE of joint", _ANGLE_DIFFERENCES, rows("joints", angles=True)),
         "metrics": table("metric", _DIFFERENCES, rows("metrics", angles=False)),
+        "terms": table("term", _DIFFERENCES, rows("terms", angles=False)),
     }
 
 

@@ -278,6 +278,7 @@ class PolicyStep(Message):
         state_published, state_received: () uint64, ns since the epoch: when the LowState that was
             observed was published, 0 where that is not known, and received.
         state_age: () float64, s from then to the observation.
+        motion_time: () float64, s, of the reference that is observed.
         inference_time: () float64, s in the network.
         time_scale: () float64, simulated over real time, which velocities of the reference that is
             observed are divided by.
@@ -296,8 +297,8 @@ class PolicyStep(Message):
         self.tick, self.state_published, self.state_received = map(
             self.view, ("tick", "state_published", "state_received")
         )
-        self.state_age, self.inference_time, self.time_scale = map(
-            self.view, ("state_age", "inference_time", "time_scale")
+        self.state_age, self.motion_time, self.inference_time, self.time_scale = map(
+            self.view, ("state_age", "motion_time", "inference_time", "time_scale")
         )
         self.step, self.repeated = map(self.view, ("step", "repeated"))
         self.n_observation = self.view("n_observation")

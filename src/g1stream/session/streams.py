@@ -320,6 +320,7 @@ class PolicyStream(Stream):
             was observed; 0 where that is not known.
         state_received: (N,) uint64, ns since the epoch, when the streamer received it.
         state_age: (N,) s from then to the observation.
+        motion_time: (N,) s, of the reference that was observed.
         inference_time: (N,) s in the network; 0 in a rollout, where computing takes no time.
         time_scale: (N,) simulated over real time, which velocities of the reference that was
             observed are divided by.
@@ -338,6 +339,7 @@ class PolicyStream(Stream):
     state_published: NDArray[np.uint64]
     state_received: NDArray[np.uint64]
     state_age: Floats
+    motion_time: Floats
     inference_time: Floats
     time_scale: Floats
     n_observation: NDArray[np.uint32]

@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 from pydantic import ValidationError
 
-from g1stream.config import Config
 from g1stream.errors import ConfigError, RecordingError
 from g1stream.extras.policy.contract import PolicyContract, read_contract
 from g1stream.extras.policy.first_actions import begin, frame_of, state_of
 from g1stream.extras.policy.network import Network
 from g1stream.extras.policy.observation import Inputs, observe
 from g1stream.robot.joints import JOINT_NAMES
-from g1stream.session.records import PolicyInfo, Record, StreamSummary, read_record
+from g1stream.session.records import PolicyInfo, Record
 from g1stream.text import counted, labelled, table
+from g1stream.types import Phase
 
 if TYPE_CHECKING:
     from g1stream.app.session import Session
@@ -33,6 +33,15 @@ __all__ = ["ActionDifference", "PolicyReplay", "TermDifference", "replay_policy"
 #: What single precision leaves of values of this size; more is another value.
 _SAME: Final = 1e-5
 _LABEL: Final = 16
+#: Ticks between the Reference of a step and that of its command, at most.
+_NEAR: Final = 64
+#: Motion times that differ by less are the same, s.
+_SAME_TIME: Final = 1e-6
+
+
+#: Why observations cannot be made anew.
+_LACKS: Final = "their LowState or Reference is not in the session"
+_LATER: Final = "the session lacks a step since the policy took over"
 
 
 class ActionDifference(Record, frozen=True):
@@ -232,6 +241,10 @@ class _Run(NamedTuple):
     origin: tuple[Floats, Floats]
     action: Floats  # (29,) in the policy's order, the last finite one
 
+    def after(self, step: int, action: Floats, *, finite: bool) -> _Run:
+        """What the step after this one takes."""
+        return self._replace(step=step, action=action if finite else self.action)
+
 
 def _observations(
     session: Session, steps: PolicyStream, contract: PolicyContract
@@ -246,14 +259,14 @@ def _observations(
     left_out: dict[str, int] = {}
     run: _Run | None = None
     for i, (number, s, r) in enumerate(zip(steps.step.tolist(), states, references, strict=True)):
-        begins, why = number == 0, ""
-        if s < 0 or r < 0:
-            why = "their LowState or Reference is not in the session"
-        elif not begins and (run is None or run.step != number - 1):
-            why = "the step before is not in the session"
-        if why:
-            left_out[why] = left_out.get(why, 0) + 1
+        action = steps.action[i].astype(np.float64)[order]
+        if number and run is not None and run.step != number - 1:
             run = None
+        known = s >= 0 and r >= 0
+        if not known or (number and run is None):
+            why = _LACKS if not known else _LATER
+            left_out[why] = left_out.get(why, 0) + 1
+            run = run and run.after(number, action, finite=not steps.repeated[i])
             continue
         state = state_of(
             contract,
@@ -266,7 +279,7 @@ def _observations(
         pose = reference.root_pos[r], reference.root_quat_wxyz[r]
         dq = reference.dq[r] / steps.time_scale[i]
         frame = frame_of(contract, robot, reference.q[r], dq, *pose)
-        if begins or run is None:
+        if run is None or not number:
             run = _Run(number, *begin(state.anchor, frame.anchor), np.zeros(len(default)))
         inputs = Inputs(
             state,
@@ -283,30 +296,24 @@ def _observations(
         if contract.clip:
             observation = np.clip(observation, -contract.clip, contract.clip)
         rebuilt[i] = observation
-        action = steps.action[i].astype(np.float64)[order]
-        run = run._replace(step=number, action=run.action if steps.repeated[i] else action)
+        run = run.after(number, action, finite=not steps.repeated[i])
     return rebuilt, left_out
 
 
 def _references(session: Session, steps: PolicyStream) -> list[int]:
-    """For each step the index of the Reference that it observed, -1 where that is not known.
+    """For each step the index of the Reference that it observed, -1 where that was not published.
 
-    It is ahead of the one of its command by the preview, as commands act a little later.
+    It is some ticks ahead of the one of its command. Of those with its motion time, as before and
+    after a motion, it is the nearest one.
     """
     reference = session.reference
-    summary, _ = read_record(StreamSummary, session.metadata.get("stream"), "stream")
-    told = session.metadata.get("config")
-    settings = told.get("stream") if isinstance(told, dict) else None
-    rate = settings.get("rate") if isinstance(settings, dict) else None
-    period = 1e9 / (rate if isinstance(rate, int | float) and rate > 0 else Config().stream.rate)
-    ahead = 1e9 * ((summary.preview_s if summary else None) or 0.0)
-    ticks = round(ahead / period)
-    found = np.array(_found(reference.publish_time, steps.publish_time))
-    there = np.minimum(found + ticks, len(reference) - 1)
-    passed = reference.publish_time[there] - steps.publish_time
-    # Else ticks were skipped, and the reference of that time is not in the session.
-    known = (found >= 0) & (np.abs(passed - ticks * period) < period / 2)
-    indices: list[int] = np.where(known, there, -1).tolist()
+    beside = np.searchsorted(reference.publish_time, steps.publish_time)
+    indices = []
+    for at, motion_time in zip(beside.tolist(), steps.motion_time.tolist(), strict=True):
+        near = slice(max(0, at - _NEAR), at + _NEAR)
+        same = np.abs(reference.motion_time[near] - motion_time) < _SAME_TIME
+        found = np.flatnonzero(same & (reference.phase[near] >= Phase.PLAY)) + near.start
+        indices.append(int(found[np.abs(found - at).argmin()]) if len(found) else -1)
     return indices
 
 

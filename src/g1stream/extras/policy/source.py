@@ -177,6 +177,7 @@ class PolicyTargets(Source):
         told.inference_time[()] = (moment.clock() - asked) / 1e9
         told.tick[()], told.step[()] = moment.tick, self._ticks // self._every
         told.state_published[()], told.state_received[()] = measured.stamps
+        told.motion_time[()] = moment.target.motion_time
         told.state_age[()] = (begun - measured.received) / 1e9
         told.n_observation[()] = len(observation)
         told.observation[: len(observation)] = observation
